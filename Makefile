@@ -1,0 +1,133 @@
+# sgms-mhe: `make help` lists what can be made.
+
+PYTHON ?= python3
+CC     ?= cc
+JOBS   ?= 2
+MACHINE ?= etel_xy
+BUILD  ?= build
+
+BIN := .venv/bin
+RUN := $(BIN)/sgms-mhe
+STAMP := .venv/.installed
+MACHINES := $(sort $(patsubst machines/%.toml,%,$(wildcard machines/*.toml)))
+RUNTIME_C = $(sort $(shell find runtime_c -name '*.[ch]'))
+
+# Strict enough for a firmware project's own rules.
+CFLAGS ?= -O2
+C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -Wshadow -Wmissing-prototypes -Werror
+
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := all
+.PHONY: all help venv generate check-generated compile experiment figures test lint lint-ruff lint-format \
+        lint-types lint-c format benchmark benchmark-diagnosis wheel lock clean distclean
+
+all: experiment ## (default) set up, generate etel_xy, compile it, run the paper's experiment, print its table
+
+help: ## this list
+	@awk 'BEGIN { FS = ":.*## " } /^[a-z-]+:.*## / { printf "  %-20s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@echo
+	@echo "  PYTHON=$(PYTHON) CC=$(CC) JOBS=$(JOBS) MACHINE=$(MACHINE) BUILD=$(BUILD) may be overridden;"
+	@echo "  PYTEST_ARGS goes to pytest."
+
+# --- environment -----------------------------------------------------------------------------------------------------
+
+venv: $(STAMP) ## .venv with exactly the versions of requirements.lock, and this package editable
+
+# Only the lock decides: no dependency is resolved, and the build backend comes from the lock too.
+$(STAMP): requirements.lock pyproject.toml
+	@command -v $(PYTHON) >/dev/null || { echo "make: $(PYTHON) not found; name a Python 3.11 or later: make PYTHON=..." >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	    echo "make: $(PYTHON) is $$($(PYTHON) --version 2>&1), 3.11 or later is needed: make PYTHON=python3.11" >&2; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' || { \
+	    echo "make: $(PYTHON) cannot make virtual environments; on Debian install python3-venv" >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(BIN)/python -m pip check
+	@touch $@
+
+lock: ## resolve the newest allowed versions and rewrite requirements.lock
+	rm -rf $(BUILD)/lock && $(PYTHON) -m venv $(BUILD)/lock
+	$(BUILD)/lock/bin/python -m pip install --quiet --upgrade setuptools hatchling
+	$(BUILD)/lock/bin/python -m pip install --quiet --no-build-isolation -e '.[dev]'
+	{ sed -n '/^#/p' requirements.lock; \
+	  $(BUILD)/lock/bin/python -m pip freeze --all --exclude pip --exclude-editable; } > $(BUILD)/requirements.lock
+	mv $(BUILD)/requirements.lock requirements.lock
+	rm -rf $(BUILD)/lock
+
+# --- generated packages ----------------------------------------------------------------------------------------------
+
+generate: $(STAMP) ## regenerate every committed package, machines/NAME.toml -> generated/NAME
+	@for name in $(MACHINES); do \
+	    echo "generate $$name" && $(RUN) generate machines/$$name.toml --out generated/$$name || exit; done
+
+check-generated: $(STAMP) ## regenerate into a scratch folder; fail on any difference from generated/, or orphan in it
+	@rm -rf $(BUILD)/check-generated && mkdir -p $(BUILD)/check-generated
+	@for name in $(MACHINES); do \
+	    $(RUN) generate machines/$$name.toml --out $(BUILD)/check-generated/$$name >/dev/null || exit; done
+	@diff -rq generated $(BUILD)/check-generated || { \
+	    diff -ruN generated $(BUILD)/check-generated | head -n 80; \
+	    echo "make: generated/ is not what machines/ gives; run 'make generate', delete orphans, and commit" >&2; exit 1; }
+	@echo "generated/ is up to date: $(words $(MACHINES)) machines"
+
+compile: $(STAMP) ## generate MACHINE and compile it as C99 with every warning an error
+	$(RUN) generate machines/$(MACHINE).toml --out generated/$(MACHINE)
+	@mkdir -p $(BUILD)/$(MACHINE)
+	@rm -f $(BUILD)/$(MACHINE)/*.o $(BUILD)/$(MACHINE)/lib$(MACHINE).a
+	@for source in generated/$(MACHINE)/*.c; do \
+	    object=$(BUILD)/$(MACHINE)/$$(basename $$source .c).o; \
+	    echo "$(CC) $(CFLAGS) -c $$source" && \
+	    $(CC) $(C_WARNINGS) $(CFLAGS) -Igenerated/$(MACHINE) -c $$source -o $$object || exit; done
+	ar rcs $(BUILD)/$(MACHINE)/lib$(MACHINE).a $(BUILD)/$(MACHINE)/*.o
+
+# --- results ---------------------------------------------------------------------------------------------------------
+
+experiment: compile ## the paper's experiment on MACHINE: table on stdout, figures and data in build/experiment
+	$(RUN) experiment machines/$(MACHINE).toml --out $(BUILD)/experiment
+
+figures: experiment ## run the experiment and put its figures into docs/figures
+	@mkdir -p docs/figures
+	find $(BUILD)/experiment -maxdepth 1 \( -name '*.svg' -o -name '*.png' \) -exec cp {} docs/figures/ \;
+
+benchmark: $(STAMP) ## time and instructions of MACHINE's variants, and of peers
+	$(RUN) bench machines/$(MACHINE).toml
+
+benchmark-diagnosis: $(STAMP) ## plant every effect in simulated logs; how many are found, missed, invented
+	$(RUN) bench-diagnosis machines/$(MACHINE).toml --out $(BUILD)/benchmark-diagnosis
+
+# --- checks ----------------------------------------------------------------------------------------------------------
+
+# One thread per worker: numerical libraries that each take all cores slow each other down.
+test: $(STAMP) ## all tests
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(PYTEST_ARGS)
+
+lint: lint-ruff lint-format lint-types lint-c ## ruff, mypy --strict, clang-format: report, change nothing
+
+lint-ruff: $(STAMP)
+	$(BIN)/ruff check .
+
+lint-format: $(STAMP)
+	$(BIN)/ruff format --check .
+
+lint-types: $(STAMP)
+	$(BIN)/mypy
+
+lint-c: $(STAMP)
+	$(if $(RUNTIME_C),$(BIN)/clang-format --dry-run -Werror $(RUNTIME_C),@echo "runtime_c/ holds no C")
+
+format: $(STAMP) ## let ruff and clang-format rewrite the sources
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+	$(if $(RUNTIME_C),$(BIN)/clang-format -i $(RUNTIME_C))
+
+# --- packaging -------------------------------------------------------------------------------------------------------
+
+wheel: $(STAMP) ## dist/*.whl, which carries templates, runtime C and machine files
+	$(BIN)/python -m hatchling build -t wheel
+
+clean: ## remove what was built, keep .venv
+	rm -rf $(BUILD) dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find generator tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+distclean: clean ## clean, and remove .venv
+	rm -rf .venv

@@ -1,0 +1,126 @@
+"""C sources to a shared library that ctypes loads, compiled once and kept in the user's cache."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shlex
+import subprocess
+import tempfile
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from pathlib import Path
+
+from sgms_mhe.errors import BuildError
+
+# Neither -march=native nor relaxed arithmetic: results must not depend on the machine that compiles. A multiply and an
+# add stay two roundings for the same reason.
+DEFAULT_FLAGS = ("-std=c99", "-O3", "-ffp-contract=off")
+WARNING_FLAGS = (
+    "-pedantic",
+    "-Wall",
+    "-Wextra",
+    "-Wconversion",
+    "-Wdouble-promotion",
+    "-Wshadow",
+    "-Wmissing-prototypes",
+    "-Werror",
+)
+
+
+def compiler() -> tuple[str, ...]:
+    """The C compiler's command: $CC with its arguments, or gcc."""
+    return tuple(shlex.split(os.environ.get("CC", ""))) or ("gcc",)
+
+
+def cache_dir() -> Path:
+    """Folder of compiled libraries: $XDG_CACHE_HOME/sgms-mhe, or ~/.cache/sgms-mhe."""
+    # The specification says to ignore a relative path.
+    stated = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return (stated if stated.is_absolute() else Path.home() / ".cache") / "sgms-mhe"
+
+
+def shared_library(
+    sources: Sequence[Path],
+    include_dirs: Sequence[Path] = (),
+    flags: Sequence[str] = DEFAULT_FLAGS,
+    cache_key: str = "",
+    libraries: Sequence[str] = (),
+) -> Path:
+    """Compile C sources to a shared library and return its path.
+
+    The library is kept under a name that is a digest of everything it is made of: contents of the sources and of the
+    headers beside them and in `include_dirs`, flags, compiler and its version, `cache_key`. It appears in the cache
+    whole or not at all, so processes may ask for the same one at the same time.
+
+    Args:
+        sources: C files.
+        include_dirs: folders of headers.
+        flags: compiler flags, `-fPIC -shared` excluded.
+        cache_key: anything else the result depends on.
+        libraries: system libraries to link, as `m`.
+
+    Raises:
+        BuildError: no compiler, or it refused; the message carries its output.
+    """
+    command = compiler()
+    digest = _digest(sources, include_dirs, (*command, _version(command), *flags, *libraries, cache_key))
+    target = cache_dir() / f"{sources[0].stem}-{digest[:24]}.so"
+    if target.is_file():
+        return target
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        scratch = tempfile.TemporaryDirectory(dir=target.parent, prefix="build-")
+    except OSError as error:
+        raise BuildError(
+            f"{target.parent}: cannot be written ({error.strerror}); XDG_CACHE_HOME names another"
+        ) from None
+    with scratch as folder:
+        built = Path(folder) / target.name
+        _run(
+            [
+                *command,
+                *flags,
+                "-fPIC",
+                "-shared",
+                *(f"-I{folder}" for folder in include_dirs),
+                *(str(source) for source in sources),
+                "-o",
+                str(built),
+                *(f"-l{library}" for library in libraries),
+            ]
+        )
+        built.replace(target)
+    return target
+
+
+def _run(command: Sequence[str]) -> str:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise BuildError(f"{command[0]}: {error.strerror}; CC names the C compiler to use") from None
+    if done.returncode != 0:
+        raise BuildError(f"{shlex.join(command)}\nexit code {done.returncode}\n{done.stderr}{done.stdout}")
+    return done.stdout
+
+
+@lru_cache
+def _version(command: tuple[str, ...]) -> str:
+    return _run([*command, "--version"])
+
+
+def _digest(sources: Sequence[Path], include_dirs: Sequence[Path], rest: Iterable[str]) -> str:
+    folders = dict.fromkeys([*(source.parent for source in sources), *include_dirs])
+    headers = [header for folder in folders for header in sorted(folder.glob("*.h"))]
+    digest = hashlib.sha256()
+    for path in [*sources, *headers]:
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise BuildError(f"{path}: {error.strerror}") from None
+        # Names count, places do not: a checkout that moved finds what it built.
+        digest.update(f"{path.name}\0{len(content)}\0".encode())
+        digest.update(content)
+    for word in rest:
+        digest.update(f"{word}\0".encode())
+    return digest.hexdigest()

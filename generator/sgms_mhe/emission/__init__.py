@@ -1,0 +1,1 @@
+"""From structure to C: expression graph, printer, templates."""

@@ -1,0 +1,112 @@
+"""Expressions to C: single-assignment constants with names a reader can follow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from sgms_mhe.emission.graph import Node, walk
+
+_ATOM, _UNARY, _PRODUCT, _SUM, _COMPARE = range(5)
+_LONGEST_INLINE = 72
+
+
+class CPrinter:
+    """Prints nodes as C99 of one precision."""
+
+    def __init__(self, precision: str) -> None:
+        self.single = precision == "single"
+        self.real = "float" if self.single else "double"
+
+    def number(self, value: float) -> str:
+        """Shortest literal that reads back as the same number in the package's precision."""
+        text = repr(float(value))
+        if self.single:
+            text = str(np.float32(value))
+            if "e" not in text and "." not in text and "inf" not in text:
+                text += ".0"
+        if "." not in text and "e" not in text:
+            text += ".0"
+        return text + ("f" if self.single else "")
+
+    def array(self, values: Sequence[float]) -> str:
+        """Brace-enclosed initialiser."""
+        return "{" + ", ".join(self.number(v) for v in values) + "}"
+
+    def statements(
+        self, outputs: Sequence[tuple[str, Node]], names: Mapping[Node, str], hints: Mapping[Node, str]
+    ) -> list[str]:
+        """C statements that compute `outputs` (target expression, node).
+
+        `names` are nodes already available under a C name (inputs, cut-off terms), `hints` preferred names for
+        intermediate values. A value used more than once, or too long to read inline, becomes a named constant.
+        """
+        uses: dict[Node, int] = {}
+        cut = set(names)
+
+        def count(node: Node) -> None:
+            uses[node] = uses.get(node, 0) + 1
+            if uses[node] == 1 and node not in cut:
+                for argument in node.args:
+                    count(argument)
+
+        for _, node in outputs:
+            count(node)
+        text: dict[Node, tuple[str, int]] = {node: (name, _ATOM) for node, name in names.items()}
+        taken = set(names.values()) | {target for target, _ in outputs}
+        lines: list[str] = []
+        for node in walk(node for _, node in outputs):
+            if node in text or node not in uses:
+                continue
+            expression, level = self._expression(node, text)
+            shared = uses[node] > 1 and node.op != "const" and not (node.op == "neg" and node.args[0].op != "const")
+            if node in hints or shared or (len(expression) > _LONGEST_INLINE and node.args):
+                name = self._fresh(hints.get(node, "a"), taken, always_number=node not in hints)
+                lines.append(f"const {self.real} {name} = {expression};")
+                text[node] = (name, _ATOM)
+            else:
+                text[node] = (expression, level)
+        lines += [f"{target} = {text[node][0]};" for target, node in outputs]
+        return lines
+
+    @staticmethod
+    def _fresh(base: str, taken: set[str], *, always_number: bool) -> str:
+        name, k = (f"{base}1", 1) if always_number else (base, 1)
+        while name in taken:
+            k += 1
+            name = f"{base}{k}"
+        taken.add(name)
+        return name
+
+    def _expression(self, node: Node, text: Mapping[Node, tuple[str, int]]) -> tuple[str, int]:
+        def operand(k: int, level: int) -> str:
+            body, own = text[node.args[k]]
+            return body if own <= level else f"({body})"
+
+        op = node.op
+        if op == "const":
+            body = self.number(node.value)
+            return (body, _ATOM) if node.value >= 0.0 else (body, _UNARY)
+        if op == "add":
+            return f"{operand(0, _SUM)} + {operand(1, _PRODUCT)}", _SUM
+        if op == "sub":
+            return f"{operand(0, _SUM)} - {operand(1, _PRODUCT)}", _SUM
+        if op == "mul":
+            return f"{operand(0, _PRODUCT)} * {operand(1, _UNARY)}", _PRODUCT
+        if op == "div":
+            return f"{operand(0, _PRODUCT)} / {operand(1, _UNARY)}", _PRODUCT
+        if op == "neg":
+            return f"-{operand(0, _ATOM)}", _UNARY
+        if op == "sq":
+            inner = operand(0, _ATOM)
+            return (f"{inner} * {inner}", _PRODUCT) if inner.isidentifier() else (f"sgms_square({text[node.args[0]][0]})", _ATOM)
+        if op == "twice":
+            return f"{self.number(2.0)} * {operand(0, _UNARY)}", _PRODUCT
+        if op == "inv":
+            return f"{self.number(1.0)} / {operand(0, _UNARY)}", _PRODUCT
+        if op in ("lt", "le"):
+            sign = "<" if op == "lt" else "<="
+            return f"(sgms_real)({operand(0, _SUM)} {sign} {operand(1, _SUM)})", _UNARY
+        arguments = ", ".join(text[a][0] for a in node.args)
+        return f"sgms_{op}({arguments})", _ATOM

@@ -1,0 +1,210 @@
+"""Tables of the displacement flow: the linearising function psi of the slip law and its inverse.
+
+For dr/dxi = g(r) with the fixed point r*, d(ln|psi|)/dr = -k / g(r), k = -g'(r*), psi ~ r* - r. psi is analytic and
+monotone through r*, so one piecewise polynomial serves loading and relaxation. Computed with more digits than a double
+holds, so that every machine emits the same bytes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+from mpmath import mp, mpf
+
+from sgms_mhe.errors import InputError
+
+TAIL = 1e-10
+"""The elastic range ends where slip changes g by this much; the gate counts as saturated where its tail does."""
+_DIGITS = 22
+_QUADRATURE = 12
+_SEGMENT = 0.5  # width over 1/lambda: the poles of g lie pi/2 away
+_DEGREE = {"double": 12, "single": 6}
+_CELLS = 128
+
+
+@dataclass(frozen=True)
+class FlowTable:
+    """One universal curve; see sgms_flow.h for the meaning of the fields. `gate` is the smallest |v| / v_s."""
+
+    start: float
+    end: float
+    k: float
+    r_star: float
+    segments: int
+    cells_per_s: float
+    degree: int
+    edge: tuple[float, ...]
+    forward: tuple[tuple[float, ...], ...]
+    inverse: tuple[tuple[float, ...], ...]
+    cell: tuple[int, ...]
+
+
+def gate_ratio(zeta: float, lambda_: float, gamma: float) -> float:
+    """Smallest |v| / v_s, in steps of 0.01, at which the gate etaB is saturated.
+
+    Saturated: max over r of |r| etaA(r) (1 - etaB(|r|)) is below 1e-10, so that leaving the gate out changes g by less.
+    """
+    for hundredths in range(1, 1000):
+        c = hundredths / 100.0
+        worst = max(
+            r / (1.0 + math.exp(-2.0 * lambda_ * (r - zeta))) / (1.0 + math.exp(min(700.0, 2.0 * gamma * c * r)))
+            for r in (k / 1000.0 for k in range(1, 3001))
+        )
+        if worst < TAIL:
+            return c
+    return math.inf
+
+
+@lru_cache(maxsize=16)
+def flow_table(zeta: float, lambda_: float, precision: str, source: str = "machine") -> FlowTable:
+    """Build the tables for one smoothing.
+
+    Raises:
+        InputError: the smoothing is too soft for the elastic range to end above r = 0.
+    """
+    reach = math.log(1.0 / TAIL) / (2.0 * lambda_)
+    start, end = zeta - reach, zeta + reach
+    if start <= 0.0:
+        raise InputError(
+            source, "friction.smoothing", lambda_, f"scheme flow needs lambda * zeta > {reach * lambda_:.1f}; use rk4"
+        )
+    degree = _DEGREE[precision]
+    with mp.workdps(_DIGITS):
+        curve = _Curve(zeta, lambda_)
+        segments = math.ceil((end - start) / (_SEGMENT / lambda_))
+        width = (mpf(end) - mpf(start)) / segments
+        edges = [mpf(start) + width * j for j in range(segments + 1)]
+        integrals = curve.integrals(edges)
+        angles = [mp.cos(mp.pi * (2 * i + 1) / (2 * (degree + 1))) for i in range(degree + 1)]
+        to_monomials = _interpolation(angles)
+        forward, inverse = [], []
+        psi = [curve.psi(r, value) for r, value in zip(edges, integrals, strict=True)]
+        for j in range(segments):
+            low, half = edges[j], width / 2
+            values = [
+                curve.psi(low + half * (t + 1), integrals[j] + curve.integral(low, low + half * (t + 1))) for t in angles
+            ]
+            forward.append(_times(to_monomials, values))
+            s_low, s_half = psi[j], (psi[j + 1] - psi[j]) / 2
+            roots = []
+            r = low
+            for t in reversed(angles):  # from the segment's low edge on, each root from the one before
+                target = s_low + s_half * (t + 1)
+                for _ in range(8):
+                    value = curve.psi(r, integrals[j] + curve.integral(low, r))
+                    step = (value - target) * curve.g(r) / (curve.k * value) if value != 0 else r - r
+                    if value == 0:
+                        step = -(target)
+                    r += step
+                    if abs(step) < mpf(10) ** (-_DIGITS // 2 - 2):
+                        break
+                roots.append(r)
+            inverse.append(_times(to_monomials, roots[::-1]))
+        cells_per_s = _CELLS / float(psi[0] - psi[-1])
+        cell = []
+        for c in range(_CELLS):
+            upper = psi[0] - mpf(c) / mpf(cells_per_s)
+            cell.append(next((j for j in range(segments) if upper > psi[j + 1]), segments - 1))
+        return FlowTable(
+            start=float(start),
+            end=float(end),
+            k=float(curve.k),
+            r_star=float(curve.r_star),
+            segments=segments,
+            cells_per_s=cells_per_s,
+            degree=degree,
+            edge=tuple(float(p) for p in psi),
+            forward=tuple(tuple(float(c) for c in row) for row in forward),
+            inverse=tuple(tuple(float(c) for c in row) for row in inverse),
+            cell=tuple(cell),
+        )
+
+
+class _Curve:
+    """g, its fixed point and the integral that defines psi, in extended precision."""
+
+    def __init__(self, zeta: float, lambda_: float) -> None:
+        self.zeta, self.lambda_ = mpf(zeta), mpf(lambda_)
+        r = mpf(1)
+        for _ in range(60):
+            step = self.g(r) / self.slope(r)
+            r -= step
+            if abs(step) < mpf(10) ** (2 - _DIGITS):
+                break
+        self.r_star = r
+        self.k = -self.slope(r)
+        self.rule = _gauss_legendre(_QUADRATURE)
+
+    def logistic(self, r: mpf) -> mpf:
+        return 1 / (1 + mp.exp(-2 * self.lambda_ * (r - self.zeta)))
+
+    def g(self, r: mpf) -> mpf:
+        return 1 - self.logistic(r) * r
+
+    def slope(self, r: mpf) -> mpf:
+        a = self.logistic(r)
+        return -(a + 2 * self.lambda_ * a * (1 - a) * r)
+
+    def regular(self, r: mpf) -> mpf:
+        """-k / g(r) - 1 / (r - r*), the part of d ln|psi| / dr without the pole."""
+        return -self.k / self.g(r) - 1 / (r - self.r_star)
+
+    def integral(self, low: mpf, high: mpf) -> mpf:
+        half, middle = (high - low) / 2, (high + low) / 2
+        return half * sum(w * self.regular(middle + half * t) for t, w in self.rule)
+
+    def integrals(self, edges: list[mpf]) -> list[mpf]:
+        """Integral of the regular part from r* to every edge."""
+        below = max(j for j, r in enumerate(edges) if r < self.r_star)
+        values = [mpf(0)] * len(edges)
+        values[below] = -self.integral(edges[below], self.r_star)
+        for j in range(below, len(edges) - 1):
+            values[j + 1] = values[j] + self.integral(edges[j], edges[j + 1])
+        for j in range(below, 0, -1):
+            values[j - 1] = values[j] - self.integral(edges[j - 1], edges[j])
+        return values
+
+    def psi(self, r: mpf, integral: mpf) -> mpf:
+        return (self.r_star - r) * mp.exp(integral)
+
+
+@lru_cache(maxsize=2)
+def _gauss_legendre(n: int) -> tuple[tuple[mpf, mpf], ...]:
+    rule = []
+    for i in range(n):
+        x = mp.cos(mp.pi * (i + mpf(3) / 4) / (n + mpf(1) / 2))
+        for _ in range(20):
+            p0, p1 = mpf(1), x
+            for m in range(2, n + 1):
+                p0, p1 = p1, ((2 * m - 1) * x * p1 - (m - 1) * p0) / m
+            derivative = n * (x * p1 - p0) / (x * x - 1)
+            step = p1 / derivative
+            x -= step
+            if abs(step) < mpf(10) ** (2 - _DIGITS):
+                break
+        rule.append((x, 2 / ((1 - x * x) * derivative**2)))
+    return tuple(rule)
+
+
+def _interpolation(nodes: list[mpf]) -> list[list[mpf]]:
+    """Matrix from values at Chebyshev nodes to monomial coefficients on [-1, 1]."""
+    n = len(nodes)
+    chebyshev = [[mpf(1)], [mpf(0), mpf(1)]]
+    for _ in range(2, n):
+        twice = [mpf(0), *(2 * c for c in chebyshev[-1])]
+        previous = [*chebyshev[-2], *[mpf(0)] * (len(twice) - len(chebyshev[-2]))]
+        chebyshev.append([a - b for a, b in zip(twice, previous, strict=True)])
+    matrix = [[mpf(0)] * n for _ in range(n)]
+    for m in range(n):
+        scale = mpf(1 if m == 0 else 2) / n
+        for i, x in enumerate(nodes):
+            weight = scale * mp.cos(m * mp.acos(x))
+            for power, c in enumerate(chebyshev[m]):
+                matrix[power][i] += weight * c
+    return matrix
+
+
+def _times(matrix: list[list[mpf]], values: list[mpf]) -> list[mpf]:
+    return [sum((a * v for a, v in zip(row, values, strict=True)), mpf(0)) for row in matrix]

@@ -1,0 +1,419 @@
+"""A machine's package: the emitted C, its runtime headers and the structure report, as text by file name."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import jinja2
+import numpy as np
+
+from sgms_mhe import __version__
+from sgms_mhe.emission.c_source import CPrinter
+from sgms_mhe.emission.flow_table import flow_table, gate_ratio
+from sgms_mhe.emission.graph import Graph, Node, operations, walk
+from sgms_mhe.errors import InputError
+from sgms_mhe.kinematics import lowpass_coefficients, settle_samples
+from sgms_mhe.machine import Machine
+from sgms_mhe.model import SIGNAL_NAMES, Model, build_model
+from sgms_mhe.paths import runtime_dir, templates_dir
+from sgms_mhe.schemes import SCHEMES
+from sgms_mhe.structure import Group, Structure, analyse, report
+
+RUNTIME_VERSION = 1
+RUNTIME_HEADERS = ("sgms_real.h", "sgms_math.h", "sgms_linalg.h", "sgms_filter.h")
+SLOW_DISPLACEMENT = 0.02
+VECTOR_BYTES = 32
+"""Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
+
+
+@dataclass(frozen=True)
+class Function:
+    """Statements of one emitted function and a sentence that counts its operations."""
+
+    lines: tuple[str, ...]
+    counts: str
+
+
+@dataclass(frozen=True)
+class Package:
+    """Emitted files by name."""
+
+    machine: Machine
+    files: Mapping[str, str]
+
+
+def _count_text(nodes: Sequence[Node]) -> str:
+    counts = operations(nodes)
+    if not counts:
+        return "No operations."
+    return "Operations: " + ", ".join(f"{n} {op}" for op, n in sorted(counts.items())) + "."
+
+
+class _Emitter:
+    """Turns expressions of one model into C functions."""
+
+    def __init__(self, model: Model, printer: CPrinter) -> None:
+        self.model = model
+        self.printer = printer
+        self.w_labels = list(SIGNAL_NAMES)
+        self.theta_labels = [f"theta_{p.column}" for p in model.parameters]
+        self.x_labels = [f"x_{s.name}" for s in model.states]
+
+    def function(self, outputs: Sequence[tuple[str, ca.SX]], *, inputs: Mapping[str, str]) -> Function:
+        """Function of x, w, theta; `inputs` maps vector names ("x", "w", "theta") to C arrays."""
+        graph = Graph()
+        vectors = {"x": self.model.x, "w": self.model.w, "theta": self.model.theta}
+        labels = {"x": self.x_labels, "w": self.w_labels, "theta": self.theta_labels}
+        nodes = graph.read(ca.vertcat(*(e for _, e in outputs)), vectors, labels)
+        names = {
+            graph.input(vector, label): f"{inputs[vector]}[{k}]"
+            for vector, array in inputs.items()
+            for k, label in enumerate(labels[vector])
+        }
+        targets = list(zip((t for t, _ in outputs), nodes, strict=True))
+        used = {node for node in walk(nodes) if node.op == "input"}
+        unused = [
+            f"(void){array};"
+            for vector, array in inputs.items()
+            if not any(graph.input(vector, label) in used for label in labels[vector])
+        ]
+        return Function(tuple(unused + self.printer.statements(targets, names, {})), _count_text(nodes))
+
+    def group_function(
+        self, group: Group, outputs: Sequence[tuple[str, Node]], skip: Sequence[str] = ()
+    ) -> Function:
+        """Function of a group's canonical inputs (chi, terms, q, data); `skip` names those it does not take."""
+        nodes = [node for _, node in outputs]
+        inputs = [node for node in walk(nodes) if node.op == "input"]
+        names = {node: _group_name(node, self.model) for node in inputs}
+        used = set(names.values())
+        unused = [
+            f"(void){name};"
+            for name in _group_arguments(group, self.terms)
+            if name not in skip and not any(u == name or u.startswith(f"{name}[") for u in used)
+        ]
+        lines = unused + self.printer.statements(list(outputs), names, group.names)
+        return Function(tuple(lines), _count_text(nodes))
+
+    terms: tuple[str, ...] = ()
+
+
+def _group_name(node: Node, model: Model) -> str:
+    """C name of a canonical input: chi0 -> chi0, term1 -> the term's name, q0 -> q[0], data0 -> data[0]."""
+    vector = next(iter(node.inputs))
+    index = int(node.label[len("term" if vector == "terms" else vector) :])
+    return {"chi": f"chi{index}", "terms": f"term{index}", "q": f"q[{index}]", "data": f"data[{index}]"}[vector]
+
+
+def _group_arguments(group: Group, terms: Sequence[str]) -> list[str]:
+    return [f"chi{i}" for i in range(group.m)] + [f"term{k}" for k in range(len(terms))] + ["q", "data"]
+
+
+def emit_package(machine: Machine) -> Package:
+    """Generate the C of a machine.
+
+    Raises:
+        InputError: the machine asks for something that cannot be emitted; the message says what.
+    """
+    model = build_model(machine)
+    if model.n_p == 0:
+        raise InputError(machine.source, "estimator.parameters", [], "at least one parameter to estimate")
+    structure = analyse(model)
+    printer = CPrinter(machine.code.precision)
+    emitter = _Emitter(model, printer)
+    emitter.terms = tuple(t.name for t in structure.sample_terms)
+    context = _context(machine, model, structure, emitter)
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(templates_dir()),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
+    environment.globals.update(
+        num=printer.number,
+        array=printer.array,
+        body=_body,
+        rows=lambda values: ", ".join(printer.number(v) for v in values),
+    )
+    name = machine.name
+    files = {}
+    for template, target in context["templates"]:
+        files[target] = environment.get_template(template).render(context)
+    for header in RUNTIME_HEADERS + (("sgms_flow.h",) if context["flow"] else ()):
+        files[header] = (runtime_dir() / header).read_text(encoding="utf-8")
+    files["structure.txt"] = report(structure)
+    return Package(machine, dict(sorted(files.items()))) if name else Package(machine, files)
+
+
+def _body(function: Function) -> str:
+    return "\n".join("    " + line for line in function.lines)
+
+
+def _digest_of_sources() -> str:
+    """Digest of templates and generator, for the provenance line: the same sources give the same package."""
+    digest = hashlib.sha256()
+    package = Path(__file__).resolve().parents[1]
+    sources = [*sorted(templates_dir().glob("*.jinja")), *sorted((package / "emission").glob("*.py"))]
+    sources += [*sorted((package / "model").rglob("*.py")), package / "structure.py", package / "schemes.py"]
+    for path in sources:
+        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:12]
+
+
+def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emitter) -> dict[str, Any]:
+    sampling, estimator = machine.sampling, machine.estimator
+    integrator = sampling.integrator
+    samples = sampling.samples_per_update
+    substeps = integrator.substeps
+    steps = min(substeps, samples)
+    merged = samples // steps
+    step_time = merged / sampling.rate
+    single = machine.code.precision == "single"
+    horizon = estimator.horizon if estimator.kind == "mhe" else 0
+    slots = max(1, horizon)
+    vector = VECTOR_BYTES // (4 if single else 8)
+    lanes = -(-slots // vector) * vector if horizon else 1
+    noise = estimator.noise
+    fixed = estimator.arrival_cost.update == "fixed"
+    scheme = SCHEMES["rk4" if integrator.scheme == "flow" else integrator.scheme]
+    flow = integrator.scheme == "flow" and any(g.is_elements for g in structure.groups)
+    groups = [
+        _group_context(g, structure, emitter, flow=flow and g.is_elements, step_time=step_time) for g in structure.groups
+    ]
+    n_q_total = sum(g.n_q * len(g.blocks) for g in structure.groups)
+    q = [e for g in structure.groups for b in g.blocks for e in b.parameter_terms]
+    scale = [_node_scale(model, i) for i in range(model.n_x)]
+    theta = model.theta
+    name = machine.name
+    output = ca.substitute(model.output, model.chi, model.from_node)
+    deflection = ca.substitute(model.deflection, model.chi, model.from_node)
+    nominal = [p.nominal for p in model.parameters]
+    lower = [p.lower for p in model.parameters]
+    upper = [p.upper for p in model.parameters]
+    bounded = any(np.isfinite(lower)) or any(np.isfinite(upper))
+    largest = 1e30 if single else 1e300
+    context: dict[str, Any] = {
+        "banner": f"Generated by sgms-mhe {__version__} from machine {machine.digest[:12]} "
+        f"with sources {_digest_of_sources()}. Do not edit: run sgms-mhe generate.",
+        "name": name,
+        "NAME": name.upper(),
+        "description": (machine.description or f"Friction observer {name}").replace("*/", "* /"),
+        "runtime_version": RUNTIME_VERSION,
+        "single": int(single),
+        "real": emitter.printer.real,
+        "n_x": model.n_x,
+        "n_z": model.n_z,
+        "n_p": model.n_p,
+        "horizon": horizon,
+        "slots": slots,
+        "lanes": lanes,
+        "samples": samples,
+        "merged": merged,
+        "merge": merged > 1,
+        "steps": steps,
+        "n_terms": len(structure.sample_terms),
+        "term_names": [t.name for t in structure.sample_terms],
+        "state_rows": sum(g.m * (1 + g.m + g.n_q) * len(g.blocks) for g in structure.groups),
+        "n_q_total": n_q_total,
+        "settle": settle_samples(machine),
+        "rate": sampling.rate,
+        "rate_text": f"{sampling.rate:g}",
+        "sample_time": 1.0 / sampling.rate,
+        "step_time": step_time,
+        "interval_ms": f"{1e3 / sampling.update_rate:g}",
+        "mass": machine.plant.mass,
+        "max_velocity": sampling.max_velocity,
+        "hold_path": hold_path(machine),
+        "inverse_measurement": 1.0 / noise.measurement,
+        "prior_sd": noise.parameter,
+        "drift_sd": noise.parameter_drift if not (fixed and horizon) else 0.0,
+        "bounded": bounded,
+        "lower": [max(v, -largest) for v in lower],
+        "upper": [min(v, largest) for v in upper],
+        "inverse_state_noise": 1.0 / model.state_noise,
+        "inverse_initial_state": 1.0 / model.initial_state,
+        "inverse_arrival_state": 1.0 / model.state_noise,
+        "fixed": fixed,
+        "lowpass": lowpass_coefficients(machine),
+        "linear": integrator.velocity == "linear",
+        "flow": flow,
+        "scheme": scheme if not flow else scheme.with_text("displacement flow, Runge-Kutta (rk4) where it does not apply"),
+        "base_substeps": max(1, substeps // samples),
+        "groups": groups,
+        "factor_rows": model.n_x + model.n_p,
+        "kept_width": 2 * model.n_x + model.n_p + 1,
+        "parameter_columns": [p.column for p in model.parameters],
+        "parameter_unit": [abs(p.scale) for p in model.parameters],
+        "memory_text": "static or on a stack that is large enough",
+        "sample_terms": emitter.function(
+            [(f"term[{k} * stride]", t.expression) for k, t in enumerate(structure.sample_terms)], inputs={"w": "w"}
+        ),
+        "parameter_terms": emitter.function(
+            [(f"q[{k}]", e) for k, e in enumerate(q)]
+            + [
+                (f"d_q[{k * model.n_p + j}]", d)
+                for k, e in enumerate(q)
+                for j, d in enumerate(ca.vertsplit(ca.densify(ca.gradient(e, theta))))
+            ]
+            + [(f"scale[{i}]", s) for i, s in enumerate(scale)]
+            + [
+                (f"d_scale[{i * model.n_p + j}]", d)
+                for i, s in enumerate(scale)
+                for j, d in enumerate(ca.vertsplit(ca.densify(ca.gradient(s, theta))))
+            ],
+            inputs={"theta": "theta"},
+        ),
+        "output": emitter.function(
+            [("y", output)]
+            + [(f"c[{i}]", d) for i, d in enumerate(ca.vertsplit(ca.densify(ca.gradient(output, model.x))))]
+            + [(f"d[{i}]", d) for i, d in enumerate(ca.vertsplit(ca.densify(ca.gradient(output, theta))))],
+            inputs={"x": "x", "w": "w", "theta": "theta"},
+        ),
+        "deflection": emitter.function(
+            [(f"z[{i}]", e) for i, e in enumerate(ca.vertsplit(deflection))], inputs={"x": "x", "theta": "theta"}
+        ),
+        "si": emitter.function(
+            [
+                (f"p[{k}]", p.nominal * theta[k] if p.scale == p.nominal else p.nominal + p.scale * (theta[k] - 1.0))
+                for k, p in enumerate(model.parameters)
+            ],
+            inputs={"theta": "theta"},
+        ),
+        "nominal": nominal,
+    }
+    flow_template = []
+    if flow:
+        smoothing = machine.friction.smoothing
+        gate = gate_ratio(smoothing.zeta, smoothing.lambda_, smoothing.gamma)
+        context |= {
+            "table": flow_table(smoothing.zeta, smoothing.lambda_, machine.code.precision, str(machine.source)),
+            "zeta": smoothing.zeta,
+            "lambda_": smoothing.lambda_,
+            "gate": gate,
+            "gate_velocity": gate * machine.friction.stribeck_velocity,
+        }
+        flow_template = [("flow.h.jinja", f"{name}_flow.h")]
+    context["templates"] = flow_template + [
+        ("machine.h.jinja", f"{name}.h"),
+        ("machine.c.jinja", f"{name}.c"),
+        ("config.h.jinja", f"{name}_config.h"),
+        ("model.h.jinja", f"{name}_model.h"),
+        ("integrator.h.jinja", f"{name}_integrator.h"),
+    ]
+    return context
+
+
+def hold_path(machine: Machine) -> float:
+    """Path [m] of an interval below which it says nothing of the parameters: 10 % of the smallest deflection scale."""
+    friction = machine.friction
+    return 0.1 * min(
+        nu * friction.coulomb / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True)
+    )
+
+
+def _node_scale(model: Model, i: int) -> ca.SX:
+    """x_i / chi_i, a function of the parameters."""
+    return ca.substitute(ca.gradient(model.to_node[i], model.chi)[i], model.chi, ca.SX.zeros(model.n_x))
+
+
+def _group_context(
+    group: Group, structure: Structure, emitter: _Emitter, *, flow: bool, step_time: float
+) -> dict[str, Any]:
+    m, n_q, terms = group.m, group.n_q, emitter.terms
+    integrator = structure.model.machine.sampling.integrator
+    max_velocity = structure.model.machine.sampling.max_velocity
+    per_step = step_time / integrator.displacement
+    states = [f"chi{i}" for i in range(m)]
+    values = [f"term{k}" for k in range(len(terms))]
+    real = "sgms_real"
+    arguments = [f"{real} {v}" for v in states + values] + [f"const {real} *q", f"const {real} *data"]
+    slopes = [f"rate[{i}]" for i in range(m)]
+    for i in range(m):
+        slopes += [
+            " + ".join(f"d_chi[{i * m + f}] * at{m + f * m + e}" for f in range(m)) for e in range(m)
+        ]
+    for i in range(m):
+        slopes += [
+            " + ".join(f"d_chi[{i * m + f}] * at{m + m * m + f * n_q + e}" for f in range(m))
+            + f" + d_q[{i * n_q + e}]"
+            for e in range(n_q)
+        ]
+    number = emitter.printer.number
+    rates = [
+        [
+            b.rate_per_metre * per_step,
+            b.rate_per_second * per_step,
+            (max_velocity * b.rate_per_metre + b.rate_per_second) * per_step,
+        ]
+        for b in group.blocks
+    ]
+    result: dict[str, Any] = {
+        "name": group.name,
+        "NAME": group.name.upper(),
+        "m": m,
+        "n_q": n_q,
+        "n_data": group.n_data,
+        "rows": m * (1 + m + n_q),
+        "n_blocks": len(group.blocks),
+        "blocks": group.blocks,
+        "arguments": arguments,
+        "call": [f"at{i}" for i in range(m)] + [f"term[{k} * LANES + l]" for k in range(len(terms))] + ["q", "data"],
+        "slopes": slopes,
+        "rhs": emitter.group_function(
+            group,
+            [(f"rate[{i}]", n) for i, n in enumerate(group.rhs)]
+            + [(f"d_chi[{i}]", n) for i, n in enumerate(group.d_chi)]
+            + [(f"d_q[{i}]", n) for i, n in enumerate(group.d_q)],
+        ),
+        "data_rows": [emitter.printer.array(b.data or (0.0,)) for b in group.blocks],
+        "rates": ["{" + ", ".join(number(v) for v in row) + "}" for row in rates],
+        "states_rows": ["{" + ", ".join(str(s) for s in b.states) + "}" for b in group.blocks],
+        "flow": flow,
+    }
+    if flow:
+        # At most 0.02 in units of the deflection scale per RK4 step below the gate: there r moves slowly.
+        result["slow"] = [b.rate_per_metre * step_time / SLOW_DISPLACEMENT for b in group.blocks]
+        result["flow_arguments"] = [f"{real} {v}" for v in values] + [f"const {real} *q", f"const {real} *data"]
+        result["flow_call"] = [f"term[{k} * LANES + l]" for k in range(len(terms))] + ["q", "data"]
+        outputs = [("rate[0]", group.rate[0]), ("inverse_level[0]", group.inverse_level[0])]
+        outputs += [(f"d_rate[{k}]", n) for k, n in enumerate(group.d_rate)]
+        outputs += [(f"d_inverse_level[{k}]", n) for k, n in enumerate(group.d_inverse_level)]
+        result["coefficients"] = emitter.group_function(group, outputs, skip=states)
+    return result
+
+
+def write_package(package: Package, folder: Path) -> None:
+    """Write a package into `folder`, which afterwards holds it and nothing else that a package could have left.
+
+    The folder is replaced in one move, so an interruption leaves the old one or the new one.
+
+    Raises:
+        InputError: the folder cannot be written, or holds files that no package emits.
+    """
+    parent = folder.parent
+    foreign = [p.name for p in folder.iterdir() if p.suffix not in (".c", ".h", ".txt")] if folder.is_dir() else []
+    if foreign:
+        raise InputError(folder, "output folder", sorted(foreign)[0], "an empty folder or an earlier package")
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(dir=parent, prefix=f".{folder.name}-"))
+        try:
+            for name, text in package.files.items():
+                (scratch / name).write_text(text, encoding="utf-8")
+            scratch.chmod(0o755)
+            if folder.exists():
+                shutil.rmtree(folder)
+            scratch.rename(folder)
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+    except OSError as error:
+        raise InputError(folder, "output folder", None, f"cannot be written: {error.strerror}") from None

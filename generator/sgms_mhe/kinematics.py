@@ -1,0 +1,186 @@
+"""Signal chain: from position and force to velocity, acceleration and measured friction (DESIGN section 2).
+
+Every signal leaves the chain with the delay of the acceleration, two low-passes and one sample, so that friction =
+force - mass * acceleration carries no transient that is not friction.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from sgms_mhe.logs import Log, check_rate
+
+if TYPE_CHECKING:
+    from sgms_mhe.machine import Machine
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SETTLE_TOLERANCE = 0.01
+"""The chain has settled when the step response of both low-passes stays within this fraction."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What the observer sees, one entry per sample; all arrays (n,), all numbers finite.
+
+    time [s], position [m], velocity [m/s], acceleration [m/s^2], force [N], friction [N]; `valid`: friction may be used
+    as a measurement; `missing`: a recorded channel had no finite value.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    force: Array
+    friction: Array
+    valid: Mask
+    missing: Mask
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+def signals_from_log(log: Log, machine: Machine) -> Signals:
+    """Send a log through the chain, or past it where the log brings velocity and friction of its own."""
+    sampling = machine.sampling
+    check_rate(log, machine)
+    rate, settle = sampling.rate, settle_samples(machine)
+    given = (log.position_m, log.force_N, log.velocity_m_s, log.acceleration_m_s2, log.friction_N)
+    missing = ~np.logical_and.reduce([np.isfinite(channel) for channel in given if channel is not None])
+    force = _hold(log.force_N)
+    position, delayed_position, difference = _continue(log.position_m, settle)
+
+    if log.velocity_m_s is not None and log.friction_N is not None:
+        velocity = _hold(log.velocity_m_s, before=0.0)
+        if log.acceleration_m_s2 is None:
+            acceleration = (velocity - _delay(velocity, float(velocity[0]))) * rate
+        else:
+            acceleration = _hold(log.acceleration_m_s2, before=0.0)
+        friction = _hold(log.friction_N, before=0.0)
+        return Signals(log.time_s, position, velocity, acceleration, force, friction, ~missing, missing)
+
+    coefficients = lowpass_coefficients(machine)
+
+    def lowpass(signal: Array) -> Array:
+        return _lowpass(coefficients, signal)
+
+    def at_rest(delayed: Array) -> Array:
+        # Both filters are linear: about the first value they start at zero, which is at rest to the last bit.
+        return float(delayed[0]) + lowpass(lowpass(delayed - delayed[0]))
+
+    raw_velocity = difference * rate if log.velocity_m_s is None else _hold(log.velocity_m_s, before=0.0)
+    once = lowpass(raw_velocity)
+    velocity = lowpass(_delay(once, 0.0))
+    if log.acceleration_m_s2 is None:
+        acceleration = lowpass((once - _delay(once, 0.0)) * rate)
+    else:
+        acceleration = lowpass(lowpass(_delay(_hold(log.acceleration_m_s2, before=0.0), 0.0)))
+    position, force = at_rest(delayed_position), at_rest(_delay(force, float(force[0])))
+    if log.friction_N is None:
+        friction = force - machine.plant.mass * acceleration
+    else:
+        held = _hold(log.friction_N)
+        friction = at_rest(_delay(held, float(held[0])))
+    valid = _samples_since(missing) > settle
+    valid[:settle] = False
+    return Signals(log.time_s, position, velocity, acceleration, force, friction, valid, missing)
+
+
+def lowpass_coefficients(machine: Machine) -> tuple[float, float, float, float, float]:
+    """(b0, b1, b2, a1, a2) of the low-pass: y[k] = b0 u[k] + b1 u[k-1] + b2 u[k-2] - a1 y[k-1] - a2 y[k-2].
+
+    Second-order Butterworth by the bilinear transform, prewarped to `velocity_cutoff`.
+    """
+    return _coefficients(machine.sampling.velocity_cutoff / machine.sampling.rate)
+
+
+def settle_samples(machine: Machine) -> int:
+    """Samples until the step response of two low-passes in series stays within 1 % of its final value."""
+    return _settle(machine.sampling.velocity_cutoff / machine.sampling.rate)
+
+
+def _coefficients(cutoff: float) -> tuple[float, float, float, float, float]:
+    warped = math.tan(math.pi * cutoff)
+    scale = 1.0 / (1.0 + math.sqrt(2.0) * warped + warped * warped)
+    b0 = warped * warped * scale
+    a1 = 2.0 * (warped * warped - 1.0) * scale
+    a2 = (1.0 - math.sqrt(2.0) * warped + warped * warped) * scale
+    return b0, 2.0 * b0, b0, a1, a2
+
+
+@lru_cache(maxsize=64)
+def _settle(cutoff: float) -> int:
+    coefficients = _coefficients(cutoff)
+    # sqrt(a2) is the poles' radius: after this many samples the response has decayed far below the tolerance.
+    length = 64 + math.ceil(math.log(1e-6) / (0.5 * math.log(coefficients[4])))
+    step = _lowpass(coefficients, _lowpass(coefficients, np.ones(length)))
+    outside = np.flatnonzero(np.abs(step - 1.0) > SETTLE_TOLERANCE)
+    return int(outside[-1]) + 1 if len(outside) else 0  # none outside: a cutoff close to rate / 2
+
+
+def _lowpass(coefficients: tuple[float, float, float, float, float], signal: Array) -> Array:
+    b0, b1, b2, a1, a2 = coefficients
+    filtered: Array = lfilter([b0, b1, b2], [1.0, a1, a2], signal)
+    return filtered
+
+
+def _delay(signal: Array, first: float) -> Array:
+    """One sample later, `first` standing before the first sample."""
+    return np.concatenate(([first], signal[:-1]))
+
+
+def _samples_since(mask: Mask) -> NDArray[np.int64]:
+    """Samples since the last true entry of mask: 0 at a true entry, the largest integer before the first one."""
+    index = np.arange(len(mask))
+    last = np.maximum.accumulate(np.where(mask, index, -1))
+    return np.where(last < 0, np.iinfo(np.int64).max, index - last)
+
+
+def _hold(signal: Array, before: float | None = None) -> Array:
+    """Hold the last finite value over missing samples; `before` the first one, or that one itself."""
+    good = np.isfinite(signal)
+    if good.all():
+        return signal
+    if not good.any():
+        return np.full_like(signal, 0.0 if before is None else before)
+    last = np.maximum.accumulate(np.where(good, np.arange(len(signal)), -1))
+    start = signal[np.argmax(good)] if before is None else before
+    return np.where(last >= 0, signal[last], start)
+
+
+def _continue(position: Array, settle: int) -> tuple[Array, Array, Array]:
+    """Position with its missing samples continued by the last raw difference.
+
+    Returns the position at k, the position one sample earlier as the chain sees it at k, and their difference [m]. They
+    are stated apart because after a gap of more than `settle` samples the earlier position is replaced by the new one:
+    the difference restarts at zero and what was travelled unseen does not appear as a velocity.
+    """
+    good = np.isfinite(position)
+    filled = np.where(good, position, np.nan)  # not inf: its differences would warn
+    if not good.any():
+        filled[:] = 0.0
+    elif not good.all():
+        first = int(np.argmax(good))
+        filled[:first] = position[first]
+    earlier = _delay(filled, filled[0])
+    difference = filled - earlier
+    if not good.all() and good.any():
+        edges = np.flatnonzero(np.diff(good[first:].astype(np.int8)))
+        starts, ends = edges[::2] + 1 + first, edges[1::2] + 1 + first
+        for start, end in zip(starts, [*ends, len(position)], strict=False):
+            difference[start:end] = difference[start - 1]
+            # accumulate adds in order, as a controller does sample by sample
+            filled[start:end] = np.add.accumulate(np.r_[filled[start - 1], difference[start:end]])[1:]
+            earlier[start + 1 : end] = filled[start : end - 1]
+            if end < len(position):
+                earlier[end] = filled[end - 1] if end - start <= settle else filled[end]
+                difference[end] = filled[end] - earlier[end]
+    return filled, earlier, difference

@@ -1,0 +1,215 @@
+"""Machine file to symbolic model: the three functions of DESIGN section 1 and what the estimator assumes of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.axis import SIGNAL_NAMES, StateSpec, SymbolicAxis
+from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.model.friction import FrictionSymbols, Smoothing, add_friction
+
+STAGES = ("signal", "level", "force")
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A parameter that the estimator estimates: p = nominal + scale (theta - 1).
+
+    Attributes:
+        name: machine-file name of the group (`stiffness`, `force_ripple.amplitude_N`).
+        column: name in results (`stiffness_1`, `coulomb`, `force_ripple.amplitude_N`).
+        nominal: value of the machine file [unit].
+        scale: what theta - 1 = 1 means [unit].
+        lower: bound on theta, -inf if none.
+        upper: bound on theta, inf if none.
+    """
+
+    name: str
+    column: str
+    nominal: float
+    scale: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class Model:
+    """Symbolic model of one machine; w = (position, velocity, acceleration, force, time).
+
+    Attributes:
+        rhs: d(chi)/dt (n_x).
+        to_node: node state x (n_x) of (chi, theta).
+        from_node: chi (n_x) of (x, theta).
+        output: friction force [N] of (chi, w, theta).
+        deflection: z [m] (n_z) of (chi, theta).
+        level: s(v) / f_C times the effects' factors, of (w, theta).
+        rho: kappa_i / (nu_i f_C) [1/m] (n_z), of theta.
+        names: per state, names of intermediate values of its rate.
+    """
+
+    machine: Machine
+    states: tuple[StateSpec, ...]
+    parameters: tuple[FreeParameter, ...]
+    chi: ca.SX
+    x: ca.SX
+    theta: ca.SX
+    w: ca.SX
+    rhs: ca.SX
+    to_node: ca.SX
+    from_node: ca.SX
+    output: ca.SX
+    deflection: ca.SX
+    level: ca.SX
+    rho: ca.SX
+    names: tuple[dict[str, ca.SX], ...]
+
+    @property
+    def n_x(self) -> int:
+        """Number of states."""
+        return len(self.states)
+
+    @property
+    def n_z(self) -> int:
+        """Number of Maxwell-slip elements; they are the first states."""
+        return sum(state.element is not None for state in self.states)
+
+    @property
+    def n_p(self) -> int:
+        """Number of estimated parameters."""
+        return len(self.parameters)
+
+    @property
+    def state_noise(self) -> NDArray[np.float64]:
+        """Standard deviation of the state noise per update (n_x), node state units."""
+        return np.array([state.noise for state in self.states])
+
+    @property
+    def initial_state(self) -> NDArray[np.float64]:
+        """Standard deviation of the first node's state (n_x)."""
+        return np.array([state.initial_state for state in self.states])
+
+    def to_si(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Parameters in SI units from scaled ones, shape (..., n_p)."""
+        nominal = np.array([p.nominal for p in self.parameters])
+        scale = np.array([p.scale for p in self.parameters])
+        return np.asarray(nominal + scale * (theta - 1.0))
+
+    def function(self, name: str) -> ca.Function:
+        """CasADi function of one of `rhs`, `to_node`, `from_node`, `output`, `deflection`, `level`, `rho`, with its arguments."""
+        arguments = {
+            "rhs": [self.chi, self.w, self.theta],
+            "to_node": [self.chi, self.theta],
+            "from_node": [self.x, self.theta],
+            "output": [self.chi, self.w, self.theta],
+            "deflection": [self.chi, self.theta],
+            "level": [self.w, self.theta],
+            "rho": [self.theta],
+        }[name]
+        return ca.Function(name, arguments, [getattr(self, name)])
+
+
+class _Parameters:
+    """Hands out parameters by name: a free symbol's expression, or the machine file's number."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self._wanted = machine.estimator.parameters
+        self.free: list[FreeParameter] = []
+        self.symbols: list[ca.SX] = []
+
+    def take(self, name: str, column: str, nominal: float, scale: float, lower: float, upper: float) -> ca.SX:
+        """Return the expression for one parameter; `lower` and `upper` are absolute, used where no bound is given."""
+        if name not in self._wanted:
+            return ca.SX(nominal)
+        bounds = self._machine.estimator.bounds.get(name)
+        if bounds is not None:
+            # Multiples of nominal; with scale = nominal they are theta itself.
+            low, high = sorted((nominal * bounds[0], nominal * bounds[1]))
+            lower, upper = max(lower, low), min(upper, high)
+        edges = sorted(((lower - nominal) / scale + 1.0, (upper - nominal) / scale + 1.0))
+        theta = ca.SX.sym(f"theta_{column}")
+        self.free.append(FreeParameter(name, column, nominal, scale, edges[0], edges[1]))
+        self.symbols.append(theta)
+        return nominal + scale * (theta - 1.0) if scale != nominal else nominal * theta
+
+    def base(self, name: str, nominal: float) -> ca.SX:
+        return self.take(name, name, nominal, nominal, -np.inf, np.inf)
+
+    def array(self, name: str, nominal: tuple[float, ...]) -> list[ca.SX]:
+        return [self.take(name, f"{name}_{i + 1}", p, p, -np.inf, np.inf) for i, p in enumerate(nominal)]
+
+
+def build_model(machine: Machine) -> Model:
+    """Assemble the symbolic model of a machine: the S-GMS law and every effect of its machine file."""
+    friction, noise = machine.friction, machine.estimator.noise
+    parameters = _Parameters(machine)
+    axis = SymbolicAxis(machine.plant.mass)
+    symbols = FrictionSymbols(
+        stiffness=parameters.array("stiffness", friction.stiffness),
+        micro_viscous=[ca.SX(s) for s in friction.micro_viscous],
+        coulomb=parameters.base("coulomb", friction.coulomb),
+        viscous=parameters.base("viscous", friction.viscous),
+        stribeck_ratio=parameters.base("stribeck_ratio", friction.stribeck_ratio),
+        stribeck_velocity=parameters.base("stribeck_velocity", friction.stribeck_velocity),
+    )
+    effects = []
+    for entry in machine.effects:
+        definition = effect_definition(entry.name)
+        values = {p.name: entry.parameters.get(p.name, p.default) for p in definition.parameters}
+        expressions = {
+            p.name: parameters.take(
+                f"{entry.label}.{p.name}",
+                f"{entry.label}.{p.name}",
+                values[p.name],
+                values[p.name] if values[p.name] != 0.0 else p.scale,
+                p.lower,
+                p.upper,
+            )
+            for p in definition.parameters
+        }
+        effects.append((definition, values, expressions))
+
+    def contribute(stage: str) -> None:
+        for definition, _, expressions in effects:
+            if definition.stage == stage:
+                definition.contribute(axis, expressions)
+
+    contribute("signal")
+    contribute("level")
+    elements = add_friction(
+        axis,
+        friction.fraction,
+        friction.stiffness,
+        friction.coulomb,
+        symbols,
+        Smoothing(friction.smoothing.zeta, friction.smoothing.lambda_, friction.smoothing.gamma),
+        state_as=noise.state_as,
+        state_noise=noise.state,
+        initial_state=noise.initial_state,
+    )
+    contribute("force")
+    return Model(
+        machine=machine,
+        states=tuple(axis.states),
+        parameters=tuple(parameters.free),
+        chi=ca.vertcat(*axis.symbols),
+        x=ca.vertcat(*axis.nodes),
+        theta=ca.vertcat(*parameters.symbols),
+        w=axis.measured,
+        rhs=ca.vertcat(*axis.rates),
+        to_node=ca.vertcat(*axis.to_node),
+        from_node=ca.vertcat(*axis.from_node),
+        output=axis.output,
+        deflection=elements.deflection,
+        level=elements.level,
+        rho=elements.rho,
+        names=tuple(axis.names),
+    )
+
+
+__all__ = ["SIGNAL_NAMES", "FreeParameter", "Model", "StateSpec", "build_model"]

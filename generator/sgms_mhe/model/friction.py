@@ -1,0 +1,114 @@
+"""The S-GMS friction law, equations (1) to (3), in the integration state chi_i = z_i kappa_i / (nu_i f_C)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from sgms_mhe.model.axis import StateSpec, SymbolicAxis
+
+# tanh(18.5) differs from 1 by less than half a unit in the last place of a double.
+SATURATED = 18.5
+
+
+@dataclass(frozen=True)
+class FrictionSymbols:
+    """Parameters of the law: each a free symbol's expression or a constant."""
+
+    stiffness: Sequence[ca.SX]
+    micro_viscous: Sequence[ca.SX]
+    coulomb: ca.SX
+    viscous: ca.SX
+    stribeck_ratio: ca.SX
+    stribeck_velocity: ca.SX
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """The tolerances of equation (3): zeta, lambda, gamma."""
+
+    zeta: float
+    lambda_: float
+    gamma: float
+
+
+@dataclass(frozen=True)
+class Elements:
+    """What the rest of the model says of the elements.
+
+    Attributes:
+        deflection: z [m] (n_z).
+        level: s(v) / f_C times the effects' factors, the level that every element slips at.
+        rho: kappa_i / (nu_i f_C) [1/m] (n_z), the rate of chi_i over v.
+    """
+
+    deflection: ca.SX
+    level: ca.SX
+    rho: ca.SX
+
+
+def window(r: ca.SX, smoothing: Smoothing) -> ca.SX:
+    """etaA of equation (3), the window in the relative deflection r that starts slip near |r| = zeta.
+
+    The two hyperbolic tangents act on opposite signs of r. Where they do not overlap within double precision
+    (lambda zeta >= 18.5, as with the paper's values) one of |r| says the same with one exponential less.
+    """
+    zeta, lambda_ = smoothing.zeta, smoothing.lambda_
+    if lambda_ * zeta >= SATURATED:
+        return 0.5 + 0.5 * ca.tanh(lambda_ * (ca.fabs(r) - zeta))
+    return 1.0 - 0.5 * ca.tanh(lambda_ * (r + zeta)) + 0.5 * ca.tanh(lambda_ * (r - zeta))
+
+
+def stribeck_level(velocity: ca.SX, symbols: FrictionSymbols) -> ca.SX:
+    """s(v) / f_C = 1 + beta exp(-(v/v_s)^2), the Stribeck curve over the Coulomb level."""
+    ratio = velocity / symbols.stribeck_velocity
+    return 1.0 + symbols.stribeck_ratio * ca.exp(-ratio * ratio)
+
+
+def add_friction(
+    axis: SymbolicAxis,
+    fraction: Sequence[float],
+    nominal_stiffness: Sequence[float],
+    nominal_coulomb: float,
+    symbols: FrictionSymbols,
+    smoothing: Smoothing,
+    *,
+    state_as: str,
+    state_noise: float,
+    initial_state: float,
+) -> Elements:
+    """Add the n_z elements and the viscous force to the axis."""
+    v = axis.velocity
+    level = stribeck_level(v, symbols) * axis.coulomb_factor
+    deflections: list[ca.SX] = []
+    rhos: list[ca.SX] = []
+    for i, nu in enumerate(fraction):
+        kappa = symbols.stiffness[i]
+        chi = axis.add_state(
+            StateSpec(
+                name=f"z_{i + 1}",
+                element=i,
+                rate_per_metre=nominal_stiffness[i] / (nu * nominal_coulomb),
+                rate_per_second=0.0,
+                noise=state_noise,
+                initial_state=initial_state,
+            )
+        )
+        rho = kappa / (nu * symbols.coulomb)
+        r = chi / level
+        slip = window(r, smoothing)
+        gate = 0.5 + 0.5 * ca.tanh(smoothing.gamma * (v / symbols.stribeck_velocity) * r)
+        eta = slip * gate
+        rate = rho * (v - ca.fabs(v) * (eta * r))
+        axis.set_rate(rate)
+        axis.name(r=r, window=slip, gate=gate, eta=eta, speed=ca.fabs(v))
+        force_scale = symbols.coulomb / nominal_coulomb
+        axis.set_node_map(force_scale if state_as == "force" else force_scale * nominal_stiffness[i] / kappa)
+        z = chi / rho
+        deflections.append(z)
+        rhos.append(rho)
+        axis.add_force(nu * symbols.coulomb * chi + symbols.micro_viscous[i] * rate / rho)
+    axis.add_force(symbols.viscous * axis.viscous_factor * v)
+    return Elements(ca.vertcat(*deflections), level, ca.vertcat(*rhos))

@@ -1,0 +1,433 @@
+"""Shooting intervals with sensitivities, by CasADi's differentiation of the discretised steps (DESIGN section 3).
+
+One step function per block of the model and its Jacobians come from CasADi; composing them by the chain rule over
+substeps, samples and the node maps gives x1 = f(x, theta), A = df/dx and B = df/dtheta of one interval. The loops
+run in compiled C around CasADi's generated functions, or in Python where there is no compiler; both read the same plan.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import os
+import tempfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
+
+from sgms_mhe.build import shared_library
+from sgms_mhe.errors import BuildError
+from sgms_mhe.kinematics import Signals
+from sgms_mhe.model import Model
+from sgms_mhe.reference.flow import DEGREE, Flow, gate_ratio, window
+
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+
+# Largest move of r in one RK4 substep where the gate is not saturated.
+SLOW_DISPLACEMENT = 0.02
+
+# (c, a, b): stages f(y + h sum_j a_ij k_j) at c_i h, y1 = y + h sum_i b_i k_i.
+TABLEAUS: dict[str, tuple[tuple[float, ...], tuple[tuple[float, ...], ...], tuple[float, ...]]] = {
+    "euler": ((0.0,), ((),), (1.0,)),
+    "rk2": ((0.0, 1 / 2), ((), (1 / 2,)), (0.0, 1.0)),
+    "bs23": ((0.0, 1 / 2, 3 / 4), ((), (1 / 2,), (0.0, 3 / 4)), (2 / 9, 1 / 3, 4 / 9)),
+    "rk4": (
+        (0.0, 1 / 2, 1 / 2, 1.0),
+        ((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)),
+        (1 / 6, 1 / 3, 1 / 3, 1 / 6),
+    ),
+}
+
+
+class Linearised(NamedTuple):
+    """Intervals and their sensitivities: x1 (n, n_x), A (n, n_x, n_x), B (n, n_x, n_p)."""
+
+    x1: Array
+    A: Array
+    B: Array
+
+
+class Outputs(NamedTuple):
+    """Outputs and their sensitivities: y [N] (n,), C (n, n_x), D (n, n_p)."""
+
+    y: Array
+    C: Array
+    D: Array
+
+
+@dataclass(frozen=True)
+class Block:
+    """States that depend on each other alone; `saturates`: one element that obeys the law of equation (1)."""
+
+    states: tuple[int, ...]
+    rate_per_metre: float
+    rate_per_second: float
+    saturates: bool
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Steps of a record, set by its signals alone.
+
+    Attributes:
+        steps: steps per interval.
+        h: duration of a step [s].
+        start: signals w at the beginning of each step (intervals * steps, 5).
+        end: signals w at its end; equal to `start` where velocity is constant.
+        substeps: Runge-Kutta substeps (intervals * steps, blocks); 0 is one jump of the displacement flow.
+        path: sum |v_k| h of each interval [m].
+        fastest: largest |v_k| of each interval [m/s].
+    """
+
+    steps: int
+    h: float
+    start: Array
+    end: Array
+    substeps: Counts
+    path: Array
+    fastest: Array
+
+
+class Integrator:
+    """The integrator of one model. `compiled=False` runs it in Python."""
+
+    def __init__(self, model: Model, *, compiled: bool = True) -> None:
+        self.model = model
+        self._sampling = model.machine.sampling
+        self._smoothing = model.machine.friction.smoothing
+        self._is_flow = self._sampling.integrator.scheme == "flow"
+        self._library: ctypes.CDLL | None = None
+        if compiled:
+            try:
+                self._library = self._compile()
+            except BuildError:
+                # Without a compiler the same loops run in Python, many times slower.
+                self._library = None
+
+    # --- structure ---------------------------------------------------------------------------------------------
+
+    @cached_property
+    def gate_ratio(self) -> float:
+        """|v|/v_s beyond which elements follow the displacement flow; inf for the Runge-Kutta schemes."""
+        return gate_ratio(self._smoothing) if self._is_flow else math.inf
+
+    @property
+    def _reaches_flow(self) -> bool:
+        """Whether the gate saturates below max_velocity; otherwise Runge-Kutta serves every step."""
+        return self.gate_ratio * self.model.machine.friction.stribeck_velocity < self._sampling.max_velocity
+
+    @cached_property
+    def flow(self) -> Flow:
+        """Tables of the displacement flow."""
+        return Flow.of(self._smoothing)
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        """Connected components of the Jacobian of rhs, in the order of their first states."""
+        model = self.model
+        sparsity = ca.jacobian(model.rhs, model.chi).sparsity()
+        rows, columns = sparsity.get_triplet()
+        graph = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(model.n_x, model.n_x))
+        labels = connected_components(graph, directed=False)[1]
+        blocks = []
+        for label in dict.fromkeys(labels.tolist()):
+            states = tuple(int(i) for i in np.flatnonzero(labels == label))
+            blocks.append(
+                Block(
+                    states=states,
+                    rate_per_metre=max(model.states[i].rate_per_metre for i in states),
+                    rate_per_second=max(model.states[i].rate_per_second for i in states),
+                    saturates=self._reaches_flow and len(states) == 1 and self._obeys_law(states[0]),
+                )
+            )
+        return tuple(blocks)
+
+    def _drive(self, i: int) -> ca.SX:
+        """rho_i v of an element, with whatever velocity the model really uses: its rhs at zero deflection."""
+        return ca.substitute(self.model.rhs[i], self.model.chi[i], 0)
+
+    def _obeys_law(self, i: int) -> bool:
+        """Whether state i is an element whose rhs is rho (v - eta |v| r), checked at random points."""
+        model = self.model
+        if model.states[i].element is None or ca.depends_on(model.level, model.chi):
+            return False
+        function = ca.Function("law", [model.chi, model.w, model.theta], [model.rhs[i], self._drive(i), model.level])
+        rng = np.random.default_rng(1)
+        limit = self.gate_ratio * self.model.machine.friction.stribeck_velocity
+        for _ in range(50):
+            w = rng.standard_normal(5)
+            w[1] = math.copysign(limit * 10.0 ** rng.uniform(0.0, 3.0), w[1])
+            theta = np.array([rng.uniform(max(p.lower, 0.9), min(p.upper, 1.1)) for p in model.parameters])
+            chi = rng.uniform(-1.2, 1.2, model.n_x)
+            rhs, drive, level = (float(value) for value in function(chi, w, theta))
+            r = float(chi[i]) * math.copysign(1.0, drive) / level
+            eta = float(window(r, self._smoothing)) if r > 0.0 else 0.0
+            if not abs(rhs - (drive - eta * r * drive)) <= 1e-7 * abs(drive):
+                return False
+        return True
+
+    # --- plan --------------------------------------------------------------------------------------------------
+
+    def plan(self, signals: Signals) -> Plan:
+        """Steps and substeps of every complete interval of a record."""
+        samples, h = self._sampling.samples_per_update, self._sampling.step
+        settings = self._sampling.integrator
+        intervals = (len(signals) - 1) // samples
+        w = signal_array(signals, h)[: intervals * samples + 1]
+        merged = max(1, samples // settings.substeps)
+        # Merged samples make one step with their mean signals, so the displacement stays exact.
+        end = w[1:].reshape(-1, merged, w.shape[1]).mean(axis=1)
+        start = end
+        speed = np.abs(end[:, 1])
+        if settings.velocity == "linear" and merged == 1:
+            start = w[:-1]
+            speed = np.maximum(np.abs(start[:, 1]), np.abs(end[:, 1]))
+        steps, h_step = samples // merged, h * merged
+        least = max(1, settings.substeps // samples)
+        substeps = np.empty((len(end), len(self.blocks)), dtype=np.int64)
+        for b, block in enumerate(self.blocks):
+            if block.saturates:
+                slow = self.gate_ratio * self.model.machine.friction.stribeck_velocity
+                count = max(1, math.ceil(slow * h_step * block.rate_per_metre / SLOW_DISPLACEMENT))
+                substeps[:, b] = np.where(speed > slow, 0, count)
+                continue
+
+            def needed(v: Array, block: Block = block) -> Counts:
+                moved = (v * block.rate_per_metre + block.rate_per_second) * h_step
+                return np.maximum(least, np.ceil(moved / settings.displacement)).astype(np.int64)
+
+            most = needed(np.array([self._sampling.max_velocity]))[0]
+            substeps[:, b] = np.minimum(needed(np.minimum(speed, 1e3 * self._sampling.max_velocity)), most)
+        velocities = np.abs(w[1:, 1]).reshape(intervals, samples)
+        return Plan(
+            steps=steps,
+            h=h_step,
+            start=np.ascontiguousarray(start),
+            end=np.ascontiguousarray(end),
+            substeps=substeps,
+            path=velocities.sum(axis=1) * h,
+            fastest=velocities.max(axis=1, initial=0.0),
+        )
+
+    # --- evaluation --------------------------------------------------------------------------------------------
+
+    def intervals(self, plan: Plan, first: int, x: Array, theta: Array) -> Linearised:
+        """Integrate intervals first, first + 1, ... (0 leads from node 0) from the node states x (n, n_x)."""
+        count, n_x, n_p = len(x), self.model.n_x, self.model.n_p
+        offsets = (first + np.arange(count, dtype=np.int64)) * plan.steps
+        if self._library is None:
+            results = [self._interval(plan, int(k), start, theta) for k, start in zip(offsets, x, strict=True)]
+            return Linearised(*(np.array(part) for part in zip(*results, strict=True)))
+        x1, A, B = np.empty((count, n_x)), np.empty((count, n_x, n_x)), np.empty((count, n_p, n_x))
+        x, theta = np.ascontiguousarray(x), np.ascontiguousarray(theta)
+        function, packed = self._library.sgms_reference_intervals, self._packed
+
+        def run(part: slice) -> None:
+            function(
+                ctypes.c_longlong(len(x[part])),
+                _pointer(offsets[part]),
+                ctypes.c_longlong(plan.steps),
+                ctypes.c_double(plan.h),
+                _pointer(plan.start),
+                _pointer(plan.end),
+                _pointer(plan.substeps),
+                _pointer(packed),
+                _pointer(x[part]),
+                _pointer(theta),
+                _pointer(x1[part]),
+                _pointer(A[part]),
+                _pointer(B[part]),
+            )
+
+        # Intervals do not depend on each other, and ctypes lets other threads run meanwhile.
+        pieces = min(count, os.cpu_count() or 1)
+        edges = [count * i // pieces for i in range(pieces + 1)] if pieces else []
+        list(self._threads.map(run, [slice(a, b) for a, b in pairwise(edges)]))
+        # Column-major in C.
+        return Linearised(x1, A.transpose(0, 2, 1), B.transpose(0, 2, 1))
+
+    def outputs(self, x: Array, w: Array, theta: Array) -> Outputs:
+        """Output and its sensitivities at nodes: x (n, n_x), w (n, 5)."""
+        count, n_x, n_p = len(x), self.model.n_x, self.model.n_p
+        if self._library is None:
+            results = [self._functions["measure"](node, signal, theta) for node, signal in zip(x, w, strict=True)]
+            y, C, D = (np.array([np.array(row[i]) for row in results]) for i in range(3))
+            return Outputs(y.reshape(count), C.reshape(count, n_x), D.reshape(count, n_p))
+        y, C, D = np.empty(count), np.empty((count, n_x)), np.empty((count, n_p))
+        self._library.sgms_reference_outputs(
+            ctypes.c_longlong(count),
+            _pointer(x := np.ascontiguousarray(x)),
+            _pointer(w := np.ascontiguousarray(w)),
+            _pointer(theta := np.ascontiguousarray(theta)),
+            _pointer(y),
+            _pointer(C),
+            _pointer(D),
+        )
+        return Outputs(y, C, D)
+
+    @cached_property
+    def _threads(self) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(os.cpu_count())
+
+    # --- functions ---------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _packed(self) -> Array:
+        return self.flow.packed() if any(block.saturates for block in self.blocks) else np.zeros(7)
+
+    @cached_property
+    def _functions(self) -> dict[str, ca.Function]:
+        """CasADi functions with dense Jacobians: start, finish, measure, step_b, flow_b."""
+        model = self.model
+        functions = {
+            "start": _with_jacobians("start", [model.x, model.theta], model.from_node, (0, 1)),
+            "finish": _with_jacobians("finish", [model.chi, model.theta], model.to_node, (0, 1)),
+        }
+        of_node = ca.substitute(model.output, model.chi, model.from_node)
+        functions["measure"] = _with_jacobians("measure", [model.x, model.w, model.theta], of_node, (0, 2))
+        for b, block in enumerate(self.blocks):
+            functions[f"step_{b}"] = self._step(f"step_{b}", block)
+            if block.saturates:
+                h = ca.SX.sym("h")
+                xi = self._drive(block.states[0]) * h / model.level
+                functions[f"flow_{b}"] = ca.Function(
+                    f"flow_{b}",
+                    [model.w, model.theta, h],
+                    [
+                        model.level,
+                        xi,
+                        ca.densify(ca.jacobian(model.level, model.theta)),
+                        ca.densify(ca.jacobian(xi, model.theta)),
+                    ],
+                )
+        return functions
+
+    def _step(self, name: str, block: Block) -> ca.Function:
+        """One Runge-Kutta substep of a block: (chi, w at start, w at end, theta, h) to chi1 and its Jacobians."""
+        model, states = self.model, list(block.states)
+        scheme = "rk4" if self._is_flow else self._sampling.integrator.scheme
+        chi = ca.vertcat(*(model.chi[i] for i in states))
+        rhs = ca.Function("rhs", [chi, model.w, model.theta], [ca.vertcat(*(model.rhs[i] for i in states))])
+        start, end, h = ca.SX.sym("w0", 5), ca.SX.sym("w1", 5), ca.SX.sym("h")
+        linear = self._sampling.integrator.velocity == "linear"
+        nodes, coefficients, weights = TABLEAUS[scheme]
+        slopes: list[ca.SX] = []
+        for c, row in zip(nodes, coefficients, strict=True):
+            w = start + c * (end - start) if linear else end
+            move = sum((a * k for a, k in zip(row, slopes, strict=True) if a != 0.0), ca.SX.zeros(len(states)))
+            slopes.append(rhs(chi + h * move, w, model.theta))
+        new = chi + h * sum((b * k for b, k in zip(weights, slopes, strict=True)), ca.SX.zeros(len(states)))
+        return _with_jacobians(name, [chi, start, end, model.theta, h], new, (0, 3))
+
+    # --- compiled ----------------------------------------------------------------------------------------------
+
+    def _compile(self) -> ctypes.CDLL:
+        functions = self._functions
+        with tempfile.TemporaryDirectory() as folder:
+            generator = ca.CodeGenerator("reference", {"with_header": False})
+            for function in functions.values():
+                generator.add(function)
+            driver = resources.files(__package__).joinpath("intervals.c").read_text()
+            source = Path(folder) / "sgms_mhe_reference.c"
+            source.write_text(generator.dump() + self._constants() + driver)
+            path = shared_library([source], libraries=["m"])
+        library = ctypes.CDLL(str(path))
+        library.sgms_reference_intervals.restype = None
+        library.sgms_reference_outputs.restype = None
+        return library
+
+    def _constants(self) -> str:
+        """What intervals.c expects to precede it."""
+        functions, blocks = self._functions.values(), self.blocks
+
+        def largest(size: Callable[[ca.Function], int]) -> int:
+            return max(1, *(size(function) for function in functions))
+
+        def array(declaration: str, entries: list[str]) -> str:
+            return f"static {declaration}[] = {{{', '.join(entries)}}};"
+
+        numbers = {
+            "N_X": self.model.n_x,
+            "N_P": self.model.n_p,
+            "N_BLOCKS": len(blocks),
+            "LARGEST_BLOCK": max(len(block.states) for block in blocks),
+            "N_CHEBYSHEV": DEGREE + 1,
+            "SZ_ARG": largest(ca.Function.sz_arg),
+            "SZ_RES": largest(ca.Function.sz_res),
+            "SZ_IW": largest(ca.Function.sz_iw),
+            "SZ_W": largest(ca.Function.sz_w),
+            "START": "start",
+            "FINISH": "finish",
+            "MEASURE": "measure",
+        }
+        lines = [f"#define {name} {value}" for name, value in numbers.items()]
+        lines += [
+            "typedef int (*step_function)(const double **, double **, long long *, double *, int);",
+            array("const long long BLOCK_SIZE", [str(len(block.states)) for block in blocks]),
+            array("const long long BLOCK_STATES", [str(i) for block in blocks for i in block.states]),
+            array("const step_function STEP", [f"step_{b}" for b in range(len(blocks))]),
+            array("const step_function FLOW", [f"flow_{b}" if k.saturates else "0" for b, k in enumerate(blocks)]),
+        ]
+        return "\n".join(["", *lines, ""])
+
+    # --- the same loops in Python ------------------------------------------------------------------------------
+
+    def _interval(self, plan: Plan, k0: int, x: Array, theta: Array) -> tuple[Array, Array, Array]:
+        n_x, n_p, functions = self.model.n_x, self.model.n_p, self._functions
+        chi, F_x, F_t = (np.array(part) for part in functions["start"](x, theta))
+        chi = chi.reshape(n_x)
+        phi, psi = np.zeros((n_x, n_x)), np.zeros((n_x, n_p))
+        for b, block in enumerate(self.blocks):
+            states = list(block.states)
+            c, p, t = chi[states], np.eye(len(states)), np.zeros((len(states), n_p))
+            for k in range(k0, k0 + plan.steps):
+                count = int(plan.substeps[k, b])
+                if count == 0:
+                    c, p, t = self._jump(functions[f"flow_{b}"](plan.end[k], theta, plan.h), c, p, t)
+                start, change = plan.start[k], plan.end[k] - plan.start[k]
+                for s in range(count):
+                    w0, w1 = start + change * (s / count), start + change * ((s + 1) / count)
+                    c, J, T = (np.array(part) for part in functions[f"step_{b}"](c, w0, w1, theta, plan.h / count))
+                    c, p, t = c.reshape(len(states)), J @ p, J @ t + T
+            chi[states] = c
+            phi[np.ix_(states, states)] = p
+            psi[states] = t
+        x1, T_x, T_t = (np.array(part) for part in functions["finish"](chi, theta))
+        return x1.reshape(n_x), T_x @ phi @ F_x, T_x @ (phi @ F_t + psi) + T_t
+
+    def _jump(self, drive: tuple[ca.DM, ...], chi: Array, phi: Array, psi: Array) -> tuple[Array, Array, Array]:
+        """chi = sign level r: the level's sensitivity enters through r0 and again through chi1."""
+        level, xi = float(drive[0]), float(drive[1])
+        dlevel, dxi = np.array(drive[2]), np.array(drive[3])
+        sign = math.copysign(1.0, xi)
+        r0 = sign * float(chi[0]) / level
+        r1, slope, g1 = self.flow.advance(r0, abs(xi))
+        change = sign * (r1 - slope * r0) * dlevel + level * g1 * dxi
+        return np.array([sign * level * r1]), slope * phi, slope * psi + change
+
+
+def signal_array(signals: Signals, h: float) -> Array:
+    """Signals w = (position, velocity, acceleration, force, time) of every sample (n, 5); time counts from sample 0."""
+    time = np.arange(len(signals)) * h
+    return np.column_stack([signals.position, signals.velocity, signals.acceleration, signals.force, time])
+
+
+def _with_jacobians(name: str, arguments: list[ca.SX], value: ca.SX, wanted: tuple[int, ...]) -> ca.Function:
+    jacobians = [ca.densify(ca.jacobian(value, arguments[i])) for i in wanted]
+    return ca.Function(name, arguments, [ca.densify(value), *jacobians], {"cse": True})
+
+
+def _pointer(array: NDArray[Any]) -> ctypes.c_void_p:
+    return array.ctypes.data_as(ctypes.c_void_p)

@@ -1,0 +1,288 @@
+/* Driver of the reference integrator: the loops over intervals, blocks, samples and substeps, around functions that CasADi
+   generates. What precedes this file in its translation unit: those functions; N_X, N_P, N_BLOCKS, LARGEST_BLOCK;
+   SZ_ARG, SZ_RES, SZ_IW, SZ_W; BLOCK_SIZE, BLOCK_STATES (block after block); STEP, FLOW (0 where a block has none).
+   Matrices are column-major, as CasADi has them. */
+
+#include <math.h>
+#include <string.h>
+
+#define N_W 5
+
+struct flow {
+    double r_star, k, r_max, lambda, zeta, edge_below, edge_above; /* edge: L at either end of its tables */
+    const double *below, *above;
+    long long n_below, n_above;
+};
+
+/* g(r* + d), with full relative accuracy near d = 0. */
+static double flow_g(const struct flow *f, double d)
+{
+    const double r = f->r_star + d;
+    const double x = f->lambda * d;
+    const double eta = 1.0 - 0.5 * tanh(f->lambda * (r + f->zeta)) + 0.5 * tanh(f->lambda * (r - f->zeta));
+    if (fabs(x) > 1.0)
+        return 1.0 - eta * r;
+    const double lower = fmin(f->lambda * (f->r_star - f->zeta), 350.0);
+    const double upper = fmin(f->lambda * (f->r_star + f->zeta), 350.0);
+    const double change = 0.5 * sinh(x) * (1.0 / (cosh(lower + x) * cosh(lower)) - 1.0 / (cosh(upper + x) * cosh(upper)));
+    return -(d * eta + f->r_star * change);
+}
+
+/* L(d), by Clenshaw's recurrence on its panel. */
+static double flow_level(const struct flow *f, double d)
+{
+    const int is_below = d < 0.0;
+    const double start = is_below ? -f->r_star : 0.0;
+    const long long n = is_below ? f->n_below : f->n_above;
+    const double width = (is_below ? f->r_star : f->r_max - f->r_star) / (double)n;
+    long long index = (long long)((d - start) / width);
+    index = index < 0 ? 0 : index >= n ? n - 1 : index;
+    const double t = 2.0 * (d - start - (double)index * width) / width - 1.0;
+    const double *c = (is_below ? f->below : f->above) + index * N_CHEBYSHEV;
+    double b1 = 0.0, b2 = 0.0;
+    for (int j = N_CHEBYSHEV - 1; j > 0; j--) {
+        const double b = 2.0 * t * b1 - b2 + c[j];
+        b2 = b1;
+        b1 = b;
+    }
+    return t * b1 - b2 + c[0];
+}
+
+static struct flow flow_unpack(const double *packed)
+{
+    struct flow f;
+    f.r_star = packed[0];
+    f.k = packed[1];
+    f.r_max = packed[2];
+    f.lambda = packed[3];
+    f.zeta = packed[4];
+    f.n_below = (long long)packed[5];
+    f.n_above = (long long)packed[6];
+    f.below = packed + 7;
+    f.above = f.below + f.n_below * N_CHEBYSHEV;
+    f.edge_below = f.n_below > 0 ? flow_level(&f, -f.r_star) : 0.0;
+    f.edge_above = f.n_above > 0 ? flow_level(&f, f.r_max - f.r_star) : 0.0;
+    return f;
+}
+
+static double flow_solve(const struct flow *f, double d0, double xi)
+{
+    const double sign = d0 < 0.0 ? -1.0 : 1.0;
+    double upper = log(fabs(d0));
+    const double target = upper + flow_level(f, d0) - f->k * xi;
+    if (target < -600.0)
+        return 0.0;
+    double lower = fmin(target - fmax(d0 < 0.0 ? f->edge_below : f->edge_above, 0.0) - 1.0, upper - 1e-3);
+    /* A short flow is nearly a straight line, a long one has only its tail left. */
+    const double line = sign * (d0 + flow_g(f, d0) * xi);
+    double x = fmin(fmax(line > 0.5 * fabs(d0) ? log(line) : target, lower), upper);
+    for (int i = 0; i < 200; i++) {
+        const double d = sign * exp(x);
+        const double residual = x + flow_level(f, d) - target;
+        if (residual > 0.0)
+            upper = fmin(upper, x);
+        else
+            lower = fmax(lower, x);
+        double next = x + residual * flow_g(f, d) / (f->k * d); /* 1 + L'(d) d = -k d / g */
+        if (!(next >= lower && next <= upper))
+            next = 0.5 * (lower + upper);
+        const double step = fabs(next - x);
+        x = next;
+        if (step <= 1e-10) /* quadratic: the next one would be rounding */
+            break;
+    }
+    return sign * exp(x);
+}
+
+/* Flow over xi >= 0: r1, a = dr1/dr0, g1 = dr1/dxi. */
+static double flow_advance(const struct flow *f, double r0, double xi, double *a, double *g1)
+{
+    double slope = 1.0; /* dr/dr0 before the table takes over, over g there */
+    if (!isfinite(r0) || !isfinite(xi)) {
+        *a = *g1 = NAN;
+        return NAN;
+    }
+    if (r0 < 0.0) {
+        if (r0 + xi <= 0.0) {
+            *a = *g1 = 1.0;
+            return r0 + xi;
+        }
+        xi += r0;
+        r0 = 0.0;
+    } else if (r0 > f->r_max) {
+        const double until = log((r0 - 1.0) / (f->r_max - 1.0));
+        if (xi <= until) {
+            *a = exp(-xi);
+            *g1 = -(r0 - 1.0) * *a;
+            return 1.0 - *g1;
+        }
+        slope = (f->r_max - 1.0) / (r0 - 1.0);
+        xi -= until;
+        r0 = f->r_max;
+    }
+    if (r0 + xi <= f->zeta - 20.0 / f->lambda) { /* etaA is 0 within double precision */
+        *a = *g1 = 1.0;
+        return r0 + xi;
+    }
+    const double d0 = r0 - f->r_star;
+    if (d0 == 0.0) {
+        *a = exp(-f->k * xi);
+        *g1 = 0.0;
+        return r0;
+    }
+    const double d1 = flow_solve(f, d0, xi);
+    *g1 = d1 == 0.0 ? 0.0 : flow_g(f, d1);
+    *a = slope * *g1 / flow_g(f, d0);
+    return f->r_star + d1;
+}
+
+struct work {
+    const double *arg[SZ_ARG];
+    double *res[SZ_RES];
+    long long iw[SZ_IW];
+    double w[SZ_W];
+};
+
+/* c = a b, a: n x m, b: m x l */
+static void multiply(int n, int m, int l, const double *a, const double *b, double *c)
+{
+    for (int j = 0; j < l; j++)
+        for (int i = 0; i < n; i++) {
+            double sum = 0.0;
+            for (int k = 0; k < m; k++)
+                sum += a[k * n + i] * b[j * m + k];
+            c[j * n + i] = sum;
+        }
+}
+
+/* One block through all steps of one interval; phi: d/d(start) (n x n), psi: d/d(theta) (n x N_P). */
+static void integrate_block(int b, long long steps, double h, const double *wa, const double *wb, const long long *substeps,
+                            const struct flow *flow, const double *theta, double *chi, double *phi, double *psi,
+                            struct work *work)
+{
+    const int n = (int)BLOCK_SIZE[b];
+    double next[LARGEST_BLOCK], J[LARGEST_BLOCK * LARGEST_BLOCK], T[LARGEST_BLOCK * N_P];
+    double product[LARGEST_BLOCK * (LARGEST_BLOCK > N_P ? LARGEST_BLOCK : N_P)];
+    for (long long k = 0; k < steps; k++) {
+        const double *a = wa + k * N_W, *e = wb + k * N_W;
+        const long long count = substeps[k * N_BLOCKS + b];
+        if (count == 0) {
+            /* chi = sign level r: the level's sensitivity enters through r0 and again through chi1 */
+            double level, xi, dlevel[N_P], dxi[N_P], slope, g1;
+            work->arg[0] = e;
+            work->arg[1] = theta;
+            work->arg[2] = &h;
+            work->res[0] = &level;
+            work->res[1] = &xi;
+            work->res[2] = dlevel;
+            work->res[3] = dxi;
+            FLOW[b](work->arg, work->res, work->iw, work->w, 0);
+            const double sign = xi < 0.0 ? -1.0 : 1.0;
+            const double r0 = sign * chi[0] / level;
+            const double r1 = flow_advance(flow, r0, sign * xi, &slope, &g1);
+            chi[0] = sign * level * r1;
+            phi[0] *= slope;
+            for (int j = 0; j < N_P; j++)
+                psi[j] = slope * psi[j] + sign * (r1 - slope * r0) * dlevel[j] + level * g1 * dxi[j];
+            continue;
+        }
+        const double step = h / (double)count;
+        for (long long s = 0; s < count; s++) {
+            double w0[N_W], w1[N_W];
+            for (int i = 0; i < N_W; i++) {
+                w0[i] = a[i] + (e[i] - a[i]) * ((double)s / (double)count);
+                w1[i] = a[i] + (e[i] - a[i]) * ((double)(s + 1) / (double)count);
+            }
+            work->arg[0] = chi;
+            work->arg[1] = w0;
+            work->arg[2] = w1;
+            work->arg[3] = theta;
+            work->arg[4] = &step;
+            work->res[0] = next;
+            work->res[1] = J;
+            work->res[2] = T;
+            STEP[b](work->arg, work->res, work->iw, work->w, 0);
+            memcpy(chi, next, sizeof(double) * (size_t)n);
+            multiply(n, n, n, J, phi, product);
+            memcpy(phi, product, sizeof(double) * (size_t)(n * n));
+            multiply(n, n, N_P, J, psi, product);
+            for (int i = 0; i < n * N_P; i++)
+                psi[i] = product[i] + T[i];
+        }
+    }
+}
+
+/* Integrate `count` intervals. first_step: first row of wa, wb, substeps per interval; x: N_X each in, x1, A, B out. */
+void sgms_reference_intervals(long long count, const long long *first_step, long long steps, double h, const double *wa,
+                              const double *wb, const long long *substeps, const double *packed, const double *x,
+                              const double *theta, double *x1, double *A, double *B)
+{
+    struct work work;
+    const struct flow flow = flow_unpack(packed);
+    for (long long l = 0; l < count; l++) {
+        const long long k0 = first_step[l];
+        double chi[N_X], F_x[N_X * N_X], F_t[N_X * N_P], phi[N_X * N_X], psi[N_X * N_P];
+        double T_x[N_X * N_X], T_t[N_X * N_P], product[N_X * (N_X > N_P ? N_X : N_P)];
+
+        work.arg[0] = x + l * N_X;
+        work.arg[1] = theta;
+        work.res[0] = chi;
+        work.res[1] = F_x;
+        work.res[2] = F_t;
+        START(work.arg, work.res, work.iw, work.w, 0);
+
+        memset(phi, 0, sizeof phi);
+        memset(psi, 0, sizeof psi);
+        const long long *state = BLOCK_STATES;
+        for (int b = 0; b < N_BLOCKS; b++) {
+            const int n = (int)BLOCK_SIZE[b];
+            double c[LARGEST_BLOCK], p[LARGEST_BLOCK * LARGEST_BLOCK] = {0}, t[LARGEST_BLOCK * N_P] = {0};
+            for (int i = 0; i < n; i++) {
+                c[i] = chi[state[i]];
+                p[i * n + i] = 1.0;
+            }
+            integrate_block(b, steps, h, wa + k0 * N_W, wb + k0 * N_W, substeps + k0 * N_BLOCKS, &flow, theta, c, p, t, &work);
+            for (int i = 0; i < n; i++) {
+                chi[state[i]] = c[i];
+                for (int j = 0; j < n; j++)
+                    phi[state[j] * N_X + state[i]] = p[j * n + i];
+                for (int j = 0; j < N_P; j++)
+                    psi[j * N_X + state[i]] = t[j * n + i];
+            }
+            state += n;
+        }
+
+        work.arg[0] = chi;
+        work.arg[1] = theta;
+        work.res[0] = x1 + l * N_X;
+        work.res[1] = T_x;
+        work.res[2] = T_t;
+        FINISH(work.arg, work.res, work.iw, work.w, 0);
+
+        /* A = T_x phi F_x,  B = T_x (phi F_t + psi) + T_t */
+        multiply(N_X, N_X, N_X, phi, F_x, product);
+        multiply(N_X, N_X, N_X, T_x, product, A + l * N_X * N_X);
+        multiply(N_X, N_X, N_P, phi, F_t, product);
+        for (int i = 0; i < N_X * N_P; i++)
+            product[i] += psi[i];
+        multiply(N_X, N_X, N_P, T_x, product, B + l * N_X * N_P);
+        for (int i = 0; i < N_X * N_P; i++)
+            B[l * N_X * N_P + i] += T_t[i];
+    }
+}
+
+/* Output at `count` nodes: y, C = dy/dx (N_X each), D = dy/dtheta (N_P each). */
+void sgms_reference_outputs(long long count, const double *x, const double *w, const double *theta, double *y, double *C,
+                            double *D)
+{
+    struct work work;
+    for (long long l = 0; l < count; l++) {
+        work.arg[0] = x + l * N_X;
+        work.arg[1] = w + l * N_W;
+        work.arg[2] = theta;
+        work.res[0] = y + l;
+        work.res[1] = C + l * N_X;
+        work.res[2] = D + l * N_P;
+        MEASURE(work.arg, work.res, work.iw, work.w, 0);
+    }
+}

@@ -1,0 +1,141 @@
+"""What all reference estimators share: the numbers of DESIGN section 4, the record at its nodes, the results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.estimates import Estimates
+from sgms_mhe.kinematics import Signals
+from sgms_mhe.model import Model
+from sgms_mhe.reference.integrator import Integrator, Plan, signal_array
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+"""Called as progress(updates done, updates in all)."""
+
+HOLD_PART = 0.1
+REFUSED = -1
+NOT_FINITE = -2
+
+
+class Status(IntFlag):
+    """Status of an update; 0 is good."""
+
+    FILLING = 1
+    MISSING = 2
+    HOLD = 4
+    BOUND = 8
+    SPEED = 16
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Standard deviations and bounds of the estimation problem.
+
+    Attributes:
+        horizon: N, intervals in the window.
+        sigma_y: measurement [N].
+        sigma_x: state noise per interval (n_x), node state units.
+        initial_state: first node's state (n_x).
+        parameter: prior of theta (n_p).
+        drift: random walk of theta per update (n_p).
+        lower, upper: bounds on theta (n_p), infinite where there are none.
+        hold_path: path of an interval below which theta does not drift [m].
+        max_velocity: speed beyond which the estimate is flagged [m/s].
+    """
+
+    horizon: int
+    sigma_y: float
+    sigma_x: Array
+    initial_state: Array
+    parameter: Array
+    drift: Array
+    lower: Array
+    upper: Array
+    hold_path: float
+    max_velocity: float
+
+    @classmethod
+    def of(cls, model: Model) -> Weights:
+        """Read them from a model and its machine."""
+        machine, noise = model.machine, model.machine.estimator.noise
+        friction = machine.friction
+        scales = np.array(friction.fraction) * friction.coulomb / np.array(friction.stiffness)
+        return cls(
+            horizon=machine.estimator.horizon,
+            sigma_y=noise.measurement,
+            sigma_x=model.state_noise,
+            initial_state=model.initial_state,
+            parameter=np.full(model.n_p, noise.parameter),
+            drift=np.full(model.n_p, noise.parameter_drift),
+            lower=np.array([p.lower for p in model.parameters]),
+            upper=np.array([p.upper for p in model.parameters]),
+            hold_path=HOLD_PART * float(scales.min()),
+            max_velocity=machine.sampling.max_velocity,
+        )
+
+    @property
+    def prior(self) -> tuple[Array, Array]:
+        """Mean and covariance of (x_0, theta) before any measurement."""
+        mean = np.concatenate([np.zeros(len(self.sigma_x)), np.ones(len(self.parameter))])
+        return mean, np.diag(np.concatenate([self.initial_state, self.parameter]) ** 2)
+
+    def drift_variance(self, variance: Array, path: float) -> Array:
+        """d_j^2 of DESIGN section 4: growth of the variances of theta over an interval of the given path."""
+        if path < self.hold_path:
+            return np.zeros_like(self.drift)
+        return np.minimum(self.drift**2, np.maximum(0.0, self.parameter**2 - variance))
+
+
+class Record:
+    """A record as the estimators see it: plan of its intervals, signals and measurements at its nodes 0 .. updates."""
+
+    def __init__(self, model: Model, signals: Signals, integrator: Integrator) -> None:
+        self.model = model
+        self.integrator = integrator
+        self.weights = Weights.of(model)
+        samples = model.machine.sampling.samples_per_update
+        self.plan: Plan = integrator.plan(signals)
+        self.updates = len(self.plan.path)
+        nodes = samples * np.arange(self.updates + 1)
+        self.w: Array = signal_array(signals, model.machine.sampling.step)[nodes]
+        self.time: Array = signals.time[nodes]
+        self.y: Array = signals.friction[nodes]
+        self.valid: NDArray[np.bool_] = signals.valid[nodes] & np.isfinite(self.y)
+
+    def status(self, node: int) -> int:
+        """What the newest interval and measurement say of the update at a node."""
+        status = 0 if self.valid[node] else int(Status.MISSING)
+        if self.plan.path[node - 1] < self.weights.hold_path:
+            status |= Status.HOLD
+        if self.plan.fastest[node - 1] > self.weights.max_velocity:
+            status |= Status.SPEED
+        return int(status)
+
+
+def estimates(record: Record, x: Array, theta: Array, std: Array, status: NDArray[np.int64]) -> Estimates:
+    """Results of all updates: x (u, n_x), theta, std in scaled units (u, n_p)."""
+    model, u = record.model, record.updates
+    chi = model.function("from_node").map(max(u, 1))
+    output, deflection = (model.function(name).map(max(u, 1)) for name in ("output", "deflection"))
+    friction, z = np.empty(0), np.empty((0, model.n_z))
+    if u > 0:
+        states = chi(x.T, theta.T)
+        friction = np.array(output(states, record.w[1:].T, theta.T)).reshape(u)
+        z = np.array(deflection(states, theta.T)).T
+    return Estimates(
+        time_s=record.time[1:],
+        friction_measured_N=record.y[1:],
+        friction_N=friction,
+        z_m=z,
+        parameters=model.to_si(theta),
+        std=std * np.abs([p.scale for p in model.parameters]),
+        status=status,
+        parameter_names=tuple(p.column for p in model.parameters),
+        extra={"x": x, "theta": theta, "theta_std": std},
+    )

@@ -1,0 +1,355 @@
+"""Structure analysis: what of the symbolic model is independent, shared, or computed once.
+
+Found from the expressions, never assumed: independent blocks of states (connected components of the Jacobian of the
+right side), groups of blocks that are the same function of different numbers, parameter terms (what depends on
+parameters alone, once per update), sample terms (what depends on signals alone, once per sample), and the few scalars
+through which the parameters enter a block, which are the only ones its sensitivities are propagated for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from sgms_mhe.emission.graph import Graph, Node, frontier, operations, to_sx, walk
+from sgms_mhe.model import SIGNAL_NAMES, Model, StateSpec
+
+
+@dataclass(frozen=True)
+class Block:
+    """States that no other state's equation depends on, and the numbers that make it this block.
+
+    Attributes:
+        states: indices into the model's states.
+        data: constants in which it differs from the other blocks of its group.
+        parameter_terms: SX of theta, the scalars through which parameters enter (n_q).
+        rate_per_metre, rate_per_second: fastest nominal rates, for the number of substeps.
+    """
+
+    states: tuple[int, ...]
+    data: tuple[float, ...]
+    parameter_terms: tuple[ca.SX, ...]
+    rate_per_metre: float
+    rate_per_second: float
+
+
+@dataclass(frozen=True)
+class Group:
+    """Blocks that are the same function: one emitted right side serves them all, side by side.
+
+    Attributes:
+        name: C name.
+        blocks: its blocks, in the order of their states.
+        rhs: d(chi)/dt (m).
+        d_chi: its Jacobian in chi (m x m, row-major).
+        d_q: its Jacobian in the parameter terms (m x n_q, row-major).
+        rate, inverse_level: of Maxwell-slip elements, rho and f_C/s(v), with their derivatives in the parameter terms
+            (`d_rate`, `d_inverse_level`, n_q each); empty for other blocks.
+        names: names for intermediate values.
+    """
+
+    name: str
+    blocks: tuple[Block, ...]
+    rhs: tuple[Node, ...]
+    d_chi: tuple[Node, ...]
+    d_q: tuple[Node, ...]
+    rate: tuple[Node, ...]
+    inverse_level: tuple[Node, ...]
+    d_rate: tuple[Node, ...]
+    d_inverse_level: tuple[Node, ...]
+    names: dict[Node, str]
+
+    @property
+    def m(self) -> int:
+        """States per block."""
+        return len(self.rhs)
+
+    @property
+    def n_q(self) -> int:
+        """Parameter terms per block."""
+        return len(self.blocks[0].parameter_terms)
+
+    @property
+    def n_data(self) -> int:
+        """Constants per block."""
+        return len(self.blocks[0].data)
+
+    @property
+    def is_elements(self) -> bool:
+        """Whether the blocks are Maxwell-slip elements, which have a displacement flow."""
+        return bool(self.inverse_level)
+
+
+@dataclass(frozen=True)
+class SampleTerm:
+    """A function of the signals alone that is stored with every step of the series; `expression` is SX of w."""
+
+    name: str
+    expression: ca.SX
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What the analysis found.
+
+    Attributes:
+        groups: groups of blocks.
+        sample_terms: what is stored per step; the first is always the velocity.
+        rhs_sparsity: pattern of d(rhs)/d(chi) (n_x x n_x, bool).
+        output_sparsity: which states and parameters the output depends on (n_x + n_p, bool).
+    """
+
+    model: Model
+    groups: tuple[Group, ...]
+    sample_terms: tuple[SampleTerm, ...]
+    rhs_sparsity: np.ndarray[tuple[int, int], np.dtype[np.bool_]]
+    output_sparsity: np.ndarray[tuple[int], np.dtype[np.bool_]]
+
+
+def connected_components(pattern: np.ndarray[tuple[int, int], np.dtype[np.bool_]]) -> list[tuple[int, ...]]:
+    """Blocks of states: connected components of a square pattern, each sorted, ordered by first state."""
+    n = pattern.shape[0]
+    label = list(range(n))
+
+    def root(i: int) -> int:
+        while label[i] != i:
+            i = label[i]
+        return i
+
+    for i, j in zip(*np.nonzero(pattern), strict=True):
+        a, b = root(int(i)), root(int(j))
+        label[max(a, b)] = min(a, b)
+    components: dict[int, list[int]] = {}
+    for i in range(n):
+        components.setdefault(root(i), []).append(i)
+    return [tuple(states) for states in components.values()]
+
+
+def sparsity(expression: ca.SX, variables: ca.SX) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
+    """Pattern of the Jacobian of `expression` in `variables`."""
+    pattern = ca.jacobian_sparsity(expression, variables)
+    return np.array(ca.DM(pattern, 1).full() != 0.0)
+
+
+def block_states(model: Model) -> list[tuple[int, ...]]:
+    """States of each independent block of the model."""
+    return connected_components(sparsity(model.rhs, model.chi) | np.eye(model.n_x, dtype=bool))
+
+
+def _depends_on(node: Node, *vectors: str) -> bool:
+    return bool(node.inputs) and node.inputs <= set(vectors)
+
+
+class _Terms:
+    """Sample terms shared by all blocks: signals, and functions of signals too expensive to repeat."""
+
+    def __init__(self, model: Model, *, raw_only: bool) -> None:
+        self._model = model
+        self._raw_only = raw_only
+        self.nodes: list[Node] = []
+
+    def is_term(self, node: Node) -> bool:
+        if not _depends_on(node, "w"):
+            return False
+        return node.op == "input" or (not self._raw_only and node.is_expensive)
+
+    def add(self, nodes: Sequence[Node]) -> None:
+        for node in frontier(nodes, self.is_term):
+            if node not in self.nodes:
+                self.nodes.append(node)
+
+
+def analyse(model: Model) -> Structure:
+    """Analyse a model."""
+    graph = Graph()
+    labels = {
+        "chi": [f"chi_{s.name}" for s in model.states],
+        "w": list(SIGNAL_NAMES),
+        "theta": [f"theta_{p.column}" for p in model.parameters],
+    }
+    vectors = {"chi": model.chi, "w": model.w, "theta": model.theta}
+    rhs = graph.read(model.rhs, vectors, labels)
+    inverse_level = graph.read(1.0 / model.level, vectors, labels)[0]
+    rho = graph.read(model.rho, vectors, labels) if model.n_z else []
+    # Linear interpolation between samples makes every function of the signals vary within a step.
+    terms = _Terms(model, raw_only=model.machine.sampling.integrator.velocity == "linear")
+    terms.add([graph.input("w", "velocity"), *rhs, inverse_level])
+    w_symbols = {graph.input("w", n): s for n, s in zip(SIGNAL_NAMES, ca.vertsplit(model.w), strict=True)}
+    theta_symbols = {
+        graph.input("theta", n): s
+        for n, s in zip(labels["theta"], ca.vertsplit(model.theta) if model.n_p else [], strict=True)
+    }
+    sample_terms = tuple(
+        SampleTerm(_term_name(node, k), expression)
+        for k, (node, expression) in enumerate(zip(terms.nodes, to_sx(terms.nodes, w_symbols), strict=True))
+    )
+    found: dict[object, list[tuple[_Canonical, tuple[int, ...], tuple[ca.SX, ...]]]] = {}
+    for states in block_states(model):
+        own = [rhs[i] for i in states]
+        element = model.states[states[0]].element if len(states) == 1 else None
+        extra = [rho[element], inverse_level] if element is not None else []
+        q_nodes = _parameter_terms(own + extra)
+        named = [(n, graph.read(e, vectors, labels)[0]) for i in states for n, e in model.names[i].items()]
+        canonical = _canonical(graph, own, extra, named, [labels["chi"][i] for i in states], terms.nodes, q_nodes)
+        expressions = tuple(to_sx(q_nodes, theta_symbols))
+        found.setdefault(canonical.signature, []).append((canonical, states, expressions))
+    groups = tuple(_group(k, members, model.states) for k, members in enumerate(found.values()))
+    output = ca.substitute(model.output, model.chi, model.from_node)
+    pattern = np.concatenate(
+        [sparsity(output, model.x)[0], sparsity(output, model.theta)[0] if model.n_p else np.zeros(0, bool)]
+    )
+    return Structure(model, groups, sample_terms, sparsity(model.rhs, model.chi), pattern)
+
+
+def _term_name(node: Node, k: int) -> str:
+    return node.label if node.op == "input" else f"term_{k}"
+
+
+def _parameter_terms(nodes: Sequence[Node]) -> list[Node]:
+    """The scalars through which parameters enter: maximal theta-only nodes, or theta itself where that is fewer."""
+    terms = frontier(nodes, lambda node: _depends_on(node, "theta"))
+    raw = [n for n in walk(nodes) if n.op == "input" and _depends_on(n, "theta")]
+    return raw if len(raw) < len(terms) else terms
+
+
+@dataclass(frozen=True)
+class _Canonical:
+    """A block as a function of (chi, terms, q) in names that do not tell which block it is."""
+
+    outputs: tuple[Node, ...]
+    named: tuple[tuple[str, Node], ...]
+    counts: tuple[int, ...]
+    constants: tuple[float, ...]
+    signature: object
+
+
+def _canonical(
+    graph: Graph,
+    rhs: Sequence[Node],
+    extra: Sequence[Node],
+    named: Sequence[tuple[str, Node]],
+    chi_labels: Sequence[str],
+    terms: Sequence[Node],
+    q_nodes: Sequence[Node],
+) -> _Canonical:
+    """Differentiate a block and write it in canonical inputs."""
+    chi = ca.SX.sym("chi", len(rhs))
+    term = ca.SX.sym("term", len(terms))
+    q = ca.SX.sym("q", len(q_nodes))
+    known = {graph.input("chi", label): chi[k] for k, label in enumerate(chi_labels)}
+    known |= {node: term[k] for k, node in enumerate(terms)}
+    known |= {node: q[k] for k, node in enumerate(q_nodes)}
+    f = ca.vertcat(*to_sx(rhs, known))
+    parts = [f, ca.jacobian(f, chi).T.reshape((-1, 1)), ca.jacobian(f, q).T.reshape((-1, 1))]
+    if extra:
+        rate, level = to_sx(extra, known)
+        parts += [rate, level, ca.jacobian(rate, q).T, ca.jacobian(level, q).T]
+    local = Graph()
+    vectors = {"chi": chi, "terms": term, "q": q}
+    labels = {
+        "chi": [f"chi{k}" for k in range(len(rhs))],
+        "terms": [f"term{k}" for k in range(len(terms))],
+        "q": [f"q{k}" for k in range(len(q_nodes))],
+    }
+    outputs = local.read(ca.vertcat(*parts), vectors, labels)
+    values = local.read(ca.vertcat(*to_sx([n for _, n in named], known)), vectors, labels) if named else []
+    order = walk(outputs)
+    place = {node: k for k, node in enumerate(order)}
+    shape = tuple((n.op, n.label, tuple(place[a] for a in n.args)) for n in order)
+    return _Canonical(
+        outputs=tuple(outputs),
+        named=tuple(zip((n for n, _ in named), values, strict=True)),
+        counts=tuple(p.numel() for p in parts),
+        constants=tuple(n.value for n in order if n.op == "const"),
+        signature=(shape, tuple(place[n] for n in outputs), len(terms)),
+    )
+
+
+def _group(
+    k: int, members: list[tuple[_Canonical, tuple[int, ...], tuple[ca.SX, ...]]], states: tuple[StateSpec, ...]
+) -> Group:
+    """Merge blocks of one signature; constants in which they differ become block data."""
+    canonical = members[0][0]
+    table = np.array([c.constants for c, _, _ in members])
+    varying = [j for j in range(table.shape[1]) if np.any(table[:, j] != table[0, j])] if table.size else []
+    graph = Graph()
+    renamed: dict[Node, Node] = {}
+    position = 0
+    for node in walk(canonical.outputs):
+        if node.op == "const":
+            if position in varying:
+                renamed[node] = graph.input("data", f"data{varying.index(position)}")
+            else:
+                renamed[node] = graph.constant(node.value)
+            position += 1
+        elif node.op == "input":
+            renamed[node] = graph.input(next(iter(node.inputs)), node.label)
+        else:
+            renamed[node] = graph.apply(node.op, *(renamed[a] for a in node.args))
+    parts: list[tuple[Node, ...]] = []
+    start = 0
+    for count in canonical.counts:
+        parts.append(tuple(renamed[n] for n in canonical.outputs[start : start + count]))
+        start += count
+    parts += [()] * (7 - len(parts))
+    blocks = tuple(
+        Block(
+            states=own,
+            data=tuple(c.constants[j] for j in varying),
+            parameter_terms=expressions,
+            rate_per_metre=max(states[i].rate_per_metre for i in own),
+            rate_per_second=max(states[i].rate_per_second for i in own),
+        )
+        for c, own, expressions in members
+    )
+    name = "element" if parts[4] else f"block{k}"
+    if parts[4] and k > 0:
+        name = f"element{k}"
+    names = {renamed[n]: label for label, n in canonical.named if n in renamed and n.args}
+    return Group(name, blocks, parts[0], parts[1], parts[2], parts[3], parts[4], parts[5], parts[6], names)
+
+
+def report(structure: Structure) -> str:
+    """Readable report of the analysis: dimensions, sparsity, blocks, operation counts."""
+    model = structure.model
+    machine = model.machine
+    lines = [
+        f"Structure of {machine.name}",
+        "",
+        f"states      {model.n_x}: " + ", ".join(s.name for s in model.states),
+        f"parameters  {model.n_p}: " + ", ".join(p.column for p in model.parameters),
+        f"horizon     {machine.estimator.horizon} intervals of {machine.sampling.samples_per_update} samples",
+        "",
+        "Right side: which state's equation depends on which state (x)",
+    ]
+    width = max(len(s.name) for s in model.states)
+    for i, spec in enumerate(model.states):
+        row = " ".join("x" if structure.rhs_sparsity[i, j] else "." for j in range(model.n_x))
+        lines.append(f"  {spec.name:<{width}}  {row}")
+    names = [s.name for s in model.states] + [p.column for p in model.parameters]
+    used = [n for n, u in zip(names, structure.output_sparsity, strict=True) if u]
+    lines += ["", "Output depends on: " + ", ".join(used), "", "Stored per step of the series (once per new sample)"]
+    lines += [f"  {t.name:<14} {t.expression}" for t in structure.sample_terms]
+    total = 0
+    for group in structure.groups:
+        stage = operations([*group.rhs, *group.d_chi, *group.d_q])
+        count = sum(stage.values())
+        total += count * len(group.blocks)
+        lines += [
+            "",
+            f"Group {group.name}: {len(group.blocks)} independent block(s) of {group.m} state(s), the same function",
+            f"  parameters enter through {group.n_q} scalar(s); "
+            f"{group.m * (group.m + group.n_q)} sensitivities per block instead of {model.n_x + model.n_p} per state",
+            "  one right side with sensitivities: " + ", ".join(f"{n} {op}" for op, n in sorted(stage.items())),
+        ]
+        if group.is_elements:
+            lines.append("  equation is autonomous in displacement where the gate is saturated: displacement flow applies")
+        for block in group.blocks:
+            what = ", ".join(model.states[i].name for i in block.states)
+            scalars = "; ".join(str(q) for q in block.parameter_terms) or "none"
+            lines.append(f"  {what}: scalars {scalars}; rate {block.rate_per_metre:.4g} 1/m, {block.rate_per_second:.4g} 1/s")
+    lines += ["", f"Operations of one stage over all blocks: {total}", ""]
+    return "\n".join(lines)

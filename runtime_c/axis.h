@@ -1,0 +1,158 @@
+/* Simulated axis: a rigid mass with Maxwell-slip friction in a closed position loop.
+ *
+ * The plant that estimators and diagnoses are tried on. It runs on the host only and shares nothing with the
+ * generated code: the friction laws, the effects and the integrator are written here a second time, from the
+ * equations, so that an error on either side shows.
+ *
+ * All quantities are in SI units. A force that opposes the drive counts positive, as friction does:
+ *
+ *     mass * acceleration = drive force - friction - sum of the effects' forces
+ */
+#ifndef SGMS_MHE_AXIS_H
+#define SGMS_MHE_AXIS_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define AXIS_MAX_ELEMENTS 10
+#define AXIS_MAX_EFFECTS 32
+#define AXIS_MAX_EFFECT_PARAMETERS 6
+#define AXIS_HISTORY 4096 /* substeps of drive force kept for a delayed measurement */
+#define AXIS_MAX_SUBSTEPS 256
+
+enum axis_law { AXIS_LAW_SGMS = 0, AXIS_LAW_MAXWELL_SLIP = 1 };
+enum axis_control { AXIS_CONTROL_PRESCRIBED = 0, AXIS_CONTROL_POSITION = 1 };
+
+/* Every setting is a double, scalar or array, so that a caller can set each by name (axis_setting). */
+#define AXIS_SETTINGS(SCALAR, ARRAY)                                                                                   \
+    SCALAR(law)               /* enum axis_law */                                                                      \
+    SCALAR(control)           /* enum axis_control: follow the reference exactly, or under position control */         \
+    SCALAR(rate)              /* Hz, samples of reference, controller and log */                                       \
+    SCALAR(substeps)          /* integration steps per sample, 1..AXIS_MAX_SUBSTEPS */                                 \
+    SCALAR(elements)          /* n_z, 1..AXIS_MAX_ELEMENTS */                                                          \
+    SCALAR(mass)              /* kg */                                                                                 \
+    ARRAY(stiffness)          /* kappa_i, N/m */                                                                       \
+    ARRAY(fraction)           /* nu_i, sums to 1 */                                                                    \
+    ARRAY(micro_viscous)      /* sigma_i, N s/m */                                                                     \
+    SCALAR(viscous)           /* sigma_v, N s/m */                                                                     \
+    SCALAR(coulomb)           /* f_C, N */                                                                             \
+    SCALAR(stribeck_ratio)    /* beta */                                                                               \
+    SCALAR(stribeck_velocity) /* v_s, m/s */                                                                           \
+    SCALAR(zeta)              /* smoothing of S-GMS */                                                                 \
+    SCALAR(lambda)                                                                                                     \
+    SCALAR(gamma)                                                                                                      \
+    SCALAR(proportional_gain)        /* N/m */                                                                         \
+    SCALAR(integral_gain)            /* N/(m s) */                                                                     \
+    SCALAR(derivative_gain)          /* N s/m */                                                                       \
+    SCALAR(derivative_filter)        /* Hz, first order */                                                             \
+    SCALAR(velocity_feedforward)     /* 0..1, share of the reference's velocity in the derivative term */              \
+    SCALAR(acceleration_feedforward) /* kg, force per reference acceleration */                                        \
+    SCALAR(current_loop_lag)         /* s, first order from command to drive force; 0: none */                         \
+    SCALAR(max_force)                /* N, limit of the command; 0: none */                                            \
+    SCALAR(encoder_resolution)       /* m, 0: none */                                                                  \
+    SCALAR(encoder_noise)            /* m, 1 sigma per sample, inside the loop */                                      \
+    SCALAR(force_noise)              /* N, 1 sigma per sample, of the measured force */
+
+struct axis_settings {
+#define AXIS_SCALAR(name) double name;
+#define AXIS_ARRAY(name) double name[AXIS_MAX_ELEMENTS];
+    AXIS_SETTINGS(AXIS_SCALAR, AXIS_ARRAY)
+#undef AXIS_SCALAR
+#undef AXIS_ARRAY
+};
+
+struct axis_effect {
+    int kind; /* index into the table of effects */
+    double parameter[AXIS_MAX_EFFECT_PARAMETERS];
+    double state[2];
+};
+
+/* Columns to fill, one value per sample from the caller's arrays; a null pointer skips the column. */
+struct axis_record {
+    double *position_m; /* as the encoder reports it */
+    double *force_N;    /* as the drive reports it */
+    double *true_position_m;
+    double *true_velocity_m_s;
+    double *true_acceleration_m_s2;
+    double *true_force_N;        /* acting on the mass */
+    double *true_friction_N;     /* of the friction law */
+    double *true_effect_force_N; /* sum of the effects' forces: mass a = force - friction - effects */
+    double *true_deflection_m;   /* row-major (samples, elements) */
+};
+
+/* Adds a force to the controller's, from what the controller can measure: a friction observer under test. */
+typedef double axis_compensation(void *context, double position_m, double force_N);
+
+struct axis {
+    struct axis_settings set;
+    struct axis_effect effect[AXIS_MAX_EFFECTS];
+    size_t effects;
+    axis_compensation *compensation;
+    void *compensation_context;
+
+    double position, velocity, acceleration, force;
+    double deflection[AXIS_MAX_ELEMENTS];
+    double deflection_rate[AXIS_MAX_ELEMENTS];
+    double level;    /* s(v) with all factors, N, of the latest substep */
+    double integral; /* of the position error, m s */
+    double measured, derivative;
+    uint64_t substep_count;
+    double history[AXIS_HISTORY];
+    struct axis_random {
+        uint64_t word[4];
+        double spare;
+        int has_spare;
+    } encoder_random, force_random;
+
+    /* derived from the settings by axis_apply */
+    int law, control, elements, substeps;
+    double step, half_step, decay, filter, moving_mass;
+    double slip_root, slip_rate; /* g(root) = 0, -g'(root) of the saturated S-GMS element */
+    double elastic_limit;        /* |r| below which no S-GMS element slips */
+};
+
+size_t axis_size(void);
+
+/* Name, place (in doubles) and count of the i-th setting; null past the last. */
+const char *axis_setting(size_t i, size_t *offset, size_t *count);
+
+/* Name of an effect; null past the last. Name of its j-th parameter; null past its last. */
+const char *axis_effect_name(size_t kind);
+const char *axis_effect_parameter(size_t kind, size_t j);
+
+/* Clear everything and seed the noise. Settings start at zero: set them, then axis_apply. */
+void axis_init(struct axis *axis, uint64_t seed);
+
+void axis_set(struct axis *axis, size_t offset, double value);
+
+/* Add an effect with its parameters in the table's order; its index, or -1 if there is no room or no such kind. */
+int axis_add_effect(struct axis *axis, size_t kind, const double *parameter);
+
+void axis_set_effect(struct axis *axis, size_t effect, size_t j, double value);
+
+void axis_set_compensation(struct axis *axis, axis_compensation *compensation, void *context);
+
+/* Make changed settings effective, between runs as well. 0, or -1 where a setting is out of range. */
+int axis_apply(struct axis *axis);
+
+/* Put the axis at rest at a position. */
+void axis_place(struct axis *axis, double position);
+
+/* Run `count` samples from sample `start` of a reference of `length` samples; beyond its end it stands still. */
+void axis_run(
+    struct axis *axis,
+    const double *reference,
+    size_t length,
+    size_t start,
+    size_t count,
+    const struct axis_record *record);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

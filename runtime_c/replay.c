@@ -1,0 +1,125 @@
+#include "replay.h"
+
+#include <math.h>
+
+#ifndef SGMS_MACHINE
+#error "compile with -DSGMS_MACHINE=<machine> -DSGMS_MACHINE_HEADER='\"<machine>.h\"'"
+#endif
+#include SGMS_MACHINE_HEADER
+
+#define SGMS_JOIN2(a, b) a##_##b
+#define SGMS_JOIN(a, b) SGMS_JOIN2(a, b)
+#define CALL(name) SGMS_JOIN(SGMS_MACHINE, name)
+
+typedef CALL(t) machine;
+typedef CALL(real) machine_real;
+typedef CALL(position) machine_position;
+typedef CALL(signals) machine_signals;
+typedef CALL(estimate_t) machine_estimate;
+
+/* Constants of the header, out of names that the preprocessor cannot build. */
+enum {
+    N_DEFLECTIONS = sizeof(((machine_estimate *)0)->deflection) / sizeof(machine_real),
+    N_PARAMETERS = sizeof(((machine_estimate *)0)->parameter) / sizeof(machine_real),
+    COLUMNS = 2 + N_DEFLECTIONS + 2 * N_PARAMETERS
+};
+
+/* The package takes metres as double, or picometres as an integer (single precision). */
+static machine_position to_position(double metres)
+{
+    const machine_position half = (machine_position)0.5;
+    if (half > (machine_position)0) {
+        return (machine_position)metres;
+    }
+    return isfinite(metres) ? (machine_position)(metres * 1e12 + (metres < 0.0 ? -0.5 : 0.5)) : (machine_position)INT64_MAX;
+}
+
+size_t sgms_replay_memory(void)
+{
+    return sizeof(machine);
+}
+
+int sgms_replay_columns(void)
+{
+    return COLUMNS;
+}
+
+int sgms_replay_samples_per_update(void)
+{
+    return SGMS_JOIN(SGMS_MACHINE_UPPER, SAMPLES);
+}
+
+void sgms_replay_start(void *memory)
+{
+    CALL(init)(memory);
+}
+
+void sgms_replay_reset(void *memory)
+{
+    CALL(reset)(memory);
+}
+
+static void write_row(const machine *self, double *row)
+{
+    machine_estimate estimate;
+    CALL(estimate)(self, &estimate);
+    *row++ = (double)estimate.friction_measured;
+    *row++ = (double)estimate.friction;
+    for (int i = 0; i < N_DEFLECTIONS; i++) {
+        *row++ = (double)estimate.deflection[i];
+    }
+    for (int i = 0; i < N_PARAMETERS; i++) {
+        *row++ = (double)estimate.parameter[i];
+    }
+    for (int i = 0; i < N_PARAMETERS; i++) {
+        *row++ = (double)estimate.deviation[i];
+    }
+}
+
+static machine_real one_sample(machine *self, const sgms_series *series, long k)
+{
+    if (series->friction) {
+        const machine_signals signals = {
+            .position = (machine_real)series->position[k],
+            .velocity = (machine_real)series->velocity[k],
+            .acceleration = (machine_real)series->acceleration[k],
+            .force = (machine_real)series->force[k],
+            .friction = (machine_real)series->friction[k],
+            .valid = series->valid[k]};
+        return CALL(insert)(self, &signals);
+    }
+    return CALL(sample)(self, to_position(series->position[k]), (machine_real)series->force[k]);
+}
+
+long sgms_replay_run(void *memory, const sgms_series *series, int mode, double *rows, int *statuses, double *compensation)
+{
+    machine *self = memory;
+    long updates = 0;
+    for (long k = 0; k < series->samples; k++) {
+        machine_real friction;
+        int updated;
+        if (mode == SGMS_REPLAY_TICK) {
+            const int before = self->started ? (int)self->step : -1;
+            friction = CALL(tick)(self, to_position(series->position[k]), (machine_real)series->force[k]);
+            updated = before >= 0 && self->step == 0 && self->merged_count == 0;
+        } else {
+            friction = one_sample(self, series, k);
+            updated = CALL(due)(self);
+            if (updated) {
+                (void)CALL(feedback)(self);
+                CALL(prepare)(self); /* in a controller: by the slower task */
+            }
+        }
+        if (compensation) {
+            compensation[k] = (double)friction;
+        }
+        if (updated) {
+            machine_estimate estimate;
+            CALL(estimate)(self, &estimate);
+            statuses[updates] = estimate.status;
+            write_row(self, rows + updates * COLUMNS);
+            updates++;
+        }
+    }
+    return updates;
+}

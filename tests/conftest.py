@@ -1,0 +1,128 @@
+"""Fixtures shared by all tests, and the rule that in CI nothing is skipped in silence."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+REPO_ROOT = Path(__file__).resolve().parents[1]
+ARM_TOOLS = ("arm-none-eabi-gcc", "qemu-system-arm")
+
+# The only thing a CI machine may lack: measured data whose licence keeps it out of the repository.
+DATA_ABSENT = "measured data absent"
+CI_SKIPS_ALLOWED = (DATA_ABSENT,)
+
+# Derandomised: the same commit gives the same verdict. Deadlines would measure the machine, not the code.
+hypothesis.settings.register_profile("repeatable", deadline=None, derandomize=True)
+hypothesis.settings.load_profile("repeatable")
+
+pytest_plugins = ["pytester"]
+
+
+# --- fixtures ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="session")
+def repo_root() -> Path:
+    """Root of the checkout."""
+    return REPO_ROOT
+
+
+@pytest.fixture(scope="session")
+def measured_data() -> Callable[[str], Path]:
+    """Path of measured data by its name, as in `measured_data("emps/DATA_EMPS.mat")`; skips where it is absent.
+
+    Looked for in the folder that SGMS_MHE_DATA names, otherwise in shared/data beside the checkout.
+    """
+
+    def locate(name: str) -> Path:
+        stated = os.environ.get("SGMS_MHE_DATA")
+        folder = Path(stated) if stated else REPO_ROOT.parent / "shared" / "data"
+        path = folder / name
+        if not path.exists():
+            pytest.skip(f"{DATA_ABSENT}: {name} (SGMS_MHE_DATA names the folder)")
+        return path
+
+    return locate
+
+
+@pytest.fixture(scope="session")
+def require_tool() -> Callable[[str], str]:
+    """Full path of an external tool, as in `require_tool("valgrind")`; skips where it is absent."""
+
+    def locate(name: str) -> str:
+        path = shutil.which(name)
+        if path is None:
+            pytest.skip(f"tool absent: {name}")
+        return path
+
+    return locate
+
+
+# --- markers ----------------------------------------------------------------------------------------------------
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what needs a cross compiler where there is none; mark what reads measured data."""
+    absent = [tool for tool in ARM_TOOLS if shutil.which(tool) is None]
+    for item in items:
+        if absent and item.get_closest_marker("needs_arm"):
+            item.add_marker(pytest.mark.skip(reason=f"tool absent: {', '.join(absent)}"))
+        if "measured_data" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.needs_data)
+
+
+# --- in CI a skipped check is a failure -------------------------------------------------------------------------
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Install the rule on skips."""
+    config.pluginmanager.register(_SkipRule(config), "sgms-mhe-skip-rule")
+
+
+class _SkipRule:
+    """With SGMS_MHE_CI=1, turns a session with a skip that is not allowed into a failed one and lists the skips."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.skips: dict[str, str] = {}
+        # Under xdist every worker has a session of its own; only the controlling one sees all reports.
+        self.active = os.environ.get("SGMS_MHE_CI") == "1" and not hasattr(config, "workerinput")
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        # An expected failure is reported as skipped too, but it did run.
+        if report.skipped and not hasattr(report, "wasxfail"):
+            self.skips[report.nodeid] = _reason(report)
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        if report.skipped:
+            self.skips[report.nodeid] = _reason(report)
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        if self.active and list(self._refused()) and session.exitstatus in (0, pytest.ExitCode.NO_TESTS_COLLECTED):
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        refused = list(self._refused()) if self.active else []
+        if refused:
+            terminalreporter.section("checks that CI must run were skipped", red=True)
+            for line in refused:
+                terminalreporter.line(line, red=True)
+
+    def _refused(self) -> Iterable[str]:
+        for nodeid, reason in sorted(self.skips.items()):
+            if not reason.startswith(CI_SKIPS_ALLOWED):
+                yield f"{nodeid}: {reason}"
+
+
+def _reason(report: pytest.TestReport | pytest.CollectReport) -> str:
+    # A skip's longrepr is (path, line, "Skipped: reason").
+    text = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+    return text.removeprefix("Skipped: ")

@@ -1,0 +1,512 @@
+"""The machine file: what is read, what is filled in, and what is refused and how."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel, ValidationError
+
+from sgms_mhe.errors import InputError
+from sgms_mhe.machine import BASE_PARAMETERS, Machine, json_schema, load_machine, override_machine
+
+MINIMAL = """
+name = "axis"
+[plant]
+mass = 20.0
+[friction]
+stiffness = [3e4, 1e4]
+fraction = [0.25, 0.75]
+coulomb = 4.0
+"""
+
+
+def write(folder: Path, text: str, name: str = "machine.toml") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def refused(path: Path | str) -> InputError:
+    with pytest.raises(InputError) as caught:
+        load_machine(path)
+    return caught.value
+
+
+# --- what is read -----------------------------------------------------------------------------------------------
+
+
+def test_etel_xy_holds_table_one_of_the_paper() -> None:
+    machine = load_machine("etel_xy")
+    friction, smoothing = machine.friction, machine.friction.smoothing
+    assert machine.plant.mass == 20.0
+    assert friction.stiffness == (120e3, 25e3, 7.1e3, 7.9e3)
+    assert friction.fraction == (0.067, 0.056, 0.047, 0.83)
+    assert (friction.viscous, friction.coulomb) == (20.0, 4.0)
+    assert (friction.stribeck_ratio, friction.stribeck_velocity) == (0.12, 1e-3)
+    assert (smoothing.zeta, smoothing.lambda_, smoothing.gamma) == (0.9, 35.0, 35.0)
+    assert friction.n_z == 4
+    assert machine.sampling.samples_per_update == 100
+    assert machine.sampling.step == 1e-4
+    assert machine.sampling.integrator.scheme == "flow"
+    assert machine.estimator.arrival_cost.update == "riccati"
+
+
+def test_etel_xy_paper_differs_only_in_the_estimator() -> None:
+    plain, paper = load_machine("etel_xy"), load_machine("etel_xy_paper")
+    assert paper.plant == plain.plant
+    assert paper.friction == plain.friction
+    integrator, estimator = paper.sampling.integrator, paper.estimator
+    assert (integrator.scheme, integrator.substeps, integrator.displacement) == ("rk4", 100, 0.1)
+    assert (estimator.horizon, estimator.parameters) == (20, ("stiffness",))
+    assert estimator.noise.model_dump() == {
+        "measurement": 0.5,
+        "state": 0.1,
+        "parameter": 0.05,
+        "parameter_drift": 0.0,
+        "initial_state": 1.0,
+        "state_as": "deflection",
+    }
+    assert estimator.arrival_cost.update == "fixed"
+
+
+def test_emps_holds_the_published_fit() -> None:
+    machine = load_machine("emps")
+    assert (machine.plant.mass, machine.friction.coulomb, machine.friction.viscous) == (95.1089, 20.3935, 203.5034)
+    assert machine.sampling.samples_per_update == 10
+    assert machine.log is not None and machine.log.force_N is not None
+    assert (machine.log.force_N.variable, machine.log.force_N.scale) == ("vir", 35.15065188248547)
+    assert [(effect.name, effect.parameters) for effect in machine.effects] == [
+        ("constant_offset", {"force_N": -3.1648})
+    ]
+
+
+def test_every_shipped_machine_loads_under_its_file_name(repo_root: Path) -> None:
+    paths = sorted((repo_root / "machines").glob("*.toml"))
+    assert len(paths) >= 3
+    assert [load_machine(path).name for path in paths] == [path.stem for path in paths]
+
+
+def test_defaults_are_resolved(tmp_path: Path) -> None:
+    machine = load_machine(write(tmp_path, MINIMAL))
+    assert machine.friction.micro_viscous == (0.0, 0.0)
+    assert machine.friction.viscous == 0.0
+    assert machine.sampling.integrator.model_dump() == {
+        "scheme": "rk4",
+        "substeps": 100,
+        "velocity": "constant",
+        "displacement": 0.1,
+    }
+    assert machine.estimator.bounds == {}
+    assert machine.log is None
+    assert machine.effects == ()
+
+
+@pytest.mark.parametrize(
+    ("sampling", "substeps", "displacement"),
+    [
+        ("rate = 1000.0", 10, 0.1),
+        ("rate = 8000\nupdate_rate = 250", 32, 0.1),
+        ('integrator = { scheme = "euler" }', 100, 0.01),
+        ('integrator = { scheme = "bs23", substeps = 20 }', 20, 0.05),
+        ('integrator = { scheme = "rk2", substeps = 300, displacement = 0.02 }', 300, 0.02),
+    ],
+)
+def test_integrator_defaults_follow_rates_and_scheme(
+    tmp_path: Path, sampling: str, substeps: int, displacement: float
+) -> None:
+    cutoff = "velocity_cutoff = 100.0"
+    integrator = load_machine(write(tmp_path, f"{MINIMAL}[sampling]\n{cutoff}\n{sampling}\n")).sampling.integrator
+    assert (integrator.substeps, integrator.displacement) == (substeps, displacement)
+
+
+def test_numbers_may_be_written_as_integers(tmp_path: Path) -> None:
+    mass = load_machine(write(tmp_path, MINIMAL.replace("20.0", "20"))).plant.mass
+    assert isinstance(mass, float)
+    assert mass == 20.0
+
+
+def test_machine_is_frozen() -> None:
+    machine = load_machine("etel_xy")
+    with pytest.raises(ValidationError):
+        machine.plant.mass = 1.0  # type: ignore[misc]
+
+
+def test_byte_order_mark_and_crlf_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "machine.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + MINIMAL.replace("\n", "\r\n").encode())
+    assert load_machine(path).name == "axis"
+
+
+# --- where it is found ------------------------------------------------------------------------------------------
+
+
+def test_machine_is_found_by_name_path_and_stem(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, repo_root: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shipped = repo_root / "machines" / "etel_xy"
+    assert load_machine("etel_xy").source.resolve() == shipped.with_suffix(".toml")
+    assert load_machine(str(shipped)).source.resolve() == shipped.with_suffix(".toml")
+    (tmp_path / "etel_xy").mkdir()  # a generated folder of that name is not a machine file
+    assert load_machine("etel_xy").source.resolve() == shipped.with_suffix(".toml")
+    (tmp_path / "machines").mkdir()
+    own = write(tmp_path / "machines", MINIMAL, "etel_xy.toml")
+    assert load_machine("etel_xy").source.resolve() == own.resolve()
+
+
+@pytest.mark.parametrize("name", ["no_such_machine", "no/such/machine.toml", "", ".", "nul\0byte"])
+def test_unknown_machine_is_refused(name: str) -> None:
+    assert "a machine file that exists" in refused(name).allowed
+
+
+def test_unknown_name_lists_the_known_ones() -> None:
+    assert re.search(r"\bemps, etel_xy, etel_xy_paper\b", refused("etel_yx").allowed)
+
+
+# --- extends ----------------------------------------------------------------------------------------------------
+
+
+def test_extends_merges_tables_and_replaces_arrays(tmp_path: Path) -> None:
+    write(tmp_path, MINIMAL + "viscous = 7.0\n[estimator.noise]\nstate = 0.03\n", "base.toml")
+    write(tmp_path, 'extends = "base"\n[friction]\nstiffness = [9e4]\nfraction = [1.0]\n', "middle.toml")
+    path = write(tmp_path, 'extends = "middle.toml"\nname = "top"\n[estimator.noise]\nmeasurement = 2.0\n')
+    machine = load_machine(path)
+    assert (machine.name, machine.plant.mass, machine.friction.viscous) == ("top", 20.0, 7.0)
+    assert machine.friction.stiffness == (9e4,)
+    assert machine.friction.micro_viscous == (0.0,)
+    assert (machine.estimator.noise.state, machine.estimator.noise.measurement) == (0.03, 2.0)
+    assert machine.source == path
+
+
+def test_extends_prefers_its_own_folder(tmp_path: Path) -> None:
+    write(tmp_path, MINIMAL, "etel_xy.toml")
+    assert load_machine(write(tmp_path, 'extends = "etel_xy"\n')).name == "axis"
+
+
+@pytest.mark.parametrize("chain", [["a"], ["a", "b"], ["a", "b", "c"]])
+def test_extends_in_a_circle_is_refused(tmp_path: Path, chain: list[str]) -> None:
+    for name, parent in zip(chain, chain[1:] + chain[:1], strict=True):
+        write(tmp_path, f'extends = "{parent}"\n', f"{name}.toml")
+    error = refused(tmp_path / "a.toml")
+    assert error.source == str(tmp_path / f"{chain[-1]}.toml")
+    assert error.where == "extends"
+
+
+@pytest.mark.parametrize("parent", ['"absent"', '""', "3", "[]", '["etel_xy"]', "{}"])
+def test_bad_extends_is_refused(tmp_path: Path, parent: str) -> None:
+    assert refused(write(tmp_path, f"extends = {parent}\n")).where == "extends"
+
+
+def test_error_names_the_file_that_holds_the_value(tmp_path: Path) -> None:
+    base = write(tmp_path, MINIMAL.replace("20.0", "-20.0"), "base.toml")
+    top = write(tmp_path, 'extends = "base"\n[friction]\ncoulomb = 3.0\n')
+    assert refused(top).source == str(base)
+    assert f"in {top}, which extends it" in refused(top).allowed
+    top.write_text('extends = "base"\n[plant]\nmass = -1.0\n', encoding="utf-8")
+    assert refused(top).source == str(top)
+
+
+def test_clash_with_an_inherited_key_names_both_files(tmp_path: Path) -> None:
+    base = write(tmp_path, MINIMAL, "base.toml")
+    top = write(tmp_path, 'extends = "base"\nfriction.stiffness = [1e4]\n')
+    error = refused(top)
+    assert (error.source, error.where, error.value) == (str(base), "friction.fraction", [0.25, 0.75])
+    assert "1 numbers, as many as stiffness has" in error.allowed
+    assert str(top) in error.allowed
+
+
+# --- effects ----------------------------------------------------------------------------------------------------
+
+RIPPLE = '[[effects]]\nname = "force_ripple"\n'
+
+
+def test_effect_parameters_are_filled_in_the_registry_order(tmp_path: Path) -> None:
+    text = 'extends = "etel_xy"\n[[effects]]\nphase_rad = 0.7\nname = "force_ripple"\namplitude_N = 1\n'
+    (effect,) = load_machine(write(tmp_path, text)).effects
+    assert list(effect.parameters.items()) == [("amplitude_N", 1.0), ("pitch_m", 0.032), ("phase_rad", 0.7)]
+
+
+def test_second_effect_of_a_name_is_numbered(tmp_path: Path) -> None:
+    wanted = '[estimator]\nparameters = ["coulomb", "force_ripple.amplitude_N", "force_ripple_2.pitch_m"]\n'
+    text = f'extends = "etel_xy"\n{wanted}{RIPPLE}{RIPPLE}pitch_m = 0.016\n'
+    machine = load_machine(write(tmp_path, text))
+    assert [effect.label for effect in machine.effects] == ["force_ripple", "force_ripple_2"]
+    assert machine.estimable[: len(BASE_PARAMETERS)] == BASE_PARAMETERS
+    assert machine.estimable[-1] == "force_ripple_2.phase_rad"
+    assert "force_ripple_3" in refused(write(tmp_path, text.replace("ripple_2.", "ripple_3."))).value  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("key", ['"force_ripple.amplitude_N"', "force_ripple.amplitude_N"])
+def test_bounds_of_an_effect_may_be_written_with_and_without_quotes(tmp_path: Path, key: str) -> None:
+    text = f'extends = "etel_xy"\n{RIPPLE}[estimator.bounds]\n{key} = [0, 3]\n'
+    assert load_machine(write(tmp_path, text)).estimator.bounds == {
+        "stiffness": (0.2, 5.0),
+        "force_ripple.amplitude_N": (0.0, 3.0),
+    }
+
+
+# --- what is refused --------------------------------------------------------------------------------------------
+
+# (lines that extend etel_xy, key that the error names, part of what it says is allowed)
+BAD_VALUES = [
+    # wrong magnitudes
+    ("plant.mass = -20.0", "plant.mass", "greater than 0"),
+    ("plant.mass = 0.0", "plant.mass", "[kg]"),
+    ("plant.mass = 2e9", "plant.mass", "1e+06"),
+    ("friction.coulomb = 0.0", "friction.coulomb", "greater than 0"),
+    ("friction.viscous = -1.0", "friction.viscous", "greater than or equal to 0"),
+    ("friction.stribeck_ratio = -0.1", "friction.stribeck_ratio", "greater than or equal to 0"),
+    ("friction.stribeck_velocity = 0.0", "friction.stribeck_velocity", "[m/s]"),
+    ("friction.smoothing.zeta = 1.0", "friction.smoothing.zeta", "less than 1"),
+    ("friction.smoothing.lambda = -35.0", "friction.smoothing.lambda", "greater than 0"),
+    ("friction.stiffness = [120e3, -25e3, 7.1e3, 7.9e3]", "friction.stiffness[2]", "greater than 0"),
+    ("friction.micro_viscous = [0.0, 0.0, -1.0, 0.0]", "friction.micro_viscous[3]", "greater than or equal to 0"),
+    ("sampling.max_velocity = 0.0", "sampling.max_velocity", "[m/s]"),
+    ("sampling.rate = 0.0", "sampling.rate", "[Hz]"),
+    ("sampling.update_rate = -100.0", "sampling.update_rate", "greater than 0"),
+    ("estimator.horizon = 0", "estimator.horizon", "greater than or equal to 1"),
+    ("estimator.noise.measurement = 0.0", "estimator.noise.measurement", "[N]"),
+    ("estimator.noise.state = 0.0", "estimator.noise.state", "greater than 0"),
+    ("estimator.noise.parameter_drift = -0.1", "estimator.noise.parameter_drift", "greater than or equal to 0"),
+    # numbers that are none
+    ("plant.mass = nan", "plant.mass", "finite"),
+    ("plant.mass = inf", "plant.mass", "finite"),
+    ("friction.viscous = nan", "friction.viscous", "finite"),
+    ("friction.stiffness = [120e3, inf, 7.1e3, 7.9e3]", "friction.stiffness[2]", "finite"),
+    ("friction.micro_viscous = [nan, 0.0, 0.0, 0.0]", "friction.micro_viscous[1]", "finite"),
+    ("estimator.bounds.stiffness = [0.5, inf]", "estimator.bounds.stiffness[2]", "finite"),
+    ("estimator.bounds.stiffness = [nan, 2.0]", "estimator.bounds.stiffness[1]", "finite"),
+    # wrong types
+    ('plant.mass = "20"', "plant.mass", "valid number"),
+    ("plant.mass = true", "plant.mass", "valid number"),
+    ("plant.mass = [20.0]", "plant.mass", "valid number"),
+    ("plant.mass = 2024-01-01", "plant.mass", "valid number"),
+    ("plant = 20.0", "plant", "a table"),
+    ("friction.smoothing = []", "friction.smoothing", "a table"),
+    ("friction.stiffness = 120e3", "friction.stiffness", "N/m"),
+    ('friction.stiffness = "1234"', "friction.stiffness", "N/m"),
+    ("friction.stiffness = []", "friction.stiffness", "at least 1"),
+    ("estimator.horizon = 20.0", "estimator.horizon", "valid integer"),
+    ("estimator.horizon = true", "estimator.horizon", "valid integer"),
+    ('estimator.parameters = "stiffness"', "estimator.parameters", "any of stiffness"),
+    ("estimator.bounds = [0.2, 5.0]", "estimator.bounds", "a table"),
+    ("estimator.bounds.stiffness = 5.0", "estimator.bounds.stiffness", "valid tuple"),
+    ("effects = 3", "effects", "what the axis has"),
+    ("name = 3", "name", "valid string"),
+    # choices
+    ('sampling.integrator.scheme = "rk45"', "sampling.integrator.scheme", "'bs23'"),
+    ('estimator.kind = "ukf"', "estimator.kind", "'mhe' or 'ekf'"),
+    ('estimator.arrival_cost.update = "kalman"', "estimator.arrival_cost.update", "'riccati' or 'fixed'"),
+    ('estimator.noise.state_as = "velocity"', "estimator.noise.state_as", "'force' or 'deflection'"),
+    ('code.precision = "half"', "code.precision", "'double' or 'single'"),
+    # unknown keys
+    ("plant.mas = 20.0", "plant.mas", "did you mean mass?"),
+    ("plants.mass = 20.0", "plants", "did you mean plant?"),
+    ("friction.smoothing.lambda_ = 35.0", "friction.smoothing.lambda_", "did you mean lambda?"),
+    ("sampling.integrator.steps = 5", "sampling.integrator.steps", "scheme, substeps, velocity, displacement"),
+    ("estimator.noise.sigma = 0.5", "estimator.noise.sigma", "measurement, state"),
+    ("colour = 3", "colour", "extends"),
+    # between keys
+    ("friction.fraction = [0.067, 0.056, 0.047, 0.84]", "friction.fraction", "sum to 1 (here 1.01)"),
+    ("friction.fraction = [0.1, 0.2, 0.7]", "friction.fraction", "4 numbers"),
+    ("friction.micro_viscous = [0.0]", "friction.micro_viscous", "4 numbers"),
+    ("sampling.update_rate = 300.0", "sampling.update_rate", "divides rate = 10000 Hz"),
+    ("sampling.update_rate = 20000.0", "sampling.update_rate", "divides rate"),
+    ("sampling.velocity_cutoff = 5000.0", "sampling.velocity_cutoff", "< rate / 2 = 5000 Hz"),
+    ("sampling.velocity_cutoff = 0.5", "sampling.velocity_cutoff", ">= 1 Hz"),
+    ("sampling.integrator.substeps = 0", "sampling.integrator.substeps", "greater than or equal to 1"),
+    ("sampling.integrator.substeps = 30", "sampling.integrator.substeps", "rate / update_rate = 100"),
+    ("sampling.integrator.substeps = 150", "sampling.integrator.substeps", "rate / update_rate = 100"),
+    ('sampling.integrator.velocity = "linear"', "sampling.integrator.velocity", "where scheme is flow"),
+    (
+        'sampling.integrator = { scheme = "rk4", substeps = 50, velocity = "linear" }',
+        "sampling.integrator.velocity",
+        "substeps < 100",
+    ),
+    ("estimator.parameters = []", "estimator.parameters", "at least 1"),
+    ('estimator.parameters = ["mass"]', "estimator.parameters[1]", "stiffness, coulomb, viscous"),
+    ('estimator.parameters = ["coulomb", "coulomb"]', "estimator.parameters", "each parameter once"),
+    (
+        'estimator.parameters = ["coulomb", "viscous"]\nfriction.viscous = 0.0',
+        "estimator.parameters[2]",
+        "friction.viscous",
+    ),
+    ("estimator.bounds.stiffness = [1.0, 5.0]", "estimator.bounds.stiffness", "low < 1 < high"),
+    ("estimator.bounds.stiffness = [0.2, 1.0]", "estimator.bounds.stiffness", "low < 1 < high"),
+    ("estimator.bounds.stiffness = [-0.2, 5.0]", "estimator.bounds.stiffness[1]", "greater than or equal to 0"),
+    ("estimator.bounds.stiffness = [0.2, 1.0, 5.0]", "estimator.bounds.stiffness", "at most 2"),
+    ("estimator.bounds.mass = [0.5, 2.0]", "estimator.bounds.mass", "a key out of stiffness"),
+    (
+        'estimator.bounds = { "effect.a" = [0.5, 2.0], effect = { a = [0.5, 2.0] } }',
+        "estimator.bounds.effect.a",
+        "given twice",
+    ),
+    # names that become C
+    ('name = "2axes"', "name", "C identifier"),
+    ('name = "etel-xy"', "name", "C identifier"),
+    ('name = "étel"', "name", "C identifier"),
+    ('name = "_axis"', "name", "C identifier"),
+    ('name = ""', "name", "C identifier"),
+    ('name = "axis\\n"', "name", "C identifier"),
+    ('name = "double"', "name", "keyword"),
+    (f'name = "{"a" * 49}"', "name", "at most 48"),
+    ('description = "ends */ here"', "description", "comment marks"),
+    ('description = "two\\nlines"', "description", "one printable line"),
+    # effects
+    ('effects = [{ name = "magic" }]', "effects[1].name", "force_ripple"),
+    ("effects = [{ amplitude_N = 1.0 }]", "effects[1].name", "required key is missing"),
+    ("effects = [1.0]", "effects[1]", "a table"),
+    (
+        'effects = [{ name = "force_ripple" }, { name = "force_ripple", amplitude = 1.0 }]',
+        "effects[2].amplitude",
+        "amplitude_N",
+    ),
+    (
+        'effects = [{ name = "force_ripple", amplitude_N = "1" }]',
+        "effects[1].amplitude_N",
+        "valid number",
+    ),
+    ('effects = [{ name = "force_ripple", pitch_m = nan }]', "effects[1].pitch_m", "number"),
+    ('effects = [{ name = "force_ripple", pitch_m = -0.032 }]', "effects[1].pitch_m", "number from 1e-06"),
+    # log
+    ("log.time = 't'", "log.time", "did you mean time_s?"),
+    ("log.force_N = 3", "log.force_N", "a table"),
+    ("log.force_N = ''", "log.force_N.variable", "at least 1"),
+    ("log.force_N = { scale = 2.0 }", "log.force_N.variable", "required key is missing"),
+    ("log.force_N = { variable = 'u', scale = 0.0 }", "log.force_N.scale", "other than 0"),
+    ("log.force_N = { variable = 'u', scale = inf }", "log.force_N.scale", "finite"),
+    ("log.force_N = { variable = 'u', unit = 'mm' }", "log.force_N.unit", "N, mN, kN"),
+    ("log.force_N = { variable = 'u', gain = 2.0 }", "log.force_N.gain", "variable, scale, offset, unit"),
+]
+
+
+@pytest.mark.parametrize(("lines", "where", "allowed"), BAD_VALUES, ids=[case[0] for case in BAD_VALUES])
+def test_bad_value_is_refused_with_file_key_value_and_what_is_allowed(
+    tmp_path: Path, lines: str, where: str, allowed: str
+) -> None:
+    path = write(tmp_path, f'extends = "etel_xy"\n{lines}\n')
+    error = refused(path)
+    assert error.where == where
+    assert allowed in error.allowed
+    assert error.source == str(path)
+    assert str(error).startswith(f"{path}: {where}")
+
+
+@pytest.mark.parametrize("missing", ["name", "mass", "stiffness", "fraction", "coulomb"])
+def test_missing_key_is_named(tmp_path: Path, missing: str) -> None:
+    error = refused(write(tmp_path, re.sub(rf"^{missing} = .*\n", "", MINIMAL, flags=re.MULTILINE)))
+    assert error.where.split(".")[-1] == missing
+    assert "required" in error.allowed
+
+
+@pytest.mark.parametrize("table", ["plant", "friction"])
+def test_missing_table_is_named(tmp_path: Path, table: str) -> None:
+    text = re.sub(rf"\[{table}\]\n(\w.*\n)*", "", MINIMAL)
+    assert refused(write(tmp_path, text)).where == table
+
+
+@pytest.mark.parametrize("digits", [40, 400, 6000])
+def test_integers_beyond_every_float_are_refused(tmp_path: Path, digits: int) -> None:
+    error = refused(write(tmp_path, MINIMAL.replace("20.0", "9" * digits)))
+    assert error.where in ("plant.mass", "file")
+
+
+def test_value_is_quoted(tmp_path: Path) -> None:
+    error = refused(write(tmp_path, MINIMAL.replace("20.0", "-3.5")))
+    assert error.value == -3.5
+    assert "plant.mass = -3.5" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("name = 'a'\n[plant\nmass = 1\n", "line 2"),
+        ("name = 'a'\nname = 'b'\n", "line 2"),
+        ("a\n", "line 1"),
+        ("x = {", "last line"),
+        ("x = " + "[" * 100_000, "file"),
+    ],
+)
+def test_toml_syntax_error_names_the_line(tmp_path: Path, text: str, where: str) -> None:
+    error = refused(write(tmp_path, text))
+    assert error.where == where
+    assert error.allowed.startswith("TOML syntax")
+
+
+def test_unreadable_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "machine.toml"
+    path.write_bytes(b'name = "\xff"\n')
+    assert "UTF-8" in refused(path).allowed
+    path.write_bytes(b"")
+    assert "required" in refused(path).allowed
+    assert "a machine file that exists" in refused(tmp_path).allowed
+
+
+# --- digest, override, schema -----------------------------------------------------------------------------------
+
+
+def test_digest_depends_on_content_alone(tmp_path: Path) -> None:
+    base = load_machine(write(tmp_path, MINIMAL))
+    assert re.fullmatch("[0-9a-f]{64}", base.digest)
+    (tmp_path / "elsewhere").mkdir()
+    spelled_out = MINIMAL.replace("3e4", "30_000").replace("[plant]", "# moved\n[plant]") + "viscous = 0.0\n"
+    assert load_machine(write(tmp_path / "elsewhere", spelled_out, "b.toml")).digest == base.digest
+    assert load_machine(write(tmp_path, f"extends = 'machine'\n{MINIMAL}", "c.toml")).digest == base.digest
+    changed = load_machine(write(tmp_path, MINIMAL.replace("20.0", "20.000000001"), "d.toml"))
+    assert changed.digest != base.digest
+
+
+def test_override_is_what_an_extending_file_says(tmp_path: Path) -> None:
+    machine = load_machine("etel_xy")
+    euler = override_machine(machine, {"sampling": {"rate": 5000.0, "integrator": {"scheme": "euler"}}})
+    assert (euler.sampling.integrator.substeps, euler.sampling.integrator.displacement) == (50, 0.01)
+    text = 'extends = "etel_xy"\n[sampling]\nrate = 5000.0\nintegrator = { scheme = "euler" }\n'
+    assert euler.digest == load_machine(write(tmp_path, text)).digest
+    assert override_machine(machine, {}).digest == machine.digest
+    assert machine.sampling.rate == 10000.0
+    with pytest.raises(InputError, match=r"plant\.mass = -1"):
+        override_machine(machine, {"plant": {"mass": -1}})
+
+
+def _tables(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
+    yield model
+    for field in model.model_fields.values():
+        for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                yield from _tables(kind)
+
+
+def test_every_field_states_its_default_and_every_number_its_unit() -> None:
+    for table in _tables(Machine):
+        for name, field in table.model_fields.items():
+            assert field.description, (table, name)
+            assert re.search("default|required", field.description), (table, name)
+            if field.annotation in (int, float):
+                assert re.search(r" \[[^\]]+\]; ", field.description), (table, name)
+
+
+def test_described_defaults_are_the_defaults() -> None:
+    checked = 0
+    for table in _tables(Machine):
+        for field in table.model_fields.values():
+            stated = re.search(r"; default ([-\d.e]+)$", field.description or "")
+            if stated and isinstance(field.default, int | float):
+                assert math.isclose(float(stated.group(1)), field.default)
+                checked += 1
+    assert checked >= 15
+
+
+def test_schema_is_json_and_knows_the_file_s_keys() -> None:
+    schema: dict[str, Any] = json.loads(json.dumps(json_schema()))
+    assert set(schema["properties"]) == {*Machine.model_fields, "extends"}
+    assert schema["additionalProperties"] is False
+    smoothing = schema["$defs"]["Smoothing"]["properties"]
+    assert set(smoothing) == {"zeta", "lambda", "gamma"}
+    assert "[kg]" in schema["$defs"]["Plant"]["properties"]["mass"]["description"]
+    assert schema["$defs"]["Effect"]["additionalProperties"]["type"] == "number"

@@ -1,0 +1,123 @@
+"""What an installation carries, and the rule that CI does not skip."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import sgms_mhe
+from sgms_mhe import paths
+
+FOLDERS = {"templates": paths.templates_dir, "runtime_c": paths.runtime_dir, "machines": paths.machines_dir}
+
+SESSION = """
+import pytest
+
+def test_runs():
+    pass
+
+@pytest.mark.skip(reason={reason!r})
+def test_skips():
+    pass
+
+@pytest.mark.xfail(strict=True)
+def test_fails_as_expected():
+    raise AssertionError
+"""
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_folder_of_the_checkout_is_found(name: str, repo_root: Path) -> None:
+    assert FOLDERS[name]() == repo_root / name
+
+
+@pytest.mark.slow
+def test_wheel_carries_every_file_of_the_data_folders(repo_root: Path, tmp_path: Path) -> None:
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+    subprocess.run(build, cwd=repo_root, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    packed = set(zipfile.ZipFile(wheel).namelist())
+    for name in FOLDERS:
+        for path in (repo_root / name).rglob("*"):
+            if path.is_file() and "__pycache__" not in path.parts:
+                assert f"sgms_mhe/_data/{path.relative_to(repo_root).as_posix()}" in packed
+    assert "sgms_mhe/py.typed" in packed
+
+
+def test_missing_data_folder_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(paths, "_BUNDLED", tmp_path / "a")
+    monkeypatch.setattr(paths, "_CHECKOUT", tmp_path / "b")
+    with pytest.raises(FileNotFoundError, match="templates/ is neither in"):
+        paths.templates_dir()
+
+
+def test_lock_holds_every_declared_dependency_at_one_version(repo_root: Path) -> None:
+    project = tomllib.loads((repo_root / "pyproject.toml").read_text())
+    declared = project["project"]["dependencies"] + project["project"]["optional-dependencies"]["dev"]
+    declared += project["build-system"]["requires"]
+    lines = (repo_root / "requirements.lock").read_text().splitlines()
+    pins = [line for line in lines if line and not line.startswith("#")]
+    assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[^ ;@]+", pin) for pin in pins)
+    locked = {_normal(pin.partition("==")[0]) for pin in pins}
+    assert locked >= {_normal(re.split(r"[<>=!~\[; ]", entry)[0]) for entry in declared}
+
+
+def test_changelog_begins_with_the_version(repo_root: Path) -> None:
+    newest = re.search(r"^## (\S+)", (repo_root / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert newest is not None
+    assert newest[1] == sgms_mhe.__version__
+
+
+@pytest.mark.parametrize("workers", [[], ["-n", "2"]], ids=["one process", "xdist"])
+@pytest.mark.parametrize(
+    ("ci", "reason", "code"),
+    [
+        ("1", "tool absent: valgrind", 1),
+        ("1", "measured data absent: x.mat", 0),
+        ("", "tool absent: valgrind", 0),
+    ],
+)
+def test_skip_fails_a_ci_session_unless_allowed(
+    ci: str,
+    reason: str,
+    code: int,
+    workers: list[str],
+    repo_root: Path,
+    pytester: pytest.Pytester,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("SGMS_MHE_CI", ci)
+    pytester.makeconftest((repo_root / "tests" / "conftest.py").read_text())
+    pytester.makepyfile(SESSION.format(reason=reason))
+    result = pytester.runpytest_subprocess(*workers)
+    assert result.ret == code
+    result.assert_outcomes(passed=1, skipped=1, xfailed=1)
+    listed = f"*test_skips: {reason}"
+    if code:
+        result.stdout.fnmatch_lines(["*checks that CI must run were skipped*", listed])
+    else:
+        result.stdout.no_fnmatch_line(listed)
+
+
+def test_skip_of_a_whole_module_fails_a_ci_session(
+    repo_root: Path, pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SGMS_MHE_CI", "1")
+    pytester.makeconftest((repo_root / "tests" / "conftest.py").read_text())
+    pytester.makepyfile(
+        test_a="def test_runs():\n    pass\n",
+        test_b="import pytest\n\npytest.importorskip('no_such_module')\n",
+    )
+    result = pytester.runpytest_subprocess("-n", "2")
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["*checks that CI must run were skipped*", "test_b.py: *no_such_module*"])
+
+
+def _normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()

@@ -1,0 +1,120 @@
+"""Displacement flow of the reference: against an ODE solver, its own algebra, and the Runge-Kutta integrator."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from reference_cases import moving, simulate, variant, with_integrator
+from sgms_mhe.machine import Smoothing
+from sgms_mhe.model import build_model
+from sgms_mhe.reference.flow import Flow, gate_ratio, window
+from sgms_mhe.reference.integrator import Integrator
+
+SMOOTHINGS = [(0.9, 35.0), (0.9, 10.0), (0.8, 100.0), (0.95, 300.0)]
+
+
+def smoothing(zeta: float, lambda_: float, gamma: float = 35.0) -> Smoothing:
+    return Smoothing.model_validate({"zeta": zeta, "lambda": lambda_, "gamma": gamma})
+
+
+TABLE = Flow.of(smoothing(0.9, 35.0))
+
+
+@pytest.mark.parametrize(("zeta", "lambda_"), SMOOTHINGS)
+def test_flow_solves_its_ode(zeta: float, lambda_: float) -> None:
+    settings = smoothing(zeta, lambda_)
+    flow = Flow.of(settings)
+    rng = np.random.default_rng(3)
+
+    def rhs(_: float, y: np.ndarray) -> list[float]:
+        r, slope = y
+        inside = math.tanh(lambda_ * (r - zeta)) ** 2 - math.tanh(lambda_ * (r + zeta)) ** 2
+        derivative = -(window(r, settings) - 0.5 * lambda_ * r * inside) if r > 0.0 else 0.0
+        return [1.0 - float(window(r, settings)) * max(r, 0.0), float(derivative) * slope]
+
+    for _ in range(20):
+        r0, xi = rng.uniform(-1.5, 2.5), 10.0 ** rng.uniform(-4.0, 1.3)
+        solution = solve_ivp(rhs, [0.0, xi], [r0, 1.0], method="DOP853", rtol=3e-14, atol=1e-15)
+        r1, slope, g1 = flow.advance(r0, xi)
+        assert r1 == pytest.approx(solution.y[0, -1], abs=1e-13)
+        assert slope == pytest.approx(solution.y[1, -1], abs=1e-12)
+        assert g1 == pytest.approx(rhs(0.0, [r1, 0.0])[0], abs=1e-14)
+
+
+@given(r0=st.floats(-2.0, 3.0), xi=st.floats(0.0, 60.0), part=st.floats(0.0, 1.0))
+def test_flow_composes(r0: float, xi: float, part: float) -> None:
+    r1, slope, g1 = TABLE.advance(r0, xi)
+    middle, first, _ = TABLE.advance(r0, part * xi)
+    end, second, g_end = TABLE.advance(middle, (1.0 - part) * xi)
+    assert end == pytest.approx(r1, abs=1e-13)
+    assert first * second == pytest.approx(slope, abs=1e-12)
+    assert g_end == pytest.approx(g1, abs=1e-12)
+
+
+@given(r0=st.floats(-1.5, 2.5), xi=st.floats(1e-3, 20.0))
+def test_flow_sensitivities_are_differences(r0: float, xi: float) -> None:
+    _, slope, g1 = TABLE.advance(r0, xi)
+    e = 1e-5
+    by_start = (TABLE.advance(r0 + e, xi)[0] - TABLE.advance(r0 - e, xi)[0]) / (2.0 * e)
+    by_xi = (TABLE.advance(r0, xi + e)[0] - TABLE.advance(r0, xi - e)[0]) / (2.0 * e)
+    assert slope == pytest.approx(by_start, abs=1e-6)
+    assert g1 == pytest.approx(by_xi, abs=1e-6)
+
+
+def test_flow_settles_where_it_stands_still() -> None:
+    assert TABLE.advance(TABLE.r_star, 5.0)[0] == TABLE.r_star
+    for r0 in (-1.0, 0.3, 0.99, 1.2, 5.0):
+        r1, slope, g1 = TABLE.advance(r0, 200.0)
+        assert (r1, g1) == (pytest.approx(TABLE.r_star, abs=1e-15), pytest.approx(0.0, abs=1e-15))
+        assert 0.0 <= slope < 1e-60
+
+
+def test_gate_ratio_is_the_smallest_on_its_grid() -> None:
+    settings = smoothing(0.9, 35.0)
+    r = np.linspace(-3.0, 3.0, 6001)
+    weight = np.abs(r) * window(r, settings)
+
+    def change(c: float) -> float:
+        return float(np.max(weight / (1.0 + np.exp(2.0 * 35.0 * c * np.abs(r)))))
+
+    c = gate_ratio(settings)
+    assert c == 0.36
+    assert change(c) < 1e-10 <= change(c - 0.01)
+    # A window that never closes at r = 0 never lets the gate go.
+    assert gate_ratio(smoothing(0.1, 5.0)) == math.inf
+
+
+@pytest.mark.parametrize("peak", [0.002, 0.05, 0.3])
+def test_flow_agrees_with_converged_rk4(peak: float) -> None:
+    machine = variant(estimator={"parameters": ["stiffness", "coulomb", "stribeck_ratio", "stribeck_velocity"]})
+    velocity = peak * np.sin(2.0 * np.pi * 12.0 * np.arange(601) / 10000.0)
+    theta = np.array([1.0, 1.1, 0.9, 1.05, 1.02, 0.97, 1.01])
+    results = []
+    for settings in ({"scheme": "flow"}, {"scheme": "rk4", "substeps": 500, "displacement": 0.003}):
+        integrator = Integrator(build_model(with_integrator(machine, **settings)))
+        plan = integrator.plan(moving(velocity))
+        x = np.random.default_rng(0).uniform(-1.1, 1.1, (len(plan.path), 4))
+        results.append(integrator.intervals(plan, 0, x, theta))
+    for flow, rk4 in zip(*results, strict=True):
+        np.testing.assert_allclose(flow, rk4, rtol=0.0, atol=2e-8)
+
+
+def test_flow_is_used_for_elements_alone_and_above_the_gate_alone() -> None:
+    integrator = Integrator(build_model(with_integrator(scheme="flow")))
+    velocity = np.repeat([0.0, 0.359e-3, 0.361e-3, 1.0, -0.5], 100)
+    plan = integrator.plan(moving(np.concatenate([[0.0], velocity])))
+    expected = np.repeat([1, 1, 0, 0, 0], 100)
+    assert all(block.saturates for block in integrator.blocks)
+    np.testing.assert_array_equal(plan.substeps, np.repeat(expected[:, None], 4, axis=1))
+
+
+def test_flow_stays_right_beyond_every_speed() -> None:
+    integrator = Integrator(build_model(with_integrator(scheme="flow")))
+    x = simulate(integrator, moving(np.full(201, 30.0)), np.ones(4))
+    np.testing.assert_allclose(x[1:], TABLE.r_star, rtol=1e-12)
