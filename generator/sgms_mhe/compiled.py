@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.build import DEFAULT_FLAGS, shared_library
 from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_mhe.errors import InputError
 from sgms_mhe.estimates import Estimates
 from sgms_mhe.kinematics import Signals
 from sgms_mhe.logs import Log
@@ -48,6 +49,75 @@ class _Run:
     compensation: Array
 
 
+@dataclass(frozen=True)
+class Prediction:
+    """The model alone along a motion.
+
+    Attributes:
+        friction_N: (n).
+        d_friction: derivatives in the scaled parameters theta (n, n_p), None where not asked for.
+    """
+
+    friction_N: Array
+    d_friction: Array | None
+
+
+class CompiledModel:
+    """The emitted model of a machine without its estimator: integrator, sensitivities, output."""
+
+    def __init__(self, machine: Machine, package: Package | None = None) -> None:
+        self.machine = machine
+        self.model = build_model(machine)
+        self._library = ctypes.CDLL(str(_compile(machine, package, DEFAULT_FLAGS, "predict.c")))
+
+    def predict(
+        self, signals: Signals, theta: Array | None = None, *, derivatives: bool = False, x: Array | None = None
+    ) -> Prediction:
+        """Run the model along the signals.
+
+        Args:
+            signals: n samples.
+            theta: scaled parameters (n_p), 1 is nominal; None: nominal.
+            derivatives: also return d(friction)/d(theta).
+            x: node state at the first sample (n_x); None: zero.
+
+        Raises:
+            InputError: the machine merges samples into steps.
+        """
+        n, n_x, n_p = len(signals), self.model.n_x, self.model.n_p
+        w = np.column_stack(
+            [
+                signals.position,
+                signals.velocity,
+                signals.acceleration,
+                signals.force,
+                np.arange(n) * self.machine.sampling.step,
+            ]
+        )
+        values = np.ones(n_p) if theta is None else np.ascontiguousarray(theta, dtype=np.float64)
+        state = np.zeros(n_x) if x is None else np.array(x, dtype=np.float64)
+        sensitivity = np.zeros((n_x, n_p))
+        force = np.empty(n)
+        slopes = np.empty((n, n_p)) if derivatives else None
+        done = self._library.sgms_predict(
+            ctypes.c_long(n),
+            ctypes.c_void_p(w.ctypes.data),
+            ctypes.c_void_p(values.ctypes.data),
+            ctypes.c_void_p(state.ctypes.data),
+            ctypes.c_void_p(sensitivity.ctypes.data),
+            ctypes.c_void_p(force.ctypes.data),
+            None if slopes is None else ctypes.c_void_p(slopes.ctypes.data),
+        )
+        if done != 0:
+            raise InputError(
+                self.machine.source,
+                "sampling.integrator.substeps",
+                self.machine.sampling.integrator.substeps,
+                "at least one per sample to run the model alone",
+            )
+        return Prediction(force, slopes)
+
+
 class CompiledEstimator:
     """One emitted package, compiled; every run starts an estimator of its own.
 
@@ -65,16 +135,7 @@ class CompiledEstimator:
     ) -> None:
         self.machine = machine
         self.model = build_model(machine)
-        package = package or emit_package(machine)
-        with tempfile.TemporaryDirectory() as scratch:
-            folder = Path(scratch) / machine.name
-            write_package(package, folder)
-            path = shared_library(
-                [folder / f"{machine.name}.c", runtime_dir() / "replay.c"],
-                include_dirs=[folder],
-                flags=[*flags, *replay_definitions(machine.name)],
-            )
-        self._library = ctypes.CDLL(str(path))
+        self._library = ctypes.CDLL(str(_compile(machine, package, flags, f"{machine.name}.c", "replay.c")))
         self._library.sgms_replay_memory.restype = ctypes.c_size_t
         self._library.sgms_replay_run.restype = ctypes.c_long
         self._columns = int(self._library.sgms_replay_columns())
@@ -164,10 +225,21 @@ class CompiledEstimator:
         )
 
 
+def _compile(machine: Machine, package: Package | None, flags: Sequence[str], *sources: str) -> Path:
+    """Compile sources of a package, or of the runtime, against the package's headers; return the shared library."""
+    package = package or emit_package(machine)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / machine.name
+        write_package(package, folder)
+        paths = [folder / name if name in package.files else runtime_dir() / name for name in sources]
+        return shared_library(paths, include_dirs=[folder], flags=[*flags, *replay_definitions(machine.name)])
+
+
 def replay_definitions(name: str) -> list[str]:
     """Compiler definitions that bind the replay and the harness to a package."""
     return [
         f"-DSGMS_MACHINE={name}",
         f"-DSGMS_MACHINE_UPPER={name.upper()}",
         f'-DSGMS_MACHINE_HEADER="{name}.h"',
+        f'-DSGMS_INTEGRATOR_HEADER="{name}_integrator.h"',
     ]

@@ -1,0 +1,24 @@
+/* The model of one package alone, along a measured motion, on a host. Compiled with a package's headers:
+ *     -DSGMS_INTEGRATOR_HEADER='"etel_xy_integrator.h"' -DSGMS_MACHINE=etel_xy */
+#ifndef SGMS_PREDICT_H
+#define SGMS_PREDICT_H
+
+/* Friction force [N] at every sample and, unless NULL, its derivatives in theta (samples x parameters).
+ *
+ * signals: samples x 5, position, velocity, acceleration, force, time; theta: scaled parameters; x: node state at the first
+ * sample, on return at the last one; d_x: its derivatives in theta (states x parameters), likewise; zeros to start. A long
+ * record can be run in pieces, the first row of each being the last row of the piece before. Returns 0, or -1 where the
+ * package integrates several samples per step. */
+int sgms_predict(
+    long samples,
+    const double *signals,
+    const double *theta,
+    double *x,
+    double *d_x,
+    double *force,
+    double *d_force);
+
+int sgms_predict_states(void);
+int sgms_predict_parameters(void);
+
+#endif
