@@ -44,14 +44,14 @@ static inline int sgms_position_is_good(sgms_position p)
 }
 #endif
 
-#define SGMS_FILTER_STATES 14 /* seven low-passes of two states */
+#define SGMS_FILTER_STATES 16 /* eight low-passes of two states */
 
 /* Memory of the chain. Plain arrays, so that the public header of a package can declare it without this one. */
 typedef struct {
-    sgms_position *position;   /* [2] last position, last raw difference */
-    sgms_real *lowpass;        /* [SGMS_FILTER_STATES] */
-    sgms_real *last;           /* [4] last force, last filtered velocity, force and position one sample ago */
-    int32_t *counts;           /* [3] channels seen (1 force, 2 position), length of the gap, samples since friction was spoilt */
+    sgms_position *position; /* [2] last position, last raw difference */
+    sgms_real *lowpass;      /* [SGMS_FILTER_STATES] */
+    sgms_real *last;         /* [4] last force, last filtered velocity, force and position one sample ago */
+    int32_t *counts; /* [3] channels seen (1 force, 2 position), length of the gap, samples since friction was spoilt */
 } sgms_filter_memory;
 
 typedef struct {
@@ -73,14 +73,15 @@ static inline sgms_aligned sgms_filter_step(
     const int force_good = sgms_is_finite(force);
     sgms_real *const f = m->lowpass;
     sgms_aligned out;
+    sgms_position difference = m->position[1];
     sgms_real velocity;
 
     if ((m->counts[0] & 1) == 0 && force_good) { /* first good force */
         m->counts[0] |= 1;
         m->last[0] = force;
         m->last[2] = force;
-        sgms_lowpass_rest(filter, f + 6, force);
         sgms_lowpass_rest(filter, f + 8, force);
+        sgms_lowpass_rest(filter, f + 10, force);
         m->counts[2] = 0;
     }
     if ((m->counts[0] & 2) == 0 && position_good) { /* first good position */
@@ -88,8 +89,8 @@ static inline sgms_aligned sgms_filter_step(
         m->position[0] = position;
         m->position[1] = 0;
         m->last[3] = SGMS_METRES(position);
-        sgms_lowpass_rest(filter, f + 10, m->last[3]);
         sgms_lowpass_rest(filter, f + 12, m->last[3]);
+        sgms_lowpass_rest(filter, f + 14, m->last[3]);
         m->counts[1] = 0;
         m->counts[2] = 0;
     }
@@ -112,11 +113,15 @@ static inline sgms_aligned sgms_filter_step(
     }
     m->last[0] = force;
 
+    /* The filters are linear, so the difference of two filtered velocities is the filtered second difference of the
+     * position, which is exact: at 1 m/s the other order costs single precision 0.03 N. */
+    difference = m->position[1] - difference;
     velocity = sgms_lowpass_step(filter, f, SGMS_METRES(m->position[1]) * rate);
     out.velocity = sgms_lowpass_step(filter, f + 2, m->last[1]);
-    out.acceleration = sgms_lowpass_step(filter, f + 4, (velocity - m->last[1]) * rate);
-    out.force = sgms_lowpass_step(filter, f + 8, sgms_lowpass_step(filter, f + 6, m->last[2]));
-    out.position = sgms_lowpass_step(filter, f + 12, sgms_lowpass_step(filter, f + 10, m->last[3]));
+    out.acceleration = sgms_lowpass_step(
+        filter, f + 6, sgms_lowpass_step(filter, f + 4, SGMS_METRES(difference) * rate * rate));
+    out.force = sgms_lowpass_step(filter, f + 10, sgms_lowpass_step(filter, f + 8, m->last[2]));
+    out.position = sgms_lowpass_step(filter, f + 14, sgms_lowpass_step(filter, f + 12, m->last[3]));
     m->last[1] = velocity;
     m->last[2] = force;
     m->last[3] = SGMS_METRES(position);

@@ -162,6 +162,7 @@ static inline int sgms_box_least_squares(
         for (int i = 0, c = 0; i < n; i++) {
             if (pinned[i] == 0) {
                 x[i] += step * (work[c * (free_count + 1) + free_count] - x[i]);
+                x[i] = x[i] < lower[i] ? lower[i] : (x[i] > upper[i] ? upper[i] : x[i]); /* rounding */
                 c++;
             }
         }

@@ -16,10 +16,12 @@
 #if SGMS_SINGLE
 typedef float sgms_real;
 typedef int32_t sgms_integer; /* as wide as sgms_real */
+typedef uint32_t sgms_unsigned;
 #define SGMS_R(x) x##f
 #else
 typedef double sgms_real;
 typedef int64_t sgms_integer;
+typedef uint64_t sgms_unsigned;
 #define SGMS_R(x) x
 #endif
 

@@ -62,7 +62,7 @@ def test_etel_xy_paper_differs_only_in_the_estimator() -> None:
     assert paper.plant == plain.plant
     assert paper.friction == plain.friction
     integrator, estimator = paper.sampling.integrator, paper.estimator
-    assert (integrator.scheme, integrator.substeps, integrator.displacement) == ("rk4", 100, 0.1)
+    assert (integrator.scheme, integrator.substeps, integrator.displacement) == ("rk4", 100, 0.03)
     assert (estimator.horizon, estimator.parameters) == (20, ("stiffness",))
     assert estimator.noise.model_dump() == {
         "measurement": 0.5,
@@ -100,7 +100,7 @@ def test_defaults_are_resolved(tmp_path: Path) -> None:
         "scheme": "rk4",
         "substeps": 100,
         "velocity": "constant",
-        "displacement": 0.1,
+        "displacement": 0.03,
     }
     assert machine.estimator.bounds == {}
     assert machine.log is None
@@ -110,8 +110,8 @@ def test_defaults_are_resolved(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("sampling", "substeps", "displacement"),
     [
-        ("rate = 1000.0", 10, 0.1),
-        ("rate = 8000\nupdate_rate = 250", 32, 0.1),
+        ("rate = 1000.0", 10, 0.03),
+        ("rate = 8000\nupdate_rate = 250", 32, 0.03),
         ('integrator = { scheme = "euler" }', 100, 0.01),
         ('integrator = { scheme = "bs23", substeps = 20 }', 20, 0.05),
         ('integrator = { scheme = "rk2", substeps = 300, displacement = 0.02 }', 300, 0.02),

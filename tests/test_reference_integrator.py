@@ -108,7 +108,7 @@ def test_substeps_follow_the_displacement() -> None:
     plan = integrator.plan(moving(np.concatenate([[0.0], np.repeat(speeds, 100)])))
     rho = np.array([120e3, 25e3, 7.1e3, 7.9e3]) / (4.0 * np.array([0.067, 0.056, 0.047, 0.83]))
     # Beyond max_velocity the count stays what it is there.
-    expected = np.maximum(1, np.ceil(np.minimum(np.abs(speeds), 1.0)[:, None] * 1e-4 * rho / 0.1))
+    expected = np.maximum(1, np.ceil(np.minimum(np.abs(speeds), 1.0)[:, None] * 1e-4 * rho / 0.03))
     np.testing.assert_array_equal(plan.substeps[::100], expected)
     np.testing.assert_allclose(plan.path, np.abs(speeds) * 0.01)
     np.testing.assert_allclose(plan.fastest, np.abs(speeds))

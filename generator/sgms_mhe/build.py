@@ -63,9 +63,32 @@ def shared_library(
     Raises:
         BuildError: no compiler, or it refused; the message carries its output.
     """
+    return _cached(sources, include_dirs, (*flags, "-fPIC", "-shared"), cache_key, libraries, suffix=".so")
+
+
+def program(
+    sources: Sequence[Path],
+    include_dirs: Sequence[Path] = (),
+    flags: Sequence[str] = DEFAULT_FLAGS,
+    cache_key: str = "",
+    libraries: Sequence[str] = (),
+) -> Path:
+    """Compile C sources to a program and return its path; arguments, cache and errors as for `shared_library`."""
+    return _cached(sources, include_dirs, tuple(flags), cache_key, libraries, suffix="")
+
+
+def _cached(
+    sources: Sequence[Path],
+    include_dirs: Sequence[Path],
+    flags: tuple[str, ...],
+    cache_key: str,
+    libraries: Sequence[str],
+    *,
+    suffix: str,
+) -> Path:
     command = compiler()
     digest = _digest(sources, include_dirs, (*command, _version(command), *flags, *libraries, cache_key))
-    target = cache_dir() / f"{sources[0].stem}-{digest[:24]}.so"
+    target = cache_dir() / f"{sources[0].stem}-{digest[:24]}{suffix}"
     if target.is_file():
         return target
     try:
@@ -81,8 +104,6 @@ def shared_library(
             [
                 *command,
                 *flags,
-                "-fPIC",
-                "-shared",
                 *(f"-I{folder}" for folder in include_dirs),
                 *(str(source) for source in sources),
                 "-o",

@@ -19,7 +19,7 @@ from sgms_mhe.estimates import Estimates
 from sgms_mhe.kinematics import Signals
 from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine
-from sgms_mhe.model import build_model
+from sgms_mhe.model import Model, build_model
 from sgms_mhe.paths import runtime_dir
 
 Array = NDArray[np.float64]
@@ -56,10 +56,14 @@ class Prediction:
     Attributes:
         friction_N: (n).
         d_friction: derivatives in the scaled parameters theta (n, n_p), None where not asked for.
+        x: node state at the last sample (n_x).
+        d_x: its derivatives in theta (n_x, n_p).
     """
 
     friction_N: Array
     d_friction: Array | None
+    x: Array
+    d_x: Array
 
 
 class CompiledModel:
@@ -71,7 +75,7 @@ class CompiledModel:
         self._library = ctypes.CDLL(str(_compile(machine, package, DEFAULT_FLAGS, "predict.c")))
 
     def predict(
-        self, signals: Signals, theta: Array | None = None, *, derivatives: bool = False, x: Array | None = None
+        self, signals: Signals, theta: Array | None = None, *, derivatives: bool = False, x: Array | None = None, first: int = 0
     ) -> Prediction:
         """Run the model along the signals.
 
@@ -80,6 +84,7 @@ class CompiledModel:
             theta: scaled parameters (n_p), 1 is nominal; None: nominal.
             derivatives: also return d(friction)/d(theta).
             x: node state at the first sample (n_x); None: zero.
+            first: index of the first sample in its record, from which the model's time counts.
 
         Raises:
             InputError: the machine merges samples into steps.
@@ -91,7 +96,7 @@ class CompiledModel:
                 signals.velocity,
                 signals.acceleration,
                 signals.force,
-                np.arange(n) * self.machine.sampling.step,
+                np.arange(first, first + n) * self.machine.sampling.step,
             ]
         )
         values = np.ones(n_p) if theta is None else np.ascontiguousarray(theta, dtype=np.float64)
@@ -115,7 +120,7 @@ class CompiledModel:
                 self.machine.sampling.integrator.substeps,
                 "at least one per sample to run the model alone",
             )
-        return Prediction(force, slopes)
+        return Prediction(force, slopes, state, sensitivity)
 
 
 class CompiledEstimator:
@@ -125,16 +130,21 @@ class CompiledEstimator:
         machine: the machine file.
         package: its package, if it was generated already.
         flags: compiler flags.
+        model: the model that the package was generated from, where that is not the machine's own.
 
     Raises:
         BuildError: the compiler refused.
     """
 
     def __init__(
-        self, machine: Machine, package: Package | None = None, flags: Sequence[str] = DEFAULT_FLAGS
+        self,
+        machine: Machine,
+        package: Package | None = None,
+        flags: Sequence[str] = DEFAULT_FLAGS,
+        model: Model | None = None,
     ) -> None:
         self.machine = machine
-        self.model = build_model(machine)
+        self.model = model or build_model(machine)
         self._library = ctypes.CDLL(str(_compile(machine, package, flags, f"{machine.name}.c", "replay.c")))
         self._library.sgms_replay_memory.restype = ctypes.c_size_t
         self._library.sgms_replay_run.restype = ctypes.c_long

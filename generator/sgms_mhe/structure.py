@@ -176,14 +176,14 @@ def analyse(model: Model) -> Structure:
     rho = graph.read(model.rho, vectors, labels) if model.n_z else []
     # Linear interpolation between samples makes every function of the signals vary within a step.
     terms = _Terms(model, raw_only=model.machine.sampling.integrator.velocity == "linear")
-    terms.add([graph.input("w", "velocity"), *rhs, inverse_level])
+    terms.add([graph.input("w", "velocity"), *rhs, *rho, inverse_level])
     w_symbols = {graph.input("w", n): s for n, s in zip(SIGNAL_NAMES, ca.vertsplit(model.w), strict=True)}
     theta_symbols = {
         graph.input("theta", n): s
         for n, s in zip(labels["theta"], ca.vertsplit(model.theta) if model.n_p else [], strict=True)
     }
     sample_terms = tuple(
-        SampleTerm(_term_name(node, k), expression)
+        SampleTerm(_term_name(node, inverse_level, k), expression)
         for k, (node, expression) in enumerate(zip(terms.nodes, to_sx(terms.nodes, w_symbols), strict=True))
     )
     found: dict[object, list[tuple[_Canonical, tuple[int, ...], tuple[ca.SX, ...]]]] = {}
@@ -204,7 +204,9 @@ def analyse(model: Model) -> Structure:
     return Structure(model, groups, sample_terms, sparsity(model.rhs, model.chi), pattern)
 
 
-def _term_name(node: Node, k: int) -> str:
+def _term_name(node: Node, inverse_level: Node, k: int) -> str:
+    if node is inverse_level:
+        return "inverse_level"
     return node.label if node.op == "input" else f"term_{k}"
 
 

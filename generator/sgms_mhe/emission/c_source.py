@@ -63,7 +63,7 @@ class CPrinter:
             shared = uses[node] > 1 and node.op != "const" and not (node.op == "neg" and node.args[0].op != "const")
             if node in hints or shared or (len(expression) > _LONGEST_INLINE and node.args):
                 name = self._fresh(hints.get(node, "a"), taken, always_number=node not in hints)
-                lines.append(f"const {self.real} {name} = {expression};")
+                lines.append(f"const sgms_real {name} = {expression};")
                 text[node] = (name, _ATOM)
             else:
                 text[node] = (expression, level)

@@ -22,6 +22,8 @@ _QUADRATURE = 12
 _SEGMENT = 0.5  # width over 1/lambda: the poles of g lie pi/2 away
 _DEGREE = {"double": 12, "single": 6}
 _CELLS = 128
+_NEAR = 0.14  # half-width over 1/lambda of the short polynomials about the fixed point
+_NEAR_DEGREE = {"double": 7, "single": 3}  # odd: no Chebyshev node falls on the fixed point
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,10 @@ class FlowTable:
     forward: tuple[tuple[float, ...], ...]
     inverse: tuple[tuple[float, ...], ...]
     cell: tuple[int, ...]
+    near: float
+    near_degree: int
+    near_forward: tuple[float, ...]
+    near_inverse: tuple[float, ...]
 
 
 def gate_ratio(zeta: float, lambda_: float, gamma: float) -> float:
@@ -91,17 +97,23 @@ def flow_table(zeta: float, lambda_: float, precision: str, source: str = "machi
             roots = []
             r = low
             for t in reversed(angles):  # from the segment's low edge on, each root from the one before
-                target = s_low + s_half * (t + 1)
-                for _ in range(8):
-                    value = curve.psi(r, integrals[j] + curve.integral(low, r))
-                    step = (value - target) * curve.g(r) / (curve.k * value) if value != 0 else r - r
-                    if value == 0:
-                        step = -(target)
-                    r += step
-                    if abs(step) < mpf(10) ** (-_DIGITS // 2 - 2):
-                        break
+                r = curve.root(s_low + s_half * (t + 1), r, low, integrals[j])
                 roots.append(r)
             inverse.append(_times(to_monomials, roots[::-1]))
+        near = mpf(_NEAR / lambda_)
+        near_degree = _NEAR_DEGREE[precision]
+        near_angles = [mp.cos(mp.pi * (2 * i + 1) / (2 * (near_degree + 1))) for i in range(near_degree + 1)]
+        near_forward = _times(
+            _interpolation(near_angles),
+            [
+                curve.psi(curve.r_star + near * t, curve.integral(curve.r_star, curve.r_star + near * t)) / near
+                for t in near_angles
+            ],
+        )
+        near_roots = [
+            (curve.root(near * t, curve.r_star - near * t, curve.r_star, mpf(0)) - curve.r_star) / near
+            for t in near_angles
+        ]
         cells_per_s = _CELLS / float(psi[0] - psi[-1])
         cell = []
         for c in range(_CELLS):
@@ -119,6 +131,10 @@ def flow_table(zeta: float, lambda_: float, precision: str, source: str = "machi
             forward=tuple(tuple(float(c) for c in row) for row in forward),
             inverse=tuple(tuple(float(c) for c in row) for row in inverse),
             cell=tuple(cell),
+            near=float(near),
+            near_degree=near_degree,
+            near_forward=tuple(float(c) for c in near_forward),
+            near_inverse=tuple(float(c) for c in _times(_interpolation(near_angles), near_roots)),
         )
 
 
@@ -165,6 +181,18 @@ class _Curve:
         for j in range(below, 0, -1):
             values[j - 1] = values[j] - self.integral(edges[j - 1], edges[j])
         return values
+
+    def root(self, target: mpf, r: mpf, edge: mpf, integral: mpf) -> mpf:
+        """Solve psi(r) = target by Newton's method from r; `integral` is that from r* to `edge`."""
+        for _ in range(12):
+            value = self.psi(r, integral + self.integral(edge, r))
+            # psi' = -k psi / g, which tends to -1 at the fixed point
+            slope = -self.k * value / self.g(r) if abs(r - self.r_star) > mpf(10) ** (-_DIGITS // 2) else mpf(-1)
+            step = (target - value) / slope
+            r += step
+            if abs(step) < mpf(10) ** (-_DIGITS // 2 - 2):
+                break
+        return r
 
     def psi(self, r: mpf, integral: mpf) -> mpf:
         return (self.r_star - r) * mp.exp(integral)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -18,6 +19,7 @@ from sgms_mhe import __version__
 from sgms_mhe.emission.c_source import CPrinter
 from sgms_mhe.emission.flow_table import flow_table, gate_ratio
 from sgms_mhe.emission.graph import Graph, Node, operations, walk
+from sgms_mhe.emission.selftest import selftest_vectors
 from sgms_mhe.errors import InputError
 from sgms_mhe.kinematics import lowpass_coefficients, settle_samples
 from sgms_mhe.machine import Machine
@@ -59,12 +61,13 @@ def _count_text(nodes: Sequence[Node]) -> str:
 class _Emitter:
     """Turns expressions of one model into C functions."""
 
-    def __init__(self, model: Model, printer: CPrinter) -> None:
+    def __init__(self, model: Model, printer: CPrinter, terms: tuple[str, ...]) -> None:
         self.model = model
         self.printer = printer
         self.w_labels = list(SIGNAL_NAMES)
         self.theta_labels = [f"theta_{p.column}" for p in model.parameters]
         self.x_labels = [f"x_{s.name}" for s in model.states]
+        self.terms = terms
 
     def function(self, outputs: Sequence[tuple[str, ca.SX]], *, inputs: Mapping[str, str]) -> Function:
         """Function of x, w, theta; `inputs` maps vector names ("x", "w", "theta") to C arrays."""
@@ -92,7 +95,7 @@ class _Emitter:
         """Function of a group's canonical inputs (chi, terms, q, data); `skip` names those it does not take."""
         nodes = [node for _, node in outputs]
         inputs = [node for node in walk(nodes) if node.op == "input"]
-        names = {node: _group_name(node, self.model) for node in inputs}
+        names = {node: self._name(node) for node in inputs}
         used = set(names.values())
         unused = [
             f"(void){name};"
@@ -102,33 +105,33 @@ class _Emitter:
         lines = unused + self.printer.statements(list(outputs), names, group.names)
         return Function(tuple(lines), _count_text(nodes))
 
-    terms: tuple[str, ...] = ()
-
-
-def _group_name(node: Node, model: Model) -> str:
-    """C name of a canonical input: chi0 -> chi0, term1 -> the term's name, q0 -> q[0], data0 -> data[0]."""
-    vector = next(iter(node.inputs))
-    index = int(node.label[len("term" if vector == "terms" else vector) :])
-    return {"chi": f"chi{index}", "terms": f"term{index}", "q": f"q[{index}]", "data": f"data[{index}]"}[vector]
+    def _name(self, node: Node) -> str:
+        """C name of a canonical input: chi0 -> chi0, term0 -> velocity, q0 -> q[0], data0 -> data[0]."""
+        vector = next(iter(node.inputs))
+        index = int(node.label[len("term" if vector == "terms" else vector) :])
+        return {"chi": f"chi{index}", "terms": "", "q": f"q[{index}]", "data": f"data[{index}]"}[vector] or self.terms[index]
 
 
 def _group_arguments(group: Group, terms: Sequence[str]) -> list[str]:
-    return [f"chi{i}" for i in range(group.m)] + [f"term{k}" for k in range(len(terms))] + ["q", "data"]
+    return [f"chi{i}" for i in range(group.m)] + [*terms, "q", "data"]
 
 
-def emit_package(machine: Machine) -> Package:
+def emit_package(machine: Machine, model: Model | None = None) -> Package:
     """Generate the C of a machine.
+
+    Args:
+        machine: the machine file.
+        model: its symbolic model, where that is not what `build_model` makes of the machine.
 
     Raises:
         InputError: the machine asks for something that cannot be emitted; the message says what.
     """
-    model = build_model(machine)
+    model = model or build_model(machine)
     if model.n_p == 0:
         raise InputError(machine.source, "estimator.parameters", [], "at least one parameter to estimate")
     structure = analyse(model)
     printer = CPrinter(machine.code.precision)
-    emitter = _Emitter(model, printer)
-    emitter.terms = tuple(t.name for t in structure.sample_terms)
+    emitter = _Emitter(model, printer, tuple(t.name for t in structure.sample_terms))
     context = _context(machine, model, structure, emitter)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(templates_dir()),
@@ -196,7 +199,6 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     name = machine.name
     output = ca.substitute(model.output, model.chi, model.from_node)
     deflection = ca.substitute(model.deflection, model.chi, model.from_node)
-    nominal = [p.nominal for p in model.parameters]
     lower = [p.lower for p in model.parameters]
     upper = [p.upper for p in model.parameters]
     bounded = any(np.isfinite(lower)) or any(np.isfinite(upper))
@@ -288,7 +290,7 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
             ],
             inputs={"theta": "theta"},
         ),
-        "nominal": nominal,
+        "vectors": selftest_vectors(model),
     }
     flow_template = []
     if flow:
@@ -308,6 +310,7 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         ("config.h.jinja", f"{name}_config.h"),
         ("model.h.jinja", f"{name}_model.h"),
         ("integrator.h.jinja", f"{name}_integrator.h"),
+        ("selftest.h.jinja", f"{name}_selftest.h"),
     ]
     return context
 
@@ -333,7 +336,7 @@ def _group_context(
     max_velocity = structure.model.machine.sampling.max_velocity
     per_step = step_time / integrator.displacement
     states = [f"chi{i}" for i in range(m)]
-    values = [f"term{k}" for k in range(len(terms))]
+    values = list(terms)
     real = "sgms_real"
     arguments = [f"{real} {v}" for v in states + values] + [f"const {real} *q", f"const {real} *data"]
     slopes = [f"rate[{i}]" for i in range(m)]
@@ -381,12 +384,17 @@ def _group_context(
     }
     if flow:
         # At most 0.02 in units of the deflection scale per RK4 step below the gate: there r moves slowly.
-        result["slow"] = [b.rate_per_metre * step_time / SLOW_DISPLACEMENT for b in group.blocks]
+        friction = structure.model.machine.friction
+        smoothing = friction.smoothing
+        gate = gate_ratio(smoothing.zeta, smoothing.lambda_, smoothing.gamma) * friction.stribeck_velocity
+        result["slow"] = [
+            max(1, math.ceil(gate * step_time * b.rate_per_metre / SLOW_DISPLACEMENT)) for b in group.blocks
+        ]
         result["flow_arguments"] = [f"{real} {v}" for v in values] + [f"const {real} *q", f"const {real} *data"]
         result["flow_call"] = [f"term[{k} * LANES + l]" for k in range(len(terms))] + ["q", "data"]
-        outputs = [("rate[0]", group.rate[0]), ("inverse_level[0]", group.inverse_level[0])]
-        outputs += [(f"d_rate[{k}]", n) for k, n in enumerate(group.d_rate)]
-        outputs += [(f"d_inverse_level[{k}]", n) for k, n in enumerate(group.d_inverse_level)]
+        outputs = [("*rho", group.rate[0]), ("*over_level", group.inverse_level[0])]
+        outputs += [(f"d_rho[{k}]", n) for k, n in enumerate(group.d_rate)]
+        outputs += [(f"d_over_level[{k}]", n) for k, n in enumerate(group.d_inverse_level)]
         result["coefficients"] = emitter.group_function(group, outputs, skip=states)
     return result
 

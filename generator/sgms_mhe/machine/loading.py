@@ -153,8 +153,10 @@ def _field(model: type[BaseModel], keys: Sequence[str | int]) -> tuple[type[Base
 
 
 def _input_error(error: ValidationError, layers: list[_Layer]) -> InputError:
-    """The first violation, in the terms of the file that holds it."""
-    detail: ErrorDetails = next(entry for entry in error.errors() if entry["type"] != "default_factory_not_called")
+    """The first violation, unknown keys before others, in the terms of the file that holds it."""
+    details = [entry for entry in error.errors() if entry["type"] != "default_factory_not_called"]
+    # A misspelt key is unknown and, where it is required, missing too: the first says more.
+    detail: ErrorDetails = next((entry for entry in details if entry["type"] == "extra_forbidden"), details[0])
     loc: list[str | int] = list(detail["loc"])
     context = detail.get("ctx", {})
     value: object = detail["input"]

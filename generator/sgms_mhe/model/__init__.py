@@ -8,12 +8,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.errors import InputError
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.axis import SIGNAL_NAMES, StateSpec, SymbolicAxis
-from sgms_mhe.model.effects import effect_definition
-from sgms_mhe.model.friction import FrictionSymbols, Smoothing, add_friction
-
-STAGES = ("signal", "level", "force")
+from sgms_mhe.model.effects import STAGES, effect_definition
+from sgms_mhe.model.friction import FrictionSymbols, Smoothing, add_friction, declare_elements
 
 
 @dataclass(frozen=True)
@@ -47,8 +46,9 @@ class Model:
         from_node: chi (n_x) of (x, theta).
         output: friction force [N] of (chi, w, theta).
         deflection: z [m] (n_z) of (chi, theta).
-        level: s(v) / f_C times the effects' factors, of (w, theta).
-        rho: kappa_i / (nu_i f_C) [1/m] (n_z), of theta.
+        level: s(v) / f_C times the effects' factors, of (w, theta), and of chi where an effect's state sets it.
+        rho: d(chi_i)/dt of an element that sticks over the measured velocity [1/m] (n_z), of (w, theta):
+            kappa_i / (nu_i f_C), times real over measured velocity where an effect tells them apart.
         names: per state, names of intermediate values of its rate.
     """
 
@@ -107,8 +107,8 @@ class Model:
             "from_node": [self.x, self.theta],
             "output": [self.chi, self.w, self.theta],
             "deflection": [self.chi, self.theta],
-            "level": [self.w, self.theta],
-            "rho": [self.theta],
+            "level": [self.chi, self.w, self.theta],
+            "rho": [self.w, self.theta],
         }[name]
         return ca.Function(name, arguments, [getattr(self, name)])
 
@@ -128,6 +128,13 @@ class _Parameters:
             return ca.SX(nominal)
         bounds = self._machine.estimator.bounds.get(name)
         if bounds is not None:
+            if nominal == 0.0:
+                raise InputError(
+                    self._machine.source,
+                    f"estimator.bounds.{name}",
+                    list(bounds),
+                    "no bounds: they multiply a nominal of 0",
+                )
             # Multiples of nominal; with scale = nominal they are theta itself.
             low, high = sorted((nominal * bounds[0], nominal * bounds[1]))
             lower, upper = max(lower, low), min(upper, high)
@@ -148,7 +155,15 @@ def build_model(machine: Machine) -> Model:
     """Assemble the symbolic model of a machine: the S-GMS law and every effect of its machine file."""
     friction, noise = machine.friction, machine.estimator.noise
     parameters = _Parameters(machine)
-    axis = SymbolicAxis(machine.plant.mass)
+    integrator, sampling = machine.sampling.integrator, machine.sampling
+    merged = max(1, sampling.samples_per_update // integrator.substeps)
+    axis = SymbolicAxis(
+        machine.plant.mass,
+        friction.coulomb,
+        step=sampling.step,
+        hold=0.0 if integrator.velocity == "linear" else sampling.step * merged,
+        gate_per_velocity=friction.smoothing.gamma / friction.stribeck_velocity,
+    )
     symbols = FrictionSymbols(
         stiffness=parameters.array("stiffness", friction.stiffness),
         micro_viscous=[ca.SX(s) for s in friction.micro_viscous],
@@ -160,55 +175,60 @@ def build_model(machine: Machine) -> Model:
     effects = []
     for entry in machine.effects:
         definition = effect_definition(entry.name)
-        values = {p.name: entry.parameters.get(p.name, p.default) for p in definition.parameters}
+        nominal = {p.name: entry.parameters.get(p.name, p.default) for p in definition.parameters}
         expressions = {
             p.name: parameters.take(
                 f"{entry.label}.{p.name}",
                 f"{entry.label}.{p.name}",
-                values[p.name],
-                values[p.name] if values[p.name] != 0.0 else p.scale,
+                nominal[p.name],
+                p.estimation_scale(machine, nominal[p.name]),
                 p.lower,
                 p.upper,
             )
             for p in definition.parameters
         }
-        effects.append((definition, values, expressions))
+        effects.append((definition, entry.label, nominal, expressions))
 
     def contribute(stage: str) -> None:
-        for definition, _, expressions in effects:
+        for definition, label, nominal, expressions in effects:
             if definition.stage == stage:
-                definition.contribute(axis, expressions)
+                axis.scope = label
+                definition.contribute(axis, expressions, nominal)
 
     contribute("signal")
-    contribute("level")
-    elements = add_friction(
+    declare_elements(
         axis,
         friction.fraction,
         friction.stiffness,
-        friction.coulomb,
         symbols,
-        Smoothing(friction.smoothing.zeta, friction.smoothing.lambda_, friction.smoothing.gamma),
         state_as=noise.state_as,
         state_noise=noise.state,
         initial_state=noise.initial_state,
     )
-    contribute("force")
+    contribute("level")
+    smoothing = Smoothing(friction.smoothing.zeta, friction.smoothing.lambda_, friction.smoothing.gamma)
+    elements = add_friction(axis, friction.fraction, symbols, smoothing)
+    for stage in STAGES[2:]:
+        contribute(stage)
+    rates = [state.rate for state in axis.states if state.rate is not None]
+    if len(rates) != len(axis.states):
+        raise ValueError("an effect declared a state and gave it no rate")
     return Model(
         machine=machine,
-        states=tuple(axis.states),
+        states=tuple(state.spec for state in axis.states),
         parameters=tuple(parameters.free),
-        chi=ca.vertcat(*axis.symbols),
-        x=ca.vertcat(*axis.nodes),
+        chi=ca.vertcat(*(state.chi for state in axis.states)),
+        x=ca.vertcat(*(state.node for state in axis.states)),
         theta=ca.vertcat(*parameters.symbols),
         w=axis.measured,
-        rhs=ca.vertcat(*axis.rates),
-        to_node=ca.vertcat(*axis.to_node),
-        from_node=ca.vertcat(*axis.from_node),
+        rhs=ca.vertcat(*rates),
+        to_node=ca.vertcat(*(state.to_node for state in axis.states)),
+        from_node=ca.vertcat(*(state.from_node for state in axis.states)),
         output=axis.output,
         deflection=elements.deflection,
         level=elements.level,
         rho=elements.rho,
-        names=tuple(axis.names),
+        names=tuple(state.names for state in axis.states),
     )
 
 

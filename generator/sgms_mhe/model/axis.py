@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
+
+SIGNAL_NAMES = ("position", "velocity", "acceleration", "force", "time")
+"""Order of the measured signals w of DESIGN section 1."""
 
 
 @dataclass(frozen=True)
@@ -28,61 +31,89 @@ class StateSpec:
     initial_state: float
 
 
+@dataclass
+class AxisState:
+    """A state under construction: chi, its rate d(chi)/dt [1/s], and the node state that the estimator keeps for it."""
+
+    spec: StateSpec
+    chi: ca.SX
+    node: ca.SX
+    rate: ca.SX | None = None
+    node_scale: ca.SX = field(default_factory=lambda: ca.SX(1.0))
+    names: dict[str, ca.SX] = field(default_factory=dict)
+
+    @property
+    def to_node(self) -> ca.SX:
+        """The node state of (chi, theta)."""
+        return self.node_scale * self.chi
+
+    @property
+    def from_node(self) -> ca.SX:
+        """chi of (node state, theta)."""
+        return self.node / self.node_scale
+
+
 class SymbolicAxis:
     """Signals, levels, forces and states of one axis as CasADi expressions.
 
-    The signals (`position` [m], `velocity` [m/s], `acceleration` [m/s^2], `force` [N], `time` [s]) start as the
-    measured ones and may be replaced by an effect that says what the sensors really see. `coulomb_factor` and
-    `viscous_factor` multiply f_C and sigma_v. Forces add up in the model's output, the friction force u - m a.
+    Attributes:
+        mass: of the machine file [kg].
+        coulomb: nominal f_C [N], the unit of the states that are forces.
+        step: time between samples [s].
+        hold: how long the integrator holds a signal's value, that of the end of each step [s]; 0 where it interpolates.
+        measured: the signals w as the machine logs them; `position` [m], `velocity` [m/s], `acceleration` [m/s^2],
+            `force` [N], `time` [s] start as these, and an effect may replace them by what is really there.
+        velocity_ratio: real over measured velocity.
+        coulomb_factor, viscous_factor: multiply f_C and sigma_v.
+        micro_viscous: damping [N s/m] shared out to the elements by nu_i, on top of their own sigma_i.
+        stribeck_level: s(v) / f_C, which an effect may replace by the level that the elements really have.
+        rest_level: the same at v = 0, 1 + beta.
+        gate_per_velocity: gamma / v_s [s/m], how sharply the law tells directions apart.
+        engagement: share of the velocity that reaches the friction elements.
+        output: what the model predicts, the logged force minus mass * measured acceleration [N].
+        element_force: sum of nu_i chi_i, the elements' force over f_C, from when they are declared.
+        states: elements first.
+        scope: label of the effect that contributes at the moment; its states are named after it.
     """
 
-    def __init__(self, mass: float) -> None:
+    def __init__(self, mass: float, coulomb: float, step: float, hold: float, gate_per_velocity: float) -> None:
+        self.gate_per_velocity = gate_per_velocity
         self.mass = mass
+        self.coulomb = coulomb
+        self.step = step
+        self.hold = hold
         self.measured = ca.SX.sym("w", len(SIGNAL_NAMES))
         self.position, self.velocity, self.acceleration, self.force, self.time = ca.vertsplit(self.measured)
+        self.velocity_ratio: ca.SX = ca.SX(1.0)
         self.coulomb_factor: ca.SX = ca.SX(1.0)
         self.viscous_factor: ca.SX = ca.SX(1.0)
+        self.micro_viscous: ca.SX = ca.SX(0.0)
+        self.engagement: ca.SX = ca.SX(1.0)
+        self.stribeck_level: ca.SX = ca.SX(1.0)
+        self.rest_level: ca.SX = ca.SX(1.0)
+        self.element_force: ca.SX = ca.SX(0.0)
         self.output: ca.SX = ca.SX(0.0)
-        self.states: list[StateSpec] = []
-        self.symbols: list[ca.SX] = []
-        self.rates: list[ca.SX] = []
-        self.to_node: list[ca.SX] = []
-        self.from_node: list[ca.SX] = []
-        self.nodes: list[ca.SX] = []
-        self.names: list[dict[str, ca.SX]] = []
+        self.states: list[AxisState] = []
+        self.scope = ""
+
+    @property
+    def drive(self) -> ca.SX:
+        """The logged force that the model predicts [N]."""
+        return self.output + self.mass * self.measured[2]
+
+    @drive.setter
+    def drive(self, force: ca.SX) -> None:
+        self.output = force - self.mass * self.measured[2]
 
     def add_force(self, force: ca.SX) -> None:
         """Add a force [N] to the friction force that the axis shows."""
         self.output = self.output + force
 
-    def add_state(self, spec: StateSpec) -> ca.SX:
-        """Declare an integration state and return its symbol; `set_rate` must follow, in the same order.
+    def add_state(self, spec: StateSpec) -> AxisState:
+        """Declare an integration state; its rate must be set before the model is complete.
 
-        Its node state is the integration state itself until `set_node_map` says otherwise.
+        Its node state is the integration state itself unless `node_scale` is set.
         """
-        chi = ca.SX.sym(f"chi_{spec.name}")
-        x = ca.SX.sym(f"x_{spec.name}")
-        self.states.append(spec)
-        self.symbols.append(chi)
-        self.nodes.append(x)
-        self.to_node.append(chi)
-        self.from_node.append(x)
-        self.names.append({})
-        return chi
-
-    def name(self, **expressions: ca.SX) -> None:
-        """Name intermediate values of the last declared state's rate; the emitted C uses the names."""
-        self.names[-1].update(expressions)
-
-    def set_rate(self, rate: ca.SX) -> None:
-        """Give d(chi)/dt [1/s] of the state declared last without a rate."""
-        self.rates.append(rate)
-
-    def set_node_map(self, scale: ca.SX) -> None:
-        """Let the node state of the last declared state be `scale` (a function of parameters) times chi."""
-        self.to_node[-1] = scale * self.symbols[-1]
-        self.from_node[-1] = self.nodes[-1] / scale
-
-
-SIGNAL_NAMES = ("position", "velocity", "acceleration", "force", "time")
-"""Order of the measured signals w of DESIGN section 1."""
+        state = AxisState(spec, ca.SX.sym(f"chi_{spec.name}"), ca.SX.sym(f"x_{spec.name}"))
+        self.states.append(state)
+        return state

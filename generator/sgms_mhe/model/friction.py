@@ -41,7 +41,7 @@ class Elements:
     Attributes:
         deflection: z [m] (n_z).
         level: s(v) / f_C times the effects' factors, the level that every element slips at.
-        rho: kappa_i / (nu_i f_C) [1/m] (n_z), the rate of chi_i over v.
+        rho: d(chi_i)/dt of an element that sticks, over the measured velocity [1/m] (n_z): kappa_i / (nu_i f_C).
     """
 
     deflection: ca.SX
@@ -67,48 +67,58 @@ def stribeck_level(velocity: ca.SX, symbols: FrictionSymbols) -> ca.SX:
     return 1.0 + symbols.stribeck_ratio * ca.exp(-ratio * ratio)
 
 
-def add_friction(
+def declare_elements(
     axis: SymbolicAxis,
     fraction: Sequence[float],
     nominal_stiffness: Sequence[float],
-    nominal_coulomb: float,
     symbols: FrictionSymbols,
-    smoothing: Smoothing,
     *,
     state_as: str,
     state_noise: float,
     initial_state: float,
-) -> Elements:
-    """Add the n_z elements and the viscous force to the axis."""
-    v = axis.velocity
-    level = stribeck_level(v, symbols) * axis.coulomb_factor
-    deflections: list[ca.SX] = []
-    rhos: list[ca.SX] = []
+) -> None:
+    """Declare the states of the n_z elements, so that effects may refer to them before their rates are known."""
     for i, nu in enumerate(fraction):
-        kappa = symbols.stiffness[i]
-        chi = axis.add_state(
+        state = axis.add_state(
             StateSpec(
                 name=f"z_{i + 1}",
                 element=i,
-                rate_per_metre=nominal_stiffness[i] / (nu * nominal_coulomb),
+                rate_per_metre=nominal_stiffness[i] / (nu * axis.coulomb),
                 rate_per_second=0.0,
                 noise=state_noise,
                 initial_state=initial_state,
             )
         )
-        rho = kappa / (nu * symbols.coulomb)
+        force_scale = symbols.coulomb / axis.coulomb
+        state.node_scale = (
+            force_scale if state_as == "force" else force_scale * nominal_stiffness[i] / symbols.stiffness[i]
+        )
+        axis.element_force = axis.element_force + nu * state.chi
+    axis.stribeck_level = stribeck_level(axis.velocity, symbols)
+    axis.rest_level = 1.0 + symbols.stribeck_ratio
+
+
+def add_friction(
+    axis: SymbolicAxis, fraction: Sequence[float], symbols: FrictionSymbols, smoothing: Smoothing
+) -> Elements:
+    """Give the declared elements their rates, and add their forces and the viscous force to the axis."""
+    v = axis.engagement * axis.velocity
+    level = axis.stribeck_level * axis.coulomb_factor
+    deflections: list[ca.SX] = []
+    rhos: list[ca.SX] = []
+    for i, nu in enumerate(fraction):
+        state = axis.states[i]
+        chi = state.chi
+        rho = symbols.stiffness[i] / (nu * symbols.coulomb)
         r = chi / level
         slip = window(r, smoothing)
         gate = 0.5 + 0.5 * ca.tanh(smoothing.gamma * (v / symbols.stribeck_velocity) * r)
         eta = slip * gate
         rate = rho * (v - ca.fabs(v) * (eta * r))
-        axis.set_rate(rate)
-        axis.name(r=r, window=slip, gate=gate, eta=eta, speed=ca.fabs(v))
-        force_scale = symbols.coulomb / nominal_coulomb
-        axis.set_node_map(force_scale if state_as == "force" else force_scale * nominal_stiffness[i] / kappa)
-        z = chi / rho
-        deflections.append(z)
-        rhos.append(rho)
-        axis.add_force(nu * symbols.coulomb * chi + symbols.micro_viscous[i] * rate / rho)
+        state.rate = rate
+        state.names.update(r=r, window=slip, gate=gate, eta=eta, speed=ca.fabs(v))
+        deflections.append(chi / rho)
+        rhos.append(rho * axis.velocity_ratio)
+        axis.add_force(nu * symbols.coulomb * chi + (symbols.micro_viscous[i] + nu * axis.micro_viscous) * rate / rho)
     axis.add_force(symbols.viscous * axis.viscous_factor * v)
     return Elements(ca.vertcat(*deflections), level, ca.vertcat(*rhos))

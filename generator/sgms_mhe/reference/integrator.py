@@ -190,10 +190,10 @@ class Integrator:
         # Merged samples make one step with their mean signals, so the displacement stays exact.
         end = w[1:].reshape(-1, merged, w.shape[1]).mean(axis=1)
         start = end
+        # Counts follow |v_k| alone, with linear velocity too.
         speed = np.abs(end[:, 1])
         if settings.velocity == "linear" and merged == 1:
             start = w[:-1]
-            speed = np.maximum(np.abs(start[:, 1]), np.abs(end[:, 1]))
         steps, h_step = samples // merged, h * merged
         least = max(1, settings.substeps // samples)
         substeps = np.empty((len(end), len(self.blocks)), dtype=np.int64)

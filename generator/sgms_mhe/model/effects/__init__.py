@@ -1,13 +1,51 @@
-"""The effects an axis may have beyond S-GMS, one module each."""
+"""The effects an axis may have beyond S-GMS, one module each, and the base parameters that may be wrong."""
 
 from __future__ import annotations
 
 from importlib import import_module
 
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, EffectState
+from sgms_mhe.model.effects.base import BASE_CAUSES, BaseCause, base_cause
+from sgms_mhe.model.effects.definition import (
+    STAGES,
+    EffectDefinition,
+    EffectParameter,
+    EffectState,
+    Search,
+    Start,
+    machine_unit,
+)
+from sgms_mhe.model.effects.excitation import Excitation, Measure, Need, measures
 
-EFFECT_NAMES: tuple[str, ...] = ("constant_offset", "force_ripple")
-"""Names of DESIGN section 7 that are implemented; each is the module of the same name in this package."""
+EFFECT_NAMES: tuple[str, ...] = (
+    "force_ripple",
+    "force_constant_ripple",
+    "constant_offset",
+    "position_spring",
+    "hose_hysteresis",
+    "asymmetric_coulomb",
+    "asymmetric_viscous",
+    "position_dependent_friction",
+    "friction_drift",
+    "viscous_drift",
+    "mass_mismatch",
+    "force_gain",
+    "force_delay",
+    "actuator_lag",
+    "quadratic_drag",
+    "eddy_current_damping",
+    "encoder_periodic_error",
+    "structural_resonance",
+    "periodic_disturbance",
+    "step_disturbance",
+    "backlash",
+    "frictional_lag",
+    "dwell_dependence",
+    "micro_viscous",
+)
+"""Names of shared DESIGN section 7; each is the module of the same name in this package."""
+
+CAUSE_NAMES: tuple[str, ...] = (*EFFECT_NAMES, *BASE_CAUSES)
+"""Everything that a diagnosis may name: effects, then wrong numbers of the base model."""
 
 
 def effect_definition(name: str) -> EffectDefinition:
@@ -24,4 +62,35 @@ def effect_definition(name: str) -> EffectDefinition:
     return definition
 
 
-__all__ = ["EFFECT_NAMES", "EffectDefinition", "EffectParameter", "EffectState", "effect_definition"]
+def cause(name: str) -> EffectDefinition | BaseCause:
+    """The description of an effect or of a wrong number; both have name, summary, excitation, confused_with, start."""
+    return base_cause(name) if name in BASE_CAUSES else effect_definition(name)
+
+
+def separating_moves(first: str, second: str) -> tuple[str, ...]:
+    """The moves that tell two causes apart, as either of them states it; empty where neither names the other."""
+    found = (cause(a).confused_with.get(b) for a, b in ((first, second), (second, first)))
+    return tuple(dict.fromkeys(move for move in found if move is not None))
+
+
+__all__ = [
+    "BASE_CAUSES",
+    "CAUSE_NAMES",
+    "EFFECT_NAMES",
+    "STAGES",
+    "BaseCause",
+    "EffectDefinition",
+    "EffectParameter",
+    "EffectState",
+    "Excitation",
+    "Measure",
+    "Need",
+    "Search",
+    "Start",
+    "base_cause",
+    "cause",
+    "effect_definition",
+    "machine_unit",
+    "measures",
+    "separating_moves",
+]

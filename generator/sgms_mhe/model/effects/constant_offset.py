@@ -7,16 +7,28 @@ from collections.abc import Mapping
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start
+from sgms_mhe.model.effects.excitation import Excitation, Need
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX]) -> None:
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
     axis.add_force(p["force_N"])
 
 
 DEFINITION = EffectDefinition(
     name="constant_offset",
     summary="constant force, independent of motion",
-    parameters=(EffectParameter("force_N", default=0.0, scale=0.1, description="force opposing positive drive force"),),
+    parameters=(EffectParameter("force_N", 0.0, 0.1, "force opposing positive drive force", unit="coulomb"),),
     contribute=_contribute,
+    excitation=Excitation(
+        "sliding in both directions, and reversals: below break-away only an offset is left",
+        (Need("both_directions", 0.1), Need("reversals", 2.0)),
+    ),
+    confused_with={
+        "asymmetric_coulomb": "loops below break-away: an offset shifts them, an asymmetric level does not",
+        "position_spring": "the same move at two ends of the travel",
+        "step_disturbance": "the same move at the beginning and at the end of the log",
+        "coulomb": "move in both directions: an offset does not change sign",
+    },
+    start=Start(note="linear"),
 )

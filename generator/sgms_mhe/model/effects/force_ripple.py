@@ -2,26 +2,38 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start, pitch_search, sine
+from sgms_mhe.model.effects.excitation import Excitation, Need
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX]) -> None:
-    axis.add_force(p["amplitude_N"] * ca.sin(2.0 * math.pi / p["pitch_m"] * axis.position + p["phase_rad"]))
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+    axis.add_force(p["amplitude_N"] * sine(axis.position, p["pitch_m"], p["phase_rad"]))
 
 
 DEFINITION = EffectDefinition(
     name="force_ripple",
     summary="force periodic in position",
     parameters=(
-        EffectParameter("amplitude_N", default=0.0, scale=0.1, description="amplitude of the sine"),
-        EffectParameter("pitch_m", default=0.032, scale=0.001, description="period in position", lower=1e-6),
-        EffectParameter("phase_rad", default=0.0, scale=0.1, description="phase at position zero"),
+        EffectParameter("amplitude_N", 0.0, 0.1, "amplitude of the sine", unit="coulomb"),
+        EffectParameter("pitch_m", 0.032, 0.001, "period in position", lower=1e-7, role="period"),
+        EffectParameter("phase_rad", 0.0, 0.1, "phase at position zero", role="place"),
     ),
     contribute=_contribute,
+    excitation=Excitation(
+        "travel over at least one and a half pitches, so slow that samples resolve the pitch",
+        (Need("travel_m", 1.5, times="pitch_m"), Need("moving_s", 0.3)),
+    ),
+    confused_with={
+        "force_constant_ripple": "the same stroke with another acceleration: a ripple of the force constant grows with force",
+        "position_dependent_friction": "the same stroke in both directions: friction changes sign, cogging does not",
+        "periodic_disturbance": "the same stroke at another speed: the pattern stays in place or stays in time",
+        "encoder_periodic_error": "the same stroke at twice the speed: an encoder's error makes forces that grow with speed squared",
+        "position_spring": "travel over several pitches",
+    },
+    start=Start(values={"amplitude_N": 0.5}, searches=(pitch_search("amplitude_N"),)),
 )

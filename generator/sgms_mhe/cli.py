@@ -1,0 +1,109 @@
+"""Command line `sgms-mhe`: the table of commands, exit codes, and what an error or an interrupt looks like.
+
+Results go to stdout, messages and progress to stderr. Exit codes: 0 done, 1 done and the answer is no, 2 bad input, 130
+and 143 interrupted. Every command is a module of its own in `commands`, imported when it is asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any, Final, NoReturn
+
+import click
+
+from sgms_mhe import __version__
+from sgms_mhe.errors import BuildError, InputError
+
+COMMANDS: Final = {
+    "generate": "generate",
+    "simulate": "simulate",
+    "predict": "predict",
+    "estimate": "estimate",
+    "compare": "compare",
+    "experiment": "experiment",
+    "bench": "bench",
+    "check": "check",
+    "schema": "schema",
+}
+"""Commands by name and the module of `sgms_mhe.commands` whose `command` each is, in the order of --help."""
+
+INTERRUPTED: Final = 128 + signal.SIGINT
+TERMINATED: Final = 128 + signal.SIGTERM
+PIPE_CLOSED: Final = 128 + signal.SIGPIPE
+
+
+class BadInput(click.ClickException):
+    """What a user can put right: exit code 2."""
+
+    exit_code = 2
+
+
+class Commands(click.Group):
+    """The group of commands: imports each when it is named, and turns errors into messages and exit codes."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in the order of a user's work."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a command's module."""
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"sgms_mhe.commands.{COMMANDS[cmd_name]}")
+        command: click.Command = module.command
+        return command
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command that the arguments name."""
+        with _outcomes(ctx):
+            result = super().invoke(ctx)
+            sys.stdout.flush()  # here, where a closed pipe can still be told from success
+            return result
+
+
+@contextmanager
+def _outcomes(ctx: click.Context) -> Iterator[None]:
+    try:
+        yield
+    except (InputError, BuildError) as error:
+        raise BadInput(str(error)) from None
+    except KeyboardInterrupt as interrupt:
+        click.echo("Interrupted: nothing was left half-written.", err=True)
+        ctx.exit(TERMINATED if interrupt.args == (signal.SIGTERM,) else INTERRUPTED)
+    except BrokenPipeError:
+        # Whoever read the output has enough. What is still buffered must not fail again when the interpreter ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        ctx.exit(PIPE_CLOSED)
+
+
+@click.group(
+    cls=Commands,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="\b\nExample:\n  sgms-mhe simulate etel_xy --out axis.csv\n  sgms-mhe estimate etel_xy axis.csv --out est.csv",
+)
+@click.version_option(__version__, prog_name="sgms-mhe")
+def cli() -> None:
+    """Friction observers for motion control: from a machine file to embedded C, and its trials on a host.
+
+    MACHINE is a machine file (TOML), or the name of one in machines/. LOG is a measured or simulated log with the columns
+    time_s, position_m, force_N (CSV, NPZ or MAT v5).
+
+    Exit codes: 0 done, 1 done and the answer is no, 2 bad input.
+    """
+
+
+def _terminate(number: int, frame: FrameType | None) -> NoReturn:
+    # As an interrupt, so that files under way are taken back.
+    raise KeyboardInterrupt(signal.SIGTERM)
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    signal.signal(signal.SIGTERM, _terminate)
+    cli(prog_name="sgms-mhe")

@@ -1,0 +1,95 @@
+"""`sgms-mhe check`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sgms_mhe.commands.common import example, json_option, json_text, machine_argument, progress_bar, show, table_text
+
+if TYPE_CHECKING:
+    from sgms_mhe.emission.package import Package
+    from sgms_mhe.machine import Machine
+
+
+@click.command(epilog=example("check machines/etel_xy.toml"))
+@machine_argument
+@json_option
+def command(machine: str, as_json: bool) -> None:
+    """Check MACHINE and print it with everything resolved: `extends`, defaults, what follows from them.
+
+    A machine that passes can be generated.
+    """
+    from sgms_mhe.machine import load_machine
+
+    resolved = load_machine(machine)
+
+    from sgms_mhe.emission.package import emit_package
+
+    with progress_bar(f"check {resolved.name}"):
+        package = emit_package(resolved)  # what cannot be emitted is refused here
+    show(json_text(_content(resolved)) if as_json else _text(resolved, package))
+
+
+def _content(machine: Machine) -> dict[str, Any]:
+    return {
+        "source": str(machine.source),
+        "digest": machine.digest,
+        "machine": machine.model_dump(mode="json", by_alias=True),
+    }
+
+
+def _text(machine: Machine, package: Package) -> str:
+    from sgms_mhe.kinematics import settle_samples
+    from sgms_mhe.model import build_model
+
+    friction, sampling, estimator = machine.friction, machine.sampling, machine.estimator
+    integrator, noise, smoothing = sampling.integrator, estimator.noise, machine.friction.smoothing
+    elements = [
+        (f"{i}", f"{kappa:g}", f"{nu:g}", f"{sigma:g}", f"{1e6 * nu * friction.coulomb / kappa:.4g}")
+        for i, (kappa, nu, sigma) in enumerate(
+            zip(friction.stiffness, friction.fraction, friction.micro_viscous, strict=True), start=1
+        )
+    ]
+    parameters = [
+        (p.column, f"{p.nominal:g}", f"{noise.parameter * abs(p.scale):g}", f"{_si(p, p.lower):g}", f"{_si(p, p.upper):g}")
+        for p in build_model(machine).parameters
+    ]
+    interval = f"{sampling.samples_per_update} samples ({1e3 / sampling.update_rate:g} ms)"
+    horizon = f", horizon {estimator.horizon} intervals" if estimator.kind == "mhe" else ""
+    lines = [
+        f"{machine.name}: {machine.description}" if machine.description else machine.name,
+        f"  file        {machine.source}",
+        f"  digest      {machine.digest[:12]}",
+        f"  plant       mass {machine.plant.mass:g} kg",
+        f"  friction    coulomb {friction.coulomb:g} N, viscous {friction.viscous:g} N s/m, stribeck ratio "
+        f"{friction.stribeck_ratio:g} at {friction.stribeck_velocity:g} m/s, smoothing zeta {smoothing.zeta:g}, "
+        f"lambda {smoothing.lambda_:g}, gamma {smoothing.gamma:g}",
+        _indented(table_text(("element", "N/m", "fraction", "N s/m", "deflection um"), elements)),
+        f"  sampling    {sampling.rate:g} Hz, low-pass {sampling.velocity_cutoff:g} Hz "
+        f"(settles in {settle_samples(machine)} samples), up to {sampling.max_velocity:g} m/s",
+        f"  integrator  {integrator.scheme}, {integrator.substeps} steps per interval of {interval}, "
+        f"velocity {integrator.velocity}, at most {integrator.displacement:g} deflection scales per substep",
+        f"  estimator   {estimator.kind}{horizon}, arrival cost {estimator.arrival_cost.update}",
+        f"  noise       measurement {noise.measurement:g} N, state {noise.state:g} (as {noise.state_as}), "
+        f"first state {noise.initial_state:g}, parameter {noise.parameter:g}, drift {noise.parameter_drift:g} per update",
+        _indented(table_text(("parameter", "nominal", "prior std", "lower", "upper"), parameters)),
+    ]
+    for effect in machine.effects:
+        numbers = ", ".join(f"{key} {value:g}" for key, value in effect.parameters.items())
+        lines.append(f"  effect      {effect.label}: {numbers}")
+    if machine.log is not None:
+        sources = machine.log.model_dump(exclude_none=True)
+        lines.append("  log         " + ", ".join(f"{name} from {source['variable']}" for name, source in sources.items()))
+    size = sum(len(text.encode()) for text in package.files.values())
+    lines.append(f"  package     {len(package.files)} files, {size} bytes, {machine.code.precision} precision")
+    return "\n".join(lines)
+
+
+def _si(parameter: Any, theta: float) -> float:
+    return float(parameter.nominal + parameter.scale * (theta - 1.0))
+
+
+def _indented(text: str) -> str:
+    return "\n".join(f"    {line}" for line in text.splitlines())

@@ -1,0 +1,147 @@
+"""What commands share: arguments, checks of outputs before the work, progress, and how results are printed."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from sgms_mhe.errors import InputError
+
+Progress = Callable[[int, int], None]
+"""Called with (steps done, steps in all)."""
+
+F = TypeVar("F", bound=Callable[..., object])
+
+machine_argument = click.argument("machine")
+log_argument = click.argument("log", type=click.Path(path_type=Path))
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+
+
+def out_option(meaning: str, *, metavar: str = "FILE", required: bool = True) -> Callable[[F], F]:
+    """The option --out."""
+    return click.option(
+        "--out", type=click.Path(path_type=Path), metavar=metavar, required=required, help=meaning, show_default=False
+    )
+
+
+def example(*lines: str) -> str:
+    """Epilog of a command's help."""
+    return "\b\nExample:\n" + "\n".join(f"  sgms-mhe {line}" for line in lines)
+
+
+# --- outputs, checked before the work that they are to receive -------------------------------------------------------
+
+
+def check_output_file(path: Path, suffixes: Sequence[str] = ()) -> None:
+    """Refuse an output file that could not be written at the end: its folder must exist and take a file.
+
+    Raises:
+        InputError: names the path and what is allowed.
+    """
+    if path.is_dir():
+        raise InputError(path, "output file", None, "a file; this is a folder")
+    if is_stream(path):
+        return
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise InputError(path, "output file", path.name, f"a name that ends in {' or '.join(suffixes)}")
+    folder = path.resolve().parent
+    if not folder.is_dir():
+        raise InputError(path, "output file", None, f"a file in a folder that exists; {folder} does not")
+    _try_folder(path, folder, "output file")
+
+
+def check_output_folder(path: Path) -> None:
+    """Refuse an output folder that cannot be made or written to. Makes nothing itself.
+
+    Raises:
+        InputError: names the path and what is allowed.
+    """
+    folder = path.resolve()
+    while not folder.exists():
+        folder = folder.parent
+    if not folder.is_dir():
+        raise InputError(path, "output folder", None, f"a folder; {folder} is a file")
+    _try_folder(path, folder, "output folder")
+
+
+def _try_folder(path: Path, folder: Path, where: str) -> None:
+    # Permissions do not say it all (read-only file systems, the superuser): a nameless file does.
+    try:
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise InputError(path, where, None, f"a place that can be written ({error.strerror}: {folder})") from None
+
+
+def is_stream(path: Path) -> bool:
+    """Whether a path is something that is written as it goes: a pipe, a terminal, /dev/stdout."""
+    return path.exists() and not path.is_file() and not path.is_dir()
+
+
+def make_folder(path: Path) -> None:
+    """Make an output folder and those above it."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(path, "output folder", None, f"a folder that can be made ({error.strerror})") from None
+
+
+# --- results and messages --------------------------------------------------------------------------------------------
+
+
+def show(text: str, *outputs: Path) -> None:
+    """Print a result on stdout, or on stderr where one of the command's output files is a stream already."""
+    click.echo(text, err=any(is_stream(path) for path in outputs))
+
+
+def note(text: str) -> None:
+    """Print a message on stderr."""
+    click.echo(text, err=True)
+
+
+def json_text(content: Any) -> str:
+    """JSON with every number that is not finite as null."""
+    return json.dumps(_finite(content), indent=2, allow_nan=False)
+
+
+def _finite(content: Any) -> Any:
+    if isinstance(content, Mapping):
+        return {key: _finite(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_finite(value) for value in content]
+    return None if isinstance(content, float) and not math.isfinite(content) else content
+
+
+def table_text(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Aligned columns, the first to the left, the others to the right."""
+    lines = [header, *rows]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
+
+    def row(line: Sequence[str]) -> str:
+        cells = [cell.ljust(widths[k]) if k == 0 else cell.rjust(widths[k]) for k, cell in enumerate(line)]
+        return "  ".join(cells).rstrip()
+
+    return "\n".join(map(row, lines))
+
+
+@contextmanager
+def progress_bar(label: str) -> Iterator[Progress]:
+    """A bar on stderr where that is a terminal; yields what reports (steps done, steps in all) to it."""
+    # Even where nothing is shown, work that reports returns to the interpreter and can be interrupted.
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=max(total, 1))

@@ -1,0 +1,90 @@
+"""`sgms-mhe compare`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sgms_mhe.commands.common import (
+    example,
+    json_option,
+    json_text,
+    log_argument,
+    machine_argument,
+    progress_bar,
+    show,
+    table_text,
+)
+from sgms_mhe.commands.estimate import check_length
+
+if TYPE_CHECKING:
+    from sgms_mhe.comparison import Comparison
+
+
+@click.command(epilog=example("compare etel_xy axis.csv"))
+@machine_argument
+@log_argument
+@json_option
+def command(machine: str, log: Path, as_json: bool) -> None:
+    """Run the generated C and the reference solver on the same signals and compare them, update by update.
+
+    Differences are relative: of friction and deflections to their range, of parameters and standard deviations to the
+    reference's value. Double precision may differ by 1e-8 throughout. Single precision may differ by 1e-4 of the friction's
+    range, 1e-3 of the deflections', 1e-3 of each parameter and 1e-2 of its standard deviation at the updates where it is
+    excited (standard deviation below 90 % of the prior's). The status is to be the same but for flags whose number lies on
+    its limit.
+
+    Exit code 1 where the two are further apart.
+    """
+    from sgms_mhe.machine import load_machine
+
+    resolved = load_machine(machine)
+
+    from sgms_mhe.comparison import compare_signals
+    from sgms_mhe.kinematics import signals_from_log
+    from sgms_mhe.logs import read_log
+
+    recorded = read_log(log, resolved)
+    check_length(recorded, resolved)
+    with progress_bar(f"compare {resolved.name}") as progress:
+        comparison = compare_signals(resolved, signals_from_log(recorded, resolved), progress=progress)
+    show(json_text(_content(comparison)) if as_json else _text(comparison))
+    if not comparison.agrees:
+        click.get_current_context().exit(1)
+
+
+def _content(comparison: Comparison) -> dict[str, Any]:
+    content = {"agrees": comparison.agrees} | asdict(comparison)
+    for entry, quantity in zip(content["quantities"], comparison.quantities, strict=True):
+        entry["agrees"] = quantity.agrees
+    content["bounds_active"] = dict(zip(("c", "reference"), comparison.bounds_active, strict=True))
+    return content
+
+
+def _text(comparison: Comparison) -> str:
+    rows = [
+        (
+            quantity.name,
+            f"{quantity.difference:.2e}",
+            f"{quantity.relative:.2e}",
+            f"{quantity.tolerance:.0e}",
+            str(quantity.updates),
+            "" if quantity.agrees else "beyond",
+        )
+        for quantity in comparison.quantities
+    ]
+    verdict = "agree" if comparison.agrees else "are further apart than they may be"
+    return "\n".join(
+        [
+            f"{comparison.machine}, {comparison.precision} precision: generated C against reference, "
+            f"{comparison.updates} updates",
+            table_text(("largest difference", "absolute", "relative", "allowed", "updates", ""), rows),
+            f"status differs at {comparison.status_mismatches} updates, and at {comparison.status_undecided} where a number "
+            "lies on its limit",
+            f"a bound is active at {comparison.bounds_active[0]} updates (C) and {comparison.bounds_active[1]} (reference)",
+            f"generated C and reference {verdict}",
+        ]
+    )

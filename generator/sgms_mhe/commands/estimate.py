@@ -1,0 +1,174 @@
+"""`sgms-mhe estimate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import click
+
+from sgms_mhe.commands.common import (
+    Progress,
+    check_output_file,
+    check_output_folder,
+    example,
+    json_option,
+    json_text,
+    log_argument,
+    machine_argument,
+    make_folder,
+    note,
+    out_option,
+    progress_bar,
+    show,
+    table_text,
+)
+from sgms_mhe.errors import InputError
+
+if TYPE_CHECKING:
+    from sgms_mhe.estimates import Estimates
+    from sgms_mhe.logs import Log
+    from sgms_mhe.machine import Machine
+
+Solver = Literal["c", "reference", "ekf", "smoother"]
+SOLVERS: Final = ("c", "reference", "ekf", "smoother")
+
+
+@click.command(
+    epilog=example(
+        "estimate etel_xy axis.csv --out estimates.csv",
+        "estimate machines/emps.toml DATA_EMPS.mat --out estimates.csv --plot figures",
+    )
+)
+@machine_argument
+@log_argument
+@out_option("CSV to write: one row per update.")
+@click.option(
+    "--solver",
+    type=click.Choice(SOLVERS),
+    default="c",
+    show_default=True,
+    help="c: the generated C; reference: the Python solver that it is judged by; ekf: the generated C of an extended Kalman "
+    "filter; smoother: least squares over the whole record.",
+)
+@click.option("--plot", type=click.Path(path_type=Path), metavar="DIR", help="Also draw friction.png and parameters.png.")
+@json_option
+def command(machine: str, log: Path, out: Path, solver: Solver, plot: Path | None, as_json: bool) -> None:
+    """Estimate friction and parameters from LOG as the controller would, one row per update.
+
+    The generated C takes position and force through its own signal chain; a log that brings velocity_m_s,
+    acceleration_m_s2 or friction_N goes through the Python one, which uses those columns.
+    """
+    from sgms_mhe.machine import load_machine
+
+    resolved = load_machine(machine)
+    check_output_file(out)
+    if plot is not None:
+        check_output_folder(plot)
+
+    from sgms_mhe.estimates import write_estimates
+    from sgms_mhe.logs import read_log
+
+    recorded = read_log(log, resolved)
+    check_length(recorded, resolved)
+    with progress_bar(f"estimate {resolved.name}") as progress:
+        estimates = run_solver(resolved, recorded, solver, progress)
+    write_estimates(out, estimates)
+    if plot is not None:
+        _draw(resolved, estimates, plot)
+    summary = summarise(resolved, estimates, solver)
+    show(json_text(summary) if as_json else summary_text(summary), out)
+
+
+def check_length(log: Log, machine: Machine) -> None:
+    """Refuse a log that ends before the first update.
+
+    Raises:
+        InputError: names the log, its rows and how many it takes.
+    """
+    least = machine.sampling.samples_per_update + 1
+    if len(log) < least:
+        raise InputError(log.source, "rows", len(log), f"at least {least}, what one update of {machine.name} takes")
+
+
+def run_solver(machine: Machine, log: Log, solver: Solver, progress: Progress) -> Estimates:
+    """Estimate from a log with the solver named."""
+    from sgms_mhe.kinematics import signals_from_log
+    from sgms_mhe.machine import override_machine
+
+    if solver in ("c", "ekf"):
+        from sgms_mhe.compiled import CompiledEstimator
+
+        chosen = override_machine(machine, {"estimator": {"kind": "ekf"}}) if solver == "ekf" else machine
+        estimator = CompiledEstimator(chosen)
+        if any(column is not None for column in (log.velocity_m_s, log.acceleration_m_s2, log.friction_N)):
+            return estimator.estimate(signals_from_log(log, machine), progress=progress)
+        return estimator.estimate_log(log, mode="tick", progress=progress)
+
+    from sgms_mhe.reference import estimate_reference
+
+    kind = "smoother" if solver == "smoother" else None
+    return estimate_reference(machine, signals_from_log(log, machine), kind, progress=progress)
+
+
+def summarise(machine: Machine, estimates: Estimates, solver: Solver) -> dict[str, Any]:
+    """What --json prints: residual over the updates with a measurement, parameters at the end, status counts."""
+    import numpy as np
+
+    from sgms_mhe.model import build_model
+    from sgms_mhe.status import flagged, measured
+
+    counted = measured(estimates.status)
+    residual = (estimates.friction_measured_N - estimates.friction_N)[counted]
+    nominal = [parameter.nominal for parameter in build_model(machine).parameters]
+    columns = (nominal, estimates.parameters[-1], estimates.std[-1])
+    return {
+        "machine": machine.name,
+        "solver": solver,
+        "updates": len(estimates),
+        "measured": int(np.count_nonzero(counted)),
+        "start_s": float(estimates.time_s[0]),
+        "end_s": float(estimates.time_s[-1]),
+        "residual_rms_N": float(np.sqrt(np.mean(residual**2))) if len(residual) else None,
+        "parameters": {
+            name: {"nominal": float(p), "estimate": float(value), "std": float(std)}
+            for name, p, value, std in zip(estimates.parameter_names, *columns, strict=True)
+        },
+        "status": {"good": int(np.count_nonzero(estimates.status == 0))}
+        | {name: int(np.count_nonzero(mask)) for name, mask in flagged(estimates.status).items()},
+    }
+
+
+def summary_text(summary: dict[str, Any]) -> str:
+    """The summary for people."""
+    rms = summary["residual_rms_N"]
+    residual = "no update had a measurement" if rms is None else f"measured minus estimated friction {rms:.4g} N rms"
+    rows = [
+        (name, f"{p['nominal']:.6g}", f"{p['estimate']:.6g}", f"{p['std']:.2g}", f"{p['estimate'] / p['nominal']:.4f}")
+        if p["nominal"]
+        else (name, "0", f"{p['estimate']:.6g}", f"{p['std']:.2g}", "")
+        for name, p in summary["parameters"].items()
+    ]
+    counts = ", ".join(f"{count} {name}" for name, count in summary["status"].items() if count)
+    return "\n".join(
+        [
+            f"{summary['machine']}, solver {summary['solver']}: {summary['updates']} updates from "
+            f"{summary['start_s']:g} to {summary['end_s']:g} s, {summary['measured']} with a measurement; {residual}",
+            table_text(("parameter at the end", "nominal", "estimate", "std", "ratio"), rows),
+            f"updates: {counts}",
+        ]
+    )
+
+
+def _draw(machine: Machine, estimates: Estimates, folder: Path) -> None:
+    from sgms_mhe.model import build_model
+    from sgms_mhe.plots import friction_figure, parameter_figure, save_figure
+
+    make_folder(folder)
+    figures = {
+        "friction.png": friction_figure(estimates, machine.name),
+        "parameters.png": parameter_figure(estimates, build_model(machine).parameters, machine.name),
+    }
+    for name, figure in figures.items():
+        save_figure(folder / name, figure)
+        note(f"drawn: {folder / name}")

@@ -1,0 +1,47 @@
+"""`sgms-mhe generate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from sgms_mhe.commands.common import (
+    check_output_folder,
+    example,
+    json_option,
+    json_text,
+    machine_argument,
+    out_option,
+    progress_bar,
+    show,
+    table_text,
+)
+
+
+@click.command(epilog=example("generate etel_xy", "generate machines/etel_xy.toml --out firmware/etel_xy"))
+@machine_argument
+@out_option("The package's folder; default generated/NAME below the working directory.", metavar="DIR", required=False)
+@json_option
+def command(machine: str, out: Path | None, as_json: bool) -> None:
+    """Emit MACHINE's estimator as a folder of C99 that needs no library.
+
+    The folder is replaced as a whole, and only if nothing but an earlier package is in it.
+    """
+    from sgms_mhe.machine import load_machine
+
+    resolved = load_machine(machine)
+    folder = out or Path("generated") / resolved.name
+    check_output_folder(folder)
+
+    from sgms_mhe.emission.package import emit_package, write_package
+
+    with progress_bar(f"generate {resolved.name}"):
+        package = emit_package(resolved)
+        write_package(package, folder)
+    sizes = {name: len(text.encode()) for name, text in package.files.items()}
+    if as_json:
+        show(json_text({"machine": resolved.name, "digest": resolved.digest, "folder": str(folder), "files": sizes}))
+        return
+    rows = [(str(folder / name), f"{size} bytes") for name, size in sizes.items()]
+    show(table_text(("file", "size"), [*rows, ("total", f"{sum(sizes.values())} bytes")]))

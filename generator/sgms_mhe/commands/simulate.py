@@ -1,0 +1,108 @@
+"""`sgms-mhe simulate`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+
+from sgms_mhe.commands.common import (
+    check_output_file,
+    example,
+    machine_argument,
+    out_option,
+    progress_bar,
+    show,
+)
+
+if TYPE_CHECKING:
+    from sgms_mhe.logs import Log
+
+
+def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:
+    """The option --scale: name and finite factor of each `name=factor`."""
+    scales: dict[str, float] = {}
+    for text in texts:
+        name, _, number = text.partition("=")
+        try:
+            factor = float(number)
+        except ValueError:
+            factor = math.nan
+        if not (name.strip() and math.isfinite(factor)):
+            raise click.BadParameter(f"{text!r} is not NAME=FACTOR with a finite number, as in stiffness=1.2", ctx, param)
+        scales[name.strip()] = scales.get(name.strip(), 1.0) * factor
+    return scales
+
+
+@click.command(
+    epilog=example(
+        "simulate etel_xy --out axis.csv",
+        "simulate etel_xy --out axis.npz --trajectory mixed --duration 60 --scale stiffness_1=1.2",
+    )
+)
+@machine_argument
+@out_option("The log to write: .csv or .npz.")
+@click.option("--trajectory", metavar="NAME", default="paper", show_default=True, help="Reference motion.")
+@click.option("--duration", type=float, metavar="S", help="Repeat or cut the motion to this long; default once.")
+@click.option("--seed", type=int, metavar="N", default=0, show_default=True, help="Seed of the noise.")
+@click.option(
+    "--law",
+    type=click.Choice(["sgms", "maxwell_slip"]),
+    default="sgms",
+    show_default=True,
+    help="Friction law of the plant; maxwell_slip switches instead of smoothing.",
+)
+@click.option("--force-noise", type=float, metavar="N", default=0.1, show_default=True, help="1 sigma [N].")
+@click.option("--encoder-resolution", type=float, metavar="M", default=1e-9, show_default=True, help="Step [m].")
+@click.option(
+    "--scale",
+    "scales",
+    metavar="NAME=FACTOR",
+    callback=_scales,
+    multiple=True,
+    help="True over nominal value of a parameter (mass, stiffness, stiffness_1, coulomb, effect.parameter, ...). Repeatable.",
+)
+def command(
+    machine: str,
+    out: Path,
+    trajectory: str,
+    duration: float | None,
+    seed: int,
+    law: Literal["sgms", "maxwell_slip"],
+    force_noise: float,
+    encoder_resolution: float,
+    scales: dict[str, float],
+) -> None:
+    """Move a simulated axis in closed position loop and log position and drive force.
+
+    The plant is integrated apart from the model that estimators are generated from.
+    """
+    from sgms_mhe.machine import load_machine
+
+    resolved = load_machine(machine)
+    check_output_file(out, (".csv", ".npz"))
+
+    from sgms_mhe.logs import write_log
+    from sgms_mhe.simulation import AxisConfig, simulate_axis
+    from sgms_mhe.trajectories import make_trajectory
+
+    sampling = resolved.sampling
+    reference = make_trajectory(trajectory, sampling.rate, duration_s=duration, max_velocity=sampling.max_velocity)
+    config = AxisConfig(law=law, force_noise_N=force_noise, encoder_resolution_m=encoder_resolution, seed=seed)
+    with progress_bar(f"simulate {resolved.name}"):
+        run = simulate_axis(resolved, reference, config, scale=scales, truth=False)
+    write_log(out, run.log)
+    show(f"{out}: {describe(run.log)}", out)
+
+
+def describe(log: Log) -> str:
+    """One line about a log."""
+    import numpy as np
+
+    position, force = log.position_m[np.isfinite(log.position_m)], log.force_N[np.isfinite(log.force_N)]
+    return (
+        f"{len(log)} samples at {log.rate:g} Hz ({len(log) / log.rate:g} s), "
+        f"position {position.min():.6g} to {position.max():.6g} m, force {force.min():.6g} to {force.max():.6g} N"
+    )

@@ -1,0 +1,27 @@
+"""From a measured log and a machine file to a named cause, an extended machine file and a measured gain."""
+
+from __future__ import annotations
+
+from sgms_mhe.diagnosis.result import (
+    Alternative,
+    BaseParameter,
+    Cause,
+    Diagnosis,
+    Rms,
+    Score,
+    Structure,
+    Traces,
+    write_diagnosis,
+)
+
+__all__ = [
+    "Alternative",
+    "BaseParameter",
+    "Cause",
+    "Diagnosis",
+    "Rms",
+    "Score",
+    "Structure",
+    "Traces",
+    "write_diagnosis",
+]

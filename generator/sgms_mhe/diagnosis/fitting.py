@@ -1,0 +1,482 @@
+"""Models fitted to a recording: compiled code along the motion, damped Gauss-Newton, block-wise evidence."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.compiled import CompiledModel
+from sgms_mhe.diagnosis.residuals import Recording
+from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.model.effects import effect_definition
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memory of derivatives
+ITERATIONS: Final = 12
+BASE_PRIOR: Final = 1.0  # relative; holds what the record does not excite
+FROZEN: Final[Mapping[str, tuple[str, ...]]] = {"step_disturbance": ("time_s",)}
+"""Parameters in which the force jumps: their search ends on the grid, not in a refit."""
+
+BASE_GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
+    "stiffness": ("stiffness",),
+    "coulomb": ("coulomb",),
+    "viscous": ("viscous",),
+    "stribeck": ("stribeck_ratio", "stribeck_velocity"),
+}
+"""Wrong numbers of the base model that can be named, and the parameters that each of them means."""
+
+
+@dataclass(frozen=True)
+class Extra:
+    """An effect under test and where its fit starts."""
+
+    name: str
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One free parameter of the compiled model.
+
+    Attributes:
+        group: what it belongs to: a base group, `machine:<label>` of an effect that the machine has, or `+<index>` of an
+            effect under test.
+        effect: name of the effect, empty for the base model's.
+        name: in SI results (`stiffness_1`, `coulomb`, `amplitude_N`).
+        nominal, scale: p = nominal + scale (theta - 1).
+        machine_theta: value that the machine file states (an effect under test: 1).
+        lower, upper: of theta.
+        frozen: not fitted.
+    """
+
+    group: str
+    effect: str
+    name: str
+    nominal: float
+    scale: float
+    machine_theta: float
+    lower: float
+    upper: float
+    frozen: bool
+
+    def si(self, theta: float) -> float:
+        """Value in SI units."""
+        return self.nominal + self.scale * (theta - 1.0)
+
+    def theta(self, si: float) -> float:
+        """Scaled value."""
+        return (si - self.nominal) / self.scale + 1.0
+
+
+class CompiledFit(CompiledModel):
+    """The emitted model along a recording, in pieces of bounded memory, reduced to the fit's rate."""
+
+    def __init__(self, machine: Machine, columns: tuple[Column, ...]) -> None:
+        super().__init__(machine)
+        self.columns = columns
+
+    def run(self, recording: Recording, theta: Array, *, derivatives: bool = True) -> tuple[Array, Array | None]:
+        """Friction (m) [N] and its derivatives in theta (m, n_p)."""
+        signals, factor = recording.signals, recording.factor
+        n, n_x, n_p = len(signals), self.model.n_x, self.model.n_p
+        m = len(recording.time)
+        state, sensitivity = np.zeros(n_x), np.zeros((n_x, n_p))
+        values = np.ascontiguousarray(theta, dtype=np.float64)
+        force, slopes = np.empty(m), np.empty((m, n_p)) if derivatives else None
+        rows = max(1, CHUNK // factor)
+        step = self.machine.sampling.step
+        for first in range(0, m, rows):
+            last = min(m, first + rows)
+            start, end = first * factor, min(n, last * factor)
+            back = min(start, 1)  # the piece begins with the sample that its state belongs to
+            part = slice(start - back, end)
+            w = np.column_stack(
+                [
+                    signals.position[part],
+                    signals.velocity[part],
+                    signals.acceleration[part],
+                    signals.force[part],
+                    np.arange(part.start, part.stop) * step,
+                ]
+            )
+            y = np.empty(len(w))
+            d = np.empty((len(w), n_p)) if derivatives else None
+            self._library.sgms_predict(
+                ctypes.c_long(len(w)),
+                ctypes.c_void_p(w.ctypes.data),
+                ctypes.c_void_p(values.ctypes.data),
+                ctypes.c_void_p(state.ctypes.data),
+                ctypes.c_void_p(sensitivity.ctypes.data),
+                ctypes.c_void_p(y.ctypes.data),
+                None if d is None else ctypes.c_void_p(d.ctypes.data),
+            )
+            force[first:last] = y[back:].reshape(last - first, factor).mean(axis=1)
+            if slopes is not None and d is not None:
+                slopes[first:last] = d[back:].reshape(last - first, factor, n_p).mean(axis=1)
+        return force, slopes
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model fitted to the recording.
+
+    Attributes:
+        model: its compiled code.
+        theta: (n_p).
+        free: parameters that were fitted (n_p).
+        residual: measured minus model (m) [N].
+        slopes: d(model)/d(theta) (m, n_p).
+        loss: sum of squared residuals per block (blocks).
+        cross: the same, each block predicted by a fit without its fold (blocks).
+        rows: used rows per block (blocks).
+    """
+
+    model: CompiledFit
+    extras: tuple[Extra, ...]
+    theta: Array
+    free: Mask
+    residual: Array
+    slopes: Array
+    loss: Array
+    cross: Array
+    rows: Array
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the effects under test."""
+        return tuple(dict.fromkeys(c.group for c in self.model.columns if c.group.startswith("+")))
+
+    @property
+    def rms(self) -> float:
+        """RMS of the residual on used rows [N]."""
+        return math.sqrt(float(self.loss.sum() / self.rows.sum()))
+
+    @property
+    def cross_rms(self) -> float:
+        """RMS by cross-validation [N]."""
+        return math.sqrt(max(0.0, float(self.cross.sum() / self.rows.sum())))
+
+    def values(self, group: str) -> dict[str, float]:
+        """SI values of a group's parameters."""
+        return {
+            c.name: c.si(t) for c, t in zip(self.model.columns, self.theta, strict=True) if c.group == group
+        }
+
+    def groups(self) -> tuple[str, ...]:
+        """Groups with a fitted parameter."""
+        return tuple(dict.fromkeys(c.group for c, f in zip(self.model.columns, self.free, strict=True) if f))
+
+
+class Workshop:
+    """Compiles models and fits them to one recording; remembers what it compiled."""
+
+    def __init__(self, machine: Machine, recording: Recording) -> None:
+        self.machine = machine
+        self.recording = recording
+        self.rows = recording.sum_blocks(np.ones(len(recording.time)))
+        self.noise = 1.0  # N, weight of the prior
+        self.fits = 0
+
+    def model(self, extras: Sequence[Extra]) -> CompiledFit:
+        """The machine with effects added, everything in it a free parameter."""
+        return compiled_fit(_Key(self.machine, tuple((e.name, _snapped(self.machine, e)) for e in extras)))
+
+    def start(self, model: CompiledFit, extras: Sequence[Extra], warm: Fit | None = None) -> Array:
+        """Parameters to start from: the machine's, a warm fit's where it has them, the proposals' otherwise."""
+        known = {}
+        if warm is not None:
+            known = {
+                (c.group, c.name): c.si(t) for c, t in zip(warm.model.columns, warm.theta, strict=True)
+            }
+        wanted = {
+            (f"+{i}", key): value for i, extra in enumerate(extras) for key, value in extra.parameters.items()
+        }
+        theta = np.array(
+            [
+                c.theta(wanted[c.group, c.name])
+                if (c.group, c.name) in wanted
+                else c.theta(known[c.group, c.name])
+                if (c.group, c.name) in known and not c.group.startswith("+")
+                else c.machine_theta
+                for c in model.columns
+            ]
+        )
+        return np.asarray(np.clip(theta, [c.lower for c in model.columns], [c.upper for c in model.columns]))
+
+    def fit(
+        self,
+        extras: Sequence[Extra],
+        *,
+        base: Sequence[str] | None = None,
+        warm: Fit | None = None,
+        rows: Mask | None = None,
+        iterations: int = ITERATIONS,
+    ) -> Fit:
+        """Fit the machine with effects added.
+
+        Args:
+            extras: effects and their starting values.
+            base: groups of the machine's own numbers that are free; None: all.
+            warm: a fit whose base parameters to start from.
+            rows: rows that the fit sees (m); None: all used ones.
+            iterations: at most.
+        """
+        self.fits += 1
+        model = self.model(extras)
+        columns = model.columns
+        theta = self.start(model, extras, warm)
+        free = np.array(
+            [not c.frozen and (c.group.startswith("+") or base is None or c.group in base) for c in columns],
+            dtype=np.bool_,
+        )
+        held = ~free & np.array([not c.group.startswith("+") for c in columns], dtype=np.bool_)
+        theta[held] = [c.machine_theta for c, h in zip(columns, held, strict=True) if h]
+        seen = self.recording.used if rows is None else rows
+        theta, residual, slopes = self._descend(model, theta, free, seen, iterations)
+        return self.judged(model, tuple(extras), theta, free, residual, slopes)
+
+    def judged(
+        self, model: CompiledFit, extras: tuple[Extra, ...], theta: Array, free: Mask, residual: Array, slopes: Array
+    ) -> Fit:
+        """A fit with its evidence per block."""
+        recording = self.recording
+        loss = recording.sum_blocks(residual**2)
+        cross = cross_loss(recording, slopes[:, free], residual, self._prior(model, free))
+        extras = tuple(
+            Extra(e.name, {c.name: c.si(t) for c, t in zip(model.columns, theta, strict=True) if c.group == f"+{i}"})
+            for i, e in enumerate(extras)
+        )
+        return Fit(model, extras, theta, free, residual, slopes, loss, cross, self.rows)
+
+    def _prior(self, model: CompiledFit, free: Mask) -> Array:
+        """Information of the prior in units of the sum of squares, (free)."""
+        sd = np.array([BASE_PRIOR if not c.group.startswith("+") else 10.0 for c in model.columns])
+        return np.asarray((self.noise / sd[free]) ** 2)
+
+    def _descend(
+        self, model: CompiledFit, theta: Array, free: Mask, seen: Mask, iterations: int
+    ) -> tuple[Array, Array, Array]:
+        """Levenberg-Marquardt on the rows seen; returns theta, residual (m), slopes (m, n_p)."""
+        recording, columns = self.recording, model.columns
+        prior = self._prior(model, free)
+        centre = np.array([c.machine_theta for c in columns])[free]
+        is_base = np.array([not c.group.startswith("+") for c in columns])[free]
+        prior_rows = np.where(is_base, prior, 0.0)
+        lower = np.array([c.lower for c in columns])[free]
+        upper = np.array([c.upper for c in columns])[free]
+        limit = np.array([_step_limit(c, t, recording) for c, t in zip(columns, theta, strict=True)])[free]
+
+        def evaluate(at: Array) -> tuple[Array, Array, float]:
+            y, slopes = model.run(recording, at)
+            residual = recording.friction - y
+            cost = float(residual[seen] @ residual[seen]) + float(prior_rows @ (at[free] - centre) ** 2)
+            if slopes is None or not math.isfinite(cost):
+                cost = math.inf
+            return residual, np.empty((0, 0)) if slopes is None else slopes, cost
+
+        residual, slopes, cost = evaluate(theta)
+        damping = 1e-4
+        if not free.any():
+            return theta, residual, slopes
+        for _ in range(iterations):
+            X = slopes[seen][:, free]
+            H = X.T @ X
+            g = X.T @ residual[seen] - prior_rows * (theta[free] - centre)
+            diagonal = np.diag(H) + prior
+            improved = False
+            for _ in range(4):
+                A = H + np.diag(prior_rows + damping * diagonal + 1e-12 * max(1e-30, float(diagonal.max())))
+                step = np.clip(np.linalg.solve(A, g), -limit, limit)
+                trial = theta.copy()
+                trial[free] = np.clip(theta[free] + step, lower, upper)
+                new_residual, new_slopes, new_cost = evaluate(trial)
+                if new_cost < cost:
+                    improved = True
+                    break
+                if new_cost < cost * (1.0 + 1e-9):
+                    break
+                damping = max(damping, 1e-3) * 10.0
+            if not improved:
+                break
+            gain = (cost - new_cost) / max(cost, 1e-300)
+            theta, residual, slopes, cost = trial, new_residual, new_slopes, new_cost
+            damping = max(1e-8, damping * 0.1)
+            if gain < 1e-5:
+                break
+        return theta, residual, slopes
+
+    def covariance(self, fit: Fit) -> Array:
+        """Covariance of all of theta (n_p, n_p), robust to residuals that are coloured within a block; 0 where not free."""
+        recording = self.recording
+        X = fit.slopes[:, fit.free]
+        H = X[recording.used].T @ X[recording.used] + np.diag(self._prior(fit.model, fit.free))
+        scores = np.column_stack([recording.sum_blocks(X[:, j] * fit.residual) for j in range(X.shape[1])])
+        inverse = np.linalg.pinv(H, hermitian=True)
+        blocks = recording.blocks
+        inner = inverse @ (scores.T @ scores) @ inverse * blocks / max(1, blocks - X.shape[1])
+        # Blocks that happen to balance must not promise more than white noise would allow.
+        white = inverse * fit.rms**2
+        result = np.zeros((len(fit.theta), len(fit.theta)))
+        result[np.ix_(fit.free, fit.free)] = np.where(
+            np.eye(len(inner), dtype=bool), np.maximum(inner, white), inner
+        )
+        return result
+
+
+def cross_loss(recording: Recording, X: Array, residual: Array, prior: Array) -> Array:
+    """Sum of squares per block as predicted by a fit without the block's fold, one Gauss-Newton step from the whole fit.
+
+    X (m, p): derivatives of the model; `prior` (p): information that is always there.
+    """
+    if X.shape[1] == 0:
+        return recording.sum_blocks(residual**2)
+    H, g, s = block_moments(recording, X, residual)
+    result = np.empty(recording.blocks)
+    total_H, total_g = H.sum(axis=0) + np.diag(prior), g.sum(axis=0)
+    for fold in np.unique(recording.fold):
+        inside = recording.fold == fold
+        step = np.linalg.lstsq(total_H - H[inside].sum(axis=0), total_g - g[inside].sum(axis=0), rcond=1e-12)[0]
+        result[inside] = s[inside] - 2.0 * g[inside] @ step + np.einsum("bij,i,j->b", H[inside], step, step)
+    return result
+
+
+def block_moments(recording: Recording, X: Array, residual: Array) -> tuple[Array, Array, Array]:
+    """Per block: X'X (blocks, p, p), X'e (blocks, p), e'e (blocks)."""
+    used, p = recording.used, X.shape[1]
+    order = recording.block[used]
+    rows, e = X[used], residual[used]
+    edges = np.searchsorted(order, np.arange(recording.blocks + 1))
+    H, g, s = np.empty((recording.blocks, p, p)), np.empty((recording.blocks, p)), np.empty(recording.blocks)
+    for b, (start, end) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        part, rest = rows[start:end], e[start:end]
+        H[b], g[b], s[b] = part.T @ part, part.T @ rest, rest @ rest
+    return H, g, s
+
+
+# --- compiled models ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Key:
+    """What a compiled model depends on; the machine by its content."""
+
+    machine: Machine = field(compare=False, hash=False)
+    extras: tuple[tuple[str, tuple[tuple[str, float], ...]], ...]
+    digest: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "digest", self.machine.digest)
+
+
+@lru_cache(maxsize=256)
+def compiled_fit(key: _Key) -> CompiledFit:
+    """Compile a machine with effects added and every parameter free."""
+    machine = key.machine
+    friction = machine.friction
+    base: dict[str, float] = {}
+    # A parameter that is zero has no scale of its own: it gets a typical nominal value and starts at theta = 0.
+    if friction.viscous == 0.0:
+        base["viscous"] = 0.1 * friction.coulomb / machine.sampling.max_velocity
+    if friction.stribeck_ratio == 0.0:
+        base["stribeck_ratio"] = 0.1
+    effects = [{"name": e.name, **e.parameters} for e in machine.effects]
+    effects += [{"name": name, **dict(values)} for name, values in key.extras]
+    names = [*(p for group in BASE_GROUPS.values() for p in group)]
+    changes: dict[str, Any] = {
+        "name": "fit",
+        "description": "",
+        "friction": base,
+        "effects": effects,
+        "code": {"precision": "double"},
+        "estimator": {"parameters": names, "bounds": {}},
+        "sampling": _unmerged(machine),
+    }
+    bare = _without_bounds(machine)
+    extended = override_machine(bare, changes)
+    own = len(machine.effects)
+    names += [f"{e.label}.{p}" for e in extended.effects for p in e.parameters]
+    extended = override_machine(extended, {"estimator": {"parameters": names}})
+    groups = {e.label: f"machine:{e.label}" if i < own else f"+{i - own}" for i, e in enumerate(extended.effects)}
+    compiled = CompiledFit(extended, ())
+    columns = []
+    for free in compiled.model.parameters:
+        label, _, parameter = free.name.partition(".")
+        if parameter:
+            effect = next(e for e in extended.effects if e.label == label)
+            main = effect_definition(effect.name).main
+            frozen = parameter in FROZEN.get(effect.name, ()) or parameter not in main
+            columns.append(
+                Column(groups[label], effect.name, parameter, free.nominal, free.scale, 1.0, free.lower, free.upper, frozen)
+            )
+        else:
+            group = next(g for g, members in BASE_GROUPS.items() if free.name in members)
+            zero = free.name in base
+            low = 0.0 if free.name in ("viscous", "stribeck_ratio") else 0.05
+            columns.append(
+                Column(group, "", free.column, free.nominal, free.scale, 0.0 if zero else 1.0, low, 20.0, False)
+            )
+    compiled.columns = tuple(columns)
+    return compiled
+
+
+def _without_bounds(machine: Machine) -> Machine:
+    """The same machine with an estimator that constrains nothing."""
+    content = dict(machine.content)
+    estimator = {k: v for k, v in dict(content.get("estimator", {})).items() if k not in ("bounds", "parameters")}
+    content["estimator"] = {**estimator, "parameters": ["stiffness"]}
+    bare = Machine.model_validate(content)
+    bare._source = machine.source
+    return bare
+
+
+def _unmerged(machine: Machine) -> dict[str, Any]:
+    """At least one integration step per sample: what the model alone runs with."""
+    sampling = machine.sampling
+    if sampling.integrator.substeps >= sampling.samples_per_update:
+        return {}
+    return {"integrator": {"substeps": sampling.samples_per_update}}
+
+
+def _snapped(machine: Machine, extra: Extra) -> tuple[tuple[str, float], ...]:
+    """Nominal values of an effect's compiled model: coarse, so that few models are compiled, near where rates matter."""
+    definition = effect_definition(extra.name)
+    values = []
+    for parameter in definition.parameters:
+        size = parameter.default if parameter.default != 0.0 else abs(parameter.size(machine))
+        wanted = extra.parameters.get(parameter.name, size)
+        if definition.states and wanted > 0.0 and size > 0.0:
+            size *= 4.0 ** round(math.log(wanted / size, 4.0))
+        values.append((parameter.name, float(min(max(size, parameter.lower), parameter.upper))))
+    return tuple(values)
+
+
+def _step_limit(column: Column, theta: float, recording: Recording) -> float:
+    """Largest change of a parameter in one step: less than a quarter of a period over the record for pitches and
+    frequencies, a factor for other non-linear ones, free for amplitudes.
+    """
+    value = column.si(theta)
+    if not column.group.startswith("+"):
+        return 0.5
+    if column.name == "pitch_m":
+        travel = max(float(np.ptp(recording.position[recording.used])), 1e-9)
+        return min(0.3 * abs(value), 0.2 * value**2 / travel) / abs(column.scale)
+    if column.name == "frequency_Hz":
+        return 0.2 / float(np.ptp(recording.time)) / abs(column.scale) if column.effect == "periodic_disturbance" else 0.2 * value / abs(column.scale)
+    if column.name == "phase_rad":
+        return 0.5 / abs(column.scale)
+    if column.name.startswith(("time_constant", "corner", "gap", "length", "delay", "centre", "damping_ratio")):
+        return max(abs(value), abs(column.scale) * 0.1) / abs(column.scale)
+    return math.inf
+
+
+Progress = Callable[[str, float], None]
+"""Called with (what is being done, share of the work done)."""

@@ -1,0 +1,284 @@
+"""What a diagnosis found: everything that diagnosis.json and a report need."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.files import write_text
+from sgms_mhe.machine import Machine
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Verdict = Literal["explained", "unexplained", "ambiguous", "adequate"]
+
+
+@dataclass(frozen=True)
+class Rms:
+    """RMS of measured minus simulated friction [N], on the segments that the fit saw and on those it did not."""
+
+    before: float
+    after: float
+    held_out_before: float
+    held_out_after: float
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A named cause.
+
+    Attributes:
+        name: as in DESIGN section 7.
+        label: name within the extended machine (`force_ripple_2` for the second of its name).
+        parameters: values, units in their names (a wrong base number: `coulomb_N`, `stiffness_1_N_m`, ...).
+        std: one standard deviation of each, robust to coloured residuals; NaN where the data do not tell.
+        nominal: values of the machine file for a wrong base number, else empty.
+        rms: without and with this cause, everything else in place.
+        gain_N: RMS of the force that this cause explains on held-out data.
+        gain_interval_N: 95 % interval of `gain_N` over held-out blocks.
+        p_value: of the score test against the model without it, multiplicity included.
+    """
+
+    name: str
+    label: str
+    parameters: Mapping[str, float]
+    std: Mapping[str, float]
+    nominal: Mapping[str, float]
+    rms: Rms
+    gain_N: float
+    gain_interval_N: tuple[float, float]
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Score:
+    """How one candidate did in one round of the search.
+
+    Attributes:
+        name: candidate.
+        round: 1 is the first search over the refitted base model.
+        p_value: autocorrelation-robust score test, multiplicity included.
+        gain_N: RMS of the force it explains by cross-validation in the linear approximation (negative gains: 0).
+        refit_gain_N: the same after the non-linear refit, NaN where it was not refitted.
+        parameters: where its search ended.
+        outcome: "named", "rival", "redundant", "not significant", "too small", "not excited".
+    """
+
+    name: str
+    round: int
+    p_value: float
+    gain_N: float
+    refit_gain_N: float
+    parameters: Mapping[str, float]
+    outcome: str
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A candidate that was not named, and why; `rival` if the data cannot tell it from a named one.
+
+    `parameters`: of its refit; `excess_N`: RMS of the force by which it fits worse than what it would replace.
+    """
+
+    name: str
+    why_not: str
+    rival: bool
+    instead_of: str | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    excess_N: float = math.nan
+
+
+@dataclass(frozen=True)
+class BaseParameter:
+    """A number of the base model, as the file has it and as the refit found it (`std` robust; NaN: not excited)."""
+
+    name: str
+    nominal: float
+    refitted: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Where the remaining residual lives: strength of its dependence on one coordinate.
+
+    Attributes:
+        coordinate: position, velocity, acceleration, time, after_reversal or frequency.
+        rms_N: RMS of the residual that is a function of that coordinate (bin means beyond noise; peak of the spectrum).
+        p_value: of no dependence.
+        peak: coordinate of its maximum.
+        centres: bins (k).
+        mean_N: residual's mean in each bin (k); for frequency its amplitude spectrum [N].
+    """
+
+    coordinate: str
+    rms_N: float
+    p_value: float
+    peak: float
+    centres: Array
+    mean_N: Array
+
+
+@dataclass(frozen=True)
+class Traces:
+    """Signals at the rate of the fit, all (m,).
+
+    time [s] from the log's first sample, position [m], velocity [m/s], acceleration [m/s^2], force [N], friction
+    measured [N], simulated by the machine as it is, with refitted base parameters and no new effect, and by the extended
+    model (parameters of all data); `held_out_fit_N` is the extended model fitted without the held-out segments.
+    `used`: enters fits and numbers; `held_out`: not seen by the fit that the gains are computed from.
+    """
+
+    time_s: Array
+    position_m: Array
+    velocity_m_s: Array
+    acceleration_m_s2: Array
+    force_N: Array
+    friction_N: Array
+    nominal_N: Array
+    refitted_N: Array
+    extended_N: Array
+    held_out_fit_N: Array
+    used: Mask
+    held_out: Mask
+    block: NDArray[np.int64]
+    rate: float
+
+    @property
+    def residual_before(self) -> Array:
+        """Measured minus simulated by the machine as it is [N]."""
+        return self.friction_N - self.nominal_N
+
+    @property
+    def residual_after(self) -> Array:
+        """Measured minus simulated by the extended model [N], of the fit that did not see the held-out segments."""
+        return self.friction_N - self.held_out_fit_N
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Verdict, causes and evidence.
+
+    Attributes:
+        machine: as given.
+        source: of the log.
+        verdict: see DESIGN section 7.
+        summary: one sentence.
+        causes: strongest first.
+        alternatives: what was not named; the rivals first.
+        separating_experiment: what to do next, None if nothing.
+        rms: of the whole extension (an adequate machine: after = before).
+        noise_floor_N: RMS of the friction measurement's noise at the fit's rate.
+        gain_interval_N: 95 % interval of the RMS of the explained force on held-out data.
+        base: the base model's numbers.
+        scores: every candidate of every round.
+        structure: of the residual before and after.
+        traces: decimated signals.
+        extended: the extended machine, None where nothing is named.
+        smoothing: "machine" or "sharp": the transition from sticking to slipping that fits the record.
+        excited: whether the axis moved.
+        warnings: what the user should know about the record (gaps, saturation, too fast, too short).
+        seconds: computing time.
+    """
+
+    machine: Machine
+    source: str
+    verdict: Verdict
+    summary: str
+    causes: tuple[Cause, ...]
+    alternatives: tuple[Alternative, ...]
+    separating_experiment: str | None
+    rms: Rms
+    noise_floor_N: float
+    gain_interval_N: tuple[float, float]
+    base: tuple[BaseParameter, ...]
+    scores: tuple[Score, ...]
+    structure_before: tuple[Structure, ...]
+    structure_after: tuple[Structure, ...]
+    traces: Traces
+    extended: Machine | None
+    extended_toml: str | None
+    smoothing: str
+    excited: bool
+    warnings: tuple[str, ...]
+    seconds: float
+
+    @property
+    def extended_name(self) -> str | None:
+        """File name of the extended machine."""
+        return None if self.extended is None else f"{self.extended.name}.toml"
+
+    def to_json(self) -> dict[str, Any]:
+        """Content of diagnosis.json (DESIGN section 7); what is not finite becomes null."""
+        rms = self.rms
+        content = {
+            "verdict": self.verdict,
+            "summary": self.summary,
+            "causes": [
+                {
+                    "name": cause.name,
+                    "parameters": dict(cause.parameters),
+                    "std": dict(cause.std),
+                    "residual_rms_N": {
+                        "before": cause.rms.before,
+                        "after": cause.rms.after,
+                        "held_out_before": cause.rms.held_out_before,
+                        "held_out_after": cause.rms.held_out_after,
+                    },
+                    "gain_N": cause.gain_N,
+                    "gain_interval_N": list(cause.gain_interval_N),
+                }
+                for cause in self.causes
+            ],
+            "alternatives": [
+                {"name": a.name, "why_not": a.why_not, "rival": a.rival, "parameters": dict(a.parameters)}
+                for a in self.alternatives
+            ],
+            "separating_experiment": self.separating_experiment,
+            "residual_rms_N": {
+                "before": rms.before,
+                "after": rms.after,
+                "held_out_before": rms.held_out_before,
+                "held_out_after": rms.held_out_after,
+                "noise_floor": self.noise_floor_N,
+            },
+            "extended_machine": self.extended_name,
+            "structure_left": [
+                {"coordinate": s.coordinate, "rms_N": s.rms_N, "p_value": s.p_value, "peak": s.peak}
+                for s in self.structure_after
+            ],
+            "base": [
+                {"name": b.name, "nominal": b.nominal, "refitted": b.refitted, "std": b.std} for b in self.base
+            ],
+            "warnings": list(self.warnings),
+        }
+        finite: dict[str, Any] = _finite(content)
+        return finite
+
+
+def write_diagnosis(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
+    """Write diagnosis.json and, where a cause is named, the extended machine file; return the folder."""
+    folder = Path(out_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    if diagnosis.extended_toml is not None and diagnosis.extended_name is not None:
+        write_text(folder / diagnosis.extended_name, diagnosis.extended_toml)
+    write_text(folder / "diagnosis.json", json.dumps(diagnosis.to_json(), indent=2) + "\n")
+    return folder
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN and no infinity."""
+    if isinstance(value, Mapping):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value

@@ -1,0 +1,66 @@
+"""Self-test vectors of a package: a short motion and what the reference solver estimates from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sgms_mhe.kinematics import settle_samples, signals_from_log
+from sgms_mhe.logs import Log
+from sgms_mhe.model import Model
+from sgms_mhe.reference import estimate_model
+
+_SAMPLES = 420
+_PERIODS = 2.5
+
+
+@dataclass(frozen=True)
+class Vectors:
+    """Numbers as text, rounded so that every machine prints the same."""
+
+    updates: int
+    position: tuple[str, ...]
+    force: tuple[str, ...]
+    friction: tuple[str, ...]
+    parameters: tuple[tuple[str, ...], ...]
+
+
+def selftest_vectors(model: Model) -> Vectors:
+    """Make the vectors: loops of growing size through presliding, over at least three updates.
+
+    The axis moves through some deflection scales of its softest element; the force is that of a plain Coulomb law, so
+    that the estimator has something to disagree with.
+    """
+    machine = model.machine
+    friction, sampling = machine.friction, machine.sampling
+    samples = sampling.samples_per_update
+    updates = max(3, _SAMPLES // samples, math.ceil((settle_samples(machine) + 1) / samples) + 2)
+    n = updates * samples + 1
+    size = max(nu * friction.coulomb / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True))
+    phase = np.linspace(0.0, 2.0 * math.pi * _PERIODS, n)
+    growth = np.linspace(0.0, 1.0, n) ** 2
+    # Picometres are whole numbers in a single-precision package's input too.
+    position = np.round(0.8 * size * growth * np.sin(phase), 12)
+    velocity = np.gradient(position) * sampling.rate
+    acceleration = np.gradient(velocity) * sampling.rate
+    force = np.round(
+        machine.plant.mass * acceleration + friction.coulomb * np.tanh(velocity / (0.2 * np.abs(velocity).max())), 9
+    )
+    log = Log(np.arange(n) / sampling.rate, position, force, sampling.rate)
+    kind = machine.estimator.kind
+    found = estimate_model(model, signals_from_log(log, machine), kind, compiled=False)
+    return Vectors(
+        updates=updates,
+        position=tuple(repr(float(p)) for p in position),
+        force=tuple(repr(float(f)) for f in force),
+        friction=tuple(_rounded(f) for f in found.friction_N),
+        parameters=tuple(tuple(_rounded(p) for p in row) for row in found.parameters),
+    )
+
+
+def _rounded(value: float) -> str:
+    """Eight significant digits: far from the last ones, which depend on the machine."""
+    text = f"{value:.8g}"
+    return text if any(c in text for c in ".en") else text + ".0"

@@ -1,0 +1,33 @@
+"""Viscous friction that depends on the direction: a lubricant's supply, a worm or ball screw's flanks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start
+from sgms_mhe.model.effects.excitation import Excitation, Need
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+    axis.add_force(p["difference_N_s_m"] * ca.fabs(axis.velocity))
+
+
+DEFINITION = EffectDefinition(
+    name="asymmetric_viscous",
+    summary="viscous friction different in the two directions",
+    parameters=(EffectParameter("difference_N_s_m", 0.0, 0.1, "sigma_v + difference sign(v)", unit="damping"),),
+    contribute=_contribute,
+    excitation=Excitation(
+        "both directions at constant speeds that differ by a factor of three",
+        (Need("both_directions", 0.1), Need("speed_ratio", 2.0)),
+    ),
+    confused_with={
+        "asymmetric_coulomb": "both directions at two constant speeds",
+        "constant_offset": "both directions at two constant speeds",
+        "quadratic_drag": "both directions: drag is the same in both",
+    },
+    start=Start(note="linear"),
+)

@@ -1,0 +1,68 @@
+"""A gap between the mass and what rubs: a coupling, a carrier of the guide's cover."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import casadi as ca
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.definition import (
+    EffectDefinition,
+    EffectParameter,
+    EffectState,
+    Search,
+    Start,
+    add_effect_state,
+)
+from sgms_mhe.model.effects.excitation import Excitation, Need
+
+_EDGE, _SHARPNESS = 0.9, 35.0
+# b settles a little beyond 1, by a logarithm of the way; so much that a gap is as long as its parameter says.
+_WIDENING = 1.04
+_RELEASE = 40.0  # over f_C: how sharply contact ends where the elements' force does
+_LEAST_GAP = 3e-7
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+    """Position in the gap b, -1 to 1: db/dt = (2 / gap) v (1 - e), and the elements move with e v.
+
+    Contact e: on the + side while the mass pushes on (v > 0) or the elements still push back; the same on the other side.
+    """
+    gap = ca.sqrt(p["gap_m"] * p["gap_m"] + _LEAST_GAP**2)
+    per_metre = 2.0 * _WIDENING / math.hypot(nominal["gap_m"], _LEAST_GAP)
+    # The edge is 1/35 wide in b: five times the rate keeps a substep within it.
+    state = add_effect_state(axis, EffectState("place", rate_per_metre=5.0 * per_metre, noise=1e-3, initial_state=1.0))
+    v, b = axis.velocity, state.chi
+    forward = 0.5 + 0.5 * ca.tanh(axis.gate_per_velocity * v)
+    loaded = 0.5 + 0.5 * ca.tanh(_RELEASE * axis.element_force)
+    upper = 0.5 + 0.5 * ca.tanh(_SHARPNESS * (b - _EDGE))
+    lower = 0.5 - 0.5 * ca.tanh(_SHARPNESS * (b + _EDGE))
+    contact = upper * (1.0 - (1.0 - forward) * (1.0 - loaded)) + lower * (1.0 - forward * loaded)
+    state.rate = 2.0 * _WIDENING / gap * v * (1.0 - contact)
+    state.names.update(contact=contact)
+    # A gap of nothing is no gap: the share of `contact` goes with the gap over the least one.
+    share = p["gap_m"] * p["gap_m"] / (gap * gap)
+    axis.engagement = axis.engagement * (1.0 - share * (1.0 - contact))
+
+
+DEFINITION = EffectDefinition(
+    name="backlash",
+    summary="gap between the mass and what rubs",
+    parameters=(EffectParameter("gap_m", 0.0, 0.5, "width of the gap", lower=0.0, unit="deflection"),),
+    contribute=_contribute,
+    excitation=Excitation("slow reversals after sliding, several of them", (Need("reversals", 4.0),)),
+    confused_with={
+        "stiffness": "one slow reversal: a gap has no force at all, a soft element a low slope",
+        "frictional_lag": "reversals at two speeds: a gap is a way, a lag is a time",
+        "hose_hysteresis": "one slow reversal: behind a gap the force is zero, behind a hose it changes slowly",
+    },
+    start=Start(
+        values={"gap_m": 0.2},
+        searches=(Search("gap_m", low=1e-6, high=1e-3, points=8),),
+        note="its derivative is zero at zero: start from a gap",
+    ),
+    stage="level",
+    states=("place",),
+)

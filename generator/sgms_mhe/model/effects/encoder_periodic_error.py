@@ -1,0 +1,56 @@
+"""An encoder whose reading errs periodically in position: interpolation error, a scale's mounting."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import casadi as ca
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start, pitch_search
+from sgms_mhe.model.effects.excitation import Excitation, Need
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+    """Reading = q + A sin(k q + phi): its derivatives give the real velocity and acceleration.
+
+    v_read = v (1 + A k cos), a_read = a (1 + A k cos) - A k^2 v^2 sin. The angle is taken at the reading, one Newton step
+    away from the one at q; |A k| < 1, or the reading would not tell the position.
+    """
+    k = 2.0 * math.pi / p["pitch_m"]
+    angle = k * axis.position + p["phase_rad"]
+    # q = reading - A sin(k q + phi), solved to second order in A k
+    shift = p["amplitude_m"] * ca.sin(angle) / (1.0 + p["amplitude_m"] * k * ca.cos(angle))
+    real = angle - k * shift
+    slope = 1.0 + p["amplitude_m"] * k * ca.cos(real)
+    curvature = p["amplitude_m"] * k * k * ca.sin(real)
+    axis.position = axis.position - shift
+    axis.velocity = axis.velocity / slope
+    axis.velocity_ratio = axis.velocity_ratio / slope
+    read = axis.acceleration
+    axis.acceleration = (read + curvature * axis.velocity * axis.velocity) / slope
+    axis.add_force(axis.mass * (axis.acceleration - read))
+
+
+DEFINITION = EffectDefinition(
+    name="encoder_periodic_error",
+    summary="encoder error periodic in position",
+    parameters=(
+        EffectParameter("amplitude_m", 0.0, 1e-7, "amplitude of the error"),
+        EffectParameter("pitch_m", 0.001, 1e-5, "period in position", lower=1e-7, role="period"),
+        EffectParameter("phase_rad", 0.0, 0.1, "phase at position zero", role="place"),
+    ),
+    contribute=_contribute,
+    excitation=Excitation(
+        "constant speeds at which the pitch passes below the velocity cutoff, over many pitches",
+        (Need("travel_m", 3.0, times="pitch_m"), Need("moving_s", 0.3)),
+    ),
+    confused_with={
+        "force_ripple": "the same stroke at twice the speed: an encoder's error makes forces that grow with speed squared",
+        "structural_resonance": "the same stroke at another speed: the frequency follows speed or stays",
+        "periodic_disturbance": "the same stroke at another speed: the frequency follows speed or stays",
+    },
+    start=Start(values={"amplitude_m": 1.0}, searches=(pitch_search("amplitude_m"),)),
+    stage="signal",
+)

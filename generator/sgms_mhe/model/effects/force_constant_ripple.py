@@ -1,0 +1,37 @@
+"""A force constant that varies with position: magnet spacing, end effects of a linear motor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start, pitch_search, sine
+from sgms_mhe.model.effects.excitation import Excitation, Need
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+    axis.drive = axis.drive / (1.0 + p["ratio"] * sine(axis.position, p["pitch_m"], p["phase_rad"]))
+
+
+DEFINITION = EffectDefinition(
+    name="force_constant_ripple",
+    summary="force constant periodic in position",
+    parameters=(
+        EffectParameter("ratio", 0.0, 0.01, "amplitude over the mean force constant", lower=-0.9, upper=0.9),
+        EffectParameter("pitch_m", 0.032, 0.001, "period in position", lower=1e-7, role="period"),
+        EffectParameter("phase_rad", 0.0, 0.1, "phase at position zero", role="place"),
+    ),
+    contribute=_contribute,
+    excitation=Excitation(
+        "accelerations at many places: the inertial force should exceed friction",
+        (Need("travel_m", 1.5, times="pitch_m"), Need("inertial_ratio", 1.0)),
+    ),
+    confused_with={
+        "force_ripple": "the same stroke with another acceleration: cogging does not grow with force",
+        "position_dependent_friction": "the same stroke with high acceleration: friction does not grow with inertial force",
+    },
+    start=Start(values={"ratio": 1.0}, searches=(pitch_search("ratio"),)),
+    stage="motor",
+)

@@ -1,0 +1,63 @@
+"""A logged force that is later than the motion: sampling order, bus cycles, filters of the current."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Search, Start, add_lag, shortest_lag
+from sgms_mhe.model.effects.excitation import Excitation, Need
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+    """u(t - d) = u - d du/dt, exact to first order in d for any sign of d.
+
+    Of du/dt, everything but the jerk is known: states have their rates, the signals q, v, t their derivatives. The jerk is
+    (a - a_lagged) / T; T = (d - h) / 2 makes the inertial part exact to second order (h / 2: the lag's own sampling).
+    """
+    d, late = p["delay_s"], nominal["delay_s"]
+    lag = max(0.5 * (late - axis.hold), shortest_lag(axis))
+    inertial = axis.mass * axis.acceleration
+    jerk_force = (inertial - add_lag(axis, "inertial_force", inertial, lag, lag)) / lag
+    drive = axis.drive
+    w = ca.vertsplit(axis.measured)
+    change = ca.gradient(drive, axis.measured)
+    slope = change[0] * w[1] + change[1] * w[2] + change[4]
+    slope += change[2] / axis.mass * jerk_force
+    for state in axis.states[:-1]:
+        if state.rate is None:
+            continue
+        part = ca.gradient(drive, state.chi)
+        rate = state.rate
+        if state.spec.element is not None:
+            # An element that relaxes within the delay was at most a full turn-round away, not d times its rate.
+            reach = max(abs(late), axis.step) * state.spec.rate_per_metre
+            rate = rate / (1.0 + 0.5 * reach * ca.fabs(axis.velocity))
+        slope += part * rate
+    axis.drive = drive - d * slope
+
+
+DEFINITION = EffectDefinition(
+    name="force_delay",
+    summary="logged force is later than the motion",
+    parameters=(EffectParameter("delay_s", 0.0, 0.5, "how late the force is", lower=0.0, upper=0.1, unit="sample"),),
+    contribute=_contribute,
+    excitation=Excitation(
+        "jerk: short acceleration times, many of them", (Need("inertial_ratio", 1.0), Need("reversals", 2.0))
+    ),
+    confused_with={
+        "actuator_lag": "force with frequencies up to a quarter of 1 / delay: a lag loses amplitude, a delay does not",
+        "viscous": "constant speed: a delay has no effect there",
+        "structural_resonance": "wide-band force, such as noise on the command: a resonance has a peak",
+        "frictional_lag": "high acceleration while sliding: a delayed force is late with the inertial force too",
+    },
+    start=Start(
+        values={"delay_s": 1.0},
+        searches=(Search("delay_s", low=0.25, high=8.0, low_of="sample", high_of="sample", points=6),),
+        note="linear near zero; beyond two samples restart with the fitted value as nominal",
+    ),
+    stage="log",
+    states=("inertial_force",),
+)

@@ -1,0 +1,58 @@
+"""Friction that follows a change of speed late: the lubricant film takes time to build up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import casadi as ca
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.definition import (
+    EffectDefinition,
+    EffectParameter,
+    EffectState,
+    Search,
+    Start,
+    add_effect_state,
+    no_shorter,
+    shortest_lag,
+)
+from sgms_mhe.model.effects.excitation import Excitation, Need
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+    """The level follows s(v)/f_C with a first-order lag; chi is what it differs by from the level at rest.
+
+    Shorter than a quarter sample, the lag is blended out instead, so that zero has no effect.
+    """
+    lag = no_shorter(axis, p["time_constant_s"])
+    shortest = math.hypot(nominal["time_constant_s"], shortest_lag(axis))
+    state = add_effect_state(axis, EffectState("level", rate_per_second=1.0 / shortest, noise=1e-4, initial_state=0.03))
+    target = axis.stribeck_level - axis.rest_level
+    state.rate = (target - state.chi) / lag
+    axis.stribeck_level = axis.stribeck_level + p["time_constant_s"] / lag * (state.chi - target)
+
+
+DEFINITION = EffectDefinition(
+    name="frictional_lag",
+    summary="friction level follows speed with a lag",
+    parameters=(EffectParameter("time_constant_s", 0.0, 0.005, "first-order lag", lower=0.0, upper=100.0),),
+    contribute=_contribute,
+    excitation=Excitation(
+        "speed that swings about the Stribeck velocity while sliding on, at several frequencies",
+        (Need("speed_ratio", 3.0),),
+    ),
+    confused_with={
+        "stribeck": "pass through the Stribeck velocity with different accelerations",
+        "dwell_dependence": "break away after rests of different length",
+        "force_delay": "high acceleration while sliding: a delayed force is late with the inertial force too",
+    },
+    start=Start(
+        values={"time_constant_s": 1.0},
+        searches=(Search("time_constant_s", low=5e-4, high=0.1, points=6),),
+        note="nothing to see where stribeck_ratio is 0",
+    ),
+    stage="level",
+    states=("level",),
+)

@@ -1,0 +1,30 @@
+"""A moved mass other than the machine file's: payload, motor inertia."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start
+from sgms_mhe.model.effects.excitation import Excitation, Need
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+    axis.add_force(p["mass_kg"] * axis.acceleration)
+
+
+DEFINITION = EffectDefinition(
+    name="mass_mismatch",
+    summary="moved mass differs from the machine file",
+    parameters=(EffectParameter("mass_kg", 0.0, 0.05, "true mass minus mass", unit="mass"),),
+    contribute=_contribute,
+    excitation=Excitation("accelerations whose inertial force is seen", (Need("inertial_ratio", 0.5),)),
+    confused_with={
+        "force_gain": "constant speed with known friction, or a known extra mass: a gain scales friction too",
+        "structural_resonance": "moves with little jerk, and jerk at the resonance: a mass alone does not ring",
+        "force_constant_ripple": "the same acceleration at several places",
+    },
+    start=Start(note="linear"),
+)

@@ -1,0 +1,35 @@
+"""Damping of the presliding deflection: the sigma_i of equation (2), shared out by nu_i."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start
+from sgms_mhe.model.effects.excitation import Excitation, Need
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+    axis.micro_viscous = axis.micro_viscous + p["damping_N_s_m"]
+
+
+DEFINITION = EffectDefinition(
+    name="micro_viscous",
+    summary="damping of the elements below break-away",
+    parameters=(
+        EffectParameter("damping_N_s_m", 0.0, 1.0, "sum of sigma_i beyond the machine file's", unit="damping"),
+    ),
+    contribute=_contribute,
+    excitation=Excitation(
+        "fast reversals, and loops below break-away at several frequencies", (Need("reversals", 6.0),)
+    ),
+    confused_with={
+        "stiffness": "the same presliding loop at two speeds: a spring's force does not change with speed",
+        "viscous": "constant speed: the elements rest there, and their damping has no force",
+        "mass_mismatch": "loops below break-away: an inertial force is in phase with the spring",
+    },
+    start=Start(note="linear"),
+    stage="level",
+)

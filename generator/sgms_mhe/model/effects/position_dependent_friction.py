@@ -1,0 +1,38 @@
+"""Friction that varies along the travel: a guide's straightness, bearing balls, lubricant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start, pitch_search, sine
+from sgms_mhe.model.effects.excitation import Excitation, Need
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+    axis.coulomb_factor = axis.coulomb_factor * (1.0 + p["ratio"] * sine(axis.position, p["pitch_m"], p["phase_rad"]))
+
+
+DEFINITION = EffectDefinition(
+    name="position_dependent_friction",
+    summary="Coulomb level periodic in position",
+    parameters=(
+        EffectParameter("ratio", 0.0, 0.1, "amplitude over the Coulomb level", lower=-0.95, upper=0.95),
+        EffectParameter("pitch_m", 0.02, 0.001, "period in position", lower=1e-7, role="period"),
+        EffectParameter("phase_rad", 0.0, 0.1, "phase at position zero", role="place"),
+    ),
+    contribute=_contribute,
+    excitation=Excitation(
+        "sliding over the same places in both directions, over at least one and a half pitches",
+        (Need("travel_m", 1.5, times="pitch_m"), Need("both_directions", 0.1)),
+    ),
+    confused_with={
+        "force_ripple": "the same stroke in both directions: friction changes sign, cogging does not",
+        "force_constant_ripple": "the same stroke with high acceleration: friction does not grow with inertial force",
+        "friction_drift": "the same stroke twice: what belongs to the place comes back",
+    },
+    start=Start(values={"ratio": 0.5}, searches=(pitch_search("ratio"),)),
+    stage="level",
+)

@@ -1,0 +1,39 @@
+"""A force proportional to position: a cable or a hose that bends, a tilted table, a gravity compensator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start
+from sgms_mhe.model.effects.excitation import Excitation, Need
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+    axis.add_force(p["stiffness_N_m"] * (axis.position - p["centre_m"]))
+
+
+DEFINITION = EffectDefinition(
+    name="position_spring",
+    summary="force proportional to position",
+    parameters=(
+        EffectParameter("stiffness_N_m", 0.0, 1e-4, "force over position", unit="stiffness"),
+        EffectParameter("centre_m", 0.0, 0.01, "position without force", role="place", main=False),
+    ),
+    contribute=_contribute,
+    excitation=Excitation(
+        "travel over much more than the break-away distance, in both directions",
+        (Need("travel_m", 0.01), Need("both_directions", 0.1)),
+    ),
+    confused_with={
+        "constant_offset": "the same move at two ends of the travel",
+        "force_ripple": "travel over several pitches",
+        "hose_hysteresis": "the same long stroke forth and back: a spring has no loop",
+        "friction_drift": "return to the start: a spring's force comes back with the position",
+    },
+    start=Start(
+        note="linear in stiffness and stiffness * centre; the centre is a constant_offset where it is not zero"
+    ),
+)

@@ -1,0 +1,31 @@
+"""Drag proportional to the square of the speed: air, coolant, a fan effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start
+from sgms_mhe.model.effects.excitation import Excitation, Need
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+    axis.add_force(p["coefficient_N_s2_m2"] * axis.velocity * ca.fabs(axis.velocity))
+
+
+DEFINITION = EffectDefinition(
+    name="quadratic_drag",
+    summary="drag proportional to speed squared",
+    parameters=(EffectParameter("coefficient_N_s2_m2", 0.0, 0.1, "force over v |v|", unit="coulomb"),),
+    contribute=_contribute,
+    excitation=Excitation(
+        "three constant speeds or more, up to the fastest", (Need("speed_ratio", 3.0), Need("moving_s", 0.5))
+    ),
+    confused_with={
+        "viscous": "three constant speeds or more: is the force over speed a line or a parabola",
+        "eddy_current_damping": "speeds up to the fastest: drag bends up, eddy currents bend down",
+    },
+    start=Start(note="linear"),
+)

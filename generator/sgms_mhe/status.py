@@ -1,0 +1,29 @@
+"""The status of an update: its flags and their names, as the emitted C has them (DESIGN section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+FLAGS: Final[Mapping[str, int]] = MappingProxyType(
+    {"filling": 1, "missing": 2, "hold": 4, "bound": 8, "speed": 16, "overrun": 32}
+)
+"""Flags of a status that is not negative; 0 is good."""
+
+REFUSED: Final = "refused"
+"""A negative status: the last good estimate was kept."""
+
+
+def flagged(status: NDArray[np.int64]) -> dict[str, NDArray[np.bool_]]:
+    """Which updates have each flag; `refused` are those of negative status. Arrays (u)."""
+    usable = status >= 0
+    return {name: usable & (status & flag != 0) for name, flag in FLAGS.items()} | {REFUSED: ~usable}
+
+
+def measured(status: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Updates that took a measurement in (u)."""
+    return (status >= 0) & (status & FLAGS["missing"] == 0)

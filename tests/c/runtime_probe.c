@@ -1,0 +1,103 @@
+/* The runtime's static functions under exported names, over arrays. Compiled with -DSGMS_SINGLE=0 or 1.
+ * Relies on: sgms_exp, sgms_tanh, sgms_sin, sgms_cos, sgms_log, sgms_sqrt, sgms_is_finite; sgms_qr, sgms_qr_add_row,
+ * sgms_back_substitute, sgms_variances, sgms_box_least_squares; sgms_lowpass, sgms_filter_step, sgms_filter_memory. */
+#include "sgms_filter.h"
+#include "sgms_linalg.h"
+
+#define OVER_ARRAYS(name)                                                                                              \
+    void probe_##name(long n, const sgms_real *x, sgms_real *y)                                                        \
+    {                                                                                                                  \
+        for (long i = 0; i < n; i++) {                                                                                 \
+            y[i] = sgms_##name(x[i]);                                                                                  \
+        }                                                                                                              \
+    }
+
+OVER_ARRAYS(exp)
+OVER_ARRAYS(tanh)
+OVER_ARRAYS(sin)
+OVER_ARRAYS(cos)
+OVER_ARRAYS(log)
+OVER_ARRAYS(sqrt)
+OVER_ARRAYS(fabs)
+OVER_ARRAYS(sign)
+
+void probe_is_finite(long n, const sgms_real *x, sgms_real *y)
+{
+    for (long i = 0; i < n; i++) {
+        y[i] = (sgms_real)sgms_is_finite(x[i]);
+    }
+}
+
+void probe_qr(sgms_real *a, int rows, int stride, int width, int columns)
+{
+    sgms_qr(a, rows, stride, width, columns);
+}
+
+void probe_qr_add_row(sgms_real *r, int n, sgms_real *row)
+{
+    sgms_qr_add_row(r, n, row);
+}
+
+void probe_back_substitute(const sgms_real *r, int n, int width, const sgms_real *b, sgms_real *x)
+{
+    sgms_back_substitute(r, n, width, b, x);
+}
+
+void probe_variances(const sgms_real *r, int n, int width, sgms_real *variance)
+{
+    sgms_real work[64];
+    sgms_variances(r, n, width, variance, work);
+}
+
+/* `problems` box least-squares problems of n variables one after the other. */
+void probe_box(
+    long problems,
+    int n,
+    const sgms_real *r,
+    const sgms_real *b,
+    const sgms_real *lower,
+    const sgms_real *upper,
+    sgms_real *x,
+    int *pinned,
+    int *active)
+{
+    sgms_real work[64 * 65];
+    for (long k = 0; k < problems; k++) {
+        active[k] = sgms_box_least_squares(
+            r + k * n * n, n, n, b + k * n, lower + k * n, upper + k * n, x + k * n, pinned + k * n, work);
+    }
+}
+
+/* The signal chain over a record; rows of out: position, velocity, acceleration, force, friction. */
+void probe_chain(
+    long n,
+    const double *coefficients,
+    double rate,
+    double mass,
+    int settle,
+    const sgms_position *position,
+    const sgms_real *force,
+    sgms_real *out,
+    int *valid)
+{
+    const sgms_lowpass filter = {
+        .b0 = (sgms_real)coefficients[0],
+        .b1 = (sgms_real)coefficients[1],
+        .b2 = (sgms_real)coefficients[2],
+        .a1 = (sgms_real)coefficients[3],
+        .a2 = (sgms_real)coefficients[4]};
+    sgms_position positions[2] = {0, 0};
+    sgms_real states[SGMS_FILTER_STATES] = {0}, last[4] = {0};
+    int32_t counts[3] = {0, 0, 0};
+    const sgms_filter_memory memory = {.position = positions, .lowpass = states, .last = last, .counts = counts};
+    for (long k = 0; k < n; k++) {
+        const sgms_aligned s = sgms_filter_step(
+            &filter, (sgms_real)rate, (sgms_real)mass, settle, &memory, position[k], force[k]);
+        out[k] = s.position;
+        out[n + k] = s.velocity;
+        out[2 * n + k] = s.acceleration;
+        out[3 * n + k] = s.force;
+        out[4 * n + k] = s.friction;
+        valid[k] = s.valid;
+    }
+}

@@ -1,0 +1,96 @@
+"""Emitted packages and C probes for the tests of the C: written out, compiled, loaded."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.build import DEFAULT_FLAGS, WARNING_FLAGS, shared_library
+from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.paths import runtime_dir
+
+Array = NDArray[np.float64]
+
+PROBES = Path(__file__).parent / "c"
+STRICT = ("-std=c99", *WARNING_FLAGS)
+REAL: Mapping[str, Any] = {"double": np.float64, "single": np.float32}
+PRECISIONS = ("double", "single")
+
+
+def machine(**changes: Any) -> Machine:
+    """etel_xy with changes, as a machine file that extends it."""
+    return override_machine(load_machine("etel_xy"), changes)
+
+
+def scheme(name: str, **settings: Any) -> dict[str, Any]:
+    """Table `sampling` of another integrator."""
+    return {"integrator": {"scheme": name, **settings}}
+
+
+def elements(n: int) -> dict[str, Any]:
+    """Table `friction` of n elements."""
+    fraction = np.round(np.random.default_rng(n).dirichlet(3.0 * np.ones(n)), 3)
+    fraction[-1] = round(1.0 - float(fraction[:-1].sum()), 3)
+    return {
+        "stiffness": [float(k) for k in np.geomspace(1e5, 5e3, n)],
+        "fraction": [float(nu) for nu in fraction],
+        "micro_viscous": [0.0] * n,
+    }
+
+
+def written(package: Package, folder: Path) -> Path:
+    """A package's folder below `folder`."""
+    target = folder / package.machine.name
+    write_package(package, target)
+    return target
+
+
+def compile_probe(
+    source: str | Path, *include: Path, definitions: Sequence[str] = (), flags: Sequence[str] = DEFAULT_FLAGS
+) -> ctypes.CDLL:
+    """Shared library of one probe of tests/c, or of a source elsewhere."""
+    path = PROBES / source
+    return ctypes.CDLL(str(shared_library([path], [*include, runtime_dir()], [*flags, *definitions])))
+
+
+@lru_cache(maxsize=2)
+def runtime_probe(precision: str) -> ctypes.CDLL:
+    """tests/c/runtime_probe.c in one precision."""
+    return compile_probe("runtime_probe.c", definitions=[f"-DSGMS_SINGLE={int(precision == 'single')}"])
+
+
+def pointer(array: NDArray[Any]) -> ctypes.c_void_p:
+    """Address of a C-contiguous array."""
+    if not array.flags.c_contiguous:
+        raise ValueError("not contiguous")
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def run(command: Sequence[str | Path], cwd: Path | None = None) -> str:
+    """Run a command; its whole output is the failure's message."""
+    done = subprocess.run([str(word) for word in command], cwd=cwd, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise AssertionError(f"{' '.join(map(str, command))}\nexit code {done.returncode}\n{done.stdout}{done.stderr}")
+    return done.stdout
+
+
+def symbols(path: Path, *arguments: str) -> list[tuple[str, str]]:
+    """(type, name) of the symbols of an object, by nm."""
+    nm = shutil.which("nm") or "nm"
+    rows = [line.split() for line in run([nm, *arguments, path]).splitlines()]
+    return [(row[-2], row[-1]) for row in rows if len(row) >= 2]
+
+
+def emitted(folder: Path, **changes: Any) -> tuple[Package, Path]:
+    """Package of etel_xy with changes, and its folder below `folder`."""
+    package = emit_package(machine(**changes))
+    return package, written(package, folder)

@@ -1,0 +1,391 @@
+"""Every effect of the catalogue: against the base model, the emitted C, the simulated plant, and wrong input."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sgms_mhe.build import WARNING_FLAGS
+from sgms_mhe.comparison import TOLERANCES
+from sgms_mhe.compiled import CompiledEstimator
+from sgms_mhe.errors import InputError
+from sgms_mhe.kinematics import Signals
+from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.model import Model, build_model
+from sgms_mhe.model.effects import (
+    BASE_CAUSES,
+    CAUSE_NAMES,
+    EFFECT_NAMES,
+    STAGES,
+    cause,
+    effect_definition,
+    machine_unit,
+    measures,
+    separating_moves,
+)
+from sgms_mhe.model.effects.excitation import MEASURES
+from sgms_mhe.reference.integrator import Integrator
+from sgms_mhe.reference.mhe import run_mhe
+from sgms_mhe.reference.problem import Record
+from sgms_mhe.simulation import AxisConfig, plant_effects, simulate_axis
+from sgms_mhe.structure import analyse
+from sgms_mhe.trajectories import Motion, Trajectory
+
+Array = NDArray[np.float64]
+
+RATE = 5000.0
+# Little optimisation: most of the time here is the compiler's.
+FLAGS = ("-std=c99", "-O1", "-ffp-contract=off", *WARNING_FLAGS)
+START = 3  # updates: where an effect is there from the first sample, the controller has to take it up first
+
+
+@dataclass(frozen=True)
+class Case:
+    """An effect's parameters, and how far prediction and plant may be apart: RMS and largest [N].
+
+    The base model is apart from the plant by 1e-3 N RMS, 8e-3 N at most: velocity is the mean over a sample.
+    """
+
+    parameters: dict[str, float]
+    rms_N: float = 2e-3
+    largest_N: float = 1e-2
+
+
+CASES = {
+    "force_ripple": Case({"amplitude_N": 0.6, "pitch_m": 0.004, "phase_rad": 0.7}),
+    "force_constant_ripple": Case({"ratio": 0.05, "pitch_m": 0.004, "phase_rad": 0.7}),
+    "constant_offset": Case({"force_N": 0.5}),
+    "position_spring": Case({"stiffness_N_m": 60.0, "centre_m": 0.002}),
+    "hose_hysteresis": Case({"stiffness_N_m": 800.0, "force_N": 0.8}),
+    "asymmetric_coulomb": Case({"ratio": 0.15}),
+    "asymmetric_viscous": Case({"difference_N_s_m": 12.0}),
+    "position_dependent_friction": Case({"ratio": 0.2, "pitch_m": 0.004, "phase_rad": 0.7}),
+    "friction_drift": Case({"ratio": 0.3, "time_constant_s": 1.0}),
+    "viscous_drift": Case({"ratio": 0.5, "time_constant_s": 1.0}),
+    "mass_mismatch": Case({"mass_kg": 1.5}),
+    "force_gain": Case({"gain": 1.07}),
+    # Second order in the delay, and an element that breaks away within it.
+    "force_delay": Case({"delay_s": 3e-4}, 6e-3, 6e-2),
+    # The command is a staircase whose steps the log shows only at their ends.
+    "actuator_lag": Case({"time_constant_s": 5e-4}, 2e-2, 8e-2),
+    "quadratic_drag": Case({"coefficient_N_s2_m2": 300.0}),
+    "eddy_current_damping": Case({"damping_N_s_m": 15.0, "corner_velocity_m_s": 0.03}),
+    # Second difference of the reading, over samples in which the angle moves by up to 0.06.
+    "encoder_periodic_error": Case({"amplitude_m": 5e-7, "pitch_m": 1e-3, "phase_rad": 0.7}, 5e-2, 0.3),
+    "structural_resonance": Case({"frequency_Hz": 60.0, "damping_ratio": 0.03, "mass_kg": 3.0}, 6e-3, 3e-2),
+    "periodic_disturbance": Case({"amplitude_N": 0.4, "frequency_Hz": 13.0, "phase_rad": 0.7}),
+    # A step at 1.2043 s, a millisecond wide, between two updates.
+    "step_disturbance": Case({"force_N": 0.5, "time_s": 1.2043}),
+    # Contact ends over 5 % of f_C and over 1/35 of the gap; the plant's at once.
+    "backlash": Case({"gap_m": 2e-5}, 3e-2, 0.2),
+    "frictional_lag": Case({"time_constant_s": 0.02}),
+    "dwell_dependence": Case({"ratio": 0.3, "time_constant_s": 0.3, "length_m": 1e-4}),
+    "micro_viscous": Case({"damping_N_s_m": 30.0}, 3e-3, 2e-2),
+}
+
+
+def trajectory(rate: float = RATE) -> Trajectory:
+    """Two seconds of quick and slow moves, rests, reversals within and beyond break-away, and a swing."""
+    motion = Motion(rate)
+    motion.wait(0.02)
+    motion.move_by(0.004, 0.03, 1.0, 60.0)
+    motion.wait(0.15)
+    motion.move_by(-0.002, 0.01, 0.5, 30.0)
+    motion.move_by(0.0005, 0.002, 0.1, 5.0)
+    motion.wait(0.3)
+    motion.move_by(-0.0003, 0.002, 0.2, 10.0)
+    motion.move_by(0.006, 0.05, 2.0, 100.0)
+    motion.swing(3e-4, 8.0, 3)
+    motion.move_by(-0.006, 0.02, 1.0, 60.0)
+    return motion.trajectory("mixed")
+
+
+@lru_cache(maxsize=1)
+def base() -> Machine:
+    return override_machine(
+        load_machine("etel_xy"),
+        {
+            "sampling": {"rate": RATE, "update_rate": 100.0, "integrator": {"scheme": "flow"}},
+            "estimator": {"horizon": 3, "bounds": {}},
+        },
+    )
+
+
+def extended(*effects: tuple[str, dict[str, float]], free: tuple[str, ...], **changes: Any) -> Machine:
+    """The base machine with effects, stiffness and `free` estimated."""
+    entries = [{"name": name, **parameters} for name, parameters in effects]
+    return override_machine(base(), {"effects": entries, "estimator": {"parameters": ["stiffness", *free]}, **changes})
+
+
+@lru_cache(maxsize=None)
+def machine_of(name: str) -> Machine:
+    free = tuple(f"{name}.{parameter}" for parameter in effect_definition(name).main)
+    return extended((name, CASES[name].parameters), free=free)
+
+
+@lru_cache(maxsize=None)
+def integrator_of(name: str) -> Integrator:
+    return Integrator(build_model(machine_of(name)))
+
+
+def simulated(machine: Machine, *, as_read: bool, noise_N: float = 0.0) -> Signals:
+    """The plant's force along its true motion, or along the motion that its encoder reads."""
+    config = AxisConfig(encoder_resolution_m=0.0, force_noise_N=noise_N)
+    run = simulate_axis(machine, trajectory(machine.sampling.rate), config)
+    assert run.truth is not None
+    rate = machine.sampling.rate
+    position = run.log.position_m if as_read else run.truth.position_m
+    acceleration = run.truth.acceleration_m_s2
+    if as_read:
+        acceleration = np.diff(position, 2, prepend=position[:1], append=position[-1:]) * rate**2
+    good = np.ones(len(position), dtype=bool)
+    return Signals(
+        time=run.log.time_s,
+        position=position,
+        velocity=np.diff(position, prepend=position[:1]) * rate,
+        acceleration=acceleration,
+        force=run.log.force_N,
+        friction=run.log.force_N - machine.plant.mass * acceleration,
+        valid=good,
+        missing=~good,
+    )
+
+
+def deviation(integrator: Integrator, signals: Signals) -> Array:
+    """Model alone along the motion minus the plant, at the updates [N]."""
+    model = integrator.model
+    record = Record(model, signals, integrator)
+    theta = np.ones(model.n_p)
+    x = np.zeros((record.updates + 1, model.n_x))
+    for k in range(record.updates):
+        x[k + 1] = integrator.intervals(record.plan, k, x[k : k + 1], theta).x1[0]
+    return np.asarray(integrator.outputs(x, record.w, theta).y - record.y)
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+# --- registry ---------------------------------------------------------------------------------------------------
+
+
+def test_model_and_plant_know_the_same_effects() -> None:
+    of_model = {name: tuple(p.name for p in effect_definition(name).parameters) for name in EFFECT_NAMES}
+    assert of_model == plant_effects()
+    assert set(CASES) == set(EFFECT_NAMES)
+    assert len(EFFECT_NAMES) == 24
+
+
+@pytest.mark.parametrize("name", CAUSE_NAMES)
+def test_description_is_complete(name: str) -> None:
+    described = cause(name)
+    assert described.name == name and described.summary and described.excitation.text and described.confused_with
+    assert set(described.confused_with) <= set(CAUSE_NAMES) - {name}
+    for other in described.confused_with:
+        assert separating_moves(name, other) and separating_moves(other, name) == separating_moves(name, other)[::-1]
+    assert all(need.measure in MEASURES for need in described.excitation.needs)
+    if name in BASE_CAUSES:
+        return
+    definition = effect_definition(name)
+    parameters = {p.name: p for p in definition.parameters}
+    assert definition.main and definition.stage in STAGES
+    assert all(p.lower <= p.default <= p.upper and p.scale > 0.0 for p in definition.parameters)
+    assert set(definition.start.values) <= set(parameters)
+    for search in definition.start.searches:
+        assert {search.parameter, *(search.harmonic or ())} <= set(parameters)
+    assert all(need.times in (None, *parameters) for need in definition.excitation.needs)
+    states = build_model(machine_of(name)).states
+    assert [s.name for s in states[4:]] == [f"{name}_{state}" for state in definition.states]
+    assert [s.element for s in states] == [0, 1, 2, 3] + [None] * len(definition.states)
+
+
+@pytest.mark.parametrize("name", sorted(BASE_CAUSES))
+def test_wrong_numbers_free_base_parameters(name: str) -> None:
+    freed = override_machine(base(), {"estimator": {"parameters": list(BASE_CAUSES[name].frees)}})
+    assert {p.name for p in build_model(freed).parameters} == set(BASE_CAUSES[name].frees)
+    assert set(BASE_CAUSES[name].reported) == set(BASE_CAUSES[name].frees)
+
+
+def test_excitation_is_measured() -> None:
+    found = measures(simulated(base(), as_read=False), base())
+    assert set(found) == set(MEASURES)
+    assert found["travel_m"] == pytest.approx(8.2e-3, rel=0.1)
+    assert found["speed_m_s"] == pytest.approx(0.05, rel=0.02)
+    assert found["standstill_s"] == pytest.approx(0.3, rel=0.1)
+    assert found["both_directions"] > 0.2 and found["reversals"] >= 8.0
+    excitation = effect_definition("force_ripple").excitation
+    assert not excitation.unmet(found, {"pitch_m": 0.004})
+    assert [need.measure for need in excitation.unmet(found, {"pitch_m": 0.032})] == ["travel_m"]
+    still = Signals(*(np.zeros(500) for _ in range(6)), np.ones(500, dtype=bool), np.zeros(500, dtype=bool))
+    assert effect_definition("asymmetric_coulomb").excitation.unmet(measures(still, base()), {"ratio": 0.0})
+
+
+# --- against the base model -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", EFFECT_NAMES)
+def test_effect_of_size_zero_is_the_base_model(name: str) -> None:
+    without, with_effect = build_model(base()), build_model(extended((name, {}), free=()))
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        chi, theta = rng.uniform(-1.0, 1.0, 4), rng.uniform(0.9, 1.1, 4)
+        w = [
+            0.01 * rng.normal(),
+            10.0 ** rng.uniform(-5, -1) * rng.choice([-1, 1]),
+            rng.normal(),
+            5.0 * rng.normal(),
+            2.0,
+        ]
+        at_rest = np.concatenate([chi, np.zeros(with_effect.n_x - 4)])
+        for function, count in (("rhs", 4), ("output", 1)):
+            expected = np.array(without.function(function)(chi, w, theta)).ravel()
+            found = np.array(with_effect.function(function)(at_rest, w, theta)).ravel()[:count]
+            np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-13)
+
+
+# --- against the emitted C --------------------------------------------------------------------------------------
+
+
+def assert_c_agrees(machine: Machine, integrator: Integrator, signals: Signals) -> None:
+    limit = TOLERANCES["double"]
+    expected = run_mhe(Record(integrator.model, signals, integrator), None)
+    found = CompiledEstimator(machine, flags=FLAGS).estimate(signals)
+    np.testing.assert_array_equal(found.status, expected.status)
+    assert np.all(expected.status >= 0)
+    assert np.ptp(found.friction_N - expected.friction_N) <= limit.friction * np.ptp(expected.friction_N)
+    spread = np.ptp(expected.z_m, axis=0)
+    assert np.all(np.abs(found.z_m - expected.z_m) <= limit.deflection * spread)
+    scale = np.abs([p.scale for p in integrator.model.parameters])
+    assert np.all(np.abs(found.parameters - expected.parameters) <= limit.parameter * scale)
+    np.testing.assert_allclose(found.std, expected.std, rtol=limit.deviation)
+
+
+@pytest.mark.parametrize("name", EFFECT_NAMES)
+def test_emitted_c_agrees_with_the_reference(name: str) -> None:
+    machine = machine_of(name)
+    signals = simulated(machine, as_read=name == "encoder_periodic_error", noise_N=0.05)
+    assert_c_agrees(machine, integrator_of(name), signals)
+
+
+# --- against the plant ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", EFFECT_NAMES)
+def test_prediction_matches_the_plant(name: str) -> None:
+    signals = simulated(machine_of(name), as_read=name == "encoder_periodic_error")
+    error = deviation(integrator_of(name), signals)[START:]
+    without = deviation(base_integrator(), signals)[START:]
+    assert rms(error) < CASES[name].rms_N
+    assert np.abs(error).max() < CASES[name].largest_N
+    # The test would not see an effect that is missing altogether, were it small beside the tolerance.
+    assert rms(without) > 5.0 * rms(error)
+
+
+@lru_cache(maxsize=1)
+def base_integrator() -> Integrator:
+    return Integrator(build_model(base()))
+
+
+TOGETHER = ("encoder_periodic_error", "asymmetric_coulomb", "force_ripple", "hose_hysteresis", "structural_resonance",
+            "force_constant_ripple", "force_delay", "force_gain", "dwell_dependence")  # fmt: skip
+
+
+def test_many_effects_at_once() -> None:
+    effects = [(name, CASES[name].parameters) for name in reversed(TOGETHER)]
+    machine = extended(*effects, free=("force_ripple.amplitude_N", "hose_hysteresis.force_N", "force_gain.gain"))
+    integrator = Integrator(build_model(machine))
+    signals = simulated(machine, as_read=True)
+    error, without = deviation(integrator, signals)[START:], deviation(base_integrator(), signals)[START:]
+    assert rms(error) < 0.06 and rms(without) > 10.0 * rms(error)
+    assert_c_agrees(machine, integrator, signals)
+
+
+def test_two_effects_of_one_name() -> None:
+    ripple = {"amplitude_N": 0.3, "phase_rad": 0.2}
+    machine = extended(
+        ("force_ripple", {**ripple, "pitch_m": 0.004}),
+        ("force_ripple", {**ripple, "pitch_m": 0.0013}),
+        free=("force_ripple.amplitude_N", "force_ripple_2.amplitude_N"),
+    )
+    integrator = Integrator(build_model(machine))
+    assert rms(deviation(integrator, simulated(machine, as_read=False))[START:]) < 2e-3
+
+
+@pytest.mark.parametrize("name", ["actuator_lag", "force_delay", "structural_resonance"])
+def test_states_follow_interpolated_signals_too(name: str) -> None:
+    # Without the hold of a sample the lags are integrated as they are.
+    sampling = {"integrator": {"scheme": "rk4", "velocity": "linear"}}
+    machine = extended((name, CASES[name].parameters), free=(), sampling=sampling)
+    error = deviation(Integrator(build_model(machine)), simulated(machine, as_read=False))[START:]
+    assert rms(error) < 3.0 * CASES[name].rms_N
+
+
+# --- structure --------------------------------------------------------------------------------------------------
+
+
+def group_shapes(model: Model) -> list[tuple[int, int]]:
+    return [(len(group.blocks), group.m) for group in analyse(model).groups]
+
+
+@pytest.mark.parametrize(
+    "name", [n for n in EFFECT_NAMES if n not in ("backlash", "frictional_lag", "dwell_dependence")]
+)
+def test_elements_stay_apart_from_effects_that_do_not_move_them(name: str) -> None:
+    shapes = group_shapes(build_model(machine_of(name)))
+    assert shapes[0] == (4, 1)
+    assert shapes[1:] == ([(1, len(effect_definition(name).states))] if effect_definition(name).states else [])
+
+
+# --- wrong input ------------------------------------------------------------------------------------------------
+
+
+def refused(folder: Path, text: str) -> str:
+    path = folder / "bad.toml"
+    path.write_text(f'extends = "etel_xy"\nname = "bad"\n{text}', encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        build_model(load_machine(path))
+    return str(error.value)
+
+
+@pytest.mark.parametrize("name", EFFECT_NAMES)
+def test_wrong_parameters_are_refused(name: str, tmp_path: Path) -> None:
+    entry = f'[[effects]]\nname = "{name}"\n'
+    message = refused(tmp_path, entry + "size = 1.0\n")
+    assert "size = 1.0" in message and all(p.name in message for p in effect_definition(name).parameters)
+    first = effect_definition(name).parameters[0].name
+    assert first in refused(tmp_path, f'{entry}{first} = "much"\n')
+    assert first in refused(tmp_path, f"{entry}{first} = nan\n")
+    assert f"{name}.size" in refused(tmp_path, f'[estimator]\nparameters = ["{name}.size"]\n{entry}')
+    for parameter in effect_definition(name).parameters:
+        if math.isfinite(parameter.lower):
+            message = refused(tmp_path, f"{entry}{parameter.name} = {parameter.lower - 1.0}\n")
+            assert parameter.name in message
+
+
+def test_unknown_effect_is_refused_with_the_catalogue(tmp_path: Path) -> None:
+    message = refused(tmp_path, '[[effects]]\nname = "gremlins"\n')
+    assert all(name in message for name in EFFECT_NAMES)
+
+
+def test_bounds_need_a_nominal_value_to_multiply(tmp_path: Path) -> None:
+    text = (
+        '[estimator]\nparameters = ["constant_offset.force_N"]\n[estimator.bounds]\n'
+        '"constant_offset.force_N" = [0.5, 2.0]\n[[effects]]\nname = "constant_offset"\n'
+    )
+    assert "nominal of 0" in refused(tmp_path, text)
+
+
+def test_sizes_follow_the_machine() -> None:
+    emps, etel = load_machine("emps"), load_machine("etel_xy")
+    amplitude = effect_definition("force_ripple").parameter("amplitude_N")
+    assert amplitude.size(emps) / amplitude.size(etel) == pytest.approx(emps.friction.coulomb / etel.friction.coulomb)
+    assert machine_unit(etel, "deflection") == pytest.approx(0.83 * 4.0 / 7.9e3)
+    phase = effect_definition("force_ripple").parameter("phase_rad")
+    assert phase.estimation_scale(etel, 3.0) == phase.estimation_scale(etel, 0.0) == 0.1

@@ -1,0 +1,503 @@
+"""The hand-written C alone: elementary functions, small least squares, signal chain, in both precisions."""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from c_packages import PRECISIONS, REAL, machine, pointer, runtime_probe
+from sgms_mhe.kinematics import Signals, lowpass_coefficients, settle_samples, signals_from_log
+from sgms_mhe.logs import Log
+from sgms_mhe.machine import Machine
+from sgms_mhe.trajectories import make_trajectory
+
+Array = NDArray[Any]
+
+# --- elementary functions ----------------------------------------------------------------------------------------
+
+# Bounds and ranges of the table at the head of sgms_math.h. A longdouble holds 11 bits more than a double.
+LIMITS: dict[str, dict[str, tuple[float, float]]] = {
+    "exp": {"double": (-700.0, 709.0), "single": (-86.0, 88.0)},
+    "tanh": {"double": (-1e16, 1e16), "single": (-1e8, 1e8)},
+    "sin": {"double": (-1e5, 1e5), "single": (-1e3, 1e3)},
+    "cos": {"double": (-1e5, 1e5), "single": (-1e3, 1e3)},
+    "log": {"double": (2.3e-308, 1.7e308), "single": (1.2e-38, 3.4e38)},
+    "sqrt": {"double": (2.3e-308, 1.7e308), "single": (1.2e-38, 3.4e38)},
+}
+BOUND: dict[str, dict[str, float]] = {
+    "exp": {"double": 5e-16, "single": 2e-7},
+    "tanh": {"double": 3e-15, "single": 8e-7},
+    "sin": {"double": 2e-15, "single": 3e-7},
+    "cos": {"double": 2e-15, "single": 3e-7},
+    "log": {"double": 4e-16, "single": 3e-7},
+    "sqrt": {"double": 3e-16, "single": 2e-7},
+}
+# What the bound is relative to, by the exact value.
+SCALE: dict[str, Callable[[Array], Array]] = {
+    "exp": np.abs,
+    "tanh": np.ones_like,
+    "sin": np.ones_like,
+    "cos": np.ones_like,
+    "log": lambda y: 1.0 + np.abs(y),
+    "sqrt": np.abs,
+}
+POINTS = 200_000
+
+
+def evaluate(function: str, precision: str, x: Array) -> tuple[Array, Array]:
+    """Arguments as the precision holds them, and the C's values there."""
+    x = np.ascontiguousarray(x, dtype=REAL[precision])
+    y = np.empty_like(x)
+    getattr(runtime_probe(precision), f"probe_{function}")(ctypes.c_long(len(x)), pointer(x), pointer(y))
+    return x, y
+
+
+def arguments(function: str, precision: str) -> Array:
+    """Random, dense and edge arguments over the stated range."""
+    rng = np.random.default_rng(7)
+    low, high = LIMITS[function][precision]
+    eps = float(np.finfo(REAL[precision]).eps)
+    if function in ("log", "sqrt"):
+        spread = np.exp(rng.uniform(np.log(low), np.log(high), POINTS))
+        near_one = 1.0 + eps * np.arange(-50.0, 51.0)
+        return np.concatenate(
+            [spread, np.linspace(0.25, 4.0, POINTS), near_one, 2.0 ** np.arange(-100.0, 101.0), [low, high]]
+        )
+    spans = [min(high, s) for s in (1e-3, 1.0, 20.0, 1e3, 1e5)]
+    parts = [rng.uniform(max(low, -s), s, POINTS) for s in spans]
+    multiples = np.arange(-600.0, 601.0) * (np.pi / 4.0 if function in ("sin", "cos") else 0.5 * np.log(2.0))
+    multiples = multiples[(multiples >= low) & (multiples <= high)]
+    tiny = np.array([0.0, -0.0, 1e-30, -1e-30, eps, -eps])
+    reach = np.geomspace(1.0, high, 400)
+    parts += [np.linspace(max(low, -30.0), min(high, 30.0), POINTS), multiples, tiny, reach, [low, high]]
+    if low < 0.0:
+        parts.append(-np.geomspace(1.0, -low, 400))
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("function", list(BOUND))
+def test_function_keeps_its_stated_bound(function: str, precision: str) -> None:
+    x, y = evaluate(function, precision, arguments(function, precision))
+    exact = getattr(np, function)(x.astype(np.longdouble))
+    error = np.abs(y - exact) / SCALE[function](exact)
+    worst = int(np.argmax(error))
+    assert error[worst] <= BOUND[function][precision], f"{function}({x[worst]!r}) is off by {error[worst]:.2e}"
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("function", list(BOUND))
+def test_function_agrees_with_many_digits(function: str, precision: str) -> None:
+    x, y = evaluate(function, precision, np.random.default_rng(3).permutation(arguments(function, precision))[:2000])
+    with mpmath.workdps(40):
+        exact = [getattr(mpmath, function)(mpmath.mpf(float(v))) for v in x]
+        error = np.array([float(abs(mpmath.mpf(float(v)) - e)) for v, e in zip(y, exact, strict=True)])
+    scale = SCALE[function](np.array([float(e) for e in exact]))
+    assert np.max(error / scale) <= BOUND[function][precision]
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_functions_beyond_their_range(precision: str) -> None:
+    inf, nan = np.inf, np.nan
+    low, high = LIMITS["exp"][precision]
+    top = float(evaluate("exp", precision, np.array([high]))[1][0])
+    for x, expected in (
+        (np.nextafter(REAL[precision](low), REAL[precision](-inf)), 0.0),
+        (-inf, 0.0),
+        (inf, top),
+        (high + 10.0, top),
+        (nan, nan),
+    ):
+        np.testing.assert_equal(float(evaluate("exp", precision, np.array([x]))[1][0]), expected)
+    np.testing.assert_equal(evaluate("sqrt", precision, np.array([0.0, -0.0, -1.0, nan]))[1], np.zeros(4))
+    assert np.isnan(evaluate("tanh", precision, np.array([inf, nan]))[1]).all()
+    huge = float(np.finfo(REAL[precision]).max)
+    finite = np.array([0.0, -0.0, 1.0, -huge, huge, inf, -inf, nan])
+    np.testing.assert_array_equal(evaluate("is_finite", precision, finite)[1], [1, 1, 1, 1, 1, 0, 0, 0])
+    np.testing.assert_array_equal(evaluate("fabs", precision, finite)[1], np.abs(finite.astype(REAL[precision])))
+    np.testing.assert_array_equal(evaluate("sign", precision, finite[:7])[1], np.sign(finite[:7]))
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_functions_are_odd_even_and_monotone(precision: str) -> None:
+    x = np.linspace(0.0, 15.0, 20001)
+    for function, sign in (("tanh", -1.0), ("sin", -1.0), ("cos", 1.0)):
+        np.testing.assert_allclose(
+            evaluate(function, precision, -x)[1],
+            sign * evaluate(function, precision, x)[1],
+            rtol=0.0,
+            atol=2.0 * BOUND[function][precision],
+        )
+    assert float(evaluate("tanh", precision, np.zeros(1))[1][0]) == 0.0
+    assert np.abs(evaluate("tanh", precision, np.linspace(-100.0, 100.0, 20001))[1]).max() <= 1.0
+
+
+# --- triangular factors ------------------------------------------------------------------------------------------
+
+EPS = {"double": 2e-15, "single": 1e-6}
+
+
+def c_array(values: Array, precision: str) -> Array:
+    return np.array(values, dtype=REAL[precision], order="C")
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_qr_keeps_the_normal_matrix_and_the_columns_beyond(precision: str) -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        rows, columns = int(rng.integers(1, 14)), int(rng.integers(1, 10))
+        width = columns + int(rng.integers(0, 4))
+        stride = width + int(rng.integers(0, 3))
+        scale = 10.0 ** rng.uniform(-3.0, 3.0, width)
+        a = c_array(
+            np.pad(rng.standard_normal((rows, width)) * scale, ((0, 0), (0, stride - width)), constant_values=9),
+            precision,
+        )
+        before = a.astype(float)
+        runtime_probe(precision).probe_qr(pointer(a), rows, stride, width, columns)
+        after = a.astype(float)
+        np.testing.assert_array_equal(after[:, width:], before[:, width:])
+        below = np.tril(np.ones((rows, columns)), -1).astype(bool)
+        assert not np.any(after[:, :columns][below])
+        got, expected = (m[:, :width] / scale for m in (after, before))
+        # Orthogonal: every product of columns stays.
+        np.testing.assert_allclose(got.T @ got, expected.T @ expected, atol=50.0 * EPS[precision] * rows)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_qr_of_ranks_that_are_short(precision: str) -> None:
+    probe = runtime_probe(precision)
+    a = c_array(np.zeros((4, 3)), precision)
+    probe.probe_qr(pointer(a), 4, 3, 3, 3)
+    assert not a.any()
+    column = c_array(np.outer([1.0, 2.0, -2.0], [1.0, 1.0, 1.0]), precision)
+    probe.probe_qr(pointer(column), 3, 3, 3, 3)
+    np.testing.assert_allclose(np.abs(column[0]), 3.0, rtol=EPS[precision])
+    np.testing.assert_allclose(column[1:], 0.0, atol=5.0 * EPS[precision])
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_folded_rows_are_the_stacked_least_squares(precision: str) -> None:
+    rng = np.random.default_rng(9)
+    probe = runtime_probe(precision)
+    for _ in range(60):
+        n, count = int(rng.integers(1, 9)), int(rng.integers(1, 25))
+        prior = np.triu(rng.standard_normal((n, n + 1)))
+        prior[range(n), range(n)] = rng.uniform(0.5, 2.0, n)
+        rows = rng.standard_normal((count, n + 1)) * (rng.uniform(size=(count, n + 1)) < 0.7)
+        r = c_array(prior, precision)
+        for row in rows:
+            used = c_array(row, precision)
+            probe.probe_qr_add_row(pointer(r), n, pointer(used))
+        assert not np.any(np.tril(r[:, :n], -1))
+        x, variance = np.empty(n, REAL[precision]), np.empty(n, REAL[precision])
+        b = np.ascontiguousarray(r[:, n])
+        probe.probe_back_substitute(pointer(r), n, n + 1, pointer(b), pointer(x))
+        probe.probe_variances(pointer(r), n, n + 1, pointer(variance))
+        stacked = np.vstack([prior, rows])
+        expected = np.linalg.lstsq(stacked[:, :n], stacked[:, n])[0]
+        covariance = np.linalg.inv(stacked[:, :n].T @ stacked[:, :n])
+        condition = np.linalg.cond(stacked[:, :n])
+        size = 1.0 + np.abs(expected).max() + np.abs(stacked[:, n]).max()
+        np.testing.assert_allclose(x, expected, rtol=0.0, atol=20.0 * EPS[precision] * condition * size)
+        np.testing.assert_allclose(variance, np.diag(covariance), rtol=100.0 * EPS[precision] * condition)
+
+
+def test_single_precision_survives_what_a_normal_matrix_does_not() -> None:
+    # Two nearly equal columns: the squares of J'J would lose the difference in single precision.
+    d = 1e-4
+    rows = np.array([[1.0, 1.0, 2.0], [0.0, d, d], [d, 0.0, d]])
+    r = c_array(rows, "single")
+    runtime_probe("single").probe_qr(pointer(r), 3, 3, 3, 2)
+    x, b = np.empty(2, np.float32), np.ascontiguousarray(r[:2, 2])
+    runtime_probe("single").probe_back_substitute(pointer(r), 2, 3, pointer(b), pointer(x))
+    np.testing.assert_allclose(x, 1.0, atol=5e-3)
+    # Its square in single precision has lost d altogether.
+    normal = rows[:, :2].astype(np.float32).T @ rows[:, :2].astype(np.float32)
+    assert abs(np.linalg.det(normal.astype(float)) / (2.0 * d**2) - 1.0) > 0.5
+
+
+# --- least squares within bounds ---------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass
+class Boxes:
+    """Many problems min |r x - b|, lower <= x <= upper: r (k, n, n) upper triangular, the rest (k, n)."""
+
+    r: Array
+    b: Array
+    lower: Array
+    upper: Array
+
+    def cost(self, x: Array) -> Array:
+        """|r x - b|^2 (k)."""
+        return np.sum((np.einsum("kij,kj->ki", self.r, x) - self.b) ** 2, axis=1)
+
+    def size(self, x: Array) -> Array:
+        """Sum of the squares of all terms that make |r x - b|: rounding is relative to it (k)."""
+        return np.sum(self.b**2 + np.einsum("kij,kj->ki", self.r**2, x**2), axis=1)
+
+    def solve(self, precision: str = "double") -> tuple[Array, Array, Array]:
+        """x, pinned (k, n) and number of active bounds (k) from the C."""
+        count, n = self.b.shape
+        held = [c_array(a, precision) for a in (self.r, self.b, self.lower, self.upper)]
+        x, pinned = np.empty((count, n), REAL[precision]), np.empty((count, n), np.int32)
+        active = np.empty(count, np.int32)
+        runtime_probe(precision).probe_box(
+            ctypes.c_long(count), n, *(pointer(a) for a in held), pointer(x), pointer(pinned), pointer(active)
+        )
+        return x.astype(float), pinned, active
+
+    def start(self) -> Array:
+        """The unbounded solution, moved into the box."""
+        return np.clip(np.linalg.solve(self.r, self.b[..., None])[..., 0], self.lower, self.upper)
+
+
+def boxes(n: int, count: int, kind: str, seed: int = 0) -> Boxes:
+    """Random problems: `plain`, `degenerate` (ties, optima on bounds, empty and open intervals), `stiff` (scales apart)."""
+    rng = np.random.default_rng([n, count, seed])
+    r = np.triu(rng.standard_normal((count, n, n)))
+    r[:, range(n), range(n)] = rng.uniform(0.3, 2.0, (count, n)) * rng.choice([-1.0, 1.0], (count, n))
+    middle = rng.standard_normal((count, n))
+    half = rng.uniform(0.0, 1.0, (count, n))
+    b = rng.standard_normal((count, n)) * 2.0
+    lower, upper = middle - half, middle + half
+    if kind == "stiff":
+        r *= 10.0 ** rng.uniform(-3.0, 3.0, (count, 1, n))
+        b *= 10.0 ** rng.uniform(-1.0, 1.0, (count, 1))
+    if kind == "degenerate":
+        # Coarse numbers make ties: equal gradients, optima on bounds, intervals of no width.
+        r, b, lower, upper = (np.round(2.0 * a) / 2.0 for a in (r, b, lower, upper))
+        r[:, range(n), range(n)] = np.where(r[:, range(n), range(n)] == 0.0, 1.0, r[:, range(n), range(n)])
+        lower = np.where(rng.uniform(size=lower.shape) < 0.25, -np.inf, lower)
+        upper = np.where(rng.uniform(size=upper.shape) < 0.25, np.inf, upper)
+    return Boxes(r, b, lower, upper)
+
+
+def best_of_all_active_sets(problem: Boxes) -> tuple[Array, Array]:
+    """Optimal x (k, n) and cost (k) by trying every combination of free and pinned variables."""
+    count, n = problem.b.shape
+    best, best_cost = np.full((count, n), np.nan), np.full(count, np.inf)
+    for choice in itertools.product((0, 1, 2), repeat=n):
+        pins = np.array(choice)
+        free = pins == 0
+        x = np.where(pins == 1, problem.lower, np.where(pins == 2, problem.upper, 0.0))
+        possible = np.isfinite(x).all(axis=1)
+        x = np.where(possible[:, None], x, 0.0)
+        if free.any():
+            right = problem.b - np.einsum("kij,kj->ki", problem.r, x)
+            q, t = np.linalg.qr(problem.r[:, :, free])
+            x[:, free] = np.linalg.solve(t, np.einsum("kij,ki->kj", q, right)[..., None])[..., 0]
+        tolerance = 1e-12 * (1.0 + np.abs(x))
+        possible &= ((x >= problem.lower - tolerance) & (x <= problem.upper + tolerance)).all(axis=1)
+        x = np.clip(x, problem.lower, problem.upper)
+        cost = np.where(possible, problem.cost(x), np.inf)
+        better = cost < best_cost
+        best[better], best_cost[better] = x[better], cost[better]
+    return best, best_cost
+
+
+@pytest.mark.parametrize("kind", ["plain", "degenerate", "stiff"])
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
+def test_box_solution_is_the_best_of_all_active_sets(n: int, kind: str) -> None:
+    problem = boxes(n, 1500 if n < 4 else 500, kind)
+    x, pinned, active = problem.solve()
+    best, best_cost = best_of_all_active_sets(problem)
+    assert np.all((x >= problem.lower) & (x <= problem.upper))
+    assert np.all(problem.cost(x) <= best_cost + 1e-12 * problem.size(x))
+    # As near as the condition lets a cost within rounding of the best be.
+    condition = np.linalg.cond(problem.r)
+    np.testing.assert_array_less(
+        np.abs(x - best).max(axis=1), 1e-13 * condition**2 * (1.0 + np.abs(best).max(axis=1)) + 1e-12
+    )
+    np.testing.assert_array_equal(np.count_nonzero(pinned, axis=1), active)
+    np.testing.assert_array_equal(x[pinned < 0], problem.lower[pinned < 0])
+    np.testing.assert_array_equal(x[pinned > 0], problem.upper[pinned > 0])
+    assert active.max() == n and active.min() < n
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("kind", ["plain", "degenerate", "stiff"])
+@pytest.mark.parametrize("n", [2, 4, 7, 12])
+def test_box_solution_is_feasible_and_no_worse_than_its_start(n: int, kind: str, precision: str) -> None:
+    problem = boxes(n, 3000, kind, seed=1)
+    single = Boxes(*(a.astype(REAL[precision]).astype(float) for a in dataclasses.astuple(problem)))
+    x, _, _ = single.solve(precision)
+    assert np.all((x >= single.lower) & (x <= single.upper))
+    start = single.start()
+    size = single.size(x) + single.size(start)
+    assert np.all(single.cost(x) <= single.cost(start) + 20.0 * n * EPS[precision] * size)
+
+
+@pytest.mark.parametrize("kind", ["plain", "degenerate"])
+@pytest.mark.parametrize("n", [7, 12])
+def test_box_solution_satisfies_the_conditions_of_an_optimum(n: int, kind: str) -> None:
+    problem = boxes(n, 3000, kind, seed=2)
+    x, _, _ = problem.solve()
+    gradient = np.einsum("kij,ki->kj", problem.r, np.einsum("kij,kj->ki", problem.r, x) - problem.b)
+    tolerance = 1e-10 * (
+        1.0 + np.abs(problem.b).max(axis=1, keepdims=True) * np.abs(problem.r).max(axis=(1, 2))[:, None]
+    )
+    assert np.all(gradient[x > problem.lower] <= np.broadcast_to(tolerance, x.shape)[x > problem.lower])
+    assert np.all(gradient[x < problem.upper] >= -np.broadcast_to(tolerance, x.shape)[x < problem.upper])
+
+
+def test_box_without_bounds_is_back_substitution() -> None:
+    problem = boxes(6, 200, "plain", seed=3)
+    problem.lower[:], problem.upper[:] = -np.inf, np.inf
+    x, pinned, active = problem.solve()
+    np.testing.assert_allclose(x, problem.start(), rtol=1e-10)
+    assert not pinned.any() and not active.any()
+
+
+# --- signal chain ------------------------------------------------------------------------------------------------
+
+
+def chain(log: Log, axis: Machine, precision: str) -> Signals:
+    """Blocks V and Y in C."""
+    n = len(log.time_s)
+    coefficients = np.array(lowpass_coefficients(axis))
+    position: Array = log.position_m.copy()
+    if precision == "single":
+        good = np.isfinite(log.position_m)
+        position = np.full(n, np.iinfo(np.int64).max)
+        position[good] = np.round(log.position_m[good] * 1e12).astype(np.int64)
+    force = c_array(log.force_N, precision)
+    out, valid = np.empty((5, n), REAL[precision]), np.empty(n, np.int32)
+    runtime_probe(precision).probe_chain(
+        ctypes.c_long(n),
+        pointer(coefficients),
+        ctypes.c_double(axis.sampling.rate),
+        ctypes.c_double(axis.plant.mass),
+        settle_samples(axis),
+        pointer(position),
+        pointer(force),
+        pointer(out),
+        pointer(valid),
+    )
+    return Signals(log.time_s, *out.astype(float), valid.astype(bool), np.zeros(n, bool))
+
+
+def motion(seed: int = 0, start_m: float = 0.2) -> Log:
+    """A second of moves up to 0.3 m/s, with encoder steps and force noise."""
+    rng = np.random.default_rng(seed)
+    path = make_trajectory("mixed", 1e4, max_velocity=0.3).position_m[:14000] + start_m
+    force = 5.0 * np.sign(np.gradient(path)) + 30.0 + rng.standard_normal(len(path))
+    return Log(np.arange(len(path)) / 1e4, np.round(path / 1e-9) * 1e-9, force, rate=1e4)
+
+
+def spoilt(log: Log, position: list[tuple[int, int]], force: list[tuple[int, int]], value: float = np.nan) -> Log:
+    """The log with missing samples [first, last)."""
+    q, u = log.position_m.copy(), log.force_N.copy()
+    for channel, gaps in ((q, position), (u, force)):
+        for first, last in gaps:
+            channel[first:last] = value
+    return dataclasses.replace(log, position_m=q, force_N=u)
+
+
+SETTLE = settle_samples(machine())
+GAPS: dict[str, tuple[list[tuple[int, int]], list[tuple[int, int]]]] = {
+    "none": ([], []),
+    "one position": ([(4321, 4322)], []),
+    "one force": ([], [(4321, 4322)]),
+    "short": ([(5000, 5012), (5020, 5021), (9000, 9040)], [(5005, 5025)]),
+    "just settle": ([(6000, 6000 + SETTLE)], []),
+    "settle and one": ([(6000, 6000 + SETTLE + 1)], []),
+    "long": ([(3000, 4500), (8000, 8003)], [(4400, 7000)]),
+    "two long": ([(3000, 3200), (3201, 3400), (3402, 3600)], []),
+    "start of position": ([(0, 57)], []),
+    "start of force": ([], [(0, 203)]),
+    "start of both": ([(0, 31)], [(0, 300), (305, 306)]),
+    "end": ([(13000, 14000)], [(13900, 14000)]),
+    "all position": ([(0, 14000)], []),
+    "all force": ([], [(0, 14000)]),
+}
+
+
+def compare_chains(log: Log, axis: Machine, precision: str) -> None:
+    """The C against kinematics.signals_from_log, from the first good sample of each channel on."""
+    expected, got = signals_from_log(log, axis), chain(log, axis, precision)
+    np.testing.assert_array_equal(got.valid, expected.valid)
+    first_position, first_force = (
+        int(np.argmax(good)) if (good := np.isfinite(channel)).any() else len(channel)
+        for channel in (log.position_m, log.force_N)
+    )
+    # Rounding of the number itself, and of a difference of numbers times the rate; the lower the cutoff, the longer the
+    # low-passes remember it.
+    low = lowpass_coefficients(axis)
+    eps = float(np.finfo(REAL[precision]).eps) / (1.0 + low[3] + low[4])
+    rate, mass = axis.sampling.rate, axis.plant.mass
+    reach, speed = float(np.abs(expected.position).max()), float(np.abs(expected.velocity).max())
+    steps = (4.0 * 2.3e-16 * reach + 1e-12 * (precision == "single")) * rate
+    tolerance = {
+        "position": 4.0 * eps * reach,
+        "velocity": 2.0 * eps * speed + steps,
+        # Of the second difference, not of the difference of two velocities: the drive's acceleration sets the scale.
+        "acceleration": 20.0 * eps * float(np.abs(expected.acceleration).max()) + 2.0 * steps * rate,
+        "force": 2.0 * eps * float(np.abs(expected.force).max()),
+    }
+    tolerance["friction"] = tolerance["force"] + mass * tolerance["acceleration"]
+    for name, absolute in tolerance.items():
+        first = {"position": first_position, "force": first_force, "friction": max(first_position, first_force)}
+        after = slice(first.get(name, 0), None)
+        np.testing.assert_allclose(
+            getattr(got, name)[after], getattr(expected, name)[after], rtol=0.0, atol=absolute, err_msg=name
+        )
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("gaps", list(GAPS))
+def test_chain_is_that_of_the_logs(gaps: str, precision: str) -> None:
+    compare_chains(spoilt(motion(), *GAPS[gaps]), machine(), precision)
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf])
+def test_infinite_samples_are_missing_ones(value: float) -> None:
+    gap = GAPS["short"]
+    compare_chains(spoilt(motion(), *gap, value=value), machine(), "double")
+    np.testing.assert_array_equal(
+        chain(spoilt(motion(), *gap, value=value), machine(), "double").friction,
+        chain(spoilt(motion(), *gap), machine(), "double").friction,
+    )
+
+
+@settings(max_examples=60)
+@given(
+    st.lists(st.tuples(st.integers(0, 1999), st.integers(1, 120)), max_size=6),
+    st.lists(st.tuples(st.integers(0, 1999), st.integers(1, 120)), max_size=6),
+    st.sampled_from(PRECISIONS),
+)
+def test_chain_under_any_gaps(position: list[tuple[int, int]], force: list[tuple[int, int]], precision: str) -> None:
+    full = motion()
+    log = Log(full.time_s[:2000], full.position_m[3000:5000], full.force_N[3000:5000], rate=1e4)
+    gaps = ([(a, a + n) for a, n in position], [(a, a + n) for a, n in force])
+    compare_chains(spoilt(log, *gaps), machine(), precision)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize(("rate", "cutoff"), [(1e4, 100.0), (1e4, 2000.0), (1e3, 60.0), (2e4, 500.0)])
+def test_chain_at_other_rates(rate: float, cutoff: float, precision: str) -> None:
+    axis = machine(sampling={"rate": rate, "velocity_cutoff": cutoff})
+    path = make_trajectory("mixed", rate, max_velocity=0.3).position_m[: int(0.6 * rate)]
+    log = Log(np.arange(len(path)) / rate, np.round(path / 1e-9) * 1e-9, np.full(len(path), 3.0), rate=rate)
+    compare_chains(spoilt(log, [(300, 303)], [(400, 401)]), axis, precision)
+
+
+def test_single_precision_takes_positions_that_a_float_cannot_hold() -> None:
+    # 1 nm steps 2 m from the origin: a float resolves 120 nm there, the picometres do not notice.
+    n = 4000
+    q = 2.0 + 1e-9 * np.floor(np.arange(n) / 3.0)
+    log = Log(np.arange(n) / 1e4, q, np.ones(n), rate=1e4)
+    got = chain(log, machine(), "single")
+    np.testing.assert_allclose(got.velocity[500:].mean(), 1e-9 / 3.0 * 1e4, rtol=1e-4)
+    compare_chains(log, machine(), "single")
