@@ -18,9 +18,7 @@ typedef struct {
     const sgms_real *forward;   /* [segments][degree + 1] psi over t in [-1, 1] */
     const sgms_real *inverse;   /* [segments][degree + 1] r over s in the segment, scaled to [-1, 1] */
     const uint8_t *cell;        /* [cells] segment that holds the upper end of the cell */
-    sgms_real r_star, near;     /* close to the fixed point, where a sliding element stays: one short polynomial each way, */
-    int near_degree;            /* psi / near over (r - r*) / near, and back */
-    const sgms_real *near_forward, *near_inverse;
+    sgms_real r_star, near;     /* fixed point, and how close to it a sliding element stays: there a short polynomial does */
 } sgms_flow_table;
 
 typedef struct {
@@ -48,16 +46,6 @@ static inline sgms_flow_move sgms_flow_step(const sgms_flow_table *table, sgms_r
     sgms_flow_move move = {.r = r0 + xi, .ratio = SGMS_R(1.0), .slope = SGMS_R(1.0)};
     sgms_real t, s, decay, d_psi, d_r, half;
     int j;
-    t = r0 - table->r_star;
-    if (sgms_fabs(t) <= table->near) {
-        const sgms_real scale = SGMS_R(1.0) / table->near;
-        decay = sgms_exp(-table->k * xi);
-        s = sgms_flow_polynomial(table->near_forward, table->near_degree, t * scale, &d_psi) * decay;
-        move.r = table->r_star + table->near * sgms_flow_polynomial(table->near_inverse, table->near_degree, s, &d_r);
-        move.ratio = decay * d_psi * d_r;
-        move.slope = -table->k * table->near * s * d_r;
-        return move;
-    }
     if (move.r <= table->start) { /* elastic all the way */
         return move;
     }

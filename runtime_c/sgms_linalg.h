@@ -5,11 +5,14 @@
 #include "sgms_math.h"
 
 /* Householder reflections that make the first `columns` columns of the rows x width matrix a upper triangular, from
- * row 0 on; rows lie `stride` numbers apart. Entries below the diagonal of these columns are set to zero. */
-static inline void sgms_qr(sgms_real *a, int rows, int stride, int width, int columns)
+ * row 0 on; rows lie `stride` numbers apart. Entries below the diagonal of these columns are set to zero. dots: `width` numbers.
+ *
+ * Every reflection runs over whole rows: the columns already done hold zeros and stay what they are, and a loop of constant length
+ * is one that compilers vectorise. */
+static inline void sgms_qr(sgms_real *restrict a, int rows, int stride, int width, int columns, sgms_real *restrict dots)
 {
     for (int c = 0; c < columns && c < rows; c++) {
-        sgms_real *pivot_row = a + c * stride;
+        sgms_real *const pivot_row = a + c * stride;
         sgms_real below = SGMS_R(0.0);
         for (int i = c + 1; i < rows; i++) {
             below += a[i * stride + c] * a[i * stride + c];
@@ -20,21 +23,27 @@ static inline void sgms_qr(sgms_real *a, int rows, int stride, int width, int co
             const sgms_real diagonal = pivot > SGMS_R(0.0) ? -norm : norm;
             const sgms_real head = pivot - diagonal; /* reflector (head, column below) */
             const sgms_real scale = SGMS_R(-1.0) / (diagonal * head);
-            for (int j = c + 1; j < width; j++) {
-                sgms_real dot = head * pivot_row[j];
-                for (int i = c + 1; i < rows; i++) {
-                    dot += a[i * stride + c] * a[i * stride + j];
-                }
-                dot *= scale;
-                pivot_row[j] -= dot * head;
-                for (int i = c + 1; i < rows; i++) {
-                    a[i * stride + j] -= dot * a[i * stride + c];
+            for (int j = 0; j < width; j++) {
+                dots[j] = head * pivot_row[j];
+            }
+            for (int i = c + 1; i < rows; i++) {
+                const sgms_real entry = a[i * stride + c];
+                for (int j = 0; j < width; j++) {
+                    dots[j] += entry * a[i * stride + j];
                 }
             }
-            pivot_row[c] = diagonal;
+            for (int j = 0; j < width; j++) {
+                dots[j] *= scale;
+                pivot_row[j] -= dots[j] * head;
+            }
             for (int i = c + 1; i < rows; i++) {
+                const sgms_real entry = a[i * stride + c];
+                for (int j = 0; j < width; j++) {
+                    a[i * stride + j] -= dots[j] * entry;
+                }
                 a[i * stride + c] = SGMS_R(0.0);
             }
+            pivot_row[c] = diagonal;
         }
     }
 }
@@ -95,7 +104,7 @@ static inline void sgms_variances(const sgms_real *r, int n, int width, sgms_rea
 /* minimise |r x - b| over lower <= x <= upper by a primal active-set method; r is n x width, upper triangular.
  *
  * Every iterate is feasible and no worse than the one before it, so stopping at the iteration limit still leaves a
- * usable x. work: n (n + 1) numbers; pinned: n entries, -1 at the lower bound, 1 at the upper, 0 free, on return.
+ * usable x. work: (n + 1)^2 numbers; pinned: n entries, -1 at the lower bound, 1 at the upper, 0 free, on return.
  * Returns the number of bounds that are active. */
 static inline int sgms_box_least_squares(
     const sgms_real *r,
@@ -139,7 +148,7 @@ static inline int sgms_box_least_squares(
                 }
             }
         }
-        sgms_qr(work, n, free_count + 1, free_count + 1, free_count);
+        sgms_qr(work, n, free_count + 1, free_count + 1, free_count, work + n * (n + 1));
         for (int c = free_count - 1; c >= 0; c--) { /* the solution replaces the right side */
             sgms_real *row = work + c * (free_count + 1);
             for (int j = c + 1; j < free_count; j++) {

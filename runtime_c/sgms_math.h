@@ -94,6 +94,30 @@ static inline sgms_real sgms_sign(sgms_real x)
     return sgms_from_bits(((bits ^ size) | sgms_bits(SGMS_R(1.0))) & -(sgms_integer)(size != 0));
 }
 
+/* |a| with the sign of b */
+static inline sgms_real sgms_copy_sign(sgms_real a, sgms_real b)
+{
+    return sgms_from_bits((sgms_bits(a) & SGMS_INTEGER_MAX) | (sgms_bits(b) & ~SGMS_INTEGER_MAX));
+}
+
+/* All ones where a < b, both not negative, else zero: the bits of such numbers are in the order of the numbers. */
+static inline sgms_integer sgms_less(sgms_real a, sgms_real b)
+{
+    return -(sgms_integer)(sgms_bits(a) < sgms_bits(b));
+}
+
+/* All ones where the sign bits agree. */
+static inline sgms_integer sgms_same_sign(sgms_real a, sgms_real b)
+{
+    return -(sgms_integer)((sgms_bits(a) ^ sgms_bits(b)) >= 0);
+}
+
+/* a where the mask is all ones, b where it is zero. */
+static inline sgms_real sgms_select(sgms_integer mask, sgms_real a, sgms_real b)
+{
+    return sgms_from_bits((sgms_bits(a) & mask) | (sgms_bits(b) & ~mask));
+}
+
 static inline sgms_real sgms_fmax(sgms_real a, sgms_real b)
 {
     return a > b ? a : b;

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +72,7 @@ CASES = {
     "mass_mismatch": Case({"mass_kg": 1.5}),
     "force_gain": Case({"gain": 1.07}),
     # Second order in the delay, and an element that breaks away within it.
-    "force_delay": Case({"delay_s": 3e-4}, 6e-3, 6e-2),
+    "force_delay": Case({"delay_s": 4e-4}, 1.5e-2, 0.1),
     # The command is a staircase whose steps the log shows only at their ends.
     "actuator_lag": Case({"time_constant_s": 5e-4}, 2e-2, 8e-2),
     "quadratic_drag": Case({"coefficient_N_s2_m2": 300.0}),
@@ -124,13 +124,13 @@ def extended(*effects: tuple[str, dict[str, float]], free: tuple[str, ...], **ch
     return override_machine(base(), {"effects": entries, "estimator": {"parameters": ["stiffness", *free]}, **changes})
 
 
-@lru_cache(maxsize=None)
+@cache
 def machine_of(name: str) -> Machine:
     free = tuple(f"{name}.{parameter}" for parameter in effect_definition(name).main)
     return extended((name, CASES[name].parameters), free=free)
 
 
-@lru_cache(maxsize=None)
+@cache
 def integrator_of(name: str) -> Integrator:
     return Integrator(build_model(machine_of(name)))
 

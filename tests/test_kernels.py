@@ -29,6 +29,8 @@ from sgms_mhe.model import Model, build_model
 from sgms_mhe.paths import runtime_dir
 from sgms_mhe.reference.integrator import Integrator, signal_array
 
+# Many small builds: most of their time is the compiler's.
+QUICK = ("-std=c99", "-O1", "-ffp-contract=off")
 ALL = ["stiffness", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity"]
 RIPPLE = [{"name": "force_ripple", "pitch_m": 0.001, "amplitude_N": 0.8, "phase_rad": 0.7}]
 
@@ -40,7 +42,7 @@ class Kernel:
         self.model: Model = build_model(settings)
         package = written(emit_package(settings, self.model), folder)
         self.library = ctypes.CDLL(
-            str(shared_library([runtime_dir() / "predict.c"], [package], flags=flags(settings.name)))
+            str(shared_library([runtime_dir() / "predict.c"], [package], [*QUICK, *replay_definitions(settings.name)]))
         )
 
     def run(self, w: Array, x: Array, theta: Array, d_x: Array | None = None) -> tuple[Array, Array, Array, Array]:
@@ -66,12 +68,6 @@ class Kernel:
             unit[i, 0] = 1.0
             A[:, i] = (self.run(w, x, theta, unit)[1] - B)[:, 0]
         return x1, A, B
-
-
-def flags(name: str) -> list[str]:
-    from sgms_mhe.build import DEFAULT_FLAGS
-
-    return [*DEFAULT_FLAGS, *replay_definitions(name)]
 
 
 @pytest.fixture(scope="module")
@@ -121,10 +117,12 @@ CASES: dict[str, dict[str, Any]] = {
 def test_sensitivities_are_those_of_casadi(case: str, kernel: Any) -> None:
     compiled: Kernel = kernel(**CASES[case])
     model = compiled.model
-    integrator = Integrator(model)
+    # Interpreted: compiling what CasADi prints takes longer than these few intervals.
+    integrator = Integrator(model, compiled=False)
+    is_flow = model.machine.sampling.integrator.scheme == "flow"
     rng = np.random.default_rng(1)
-    for seed in range(6):
-        signals = moving(swings(seed, peak=0.5 if seed % 2 else 0.02))
+    for seed in range(3):
+        signals = moving(swings(seed, peak=0.5 if is_flow else 0.01))
         plan = integrator.plan(signals)
         x = rng.uniform(-1.1, 1.1, model.n_x)
         theta = rng.uniform(0.8, 1.25, model.n_p)
@@ -279,16 +277,15 @@ def flow_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_flow_is_the_solution_of_its_equation(precision: str, zeta: float, lambda_: float, flow_folder: Path) -> None:
     library = flow_probe(precision, zeta, lambda_, flow_folder)
-    # Below the start of the table the flow counts as elastic, which leaves 1e-10 of slip out (DESIGN, section 3).
-    atol = {"double": 1e-13, "single": 2e-6}[precision]
-    left_out = 3e-11 / lambda_
+    # The derivative of a polynomial is less exact than its value, most where the polynomial is shortest, about r*.
+    atol, slope_atol = {"double": (2e-13, 2e-10), "single": (2e-6, 5e-5)}[precision]
     for r0, (r1, ratio) in exact_flow(zeta, lambda_).items():
         got = flow_step(library, np.full(len(XI), r0), XI)
-        np.testing.assert_allclose(got[0], r1, rtol=0.0, atol=atol + left_out, err_msg=f"r1 from {r0}")
-        np.testing.assert_allclose(got[1], ratio, rtol=0.0, atol=10.0 * atol + 1e-10, err_msg=f"dr1/dr0 from {r0}")
+        np.testing.assert_allclose(got[0], r1, rtol=0.0, atol=atol, err_msg=f"r1 from {r0}")
+        np.testing.assert_allclose(got[1], ratio, rtol=0.0, atol=slope_atol, err_msg=f"dr1/dr0 from {r0}")
         eta = 1.0 - 0.5 * np.tanh(lambda_ * (r1 + zeta)) + 0.5 * np.tanh(lambda_ * (r1 - zeta))
         slope = 1.0 - eta * np.maximum(r1, 0.0)
-        np.testing.assert_allclose(got[2], slope, rtol=0.0, atol=40.0 * atol + 1e-10, err_msg=f"dr1/dxi from {r0}")
+        np.testing.assert_allclose(got[2], slope, rtol=0.0, atol=2.0 * slope_atol, err_msg=f"dr1/dxi from {r0}")
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -297,15 +294,15 @@ def test_flow_is_a_flow(precision: str, flow_folder: Path) -> None:
     library = flow_probe(precision, 0.9, 35.0, flow_folder)
     rng = np.random.default_rng(0)
     n = 20000
-    tolerance = {"double": 3e-14, "single": 3e-6}[precision]
+    tolerance, slope_tolerance = {"double": (1e-12, 2e-10), "single": (1e-5, 1e-4)}[precision]
     r0, xi = rng.uniform(-3.0, 3.0, n), 10.0 ** rng.uniform(-6.0, 1.7, n)
     whole = flow_step(library, r0, xi)
     part = rng.uniform(size=n)
     first = flow_step(library, r0, part * xi)
     second = flow_step(library, first[0], (1.0 - part) * xi)
-    np.testing.assert_allclose(second[0], whole[0], rtol=0.0, atol=tolerance * 20.0)
-    np.testing.assert_allclose(first[1] * second[1], whole[1], rtol=0.0, atol=tolerance * 100.0 + 1e-10)
-    assert np.all(whole[1] >= -1e-12) and np.all(whole[1] <= 1.0 + tolerance)
+    np.testing.assert_allclose(second[0], whole[0], rtol=0.0, atol=tolerance)
+    np.testing.assert_allclose(first[1] * second[1], whole[1], rtol=0.0, atol=slope_tolerance)
+    assert np.all(whole[1] >= -1e-12) and np.all(whole[1] <= 1.0 + slope_tolerance)
     order = np.sort(r0)
     assert np.all(np.diff(flow_step(library, order, np.full(n, 0.3))[0]) >= -tolerance)
     for start in (-3.0, 0.0, 0.9, 1.0, 1.3, 5.0, 1e3):

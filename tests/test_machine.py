@@ -113,7 +113,7 @@ def test_defaults_are_resolved(tmp_path: Path) -> None:
         ("rate = 1000.0", 10, 0.03),
         ("rate = 8000\nupdate_rate = 250", 32, 0.03),
         ('integrator = { scheme = "euler" }', 100, 0.01),
-        ('integrator = { scheme = "bs23", substeps = 20 }', 20, 0.05),
+        ('integrator = { scheme = "bs23", substeps = 20 }', 20, 0.02),
         ('integrator = { scheme = "rk2", substeps = 300, displacement = 0.02 }', 300, 0.02),
     ],
 )

@@ -143,7 +143,7 @@ def test_linear_velocity_runs_from_sample_to_sample() -> None:
     integrator = Integrator(build_model(with_integrator(scheme="rk4", velocity="linear")))
     end = simulate(integrator, moving(velocity), np.ones(4))[-1]
     travel = np.sum(0.5 * (velocity[1:] + velocity[:-1])) * 1e-4
-    rho = float(integrator.model.function("rho")(np.ones(4))[3])
+    rho = float(integrator.model.function("rho")(np.zeros(5), np.ones(4))[3])
     assert end[3] == pytest.approx(rho * travel, rel=1e-9)
 
 

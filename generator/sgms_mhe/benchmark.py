@@ -1,8 +1,8 @@
 """What an update costs and how exact its integration is: time and instructions of the emitted C, errors of its steps.
 
-Time and instructions are those of all the work between two updates, as `runtime_c/harness.c` calls it: the samples of one
-interval through the signal chain and the newest interval, feedback, prepare. Only mean instruction counts compare between
-machines; time is that of this host.
+Time and instructions are those of all the work between two updates, as `runtime_c/harness.c` calls it: the samples of
+one interval through the signal chain and the newest interval, feedback, prepare. Only mean instruction counts compare
+between machines; time is that of this host.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sgms_mhe.compiled import CompiledModel, replay_definitions
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.errors import BuildError
 from sgms_mhe.kinematics import Signals, signals_from_log
-from sgms_mhe.logs import Log, write_log
+from sgms_mhe.logs import write_log
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.model import build_model
 from sgms_mhe.paths import runtime_dir
@@ -218,7 +218,7 @@ def _output(command: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class _Exact:
-    """Converged intervals: index k, signals of the M + 1 samples, state before (n_x), after, its derivatives (n_x, n_p)."""
+    """A converged interval: its M + 1 samples, index of the first, state before and after (n_x), d(after)/d(theta)."""
 
     signals: Signals
     first: int

@@ -85,14 +85,14 @@ def _outcomes(ctx: click.Context) -> Iterator[None]:
 @click.group(
     cls=Commands,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-    epilog="\b\nExample:\n  sgms-mhe simulate etel_xy --out axis.csv\n  sgms-mhe estimate etel_xy axis.csv --out est.csv",
+    epilog="\b\nExample:\n  sgms-mhe simulate etel_xy --out axis.csv\n  sgms-mhe estimate etel_xy axis.csv --out e.csv",
 )
 @click.version_option(__version__, prog_name="sgms-mhe")
 def cli() -> None:
     """Friction observers for motion control: from a machine file to embedded C, and its trials on a host.
 
-    MACHINE is a machine file (TOML), or the name of one in machines/. LOG is a measured or simulated log with the columns
-    time_s, position_m, force_N (CSV, NPZ or MAT v5).
+    MACHINE is a machine file (TOML), or the name of one in machines/. LOG is a measured or simulated log with the
+    columns time_s, position_m, force_N (CSV, NPZ or MAT v5).
 
     Exit codes: 0 done, 1 done and the answer is no, 2 bad input.
     """

@@ -1,12 +1,12 @@
 """The emitted C against the reference solver on the same signals: how far apart they are, and how far they may be.
 
-Differences are relative. Friction: to the range of the reference's friction; deflections: each to the range of its own;
-parameters and standard deviations: to the reference's value. In single precision a parameter counts at the updates where it
-is excited alone, which is where the data have brought its standard deviation below 90 % of the prior's: elsewhere nothing
-holds it, and rounding moves it freely within its own uncertainty.
+Differences are relative. Friction: to the range of the reference's friction; deflections: each to the range of its
+own; parameters and standard deviations: to the reference's value. In single precision a parameter counts at the
+updates where it is excited alone, which is where the data have brought its standard deviation below 90 % of the
+prior's: elsewhere nothing holds it, and rounding moves it freely within its own uncertainty.
 
-The status must be the same, but for a flag that compares a number with a limit (HOLD, SPEED, BOUND) at an update where that
-number lies on the limit within the tolerance `status`.
+The status must be the same, but for a flag that compares a number with a limit (HOLD, SPEED, BOUND) at an update
+where that number lies on the limit within the tolerance `status`.
 """
 
 from __future__ import annotations
@@ -138,11 +138,12 @@ def compare_estimates(
         quantities.append(
             _quantity(f"z_{i + 1}_m", ours, theirs, _range(theirs), tolerance.deflection, everywhere),
         )
-    differs = np.where(
-        np.minimum(generated.status, reference.status) < 0, -1, generated.status ^ reference.status
-    ) * (generated.status != reference.status)
-    decided = differs != 0 if undecided is None else differs & ~undecided != 0
-    excited = reference.std < EXCITED * prior_std if precision == "single" else np.ones(reference.std.shape, dtype=np.bool_)
+    flags = generated.status ^ reference.status
+    flags[(flags != 0) & (np.minimum(generated.status, reference.status) < 0)] = -1  # refused is no flag: all differ
+    decided = flags if undecided is None else flags & ~undecided
+    excited = (
+        reference.std < EXCITED * prior_std if precision == "single" else np.ones(reference.std.shape, dtype=np.bool_)
+    )
     for kind, prefix, allowed in (("parameters", "", tolerance.parameter), ("std", "std_", tolerance.deviation)):
         for k, name in enumerate(reference.parameter_names):
             ours, theirs = getattr(generated, kind)[:, k], getattr(reference, kind)[:, k]
@@ -153,7 +154,7 @@ def compare_estimates(
         updates=len(reference),
         quantities=tuple(quantities),
         status_mismatches=int(np.count_nonzero(decided)),
-        status_undecided=int(np.count_nonzero(differs)) - int(np.count_nonzero(decided)),
+        status_undecided=int(np.count_nonzero(flags)) - int(np.count_nonzero(decided)),
         bounds_active=(_bounds(generated), _bounds(reference)),
     )
 
@@ -164,7 +165,7 @@ def compare_signals(machine: Machine, signals: Signals, *, progress: Progress | 
     from sgms_mhe.reference import estimate_reference
 
     estimator = CompiledEstimator(machine)
-    generated = estimator.estimate(signals)
+    generated = estimator.estimate(signals, progress=progress)  # reports too, so that it can be interrupted
     reference = estimate_reference(machine, signals, progress=progress)
     parameters = estimator.model.parameters
     prior_std = machine.estimator.noise.parameter * np.array([abs(parameter.scale) for parameter in parameters])
@@ -175,7 +176,7 @@ def compare_signals(machine: Machine, signals: Signals, *, progress: Progress | 
 def undecided_flags(
     machine: Machine, signals: Signals, estimates: Estimates, parameters: Sequence[FreeParameter]
 ) -> NDArray[np.int64]:
-    """Flags that stand at each update (u) because of a number that lies on its limit, within the machine's tolerance."""
+    """Flags that at each update (u) depend on a number which lies on its limit, within the tolerance `status`."""
     from sgms_mhe.emission.package import hold_path
 
     tolerance = TOLERANCES[machine.code.precision].status
@@ -190,7 +191,10 @@ def undecided_flags(
         for bound in (parameter.lower, parameter.upper):
             if np.isfinite(bound):
                 at_bound |= np.abs(theta - bound) <= tolerance * max(1.0, abs(bound))
-    return np.where(at_hold, FLAGS["hold"], 0) | np.where(at_speed, FLAGS["speed"], 0) | np.where(at_bound, FLAGS["bound"], 0)
+    flags = np.zeros(updates, dtype=np.int64)
+    for name, mask in (("hold", at_hold), ("speed", at_speed), ("bound", at_bound)):
+        flags[mask] |= FLAGS[name]
+    return flags
 
 
 def _range(values: Array) -> float:

@@ -75,7 +75,13 @@ class CompiledModel:
         self._library = ctypes.CDLL(str(_compile(machine, package, DEFAULT_FLAGS, "predict.c")))
 
     def predict(
-        self, signals: Signals, theta: Array | None = None, *, derivatives: bool = False, x: Array | None = None, first: int = 0
+        self,
+        signals: Signals,
+        theta: Array | None = None,
+        *,
+        derivatives: bool = False,
+        x: Array | None = None,
+        first: int = 0,
     ) -> Prediction:
         """Run the model along the signals.
 
@@ -237,7 +243,7 @@ class CompiledEstimator:
 
 def _compile(machine: Machine, package: Package | None, flags: Sequence[str], *sources: str) -> Path:
     """Compile sources of a package, or of the runtime, against the package's headers; return the shared library."""
-    package = package or emit_package(machine)
+    package = package or emit_package(machine, selftest=False)
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / machine.name
         write_package(package, folder)

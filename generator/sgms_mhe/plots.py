@@ -22,7 +22,13 @@ if TYPE_CHECKING:
 MEASURED, ESTIMATED, BAND, NOMINAL = "0.6", "#0b5394", "#9fc5e8", "#b45f06"
 WIDTH_IN = 9.0
 
-UNITS: Final = {"stiffness": "N/m", "coulomb": "N", "viscous": "N s/m", "stribeck_ratio": "1", "stribeck_velocity": "m/s"}
+UNITS: Final = {
+    "stiffness": "N/m",
+    "coulomb": "N",
+    "viscous": "N s/m",
+    "stribeck_ratio": "1",
+    "stribeck_velocity": "m/s",
+}
 """Of the base parameters; an effect's parameter has its unit in its name."""
 
 

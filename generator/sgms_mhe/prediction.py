@@ -59,7 +59,10 @@ def predict_signals(machine: Machine, signals: Signals, source: str = "log") -> 
     """Run the model along aligned signals; `source` names them in messages."""
     if not signals.valid.any():
         raise InputError(
-            source, "rows", len(signals), "a row that is valid: the filters settle first, and after every missing sample"
+            source,
+            "rows",
+            len(signals),
+            "a row that is valid: the filters settle first, and after every missing sample",
         )
     samples = machine.sampling.samples_per_update
     if machine.sampling.integrator.substeps < samples:

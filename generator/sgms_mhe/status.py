@@ -26,4 +26,5 @@ def flagged(status: NDArray[np.int64]) -> dict[str, NDArray[np.bool_]]:
 
 def measured(status: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Updates that took a measurement in (u)."""
-    return (status >= 0) & (status & FLAGS["missing"] == 0)
+    taken: NDArray[np.bool_] = (status >= 0) & (status & FLAGS["missing"] == 0)
+    return taken

@@ -1,7 +1,7 @@
 """Structure analysis: what of the symbolic model is independent, shared, or computed once.
 
-Found from the expressions, never assumed: independent blocks of states (connected components of the Jacobian of the
-right side), groups of blocks that are the same function of different numbers, parameter terms (what depends on
+Found from the expressions, never assumed: blocks of states that depend on no state outside the block (from the Jacobian
+of the right side), groups of blocks that are the same function of different numbers, parameter terms (what depends on
 parameters alone, once per update), sample terms (what depends on signals alone, once per sample), and the few scalars
 through which the parameters enter a block, which are the only ones its sensitivities are propagated for.
 """
@@ -20,7 +20,7 @@ from sgms_mhe.model import SIGNAL_NAMES, Model, StateSpec
 
 @dataclass(frozen=True)
 class Block:
-    """States that no other state's equation depends on, and the numbers that make it this block.
+    """States that depend on no state outside the block, and the numbers that make it this block.
 
     Attributes:
         states: indices into the model's states.
@@ -48,6 +48,9 @@ class Group:
         d_q: its Jacobian in the parameter terms (m x n_q, row-major).
         rate, inverse_level: of Maxwell-slip elements, rho and f_C/s(v), with their derivatives in the parameter terms
             (`d_rate`, `d_inverse_level`, n_q each); empty for other blocks.
+        level_by_state: derivatives of `inverse_level` in the element's upstream states (m - 1).
+        upstream: those states at the end of a step (m - 1), with their derivatives in themselves (`upstream_by_state`,
+            m - 1) and in the parameter terms (`upstream_by_q`, (m - 1) x n_q).
         names: names for intermediate values.
     """
 
@@ -60,6 +63,10 @@ class Group:
     inverse_level: tuple[Node, ...]
     d_rate: tuple[Node, ...]
     d_inverse_level: tuple[Node, ...]
+    level_by_state: tuple[Node, ...]
+    upstream: tuple[Node, ...]
+    upstream_by_state: tuple[Node, ...]
+    upstream_by_q: tuple[Node, ...]
     names: dict[Node, str]
 
     @property
@@ -109,23 +116,18 @@ class Structure:
     output_sparsity: np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 
-def connected_components(pattern: np.ndarray[tuple[int, int], np.dtype[np.bool_]]) -> list[tuple[int, ...]]:
-    """Blocks of states: connected components of a square pattern, each sorted, ordered by first state."""
+def closed_sets(pattern: np.ndarray[tuple[int, int], np.dtype[np.bool_]]) -> list[tuple[int, ...]]:
+    """Blocks of states: each state with all that its equation depends on, directly or not; the largest such sets.
+
+    Blocks may share states: a state that others read and that reads none of them stands in each of their blocks. Sorted
+    states, blocks in the order of their first states.
+    """
     n = pattern.shape[0]
-    label = list(range(n))
-
-    def root(i: int) -> int:
-        while label[i] != i:
-            i = label[i]
-        return i
-
-    for i, j in zip(*np.nonzero(pattern), strict=True):
-        a, b = root(int(i)), root(int(j))
-        label[max(a, b)] = min(a, b)
-    components: dict[int, list[int]] = {}
-    for i in range(n):
-        components.setdefault(root(i), []).append(i)
-    return [tuple(states) for states in components.values()]
+    reach = pattern | np.eye(n, dtype=bool)
+    for k in range(n):
+        reach |= np.outer(reach[:, k], reach[k])
+    sets = {frozenset(int(j) for j in np.flatnonzero(row)) for row in reach}
+    return sorted(tuple(sorted(own)) for own in sets if not any(own < other for other in sets))
 
 
 def sparsity(expression: ca.SX, variables: ca.SX) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
@@ -135,8 +137,24 @@ def sparsity(expression: ca.SX, variables: ca.SX) -> np.ndarray[tuple[int, int],
 
 
 def block_states(model: Model) -> list[tuple[int, ...]]:
-    """States of each independent block of the model."""
-    return connected_components(sparsity(model.rhs, model.chi) | np.eye(model.n_x, dtype=bool))
+    """States of each block of the model."""
+    return closed_sets(sparsity(model.rhs, model.chi))
+
+
+def upstream_states(model: Model, states: Sequence[int]) -> tuple[int, ...] | None:
+    """The states of a block beside its first, where that is a Maxwell-slip element and they leave it its flow.
+
+    They must be effects' states that each obey a linear equation of their own: held through a step, signals then move
+    them in closed form, and the element sees the level that they reach. None where the block is of another kind.
+    """
+    if model.states[states[0]].element is None or any(model.states[i].element is not None for i in states[1:]):
+        return None
+    for i in states[1:]:
+        slope = ca.gradient(model.rhs[i], model.chi[i])
+        alone = not any(ca.depends_on(model.rhs[i], model.chi[j]) for j in range(model.n_x) if j != i)
+        if not alone or ca.depends_on(slope, model.chi) or slope.is_zero():
+            return None
+    return tuple(states[1:])
 
 
 def _depends_on(node: Node, *vectors: str) -> bool:
@@ -186,14 +204,16 @@ def analyse(model: Model) -> Structure:
         SampleTerm(_term_name(node, inverse_level, k), expression)
         for k, (node, expression) in enumerate(zip(terms.nodes, to_sx(terms.nodes, w_symbols), strict=True))
     )
+    sampling = model.machine.sampling
+    step = sampling.step * max(1, sampling.samples_per_update // sampling.integrator.substeps)
     found: dict[object, list[tuple[_Canonical, tuple[int, ...], tuple[ca.SX, ...]]]] = {}
     for states in block_states(model):
         own = [rhs[i] for i in states]
-        element = model.states[states[0]].element if len(states) == 1 else None
+        element = model.states[states[0]].element if upstream_states(model, states) is not None else None
         extra = [rho[element], inverse_level] if element is not None else []
         q_nodes = _parameter_terms(own + extra)
         named = [(n, graph.read(e, vectors, labels)[0]) for i in states for n, e in model.names[i].items()]
-        canonical = _canonical(graph, own, extra, named, [labels["chi"][i] for i in states], terms.nodes, q_nodes)
+        canonical = _canonical(graph, own, extra, named, [labels["chi"][i] for i in states], terms.nodes, q_nodes, step)
         expressions = tuple(to_sx(q_nodes, theta_symbols))
         found.setdefault(canonical.signature, []).append((canonical, states, expressions))
     groups = tuple(_group(k, members, model.states) for k, members in enumerate(found.values()))
@@ -236,6 +256,7 @@ def _canonical(
     chi_labels: Sequence[str],
     terms: Sequence[Node],
     q_nodes: Sequence[Node],
+    step: float,
 ) -> _Canonical:
     """Differentiate a block and write it in canonical inputs."""
     chi = ca.SX.sym("chi", len(rhs))
@@ -249,6 +270,8 @@ def _canonical(
     if extra:
         rate, level = to_sx(extra, known)
         parts += [rate, level, ca.jacobian(rate, q).T, ca.jacobian(level, q).T]
+        if len(rhs) > 1:
+            parts += _upstream(f[1:], level, chi[1:], q, step)
     local = Graph()
     vectors = {"chi": chi, "terms": term, "q": q}
     labels = {
@@ -268,6 +291,15 @@ def _canonical(
         constants=tuple(n.value for n in order if n.op == "const"),
         signature=(shape, tuple(place[n] for n in outputs), len(terms)),
     )
+
+
+def _upstream(rates: ca.SX, level: ca.SX, states: ca.SX, q: ca.SX, step: float) -> list[ca.SX]:
+    """Linear equations du/dt = alpha + beta u over a step, u1 = u + (alpha + beta u) (exp(beta h) - 1) / beta."""
+    beta = ca.vertcat(*(ca.gradient(rates[i], states[i]) for i in range(rates.numel())))
+    decay = ca.exp(beta * step)
+    end = states + rates * (decay - 1.0) / beta
+    by_q = ca.jacobian(end, q)
+    return [ca.jacobian(level, states).T, end, decay, by_q.T.reshape((-1, 1))]
 
 
 def _group(
@@ -296,7 +328,7 @@ def _group(
     for count in canonical.counts:
         parts.append(tuple(renamed[n] for n in canonical.outputs[start : start + count]))
         start += count
-    parts += [()] * (7 - len(parts))
+    parts += [()] * (11 - len(parts))
     blocks = tuple(
         Block(
             states=own,
@@ -311,7 +343,22 @@ def _group(
     if parts[4] and k > 0:
         name = f"element{k}"
     names = {renamed[n]: label for label, n in canonical.named if n in renamed and n.args}
-    return Group(name, blocks, parts[0], parts[1], parts[2], parts[3], parts[4], parts[5], parts[6], names)
+    return Group(
+        name=name,
+        blocks=blocks,
+        rhs=parts[0],
+        d_chi=parts[1],
+        d_q=parts[2],
+        rate=parts[3],
+        inverse_level=parts[4],
+        d_rate=parts[5],
+        d_inverse_level=parts[6],
+        level_by_state=parts[7],
+        upstream=parts[8],
+        upstream_by_state=parts[9],
+        upstream_by_q=parts[10],
+        names=names,
+    )
 
 
 def report(structure: Structure) -> str:
@@ -342,16 +389,17 @@ def report(structure: Structure) -> str:
         total += count * len(group.blocks)
         lines += [
             "",
-            f"Group {group.name}: {len(group.blocks)} independent block(s) of {group.m} state(s), the same function",
+            f"Group {group.name}: {len(group.blocks)} block(s) of {group.m} state(s), the same function",
             f"  parameters enter through {group.n_q} scalar(s); "
             f"{group.m * (group.m + group.n_q)} sensitivities per block instead of {model.n_x + model.n_p} per state",
             "  one right side with sensitivities: " + ", ".join(f"{n} {op}" for op, n in sorted(stage.items())),
         ]
         if group.is_elements:
-            lines.append("  equation is autonomous in displacement where the gate is saturated: displacement flow applies")
+            lines.append("  autonomous in displacement where the gate is saturated: displacement flow applies")
         for block in group.blocks:
             what = ", ".join(model.states[i].name for i in block.states)
             scalars = "; ".join(str(q) for q in block.parameter_terms) or "none"
-            lines.append(f"  {what}: scalars {scalars}; rate {block.rate_per_metre:.4g} 1/m, {block.rate_per_second:.4g} 1/s")
+            rates = f"{block.rate_per_metre:.4g} 1/m, {block.rate_per_second:.4g} 1/s"
+            lines.append(f"  {what}: scalars {scalars}; rate {rates}")
     lines += ["", f"Operations of one stage over all blocks: {total}", ""]
     return "\n".join(lines)

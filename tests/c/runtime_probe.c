@@ -30,7 +30,8 @@ void probe_is_finite(long n, const sgms_real *x, sgms_real *y)
 
 void probe_qr(sgms_real *a, int rows, int stride, int width, int columns)
 {
-    sgms_qr(a, rows, stride, width, columns);
+    sgms_real dots[64];
+    sgms_qr(a, rows, stride, width, columns, dots);
 }
 
 void probe_qr_add_row(sgms_real *r, int n, sgms_real *row)

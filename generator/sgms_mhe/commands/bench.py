@@ -14,7 +14,10 @@ if TYPE_CHECKING:
     from sgms_mhe.benchmark import Benchmark
 
 
-@click.command(epilog=example("bench etel_xy", "bench etel_xy --trajectory mixed --json"))
+@click.command(
+    short_help="Time, instructions and errors of an update.",
+    epilog=example("bench etel_xy", "bench etel_xy --trajectory mixed --json"),
+)
 @machine_argument
 @click.option("--trajectory", metavar="NAME", default="paper", show_default=True, help="Simulated motion to replay.")
 @click.option(
@@ -25,9 +28,9 @@ if TYPE_CHECKING:
 def command(machine: str, trajectory: str, updates: int, cflags: str | None, as_json: bool) -> None:
     """Measure what an update of MACHINE's estimator costs on this host, in double and single precision.
 
-    Time and instructions (valgrind; null without it) are those of all the work between two updates: the samples, feedback,
-    prepare. feedback_us is the time from the newest sample to the estimate. state_error and sensitivity_error are the
-    largest errors of one interval's integration, in scaled units, against a converged one.
+    Time and instructions (valgrind; null without it) are those of all the work between two updates: the samples,
+    feedback, prepare. feedback_us is the time from the newest sample to the estimate. state_error and
+    sensitivity_error are the largest errors of one interval's integration, in scaled units, against a converged one.
     """
     from sgms_mhe.machine import load_machine
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from sgms_mhe.machine import Machine
 
 
-@click.command(epilog=example("check machines/etel_xy.toml"))
+@click.command(short_help="Check MACHINE and print it resolved.", epilog=example("check machines/etel_xy.toml"))
 @machine_argument
 @json_option
 def command(machine: str, as_json: bool) -> None:
@@ -53,7 +53,13 @@ def _text(machine: Machine, package: Package) -> str:
         )
     ]
     parameters = [
-        (p.column, f"{p.nominal:g}", f"{noise.parameter * abs(p.scale):g}", f"{_si(p, p.lower):g}", f"{_si(p, p.upper):g}")
+        (
+            p.column,
+            f"{p.nominal:g}",
+            f"{noise.parameter * abs(p.scale):g}",
+            f"{_si(p, p.lower):g}",
+            f"{_si(p, p.upper):g}",
+        )
         for p in build_model(machine).parameters
     ]
     interval = f"{sampling.samples_per_update} samples ({1e3 / sampling.update_rate:g} ms)"
@@ -73,7 +79,8 @@ def _text(machine: Machine, package: Package) -> str:
         f"velocity {integrator.velocity}, at most {integrator.displacement:g} deflection scales per substep",
         f"  estimator   {estimator.kind}{horizon}, arrival cost {estimator.arrival_cost.update}",
         f"  noise       measurement {noise.measurement:g} N, state {noise.state:g} (as {noise.state_as}), "
-        f"first state {noise.initial_state:g}, parameter {noise.parameter:g}, drift {noise.parameter_drift:g} per update",
+        f"first state {noise.initial_state:g}, parameter {noise.parameter:g}, "
+        f"drift {noise.parameter_drift:g} per update",
         _indented(table_text(("parameter", "nominal", "prior std", "lower", "upper"), parameters)),
     ]
     for effect in machine.effects:
@@ -81,7 +88,9 @@ def _text(machine: Machine, package: Package) -> str:
         lines.append(f"  effect      {effect.label}: {numbers}")
     if machine.log is not None:
         sources = machine.log.model_dump(exclude_none=True)
-        lines.append("  log         " + ", ".join(f"{name} from {source['variable']}" for name, source in sources.items()))
+        lines.append(
+            "  log         " + ", ".join(f"{name} from {source['variable']}" for name, source in sources.items())
+        )
     size = sum(len(text.encode()) for text in package.files.values())
     lines.append(f"  package     {len(package.files)} files, {size} bytes, {machine.code.precision} precision")
     return "\n".join(lines)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from sgms_mhe.comparison import Comparison
 
 
-@click.command(epilog=example("compare etel_xy axis.csv"))
+@click.command(short_help="Generated C against the reference solver.", epilog=example("compare etel_xy axis.csv"))
 @machine_argument
 @log_argument
 @json_option
@@ -32,10 +32,10 @@ def command(machine: str, log: Path, as_json: bool) -> None:
     """Run the generated C and the reference solver on the same signals and compare them, update by update.
 
     Differences are relative: of friction and deflections to their range, of parameters and standard deviations to the
-    reference's value. Double precision may differ by 1e-8 throughout. Single precision may differ by 1e-4 of the friction's
-    range, 1e-3 of the deflections', 1e-3 of each parameter and 1e-2 of its standard deviation at the updates where it is
-    excited (standard deviation below 90 % of the prior's). The status is to be the same but for flags whose number lies on
-    its limit.
+    reference's value. Double precision may differ by 1e-8 throughout. Single precision may differ by 1e-4 of the
+    friction's range, 1e-3 of the deflections', 1e-3 of each parameter and 1e-2 of its standard deviation at the
+    updates where it is excited (standard deviation below 90 % of the prior's). The status is to be the same but for
+    flags whose number lies on its limit.
 
     Exit code 1 where the two are further apart.
     """
@@ -82,9 +82,9 @@ def _text(comparison: Comparison) -> str:
             f"{comparison.machine}, {comparison.precision} precision: generated C against reference, "
             f"{comparison.updates} updates",
             table_text(("largest difference", "absolute", "relative", "allowed", "updates", ""), rows),
-            f"status differs at {comparison.status_mismatches} updates, and at {comparison.status_undecided} where a number "
-            "lies on its limit",
-            f"a bound is active at {comparison.bounds_active[0]} updates (C) and {comparison.bounds_active[1]} (reference)",
+            f"status differs at {comparison.status_mismatches} updates, and at {comparison.status_undecided} where a "
+            "number lies on its limit",
+            "a bound is active at {} updates (C) and {} (reference)".format(*comparison.bounds_active),
             f"generated C and reference {verdict}",
         ]
     )

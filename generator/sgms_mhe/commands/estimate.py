@@ -35,10 +35,11 @@ SOLVERS: Final = ("c", "reference", "ekf", "smoother")
 
 
 @click.command(
+    short_help="Estimate friction and parameters from a log.",
     epilog=example(
         "estimate etel_xy axis.csv --out estimates.csv",
         "estimate machines/emps.toml DATA_EMPS.mat --out estimates.csv --plot figures",
-    )
+    ),
 )
 @machine_argument
 @log_argument
@@ -48,10 +49,12 @@ SOLVERS: Final = ("c", "reference", "ekf", "smoother")
     type=click.Choice(SOLVERS),
     default="c",
     show_default=True,
-    help="c: the generated C; reference: the Python solver that it is judged by; ekf: the generated C of an extended Kalman "
-    "filter; smoother: least squares over the whole record.",
+    help="c: the generated C; reference: the Python solver that it is judged by; ekf: the generated C of an extended "
+    "Kalman filter; smoother: least squares over the whole record.",
 )
-@click.option("--plot", type=click.Path(path_type=Path), metavar="DIR", help="Also draw friction.png and parameters.png.")
+@click.option(
+    "--plot", type=click.Path(path_type=Path), metavar="DIR", help="Also draw friction.png and parameters.png."
+)
 @json_option
 def command(machine: str, log: Path, out: Path, solver: Solver, plot: Path | None, as_json: bool) -> None:
     """Estimate friction and parameters from LOG as the controller would, one row per update.
@@ -107,7 +110,7 @@ def run_solver(machine: Machine, log: Log, solver: Solver, progress: Progress) -
 
     from sgms_mhe.reference import estimate_reference
 
-    kind = "smoother" if solver == "smoother" else None
+    kind: Literal["smoother"] | None = "smoother" if solver == "smoother" else None
     return estimate_reference(machine, signals_from_log(log, machine), kind, progress=progress)
 
 

@@ -9,7 +9,9 @@ import click
 from sgms_mhe.commands.common import check_output_folder, example, machine_argument, out_option, progress_bar, show
 
 
-@click.command(epilog=example("experiment etel_xy --out build/experiment"))
+@click.command(
+    short_help="The paper's experiment: table and figures.", epilog=example("experiment etel_xy --out build/experiment")
+)
 @machine_argument
 @out_option("Folder of figures and data.", metavar="DIR")
 def command(machine: str, out: Path) -> None:

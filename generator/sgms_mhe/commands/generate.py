@@ -19,7 +19,10 @@ from sgms_mhe.commands.common import (
 )
 
 
-@click.command(epilog=example("generate etel_xy", "generate machines/etel_xy.toml --out firmware/etel_xy"))
+@click.command(
+    short_help="Emit MACHINE's estimator as C99.",
+    epilog=example("generate etel_xy", "generate machines/etel_xy.toml --out firmware/etel_xy"),
+)
 @machine_argument
 @out_option("The package's folder; default generated/NAME below the working directory.", metavar="DIR", required=False)
 @json_option

@@ -19,7 +19,9 @@ from sgms_mhe.commands.common import (
 )
 
 
-@click.command(epilog=example("predict etel_xy axis.csv --out predicted.csv"))
+@click.command(
+    short_help="Run the model alone along a log.", epilog=example("predict etel_xy axis.csv --out predicted.csv")
+)
 @machine_argument
 @log_argument
 @out_option("CSV to write: time_s, friction_measured_N, friction_N at every sample.")

@@ -7,7 +7,7 @@ import click
 from sgms_mhe.commands.common import example, json_text, show
 
 
-@click.command(epilog=example("schema > machine.schema.json"))
+@click.command(short_help="JSON Schema of a machine file.", epilog=example("schema > machine.schema.json"))
 def command() -> None:
     """Print the JSON Schema of a machine file: every key with unit, range and default."""
     from sgms_mhe.machine import json_schema

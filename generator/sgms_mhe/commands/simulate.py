@@ -31,16 +31,19 @@ def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
         except ValueError:
             factor = math.nan
         if not (name.strip() and math.isfinite(factor)):
-            raise click.BadParameter(f"{text!r} is not NAME=FACTOR with a finite number, as in stiffness=1.2", ctx, param)
+            raise click.BadParameter(
+                f"{text!r} is not NAME=FACTOR with a finite number, as in stiffness=1.2", ctx, param
+            )
         scales[name.strip()] = scales.get(name.strip(), 1.0) * factor
     return scales
 
 
 @click.command(
+    short_help="Log a simulated axis in closed loop.",
     epilog=example(
         "simulate etel_xy --out axis.csv",
         "simulate etel_xy --out axis.npz --trajectory mixed --duration 60 --scale stiffness_1=1.2",
-    )
+    ),
 )
 @machine_argument
 @out_option("The log to write: .csv or .npz.")
@@ -62,7 +65,8 @@ def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
     metavar="NAME=FACTOR",
     callback=_scales,
     multiple=True,
-    help="True over nominal value of a parameter (mass, stiffness, stiffness_1, coulomb, effect.parameter, ...). Repeatable.",
+    help="True over nominal value of a parameter: mass, stiffness, stiffness_1, coulomb, effect.parameter, ... "
+    "Repeatable.",
 )
 def command(
     machine: str,

@@ -13,6 +13,7 @@ from sgms_mhe.diagnosis.result import (
     Traces,
     write_diagnosis,
 )
+from sgms_mhe.diagnosis.verdict import diagnose, separating_move
 
 __all__ = [
     "Alternative",
@@ -23,5 +24,7 @@ __all__ = [
     "Score",
     "Structure",
     "Traces",
+    "diagnose",
+    "separating_move",
     "write_diagnosis",
 ]

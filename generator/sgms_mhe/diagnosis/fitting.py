@@ -398,7 +398,7 @@ def compiled_fit(key: _Key) -> CompiledFit:
         "effects": effects,
         "code": {"precision": "double"},
         "estimator": {"parameters": names, "bounds": {}},
-        "sampling": _unmerged(machine),
+        "sampling": _integrator(machine, [name for name, _ in key.extras]),
     }
     bare = _without_bounds(machine)
     extended = override_machine(bare, changes)
@@ -412,8 +412,7 @@ def compiled_fit(key: _Key) -> CompiledFit:
         label, _, parameter = free.name.partition(".")
         if parameter:
             effect = next(e for e in extended.effects if e.label == label)
-            main = effect_definition(effect.name).main
-            frozen = parameter in FROZEN.get(effect.name, ()) or parameter not in main
+            frozen = parameter in FROZEN.get(effect.name, ())
             columns.append(
                 Column(groups[label], effect.name, parameter, free.nominal, free.scale, 1.0, free.lower, free.upper, frozen)
             )
@@ -438,12 +437,17 @@ def _without_bounds(machine: Machine) -> Machine:
     return bare
 
 
-def _unmerged(machine: Machine) -> dict[str, Any]:
-    """At least one integration step per sample: what the model alone runs with."""
+def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
+    """Integration for fits: at least one step per sample, and where the elements are integrated exactly, coarser steps
+    for the rest: effects' states settle within them, and a refit runs them a hundred times.
+    """
     sampling = machine.sampling
-    if sampling.integrator.substeps >= sampling.samples_per_update:
-        return {}
-    return {"integrator": {"substeps": sampling.samples_per_update}}
+    integrator: dict[str, Any] = {}
+    if sampling.integrator.substeps < sampling.samples_per_update:
+        integrator["substeps"] = sampling.samples_per_update
+    if sampling.integrator.scheme == "flow":
+        integrator["displacement"] = 2.0 if "backlash" in names else 1.0
+    return {"integrator": integrator}
 
 
 def _snapped(machine: Machine, extra: Extra) -> tuple[tuple[str, float], ...]:

@@ -16,7 +16,9 @@ from mpmath import mp, mpf
 from sgms_mhe.errors import InputError
 
 TAIL = 1e-10
-"""The elastic range ends where slip changes g by this much; the gate counts as saturated where its tail does."""
+"""The gate counts as saturated where its tail changes g by less than this."""
+# The elastic range ends where slip changes g by this much: sensitivities are then right to 1e-10, or to rounding.
+_ELASTIC = {"double": 1e-12, "single": 1e-8}
 _DIGITS = 22
 _QUADRATURE = 12
 _SEGMENT = 0.5  # width over 1/lambda: the poles of g lie pi/2 away
@@ -70,7 +72,7 @@ def flow_table(zeta: float, lambda_: float, precision: str, source: str = "machi
     Raises:
         InputError: the smoothing is too soft for the elastic range to end above r = 0.
     """
-    reach = math.log(1.0 / TAIL) / (2.0 * lambda_)
+    reach = math.log(1.0 / _ELASTIC[precision]) / (2.0 * lambda_)
     start, end = zeta - reach, zeta + reach
     if start <= 0.0:
         raise InputError(
@@ -97,7 +99,9 @@ def flow_table(zeta: float, lambda_: float, precision: str, source: str = "machi
             roots = []
             r = low
             for t in reversed(angles):  # from the segment's low edge on, each root from the one before
-                r = curve.root(s_low + s_half * (t + 1), r, low, integrals[j])
+                target = s_low + s_half * (t + 1)
+                r = _polynomial_root(forward[-1], target, (r - low) / half - 1, low, half)
+                r = curve.root(target, r, low, integrals[j])
                 roots.append(r)
             inverse.append(_times(to_monomials, roots[::-1]))
         near = mpf(_NEAR / lambda_)
@@ -184,13 +188,13 @@ class _Curve:
 
     def root(self, target: mpf, r: mpf, edge: mpf, integral: mpf) -> mpf:
         """Solve psi(r) = target by Newton's method from r; `integral` is that from r* to `edge`."""
-        for _ in range(12):
+        for _ in range(12):  # the caller's guess is good: mostly one step
             value = self.psi(r, integral + self.integral(edge, r))
             # psi' = -k psi / g, which tends to -1 at the fixed point
             slope = -self.k * value / self.g(r) if abs(r - self.r_star) > mpf(10) ** (-_DIGITS // 2) else mpf(-1)
             step = (target - value) / slope
             r += step
-            if abs(step) < mpf(10) ** (-_DIGITS // 2 - 2):
+            if abs(step) < mpf(10) ** (-_DIGITS // 2 + 2):
                 break
         return r
 
@@ -236,3 +240,17 @@ def _interpolation(nodes: list[mpf]) -> list[list[mpf]]:
 
 def _times(matrix: list[list[mpf]], values: list[mpf]) -> list[mpf]:
     return [sum((a * v for a, v in zip(row, values, strict=True)), mpf(0)) for row in matrix]
+
+
+def _polynomial_root(coefficients: list[mpf], target: mpf, t: mpf, low: mpf, half: mpf) -> mpf:
+    """Solve p(t) = target by Newton's method and return r = low + half (t + 1); as good as p is."""
+    for _ in range(20):
+        value, slope = coefficients[-1], mpf(0)
+        for c in coefficients[-2::-1]:
+            slope = slope * t + value
+            value = value * t + c
+        step = (target - value) / slope
+        t += step
+        if abs(step) < mpf(10) ** (-_DIGITS // 2 + 2):
+            break
+    return low + half * (t + 1)

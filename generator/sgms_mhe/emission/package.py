@@ -116,12 +116,13 @@ def _group_arguments(group: Group, terms: Sequence[str]) -> list[str]:
     return [f"chi{i}" for i in range(group.m)] + [*terms, "q", "data"]
 
 
-def emit_package(machine: Machine, model: Model | None = None) -> Package:
+def emit_package(machine: Machine, model: Model | None = None, *, selftest: bool = True) -> Package:
     """Generate the C of a machine.
 
     Args:
         machine: the machine file.
         model: its symbolic model, where that is not what `build_model` makes of the machine.
+        selftest: with the self-test vectors, for which the reference solver has to run.
 
     Raises:
         InputError: the machine asks for something that cannot be emitted; the message says what.
@@ -133,6 +134,9 @@ def emit_package(machine: Machine, model: Model | None = None) -> Package:
     printer = CPrinter(machine.code.precision)
     emitter = _Emitter(model, printer, tuple(t.name for t in structure.sample_terms))
     context = _context(machine, model, structure, emitter)
+    if selftest:
+        context["vectors"] = selftest_vectors(model)
+        context["templates"].append(("selftest.h.jinja", f"{machine.name}_selftest.h"))
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(templates_dir()),
         undefined=jinja2.StrictUndefined,
@@ -147,14 +151,13 @@ def emit_package(machine: Machine, model: Model | None = None) -> Package:
         body=_body,
         rows=lambda values: ", ".join(printer.number(v) for v in values),
     )
-    name = machine.name
     files = {}
     for template, target in context["templates"]:
         files[target] = environment.get_template(template).render(context)
     for header in RUNTIME_HEADERS + (("sgms_flow.h",) if context["flow"] else ()):
         files[header] = (runtime_dir() / header).read_text(encoding="utf-8")
     files["structure.txt"] = report(structure)
-    return Package(machine, dict(sorted(files.items()))) if name else Package(machine, files)
+    return Package(machine, dict(sorted(files.items())))
 
 
 def _body(function: Function) -> str:
@@ -218,6 +221,7 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "horizon": horizon,
         "slots": slots,
         "lanes": lanes,
+        "vector": vector if horizon else 1,
         "samples": samples,
         "merged": merged,
         "merge": merged > 1,
@@ -290,7 +294,6 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
             ],
             inputs={"theta": "theta"},
         ),
-        "vectors": selftest_vectors(model),
     }
     flow_template = []
     if flow:
@@ -310,7 +313,6 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         ("config.h.jinja", f"{name}_config.h"),
         ("model.h.jinja", f"{name}_model.h"),
         ("integrator.h.jinja", f"{name}_integrator.h"),
-        ("selftest.h.jinja", f"{name}_selftest.h"),
     ]
     return context
 
@@ -388,14 +390,29 @@ def _group_context(
         smoothing = friction.smoothing
         gate = gate_ratio(smoothing.zeta, smoothing.lambda_, smoothing.gamma) * friction.stribeck_velocity
         result["slow"] = [
-            max(1, math.ceil(gate * step_time * b.rate_per_metre / SLOW_DISPLACEMENT)) for b in group.blocks
+            max(
+                1,
+                math.ceil(
+                    gate * step_time * b.rate_per_metre / SLOW_DISPLACEMENT
+                    + step_time * b.rate_per_second / integrator.displacement
+                ),
+            )
+            for b in group.blocks
         ]
-        result["flow_arguments"] = [f"{real} {v}" for v in values] + [f"const {real} *q", f"const {real} *data"]
-        result["flow_call"] = [f"term[{k} * LANES + l]" for k in range(len(terms))] + ["q", "data"]
+        result["n_up"] = m - 1
+        result["level_in_q"] = any(n.op != "const" for n in group.d_inverse_level)
+        result["flow_arguments"] = [f"{real} {v}" for v in states[1:] + values] + [f"const {real} *q", f"const {real} *data"]
+        result["flow_call"] = [f"chi[{i} * LANES]" for i in range(1, m)]
+        result["flow_call"] += [f"term[{k} * LANES + l]" for k in range(len(terms))] + ["q", "data"]
         outputs = [("*rho", group.rate[0]), ("*over_level", group.inverse_level[0])]
         outputs += [(f"d_rho[{k}]", n) for k, n in enumerate(group.d_rate)]
         outputs += [(f"d_over_level[{k}]", n) for k, n in enumerate(group.d_inverse_level)]
-        result["coefficients"] = emitter.group_function(group, outputs, skip=states)
+        outputs += [(f"level_by_state[{i}]", n) for i, n in enumerate(group.level_by_state)]
+        result["coefficients"] = emitter.group_function(group, outputs, skip=states[:1])
+        outputs = [(f"end[{i}]", n) for i, n in enumerate(group.upstream)]
+        outputs += [(f"by_state[{i}]", n) for i, n in enumerate(group.upstream_by_state)]
+        outputs += [(f"by_q[{k}]", n) for k, n in enumerate(group.upstream_by_q)]
+        result["upstream"] = emitter.group_function(group, outputs, skip=states[:1])
     return result
 
 

@@ -12,7 +12,6 @@ from sgms_mhe.logs import Log
 from sgms_mhe.model import Model
 from sgms_mhe.reference import estimate_model
 
-_SAMPLES = 420
 _PERIODS = 2.5
 
 
@@ -36,7 +35,7 @@ def selftest_vectors(model: Model) -> Vectors:
     machine = model.machine
     friction, sampling = machine.friction, machine.sampling
     samples = sampling.samples_per_update
-    updates = max(3, _SAMPLES // samples, math.ceil((settle_samples(machine) + 1) / samples) + 2)
+    updates = math.ceil((settle_samples(machine) + 1) / samples) + 3
     n = updates * samples + 1
     size = max(nu * friction.coulomb / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True))
     phase = np.linspace(0.0, 2.0 * math.pi * _PERIODS, n)

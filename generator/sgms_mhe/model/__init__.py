@@ -100,7 +100,7 @@ class Model:
         return np.asarray(nominal + scale * (theta - 1.0))
 
     def function(self, name: str) -> ca.Function:
-        """CasADi function of one of `rhs`, `to_node`, `from_node`, `output`, `deflection`, `level`, `rho`, with its arguments."""
+        """CasADi function of `rhs`, `to_node`, `from_node`, `output`, `deflection`, `level` or `rho`, by that name."""
         arguments = {
             "rhs": [self.chi, self.w, self.theta],
             "to_node": [self.chi, self.theta],

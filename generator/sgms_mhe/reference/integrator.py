@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse.csgraph import breadth_first_order
 
 from sgms_mhe.build import shared_library
 from sgms_mhe.errors import BuildError
@@ -69,7 +69,11 @@ class Outputs(NamedTuple):
 
 @dataclass(frozen=True)
 class Block:
-    """States that depend on each other alone; `saturates`: one element that obeys the law of equation (1)."""
+    """States that depend on no state outside the block; blocks may share states that read none of the others.
+
+    `saturates`: its first state is an element that obeys the law of equation (1), and the others set its level by
+    linear equations of their own.
+    """
 
     states: tuple[int, ...]
     rate_per_metre: float
@@ -135,34 +139,40 @@ class Integrator:
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
-        """Connected components of the Jacobian of rhs, in the order of their first states."""
+        """Every state with all it depends on, directly or not; the largest such sets, in the order of first states."""
         model = self.model
         sparsity = ca.jacobian(model.rhs, model.chi).sparsity()
         rows, columns = sparsity.get_triplet()
         graph = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(model.n_x, model.n_x))
-        labels = connected_components(graph, directed=False)[1]
-        blocks = []
-        for label in dict.fromkeys(labels.tolist()):
-            states = tuple(int(i) for i in np.flatnonzero(labels == label))
-            blocks.append(
-                Block(
-                    states=states,
-                    rate_per_metre=max(model.states[i].rate_per_metre for i in states),
-                    rate_per_second=max(model.states[i].rate_per_second for i in states),
-                    saturates=self._reaches_flow and len(states) == 1 and self._obeys_law(states[0]),
-                )
+        closures = [set(breadth_first_order(graph, i, return_predecessors=False).tolist()) for i in range(model.n_x)]
+        largest = {tuple(sorted(own)) for own in closures if not any(own < other for other in closures)}
+        return tuple(
+            Block(
+                states=states,
+                rate_per_metre=max(model.states[i].rate_per_metre for i in states),
+                rate_per_second=max(model.states[i].rate_per_second for i in states),
+                saturates=self._reaches_flow and self._obeys_law(states),
             )
-        return tuple(blocks)
+            for states in sorted(largest)
+        )
 
     def _drive(self, i: int) -> ca.SX:
         """rho_i v of an element, with whatever velocity the model really uses: its rhs at zero deflection."""
         return ca.substitute(self.model.rhs[i], self.model.chi[i], 0)
 
-    def _obeys_law(self, i: int) -> bool:
-        """Whether state i is an element whose rhs is rho (v - eta |v| r), checked at random points."""
+    def _obeys_law(self, states: tuple[int, ...]) -> bool:
+        """Whether the first state is an element whose rhs is rho (v - eta |v| r), checked at random points.
+
+        The others must be effects' states with linear rates of their own.
+        """
         model = self.model
-        if model.states[i].element is None or ca.depends_on(model.level, model.chi):
+        i, others = states[0], list(states[1:])
+        if model.states[i].element is None or any(model.states[j].element is not None for j in others):
             return False
+        slopes = [ca.jacobian(model.rhs[j], model.chi) for j in others]
+        for j, slope in zip(others, slopes, strict=True):
+            if slope.sparsity().get_col() != [j] or ca.depends_on(slope, model.chi):
+                return False
         function = ca.Function("law", [model.chi, model.w, model.theta], [model.rhs[i], self._drive(i), model.level])
         rng = np.random.default_rng(1)
         limit = self.gate_ratio * self.model.machine.friction.stribeck_velocity
@@ -171,6 +181,7 @@ class Integrator:
             w[1] = math.copysign(limit * 10.0 ** rng.uniform(0.0, 3.0), w[1])
             theta = np.array([rng.uniform(max(p.lower, 0.9), min(p.upper, 1.1)) for p in model.parameters])
             chi = rng.uniform(-1.2, 1.2, model.n_x)
+            chi[others] *= 0.1  # or a level might be negative
             rhs, drive, level = (float(value) for value in function(chi, w, theta))
             r = float(chi[i]) * math.copysign(1.0, drive) / level
             eta = float(window(r, self._smoothing)) if r > 0.0 else 0.0
@@ -200,7 +211,8 @@ class Integrator:
         for b, block in enumerate(self.blocks):
             if block.saturates:
                 slow = self.gate_ratio * self.model.machine.friction.stribeck_velocity
-                count = max(1, math.ceil(slow * h_step * block.rate_per_metre / SLOW_DISPLACEMENT))
+                moved = slow * h_step * block.rate_per_metre / SLOW_DISPLACEMENT
+                count = max(1, math.ceil(moved + h_step * block.rate_per_second / settings.displacement))
                 substeps[:, b] = np.where(speed > slow, 0, count)
                 continue
 
@@ -300,19 +312,30 @@ class Integrator:
         for b, block in enumerate(self.blocks):
             functions[f"step_{b}"] = self._step(f"step_{b}", block)
             if block.saturates:
-                h = ca.SX.sym("h")
-                xi = self._drive(block.states[0]) * h / model.level
-                functions[f"flow_{b}"] = ca.Function(
-                    f"flow_{b}",
-                    [model.w, model.theta, h],
-                    [
-                        model.level,
-                        xi,
-                        ca.densify(ca.jacobian(model.level, model.theta)),
-                        ca.densify(ca.jacobian(xi, model.theta)),
-                    ],
-                )
+                functions[f"flow_{b}"] = self._flow_drive(f"flow_{b}", block)
         return functions
+
+    def _flow_drive(self, name: str, block: Block) -> ca.Function:
+        """What drives a jump: (u, w, theta, h) to level, xi, u1 and their Jacobians in (u, theta).
+
+        u (m - 1) are the states that set the level. With signals constant over h, du/dt = a + b u has the solution
+        u1 = u e + a (e - 1) / b, e = exp(b h); the element sees the level at u1.
+        """
+        model = self.model
+        others = list(block.states[1:])
+        h = ca.SX.sym("h")
+        u = ca.vertcat(*(model.chi[j] for j in others)) if others else ca.SX(0, 1)
+        ends = []
+        for j in others:
+            b = ca.gradient(model.rhs[j], model.chi[j])
+            a = ca.substitute(model.rhs[j], model.chi[j], 0)
+            ends.append(model.chi[j] * ca.exp(b * h) + a * (ca.exp(b * h) - 1) / b)
+        end = ca.vertcat(*ends) if others else ca.SX(0, 1)
+        level = ca.substitute(model.level, u, end) if others else model.level
+        xi = self._drive(block.states[0]) * h / level
+        variables = ca.vertcat(u, model.theta)
+        jacobians = [ca.densify(ca.jacobian(value, variables)) for value in (level, xi, end)]
+        return ca.Function(name, [u, model.w, model.theta, h], [level, xi, ca.densify(end), *jacobians])
 
     def _step(self, name: str, block: Block) -> ca.Function:
         """One Runge-Kutta substep of a block: (chi, w at start, w at end, theta, h) to chi1 and its Jacobians."""
@@ -389,13 +412,14 @@ class Integrator:
         chi, F_x, F_t = (np.array(part) for part in functions["start"](x, theta))
         chi = chi.reshape(n_x)
         phi, psi = np.zeros((n_x, n_x)), np.zeros((n_x, n_p))
+        begin = chi.copy()
         for b, block in enumerate(self.blocks):
             states = list(block.states)
-            c, p, t = chi[states], np.eye(len(states)), np.zeros((len(states), n_p))
+            c, p, t = begin[states], np.eye(len(states)), np.zeros((len(states), n_p))
             for k in range(k0, k0 + plan.steps):
                 count = int(plan.substeps[k, b])
                 if count == 0:
-                    c, p, t = self._jump(functions[f"flow_{b}"](plan.end[k], theta, plan.h), c, p, t)
+                    c, p, t = self._jump(functions[f"flow_{b}"](c[1:], plan.end[k], theta, plan.h), c, p, t)
                 start, change = plan.start[k], plan.end[k] - plan.start[k]
                 for s in range(count):
                     w0, w1 = start + change * (s / count), start + change * ((s + 1) / count)
@@ -410,12 +434,17 @@ class Integrator:
     def _jump(self, drive: tuple[ca.DM, ...], chi: Array, phi: Array, psi: Array) -> tuple[Array, Array, Array]:
         """chi = sign level r: the level's sensitivity enters through r0 and again through chi1."""
         level, xi = float(drive[0]), float(drive[1])
-        dlevel, dxi = np.array(drive[2]), np.array(drive[3])
+        dlevel, dxi, dend = (np.array(part) for part in drive[3:])
+        others = len(chi) - 1
         sign = math.copysign(1.0, xi)
         r0 = sign * float(chi[0]) / level
         r1, slope, g1 = self.flow.advance(r0, abs(xi))
         change = sign * (r1 - slope * r0) * dlevel + level * g1 * dxi
-        return np.array([sign * level * r1]), slope * phi, slope * psi + change
+        J, T = np.zeros((others + 1, others + 1)), np.zeros((others + 1, self.model.n_p))
+        J[0, 0], J[0, 1:], J[1:, 1:] = slope, change[0, :others], dend[:, :others]
+        T[0], T[1:] = change[0, others:], dend[:, others:]
+        end = np.array(drive[2]).reshape(others)
+        return np.concatenate([[sign * level * r1], end]), J @ phi, J @ psi + T
 
 
 def signal_array(signals: Signals, h: float) -> Array:

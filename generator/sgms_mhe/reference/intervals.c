@@ -167,23 +167,42 @@ static void integrate_block(int b, long long steps, double h, const double *wa, 
         const double *a = wa + k * N_W, *e = wb + k * N_W;
         const long long count = substeps[k * N_BLOCKS + b];
         if (count == 0) {
-            /* chi = sign level r: the level's sensitivity enters through r0 and again through chi1 */
-            double level, xi, dlevel[N_P], dxi[N_P], slope, g1;
-            work->arg[0] = e;
-            work->arg[1] = theta;
-            work->arg[2] = &h;
+            /* chi = sign level r: the level's sensitivity enters through r0 and again through chi1. The other states of the
+               block set the level; their end and its Jacobians in (those states, theta) come in closed form. */
+            const int others = n - 1;
+            double level, xi, dlevel[LARGEST_BLOCK + N_P], dxi[LARGEST_BLOCK + N_P], slope, g1;
+            double end[LARGEST_BLOCK], dend[LARGEST_BLOCK * (LARGEST_BLOCK + N_P)];
+            work->arg[0] = chi + 1;
+            work->arg[1] = e;
+            work->arg[2] = theta;
+            work->arg[3] = &h;
             work->res[0] = &level;
             work->res[1] = &xi;
-            work->res[2] = dlevel;
-            work->res[3] = dxi;
+            work->res[2] = end;
+            work->res[3] = dlevel;
+            work->res[4] = dxi;
+            work->res[5] = dend;
             FLOW[b](work->arg, work->res, work->iw, work->w, 0);
             const double sign = xi < 0.0 ? -1.0 : 1.0;
             const double r0 = sign * chi[0] / level;
             const double r1 = flow_advance(flow, r0, sign * xi, &slope, &g1);
             chi[0] = sign * level * r1;
-            phi[0] *= slope;
-            for (int j = 0; j < N_P; j++)
-                psi[j] = slope * psi[j] + sign * (r1 - slope * r0) * dlevel[j] + level * g1 * dxi[j];
+            for (int j = 0; j < others + N_P; j++) {
+                double *column = j < others ? J + (j + 1) * n : T + (j - others) * n;
+                column[0] = sign * (r1 - slope * r0) * dlevel[j] + level * g1 * dxi[j];
+                for (int i = 0; i < others; i++)
+                    column[i + 1] = dend[j * others + i];
+            }
+            J[0] = slope;
+            for (int i = 0; i < others; i++) {
+                chi[i + 1] = end[i];
+                J[i + 1] = 0.0;
+            }
+            multiply(n, n, n, J, phi, product);
+            memcpy(phi, product, sizeof(double) * (size_t)(n * n));
+            multiply(n, n, N_P, J, psi, product);
+            for (int i = 0; i < n * N_P; i++)
+                psi[i] = product[i] + T[i];
             continue;
         }
         const double step = h / (double)count;
@@ -221,12 +240,12 @@ void sgms_reference_intervals(long long count, const long long *first_step, long
     const struct flow flow = flow_unpack(packed);
     for (long long l = 0; l < count; l++) {
         const long long k0 = first_step[l];
-        double chi[N_X], F_x[N_X * N_X], F_t[N_X * N_P], phi[N_X * N_X], psi[N_X * N_P];
+        double begin[N_X], chi[N_X], F_x[N_X * N_X], F_t[N_X * N_P], phi[N_X * N_X], psi[N_X * N_P];
         double T_x[N_X * N_X], T_t[N_X * N_P], product[N_X * (N_X > N_P ? N_X : N_P)];
 
         work.arg[0] = x + l * N_X;
         work.arg[1] = theta;
-        work.res[0] = chi;
+        work.res[0] = begin; /* blocks may share states: each starts from here */
         work.res[1] = F_x;
         work.res[2] = F_t;
         START(work.arg, work.res, work.iw, work.w, 0);
@@ -238,7 +257,7 @@ void sgms_reference_intervals(long long count, const long long *first_step, long
             const int n = (int)BLOCK_SIZE[b];
             double c[LARGEST_BLOCK], p[LARGEST_BLOCK * LARGEST_BLOCK] = {0}, t[LARGEST_BLOCK * N_P] = {0};
             for (int i = 0; i < n; i++) {
-                c[i] = chi[state[i]];
+                c[i] = begin[state[i]];
                 p[i * n + i] = 1.0;
             }
             integrate_block(b, steps, h, wa + k0 * N_W, wb + k0 * N_W, substeps + k0 * N_BLOCKS, &flow, theta, c, p, t, &work);

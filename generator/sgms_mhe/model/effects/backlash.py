@@ -28,7 +28,7 @@ _LEAST_GAP = 3e-7
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
     """Position in the gap b, -1 to 1: db/dt = (2 / gap) v (1 - e), and the elements move with e v.
 
-    Contact e: on the + side while the mass pushes on (v > 0) or the elements still push back; the same on the other side.
+    Contact e: on the + side while the mass pushes on (v > 0) or the elements still push back; so on the other side.
     """
     gap = ca.sqrt(p["gap_m"] * p["gap_m"] + _LEAST_GAP**2)
     per_metre = 2.0 * _WIDENING / math.hypot(nominal["gap_m"], _LEAST_GAP)

@@ -19,7 +19,7 @@ class BaseCause:
         name: as in diagnosis.json.
         summary: one line for reports.
         frees: names for `[estimator] parameters`.
-        reported: name in reports, with its unit, per freed parameter; an array's entries get _1, _2, ... before the unit.
+        reported: name in reports, with its unit, per freed parameter; of an array, the stem of `stiffness_1_N_m`.
         excitation, confused_with, start: as of an effect.
     """
 
@@ -46,9 +46,9 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                     (Need("reversals", 4.0),),
                 ),
                 confused_with={
-                    "hose_hysteresis": "small loops at places far apart: both hystereses are there, but only the hose's "
-                    "goes on rising over travels far beyond break-away",
-                    "micro_viscous": "the same presliding loop at two speeds: a spring's force does not change with speed",
+                    "hose_hysteresis": "small loops at places far apart: both hystereses are there, but the hose's "
+                    "alone goes on rising over travels far beyond break-away",
+                    "micro_viscous": "the same presliding loop at two speeds: a spring does not know speed",
                     "backlash": "one slow reversal: a gap has no force at all, a soft element a low slope",
                 },
                 start=Start(note="from the machine file's values"),
@@ -78,7 +78,7 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                     (Need("speed_ratio", 2.0), Need("moving_s", 0.5)),
                 ),
                 confused_with={
-                    "eddy_current_damping": "constant speeds up to twice the corner velocity: damping falls off beyond it",
+                    "eddy_current_damping": "constant speeds up to twice the corner velocity: it falls off there",
                     "quadratic_drag": "three constant speeds or more: is the force over speed a line or a parabola",
                     "force_delay": "constant speed: a delay has no effect there",
                 },

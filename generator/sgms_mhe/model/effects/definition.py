@@ -34,12 +34,13 @@ Extent = Literal[
     "deflection",
     "level_over_travel",
 ]
-"""What limits of a search count in. one: SI; travel: range of position; sample_travel: largest speed times the time between
-samples; duration of the log; per_duration: its inverse; sample: time between samples; rate: its inverse; speed: the
-largest; deflection: of the element that breaks away last; level_over_travel: f_C over the range of position."""
+"""What the limits of a search count in. one: SI; travel: range of position; sample_travel: largest speed times the time
+between samples; duration of the log; per_duration: its inverse; sample: time between samples; rate: its inverse;
+speed: the largest; deflection: of the element that breaks away last; level_over_travel: f_C over the range of
+position."""
 
 _LAG_PER_SUBSTEP = 0.2
-"""A lag moves by exp(-0.5) in a substep of rk4: linear, so that the step's error is 3e-4 of what is left of a transient."""
+"""A lag decays by exp(-0.5) in a substep of rk4: it is linear, so the error is 3e-4 of what is left of a transient."""
 _SHORTEST_LAG = 0.25  # of a sample
 
 
@@ -77,7 +78,7 @@ class EffectParameter:
         lower, upper: absolute limits [SI].
         unit: what `scale` counts in.
         role: `size`: scaled by its nominal value for estimation, by `scale` where that is 0; `place`: of arbitrary zero
-            (phase, position, time), always scaled by `scale`; `period`: known to a few percent, scaled by 3 % of itself.
+            (phase, position, time), always scaled by `scale`; `period`: known to a few percent, scaled by 3 % of it.
         main: whether a fit of the effect frees it.
     """
 
@@ -228,7 +229,7 @@ def add_effect_state(axis: SymbolicAxis, state: EffectState) -> AxisState:
 def add_lag(axis: SymbolicAxis, name: str, signal: ca.SX, time_constant: ca.SX | float, nominal: float) -> ca.SX:
     """A first-order lag of a signal, in a state of its own that counts in f_C; returns the lagged signal [N].
 
-    The integrator holds the signal's value at the end of a step of length h all through the step. At the steps' ends the
+    The integrator holds the signal's value at the end of a step of length h all through it. At the steps' ends the
     rate ln(1 + h/T)/h then gives x1 = (T x0 + h u1) / (T + h): its ramp response lags by exactly T, for any T >= 0.
     """
     h = axis.hold

@@ -45,7 +45,7 @@ DEFINITION = EffectDefinition(
     ),
     contribute=_contribute,
     excitation=Excitation(
-        "rests of different length, from a tenth to several times the time constant, each followed by a slow break-away",
+        "rests from a tenth to several times the time constant, each followed by a slow break-away",
         (Need("standstill_s", 1.0, times="time_constant_s"), Need("standstill_ratio", 3.0)),
     ),
     confused_with={

@@ -15,8 +15,8 @@ from sgms_mhe.model.effects.excitation import Excitation, Need
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
     """Reading = q + A sin(k q + phi): its derivatives give the real velocity and acceleration.
 
-    v_read = v (1 + A k cos), a_read = a (1 + A k cos) - A k^2 v^2 sin. The angle is taken at the reading, one Newton step
-    away from the one at q; |A k| < 1, or the reading would not tell the position.
+    v_read = v (1 + A k cos), a_read = a (1 + A k cos) - A k^2 v^2 sin. The angle at the reading is one
+    Newton step away from the one at q; |A k| < 1, or the reading would not tell the position.
     """
     k = 2.0 * math.pi / p["pitch_m"]
     angle = k * axis.position + p["phase_rad"]
@@ -47,7 +47,7 @@ DEFINITION = EffectDefinition(
         (Need("travel_m", 3.0, times="pitch_m"), Need("moving_s", 0.3)),
     ),
     confused_with={
-        "force_ripple": "the same stroke at twice the speed: an encoder's error makes forces that grow with speed squared",
+        "force_ripple": "the same stroke at twice the speed: an encoder's error makes four times the force",
         "structural_resonance": "the same stroke at another speed: the frequency follows speed or stays",
         "periodic_disturbance": "the same stroke at another speed: the frequency follows speed or stays",
     },

@@ -30,7 +30,7 @@ DEFINITION = EffectDefinition(
     ),
     confused_with={
         "force_ripple": "the same stroke with another acceleration: cogging does not grow with force",
-        "position_dependent_friction": "the same stroke with high acceleration: friction does not grow with inertial force",
+        "position_dependent_friction": "the same stroke with high acceleration: friction does not know inertia",
     },
     start=Start(values={"ratio": 1.0}, searches=(pitch_search("ratio"),)),
     stage="motor",

@@ -14,15 +14,16 @@ from sgms_mhe.model.effects.excitation import Excitation, Need
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
     """u(t - d) = u - d du/dt, exact to first order in d for any sign of d.
 
-    Of du/dt, everything but the jerk is known: states have their rates, the signals q, v, t their derivatives. The jerk is
-    (a - a_lagged) / T; T = (d - h) / 2 makes the inertial part exact to second order (h / 2: the lag's own sampling).
+    Of du/dt, everything but the jerk is known: states have their rates, the signals q, v, t their derivatives. The
+    jerk is (a - a_lagged) / T; T = (d - h) / 2 makes the inertial part exact to second order (h / 2: the lag's
+    own sampling).
     """
     d, late = p["delay_s"], nominal["delay_s"]
     lag = max(0.5 * (late - axis.hold), shortest_lag(axis))
-    inertial = axis.mass * axis.acceleration
+    w = ca.vertsplit(axis.measured)
+    inertial = axis.mass * w[2]
     jerk_force = (inertial - add_lag(axis, "inertial_force", inertial, lag, lag)) / lag
     drive = axis.drive
-    w = ca.vertsplit(axis.measured)
     change = ca.gradient(drive, axis.measured)
     slope = change[0] * w[1] + change[1] * w[2] + change[4]
     slope += change[2] / axis.mass * jerk_force

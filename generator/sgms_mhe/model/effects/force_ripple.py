@@ -29,10 +29,10 @@ DEFINITION = EffectDefinition(
         (Need("travel_m", 1.5, times="pitch_m"), Need("moving_s", 0.3)),
     ),
     confused_with={
-        "force_constant_ripple": "the same stroke with another acceleration: a ripple of the force constant grows with force",
+        "force_constant_ripple": "the same stroke with another acceleration: a force constant's ripple grows with it",
         "position_dependent_friction": "the same stroke in both directions: friction changes sign, cogging does not",
         "periodic_disturbance": "the same stroke at another speed: the pattern stays in place or stays in time",
-        "encoder_periodic_error": "the same stroke at twice the speed: an encoder's error makes forces that grow with speed squared",
+        "encoder_periodic_error": "the same stroke at twice the speed: an encoder's error makes four times the force",
         "position_spring": "travel over several pitches",
     },
     start=Start(values={"amplitude_N": 0.5}, searches=(pitch_search("amplitude_N"),)),

@@ -22,7 +22,7 @@ from sgms_mhe.model.effects.excitation import Excitation, Need
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
     """The hanging mass in coordinates relative to the rest, e = q - x: e'' = a - omega^2 e - 2 zeta omega e'.
 
-    chi = (omega^2 e, omega e') mass / f_C. The rest of the mass is lighter by m2 and pulled by m2 (omega^2 e + 2 zeta omega e').
+    chi = (omega^2 e, omega e') mass / f_C. The rest is lighter by m2 and pulled by m2 (omega^2 e + 2 zeta omega e').
     """
     omega = 2.0 * math.pi * p["frequency_Hz"]
     fast = 2.0 * math.pi * nominal["frequency_Hz"]

@@ -35,7 +35,7 @@ DEFINITION = EffectDefinition(
     start=Start(
         values={"ratio": 0.5},
         searches=(Search("time_constant_s", low=0.05, high=3.0, low_of="duration", high_of="duration", points=5),),
-        note="linear in ratio where the time constant is given; far longer than the log, only ratio / time constant counts",
+        note="linear in ratio at a given time constant; far beyond the log only ratio / time constant counts",
     ),
     stage="level",
 )

@@ -1,0 +1,322 @@
+"""Which causes: forward selection over refits, backward pruning, rivals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.diagnosis.candidates import Proposal, search
+from sgms_mhe.diagnosis.evidence import difference_statistic, gain_force, nuisance, score_test
+from sgms_mhe.diagnosis.fitting import BASE_GROUPS, Extra, Fit, Workshop, cross_loss
+from sgms_mhe.diagnosis.result import Score
+from sgms_mhe.model.effects import EFFECT_NAMES
+
+Array = NDArray[np.float64]
+
+SIGNIFICANCE: Final = 1e-3  # of a candidate, all candidates and all their trials counted
+MATERIAL: Final = 0.012  # of f_C, RMS: less is no cause but a detail
+MATERIAL_NOISE: Final = 0.25  # of the noise floor
+ROUNDS: Final = 5
+REFITS: Final = 4  # per round
+CLOSE: Final = 0.55  # a candidate with less than this share of the best linear gain is not refitted
+RIVAL_SHARE: Final = 0.30  # RMS by which a rival may fit worse, over what the cause explains
+RIVAL_T: Final = 2.5
+REPEATABLE: Final = ("force_ripple", "periodic_disturbance")
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A candidate that fits as well as a cause: `fit` has it in the cause's place."""
+
+    name: str
+    instead_of: str
+    fit: Fit
+    excess_N: float
+    statistic: float
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What was selected.
+
+    Attributes:
+        fit: effects and the numbers of the base model that are wrong; all other numbers as in the machine file.
+        base: named groups of the machine's own numbers.
+        scores: of all rounds.
+        rivals: of the causes in `fit`.
+        rejected: candidates that were refitted in a cause's place and lost: name to (cause, excess [N]).
+        p_values: of each cause, by group.
+    """
+
+    fit: Fit
+    base: tuple[str, ...]
+    scores: tuple[Score, ...]
+    rivals: tuple[Rival, ...]
+    rejected: dict[str, tuple[str, float]] = field(default_factory=dict)
+    p_values: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Groups that are named: base groups, then effects under test."""
+        return self.base + tuple(f"+{i}" for i in range(len(self.fit.extras)))
+
+
+class Selector:
+    """Forward selection, pruning and rivals on one recording."""
+
+    def __init__(self, workshop: Workshop, floor: float, report: Callable[[str], None]) -> None:
+        self.workshop = workshop
+        self.report = report
+        machine = workshop.machine
+        self.material = max(MATERIAL * machine.friction.coulomb, MATERIAL_NOISE * floor)
+        self.own = tuple(f"machine:{effect.label}" for effect in machine.effects)
+        self.groups = tuple(BASE_GROUPS) + self.own
+        self.scores: list[Score] = []
+
+    # --- forward ------------------------------------------------------------------------------------------------
+
+    def select(self, start: Fit) -> Selection:
+        """Select causes; `start` is the machine with all its own numbers refitted."""
+        current = start
+        p_values: dict[str, float] = {}
+        for number in range(1, ROUNDS + 1):
+            self.report(f"searching effects, round {number}")
+            step = self._round(current, number)
+            if step is None:
+                break
+            current = self._pruned(step)
+        base, fit = self._wrong_numbers(current)
+        fit, base = self._leaner(fit, base)
+        rivals: list[Rival] = []
+        rejected: dict[str, tuple[str, float]] = {}
+        for _ in range(3):
+            self.report("comparing rivals")
+            better, rivals, rejected = self._rivals(fit, base)
+            if better is None:
+                break
+            base, fit = self._wrong_numbers(better)
+        for group in base + tuple(f"+{i}" for i in range(len(fit.extras))):
+            p_values[group] = self._p_value(fit, group)
+        return Selection(fit, base, tuple(self.scores), tuple(rivals), rejected, p_values)
+
+    def names(self, extras: Sequence[Extra]) -> list[str]:
+        """Effects that may still be added."""
+        taken = {extra.name for extra in extras} | {effect.name for effect in self.workshop.machine.effects}
+        return [name for name in EFFECT_NAMES if name not in taken or name in REPEATABLE]
+
+    def _round(self, current: Fit, number: int) -> Fit | None:
+        """Search, refit the best, return the fit with the one to add."""
+        recording = self.workshop.recording
+        free = nuisance(current.slopes[recording.used][:, current.free])
+        names = self.names(current.extras)
+        proposals = search(self.workshop, current, names, free)
+        gains = {id(p): self._linear_gain(current, p) for p in proposals}
+        strong = [
+            p
+            for p in proposals
+            if p.feasible and p.p_value * len(names) < SIGNIFICANCE and gains[id(p)] > 0.8 * self.material
+        ]
+        strong.sort(key=lambda p: -gains[id(p)])
+        top = gains[id(strong[0])] if strong else 0.0
+        shortlist = [p for p in strong if gains[id(p)] > CLOSE * top][:REFITS]
+        fits: dict[str, Fit] = {}
+        for proposal in shortlist:
+            self.report(f"refitting {proposal.name}")
+            fits[proposal.name] = self.workshop.fit((*current.extras, proposal.extra), warm=current)
+        chosen = self._choose(current, fits)
+        for p in proposals:
+            gain = gains[id(p)]
+            refit = gain_force(current.cross, fits[p.name].cross, current.rows) if p.name in fits else math.nan
+            outcome = (
+                "named"
+                if p.name == chosen
+                else "redundant"
+                if p in strong
+                else "too small"
+                if p.feasible and p.p_value * len(names) < SIGNIFICANCE
+                else "not significant"
+            )
+            self.scores.append(
+                Score(
+                    p.name, number, min(1.0, p.p_value * len(names)), max(0.0, gain), refit, dict(p.parameters), outcome
+                )
+            )
+        return fits[chosen] if chosen is not None else None
+
+    def _choose(self, current: Fit, fits: dict[str, Fit]) -> str | None:
+        """The candidate to add: the best by cross-validation; among equals the one that leaves the other numbers alone."""
+        gains = {name: gain_force(current.cross, fit.cross, fit.rows) for name, fit in fits.items()}
+        gains = {name: gain for name, gain in gains.items() if gain > self.material}
+        if not gains:
+            return None
+        best = max(gains, key=lambda name: gains[name])
+        equal = [
+            name
+            for name in gains
+            if name == best
+            or difference_statistic(fits[best].cross, fits[name].cross) < RIVAL_T
+            or gains[name] > 0.97 * gains[best]
+        ]
+        if len(equal) == 1:
+            return best
+        plain = {name: self.workshop.fit(fits[name].extras, base=(), warm=None) for name in equal}
+        return min(plain, key=lambda name: float(plain[name].cross.sum()))
+
+    def _linear_gain(self, current: Fit, proposal: Proposal) -> float:
+        """RMS of the force that a proposal explains by cross-validation, to first order."""
+        recording = self.workshop.recording
+        # Columns are projected on used rows: the other parameters follow by themselves.
+        full = np.zeros((len(recording.time), proposal.columns.shape[1]))
+        full[recording.used] = proposal.columns
+        shift = np.zeros(len(recording.time))
+        shift[recording.used] = proposal.columns @ proposal.coefficients
+        prior = 1e-9 * np.maximum(np.sum(full**2, axis=0), 1e-300)
+        after = cross_loss(recording, full, current.residual - shift, prior)
+        return gain_force(current.loss, after, current.rows)
+
+    def _pruned(self, fit: Fit) -> Fit:
+        """Drop effects that the others have made superfluous."""
+        while len(fit.extras) > 1:
+            losses = []
+            for i in range(len(fit.extras)):
+                rest = tuple(e for j, e in enumerate(fit.extras) if j != i)
+                without = self.workshop.fit(rest, warm=fit)
+                losses.append((gain_force(without.cross, fit.cross, fit.rows), without))
+            gain, without = min(losses, key=lambda entry: entry[0])
+            if gain > self.material:
+                return fit
+            fit = without
+        return fit
+
+    # --- the machine's own numbers ------------------------------------------------------------------------------
+
+    def _wrong_numbers(self, fit: Fit) -> tuple[tuple[str, ...], Fit]:
+        """Which of the machine's numbers must differ from the file: the fewest groups that leave no material gain."""
+        extras = fit.extras
+        everything = self.workshop.fit(extras, warm=fit)
+        named: tuple[str, ...] = ()
+        current = self.workshop.fit(extras, base=())
+        while True:
+            missing = gain_force(current.cross, everything.cross, fit.rows)
+            rest = [group for group in self.groups if group not in named]
+            if missing < self.material or not rest:
+                break
+            trials = {group: self.workshop.fit(extras, base=(*named, group)) for group in rest}
+            best = min(trials, key=lambda group: float(trials[group].cross.sum()))
+            gain = gain_force(current.cross, trials[best].cross, fit.rows)
+            if gain < self.material:
+                break
+            named, current = (*named, best), trials[best]
+        for group in list(named):  # an early one may have stood in for later ones
+            if len(named) < 2:
+                break
+            without = tuple(g for g in named if g != group)
+            trial = self.workshop.fit(extras, base=without)
+            if gain_force(trial.cross, current.cross, fit.rows) < self.material:
+                named, current = without, trial
+        return named, current
+
+    def _leaner(self, fit: Fit, base: tuple[str, ...]) -> tuple[Fit, tuple[str, ...]]:
+        """Drop effects that are superfluous now that the base numbers are what they are."""
+        while fit.extras:
+            losses = []
+            for i in range(len(fit.extras)):
+                rest = tuple(e for j, e in enumerate(fit.extras) if j != i)
+                without = self.workshop.fit(rest, base=base)
+                losses.append((gain_force(without.cross, fit.cross, fit.rows), without))
+            gain, without = min(losses, key=lambda entry: entry[0])
+            if gain > self.material:
+                break
+            fit = without
+        return fit, base
+
+    # --- rivals -------------------------------------------------------------------------------------------------
+
+    def _rivals(
+        self, fit: Fit, base: tuple[str, ...]
+    ) -> tuple[Fit | None, list[Rival], dict[str, tuple[str, float]]]:
+        """Put every other candidate in each cause's place; a better one is returned, equal ones are rivals."""
+        recording = self.workshop.recording
+        rivals: list[Rival] = []
+        rejected: dict[str, tuple[str, float]] = {}
+        for group in base + tuple(f"+{i}" for i in range(len(fit.extras))):
+            if group.startswith("+"):
+                extras = tuple(e for i, e in enumerate(fit.extras) if f"+{i}" != group)
+                free_base, cause = base, fit.extras[int(group[1:])].name
+            else:
+                extras, free_base, cause = fit.extras, tuple(g for g in base if g != group), group
+            without = self.workshop.fit(extras, base=free_base)
+            own_gain = gain_force(without.cross, fit.cross, fit.rows)
+            if own_gain <= 0.0:
+                continue
+            free = nuisance(without.slopes[recording.used][:, without.free])
+            names = [name for name in self.names(extras) if name != cause]
+            proposals = search(self.workshop, without, names, free)
+            trials: list[tuple[float, str, Extra | None]] = [
+                (self._linear_gain(without, p), p.name, p.extra) for p in proposals if p.feasible
+            ]
+            for other in self.groups:
+                if other in base or other == group:
+                    continue
+                columns = [i for i, c in enumerate(without.model.columns) if c.group == other]
+                Z = free.project(without.slopes[recording.used][:, columns])
+                p, size = score_test(recording, Z, free.project(without.residual[recording.used]))
+                proposal = Proposal(other, {}, Z, size, 0.0, 1.0, p, True)
+                trials.append((self._linear_gain(without, proposal), other, None))
+            trials.sort(key=lambda trial: -trial[0])
+            for gain, name, extra in trials[:REFITS]:
+                if gain < 0.7 * own_gain:
+                    rejected.setdefault(name, (cause, math.sqrt(max(0.0, own_gain**2 - max(gain, 0.0) ** 2))))
+                    continue
+                trial = (
+                    self.workshop.fit((*extras, extra), base=free_base, warm=without)
+                    if extra is not None
+                    else self.workshop.fit(extras, base=(*free_base, name), warm=without)
+                )
+                excess = gain_force(trial.cross, fit.cross, fit.rows)
+                statistic = difference_statistic(fit.cross, trial.cross)
+                if statistic < -RIVAL_T and excess < -0.2 * self.material:
+                    return trial, [], {}
+                if excess < RIVAL_SHARE * own_gain and (statistic < RIVAL_T or excess < 0.4 * self.material):
+                    rivals.append(Rival(name.removeprefix("machine:"), cause, trial, excess, statistic))
+                else:
+                    rejected[name] = (cause, excess)
+        return None, rivals, rejected
+
+    def _p_value(self, fit: Fit, group: str) -> float:
+        """Score test of a group's parameters at the fit (Wald form)."""
+        recording = self.workshop.recording
+        inside = np.array([c.group == group for c in fit.model.columns]) & fit.free
+        X = fit.slopes[recording.used]
+        free = nuisance(X[:, fit.free & ~inside])
+        Z = free.project(X[:, inside])
+        # What the group contributes at the fit stands in for the sizes that the parameters started from.
+        start = np.array([c.machine_theta if not group.startswith("+") else 0.0 for c in fit.model.columns])
+        if group.startswith("+"):
+            sizes = _amplitudes(fit, group)
+            shift = np.where(sizes, fit.theta - _zero(fit, group), 0.0)[inside]
+        else:
+            shift = (fit.theta - start)[inside]
+        p, _ = score_test(recording, Z, free.project(fit.residual[recording.used]) + Z @ shift)
+        return p
+
+
+def _amplitudes(fit: Fit, group: str) -> NDArray[np.bool_]:
+    """Parameters of an effect that its force is proportional to, by their names."""
+    sizes = ("amplitude", "ratio", "force_N", "difference", "damping_N", "coefficient", "mass", "gain", "stiffness", "delay")
+    return np.array([c.group == group and c.name.startswith(sizes) for c in fit.model.columns])
+
+
+def _zero(fit: Fit, group: str) -> Array:
+    """theta at which an effect's sizes vanish."""
+    return np.array(
+        [c.theta(1.0 if c.name == "gain" else 0.0) if c.group == group else 0.0 for c in fit.model.columns]
+    )
+
+
+__all__ = ["Rival", "Selection", "Selector"]

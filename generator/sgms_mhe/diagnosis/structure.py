@@ -1,0 +1,91 @@
+"""Where a residual lives: its dependence on position, velocity, acceleration, time, the way after reversals, frequency."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.signal import welch
+
+from sgms_mhe.diagnosis.residuals import Recording
+from sgms_mhe.diagnosis.result import Structure
+
+Array = NDArray[np.float64]
+
+BINS = 40
+
+
+def structure_map(recording: Recording, residual: Array) -> tuple[Structure, ...]:
+    """All maps of a residual (m) on the used rows."""
+    used = recording.used
+    found = [
+        _binned(recording, residual, coordinate, series)
+        for coordinate, series in (
+            ("position", recording.position),
+            ("velocity", recording.velocity),
+            ("acceleration", recording.acceleration),
+            ("time", recording.time),
+            ("after_reversal", _way_after_reversal(recording)),
+        )
+    ]
+    return (*found, _spectrum(recording, np.where(used, residual, 0.0)))
+
+
+def excess_rms(residual: Array, rows: float, floor: float) -> float:
+    """RMS of what is in a residual beyond noise [N], from its sum of squares over `rows` rows."""
+    return math.sqrt(max(0.0, float(residual.sum()) / max(1.0, rows) - floor**2))
+
+
+def _way_after_reversal(recording: Recording) -> Array:
+    """Distance travelled since the last change of direction (m) [m], as its decimal logarithm."""
+    moved = np.diff(recording.position, prepend=recording.position[:1])
+    quiet = np.abs(moved) < 1e-9
+    sign = np.sign(np.where(quiet, 0.0, moved))
+    index = np.maximum.accumulate(np.where(sign != 0.0, np.arange(len(sign)), 0))
+    held = sign[index]
+    turn = np.concatenate(([True], held[1:] != held[:-1]))
+    path = np.cumsum(np.abs(moved))
+    start = np.maximum.accumulate(np.where(turn, path, -np.inf))
+    return np.log10(np.maximum(path - start, 1e-8))
+
+
+def _binned(recording: Recording, residual: Array, coordinate: str, series: Array) -> Structure:
+    used = recording.used
+    x, e, block = series[used], residual[used], recording.block[used]
+    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
+    if len(edges) < 3:
+        return Structure(coordinate, 0.0, 1.0, math.nan, np.empty(0), np.empty(0))
+    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+    bins = len(edges) - 1
+    count = np.bincount(index, minlength=bins)
+    mean = np.bincount(index, weights=e, minlength=bins) / np.maximum(count, 1)
+    # A bin's mean scatters as its sums over blocks do.
+    cell = index * recording.blocks + block
+    sums = np.bincount(cell, weights=e - mean[index], minlength=bins * recording.blocks).reshape(bins, -1)
+    variance = np.sum(sums**2, axis=1) / np.maximum(count, 1) ** 2
+    share = count / count.sum()
+    power = float(np.sum(share * (mean**2 - variance)))
+    filled = (count > 0) & (variance > 0.0)
+    statistic = float(np.sum(mean[filled] ** 2 / variance[filled]))
+    degrees = int(filled.sum())
+    centres = np.bincount(index, weights=x, minlength=bins) / np.maximum(count, 1)
+    peak = float(centres[int(np.argmax(np.abs(mean)))])
+    p = float(stats.f.sf(statistic / max(1, degrees), max(1, degrees), max(2, recording.blocks - 1)))
+    return Structure(coordinate, math.sqrt(max(0.0, power)), p, peak, centres, mean)
+
+
+def _spectrum(recording: Recording, residual: Array) -> Structure:
+    length = int(min(len(residual), max(256, 2.0 * recording.rate)))
+    frequency, power = welch(residual, fs=recording.rate, nperseg=length)
+    width = float(frequency[1] - frequency[0])
+    inside = frequency > 0.0
+    frequency, power = frequency[inside], power[inside]
+    typical = float(np.median(power))
+    peak = int(np.argmax(power))
+    segments = max(1.0, 2.0 * len(residual) / length - 1.0)
+    ratio = float(power[peak] / max(typical, 1e-300))
+    p = min(1.0, len(power) * float(stats.chi2.sf(2.0 * segments * 0.7 * ratio, 1.4 * segments)))
+    excess = float(np.sum(np.maximum(0.0, power - 3.0 * typical))) * width
+    return Structure("frequency", math.sqrt(excess), p, float(frequency[peak]), frequency, np.sqrt(power * width))

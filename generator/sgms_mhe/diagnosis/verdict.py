@@ -1,0 +1,457 @@
+"""`diagnose`: from a log and a machine to a verdict."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.diagnosis.evidence import gain_force, gain_interval
+from sgms_mhe.diagnosis.extension import extend_machine
+from sgms_mhe.diagnosis.fitting import Fit, Workshop
+from sgms_mhe.diagnosis.residuals import Recording, noise_floor, prepare
+from sgms_mhe.diagnosis.result import (
+    Alternative,
+    BaseParameter,
+    Cause,
+    Diagnosis,
+    Rms,
+    Score,
+    Traces,
+    Verdict,
+)
+from sgms_mhe.diagnosis.selection import Selection, Selector
+from sgms_mhe.diagnosis.structure import structure_map
+from sgms_mhe.logs import Log
+from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects.base import BASE_CAUSES
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+"""Called with what is being done."""
+
+EXCITED: Final = 0.05  # of f_C: range of the simulated friction below which a record says nothing
+SHARP: Final[Mapping[str, float]] = {"zeta": 0.99, "lambda": 350.0}
+SHARPER: Final = 0.97  # RMS by which the sharp transition must fit better to be taken
+UNEXPLAINED: Final = 0.02  # of f_C: RMS beyond noise that a complete explanation may leave
+UNEXPLAINED_SHARE: Final = 0.45  # of the RMS beyond noise of the machine as it is
+
+
+def diagnose(
+    machine: Machine,
+    log: Log,
+    *,
+    progress: Progress | None = None,
+    held_out_s: Sequence[tuple[float, float]] | None = None,
+) -> Diagnosis:
+    """Say what a machine's model gets wrong along a log, and why.
+
+    Args:
+        machine: the axis as it is believed to be.
+        log: what was measured.
+        progress: called with each step.
+        held_out_s: intervals since the log's start [s] that no fit behind a reported gain may see; None: a third of the
+            record, in blocks.
+
+    Raises:
+        InputError: the log does not fit the machine, or has too few usable samples.
+    """
+    started = time.monotonic()
+    report = progress or (lambda _: None)
+    report("preparing the log")
+    recording = prepare(machine, log, held_out_s)
+    workshop = Workshop(machine, recording)
+    nominal = workshop.fit((), base=())
+    floor = noise_floor(recording, nominal.residual)
+    simulated = (recording.friction - nominal.residual)[recording.used]
+    if float(np.ptp(simulated)) < EXCITED * machine.friction.coulomb:
+        return _without_excitation(machine, log, recording, nominal, floor, started)
+    report("refitting the base model")
+    workshop, start, smoothing = _base_fit(machine, recording, floor)
+    selector = Selector(workshop, floor, report)
+    selection = selector.select(start)
+    return _Verdict(machine, log, recording, workshop, nominal, start, selection, smoothing, report).finish(started)
+
+
+def _base_fit(machine: Machine, recording: Recording, floor: float) -> tuple[Workshop, Fit, str]:
+    """The base model refitted, with the transition from sticking to slipping that fits better.
+
+    How sharply an element slips is a property of the smoothed law, not of an axis: a real one may switch. Both are
+    tried, so that the difference is not taken for an effect.
+    """
+    plain = Workshop(machine, recording)
+    plain.noise = floor
+    fit = plain.fit(())
+    gamma = machine.friction.smoothing.gamma
+    if machine.friction.smoothing.lambda_ >= SHARP["lambda"]:
+        return plain, fit, "machine"
+    sharp = Workshop(override_machine(machine, {"friction": {"smoothing": {**SHARP, "gamma": gamma}}}), recording)
+    sharp.noise = floor
+    other = sharp.fit(())
+    if other.cross_rms < SHARPER * fit.cross_rms:
+        return sharp, other, "sharp"
+    return plain, fit, "machine"
+
+
+def _rms(fit: Fit, recording: Recording) -> tuple[float, float]:
+    """RMS on blocks that the fit saw, and on the held-out ones."""
+    seen, held = ~recording.held_out, recording.held_out
+
+    def value(blocks: NDArray[np.bool_]) -> float:
+        rows = float(fit.rows[blocks].sum())
+        return math.sqrt(float(fit.loss[blocks].sum()) / rows) if rows > 0 else math.nan
+
+    return value(seen), value(held)
+
+
+class _Verdict:
+    """Puts the evidence of a selection into a Diagnosis."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        log: Log,
+        recording: Recording,
+        workshop: Workshop,
+        nominal: Fit,
+        start: Fit,
+        selection: Selection,
+        smoothing: str,
+        report: Progress,
+    ) -> None:
+        self.machine = machine
+        self.log = log
+        self.recording = recording
+        self.workshop = workshop
+        self.nominal = nominal
+        self.start = start
+        self.selection = selection
+        self.smoothing = smoothing
+        self.report = report
+        self.floor = noise_floor(recording, selection.fit.residual)
+
+    def finish(self, started: float) -> Diagnosis:
+        selection, recording = self.selection, self.recording
+        fit = selection.fit
+        coulomb = self.machine.friction.coulomb
+        plain = self.workshop.fit((), base=())  # the machine as it is, with the transition that was chosen
+        before = self._excess(plain)
+        after = self._excess(fit)
+        allowed = max(UNEXPLAINED * coulomb, 0.5 * self.floor)
+        # The base numbers' own small errors are no structure that asks for a name.
+        free = self.workshop.fit(fit.extras, warm=fit)
+        after = min(after, self._excess(free))
+        complete = after < max(allowed, UNEXPLAINED_SHARE * before if before > 3.0 * allowed else allowed)
+        verdict: Verdict
+        if not selection.causes:
+            verdict = "adequate" if after < allowed else "unexplained"
+        elif not complete:
+            verdict = "unexplained"
+        elif selection.rivals:
+            verdict = "ambiguous"
+        else:
+            verdict = "explained"
+        if verdict == "unexplained" and selection.causes:
+            selection = replace(selection, fit=plain, base=(), rivals=())
+        self.report("measuring the gain on held-out data")
+        seen = recording.used & ~recording.rows_held_out()
+        fit = selection.fit
+        named = bool(selection.causes)
+        blind = self.workshop.fit(fit.extras, base=selection.base, warm=fit, rows=seen) if named else self.nominal
+        rms_before, held_before = _rms(self.nominal, recording)
+        rms_after, held_after = _rms(blind, recording)
+        causes = self._causes(selection, blind, seen) if named else ()
+        extended, toml = self._extension(selection, causes) if named else (None, None)
+        held = recording.held_out
+        interval = (
+            gain_interval(self.nominal.loss[held], blind.loss[held], blind.rows[held]) if named else (0.0, 0.0)
+        )
+        alternatives = self._alternatives(selection)
+        rivals = [a for a in alternatives if a.rival]
+        return Diagnosis(
+            machine=self.machine,
+            source=self.log.source,
+            verdict=verdict,
+            summary=_summary(verdict, [c.name for c in causes], [a.name for a in rivals], held_before, held_after),
+            causes=causes,
+            alternatives=alternatives,
+            separating_experiment=_experiment(verdict, causes, rivals),
+            rms=Rms(rms_before, rms_after, held_before, held_after),
+            noise_floor_N=self.floor,
+            gain_interval_N=interval,
+            base=_base_parameters(self.workshop, free if named else self.start),
+            scores=selection.scores if verdict != "unexplained" else _unnamed(selection.scores),
+            structure_before=structure_map(recording, self.nominal.residual),
+            structure_after=structure_map(recording, fit.residual if named else self.start.residual),
+            traces=_traces(recording, self.nominal, self.start, fit if named else self.nominal, blind),
+            extended=extended,
+            extended_toml=toml,
+            smoothing=self.smoothing,
+            excited=True,
+            warnings=recording.warnings,
+            seconds=time.monotonic() - started,
+        )
+
+    def _excess(self, fit: Fit) -> float:
+        return math.sqrt(max(0.0, fit.cross_rms**2 - self.floor**2))
+
+    def _causes(self, selection: Selection, blind: Fit, seen: NDArray[np.bool_]) -> tuple[Cause, ...]:
+        """Causes with parameters of all data and gains of the fit without the held-out blocks."""
+        recording, fit = self.recording, selection.fit
+        covariance = self.workshop.covariance(fit)
+        held = recording.held_out
+        causes = []
+        for group in selection.causes:
+            if group.startswith("+"):
+                index = int(group[1:])
+                extras = tuple(e for i, e in enumerate(blind.extras) if i != index)
+                base, name = selection.base, fit.extras[index].name
+                label = name if all(e.name != name for e in fit.extras[:index]) else f"{name}_2"
+            else:
+                extras, base = blind.extras, tuple(g for g in selection.base if g != group)
+                name = group.removeprefix("machine:").rstrip("_0123456789") if ":" in group else group
+                label = group.removeprefix("machine:")
+            without = self.workshop.fit(extras, base=base, rows=seen)
+            before, held_before = _rms(without, recording)
+            after, held_after = _rms(blind, recording)
+            values, std, nominal = _reported(fit, covariance, group)
+            causes.append(
+                Cause(
+                    name=name,
+                    label=label,
+                    parameters=values,
+                    std=std,
+                    nominal=nominal,
+                    rms=Rms(before, after, held_before, held_after),
+                    gain_N=gain_force(without.loss[held], blind.loss[held], fit.rows[held]),
+                    gain_interval_N=gain_interval(without.loss[held], blind.loss[held], fit.rows[held]),
+                    p_value=selection.p_values.get(group, math.nan),
+                )
+            )
+        return tuple(sorted(causes, key=lambda cause: -cause.gain_N))
+
+    def _extension(self, selection: Selection, causes: Sequence[Cause]) -> tuple[Machine, str]:
+        fit, machine = selection.fit, self.machine
+        friction: dict[str, Any] = {}
+        for group in selection.base:
+            if group.startswith("machine:"):
+                continue
+            for name, value in fit.values(group).items():
+                if name.startswith("stiffness"):
+                    friction.setdefault("stiffness", []).append(value)
+                else:
+                    friction[name] = value
+        if self.smoothing == "sharp":
+            friction["smoothing"] = {**SHARP, "gamma": machine.friction.smoothing.gamma}
+        effects: list[dict[str, Any]] = []
+        for effect in machine.effects:
+            values = fit.values(f"machine:{effect.label}")
+            own = f"machine:{effect.label}" in selection.base
+            effects.append({"name": effect.name, **(values if own else effect.parameters)})
+        effects += [{"name": e.name, **_tidy(e.parameters)} for e in fit.extras]
+        names = [cause.label for cause in causes]
+        changed = bool(fit.extras) or any(g.startswith("machine:") for g in selection.base)
+        return extend_machine(machine, names, friction, effects if changed else None)
+
+    def _alternatives(self, selection: Selection) -> tuple[Alternative, ...]:
+        found = [
+            Alternative(
+                rival.name,
+                f"fits as well as {rival.instead_of} on this record",
+                True,
+                rival.instead_of,
+                _rival_values(rival.fit, rival.name),
+                max(0.0, rival.excess_N),
+            )
+            for rival in selection.rivals
+        ]
+        named = [
+            e.name for e in selection.fit.extras
+        ] + list(selection.base)
+        if found:  # the named causes that have rivals are listed with them
+            for cause in dict.fromkeys(rival.instead_of for rival in selection.rivals):
+                others = ", ".join(r.name for r in selection.rivals if r.instead_of == cause)
+                found.append(Alternative(cause, f"named; fits as well as {others} on this record", True, None, {}, 0.0))
+        taken = {a.name for a in found} | set(named)
+        for name, (cause, excess) in sorted(selection.rejected.items(), key=lambda entry: entry[1][1]):
+            plain = name.removeprefix("machine:")
+            if plain not in taken:
+                taken.add(plain)
+                found.append(
+                    Alternative(plain, f"in place of {cause} leaves {excess:.3g} N more", False, cause, {}, excess)
+                )
+        for score in selection.scores:
+            if score.name not in taken and score.outcome in ("redundant", "too small"):
+                taken.add(score.name)
+                why = (
+                    "superfluous beside what is named"
+                    if score.outcome == "redundant"
+                    else f"would explain {score.gain_N:.2g} N, less than matters"
+                )
+                found.append(Alternative(score.name, why, False, None, dict(score.parameters)))
+        return tuple(found)
+
+
+def _tidy(values: Mapping[str, float]) -> dict[str, float]:
+    """Phases within one turn, amplitudes positive."""
+    tidy = dict(values)
+    if "phase_rad" in tidy:
+        size = next((k for k in tidy if k.startswith(("amplitude", "ratio"))), None)
+        if size is not None and tidy[size] < 0.0:
+            tidy[size], tidy["phase_rad"] = -tidy[size], tidy["phase_rad"] + math.pi
+        tidy["phase_rad"] = math.remainder(tidy["phase_rad"], 2.0 * math.pi)
+    return tidy
+
+
+_UNITS: Final = {
+    "coulomb": "coulomb_N",
+    "viscous": "viscous_N_s_m",
+    "stribeck_ratio": "stribeck_ratio",
+    "stribeck_velocity": "stribeck_velocity_m_s",
+}
+
+
+def _report_name(name: str) -> str:
+    return f"{name}_N_m" if name.startswith("stiffness_") and name[10:].isdigit() else _UNITS.get(name, name)
+
+
+def _reported(fit: Fit, covariance: Array, group: str) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    values, std, nominal = {}, {}, {}
+    for i, column in enumerate(fit.model.columns):
+        if column.group != group:
+            continue
+        name = column.name if group.startswith(("+", "machine:")) else _report_name(column.name)
+        values[name] = column.si(float(fit.theta[i]))
+        std[name] = math.sqrt(float(covariance[i, i])) * abs(column.scale) if fit.free[i] else math.nan
+        if not group.startswith("+"):
+            nominal[name] = column.si(column.machine_theta)
+    return (_tidy(values) if group.startswith("+") else values), std, nominal
+
+
+def _rival_values(fit: Fit, name: str) -> dict[str, float]:
+    for extra in fit.extras:
+        if extra.name == name:
+            return _tidy(extra.parameters)
+    return {_report_name(k): v for k, v in (fit.values(name) or fit.values(f"machine:{name}")).items()}
+
+
+def _base_parameters(workshop: Workshop, fit: Fit) -> tuple[BaseParameter, ...]:
+    covariance = workshop.covariance(fit)
+    return tuple(
+        BaseParameter(
+            c.name if ":" not in c.group else f"{c.group.removeprefix('machine:')}.{c.name}",
+            c.si(c.machine_theta),
+            c.si(float(fit.theta[i])),
+            math.sqrt(float(covariance[i, i])) * abs(c.scale) if fit.free[i] else math.nan,
+        )
+        for i, c in enumerate(fit.model.columns)
+        if not c.group.startswith("+")
+    )
+
+
+def _unnamed(scores: Sequence[Score]) -> tuple[Score, ...]:
+    return tuple(replace(s, outcome="redundant") if s.outcome == "named" else s for s in scores)
+
+
+def _traces(recording: Recording, nominal: Fit, start: Fit, extended: Fit, blind: Fit) -> Traces:
+    measured = recording.friction
+    return Traces(
+        time_s=recording.time,
+        position_m=recording.position,
+        velocity_m_s=recording.velocity,
+        acceleration_m_s2=recording.acceleration,
+        force_N=recording.force,
+        friction_N=measured,
+        nominal_N=measured - nominal.residual,
+        refitted_N=measured - start.residual,
+        extended_N=measured - extended.residual,
+        held_out_fit_N=measured - blind.residual,
+        used=recording.used,
+        held_out=recording.rows_held_out(),
+        block=recording.block,
+        rate=recording.rate,
+    )
+
+
+def separating_move(first: str, second: str) -> str | None:
+    """The move that tells two causes apart, from their definitions."""
+    for one, other in ((first, second), (second, first)):
+        table: Mapping[str, str] = {}
+        if one in EFFECT_NAMES:
+            table = effect_definition(one).confused_with
+        elif one in BASE_CAUSES:
+            table = BASE_CAUSES[one].confused_with
+        if other in table:
+            return table[other]
+    return None
+
+
+def _excitation(name: str) -> str | None:
+    if name in EFFECT_NAMES:
+        return effect_definition(name).excitation.text
+    return BASE_CAUSES[name].excitation.text if name in BASE_CAUSES else None
+
+
+def _experiment(verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Alternative]) -> str | None:
+    if verdict == "unexplained":
+        return "repeat the same motion twice, and once at half the speed: what stays in place, in time or in velocity shows"
+    moves = []
+    for rival in rivals:
+        if rival.instead_of is None:
+            continue
+        move = separating_move(rival.instead_of, rival.name)
+        if move is None:
+            wanted = [text for text in (_excitation(rival.instead_of), _excitation(rival.name)) if text]
+            move = "; and ".join(dict.fromkeys(wanted)) or "another motion"
+        moves.append(f"{rival.instead_of} or {rival.name}: {move}")
+    return ". ".join(moves) if moves else None
+
+
+def _summary(
+    verdict: Verdict, causes: Sequence[str], rivals: Sequence[str], before: float, after: float
+) -> str:
+    gain = f"the residual on data not used in the fit goes from {before:.3g} N to {after:.3g} N RMS"
+    if verdict == "adequate":
+        return f"The simulation explains the record; {before:.3g} N RMS are left, nothing is named."
+    if verdict == "unexplained":
+        return f"{before:.3g} N RMS are left that no known effect accounts for; nothing is named."
+    if verdict == "ambiguous":
+        others = [name for name in dict.fromkeys(rivals) if name not in causes]
+        return f"{', '.join(causes)}, but {', '.join(others)} would fit as well: {gain}."
+    return f"{', '.join(causes)}: {gain}."
+
+
+def _without_excitation(
+    machine: Machine, log: Log, recording: Recording, nominal: Fit, floor: float, started: float
+) -> Diagnosis:
+    rms, held = _rms(nominal, recording)
+    maps = structure_map(recording, nominal.residual)
+    return Diagnosis(
+        machine=machine,
+        source=log.source,
+        verdict="adequate",
+        summary="There is no excitation in this record: the axis hardly moves, so nothing can be said about friction.",
+        causes=(),
+        alternatives=(),
+        separating_experiment="record a motion: strokes in both directions at several speeds, with reversals and rests",
+        rms=Rms(rms, rms, held, held),
+        noise_floor_N=floor,
+        gain_interval_N=(0.0, 0.0),
+        base=(),
+        scores=(),
+        structure_before=maps,
+        structure_after=maps,
+        traces=_traces(recording, nominal, nominal, nominal, nominal),
+        extended=None,
+        extended_toml=None,
+        smoothing="machine",
+        excited=False,
+        warnings=(*recording.warnings, "no excitation: the axis hardly moves"),
+        seconds=time.monotonic() - started,
+    )

@@ -1,0 +1,163 @@
+"""The loop closed: what the extended model gains the estimator that is generated from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.compiled import CompiledEstimator
+from sgms_mhe.errors import InputError
+from sgms_mhe.estimates import Estimates
+from sgms_mhe.kinematics import Signals, signals_from_log
+from sgms_mhe.logs import Log
+from sgms_mhe.machine import Machine
+from sgms_mhe.status import FLAGS, measured
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Progress = Callable[[int, int], None]
+"""Called with (updates done, updates in all), both estimators together."""
+
+BLOCKS: Final = 30
+DRAWS: Final = 2000
+
+
+@dataclass(frozen=True)
+class Wander:
+    """An estimated parameter: its mean over the log [SI], and how far it wanders about that [relative, 1 sigma]."""
+
+    name: str
+    mean: float
+    wander: float
+
+
+@dataclass(frozen=True)
+class EstimatorRun:
+    """An estimator on a log.
+
+    Attributes:
+        predicted_rms_N: RMS of measured friction minus what the estimator puts out at every sample (`compensation_N`).
+            That is the model from the newest estimate along the motion; the force measured since has not been used. It is
+            what friction compensation leaves, and as no measurement is in it, nothing can be hidden in it.
+        filtered_rms_N: RMS of measured friction minus the estimate at the updates, which has used that measurement:
+            small wherever the estimator trusts the measurement, whatever its model. Worth less.
+        parameters: of the estimates.
+        refused: share of updates that kept an older estimate.
+    """
+
+    predicted_rms_N: float
+    filtered_rms_N: float
+    parameters: tuple[Wander, ...]
+    refused: float
+
+
+@dataclass(frozen=True)
+class EstimatorGain:
+    """Two estimators on a log that no fit has seen: of the machine as it was, and of the extended one.
+
+    `reduction` of the RMS of the predicted friction, 1 - extended / base, with its 95 % interval over blocks of the log;
+    `time_s`, `before_N`, `after_N` (k): RMS of the prediction's error in consecutive pieces of the log.
+    """
+
+    source: str
+    duration_s: float
+    base: EstimatorRun
+    extended: EstimatorRun
+    reduction: float
+    reduction_interval: tuple[float, float]
+    time_s: Array
+    before_N: Array
+    after_N: Array
+
+
+def closed_loop_gain(
+    machine: Machine, extended_machine: Machine, log_unseen: Log, *, progress: Progress | None = None
+) -> EstimatorGain:
+    """Generate both machines' estimators, run them on a log, compare their friction with the measured one.
+
+    Args:
+        machine: as it was.
+        extended_machine: of a diagnosis.
+        log_unseen: a log that the diagnosis did not use.
+        progress: as `Progress`.
+
+    Raises:
+        InputError: the log holds no second of motion that both estimators could use.
+    """
+    signals = [signals_from_log(log_unseen, axis) for axis in (machine, extended_machine)]
+    estimates = [
+        CompiledEstimator(axis).estimate(signals[i], progress=None if progress is None else _half(progress, i))
+        for i, axis in enumerate((machine, extended_machine))
+    ]
+    used = _usable(machine, signals[0], estimates[0]) & _usable(extended_machine, signals[1], estimates[1])
+    rate = machine.sampling.rate
+    if used.sum() < rate:
+        raise InputError(log_unseen.source or "log", "usable time", used.sum() / rate, "at least one second")
+    errors = [
+        s.friction - e.extra["compensation_N"][: len(s)] for s, e in zip(signals, estimates, strict=True)
+    ]
+    base, extended = (_run(error, used, e) for error, e in zip(errors, estimates, strict=True))
+
+    counts = _blocks(np.ones(len(used)), used)
+    kept = counts > 0
+    counts = counts[kept]
+    squares = [_blocks(error**2, used)[kept] for error in errors]
+    draws = np.random.default_rng(1).integers(0, len(counts), (DRAWS, len(counts)))
+    left = [s[draws].sum(axis=1) for s in squares]
+    low, high = np.quantile(1.0 - np.sqrt(left[1] / np.maximum(left[0], 1e-300)), (0.025, 0.975))
+    return EstimatorGain(
+        source=log_unseen.source,
+        duration_s=len(used) / rate,
+        base=base,
+        extended=extended,
+        reduction=1.0 - extended.predicted_rms_N / base.predicted_rms_N if base.predicted_rms_N > 0.0 else 0.0,
+        reduction_interval=(float(low), float(high)),
+        time_s=_blocks(np.arange(len(used)) / rate, used)[kept] / counts,
+        before_N=np.sqrt(squares[0] / counts),
+        after_N=np.sqrt(squares[1] / counts),
+    )
+
+
+def _usable(machine: Machine, signals: Signals, estimates: Estimates) -> Mask:
+    """Samples that count (n): measured, within the machine's speed, and predicted from a horizon that is full."""
+    filling = estimates.status & FLAGS["filling"] != 0
+    filling |= estimates.status < 0
+    warm = np.ones(len(signals), dtype=np.bool_)
+    full = np.flatnonzero(~filling)
+    warm[: int(machine.sampling.samples_per_update * (1 + full[0])) if len(full) else len(warm)] = False
+    return np.asarray(warm & signals.valid & (np.abs(signals.velocity) <= machine.sampling.max_velocity))
+
+
+def _run(error: Array, used: Mask, estimates: Estimates) -> EstimatorRun:
+    taken = measured(estimates.status) & (estimates.status & FLAGS["filling"] == 0)
+    left = (estimates.friction_measured_N - estimates.friction_N)[taken]
+    values = estimates.parameters[taken]
+    return EstimatorRun(
+        predicted_rms_N=_rms(error[used]),
+        filtered_rms_N=_rms(left),
+        parameters=tuple(
+            Wander(name, float(column.mean()), float(column.std() / max(abs(column.mean()), 1e-300)))
+            for name, column in zip(estimates.parameter_names, values.T, strict=True)
+            if len(column)
+        ),
+        refused=float(np.mean(estimates.status < 0)) if len(estimates.status) else 0.0,
+    )
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(values**2))) if len(values) else math.nan
+
+
+def _blocks(values: Array, used: Mask) -> Array:
+    """Sum over the used samples of each of `BLOCKS` pieces of equal time."""
+    piece = np.minimum(np.arange(len(used)) * BLOCKS // max(1, len(used)), BLOCKS - 1)
+    return np.bincount(piece[used], weights=values[used], minlength=BLOCKS)
+
+
+def _half(progress: Progress, index: int) -> Progress:
+    return lambda done, total: progress(done + index * total, 2 * total)

@@ -1,0 +1,148 @@
+"""Numbers as an engineer writes them: a unit, a prefix that suits the size, no more digits than the uncertainty allows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+# End of a parameter's name -> unit; the longest that fits counts.
+_SUFFIXES: Final = {
+    "N_s2_m2": "N s²/m²",
+    "N_s_m": "N s/m",
+    "N_m": "N/m",
+    "m_s": "m/s",
+    "kg": "kg",
+    "Hz": "Hz",
+    "rad": "rad",
+    "N": "N",
+    "m": "m",
+    "s": "s",
+}
+_RATIOS: Final = ("ratio", "stribeck_ratio", "damping_ratio")
+_PREFIXES: Final = {
+    "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm")),
+    "s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")),
+    "m/s": ((1.0, "m/s"), (1e-3, "mm/s"), (1e-6, "µm/s")),
+    "N": ((1.0, "N"), (1e-3, "mN"), (1e-6, "µN")),
+    "N/m": ((1e6, "N/µm"), (1e3, "N/mm"), (1.0, "N/m")),
+}
+_BASE_UNITS: Final = {
+    "stiffness": "N_m",
+    "coulomb": "N",
+    "viscous": "N_s_m",
+    "micro_viscous": "N_s_m",
+    "stribeck_velocity": "m_s",
+}
+COVERAGE: Final = 1.96
+"""Standard deviations on either side that 95 % lie within."""
+_RAISED: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
+MINUS: Final = "\N{MINUS SIGN}"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A quantity ready to print: `value`, `spread` (half of its 95 % interval, empty where unknown) and `unit`."""
+
+    value: str
+    spread: str
+    unit: str
+
+    def __str__(self) -> str:
+        number = f"{self.value} ± {self.spread}" if self.spread else self.value
+        return f"{number} {self.unit}".rstrip()
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """(words, unit) of a parameter's name: `amplitude_N` -> ("amplitude", "N")."""
+    for suffix, unit in _SUFFIXES.items():
+        if name.endswith("_" + suffix):
+            return name[: -len(suffix) - 1].replace("_", " "), unit
+    stem = name.rstrip("0123456789").rstrip("_")
+    if stem in _BASE_UNITS:
+        return name.replace("_", " "), _SUFFIXES[_BASE_UNITS[stem]]
+    return name.replace("_", " "), "%" if name in _RATIOS or stem.endswith("ratio") else ""
+
+
+def quantity(name: str, value: float, std: float = math.nan) -> Reading:
+    """A parameter's value with its 95 % interval, in the unit that its name ends in."""
+    _, unit = split_name(name)
+    return reading(value, unit, std)
+
+
+def reading(value: float, unit: str, std: float = math.nan) -> Reading:
+    """A value in SI (a ratio in units of one) with its 95 % interval."""
+    if not math.isfinite(value):
+        return Reading("–", "", "")
+    factor, shown = 1.0, unit
+    if unit == "%":
+        factor = 0.01
+    elif unit == "rad":
+        factor, shown = math.pi / 180.0, "°"
+    elif unit in _PREFIXES:
+        factor, shown = _prefix(value if value != 0.0 else COVERAGE * std, unit)
+    number, spread = value / factor, COVERAGE * std / factor
+    if not math.isfinite(spread) or spread <= 0.0:
+        return Reading(plain(number), "", shown)
+    # Two digits of the spread, but no more than six of the value.
+    least = min(spread, abs(number) or spread)
+    decimals = 1 - math.floor(math.log10(spread))
+    if number != 0.0:
+        decimals = min(decimals, 5 - math.floor(math.log10(abs(number))))
+    if spread > 1e4 * least:
+        return Reading(plain(number), plain(spread, 2), shown)
+    decimals = max(0, decimals)
+    return Reading(_fixed(number, decimals), _fixed(spread, decimals), shown)
+
+
+def plain(number: float, digits: int = 3) -> str:
+    """A number with so many digits, without an exponent where it can be read without one."""
+    if not math.isfinite(number):
+        return "–"
+    if number == 0.0:
+        return "0"
+    power = math.floor(math.log10(abs(number)))
+    if -4 <= power < 7:
+        return _fixed(number, max(0, digits - 1 - power))
+    return _minus(f"{number:.{digits - 1}e}".replace("e-0", "e-").replace("e+0", "e"))
+
+
+def force(newton: float) -> str:
+    """A force in N, to the millinewton, as forces in one report are to be compared."""
+    if not math.isfinite(newton):
+        return "–"
+    return f"{_fixed(newton, 3 if abs(newton) < 10.0 else 2)} N"
+
+
+def percent(share: float) -> str:
+    """A share as percent."""
+    return "–" if not math.isfinite(share) else f"{_fixed(100.0 * share, 0 if abs(share) >= 0.1 else 1)} %"
+
+
+def probability(p: float) -> str:
+    """A p-value in words of numbers: nobody needs more than its order."""
+    if not math.isfinite(p):
+        return "–"
+    if p >= 0.01:
+        return f"{p:.2f}"
+    if p < 1e-12:
+        return "< 10⁻¹²"
+    digit, power = f"{p:.0e}".split("e")
+    return f"{digit}·10⁻{str(-int(power)).translate(_RAISED)}"
+
+
+def _prefix(value: float, unit: str) -> tuple[float, str]:
+    size = abs(value)
+    for factor, shown in _PREFIXES[unit]:
+        if size >= 0.9995 * factor:
+            return factor, shown
+    return _PREFIXES[unit][-1 if size > 0.0 else 0]
+
+
+def _fixed(number: float, decimals: int) -> str:
+    text = f"{number:.{decimals}f}"
+    return _minus("0" if text.strip("-0.") == "" and decimals == 0 else text)
+
+
+def _minus(text: str) -> str:
+    return text.replace("-", MINUS)
