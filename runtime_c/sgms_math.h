@@ -4,7 +4,7 @@
  *   function      range               double             single
  *   sgms_exp      x <= 709 (88)       5e-16 relative     2e-7 relative
  *   sgms_tanh     |x| <= 1e16 (1e8)   3e-15 absolute     8e-7 absolute
- *   sgms_sin/cos  |x| <= 1e5 (1e3)    2e-15 absolute     3e-7 absolute, growing with |x| beyond
+ *   sgms_sin/cos  |x| <= 1e6 (1e3)    2e-15 absolute     3e-7 absolute, growing with |x| beyond
  *   sgms_log      x > 0, normal       4e-16 (1 + |log|)  3e-7 (1 + |log|)
  *   sgms_sqrt     x > 0, normal       3e-16 relative     2e-7 relative
  *

@@ -41,8 +41,8 @@ from sgms_mhe.trajectories import Motion, Trajectory
 Array = NDArray[np.float64]
 
 RATE = 5000.0
-# Little optimisation: most of the time here is the compiler's.
-FLAGS = ("-std=c99", "-O1", "-ffp-contract=off", *WARNING_FLAGS)
+# The compiler finds more of what it warns of where it optimises.
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", *WARNING_FLAGS)
 START = 3  # updates: where an effect is there from the first sample, the controller has to take it up first
 
 
@@ -223,7 +223,8 @@ def test_excitation_is_measured() -> None:
     excitation = effect_definition("force_ripple").excitation
     assert not excitation.unmet(found, {"pitch_m": 0.004})
     assert [need.measure for need in excitation.unmet(found, {"pitch_m": 0.032})] == ["travel_m"]
-    still = Signals(*(np.zeros(500) for _ in range(6)), np.ones(500, dtype=bool), np.zeros(500, dtype=bool))
+    zero, good = np.zeros(500), np.ones(500, dtype=bool)
+    still = Signals(zero, zero, zero, zero, zero, zero, good, ~good)
     assert effect_definition("asymmetric_coulomb").excitation.unmet(measures(still, base()), {"ratio": 0.0})
 
 
@@ -334,13 +335,54 @@ def group_shapes(model: Model) -> list[tuple[int, int]]:
     return [(len(group.blocks), group.m) for group in analyse(model).groups]
 
 
-@pytest.mark.parametrize(
-    "name", [n for n in EFFECT_NAMES if n not in ("backlash", "frictional_lag", "dwell_dependence")]
-)
+LEVEL_STATES = ("frictional_lag", "dwell_dependence")
+
+
+@pytest.mark.parametrize("name", sorted(set(EFFECT_NAMES) - {"backlash", *LEVEL_STATES}))
 def test_elements_stay_apart_from_effects_that_do_not_move_them(name: str) -> None:
     shapes = group_shapes(build_model(machine_of(name)))
     assert shapes[0] == (4, 1)
     assert shapes[1:] == ([(1, len(effect_definition(name).states))] if effect_definition(name).states else [])
+
+
+@pytest.mark.parametrize("name", LEVEL_STATES)
+def test_state_of_the_level_stands_in_every_element_and_leaves_it_its_flow(name: str) -> None:
+    structure = analyse(build_model(machine_of(name)))
+    assert [(len(g.blocks), g.m, g.is_elements) for g in structure.groups] == [(4, 2, True)]
+    assert [block.states for block in structure.groups[0].blocks] == [(i, 4) for i in range(4)]
+    assert all(block.saturates for block in integrator_of(name).blocks)
+
+
+def test_backlash_couples_all_elements() -> None:
+    assert group_shapes(build_model(machine_of("backlash"))) == [(1, 5)]
+
+
+@pytest.mark.parametrize("name", LEVEL_STATES)
+def test_flow_of_a_level_with_states_agrees_with_runge_kutta(name: str) -> None:
+    signals = simulated(machine_of(name), as_read=False)
+    sampling = {"integrator": {"scheme": "rk4", "displacement": 0.05}}
+    fine = Integrator(build_model(extended((name, CASES[name].parameters), free=(), sampling=sampling)))
+    # The level moves through a step; the flow sees it at the step's end.
+    assert np.abs(deviation(integrator_of(name), signals) - deviation(fine, signals)).max() < 3e-3
+
+
+@pytest.mark.parametrize("name", LEVEL_STATES)
+def test_sensitivities_of_a_level_with_states_are_derivatives(name: str) -> None:
+    integrator = integrator_of(name)
+    n_x, n_p = integrator.model.n_x, integrator.model.n_p
+    plan = integrator.plan(simulated(machine_of(name), as_read=False))
+    fast = int(np.argmax(plan.fastest))
+    assert np.count_nonzero(plan.substeps[fast * plan.steps : (fast + 1) * plan.steps] == 0) > 100
+    x, theta = np.array([0.9, 0.3, -0.2, -0.5, 0.05]), np.ones(n_p)
+    linear = integrator.intervals(plan, fast, x[None], theta)
+    found = np.hstack([linear.A[0], linear.B[0]])
+    for j in range(n_x + n_p):
+        step = 1e-6 * np.eye(n_x + n_p)[j]
+        up, down = (
+            integrator.intervals(plan, fast, (x + s * step[:n_x])[None], theta + s * step[n_x:]).x1[0]
+            for s in (1.0, -1.0)
+        )
+        np.testing.assert_allclose(found[:, j], (up - down) / 2e-6, rtol=1e-5, atol=1e-8)
 
 
 # --- wrong input ------------------------------------------------------------------------------------------------

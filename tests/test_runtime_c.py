@@ -29,8 +29,8 @@ Array = NDArray[Any]
 LIMITS: dict[str, dict[str, tuple[float, float]]] = {
     "exp": {"double": (-700.0, 709.0), "single": (-86.0, 88.0)},
     "tanh": {"double": (-1e16, 1e16), "single": (-1e8, 1e8)},
-    "sin": {"double": (-1e5, 1e5), "single": (-1e3, 1e3)},
-    "cos": {"double": (-1e5, 1e5), "single": (-1e3, 1e3)},
+    "sin": {"double": (-1e6, 1e6), "single": (-1e3, 1e3)},
+    "cos": {"double": (-1e6, 1e6), "single": (-1e3, 1e3)},
     "log": {"double": (2.3e-308, 1.7e308), "single": (1.2e-38, 3.4e38)},
     "sqrt": {"double": (2.3e-308, 1.7e308), "single": (1.2e-38, 3.4e38)},
 }

@@ -170,7 +170,7 @@ class CompiledEstimator:
 
     def estimate(self, signals: Signals, *, progress: Progress | None = None) -> Estimates:
         """Estimate from aligned signals (the Python signal chain), prepare and feedback."""
-        arrays = {
+        arrays: dict[str, NDArray[Any]] = {
             "position": signals.position,
             "force": signals.force,
             "velocity": signals.velocity,
@@ -203,7 +203,8 @@ class CompiledEstimator:
         status = np.zeros(total + 1, dtype=np.int32)
         compensation = np.zeros(samples)
         held = {
-            name: np.ascontiguousarray(a, dtype=np.uint8 if name == "valid" else np.float64) for name, a in arrays.items()
+            name: np.ascontiguousarray(a, dtype=np.uint8 if name == "valid" else np.float64)
+            for name, a in arrays.items()
         }
         done = 0
         chunk = samples if progress is None else _CHUNK * self._samples

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sgms_mhe.diagnosis.evidence import Nuisance, score_test
-from sgms_mhe.diagnosis.fitting import Extra, Fit, Workshop
+from sgms_mhe.diagnosis.fitting import Extra, Fit, Workshop, longest_pitch, lowest_frequency
 from sgms_mhe.diagnosis.residuals import Recording
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 
@@ -307,7 +307,7 @@ def _search_step(motion: Motion, recording: Recording, free: Nuisance, e: Array)
     numerator = np.cumsum(e[::-1])[::-1]
     inside = np.cumsum(free.basis[::-1], axis=0)[::-1]
     denominator = after - np.sum(inside**2, axis=1)
-    edge = max(20, len(time) // 100)
+    edge = max(20, len(time) // 20)
     energy = np.where(denominator > 1e-3 * after, numerator**2 / np.maximum(denominator, 1e-9), 0.0)
     energy[:edge] = energy[-edge:] = 0.0
     best = int(np.argmax(energy))
@@ -409,9 +409,9 @@ def _search_harmonic(
     weights = [w[used] for w in kind.weights(motion)]
     speed = np.abs(motion.velocity[used])
     if in_time:
-        bands = [(0.5 / span, 0.45 * motion.rate)]
+        bands = [(lowest_frequency(recording), 0.45 * motion.rate)]
     else:
-        edges = 0.5 / span * 2.0 ** np.arange(0, math.ceil(math.log2(2.0 * FINEST_PITCH)) + 1)
+        edges = 1.0 / longest_pitch(recording) * 2.0 ** np.arange(0, math.ceil(math.log2(FINEST_PITCH)) + 1)
         bands = list(zip(edges[:-1], edges[1:], strict=True))
     best: tuple[float, float, Array] | None = None
     tests = 0.0
@@ -442,7 +442,7 @@ def _search_harmonic(
 
     for width in (step, 0.25 * step, 0.06 * step):
         trial = kappa_best + width * np.linspace(-1.0, 1.0, 9)
-        trial = trial[trial > 0.0]
+        trial = np.maximum(trial, bands[0][0])
         kappa_best = float(trial[int(np.argmax([_energy(columns(t), e) for t in trial]))])
 
     def parameters(size: Array) -> Values:

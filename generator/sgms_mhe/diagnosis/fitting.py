@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Final
@@ -271,8 +271,8 @@ class Workshop:
         centre = np.array([c.machine_theta for c in columns])[free]
         is_base = np.array([not c.group.startswith("+") for c in columns])[free]
         prior_rows = np.where(is_base, prior, 0.0)
-        lower = np.array([c.lower for c in columns])[free]
-        upper = np.array([c.upper for c in columns])[free]
+        lower, upper = _bounds(columns, recording)
+        lower, upper = lower[free], upper[free]
         limit = np.array([_step_limit(c, t, recording) for c, t in zip(columns, theta, strict=True)])[free]
 
         def evaluate(at: Array) -> tuple[Array, Array, float]:
@@ -292,25 +292,29 @@ class Workshop:
             H = X.T @ X
             g = X.T @ residual[seen] - prior_rows * (theta[free] - centre)
             diagonal = np.diag(H) + prior
-            improved = False
-            for _ in range(4):
+            # A step that promises less than the noise of a few rows is not worth an evaluation.
+            enough = 10.0 * cost / len(X)
+            improved, promised = False, 0.0
+            for _ in range(3):
                 A = H + np.diag(prior_rows + damping * diagonal + 1e-12 * max(1e-30, float(diagonal.max())))
                 step = np.clip(np.linalg.solve(A, g), -limit, limit)
                 trial = theta.copy()
                 trial[free] = np.clip(theta[free] + step, lower, upper)
+                step = trial[free] - theta[free]
+                promised = float(2.0 * g @ step - step @ (H @ step) - prior_rows @ step**2)
+                if promised < enough:
+                    break
                 new_residual, new_slopes, new_cost = evaluate(trial)
                 if new_cost < cost:
                     improved = True
                     break
-                if new_cost < cost * (1.0 + 1e-9):
-                    break
-                damping = max(damping, 1e-3) * 10.0
+                damping = max(damping, 1e-3) * 30.0
             if not improved:
                 break
-            gain = (cost - new_cost) / max(cost, 1e-300)
+            gain = cost - new_cost
             theta, residual, slopes, cost = trial, new_residual, new_slopes, new_cost
-            damping = max(1e-8, damping * 0.1)
-            if gain < 1e-5:
+            damping = max(1e-8, damping * 0.1) if gain > 0.25 * promised else damping * 3.0
+            if gain < enough:
                 break
         return theta, residual, slopes
 
@@ -482,5 +486,22 @@ def _step_limit(column: Column, theta: float, recording: Recording) -> float:
     return math.inf
 
 
-Progress = Callable[[str, float], None]
-"""Called with (what is being done, share of the work done)."""
+def _bounds(columns: Sequence[Column], recording: Recording) -> tuple[Array, Array]:
+    """Bounds of theta: those of the definitions, and no period that the record does not hold once."""
+    lower, upper = np.array([c.lower for c in columns]), np.array([c.upper for c in columns])
+    for i, column in enumerate(columns):
+        if column.name == "pitch_m":
+            upper[i] = min(upper[i], column.theta(longest_pitch(recording)))
+        if column.name == "frequency_Hz" and column.effect == "periodic_disturbance":
+            lower[i] = max(lower[i], column.theta(lowest_frequency(recording)))
+    return lower, upper
+
+
+def longest_pitch(recording: Recording) -> float:
+    """The longest period in position [m] that a record can tell from a slope: it covers it once."""
+    return max(1e-9, float(np.ptp(recording.position[recording.used])))
+
+
+def lowest_frequency(recording: Recording) -> float:
+    """The lowest frequency [Hz] that a record can tell from a drift: one and a half periods."""
+    return 1.5 / float(np.ptp(recording.time))

@@ -280,8 +280,15 @@ class Selector:
                 )
                 excess = gain_force(trial.cross, fit.cross, fit.rows)
                 statistic = difference_statistic(fit.cross, trial.cross)
-                if statistic < -RIVAL_T and excess < -0.2 * self.material:
+                simpler = int(fit.free.sum()) - int(trial.free.sum())
+                better = statistic < -RIVAL_T and excess < -0.2 * self.material
+                equal = excess < 0.2 * self.material or statistic < RIVAL_T
+                if better or (simpler > 0 and equal and excess < 0.5 * self.material):
                     return trial, [], {}
+                if simpler < 0 and (excess > -0.2 * self.material or statistic > -RIVAL_T):
+                    # More numbers and no better: it only imitates.
+                    rejected[name] = (cause, max(0.0, excess))
+                    continue
                 if excess < RIVAL_SHARE * own_gain and (statistic < RIVAL_T or excess < 0.4 * self.material):
                     rivals.append(Rival(name.removeprefix("machine:"), cause, trial, excess, statistic))
                 else:

@@ -100,7 +100,11 @@ class CPrinter:
             return f"-{operand(0, _ATOM)}", _UNARY
         if op == "sq":
             inner = operand(0, _ATOM)
-            return (f"{inner} * {inner}", _PRODUCT) if inner.isidentifier() else (f"sgms_square({text[node.args[0]][0]})", _ATOM)
+            return (
+                (f"{inner} * {inner}", _PRODUCT)
+                if inner.isidentifier()
+                else (f"sgms_square({text[node.args[0]][0]})", _ATOM)
+            )
         if op == "twice":
             return f"{self.number(2.0)} * {operand(0, _UNARY)}", _PRODUCT
         if op == "inv":

@@ -92,7 +92,8 @@ def flow_table(zeta: float, lambda_: float, precision: str, source: str = "machi
         for j in range(segments):
             low, half = edges[j], width / 2
             values = [
-                curve.psi(low + half * (t + 1), integrals[j] + curve.integral(low, low + half * (t + 1))) for t in angles
+                curve.psi(low + half * (t + 1), integrals[j] + curve.integral(low, low + half * (t + 1)))
+                for t in angles
             ]
             forward.append(_times(to_monomials, values))
             s_low, s_half = psi[j], (psi[j + 1] - psi[j]) / 2

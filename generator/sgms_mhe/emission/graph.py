@@ -93,7 +93,7 @@ class Graph:
         if op == "mul" and args[0].op == "const" and args[1].op == "mul" and args[1].args[0].op == "const":
             return self.apply("mul", self.constant(args[0].value * args[1].args[0].value), args[1].args[1])
         if op in ("add", "mul") and id(args[0]) > id(args[1]):
-            ordered = (args[1], args[0])
+            ordered: tuple[Node, ...] = (args[1], args[0])
         else:
             ordered = args
         inputs = frozenset().union(*(a.inputs for a in args))

@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -33,6 +34,9 @@ RUNTIME_HEADERS = ("sgms_real.h", "sgms_math.h", "sgms_linalg.h", "sgms_filter.h
 SLOW_DISPLACEMENT = 0.02
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
+
+
+_EMPTY: Mapping[str, int] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -69,8 +73,13 @@ class _Emitter:
         self.x_labels = [f"x_{s.name}" for s in model.states]
         self.terms = terms
 
-    def function(self, outputs: Sequence[tuple[str, ca.SX]], *, inputs: Mapping[str, str]) -> Function:
-        """Function of x, w, theta; `inputs` maps vector names ("x", "w", "theta") to C arrays."""
+    def function(
+        self, outputs: Sequence[tuple[str, ca.SX]], *, inputs: Mapping[str, str], zeroed: Mapping[str, int] = _EMPTY
+    ) -> Function:
+        """Function of x, w, theta; `inputs` maps vector names ("x", "w", "theta") to C arrays.
+
+        `zeroed` are output arrays and their lengths that are mostly zero: they are cleared, then the rest is set.
+        """
         graph = Graph()
         vectors = {"x": self.model.x, "w": self.model.w, "theta": self.model.theta}
         labels = {"x": self.x_labels, "w": self.w_labels, "theta": self.theta_labels}
@@ -80,18 +89,25 @@ class _Emitter:
             for vector, array in inputs.items()
             for k, label in enumerate(labels[vector])
         }
-        targets = list(zip((t for t, _ in outputs), nodes, strict=True))
+        zero = graph.constant(0.0)
+        targets = [
+            (target, node)
+            for (target, _), node in zip(outputs, nodes, strict=True)
+            if not (node is zero and target.split("[")[0] in zeroed)
+        ]
+        clear = [
+            f"for (int i = 0; i < {n}; i++) {{\n        {a}[i] = {self.printer.number(0.0)};\n    }}"
+            for a, n in zeroed.items()
+        ]
         used = {node for node in walk(nodes) if node.op == "input"}
         unused = [
             f"(void){array};"
             for vector, array in inputs.items()
             if not any(graph.input(vector, label) in used for label in labels[vector])
         ]
-        return Function(tuple(unused + self.printer.statements(targets, names, {})), _count_text(nodes))
+        return Function(tuple(unused + clear + self.printer.statements(targets, names, {})), _count_text(nodes))
 
-    def group_function(
-        self, group: Group, outputs: Sequence[tuple[str, Node]], skip: Sequence[str] = ()
-    ) -> Function:
+    def group_function(self, group: Group, outputs: Sequence[tuple[str, Node]], skip: Sequence[str] = ()) -> Function:
         """Function of a group's canonical inputs (chi, terms, q, data); `skip` names those it does not take."""
         nodes = [node for _, node in outputs]
         inputs = [node for node in walk(nodes) if node.op == "input"]
@@ -109,7 +125,9 @@ class _Emitter:
         """C name of a canonical input: chi0 -> chi0, term0 -> velocity, q0 -> q[0], data0 -> data[0]."""
         vector = next(iter(node.inputs))
         index = int(node.label[len("term" if vector == "terms" else vector) :])
-        return {"chi": f"chi{index}", "terms": "", "q": f"q[{index}]", "data": f"data[{index}]"}[vector] or self.terms[index]
+        return {"chi": f"chi{index}", "terms": "", "q": f"q[{index}]", "data": f"data[{index}]"}[vector] or self.terms[
+            index
+        ]
 
 
 def _group_arguments(group: Group, terms: Sequence[str]) -> list[str]:
@@ -193,7 +211,8 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     scheme = SCHEMES["rk4" if integrator.scheme == "flow" else integrator.scheme]
     flow = integrator.scheme == "flow" and any(g.is_elements for g in structure.groups)
     groups = [
-        _group_context(g, structure, emitter, flow=flow and g.is_elements, step_time=step_time) for g in structure.groups
+        _group_context(g, structure, emitter, flow=flow and g.is_elements, step_time=step_time)
+        for g in structure.groups
     ]
     n_q_total = sum(g.n_q * len(g.blocks) for g in structure.groups)
     q = [e for g in structure.groups for b in g.blocks for e in b.parameter_terms]
@@ -252,7 +271,9 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "lowpass": lowpass_coefficients(machine),
         "linear": integrator.velocity == "linear",
         "flow": flow,
-        "scheme": scheme if not flow else scheme.with_text("displacement flow, Runge-Kutta (rk4) where it does not apply"),
+        "scheme": scheme
+        if not flow
+        else scheme.with_text("displacement flow, Runge-Kutta (rk4) where it does not apply"),
         "base_substeps": max(1, substeps // samples),
         "groups": groups,
         "factor_rows": model.n_x + model.n_p,
@@ -277,6 +298,7 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
                 for j, d in enumerate(ca.vertsplit(ca.densify(ca.gradient(s, theta))))
             ],
             inputs={"theta": "theta"},
+            zeroed={"d_q": len(q) * model.n_p, "d_scale": model.n_x * model.n_p},
         ),
         "output": emitter.function(
             [("y", output)]
@@ -307,7 +329,8 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
             "gate_velocity": gate * machine.friction.stribeck_velocity,
         }
         flow_template = [("flow.h.jinja", f"{name}_flow.h")]
-    context["templates"] = flow_template + [
+    context["templates"] = [
+        *flow_template,
         ("machine.h.jinja", f"{name}.h"),
         ("machine.c.jinja", f"{name}.c"),
         ("config.h.jinja", f"{name}_config.h"),
@@ -343,13 +366,10 @@ def _group_context(
     arguments = [f"{real} {v}" for v in states + values] + [f"const {real} *q", f"const {real} *data"]
     slopes = [f"rate[{i}]" for i in range(m)]
     for i in range(m):
-        slopes += [
-            " + ".join(f"d_chi[{i * m + f}] * at{m + f * m + e}" for f in range(m)) for e in range(m)
-        ]
+        slopes += [" + ".join(f"d_chi[{i * m + f}] * at{m + f * m + e}" for f in range(m)) for e in range(m)]
     for i in range(m):
         slopes += [
-            " + ".join(f"d_chi[{i * m + f}] * at{m + m * m + f * n_q + e}" for f in range(m))
-            + f" + d_q[{i * n_q + e}]"
+            " + ".join(f"d_chi[{i * m + f}] * at{m + m * m + f * n_q + e}" for f in range(m)) + f" + d_q[{i * n_q + e}]"
             for e in range(n_q)
         ]
     number = emitter.printer.number
@@ -401,7 +421,10 @@ def _group_context(
         ]
         result["n_up"] = m - 1
         result["level_in_q"] = any(n.op != "const" for n in group.d_inverse_level)
-        result["flow_arguments"] = [f"{real} {v}" for v in states[1:] + values] + [f"const {real} *q", f"const {real} *data"]
+        result["flow_arguments"] = [f"{real} {v}" for v in states[1:] + values] + [
+            f"const {real} *q",
+            f"const {real} *data",
+        ]
         result["flow_call"] = [f"chi[{i} * LANES]" for i in range(1, m)]
         result["flow_call"] += [f"term[{k} * LANES + l]" for k in range(len(terms))] + ["q", "data"]
         outputs = [("*rho", group.rate[0]), ("*over_level", group.inverse_level[0])]

@@ -138,7 +138,9 @@ class _Parameters:
             # Multiples of nominal; with scale = nominal they are theta itself.
             low, high = sorted((nominal * bounds[0], nominal * bounds[1]))
             lower, upper = max(lower, low), min(upper, high)
-        edges = sorted(((lower - nominal) / scale + 1.0, (upper - nominal) / scale + 1.0))
+        # With scale = nominal theta is p / nominal, and 0.2 times nominal is 0.2 to the last digit.
+        offset = 0.0 if scale == nominal else scale - nominal
+        edges = sorted(((lower + offset) / scale, (upper + offset) / scale))
         theta = ca.SX.sym(f"theta_{column}")
         self.free.append(FreeParameter(name, column, nominal, scale, edges[0], edges[1]))
         self.symbols.append(theta)

@@ -42,8 +42,8 @@ class EstimatorRun:
 
     Attributes:
         predicted_rms_N: RMS of measured friction minus what the estimator puts out at every sample (`compensation_N`).
-            That is the model from the newest estimate along the motion; the force measured since has not been used. It is
-            what friction compensation leaves, and as no measurement is in it, nothing can be hidden in it.
+            That is the model from the newest estimate along the motion; the force measured since has not been used. It
+            is what friction compensation leaves, and a wrong model cannot hide in it.
         filtered_rms_N: RMS of measured friction minus the estimate at the updates, which has used that measurement:
             small wherever the estimator trusts the measurement, whatever its model. Worth less.
         parameters: of the estimates.
@@ -60,8 +60,8 @@ class EstimatorRun:
 class EstimatorGain:
     """Two estimators on a log that no fit has seen: of the machine as it was, and of the extended one.
 
-    `reduction` of the RMS of the predicted friction, 1 - extended / base, with its 95 % interval over blocks of the log;
-    `time_s`, `before_N`, `after_N` (k): RMS of the prediction's error in consecutive pieces of the log.
+    `reduction` of the prediction's error, 1 - extended / base, with its 95 % interval over pieces of the log;
+    `time_s`, `before_N`, `after_N` (k): RMS of that error in consecutive pieces.
     """
 
     source: str
@@ -98,9 +98,7 @@ def closed_loop_gain(
     rate = machine.sampling.rate
     if used.sum() < rate:
         raise InputError(log_unseen.source or "log", "usable time", used.sum() / rate, "at least one second")
-    errors = [
-        s.friction - e.extra["compensation_N"][: len(s)] for s, e in zip(signals, estimates, strict=True)
-    ]
+    errors = [s.friction - e.extra["compensation_N"][: len(s)] for s, e in zip(signals, estimates, strict=True)]
     base, extended = (_run(error, used, e) for error, e in zip(errors, estimates, strict=True))
 
     counts = _blocks(np.ones(len(used)), used)
@@ -156,7 +154,7 @@ def _rms(values: Array) -> float:
 def _blocks(values: Array, used: Mask) -> Array:
     """Sum over the used samples of each of `BLOCKS` pieces of equal time."""
     piece = np.minimum(np.arange(len(used)) * BLOCKS // max(1, len(used)), BLOCKS - 1)
-    return np.bincount(piece[used], weights=values[used], minlength=BLOCKS)
+    return np.asarray(np.bincount(piece[used], weights=values[used], minlength=BLOCKS), dtype=np.float64)
 
 
 def _half(progress: Progress, index: int) -> Progress:

@@ -1,10 +1,11 @@
-"""What the plots of a report show: residuals over every coordinate, their spectrum, and arrays small enough for a page."""
+"""What the plots of a report show: residuals over every coordinate, their spectrum, arrays small enough for a page."""
 
 from __future__ import annotations
 
 import base64
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -53,7 +54,7 @@ def since_reversal(traces: Traces) -> Array:
     position = traces.position_m
     threshold = max(5.0 * _jitter(position), 1e-12)
     way, turns = np.full(len(position), np.nan), _turning_points(position, threshold)
-    for start, end in zip(turns, [*turns[1:], len(position)], strict=True):
+    for start, end in pairwise([*turns, len(position)]):
         way[start:end] = np.abs(position[start:end] - position[start])
     return way
 
@@ -103,7 +104,16 @@ def _binned(key: str, title: str, unit: str, logarithmic: bool, x: Array, before
     # The same points with every run of the program, and no beat with the motion's period.
     chosen = np.sort(np.random.default_rng(3).permutation(inside)[:POINTS])
     return View(
-        key, title, unit, logarithmic, x[chosen], before[chosen], after[chosen], centres[kept], mean(before), mean(after)
+        key,
+        title,
+        unit,
+        logarithmic,
+        x[chosen],
+        before[chosen],
+        after[chosen],
+        centres[kept],
+        mean(before),
+        mean(after),
     )
 
 
@@ -116,9 +126,7 @@ def _spectrum(traces: Traces) -> View:
         frequency, power = welch(values, fs=traces.rate, nperseg=length, scaling="spectrum", detrend=False)
         rows.append(np.sqrt(2.0 * power))
     empty = np.empty(0)
-    return View(
-        "frequency", "frequency", "Hz", True, empty, empty, empty, frequency[1:], rows[0][1:], rows[1][1:]
-    )
+    return View("frequency", "frequency", "Hz", True, empty, empty, empty, frequency[1:], rows[0][1:], rows[1][1:])
 
 
 def pack(values: Array) -> dict[str, Any]:

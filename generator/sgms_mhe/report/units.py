@@ -1,4 +1,4 @@
-"""Numbers as an engineer writes them: a unit, a prefix that suits the size, no more digits than the uncertainty allows."""
+"""Numbers as an engineer writes them: a unit, a prefix that suits the size, digits as the uncertainty allows."""
 
 from __future__ import annotations
 
@@ -38,6 +38,8 @@ COVERAGE: Final = 1.96
 """Standard deviations on either side that 95 % lie within."""
 _RAISED: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 MINUS: Final = "\N{MINUS SIGN}"
+SPACE: Final = "\N{NO-BREAK SPACE}"
+"""Between a number and its unit."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +51,8 @@ class Reading:
     unit: str
 
     def __str__(self) -> str:
-        number = f"{self.value} ± {self.spread}" if self.spread else self.value
-        return f"{number} {self.unit}".rstrip()
+        number = f"{self.value}{SPACE}±{SPACE}{self.spread}" if self.spread else self.value
+        return f"{number}{SPACE}{self.unit}".rstrip()
 
 
 def split_name(name: str) -> tuple[str, str]:
@@ -111,12 +113,12 @@ def force(newton: float) -> str:
     """A force in N, to the millinewton, as forces in one report are to be compared."""
     if not math.isfinite(newton):
         return "–"
-    return f"{_fixed(newton, 3 if abs(newton) < 10.0 else 2)} N"
+    return f"{_fixed(newton, 3 if abs(newton) < 10.0 else 2)}{SPACE}N"
 
 
 def percent(share: float) -> str:
     """A share as percent."""
-    return "–" if not math.isfinite(share) else f"{_fixed(100.0 * share, 0 if abs(share) >= 0.1 else 1)} %"
+    return "–" if not math.isfinite(share) else f"{_fixed(100.0 * share, 0 if abs(share) >= 0.1 else 1)}{SPACE}%"
 
 
 def probability(p: float) -> str:
@@ -134,7 +136,8 @@ def probability(p: float) -> str:
 def _prefix(value: float, unit: str) -> tuple[float, str]:
     size = abs(value)
     for factor, shown in _PREFIXES[unit]:
-        if size >= 0.9995 * factor:
+        # Forces of a report are to be compared: a tenth of a newton stays one.
+        if size >= (0.01 if unit == "N" else 0.9995) * factor:
             return factor, shown
     return _PREFIXES[unit][-1 if size > 0.0 else 0]
 

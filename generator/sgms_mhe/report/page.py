@@ -1,0 +1,89 @@
+"""The report of a diagnosis: one page that works without a network, and its figures as pictures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import jinja2
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from sgms_mhe.diagnosis import Diagnosis
+from sgms_mhe.files import write_text
+from sgms_mhe.plots import save_figure
+from sgms_mhe.report import content, figures
+from sgms_mhe.report.estimator import EstimatorGain
+from sgms_mhe.report.series import views
+
+Progress = Callable[[str, float], None]
+"""Called with (what is being done, share of the work done)."""
+
+_HERE: Final = Path(__file__).resolve().parent
+
+
+def write_report(
+    diagnosis: Diagnosis,
+    out_dir: str | Path,
+    *,
+    estimator: EstimatorGain | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Write report.html, its figures as PNG and the extended machine file that it links to.
+
+    Args:
+        diagnosis: to be reported.
+        out_dir: folder; made where it does not exist.
+        estimator: gain of the estimator on another log (`closed_loop_gain`), where there is one.
+        progress: as `Progress`.
+
+    Returns:
+        Path of report.html.
+    """
+    tell = progress or (lambda what, share: None)
+    folder = Path(out_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    tell("residuals", 0.0)
+    shown = views(diagnosis.traces)
+    drawings: dict[str, Callable[[], Figure]] = {
+        "measured.png": lambda: figures.measured_figure(diagnosis),
+        "residual.png": lambda: figures.residual_figure(diagnosis, shown),
+        "candidates.png": lambda: figures.candidates_figure(diagnosis),
+        "gain.png": lambda: figures.gain_figure(diagnosis, estimator),
+    }
+    for k, (name, draw) in enumerate(drawings.items()):
+        tell(name, 0.1 + 0.7 * k / len(drawings))
+        save_figure(folder / name, draw())
+    if diagnosis.extended_toml is not None and diagnosis.extended_name is not None:
+        write_text(folder / diagnosis.extended_name, diagnosis.extended_toml)
+    tell("report.html", 0.8)
+    path = folder / "report.html"
+    # Last: where it is, everything that it links to is.
+    write_text(path, _html(content.page(diagnosis, shown, estimator, list(drawings)), content.plots(diagnosis, shown)))
+    tell("report.html", 1.0)
+    return path
+
+
+def _html(page: dict[str, Any], plots: dict[str, Any]) -> str:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_HERE),
+        undefined=jinja2.StrictUndefined,
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    # Within a script element only "</" could end it.
+    data = json.dumps({"plots": plots}, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    return environment.get_template("report.html.jinja").render(
+        page,
+        css=_safe("report.css"),
+        script=_safe("report.js"),
+        data=Markup(data),
+    )
+
+
+def _safe(name: str) -> Markup:
+    return Markup((_HERE / name).read_text(encoding="utf-8"))

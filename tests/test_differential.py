@@ -1,0 +1,347 @@
+"""Emitted C against the reference solver over simulated closed-loop logs: same log, two implementations of DESIGN.md."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from c_packages import Array, elements, machine, scheme
+from reference_cases import linear_model
+from sgms_mhe.compiled import CompiledEstimator
+from sgms_mhe.emission.package import emit_package
+from sgms_mhe.estimates import Estimates
+from sgms_mhe.kinematics import Signals, settle_samples, signals_from_log
+from sgms_mhe.logs import Log
+from sgms_mhe.machine import Machine, load_machine
+from sgms_mhe.model import Model
+from sgms_mhe.reference import Status, estimate_model, estimate_reference
+from sgms_mhe.simulation import AxisConfig, simulate_axis
+from sgms_mhe.trajectories import make_trajectory
+
+SEED = 1
+OFF = (1.2, 0.8, 1.1, 0.97)
+"""True stiffness over nominal, element by element in turn."""
+
+MHE_CASES: dict[str, dict[str, Any]] = {
+    "default": {},
+    # elements
+    "one element": {"friction": elements(1)},
+    "two elements": {"friction": elements(2)},
+    "ten elements": {"friction": elements(10)},
+    # parameters
+    "stiffness, coulomb": {"estimator": {"parameters": ["stiffness", "coulomb"], "bounds": {}}},
+    "coulomb, viscous": {"estimator": {"parameters": ["coulomb", "viscous"], "bounds": {}}},
+    "stribeck": {"estimator": {"parameters": ["coulomb", "stribeck_ratio", "stribeck_velocity"], "bounds": {}}},
+    "ripple": {
+        "effects": [{"name": "force_ripple", "pitch_m": 0.001, "amplitude_N": 0.8, "phase_rad": 0.7}],
+        "estimator": {"parameters": ["stiffness", "force_ripple.amplitude_N"]},
+    },
+    "micro-viscous": {"friction": {"micro_viscous": [50.0, 20.0, 10.0, 5.0]}},
+    # bounds
+    "bound": {"estimator": {"bounds": {"stiffness": [0.99, 1.1]}}},
+    "bound, two kinds": {
+        "estimator": {
+            "parameters": ["stiffness", "coulomb"],
+            "bounds": {"stiffness": [0.9, 1.05], "coulomb": [0.99, 1.001]},
+        }
+    },
+    # horizon
+    "horizon 1": {"estimator": {"horizon": 1}},
+    "horizon 1, bound": {"estimator": {"horizon": 1, "bounds": {"stiffness": [0.99, 1.1]}}},
+    "horizon 5": {"estimator": {"horizon": 5}},
+    # arrival cost and noise
+    "fixed": {"estimator": {"arrival_cost": {"update": "fixed"}, "noise": {"state_as": "deflection"}}},
+    "fixed, horizon 1": {"estimator": {"arrival_cost": {"update": "fixed"}, "horizon": 1}},
+    "no drift": {"estimator": {"noise": {"parameter_drift": 0.0}}},
+    # integrators
+    "rk4": {"sampling": scheme("rk4")},
+    "bs23": {"sampling": scheme("bs23")},
+    "rk2": {"sampling": scheme("rk2")},
+    "euler": {"sampling": scheme("euler")},
+    "linear velocity": {"sampling": scheme("rk4", velocity="linear")},
+    "two substeps": {"sampling": scheme("rk4", substeps=200)},
+    "merged flow": {"sampling": scheme("flow", substeps=50)},
+    "merged rk4": {"sampling": scheme("rk4", substeps=25)},
+    # filter
+    "ekf": {"estimator": {"kind": "ekf"}},
+    "ekf, bound": {"estimator": {"kind": "ekf", "bounds": {"stiffness": [0.99, 1.1]}}},
+    "ekf, coulomb": {"estimator": {"kind": "ekf", "parameters": ["stiffness", "coulomb"], "bounds": {}}},
+}
+BOUNDED = [name for name in MHE_CASES if "bound" in name]
+
+
+@functools.cache
+def closed_loop(n_z: int, trajectory: str, duration_s: float) -> Log:
+    """Log of etel_xy with n_z elements whose stiffness is off; the plant knows nothing of the case."""
+    axis = machine(friction=elements(n_z)) if n_z != 4 else machine()
+    return simulate_axis(
+        axis,
+        make_trajectory(trajectory, axis.sampling.rate, duration_s=duration_s),
+        AxisConfig(seed=SEED),
+        scale={"stiffness": (OFF * 3)[:n_z]},
+        truth=False,
+    ).log
+
+
+def signals_of(settings: Machine, trajectory: str = "paper", duration_s: float = 1.2) -> Signals:
+    log = closed_loop(settings.friction.n_z, trajectory, duration_s)
+    return signals_from_log(log, settings)
+
+
+def compare(c: Estimates, reference: Estimates, tolerance: float = 1e-8) -> None:
+    """Friction relative to its range, every parameter and its deviation relative to itself, statuses exactly."""
+    np.testing.assert_array_equal(c.status, reference.status)
+    np.testing.assert_array_equal(c.time_s, reference.time_s)
+    usable = reference.status & Status.MISSING == 0
+    np.testing.assert_array_equal(c.friction_measured_N[usable], reference.friction_measured_N[usable])
+    for name in ("friction_N", "z_m"):
+        expected = getattr(reference, name)
+        scale = np.ptp(expected, axis=0)
+        np.testing.assert_array_less(np.abs(getattr(c, name) - expected).max(axis=0), tolerance * scale, err_msg=name)
+    np.testing.assert_allclose(c.parameters, reference.parameters, rtol=tolerance)
+    np.testing.assert_allclose(c.std, reference.std, rtol=tolerance)
+
+
+def compiled(settings: Machine, model: Model | None = None) -> CompiledEstimator:
+    return CompiledEstimator(settings, emit_package(settings, model, selftest=False), model=model)
+
+
+@pytest.mark.parametrize("case", list(MHE_CASES))
+def test_c_is_the_reference(case: str) -> None:
+    settings = machine(**MHE_CASES[case])
+    signals = signals_of(settings)
+    reference = estimate_reference(settings, signals)
+    compare(compiled(settings).estimate(signals), reference)
+    # The comparison means something: parameters moved, windows filled, bounds were hit where there are some.
+    assert np.ptp(reference.parameters, axis=0).max() > 1e-3 * np.abs(reference.parameters).max()
+    assert (reference.status == 0).any() or case in BOUNDED
+    if case in BOUNDED:
+        assert np.count_nonzero(reference.status & Status.BOUND) > 3
+
+
+@pytest.mark.parametrize("kind", ["mhe", "ekf"])
+def test_all_speeds_and_bad_samples(kind: str) -> None:
+    """Presliding loops, 0.3 m/s and 1 m/s moves, standstill; samples missing alone, in short and in long gaps."""
+    settings = machine(estimator={"kind": kind, "parameters": ["stiffness", "coulomb"], "bounds": {}})
+    log = closed_loop(4, "mixed", 2.6)
+    q, u = log.position_m.copy(), log.force_N.copy()
+    u[7777], q[9000:9006], u[12000:12300], q[15000:15400] = np.nan, np.nan, np.inf, np.nan
+    signals = signals_from_log(dataclasses.replace(log, position_m=q, force_N=u), settings)
+    assert np.abs(signals.velocity).max() > 0.9
+    reference = estimate_reference(settings, signals)
+    compare(compiled(settings).estimate(signals), reference)
+    for flag in (Status.MISSING, Status.HOLD, *((Status.FILLING,) if kind == "mhe" else ())):
+        assert np.any(reference.status & flag), flag.name
+
+
+def test_all_speeds_by_runge_kutta() -> None:
+    settings = machine(sampling=scheme("rk4", displacement=0.1))
+    signals = signals_of(settings, "mixed", 1.5)
+    assert np.abs(signals.velocity).max() > 0.25
+    compare(compiled(settings).estimate(signals), estimate_reference(settings, signals))
+
+
+def test_beyond_the_stated_speed_the_status_says_so() -> None:
+    settings = machine(sampling={"max_velocity": 0.1})
+    signals = signals_of(settings, "mixed", 1.0)
+    reference = estimate_reference(settings, signals)
+    compare(compiled(settings).estimate(signals), reference)
+    assert np.any(reference.status & Status.SPEED) and not np.all(reference.status & Status.SPEED)
+
+
+@pytest.mark.slow
+def test_full_run_of_the_experiment() -> None:
+    """20 s in closed loop of the machine as it is shipped."""
+    settings = load_machine("etel_xy")
+    signals = signals_of(settings, "paper", 20.0)
+    reference = estimate_reference(settings, signals)
+    assert len(reference.status) == 1999
+    compare(compiled(settings).estimate(signals), reference)
+
+
+# --- single precision --------------------------------------------------------------------------------------------
+
+SINGLE_CASES: dict[str, dict[str, Any]] = {
+    "flow": {},
+    "rk4": {"sampling": scheme("rk4")},
+    "ekf": {"estimator": {"kind": "ekf"}},
+    "bound": {"estimator": {"bounds": {"stiffness": [0.99, 1.1]}}},
+    "stiffness, coulomb": {"estimator": {"parameters": ["stiffness", "coulomb"], "bounds": {}}},
+    "coulomb, viscous": {"estimator": {"parameters": ["coulomb", "viscous"], "bounds": {}}},
+    "horizon 1": {"estimator": {"horizon": 1}},
+    "ten elements": {"friction": elements(10)},
+}
+
+
+def compare_single(c: Estimates, reference: Estimates, prior: float) -> None:
+    """Friction to 1e-4 of its range; every parameter that the data have said something of to 1e-3."""
+    assert np.abs(c.friction_N - reference.friction_N).max() < 1e-4 * np.ptp(reference.friction_N)
+    nominal = reference.parameters[0]
+    excited = reference.std < 0.9 * prior * np.abs(nominal)
+    assert excited[-1].any()
+    error = np.abs(c.parameters / reference.parameters - 1.0)
+    assert error[excited].max() < 1e-3
+    np.testing.assert_allclose(c.std, reference.std, rtol=2e-3)
+    # Thresholds of the status may be crossed an update earlier or later, by rounding alone.
+    assert np.count_nonzero(c.status != reference.status) <= 2
+
+
+@pytest.mark.parametrize("case", list(SINGLE_CASES))
+def test_single_precision_follows_the_reference(case: str) -> None:
+    settings = machine(**SINGLE_CASES[case], code={"precision": "single"})
+    signals = signals_of(settings)
+    compare_single(
+        compiled(settings).estimate(signals),
+        estimate_reference(settings, signals),
+        settings.estimator.noise.parameter,
+    )
+
+
+def test_single_precision_at_all_speeds_through_its_own_chain() -> None:
+    settings = machine(code={"precision": "single"})
+    log = closed_loop(4, "mixed", 2.6)
+    reference = estimate_reference(settings, signals_from_log(log, settings))
+    for mode in ("tasks", "tick"):
+        c = compiled(settings).estimate_log(log, mode=mode)  # type: ignore[arg-type]
+        compare_single(c, reference, settings.estimator.noise.parameter)
+
+
+# --- signal chain and tasks --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"estimator": {"kind": "ekf"}}, {"sampling": scheme("flow", substeps=50)}, {"estimator": {"horizon": 1}}],
+    ids=["mhe", "ekf", "merged", "horizon 1"],
+)
+def test_raw_samples_and_one_task_give_the_same(changes: Mapping[str, Any]) -> None:
+    settings = machine(**changes)
+    log = closed_loop(4, "paper", 1.2)
+    estimator = compiled(settings)
+    reference = estimate_reference(settings, signals_from_log(log, settings))
+    tasks, tick = (estimator.estimate_log(log, mode=m) for m in ("tasks", "tick"))  # type: ignore[arg-type]
+    for name in ("friction_N", "friction_measured_N", "z_m", "parameters", "std", "status"):
+        np.testing.assert_array_equal(getattr(tick, name), getattr(tasks, name), err_msg=name)
+    # The two chains round differently, nothing more.
+    usable = reference.status & Status.MISSING == 0
+    np.testing.assert_array_equal(tick.status, reference.status)
+    np.testing.assert_allclose(
+        tick.friction_measured_N[usable], reference.friction_measured_N[usable], rtol=0.0, atol=1e-8
+    )
+    assert np.abs(tick.friction_N - reference.friction_N).max() < 1e-8
+    np.testing.assert_allclose(tick.parameters, reference.parameters, rtol=1e-8)
+    # At the updates, what a sample returns is the estimate itself in one task, the prediction of it in two.
+    at = settings.sampling.samples_per_update * np.arange(1, len(tick.time_s) + 1)
+    np.testing.assert_allclose(tick.extra["compensation_N"][at], tick.friction_N, rtol=1e-12, atol=1e-12)
+    between = np.setdiff1d(np.arange(len(log.time_s)), at)
+    np.testing.assert_array_equal(tick.extra["compensation_N"][between], tasks.extra["compensation_N"][between])
+    settled = slice(settle_samples(settings) + at[0] * 20, None)
+    assert np.abs(np.diff(tick.extra["compensation_N"][settled])).max() < 2.0
+
+
+# --- linear models -----------------------------------------------------------------------------------------------
+
+
+def linear_signals(updates: int = 40) -> Signals:
+    """A motion at 100 Hz whose friction is noise: what the estimators make of it has to agree anyway."""
+    rng = np.random.default_rng(11)
+    n = 5 * updates + 1
+    velocity = np.sin(0.37 * np.arange(n)) + 0.4
+    zeros = np.zeros(n)
+    return Signals(
+        time=np.arange(n) / 100.0,
+        position=np.cumsum(velocity) / 100.0,
+        velocity=velocity,
+        acceleration=zeros,
+        force=zeros,
+        friction=2.0 * velocity + rng.standard_normal(n),
+        valid=rng.uniform(size=n) < 0.9,
+        missing=np.zeros(n, dtype=bool),
+    )
+
+
+def kalman_filter(model: Model, signals: Signals, *, first: int) -> tuple[Array, Array, Array]:
+    """Mean of (x, theta), standard deviations of theta and friction at every update, by the textbook's equations.
+
+    The right side is linear in (chi, theta, 1) at a given velocity, so RK4 over one sample is the first five terms of the
+    exponential series of its matrix. `first`: node of the first measurement that is used.
+    """
+    noise = model.machine.estimator.noise
+    n_x, n_p = model.n_x, model.n_p
+    n, h, samples = n_x + n_p, model.machine.sampling.step, model.machine.sampling.samples_per_update
+    rhs, output = model.function("rhs"), model.function("output")
+    to_node = np.diag([float(np.array(model.function("to_node")(np.eye(n_x)[i], np.ones(n_p)))[i, 0]) for i in range(n_x)])
+    to_all = np.eye(n + 1)
+    to_all[:n_x, :n_x] = to_node
+
+    def affine(function: Any, w: Array, rows: int) -> Array:
+        """[d/d(chi, theta), constant] of an affine function (rows, n + 1)."""
+        at_zero = np.array(function(np.zeros(n_x), w, np.zeros(n_p))).reshape(rows)
+        columns = [np.array(function(e[:n_x], w, e[n_x:])).reshape(rows) - at_zero for e in np.eye(n)]
+        return np.column_stack([*columns, at_zero])
+
+    def signal(k: int) -> Array:
+        return np.array([signals.position[k], signals.velocity[k], 0.0, 0.0, k * h])
+
+    s = np.concatenate([np.zeros(n_x), np.ones(n_p)])
+    P = np.diag(np.concatenate([model.initial_state, np.full(n_p, noise.parameter)]) ** 2)
+    Q = np.diag(np.concatenate([model.state_noise**2, np.zeros(n_p)]))
+    means, deviations, frictions = [], [], []
+    for node in range((len(signals) - 1) // samples + 1):
+        if node > 0:
+            F = np.eye(n + 1)
+            for k in range((node - 1) * samples + 1, node * samples + 1):
+                G = np.zeros((n + 1, n + 1))
+                G[:n_x] = h * affine(rhs, signal(k), n_x)
+                step = term = np.eye(n + 1)
+                for order in range(1, 5):
+                    term = term @ G / order
+                    step = step + term
+                F = step @ F
+            F = to_all @ F @ np.linalg.inv(to_all)
+            s, P = F[:n, :n] @ s + F[:n, n], F[:n, :n] @ P @ F[:n, :n].T + Q
+        H = affine(output, signal(node * samples), 1)[0]
+        H[:n_x] = H[:n_x] @ np.linalg.inv(to_node)
+        if node >= first and signals.valid[node * samples]:
+            S = H[:n] @ P @ H[:n] + noise.measurement**2
+            gain = P @ H[:n] / S
+            s = s + gain * (signals.friction[node * samples] - H[:n] @ s - H[n])
+            P = P - np.outer(gain, gain) * S
+        means.append(s)
+        deviations.append(np.sqrt(np.diag(P)[n_x:]))
+        frictions.append(H[:n] @ s + H[n])
+    return np.array(means)[1:], np.array(deviations)[1:], np.array(frictions)[1:]
+
+
+def without_drift(**estimator: Any) -> Model:
+    """The linear model of the reference's tests, parameters at rest."""
+    noise = machine().estimator.noise.model_dump() | {"parameter_drift": 0.0}
+    return linear_model(noise=noise, **estimator)
+
+
+@pytest.mark.parametrize("kind", ["horizon 1", "horizon 2", "horizon 5", "horizon 20", "ekf"])
+def test_riccati_is_the_kalman_filter_on_a_linear_model(kind: str) -> None:
+    model = without_drift(kind="ekf") if kind == "ekf" else without_drift(horizon=int(kind.split()[1]))
+    signals = linear_signals()
+    c = compiled(model.machine, model).estimate(signals)
+    means, deviations, frictions = kalman_filter(model, signals, first=int(kind == "ekf"))
+    theta, scale = means[:, model.n_x :], np.array([p.scale for p in model.parameters])
+    np.testing.assert_allclose(c.parameters, model.to_si(theta), rtol=0.0, atol=1e-10 * np.abs(scale).max())
+    np.testing.assert_allclose(c.std, deviations * scale, rtol=1e-10)
+    np.testing.assert_allclose(c.friction_N, frictions, rtol=0.0, atol=1e-10 * np.ptp(frictions))
+    assert np.ptp(theta, axis=0).max() > 1e-2
+
+
+@pytest.mark.parametrize("horizon", [1, 6])
+def test_coupled_states_agree_with_the_reference(horizon: int) -> None:
+    """Blocks of two states, bounds and drift: what no friction model without effects has."""
+    model = linear_model(horizon=horizon, bounds={"stiffness": [0.95, 1.02]})
+    signals = linear_signals()
+    reference = estimate_model(model, signals, "mhe")
+    assert np.count_nonzero(reference.status & Status.BOUND) > 5
+    compare(compiled(model.machine, model).estimate(signals), reference, 1e-9)

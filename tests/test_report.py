@@ -1,0 +1,279 @@
+"""The report of a diagnosis: whole, valid, without a network, and right in what it says."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import re
+import struct
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import diagnosis_cases as cases
+from sgms_mhe.diagnosis import Diagnosis
+from sgms_mhe.errors import InputError
+from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.report import closed_loop_gain, write_report
+from sgms_mhe.report.series import MISSING, pack, since_reversal, views
+from sgms_mhe.report.units import SPACE, force, probability, quantity, split_name
+from sgms_mhe.simulation import AxisConfig, simulate_axis
+from sgms_mhe.trajectories import make_trajectory
+
+CASES: dict[str, Callable[[Machine], Diagnosis]] = {
+    "explained": cases.explained,
+    "adequate": cases.adequate,
+    "ambiguous": cases.ambiguous,
+    "unexplained": cases.unexplained,
+    "motionless": cases.motionless,
+}
+VOID = {"meta", "br", "img", "link", "input", "hr"}
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("etel_xy")
+
+
+class Page(HTMLParser):
+    """Checks that tags nest; collects text, links, sources and the embedded data."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.text: list[str] = []
+        self.addresses: list[str] = []
+        self.canvases: list[str] = []
+        self.identifiers: list[str] = []
+        self.data = ""
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        self.addresses += [value for name, value in attrs if name in ("href", "src", "srcset", "action") and value]
+        if given.get("id"):
+            self.identifiers.append(str(given["id"]))
+        if tag == "canvas":
+            self.canvases.append(str(given["data-plot"]))
+            assert given["role"] == "img"
+            assert given["aria-label"]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open[-1:] == ["script"]:
+            self.data = self.data or data
+        elif self.open[-1:] != ["style"]:
+            self.text.append(data)
+
+    @property
+    def words(self) -> str:
+        return " ".join(" ".join(self.text).replace(SPACE, " ").split())
+
+
+def read(path: Path) -> Page:
+    return Page(path.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_report_is_one_valid_page_without_a_network(name: str, machine: Machine, tmp_path: Path) -> None:
+    path = write_report(CASES[name](machine), tmp_path / "new" / "folder")
+    assert path == tmp_path / "new" / "folder" / "report.html"
+    source = path.read_text(encoding="utf-8")
+    assert not re.search(r"https?://|//cdn|@import|url\(", source)
+    page = Page(source)
+    for address in page.addresses:  # whatever it links to lies beside it
+        assert (path.parent / address).is_file(), address
+    assert len(set(page.identifiers)) == len(page.identifiers)
+    plots = json.loads(page.data)["plots"]
+    assert set(page.canvases) == set(plots)
+    assert all(plot["series"] and plot["xLabel"] and plot["yLabel"] for plot in plots.values())
+    assert page.words.count(name if name != "motionless" else "adequate") >= 1
+    assert "nan" not in page.words.lower().split()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_pictures_lie_beside_the_report(name: str, machine: Machine, tmp_path: Path) -> None:
+    write_report(CASES[name](machine), tmp_path)
+    pictures = sorted(tmp_path.glob("*.png"))
+    assert [p.name for p in pictures] == ["candidates.png", "gain.png", "measured.png", "residual.png"]
+    for picture in pictures:
+        content = picture.read_bytes()
+        assert content.startswith(b"\x89PNG")
+        width, height = struct.unpack(">II", content[16:24])
+        assert min(width, height) > 250
+    assert not list(tmp_path.glob(".*")), "a temporary file is left"
+
+
+def test_same_diagnosis_gives_the_same_bytes(machine: Machine, tmp_path: Path) -> None:
+    first, second = (write_report(cases.explained(machine), tmp_path / k).parent for k in "ab")
+    for path in first.iterdir():
+        assert path.read_bytes() == (second / path.name).read_bytes(), path.name
+
+
+def test_failure_leaves_the_old_report(machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_report(cases.adequate(machine), tmp_path)
+    before = path.read_bytes()
+
+    def fail(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sgms_mhe.report.page.content.plots", fail)
+    with pytest.raises(KeyboardInterrupt):
+        write_report(cases.explained(machine), tmp_path)
+    assert path.read_bytes() == before
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_explained_says_cause_numbers_and_file(machine: Machine, tmp_path: Path) -> None:
+    diagnosis = cases.explained(machine)
+    page = read(write_report(diagnosis, tmp_path))
+    words = page.words
+    assert diagnosis.summary in words
+    assert "0.797 ± 0.012 N" in words
+    assert "32.003 ± 0.041 mm" in words
+    assert "Force periodic in position" in words
+    assert "0.548 to 0.577 N" in words
+    assert "120 of 6000 samples are missing" in words
+    assert "etel_xy_force_ripple.toml" in page.addresses
+    assert diagnosis.extended_toml is not None
+    assert " ".join(diagnosis.extended_toml.split()) in words
+    assert (tmp_path / "etel_xy_force_ripple.toml").read_text() == diagnosis.extended_toml
+
+
+def test_ambiguous_shows_the_rival_and_the_next_step(machine: Machine, tmp_path: Path) -> None:
+    words = read(write_report(cases.ambiguous(machine), tmp_path)).words
+    assert "this data cannot tell" in words
+    assert "Next step Loops below break-away" in words
+    assert "ratio 10.2 %" in words
+
+
+def test_unexplained_names_the_coordinate_and_offers_no_file(machine: Machine, tmp_path: Path) -> None:
+    page = read(write_report(cases.unexplained(machine), tmp_path))
+    assert "What is left depends most on position" in page.words
+    assert "Extended machine file" not in page.words
+    assert not list(tmp_path.glob("*.toml"))
+
+
+def test_text_of_the_user_is_escaped(machine: Machine, tmp_path: Path) -> None:
+    diagnosis = cases.explained(machine, source="</script><b>x.csv", warnings=("<img src=x>",))
+    page = read(write_report(diagnosis, tmp_path))
+    assert "</script><b>x.csv" in page.words
+    assert "x" not in page.addresses
+
+
+def test_progress_ends_at_one(machine: Machine, tmp_path: Path) -> None:
+    shares: list[float] = []
+    write_report(cases.adequate(machine), tmp_path, progress=lambda what, share: shares.append(share))
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+
+
+# --- series ---------------------------------------------------------------------------------------------------------
+
+
+def test_packed_arrays_come_back() -> None:
+    values = np.array([1.5, np.nan, -3.25, 7.0, 0.0])
+    packed = pack(values)
+    integers = np.frombuffer(base64.b64decode(packed["data"]), dtype="<i2")
+    back = np.where(integers == MISSING, np.nan, packed["offset"] + packed["scale"] * integers)
+    np.testing.assert_allclose(back, values, atol=10.25 / 65534)
+    assert packed["scale"] > 0.0
+    assert pack(np.full(3, np.nan))["scale"] == 1.0
+
+
+def test_bin_means_show_the_ripple_before_and_nothing_after() -> None:
+    shown = {view.key: view for view in views(cases.traces())}
+    position = shown["position"]
+    assert position.unit == "mm"
+    expected = cases.AMPLITUDE * np.sin(2e-3 * np.pi * position.centres / cases.PITCH + 0.6)
+    # A bin is an eighth of a pitch wide: its mean is a little less than the ripple.
+    np.testing.assert_allclose(position.mean_before, expected, atol=0.2)
+    assert np.abs(position.mean_after).max() < 0.1
+    spectrum = shown["frequency"]
+    assert spectrum.mean_before.max() > 10.0 * spectrum.mean_after.max()
+
+
+def test_way_since_reversal_restarts_at_every_turn() -> None:
+    shown = cases.traces()
+    way = since_reversal(shown)
+    turns = np.flatnonzero(np.diff(np.sign(shown.velocity_m_s)) != 0)
+    assert np.isnan(way[: turns[0]]).all()
+    for turn in turns:
+        assert np.nanmin(way[turn : turn + 4]) < 1e-4
+    assert np.nanmax(way) == pytest.approx(np.ptp(shown.position_m), rel=0.2)
+
+
+# --- units ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "std", "text"),
+    [
+        ("amplitude_N", 0.79, 0.012, "0.790 ± 0.024 N"),
+        ("amplitude_N", 0.0042, math.nan, "4.20 mN"),
+        ("pitch_m", 0.03201, 1e-5, "32.010 ± 0.020 mm"),
+        ("gap_m", 3.2e-6, 1e-7, "3.20 ± 0.20 µm"),
+        ("delay_s", 4.7e-5, 2e-6, "47.0 ± 3.9 µs"),
+        ("stiffness_1_N_m", 120e3, 2e3, "120.0 ± 3.9 N/mm"),
+        ("stiffness_2", 25e3, math.nan, "25.0 N/mm"),
+        ("coefficient_N_s2_m2", -1.5, 0.1, "−1.50 ± 0.20 N s²/m²"),
+        ("ratio", 0.081, 0.004, "8.10 ± 0.78 %"),
+        ("phase_rad", math.pi / 2, 0.01, "90.0 ± 1.1 °"),
+        ("corner_velocity_m_s", 0.5, 0.01, "500 ± 20 mm/s"),
+        ("viscous", 203.5, 1.2, "203.5 ± 2.4 N s/m"),
+        ("gain", 1.05, 0.01, "1.050 ± 0.020"),
+        ("mass_kg", 0.0, 0.5, "0.00 ± 0.98 kg"),
+        ("force_N", math.nan, 0.5, "–"),
+    ],
+)
+def test_quantities_read_as_an_engineer_writes_them(name: str, value: float, std: float, text: str) -> None:
+    assert str(quantity(name, value, std)).replace(SPACE, " ") == text
+
+
+def test_numbers_in_words() -> None:
+    assert split_name("coefficient_N_s2_m2") == ("coefficient", "N s²/m²")
+    assert force(-0.1234).replace(SPACE, " ") == "−0.123 N"
+    assert force(math.nan) == "–"
+    assert [probability(p) for p in (0.3, 2.4e-4, 1e-30, math.nan)] == ["0.30", "2·10⁻⁴", "< 10⁻¹²", "–"]
+
+
+# --- the loop closed ------------------------------------------------------------------------------------------------
+
+
+def test_extended_estimator_predicts_better_where_the_effect_is(machine: Machine) -> None:
+    ripple = {"amplitude_N": 0.8, "pitch_m": 0.032, "phase_rad": 0.6}
+    trajectory = make_trajectory("trapezoids", machine.sampling.rate, duration_s=5.0)
+    log = simulate_axis(
+        machine, trajectory, AxisConfig(seed=4), hidden_effects=[("force_ripple", ripple)], truth=False
+    ).log
+    extended = override_machine(machine, {"name": "extended", "effects": [{"name": "force_ripple", **ripple}]})
+    calls: list[tuple[int, int]] = []
+    gain = closed_loop_gain(machine, extended, log, progress=lambda done, total: calls.append((done, total)))
+    assert gain.extended.predicted_rms_N < 0.5 * gain.base.predicted_rms_N
+    assert 0.5 < gain.reduction_interval[0] <= gain.reduction <= gain.reduction_interval[1] < 1.0
+    assert gain.base.filtered_rms_N < gain.base.predicted_rms_N
+    assert [p.name for p in gain.base.parameters] == [f"stiffness_{k}" for k in (1, 2, 3, 4)]
+    assert gain.base.refused == 0.0
+    assert calls[-1][0] == calls[-1][1]
+    assert len(gain.time_s) == len(gain.before_N) == len(gain.after_N)
+    same = closed_loop_gain(machine, machine, log)
+    assert same.reduction == 0.0
+
+
+def test_log_that_no_estimator_can_use_is_refused(machine: Machine) -> None:
+    trajectory = make_trajectory("paper", machine.sampling.rate, duration_s=0.5)
+    log = simulate_axis(machine, trajectory, AxisConfig(seed=4), truth=False).log
+    with pytest.raises(InputError, match="at least one second"):
+        closed_loop_gain(machine, machine, log)
