@@ -144,6 +144,21 @@ def search(
     return found
 
 
+def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> Values:
+    """Where to look for a rise of friction towards low speed that the machine file does not know: ratio and velocity."""
+    motion = motion_of(recording, fit)
+    e = free.project(fit.residual[recording.used])
+    speed = np.abs(motion.velocity[motion.used])
+    best = 0.0, {}
+    for velocity in np.geomspace(3e-4, 0.7, 12) * motion.speed:
+        Z = free.project((motion.level[motion.used] * np.exp(-((speed / velocity) ** 2)))[:, None])
+        size = float((Z.T @ e)[0] / max(1e-300, (Z.T @ Z)[0, 0]))
+        energy = _energy(Z, e)
+        if size > 0.0 and energy > best[0]:
+            best = energy, {"stribeck_ratio": size, "stribeck_velocity": float(velocity)}
+    return best[1]
+
+
 # --- effects that are linear given a few numbers ----------------------------------------------------------------
 
 Columns = Callable[[Motion, Values], Array]
@@ -221,9 +236,7 @@ def _hanging(motion: Motion, values: Values) -> Array:
 def _resonances(motion: Motion) -> list[Values]:
     top = 0.35 * motion.rate
     count = 1 + max(8, round(math.log(top / 4.0) / math.log(1.07)))
-    return [
-        {"frequency_Hz": float(f), "damping_ratio": d} for f in np.geomspace(4.0, top, count) for d in (0.02, 0.08)
-    ]
+    return [{"frequency_Hz": float(f), "damping_ratio": d} for f in np.geomspace(4.0, top, count) for d in (0.02, 0.08)]
 
 
 _COLUMNS: Final[Mapping[str, _Linear]] = {
@@ -243,9 +256,7 @@ _COLUMNS: Final[Mapping[str, _Linear]] = {
     ),
     "asymmetric_coulomb": _Linear(lambda m, _: (m.level * _sign(m.velocity))[:, None], _one("ratio")),
     "asymmetric_viscous": _Linear(lambda m, _: np.abs(m.velocity)[:, None], _one("difference_N_s_m")),
-    "friction_drift": _Linear(
-        lambda m, p: (m.level * _settling(m, p))[:, None], _one("ratio"), _times, tests=3.0
-    ),
+    "friction_drift": _Linear(lambda m, p: (m.level * _settling(m, p))[:, None], _one("ratio"), _times, tests=3.0),
     "viscous_drift": _Linear(
         lambda m, p: (m.damping * m.velocity * _settling(m, p))[:, None], _one("ratio"), _times, tests=3.0
     ),
@@ -267,16 +278,12 @@ _COLUMNS: Final[Mapping[str, _Linear]] = {
         lambda m: [{"corner_velocity_m_s": float(x)} for x in m.speed * np.geomspace(0.02, 1.0, 8)],
         tests=3.0,
     ),
-    "structural_resonance": _Linear(
-        lambda m, p: _hanging(m, p)[:, None], _one("mass_kg"), _resonances, tests=40.0
-    ),
+    "structural_resonance": _Linear(lambda m, p: _hanging(m, p)[:, None], _one("mass_kg"), _resonances, tests=40.0),
     "dwell_dependence": _Linear(
         lambda m, p: (m.level * _age(m, p))[:, None],
         _one("ratio"),
         lambda m: [
-            {"time_constant_s": t, "length_m": length}
-            for t in (0.05, 0.2, 1.0, 5.0)
-            for length in (1e-5, 1e-4, 1e-3)
+            {"time_constant_s": t, "length_m": length} for t in (0.05, 0.2, 1.0, 5.0) for length in (1e-5, 1e-4, 1e-3)
         ],
         tests=6.0,
     ),
@@ -316,9 +323,7 @@ def _search_step(motion: Motion, recording: Recording, free: Nuisance, e: Array)
     # The mean over a row changes in its middle: the step is at the row's beginning.
     at = float(time[best]) - 0.5 / motion.rate
     Z = free.project((time >= time[best]).astype(np.float64)[:, None])
-    return _proposal(
-        "step_disturbance", recording, Z, e, 30.0, lambda size: {"force_N": float(size[0]), "time_s": at}
-    )
+    return _proposal("step_disturbance", recording, Z, e, 30.0, lambda size: {"force_N": float(size[0]), "time_s": at})
 
 
 def _energy(Z: Array, e: Array) -> float:
@@ -396,9 +401,7 @@ _HARMONICS: Final[Mapping[str, _Harmonic]] = {
 }
 
 
-def _search_harmonic(
-    name: str, motion: Motion, recording: Recording, free: Nuisance, e: Array
-) -> Proposal | None:
+def _search_harmonic(name: str, motion: Motion, recording: Recording, free: Nuisance, e: Array) -> Proposal | None:
     kind = _HARMONICS[name]
     used = motion.used
     in_time = kind.coordinate == "time"

@@ -90,7 +90,9 @@ def gain_interval(before: Array, after: Array, rows: Array, *, draws: int = 1000
 def difference_statistic(first: Array, second: Array) -> float:
     """t of the mean difference of two fits' losses over blocks; positive where the second is worse."""
     difference = second - first
-    spread = math.sqrt(float(np.sum((difference - difference.mean()) ** 2)) * len(difference) / max(1, len(difference) - 1))
+    spread = math.sqrt(
+        float(np.sum((difference - difference.mean()) ** 2)) * len(difference) / max(1, len(difference) - 1)
+    )
     return float(difference.sum()) / spread if spread > 0.0 else 0.0
 
 

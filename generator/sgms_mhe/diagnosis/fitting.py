@@ -165,11 +165,17 @@ class Fit:
         """RMS by cross-validation [N]."""
         return math.sqrt(max(0.0, float(self.cross.sum() / self.rows.sum())))
 
+    @property
+    def numbers(self) -> int:
+        """How many numbers it has beyond the machine file's; a searched one counts like a fitted one."""
+        return sum(
+            bool(f) or (c.frozen and c.group.startswith("+"))
+            for c, f in zip(self.model.columns, self.free, strict=True)
+        )
+
     def values(self, group: str) -> dict[str, float]:
         """SI values of a group's parameters."""
-        return {
-            c.name: c.si(t) for c, t in zip(self.model.columns, self.theta, strict=True) if c.group == group
-        }
+        return {c.name: c.si(t) for c, t in zip(self.model.columns, self.theta, strict=True) if c.group == group}
 
     def groups(self) -> tuple[str, ...]:
         """Groups with a fitted parameter."""
@@ -185,6 +191,8 @@ class Workshop:
         self.rows = recording.sum_blocks(np.ones(len(recording.time)))
         self.noise = 1.0  # N, weight of the prior
         self.fits = 0
+        self.starts: dict[str, float] = {}  # SI, for numbers that the machine file gives no idea of
+        self._known: dict[object, Fit] = {}
 
     def model(self, extras: Sequence[Extra]) -> CompiledFit:
         """The machine with effects added, everything in it a free parameter."""
@@ -194,18 +202,16 @@ class Workshop:
         """Parameters to start from: the machine's, a warm fit's where it has them, the proposals' otherwise."""
         known = {}
         if warm is not None:
-            known = {
-                (c.group, c.name): c.si(t) for c, t in zip(warm.model.columns, warm.theta, strict=True)
-            }
-        wanted = {
-            (f"+{i}", key): value for i, extra in enumerate(extras) for key, value in extra.parameters.items()
-        }
+            known = {(c.group, c.name): c.si(t) for c, t in zip(warm.model.columns, warm.theta, strict=True)}
+        wanted = {(f"+{i}", key): value for i, extra in enumerate(extras) for key, value in extra.parameters.items()}
         theta = np.array(
             [
                 c.theta(wanted[c.group, c.name])
                 if (c.group, c.name) in wanted
                 else c.theta(known[c.group, c.name])
                 if (c.group, c.name) in known and not c.group.startswith("+")
+                else c.theta(self.starts[c.name])
+                if c.group == "stribeck" and c.name in self.starts
                 else c.machine_theta
                 for c in model.columns
             ]
@@ -230,6 +236,18 @@ class Workshop:
             rows: rows that the fit sees (m); None: all used ones.
             iterations: at most.
         """
+        key = (
+            tuple((e.name, tuple(e.parameters.items())) for e in extras),
+            None if base is None else tuple(sorted(base)),
+            None if rows is None else rows.tobytes(),
+        )
+        if key not in self._known:
+            self._known[key] = self._fit(extras, base, warm, rows, iterations)
+        return self._known[key]
+
+    def _fit(
+        self, extras: Sequence[Extra], base: Sequence[str] | None, warm: Fit | None, rows: Mask | None, iterations: int
+    ) -> Fit:
         self.fits += 1
         model = self.model(extras)
         columns = model.columns
@@ -268,7 +286,9 @@ class Workshop:
         """Levenberg-Marquardt on the rows seen; returns theta, residual (m), slopes (m, n_p)."""
         recording, columns = self.recording, model.columns
         prior = self._prior(model, free)
-        centre = np.array([c.machine_theta for c in columns])[free]
+        centre = np.array(
+            [c.theta(self.starts[c.name]) if c.name in self.starts else c.machine_theta for c in columns]
+        )[free]
         is_base = np.array([not c.group.startswith("+") for c in columns])[free]
         prior_rows = np.where(is_base, prior, 0.0)
         lower, upper = _bounds(columns, recording)
@@ -330,9 +350,7 @@ class Workshop:
         # Blocks that happen to balance must not promise more than white noise would allow.
         white = inverse * fit.rms**2
         result = np.zeros((len(fit.theta), len(fit.theta)))
-        result[np.ix_(fit.free, fit.free)] = np.where(
-            np.eye(len(inner), dtype=bool), np.maximum(inner, white), inner
-        )
+        result[np.ix_(fit.free, fit.free)] = np.where(np.eye(len(inner), dtype=bool), np.maximum(inner, white), inner)
         return result
 
 
@@ -418,14 +436,17 @@ def compiled_fit(key: _Key) -> CompiledFit:
             effect = next(e for e in extended.effects if e.label == label)
             frozen = parameter in FROZEN.get(effect.name, ())
             columns.append(
-                Column(groups[label], effect.name, parameter, free.nominal, free.scale, 1.0, free.lower, free.upper, frozen)
+                Column(
+                    groups[label], effect.name, parameter, free.nominal, free.scale, 1.0, free.lower, free.upper, frozen
+                )
             )
         else:
             group = next(g for g, members in BASE_GROUPS.items() if free.name in members)
             zero = free.name in base
+            high = 1e4 if free.name == "stribeck_velocity" else 20.0
             low = 0.0 if free.name in ("viscous", "stribeck_ratio") else 0.05
             columns.append(
-                Column(group, "", free.column, free.nominal, free.scale, 0.0 if zero else 1.0, low, 20.0, False)
+                Column(group, "", free.column, free.nominal, free.scale, 0.0 if zero else 1.0, low, high, False)
             )
     compiled.columns = tuple(columns)
     return compiled
@@ -478,7 +499,11 @@ def _step_limit(column: Column, theta: float, recording: Recording) -> float:
         travel = max(float(np.ptp(recording.position[recording.used])), 1e-9)
         return min(0.3 * abs(value), 0.2 * value**2 / travel) / abs(column.scale)
     if column.name == "frequency_Hz":
-        return 0.2 / float(np.ptp(recording.time)) / abs(column.scale) if column.effect == "periodic_disturbance" else 0.2 * value / abs(column.scale)
+        return (
+            0.2 / float(np.ptp(recording.time)) / abs(column.scale)
+            if column.effect == "periodic_disturbance"
+            else 0.2 * value / abs(column.scale)
+        )
     if column.name == "phase_rad":
         return 0.5 / abs(column.scale)
     if column.name.startswith(("time_constant", "corner", "gap", "length", "delay", "centre", "damping_ratio")):

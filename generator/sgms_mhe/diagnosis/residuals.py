@@ -84,9 +84,7 @@ class Recording:
         return np.bincount(self.block[self.used], weights=series[self.used], minlength=self.blocks)
 
 
-def prepare(
-    machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]] | None = None
-) -> Recording:
+def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]] | None = None) -> Recording:
     """Send a log through the signal chain and say which rows count.
 
     Args:
@@ -205,7 +203,9 @@ def _saturated(force: Array) -> Mask:
 def _dilate(mask: Mask, samples: int) -> Mask:
     """The mask and as many samples after each of its entries."""
     total = np.cumsum(mask)
-    earlier = np.concatenate((np.zeros(min(samples, len(mask)), dtype=total.dtype), total[: max(0, len(mask) - samples)]))
+    earlier = np.concatenate(
+        (np.zeros(min(samples, len(mask)), dtype=total.dtype), total[: max(0, len(mask) - samples)])
+    )
     return np.asarray((total - earlier > 0) | mask)
 
 

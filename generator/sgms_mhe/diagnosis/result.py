@@ -254,9 +254,7 @@ class Diagnosis:
                 {"coordinate": s.coordinate, "rms_N": s.rms_N, "p_value": s.p_value, "peak": s.peak}
                 for s in self.structure_after
             ],
-            "base": [
-                {"name": b.name, "nominal": b.nominal, "refitted": b.refitted, "std": b.std} for b in self.base
-            ],
+            "base": [{"name": b.name, "nominal": b.nominal, "refitted": b.refitted, "std": b.std} for b in self.base],
             "warnings": list(self.warnings),
         }
         finite: dict[str, Any] = _finite(content)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.candidates import Proposal, search
+from sgms_mhe.diagnosis.candidates import Proposal, search, stribeck_start
 from sgms_mhe.diagnosis.evidence import difference_statistic, gain_force, nuisance, score_test
 from sgms_mhe.diagnosis.fitting import BASE_GROUPS, Extra, Fit, Workshop, cross_loss
 from sgms_mhe.diagnosis.result import Score
@@ -24,8 +24,11 @@ MATERIAL_NOISE: Final = 0.25  # of the noise floor
 ROUNDS: Final = 5
 REFITS: Final = 4  # per round
 CLOSE: Final = 0.55  # a candidate with less than this share of the best linear gain is not refitted
+SHARPER: Final = 0.97  # RMS by which the sharp transition must fit better to be taken
 RIVAL_SHARE: Final = 0.30  # RMS by which a rival may fit worse, over what the cause explains
 RIVAL_T: Final = 2.5
+COSTLY: Final = ("backlash", "frictional_lag", "micro_viscous")
+"""Effects whose search runs models; put in a cause's place only if they ever showed."""
 REPEATABLE: Final = ("force_ripple", "periodic_disturbance")
 
 
@@ -69,20 +72,23 @@ class Selection:
 class Selector:
     """Forward selection, pruning and rivals on one recording."""
 
-    def __init__(self, workshop: Workshop, floor: float, report: Callable[[str], None]) -> None:
-        self.workshop = workshop
+    def __init__(self, workshop: Workshop, sharp: Workshop | None, floor: float, report: Callable[[str], None]) -> None:
+        self.workshop = self.plain = workshop
+        self.sharp = sharp
         self.report = report
         machine = workshop.machine
         self.material = max(MATERIAL * machine.friction.coulomb, MATERIAL_NOISE * floor)
         self.own = tuple(f"machine:{effect.label}" for effect in machine.effects)
         self.groups = tuple(BASE_GROUPS) + self.own
         self.scores: list[Score] = []
+        self.seen: set[str] = set()
 
     # --- forward ------------------------------------------------------------------------------------------------
 
-    def select(self, start: Fit) -> Selection:
-        """Select causes; `start` is the machine with all its own numbers refitted."""
-        current = start
+    def select(self) -> Selection:
+        """Select causes, from the machine with all its own numbers refitted."""
+        self._start_stribeck()
+        current = self._transition(())
         p_values: dict[str, float] = {}
         for number in range(1, ROUNDS + 1):
             self.report(f"searching effects, round {number}")
@@ -90,6 +96,8 @@ class Selector:
             if step is None:
                 break
             current = self._pruned(step)
+            if self.sharp is not None:
+                current = self._transition(current.extras)
         base, fit = self._wrong_numbers(current)
         fit, base = self._leaner(fit, base)
         rivals: list[Rival] = []
@@ -109,6 +117,31 @@ class Selector:
         taken = {extra.name for extra in extras} | {effect.name for effect in self.workshop.machine.effects}
         return [name for name in EFFECT_NAMES if name not in taken or name in REPEATABLE]
 
+    def _start_stribeck(self) -> None:
+        """A machine file without a Stribeck effect says nothing about its velocity: look for it first."""
+        if self.plain.machine.friction.stribeck_ratio > 0.0:
+            return
+        recording = self.plain.recording
+        fit = self.plain.fit((), base=tuple(g for g in self.groups if g != "stribeck"))
+        found = stribeck_start(recording, fit, nuisance(fit.slopes[recording.used][:, fit.free]))
+        for workshop in (self.plain, self.sharp):
+            if workshop is not None:
+                workshop.starts.update(found)
+
+    def _transition(self, extras: Sequence[Extra]) -> Fit:
+        """Fit with the transition from sticking to slipping that fits better, from now on.
+
+        How sharply an element slips is a property of the smoothed law, not of an axis: a real one may switch. Both are
+        tried, after every effect again, so that the difference is not taken for an effect, nor an effect for it.
+        """
+        fit = self.plain.fit(extras)
+        if self.sharp is None:
+            return fit
+        other = self.sharp.fit(extras)
+        better = other.cross_rms < SHARPER * fit.cross_rms
+        self.workshop = self.sharp if better else self.plain
+        return other if better else fit
+
     def _round(self, current: Fit, number: int) -> Fit | None:
         """Search, refit the best, return the fit with the one to add."""
         recording = self.workshop.recording
@@ -123,12 +156,13 @@ class Selector:
         ]
         strong.sort(key=lambda p: -gains[id(p)])
         top = gains[id(strong[0])] if strong else 0.0
-        shortlist = [p for p in strong if gains[id(p)] > CLOSE * top][:REFITS]
+        shortlist = _distinct([(gains[id(p)], p) for p in strong if gains[id(p)] > CLOSE * top])[:REFITS]
         fits: dict[str, Fit] = {}
         for proposal in shortlist:
             self.report(f"refitting {proposal.name}")
             fits[proposal.name] = self.workshop.fit((*current.extras, proposal.extra), warm=current)
         chosen = self._choose(current, fits)
+        self.seen |= {p.name for p in strong}
         for p in proposals:
             gain = gains[id(p)]
             refit = gain_force(current.cross, fits[p.name].cross, current.rows) if p.name in fits else math.nan
@@ -237,9 +271,7 @@ class Selector:
 
     # --- rivals -------------------------------------------------------------------------------------------------
 
-    def _rivals(
-        self, fit: Fit, base: tuple[str, ...]
-    ) -> tuple[Fit | None, list[Rival], dict[str, tuple[str, float]]]:
+    def _rivals(self, fit: Fit, base: tuple[str, ...]) -> tuple[Fit | None, list[Rival], dict[str, tuple[str, float]]]:
         """Put every other candidate in each cause's place; a better one is returned, equal ones are rivals."""
         recording = self.workshop.recording
         rivals: list[Rival] = []
@@ -255,11 +287,9 @@ class Selector:
             if own_gain <= 0.0:
                 continue
             free = nuisance(without.slopes[recording.used][:, without.free])
-            names = [name for name in self.names(extras) if name != cause]
-            proposals = search(self.workshop, without, names, free)
-            trials: list[tuple[float, str, Extra | None]] = [
-                (self._linear_gain(without, p), p.name, p.extra) for p in proposals if p.feasible
-            ]
+            names = [n for n in self.names(extras) if n != cause and (n not in COSTLY or n in self.seen)]
+            proposals = [p for p in search(self.workshop, without, names, free) if p.feasible]
+            trials: list[tuple[float, Proposal]] = [(self._linear_gain(without, p), p) for p in proposals]
             for other in self.groups:
                 if other in base or other == group:
                     continue
@@ -267,20 +297,23 @@ class Selector:
                 Z = free.project(without.slopes[recording.used][:, columns])
                 p, size = score_test(recording, Z, free.project(without.residual[recording.used]))
                 proposal = Proposal(other, {}, Z, size, 0.0, 1.0, p, True)
-                trials.append((self._linear_gain(without, proposal), other, None))
+                trials.append((self._linear_gain(without, proposal), proposal))
             trials.sort(key=lambda trial: -trial[0])
-            for gain, name, extra in trials[:REFITS]:
-                if gain < 0.7 * own_gain:
+            kept = _distinct(trials)[:REFITS]
+            for gain, proposal in trials:
+                name = proposal.name
+                if not any(proposal is k for k in kept) or gain < 0.75 * own_gain:
                     rejected.setdefault(name, (cause, math.sqrt(max(0.0, own_gain**2 - max(gain, 0.0) ** 2))))
                     continue
+                self.report(f"comparing {cause} with {name}")
                 trial = (
-                    self.workshop.fit((*extras, extra), base=free_base, warm=without)
-                    if extra is not None
+                    self.workshop.fit((*extras, proposal.extra), base=free_base, warm=without)
+                    if name not in self.groups
                     else self.workshop.fit(extras, base=(*free_base, name), warm=without)
                 )
                 excess = gain_force(trial.cross, fit.cross, fit.rows)
                 statistic = difference_statistic(fit.cross, trial.cross)
-                simpler = int(fit.free.sum()) - int(trial.free.sum())
+                simpler = fit.numbers - trial.numbers
                 better = statistic < -RIVAL_T and excess < -0.2 * self.material
                 equal = excess < 0.2 * self.material or statistic < RIVAL_T
                 if better or (simpler > 0 and equal and excess < 0.5 * self.material):
@@ -313,17 +346,46 @@ class Selector:
         return p
 
 
+def _distinct(ranked: list[tuple[float, Proposal]]) -> list[Proposal]:
+    """Without proposals that make the same force as another one with fewer numbers."""
+    kept: list[tuple[float, Proposal]] = []
+    forces: dict[int, Array] = {id(p): p.columns @ p.coefficients for _, p in ranked}
+
+    def same(a: Proposal, b: Proposal) -> bool:
+        x, y = forces[id(a)], forces[id(b)]
+        return float(x @ y) > 0.985 * math.sqrt(float(x @ x) * float(y @ y))
+
+    for gain, proposal in ranked:
+        if not any(_numbers(p) < _numbers(proposal) and same(p, proposal) for _, p in ranked):
+            kept.append((gain, proposal))
+    return [proposal for _, proposal in kept]
+
+
+def _numbers(proposal: Proposal) -> int:
+    """Numbers of a candidate: an effect's parameters, a base group's columns."""
+    return len(proposal.parameters) or proposal.columns.shape[1]
+
+
 def _amplitudes(fit: Fit, group: str) -> NDArray[np.bool_]:
     """Parameters of an effect that its force is proportional to, by their names."""
-    sizes = ("amplitude", "ratio", "force_N", "difference", "damping_N", "coefficient", "mass", "gain", "stiffness", "delay")
+    sizes = (
+        "amplitude",
+        "ratio",
+        "force_N",
+        "difference",
+        "damping_N",
+        "coefficient",
+        "mass",
+        "gain",
+        "stiffness",
+        "delay",
+    )
     return np.array([c.group == group and c.name.startswith(sizes) for c in fit.model.columns])
 
 
 def _zero(fit: Fit, group: str) -> Array:
     """theta at which an effect's sizes vanish."""
-    return np.array(
-        [c.theta(1.0 if c.name == "gain" else 0.0) if c.group == group else 0.0 for c in fit.model.columns]
-    )
+    return np.array([c.theta(1.0 if c.name == "gain" else 0.0) if c.group == group else 0.0 for c in fit.model.columns])
 
 
 __all__ = ["Rival", "Selection", "Selector"]

@@ -38,7 +38,6 @@ Progress = Callable[[str], None]
 
 EXCITED: Final = 0.05  # of f_C: range of the simulated friction below which a record says nothing
 SHARP: Final[Mapping[str, float]] = {"zeta": 0.99, "lambda": 350.0}
-SHARPER: Final = 0.97  # RMS by which the sharp transition must fit better to be taken
 UNEXPLAINED: Final = 0.02  # of f_C: RMS beyond noise that a complete explanation may leave
 UNEXPLAINED_SHARE: Final = 0.45  # of the RMS beyond noise of the machine as it is
 
@@ -73,30 +72,25 @@ def diagnose(
     if float(np.ptp(simulated)) < EXCITED * machine.friction.coulomb:
         return _without_excitation(machine, log, recording, nominal, floor, started)
     report("refitting the base model")
-    workshop, start, smoothing = _base_fit(machine, recording, floor)
-    selector = Selector(workshop, floor, report)
-    selection = selector.select(start)
+    sharp = _sharp(machine, recording)
+    for shop in (workshop, sharp):
+        if shop is not None:
+            shop.noise = floor
+    selector = Selector(workshop, sharp, floor, report)
+    selection = selector.select()
+    smoothing = "machine" if selector.workshop is workshop else "sharp"
+    workshop = selector.workshop
+    start = workshop.fit(())
     return _Verdict(machine, log, recording, workshop, nominal, start, selection, smoothing, report).finish(started)
 
 
-def _base_fit(machine: Machine, recording: Recording, floor: float) -> tuple[Workshop, Fit, str]:
-    """The base model refitted, with the transition from sticking to slipping that fits better.
-
-    How sharply an element slips is a property of the smoothed law, not of an axis: a real one may switch. Both are
-    tried, so that the difference is not taken for an effect.
-    """
-    plain = Workshop(machine, recording)
-    plain.noise = floor
-    fit = plain.fit(())
-    gamma = machine.friction.smoothing.gamma
-    if machine.friction.smoothing.lambda_ >= SHARP["lambda"]:
-        return plain, fit, "machine"
-    sharp = Workshop(override_machine(machine, {"friction": {"smoothing": {**SHARP, "gamma": gamma}}}), recording)
-    sharp.noise = floor
-    other = sharp.fit(())
-    if other.cross_rms < SHARPER * fit.cross_rms:
-        return sharp, other, "sharp"
-    return plain, fit, "machine"
+def _sharp(machine: Machine, recording: Recording) -> Workshop | None:
+    """The same machine whose elements slip almost at once; None where they do so anyway."""
+    smoothing = machine.friction.smoothing
+    if smoothing.lambda_ >= SHARP["lambda"]:
+        return None
+    changes = {"friction": {"smoothing": {**SHARP, "gamma": smoothing.gamma}}}
+    return Workshop(override_machine(machine, changes), recording)
 
 
 def _rms(fit: Fit, recording: Recording) -> tuple[float, float]:
@@ -169,9 +163,7 @@ class _Verdict:
         causes = self._causes(selection, blind, seen) if named else ()
         extended, toml = self._extension(selection, causes) if named else (None, None)
         held = recording.held_out
-        interval = (
-            gain_interval(self.nominal.loss[held], blind.loss[held], blind.rows[held]) if named else (0.0, 0.0)
-        )
+        interval = gain_interval(self.nominal.loss[held], blind.loss[held], blind.rows[held]) if named else (0.0, 0.0)
         alternatives = self._alternatives(selection)
         rivals = [a for a in alternatives if a.rival]
         return Diagnosis(
@@ -271,9 +263,7 @@ class _Verdict:
             )
             for rival in selection.rivals
         ]
-        named = [
-            e.name for e in selection.fit.extras
-        ] + list(selection.base)
+        named = [e.name for e in selection.fit.extras] + list(selection.base)
         if found:  # the named causes that have rivals are listed with them
             for cause in dict.fromkeys(rival.instead_of for rival in selection.rivals):
                 others = ", ".join(r.name for r in selection.rivals if r.instead_of == cause)
@@ -413,9 +403,7 @@ def _experiment(verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Alte
     return ". ".join(moves) if moves else None
 
 
-def _summary(
-    verdict: Verdict, causes: Sequence[str], rivals: Sequence[str], before: float, after: float
-) -> str:
+def _summary(verdict: Verdict, causes: Sequence[str], rivals: Sequence[str], before: float, after: float) -> str:
     gain = f"the residual on data not used in the fit goes from {before:.3g} N to {after:.3g} N RMS"
     if verdict == "adequate":
         return f"The simulation explains the record; {before:.3g} N RMS are left, nothing is named."

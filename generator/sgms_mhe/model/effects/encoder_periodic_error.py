@@ -38,7 +38,7 @@ DEFINITION = EffectDefinition(
     summary="encoder error periodic in position",
     parameters=(
         EffectParameter("amplitude_m", 0.0, 1e-7, "amplitude of the error"),
-        EffectParameter("pitch_m", 0.001, 1e-5, "period in position", lower=1e-7, role="period"),
+        EffectParameter("pitch_m", 0.001, 1e-5, "period in position", lower=1e-6, role="period"),
         EffectParameter("phase_rad", 0.0, 0.1, "phase at position zero", role="place"),
     ),
     contribute=_contribute,

@@ -20,7 +20,7 @@ DEFINITION = EffectDefinition(
     summary="force constant periodic in position",
     parameters=(
         EffectParameter("ratio", 0.0, 0.01, "amplitude over the mean force constant", lower=-0.9, upper=0.9),
-        EffectParameter("pitch_m", 0.032, 0.001, "period in position", lower=1e-7, role="period"),
+        EffectParameter("pitch_m", 0.032, 0.001, "period in position", lower=1e-6, role="period"),
         EffectParameter("phase_rad", 0.0, 0.1, "phase at position zero", role="place"),
     ),
     contribute=_contribute,

@@ -20,7 +20,7 @@ DEFINITION = EffectDefinition(
     summary="Coulomb level periodic in position",
     parameters=(
         EffectParameter("ratio", 0.0, 0.1, "amplitude over the Coulomb level", lower=-0.95, upper=0.95),
-        EffectParameter("pitch_m", 0.02, 0.001, "period in position", lower=1e-7, role="period"),
+        EffectParameter("pitch_m", 0.02, 0.001, "period in position", lower=1e-6, role="period"),
         EffectParameter("phase_rad", 0.0, 0.1, "phase at position zero", role="place"),
     ),
     contribute=_contribute,

@@ -1,0 +1,181 @@
+"""Trajectories that excite what a diagnosis needs to see, or that tell two causes apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from sgms_mhe.diagnosis.verdict import separating_move
+from sgms_mhe.errors import InputError
+from sgms_mhe.files import atomic_write
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects.base import BASE_CAUSES
+from sgms_mhe.trajectories import Motion, Trajectory
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A trajectory and what it is for."""
+
+    trajectory: Trajectory
+    reason: str
+    moves: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """Sizes that moves are built from: fastest speed [m/s], its acceleration and jerk, break-away distance, travel [m]."""
+
+    speed: float
+    acceleration: float
+    jerk: float
+    breakaway: float
+    travel: float
+
+    def limits(self, share: float) -> tuple[float, float, float]:
+        """Velocity, acceleration and jerk of a move at a share of the speed."""
+        return share * self.speed, self.acceleration, self.jerk
+
+
+def _loops(path: Motion, axis: _Axis) -> None:
+    """Presliding: loops below and around break-away, slow and four times faster."""
+    for pace in (1.0, 4.0):
+        slow = 2.0 * axis.breakaway * pace
+        for share in (0.1, 0.3, 0.8, 2.0):
+            a = share * axis.breakaway
+            path.loops((a, 0.6 * a, 0.3 * a), slow, 20.0 * slow, 2000.0 * slow)
+    path.wait(0.2)
+
+
+def _speeds(path: Motion, axis: _Axis) -> None:
+    """The same stroke forth and back at rising constant speeds."""
+    start = path.position
+    for share in (0.003, 0.01, 0.03, 0.1, 0.3, 0.6, 1.0):
+        way = min(axis.travel, max(axis.speed * share * 0.5, 10.0 * axis.breakaway))
+        path.move_to(start + way, *axis.limits(share))
+        path.wait(0.05)
+        path.move_to(start, *axis.limits(share))
+        path.wait(0.05)
+
+
+def _travel(path: Motion, axis: _Axis) -> None:
+    """The whole travel forth and back, slowly and fast: what stays in place."""
+    start = path.position
+    for share in (0.1, 0.4):
+        path.move_to(start + axis.travel, *axis.limits(share))
+        path.move_to(start, *axis.limits(share))
+
+
+def _jerks(path: Motion, axis: _Axis) -> None:
+    """Short hard moves: inertia, delays, resonances."""
+    for sign in (1.0, -1.0, 1.0, -1.0):
+        path.move_by(sign * 0.05 * axis.travel, axis.speed, 1.5 * axis.acceleration, 4.0 * axis.jerk)
+        path.wait(0.15)
+    for frequency in (4.0, 8.0, 16.0):
+        path.swing(min(0.02 * axis.travel, 0.3 * axis.acceleration / (6.3 * frequency) ** 2), frequency, cycles=6)
+
+
+def _rests(path: Motion, axis: _Axis) -> None:
+    """Slow break-away after rests of different length."""
+    for rest in (0.05, 0.2, 0.8, 3.0, 0.05, 0.8):
+        path.wait(rest)
+        path.move_by(20.0 * axis.breakaway, *axis.limits(0.005))
+        path.move_by(-20.0 * axis.breakaway, *axis.limits(0.005))
+
+
+def _places(path: Motion, axis: _Axis) -> None:
+    """Small loops at places far apart."""
+    start = path.position
+    for share in (0.0, 0.5, 1.0, 0.0):
+        path.move_to(start + share * axis.travel, *axis.limits(0.4))
+        path.wait(0.1)
+        a = axis.breakaway
+        path.loops((2.0 * a, a, 0.4 * a), 4.0 * a, 80.0 * a, 8000.0 * a)
+
+
+def _again(path: Motion, axis: _Axis) -> None:
+    """Later, the move from the beginning once more."""
+    path.wait(5.0)
+    _speeds(path, axis)
+
+
+_MOVES: Final[Mapping[str, Callable[[Motion, _Axis], None]]] = {
+    "presliding loops at two speeds": _loops,
+    "constant speeds in both directions": _speeds,
+    "the whole travel at two speeds": _travel,
+    "hard accelerations and sines": _jerks,
+    "rests of different length": _rests,
+    "loops at places far apart": _places,
+    "the same moves once more, later": _again,
+}
+
+_NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
+    "constant speeds in both directions": (
+        "asymmetric_viscous", "asymmetric_coulomb", "viscous", "quadratic_drag", "eddy_current_damping", "stribeck",
+        "coulomb", "constant_offset",
+    ),
+    "presliding loops at two speeds": (
+        "stiffness", "constant_offset", "asymmetric_coulomb", "backlash", "micro_viscous", "frictional_lag",
+        "hose_hysteresis",
+    ),
+    "the whole travel at two speeds": (
+        "force_ripple", "force_constant_ripple", "position_dependent_friction", "encoder_periodic_error",
+        "position_spring", "hose_hysteresis", "periodic_disturbance",
+    ),
+    "hard accelerations and sines": (
+        "mass_mismatch", "force_gain", "force_delay", "actuator_lag", "structural_resonance", "force_constant_ripple",
+        "frictional_lag",
+    ),
+    "rests of different length": ("dwell_dependence", "stribeck", "frictional_lag"),
+    "loops at places far apart": ("position_spring", "hose_hysteresis", "stiffness"),
+    "the same moves once more, later": (
+        "friction_drift", "viscous_drift", "step_disturbance", "periodic_disturbance", "viscous", "coulomb",
+    ),
+}  # fmt: skip
+
+
+def make_plan(machine: Machine, separate: tuple[str, str] | None = None) -> Plan:
+    """A trajectory for a machine: everything, or what two causes need and what tells them apart.
+
+    Raises:
+        InputError: a cause that does not exist.
+    """
+    known = (*EFFECT_NAMES, *BASE_CAUSES)
+    for name in separate or ():
+        if name not in known:
+            raise InputError("plan", "separate", name, f"two of {', '.join(known)}")
+    friction, top = machine.friction, machine.sampling.max_velocity
+    breakaway = max(nu * friction.coulomb / k for nu, k in zip(friction.fraction, friction.stiffness, strict=True))
+    speed = 0.9 * top
+    # Half a second at full speed, reached within a tenth of a second.
+    axis = _Axis(speed, 10.0 * speed, 400.0 * speed, breakaway, 0.5 * speed)
+    moves = [name for name in _MOVES if separate is None or set(separate) & set(_NEEDED[name])]
+    path = Motion(machine.sampling.rate)
+    path.wait(0.3)
+    for name in moves:
+        _MOVES[name](path, axis)
+        path.wait(0.2)
+    path.move_to(0.0, *axis.limits(0.4))
+    path.wait(0.3)
+    reason = "excites every effect of the catalogue"
+    if separate is not None:
+        move = separating_move(*separate)
+        needs = [
+            (effect_definition(n).excitation if n in EFFECT_NAMES else BASE_CAUSES[n].excitation).text for n in separate
+        ]
+        reason = f"{' or '.join(separate)}: {move or '; '.join(dict.fromkeys(needs))}"
+    return Plan(path.trajectory(f"{machine.name}_plan"), reason, tuple(moves))
+
+
+def write_plan(path: str | Path, plan: Plan) -> None:
+    """Write the trajectory as CSV: time_s, position_m."""
+    trajectory = plan.trajectory
+    table = np.column_stack((trajectory.time_s, trajectory.position_m))
+    with atomic_write(path) as stream:
+        stream.write(b"time_s,position_m\n")
+        stream.write("".join(f"{t!r},{q!r}\n" for t, q in table.tolist()).encode())

@@ -1,0 +1,120 @@
+/* The public functions of one package under fixed names, one call each. Compiled with a package:
+ *     -DSGMS_MACHINE=etel_xy -DSGMS_MACHINE_UPPER=ETEL_XY -DSGMS_MACHINE_HEADER='"etel_xy.h"'
+ * Uses nothing but the public header. */
+#include <stddef.h>
+#include <string.h>
+
+#include SGMS_MACHINE_HEADER
+
+#define JOIN2(a, b) a##_##b
+#define JOIN(a, b) JOIN2(a, b)
+#define CALL(name) JOIN(SGMS_MACHINE, name)
+#define CONSTANT(name) JOIN(SGMS_MACHINE_UPPER, name)
+
+typedef CALL(t) machine;
+typedef CALL(real) machine_real;
+typedef CALL(position) machine_position;
+
+size_t probe_size(void)
+{
+    return sizeof(machine);
+}
+
+void probe_init(void *self)
+{
+    memset(self, 0xA5, sizeof(machine)); /* init is to rely on nothing that was there */
+    CALL(init)((machine *)self);
+}
+
+void probe_reset(void *self)
+{
+    CALL(reset)((machine *)self);
+}
+
+/* NaN, infinite and unrepresentable positions count as missing in both precisions. */
+static machine_position to_position(double metres)
+{
+    const machine_position half = (machine_position)0.5;
+    if (half > (machine_position)0) {
+        return (machine_position)metres;
+    }
+    if (!(metres * 1e12 > -9e18 && metres * 1e12 < 9e18)) {
+        return (machine_position)INT64_MAX;
+    }
+    return (machine_position)(metres * 1e12 + (metres < 0.0 ? -0.5 : 0.5));
+}
+
+double probe_tick(void *self, double position, double force)
+{
+    return (double)CALL(tick)((machine *)self, to_position(position), (machine_real)force);
+}
+
+double probe_sample(void *self, double position, double force)
+{
+    return (double)CALL(sample)((machine *)self, to_position(position), (machine_real)force);
+}
+
+double probe_insert(void *self, const double *signals, int valid)
+{
+    CALL(signals) s;
+    s.position = (machine_real)signals[0];
+    s.velocity = (machine_real)signals[1];
+    s.acceleration = (machine_real)signals[2];
+    s.force = (machine_real)signals[3];
+    s.friction = (machine_real)signals[4];
+    s.valid = valid;
+    return (double)CALL(insert)((machine *)self, &s);
+}
+
+int probe_due(const void *self)
+{
+    return CALL(due)((const machine *)self);
+}
+
+void probe_prepare(void *self)
+{
+    CALL(prepare)((machine *)self);
+}
+
+int probe_feedback(void *self)
+{
+    return CALL(feedback)((machine *)self);
+}
+
+/* numbers: friction, friction measured, deflections, parameters, deviations. Returns the status. */
+int probe_estimate(const void *self, double *numbers)
+{
+    CALL(estimate_t) estimate;
+    int k = 0;
+    CALL(estimate)((const machine *)self, &estimate);
+    numbers[k++] = (double)estimate.friction;
+    numbers[k++] = (double)estimate.friction_measured;
+    for (int i = 0; i < CONSTANT(ELEMENTS); i++) {
+        numbers[k++] = (double)estimate.deflection[i];
+    }
+    for (int i = 0; i < CONSTANT(PARAMETERS); i++) {
+        numbers[k++] = (double)estimate.parameter[i];
+    }
+    for (int i = 0; i < CONSTANT(PARAMETERS); i++) {
+        numbers[k++] = (double)estimate.deviation[i];
+    }
+    return estimate.status;
+}
+
+int probe_numbers(void)
+{
+    return 2 + CONSTANT(ELEMENTS) + 2 * CONSTANT(PARAMETERS);
+}
+
+/* Statuses by their names. */
+int probe_status(int which)
+{
+    const int values[] = {CONSTANT(OK),    CONSTANT(FILLING), CONSTANT(MISSING), CONSTANT(HOLD),   CONSTANT(BOUND),
+                          CONSTANT(SPEED), CONSTANT(OVERRUN), CONSTANT(EARLY),   CONSTANT(NUMERIC)};
+    return values[which];
+}
+
+const char *probe_status_text(int status)
+{
+    return CALL(status_text)(status);
+}

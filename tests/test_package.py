@@ -1,0 +1,579 @@
+"""Emitted packages as a firmware project takes them: bytes, compilers, linking, calls, and input that cannot be meant."""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from c_packages import PRECISIONS, PROBES, STRICT, Array, machine, pointer, run, scheme, symbols, written
+from reference_cases import linear_model
+from sgms_mhe.build import DEFAULT_FLAGS, shared_library
+from sgms_mhe.compiled import replay_definitions
+from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_mhe.errors import InputError
+from sgms_mhe.logs import Log
+from sgms_mhe.machine import Machine
+from sgms_mhe.paths import runtime_dir
+from sgms_mhe.simulation import AxisConfig, simulate_axis
+from sgms_mhe.trajectories import make_trajectory
+
+Tool = Callable[[str], str]
+
+# What changes the shape of the emitted code.
+VARIANTS: dict[str, dict[str, Any]] = {
+    "flow": {},
+    "rk4": {"sampling": scheme("rk4")},
+    "euler": {"sampling": scheme("euler")},
+    "linear": {"sampling": scheme("rk4", velocity="linear")},
+    "merged": {"sampling": scheme("flow", substeps=50)},
+    "ekf": {"estimator": {"kind": "ekf"}},
+    "ekf, no bounds": {"estimator": {"kind": "ekf", "parameters": ["coulomb", "viscous"], "bounds": {}}},
+    "one parameter": {"estimator": {"parameters": ["viscous"], "bounds": {}}},
+    "all parameters": {
+        "estimator": {
+            "parameters": ["stiffness", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity"],
+            "bounds": {},
+        }
+    },
+    "fixed, horizon 1": {"estimator": {"horizon": 1, "arrival_cost": {"update": "fixed"}}},
+    "horizon 2": {"estimator": {"horizon": 2}},
+    "ripple": {
+        "effects": [{"name": "force_ripple", "pitch_m": 0.032, "amplitude_N": 0.8, "phase_rad": 0.7}],
+        "estimator": {"parameters": ["stiffness", "force_ripple.amplitude_N"]},
+    },
+}
+
+
+@lru_cache(maxsize=64)
+def _package(changes: str) -> Package:
+    return emit_package(machine(**json.loads(changes)), selftest=False)
+
+
+def package_of(**changes: Any) -> Package:
+    """Package of etel_xy with changes, without self-test vectors; made once."""
+    return _package(json.dumps(changes, sort_keys=True))
+
+
+def definitions(name: str) -> list[str]:
+    return replay_definitions(name)
+
+
+# --- bytes -------------------------------------------------------------------------------------------------------
+
+
+def test_same_machine_same_bytes(tmp_path: Path) -> None:
+    """In this process twice, and in another with other hashes, another folder, another language."""
+    script = (
+        "import sys; from pathlib import Path; from sgms_mhe.machine import load_machine, override_machine\n"
+        "from sgms_mhe.emission.package import emit_package, write_package\n"
+        "for single in (False, True):\n"
+        "    m = override_machine(load_machine('etel_xy'), {'code': {'precision': 'single' if single else 'double'}})\n"
+        "    write_package(emit_package(m), Path(sys.argv[1]) / str(single))\n"
+    )
+    for name, seed, language in (("one", "1", "C"), ("two", "4711", "C.UTF-8")):
+        folder = tmp_path / name
+        folder.mkdir()
+        run_in = {**os.environ, "PYTHONHASHSEED": seed, "LANG": language, "LC_ALL": language, "TZ": f"X{seed[0]}"}
+        done = subprocess.run(
+            [sys.executable, "-c", script, str(folder)], cwd=folder, env=run_in, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+    for single in (False, True):
+        here = emit_package(machine(code={"precision": "single" if single else "double"})).files
+        again = emit_package(machine(code={"precision": "single" if single else "double"})).files
+        assert here == again
+        for name in ("one", "two"):
+            folder = tmp_path / name / str(single)
+            assert sorted(here) == sorted(p.name for p in folder.iterdir())
+            for file, text in here.items():
+                assert (folder / file).read_bytes() == text.encode(), f"{name}: {file}"
+
+
+def test_package_tells_where_it_comes_from_and_nothing_else(repo_root: Path) -> None:
+    package = emit_package(machine())
+    for file, text in package.files.items():
+        assert str(repo_root) not in text and "/home/" not in text and "/tmp/" not in text, file
+        assert not re.search(r"\b20\d\d-\d\d-\d\d\b", text), file
+        assert text.endswith("\n") and "\t" not in text and "\r" not in text, file
+        assert not re.search(r"[ ]+$", text, re.MULTILINE), f"{file}: trailing blanks"
+    assert package.machine.digest[:12] in package.files["etel_xy.c"].splitlines()[0]
+    assert machine(plant={"mass": 21.0}).digest != package.machine.digest
+
+
+def test_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
+    folder = tmp_path / "etel_xy"
+    write_package(package_of(), folder)
+    assert (folder / "etel_xy_flow.h").exists()
+    write_package(package_of(**VARIANTS["rk4"]), folder)
+    assert not (folder / "etel_xy_flow.h").exists()
+    assert [p.name for p in tmp_path.iterdir()] == ["etel_xy"]
+    (folder / "notes.md").write_text("mine")
+    with pytest.raises(InputError, match=r"notes\.md"):
+        write_package(package_of(), folder)
+    assert (folder / "notes.md").exists() and (folder / "etel_xy.c").exists()
+
+
+# --- compilers ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("level", ["-O0", "-O2", "-O3"])
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_no_warning(compiler: str, level: str, precision: str, require_tool: Tool, tmp_path: Path) -> None:
+    folder = written(package_of(code={"precision": precision}), tmp_path)
+    run([require_tool(compiler), *STRICT, level, "-c", folder / "etel_xy.c", "-o", tmp_path / "etel_xy.o"])
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("variant", list(VARIANTS))
+def test_no_warning_in_any_variant(variant: str, precision: str, require_tool: Tool, tmp_path: Path) -> None:
+    folder = written(package_of(**VARIANTS[variant], code={"precision": precision}), tmp_path)
+    run([require_tool("gcc"), *STRICT, "-O1", "-c", folder / "etel_xy.c", "-o", tmp_path / "etel_xy.o"])
+    run([require_tool("clang"), *STRICT, "-fsyntax-only", folder / "etel_xy.c"])
+
+
+def test_no_warning_where_states_are_coupled(require_tool: Tool, tmp_path: Path) -> None:
+    model = linear_model(bounds={"stiffness": [0.5, 2.0]})
+    folder = written(emit_package(model.machine, model, selftest=False), tmp_path)
+    for compiler in ("gcc", "clang"):
+        run([require_tool(compiler), *STRICT, "-O1", "-c", folder / "etel_xy.c", "-o", tmp_path / "etel_xy.o"])
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_helpers_of_the_host_without_a_warning(precision: str, require_tool: Tool, tmp_path: Path) -> None:
+    folder = written(package_of(code={"precision": precision}), tmp_path)
+    for source in ("replay.c", "predict.c"):
+        run(
+            [require_tool("gcc"), *STRICT, *definitions("etel_xy"), f"-I{folder}", "-c", runtime_dir() / source]
+            + ["-o", tmp_path / "host.o"]
+        )
+
+
+@pytest.mark.parametrize("kind", ["mhe", "ekf"])
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_harness_passes_the_vectors_of_its_package(
+    precision: str, kind: str, require_tool: Tool, tmp_path: Path
+) -> None:
+    folder = written(emit_package(machine(code={"precision": precision}, estimator={"kind": kind})), tmp_path)
+    own = [f'-DSGMS_CONFIG_HEADER="{folder.name}_config.h"', f'-DSGMS_SELFTEST_HEADER="{folder.name}_selftest.h"']
+    harness = tmp_path / "harness"
+    run(
+        [require_tool("gcc"), *STRICT, "-O1", *definitions("etel_xy"), *own, f"-I{folder}"]
+        + [folder / "etel_xy.c", runtime_dir() / "harness.c", "-o", harness, "-lm"]
+    )
+    assert "selftest passed" in run([harness, "--selftest"])
+    rows = run([harness, "--motion", "30"]).splitlines()
+    assert len(rows) == 31 and all(np.isfinite([float(f) for f in row.split(",")]).all() for row in rows[1:])
+    for bad in (["--motion", "0"], ["--log", "absent.csv"], ["--nonsense"], []):
+        assert subprocess.run([harness, *bad], capture_output=True, check=False).returncode == 2
+
+
+def test_runtime_of_another_version_is_refused(require_tool: Tool, tmp_path: Path) -> None:
+    folder = written(package_of(), tmp_path)
+    header = folder / "sgms_real.h"
+    text, count = re.subn(r"(#define SGMS_RUNTIME_VERSION) \d+", r"\1 999", header.read_text())
+    assert count == 1
+    header.write_text(text)
+    with pytest.raises(AssertionError, match="another version than this package: run sgms-mhe generate again"):
+        run([require_tool("gcc"), "-std=c99", "-fsyntax-only", folder / "etel_xy.c"])
+
+
+def test_runtime_without_a_precision_is_refused(require_tool: Tool, tmp_path: Path) -> None:
+    source = tmp_path / "bare.c"
+    source.write_text('#include "sgms_linalg.h"\n')
+    with pytest.raises(AssertionError, match="define SGMS_SINGLE"):
+        run([require_tool("gcc"), "-std=c99", "-fsyntax-only", f"-I{runtime_dir()}", source])
+
+
+# --- linking -----------------------------------------------------------------------------------------------------
+
+
+def objects(
+    compiler: str, folder: Path, target: Path, *flags: str, sources: Iterable[str] = ("etel_xy.c",)
+) -> list[Path]:
+    made = []
+    for source in sources:
+        made.append(target / f"{Path(source).stem}.o")
+        run([compiler, "-std=c99", *flags, f"-I{folder}", "-c", folder / source, "-o", made[-1]])
+    return made
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize(("compiler", "level"), [("gcc", "-O0"), ("gcc", "-O3"), ("clang", "-O2"), ("gcc", "-Os")])
+def test_freestanding(compiler: str, level: str, precision: str, require_tool: Tool, tmp_path: Path) -> None:
+    """Links without any library; the object needs memcpy and memset at most, has no data, exports its prefix alone."""
+    tool = require_tool(compiler)
+    folder = written(package_of(code={"precision": precision}), tmp_path)
+    free = ["-ffreestanding", "-fno-pie", "-fno-stack-protector", level]
+    (package,) = objects(tool, folder, tmp_path, *free)
+    found = symbols(package)
+    assert {name for kind, name in found if kind == "U"} <= {"memcpy", "memset"}
+    assert not [(kind, name) for kind, name in found if kind in "BbDdCcGgSs"], "writable globals"
+    exported = {name for kind, name in found if kind.isupper() and kind != "U"}
+    public = "init reset tick sample insert due prepare feedback estimate status_text"
+    assert exported == {f"etel_xy_{name}" for name in public.split()}
+    # The program brings its own two functions only where the compiler wants them.
+    (tmp_path / "memory.c").write_text(
+        "#include <stddef.h>\n"
+        "void *memcpy(void *to, const void *from, size_t n) { char *t = to; const char *f = from;"
+        " while (n--) *t++ = *f++; return to; }\n"
+        "void *memset(void *to, int value, size_t n) { char *t = to; while (n--) *t++ = (char)value; return to; }\n"
+    )
+    run(
+        [tool, "-std=c99", *free, *definitions("etel_xy"), "-fno-builtin", "-nostdlib", "-static", "-no-pie"]
+        + [f"-I{folder}", PROBES / "freestanding.c", tmp_path / "memory.c", package, "-o", tmp_path / "program"]
+    )
+
+
+@pytest.mark.needs_arm
+@pytest.mark.parametrize("variant", ["flow", "rk4", "ekf"])
+def test_single_precision_has_no_double_arithmetic(variant: str, require_tool: Tool, tmp_path: Path) -> None:
+    folder = written(package_of(**VARIANTS[variant], code={"precision": "single"}), tmp_path)
+    cpu = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-ffreestanding", "-O2"]
+    (package,) = objects(require_tool("arm-none-eabi-gcc"), folder, tmp_path, *cpu)
+    needed = {name for kind, name in symbols(package) if kind == "U"}
+    # The position is a 64-bit integer; nothing else needs help.
+    assert needed <= {"memcpy", "memset", "__aeabi_l2f"}
+    assert not [name for name in needed if "_d" in name or "2d" in name]
+
+
+@pytest.mark.parametrize("language", ["c", "c++"])
+def test_two_machines_in_one_program(language: str, require_tool: Tool, tmp_path: Path) -> None:
+    """Double and single side by side, one of them twice: the numbers they give alone. The program as C and as C++."""
+    other = {"name": "lower", "code": {"precision": "single"}, "estimator": {"horizon": 5, "kind": "mhe"}}
+    packages = [written(package_of(), tmp_path), written(package_of(**other), tmp_path)]
+    made = [
+        *objects(require_tool("gcc"), packages[0], tmp_path, "-O2"),
+        *objects(require_tool("gcc"), packages[1], tmp_path, "-O2", sources=("lower.c",)),
+    ]
+    tool = require_tool("g++" if language == "c++" else "gcc")
+    dialect = ["-std=c++11", "-Wpedantic"] if language == "c++" else ["-std=c99", "-pedantic"]
+    names = [
+        *("-DFIRST=etel_xy", '-DFIRST_HEADER="etel_xy.h"', "-DFIRST_METRE=1.0"),
+        *("-DSECOND=lower", '-DSECOND_HEADER="lower.h"', "-DSECOND_METRE=1e12"),
+    ]
+    program = tmp_path / "program"
+    run(
+        [tool, *dialect, "-Wall", "-Wextra", "-Werror", *names, *(f"-I{p}" for p in packages), "-x", language]
+        + [PROBES / "side_by_side.c", "-x", "none", *made, "-o", program, "-lm"]
+    )
+    lines = run([program]).splitlines()
+    assert lines[-1] == "0 lines differ"
+    friction = np.array([[float(v) for v in line.split()] for line in lines[:3]])
+    assert np.isfinite(friction).all() and len({row[1] for row in friction}) == 3
+
+
+# --- calls -------------------------------------------------------------------------------------------------------
+
+STATUSES = ("OK", "FILLING", "MISSING", "HOLD", "BOUND", "SPEED", "OVERRUN", "EARLY", "NUMERIC")
+
+
+class Axis:
+    """One estimator through its public C functions."""
+
+    def __init__(self, settings: Machine, folder: Path, flags: Iterable[str] = DEFAULT_FLAGS) -> None:
+        self.samples = settings.sampling.samples_per_update
+        package = written(emit_package(settings, selftest=False), folder)
+        name = settings.name
+        library = shared_library([package / f"{name}.c", PROBES / "estimator_probe.c"], [package], [*flags, *definitions(name)])
+        self.c = ctypes.CDLL(str(library))
+        number, memory = ctypes.c_double, ctypes.c_void_p
+        self.c.probe_size.restype = ctypes.c_size_t
+        self.c.probe_status_text.restype = ctypes.c_char_p
+        for function in (self.c.probe_tick, self.c.probe_sample):
+            function.restype, function.argtypes = number, [memory, number, number]
+        self.c.probe_insert.restype = number
+        self.status = dict(zip(STATUSES, (self.c.probe_status(k) for k in range(len(STATUSES))), strict=True))
+        self.numbers = int(self.c.probe_numbers())
+
+    def new(self) -> ctypes.Array[ctypes.c_char]:
+        memory = ctypes.create_string_buffer(self.c.probe_size())
+        self.c.probe_init(memory)
+        return memory
+
+    def estimate(self, memory: Any) -> tuple[Array, int]:
+        """(friction, measured, deflections, parameters, deviations), status."""
+        numbers = np.empty(self.numbers)
+        return numbers, int(self.c.probe_estimate(memory, pointer(numbers)))
+
+    def run(self, memory: Any, position: Array, force: Array) -> list[tuple[Array, int]]:
+        """Two tasks; the estimate after every update."""
+        found = []
+        for q, u in zip(position, force, strict=True):
+            self.c.probe_sample(memory, float(q), float(u))
+            if self.c.probe_due(memory):
+                returned = self.c.probe_feedback(memory)
+                self.c.probe_prepare(memory)
+                found.append(self.estimate(memory))
+                assert returned == found[-1][1]
+        return found
+
+
+@pytest.fixture(scope="module")
+def axis(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Axis]:
+    built: dict[str, Axis] = {}
+
+    def build(**changes: Any) -> Axis:
+        key = repr(changes)
+        if key not in built:
+            built[key] = Axis(machine(**changes), tmp_path_factory.mktemp("axis"))
+        return built[key]
+
+    return build
+
+
+@lru_cache(maxsize=2)
+def log_of(trajectory: str = "paper", duration_s: float = 0.8) -> Log:
+    return simulate_axis(
+        machine(),
+        make_trajectory(trajectory, 1e4, duration_s=duration_s),
+        AxisConfig(seed=3),
+        scale={"stiffness": [1.2, 0.8, 1.1, 0.97]},
+        truth=False,
+    ).log
+
+
+def same(a: list[tuple[Array, int]], b: list[tuple[Array, int]]) -> bool:
+    return len(a) == len(b) and all(s == t and np.array_equal(x, y) for (x, s), (y, t) in zip(a, b, strict=True))
+
+
+def test_tick_and_tasks_give_the_same(axis: Any) -> None:
+    estimator: Axis = axis()
+    log = log_of()
+    tasks = estimator.run(estimator.new(), log.position_m, log.force_N)
+    memory, ticked = estimator.new(), []
+    last = estimator.estimate(memory)
+    for k, (q, u) in enumerate(zip(log.position_m, log.force_N, strict=True)):
+        back = estimator.c.probe_tick(memory, float(q), float(u))
+        assert np.isfinite(back)
+        if k > 0 and k % estimator.samples == 0:
+            ticked.append(estimator.estimate(memory))
+        elif k > 1:
+            assert same([estimator.estimate(memory)], [ticked[-1] if ticked else last]), "changed between updates"
+    assert same(ticked, tasks)
+
+
+def test_init_relies_on_nothing_and_instances_on_nothing_of_each_other(axis: Any) -> None:
+    estimator: Axis = axis()
+    log, other = log_of(), log_of("mixed", 0.8)
+    alone = [estimator.run(estimator.new(), x.position_m, x.force_N) for x in (log, other)]
+    memories: list[Any] = [estimator.new(), estimator.new()]
+    found: list[list[tuple[Array, int]]] = [[], []]
+    for k in range(min(len(log.time_s), len(other.time_s))):
+        for i, x in enumerate((log, other)):
+            found[i] += estimator.run(memories[i], x.position_m[k : k + 1], x.force_N[k : k + 1])
+    for i in range(2):
+        assert same(found[i], alone[i][: len(found[i])])
+
+
+def test_memory_may_be_moved(axis: Any) -> None:
+    """The struct holds no pointer into itself: a copy goes on as the original does."""
+    estimator: Axis = axis()
+    log = log_of()
+    memory, half = estimator.new(), 4321
+    estimator.run(memory, log.position_m[:half], log.force_N[:half])
+    copy = ctypes.create_string_buffer(memory.raw, len(memory))
+    rest = [estimator.run(m, log.position_m[half:], log.force_N[half:]) for m in (memory, copy)]
+    assert same(*rest)
+
+
+def test_estimate_before_the_first_update_is_nominal(axis: Any) -> None:
+    estimator: Axis = axis()
+    numbers, status = estimator.estimate(estimator.new())
+    assert status == estimator.status["FILLING"]
+    nominal = np.array([120e3, 25e3, 7.1e3, 7.9e3])
+    np.testing.assert_array_equal(numbers[:6], 0.0)
+    np.testing.assert_allclose(numbers[6:10], nominal)
+    np.testing.assert_allclose(numbers[10:], 0.3 * nominal)
+
+
+def test_feedback_before_its_time_is_refused(axis: Any) -> None:
+    estimator: Axis = axis()
+    log = log_of()
+    memory, clean = estimator.new(), estimator.new()
+    assert estimator.c.probe_feedback(memory) == estimator.status["EARLY"]
+    found = []
+    for k, (q, u) in enumerate(zip(log.position_m[:3001], log.force_N[:3001], strict=True)):
+        estimator.c.probe_sample(memory, float(q), float(u))
+        assert bool(estimator.c.probe_due(memory)) == (k > 0 and k % 100 == 0)
+        if not estimator.c.probe_due(memory):
+            before = estimator.estimate(memory)
+            if k % 37 == 0:
+                assert estimator.c.probe_feedback(memory) == estimator.status["EARLY"]
+                assert same([estimator.estimate(memory)], [before])
+            if k % 11 == 0:
+                estimator.c.probe_prepare(memory)  # early, late and often: nothing but the work that is due
+        else:
+            estimator.c.probe_feedback(memory)
+            found.append(estimator.estimate(memory))
+    assert same(found, estimator.run(clean, log.position_m[:3001], log.force_N[:3001]))
+
+
+def test_late_feedback_says_that_samples_were_lost(axis: Any) -> None:
+    estimator: Axis = axis()
+    log, memory = log_of(), None
+    memory = estimator.new()
+    estimator.run(memory, log.position_m[:4001], log.force_N[:4001])
+    for k in range(4001, 4101 + 30):  # the interval is complete at 4100; 30 samples come before anybody asks
+        back = estimator.c.probe_sample(memory, float(log.position_m[k]), float(log.force_N[k]))
+        assert np.isfinite(back)
+    status = estimator.c.probe_feedback(memory)
+    assert status & estimator.status["OVERRUN"]
+    late = estimator.run(memory, log.position_m[4131:7000], log.force_N[4131:7000])
+    assert not any(s & estimator.status["OVERRUN"] for _, s in late)
+    assert all(np.isfinite(x).all() for x, _ in late)
+    clean = estimator.run(estimator.new(), log.position_m, log.force_N)
+    assert abs(late[-1][0][0] - clean[-1][0][0]) < 2.0
+
+
+def test_reset_keeps_what_was_learned(axis: Any) -> None:
+    estimator: Axis = axis()
+    log = log_of()
+    memory = estimator.new()
+    learned = estimator.run(memory, log.position_m, log.force_N)[-1]
+    estimator.c.probe_reset(memory)
+    numbers, status = estimator.estimate(memory)
+    assert status == estimator.status["FILLING"]
+    np.testing.assert_array_equal(numbers[6:10], learned[0][6:10])
+    again = estimator.run(memory, log.position_m, log.force_N)
+    fresh = estimator.run(estimator.new(), log.position_m, log.force_N)
+    assert [bool(s & estimator.status["FILLING"]) for _, s in again] == [
+        bool(s & estimator.status["FILLING"]) for _, s in fresh
+    ]
+    # The prior starts at what was learned, with the prior's own spread.
+    np.testing.assert_allclose(again[0][0][6:10], learned[0][6:10], rtol=0.2)
+    assert not np.allclose(again[0][0][6:10], fresh[0][0][6:10])
+    # A reset with nothing learned is an init.
+    idle = estimator.new()
+    estimator.c.probe_reset(idle)
+    assert same(estimator.run(idle, log.position_m, log.force_N), fresh)
+
+
+def test_controller_with_a_signal_chain_of_its_own(axis: Any) -> None:
+    estimator: Axis = axis()
+    memory = estimator.new()
+    statuses = []
+    for k in range(601):
+        v = 1e-3 * np.sin(0.01 * k)
+        signals = np.array([0.0, v, 0.0, 4.0, 4.0 * np.tanh(v / 1e-4)])
+        if k == 250:
+            signals[1] = np.nan
+        if k in (400, 500):
+            signals[4] = np.nan if k == 400 else 3.0
+        valid = int(k != 500)
+        assert np.isfinite(estimator.c.probe_insert(memory, pointer(signals), valid))
+        if estimator.c.probe_due(memory):
+            statuses.append(int(estimator.c.probe_feedback(memory)))
+    missing = [bool(s & estimator.status["MISSING"]) for s in statuses]
+    assert missing == [False, False, False, True, True, False]
+
+
+def test_status_texts(axis: Any) -> None:
+    estimator: Axis = axis()
+    texts = {name: estimator.c.probe_status_text(code).decode() for name, code in estimator.status.items()}
+    assert len(set(texts.values())) == len(STATUSES)
+    assert texts["OK"] == "good"
+    for name, word in (
+        ("FILLING", "filling"),
+        ("MISSING", "left out"),
+        ("HOLD", "hold"),
+        ("BOUND", "bound"),
+        ("SPEED", "max_velocity"),
+        ("OVERRUN", "lost"),
+        ("EARLY", "not complete"),
+        ("NUMERIC", "not finite"),
+    ):
+        assert word in texts[name]
+    # Sums say their gravest part, and every number has a text.
+    assert estimator.c.probe_status_text(1 + 4).decode() == texts["HOLD"]
+    assert estimator.c.probe_status_text(2 + 8 + 16).decode() == texts["SPEED"]
+    for flags in itertools.chain(range(-5, 64), (-(2**31), 2**31 - 1)):
+        assert estimator.c.probe_status_text(flags)
+
+
+# --- input that cannot be meant ----------------------------------------------------------------------------------
+
+HOSTILE = (np.nan, np.inf, -np.inf, 1e300, -1e300, 1e20, 3.4e38)
+
+
+def hostile_log(seed: int) -> tuple[Array, Array, int]:
+    """Closed-loop log with a bad stretch: single values, runs, both channels; ends at the sample returned."""
+    rng = np.random.default_rng(seed)
+    log = log_of("paper", 1.6)
+    q, u = log.position_m.copy(), log.force_N.copy()
+    for channel in (q, u):
+        for _ in range(12):
+            first = int(rng.integers(2500, 6000))
+            channel[first : first + int(rng.choice([1, 3, 100, 260]))] = rng.choice(HOSTILE)
+    return q, u, 6260
+
+
+@pytest.mark.parametrize("kind", ["mhe", "ekf"])
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_hostile_samples_never_reach_the_estimate(precision: str, kind: str, axis: Any) -> None:
+    estimator: Axis = axis(code={"precision": precision}, estimator={"kind": kind})
+    log = log_of("paper", 1.6)
+    clean = estimator.run(estimator.new(), log.position_m, log.force_N)
+    for seed in range(6):
+        q, u, end = hostile_log(seed)
+        memory, last = estimator.new(), None
+        found = []
+        for k in range(len(q)):
+            assert np.isfinite(estimator.c.probe_sample(memory, float(q[k]), float(u[k]))), f"seed {seed} sample {k}"
+            if estimator.c.probe_due(memory):
+                status = estimator.c.probe_feedback(memory)
+                numbers, _ = estimator.estimate(memory)
+                assert np.isfinite(numbers).all(), f"seed {seed} sample {k}"
+                if status < 0 and last is not None:
+                    np.testing.assert_array_equal(numbers, last)  # the last good estimate is kept
+                last = numbers
+                found.append((numbers, status))
+        # A second after the last bad sample the friction is what it would have been.
+        for (numbers, status), (expected, _) in list(zip(found, clean, strict=True))[-20:]:
+            assert status >= 0
+            assert abs(numbers[0] - expected[0]) < 0.5, f"seed {seed}: {numbers[0]} instead of {expected[0]}"
+        assert end < len(q) - 8000
+
+
+@pytest.mark.parametrize("kind", ["mhe", "ekf"])
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_sanitizers_find_nothing(precision: str, kind: str, require_tool: Tool, tmp_path: Path) -> None:
+    """ASan and UBSan over the hostile logs, one task and two; the program prints every estimate."""
+    folder = written(package_of(code={"precision": precision}, estimator={"kind": kind}), tmp_path)
+    source = tmp_path / "main.c"
+    source.write_text(
+        "#include <stdio.h>\n#include <stdlib.h>\n#include <stddef.h>\n"
+        "size_t probe_size(void); void probe_init(void *); double probe_tick(void *, double, double);\n"
+        "double probe_sample(void *, double, double); int probe_due(const void *); int probe_feedback(void *);\n"
+        "void probe_prepare(void *); void probe_reset(void *); int probe_estimate(const void *, double *);\n"
+        "int main(int argc, char **argv) { (void)argc; FILE *f = fopen(argv[1], \"rb\"); double x[2], e[64]; long k = 0;\n"
+        "  void *a = malloc(probe_size()), *b = malloc(probe_size()); probe_init(a); probe_init(b);\n"
+        "  while (fread(x, sizeof x, 1, f) == 1) { probe_tick(a, x[0], x[1]); probe_sample(b, x[0], x[1]);\n"
+        "    if (probe_due(b)) { probe_feedback(b); probe_prepare(b); probe_estimate(b, e); }\n"
+        "    if (++k == 9000) { probe_reset(a); probe_reset(b); } }\n"
+        "  probe_estimate(a, e); printf(\"%ld %g\\n\", k, e[0]); fclose(f); free(a); free(b); return 0; }\n"
+    )
+    program = tmp_path / "program"
+    checks = "-fsanitize=address,undefined,float-cast-overflow,float-divide-by-zero"
+    run(
+        [require_tool("gcc"), "-std=c99", "-O1", "-g", checks.replace(",float-divide-by-zero", ""), "-fno-sanitize-recover=all"]
+        + [*definitions("etel_xy"), f"-I{folder}", source, PROBES / "estimator_probe.c", folder / "etel_xy.c", "-o", program]
+    )
+    for seed in range(2):
+        q, u, _ = hostile_log(seed)
+        samples = tmp_path / "samples.bin"
+        np.column_stack([q, u]).tofile(samples)
+        count, friction = run([program, samples]).split()
+        assert int(count) == len(q) and np.isfinite(float(friction))
