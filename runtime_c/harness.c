@@ -62,7 +62,7 @@ static void fail(const char *subject, const char *text)
 static machine_position to_position(double metres)
 {
 #if SGMS_SINGLE
-    return isfinite(metres) ? (machine_position)(metres * 1e12 + (metres < 0.0 ? -0.5 : 0.5)) : INT64_MAX;
+    return fabs(metres) < 4e6 ? (machine_position)(metres * 1e12 + (metres < 0.0 ? -0.5 : 0.5)) : INT64_MAX;
 #else
     return metres;
 #endif

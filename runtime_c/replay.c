@@ -31,7 +31,7 @@ static machine_position to_position(double metres)
     if (half > (machine_position)0) {
         return (machine_position)metres;
     }
-    return isfinite(metres) ? (machine_position)(metres * 1e12 + (metres < 0.0 ? -0.5 : 0.5)) : (machine_position)INT64_MAX;
+    return fabs(metres) < 4e6 ? (machine_position)(metres * 1e12 + (metres < 0.0 ? -0.5 : 0.5)) : (machine_position)INT64_MAX;
 }
 
 size_t sgms_replay_memory(void)

@@ -28,6 +28,15 @@ static inline void sgms_lowpass_rest(const sgms_lowpass *filter, sgms_real *stat
     state[0] = (SGMS_R(1.0) - filter->b0) * input;
 }
 
+/* A reading at or beyond these is no reading, whatever its bits say: it counts as missing, as NaN does. */
+#define SGMS_FARTHEST SGMS_R(4e6)       /* m */
+#define SGMS_LARGEST_SIGNAL SGMS_R(1e9) /* N, m/s, m/s^2 */
+
+static inline int sgms_is_reading(sgms_real x)
+{
+    return sgms_fabs(x) < SGMS_LARGEST_SIGNAL; /* false for NaN */
+}
+
 #if SGMS_SINGLE
 typedef int64_t sgms_position; /* pm */
 #define SGMS_METRES(p) ((sgms_real)(p) * SGMS_R(1e-12))
@@ -40,7 +49,7 @@ typedef double sgms_position; /* m */
 #define SGMS_METRES(p) (p)
 static inline int sgms_position_is_good(sgms_position p)
 {
-    return p - p == 0.0;
+    return sgms_fabs(p) < SGMS_FARTHEST;
 }
 #endif
 
@@ -70,7 +79,7 @@ static inline sgms_aligned sgms_filter_step(
     sgms_real force)
 {
     const int position_good = sgms_position_is_good(position);
-    const int force_good = sgms_is_finite(force);
+    const int force_good = sgms_is_reading(force);
     sgms_real *const f = m->lowpass;
     sgms_aligned out;
     sgms_position difference = m->position[1];

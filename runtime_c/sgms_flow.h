@@ -46,7 +46,7 @@ static inline sgms_flow_move sgms_flow_step(const sgms_flow_table *table, sgms_r
     sgms_flow_move move = {.r = r0 + xi, .ratio = SGMS_R(1.0), .slope = SGMS_R(1.0)};
     sgms_real t, s, decay, d_psi, d_r, half;
     int j;
-    if (move.r <= table->start) { /* elastic all the way */
+    if (!(move.r > table->start)) { /* elastic all the way, or not a number */
         return move;
     }
     if (r0 < table->start) {

@@ -217,13 +217,12 @@ static inline sgms_real sgms_sqrt(sgms_real x)
 /* sin(x + quadrant pi/2), argument reduced by multiples of pi/2 in three parts. */
 static inline sgms_real sgms_sine(sgms_real x, int quadrant)
 {
-    const sgms_real turns = x * SGMS_R(0.63661977236758134308);
-    const sgms_real n = (turns + SGMS_ROUND_MAGIC) - SGMS_ROUND_MAGIC;
+    const sgms_real shifted = x * SGMS_R(0.63661977236758134308) + SGMS_ROUND_MAGIC;
+    const sgms_real n = shifted - SGMS_ROUND_MAGIC;
+    const int q = (int)(sgms_bits(shifted) & 3) + quadrant; /* the low bits of `shifted` hold n */
     sgms_real f, f2, p;
-    int q;
 #if SGMS_SINGLE
     f = ((x - n * 1.5703125f) - n * 4.837512969970703e-4f) - n * 7.549789954891895e-8f;
-    q = (int)n + quadrant;
     f2 = f * f;
     if (q & 1) {
         p = 1.0f + f2 * (-0.5f + f2 * (4.166664568298827e-2f + f2 * (-1.388731625493765e-3f + f2 * 2.443315711809948e-5f)));
@@ -232,7 +231,6 @@ static inline sgms_real sgms_sine(sgms_real x, int quadrant)
     }
 #else
     f = ((x - n * 1.57079632673412561417) - n * 6.07710050630396597660e-11) - n * 2.02226624879595063154e-21;
-    q = (int)n + quadrant;
     f2 = f * f;
     if (q & 1) {
         p = 1.0 +

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -139,9 +140,52 @@ def search(
             proposal = _search_grid(name, motion, recording, free, e)
         else:
             proposal = _search_compiled(name, workshop, fit, motion, free, e)
+        if proposal is not None and name in _EXACT:
+            proposal = _exact(proposal, workshop, fit, free, e)
         if proposal is not None:
             found.append(proposal)
     return found
+
+
+_EXACT: Final[Mapping[str, str]] = {
+    "asymmetric_coulomb": "ratio",
+    "dwell_dependence": "ratio",
+    "micro_viscous": "damping_N_s_m",
+}
+"""Effects whose force is proportional to a size, but whose columns are rough where elements stick."""
+
+
+def _exact(proposal: Proposal, workshop: Workshop, fit: Fit, free: Nuisance, e: Array) -> Proposal:
+    """The proposal with its column from the compiled model's derivative at size zero."""
+    recording, size = workshop.recording, _EXACT[proposal.name]
+    extras = (*fit.extras, Extra(proposal.name, {**proposal.parameters, size: 0.0}))
+    model = workshop.model(extras)
+    theta = workshop.start(model, extras, fit)
+    _, slopes = model.run(recording, theta)
+    group = f"+{len(fit.extras)}"
+    index = next(i for i, c in enumerate(model.columns) if c.group == group and c.name == size)
+    if slopes is None:
+        return proposal
+    Z = free.project(slopes[recording.used][:, [index]] / model.columns[index].scale)
+    return _proposal(
+        proposal.name,
+        recording,
+        Z,
+        e,
+        proposal.tests,
+        lambda found: {**proposal.parameters, size: float(found[0])},
+    )
+
+
+def degenerate(name: str, parameters: Mapping[str, float], motion: Motion) -> bool:
+    """Whether an effect's parameters make it another, simpler one over this motion."""
+    if name == "hose_hysteresis":  # a spring
+        return parameters["force_N"] > 0.7 * motion.travel * abs(parameters["stiffness_N_m"])
+    if name == "eddy_current_damping":  # viscous friction
+        return parameters["corner_velocity_m_s"] > 2.0 * motion.speed
+    if name in ("friction_drift", "viscous_drift"):  # a wrong level
+        return parameters["time_constant_s"] < 0.01 * motion.duration
+    return False
 
 
 def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> Values:
@@ -149,7 +193,7 @@ def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> Values:
     motion = motion_of(recording, fit)
     e = free.project(fit.residual[recording.used])
     speed = np.abs(motion.velocity[motion.used])
-    best = 0.0, {}
+    best: tuple[float, Values] = (0.0, {})
     for velocity in np.geomspace(3e-4, 0.7, 12) * motion.speed:
         Z = free.project((motion.level[motion.used] * np.exp(-((speed / velocity) ** 2)))[:, None])
         size = float((Z.T @ e)[0] / max(1e-300, (Z.T @ Z)[0, 0]))
@@ -279,6 +323,8 @@ _COLUMNS: Final[Mapping[str, _Linear]] = {
         tests=3.0,
     ),
     "structural_resonance": _Linear(lambda m, p: _hanging(m, p)[:, None], _one("mass_kg"), _resonances, tests=40.0),
+    # Both are replaced by the compiled derivative.
+    "micro_viscous": _Linear(lambda m, _: np.gradient(m.level)[:, None] * m.rate, _one("damping_N_s_m")),
     "dwell_dependence": _Linear(
         lambda m, p: (m.level * _age(m, p))[:, None],
         _one("ratio"),
@@ -415,7 +461,7 @@ def _search_harmonic(name: str, motion: Motion, recording: Recording, free: Nuis
         bands = [(lowest_frequency(recording), 0.45 * motion.rate)]
     else:
         edges = 1.0 / longest_pitch(recording) * 2.0 ** np.arange(0, math.ceil(math.log2(FINEST_PITCH)) + 1)
-        bands = list(zip(edges[:-1], edges[1:], strict=True))
+        bands = [(float(low), float(high)) for low, high in pairwise(edges)]
     best: tuple[float, float, Array] | None = None
     tests = 0.0
     limit = min(PITCH_BAND * motion.rate, 0.7 * recording.machine.sampling.velocity_cutoff)
@@ -508,7 +554,6 @@ def _harmonic_energies(
 _TRIALS: Final[Mapping[str, Callable[[Motion], list[Values]]]] = {
     "backlash": lambda m: [{"gap_m": float(x)} for x in (1e-6, 3e-6, 1e-5, 3e-5, 1e-4) if x < 0.3 * m.travel],
     "frictional_lag": lambda m: [{"time_constant_s": x} for x in (1e-3, 4e-3, 16e-3, 64e-3)],
-    "micro_viscous": lambda m: [{"damping_N_s_m": 10.0}],
 }
 
 
@@ -531,14 +576,13 @@ def _search_compiled(
         if energy > 0.0:
             # The trial's own size is the right one where its coefficient is 1.
             size = float((Z.T @ e)[0] / (Z.T @ Z)[0, 0])
-            if name != "micro_viscous":
-                energy *= 1.0 / (1.0 + math.log(max(size, 1e-9)) ** 2)
+            energy *= 1.0 / (1.0 + math.log(max(size, 1e-9)) ** 2)
         if best is None or energy > best[0]:
             best = energy, values, Z
     if best is None or best[0] <= 0.0:
         return None
     key = next(iter(best[1]))
-    power = 1.0 if name == "micro_viscous" else 0.5
+    power = 0.5
 
     def parameters(size: Array) -> Values:
         factor = float(size[0])

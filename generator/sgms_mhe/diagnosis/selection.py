@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.candidates import Proposal, search, stribeck_start
+from sgms_mhe.diagnosis.candidates import Proposal, degenerate, motion_of, search, stribeck_start
 from sgms_mhe.diagnosis.evidence import difference_statistic, gain_force, nuisance, score_test
 from sgms_mhe.diagnosis.fitting import BASE_GROUPS, Extra, Fit, Workshop, cross_loss
 from sgms_mhe.diagnosis.result import Score
@@ -27,7 +27,7 @@ CLOSE: Final = 0.55  # a candidate with less than this share of the best linear 
 SHARPER: Final = 0.97  # RMS by which the sharp transition must fit better to be taken
 RIVAL_SHARE: Final = 0.30  # RMS by which a rival may fit worse, over what the cause explains
 RIVAL_T: Final = 2.5
-COSTLY: Final = ("backlash", "frictional_lag", "micro_viscous")
+COSTLY: Final = ("backlash", "frictional_lag")
 """Effects whose search runs models; put in a cause's place only if they ever showed."""
 REPEATABLE: Final = ("force_ripple", "periodic_disturbance")
 
@@ -185,7 +185,11 @@ class Selector:
     def _choose(self, current: Fit, fits: dict[str, Fit]) -> str | None:
         """The candidate to add: the best by cross-validation; among equals the one that leaves the other numbers alone."""
         gains = {name: gain_force(current.cross, fit.cross, fit.rows) for name, fit in fits.items()}
-        gains = {name: gain for name, gain in gains.items() if gain > self.material}
+        gains = {
+            name: gain
+            for name, gain in gains.items()
+            if gain > self.material and not self._degenerate(fits[name], name)
+        }
         if not gains:
             return None
         best = max(gains, key=lambda name: gains[name])
@@ -200,6 +204,12 @@ class Selector:
             return best
         plain = {name: self.workshop.fit(fits[name].extras, base=(), warm=None) for name in equal}
         return min(plain, key=lambda name: float(plain[name].cross.sum()))
+
+    def _degenerate(self, fit: Fit, name: str) -> bool:
+        """Whether the effect that was added last has turned into a simpler one."""
+        if not fit.extras or fit.extras[-1].name != name:
+            return False
+        return degenerate(name, fit.extras[-1].parameters, motion_of(self.workshop.recording, fit))
 
     def _linear_gain(self, current: Fit, proposal: Proposal) -> float:
         """RMS of the force that a proposal explains by cross-validation, to first order."""
@@ -302,7 +312,7 @@ class Selector:
             kept = _distinct(trials)[:REFITS]
             for gain, proposal in trials:
                 name = proposal.name
-                if not any(proposal is k for k in kept) or gain < 0.75 * own_gain:
+                if not any(proposal is k for k in kept) or gain < 0.7 * own_gain:
                     rejected.setdefault(name, (cause, math.sqrt(max(0.0, own_gain**2 - max(gain, 0.0) ** 2))))
                     continue
                 self.report(f"comparing {cause} with {name}")
@@ -316,6 +326,9 @@ class Selector:
                 simpler = fit.numbers - trial.numbers
                 better = statistic < -RIVAL_T and excess < -0.2 * self.material
                 equal = excess < 0.2 * self.material or statistic < RIVAL_T
+                if self._degenerate(trial, name):
+                    rejected[name] = (cause, max(0.0, excess))
+                    continue
                 if better or (simpler > 0 and equal and excess < 0.5 * self.material):
                     return trial, [], {}
                 if simpler < 0 and (excess > -0.2 * self.material or statistic > -RIVAL_T):
