@@ -75,18 +75,19 @@ def pointer(array: NDArray[Any]) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
-def run(command: Sequence[str | Path], cwd: Path | None = None) -> str:
-    """Run a command; its whole output is the failure's message."""
-    done = subprocess.run([str(word) for word in command], cwd=cwd, capture_output=True, text=True, check=False)
+def run(*words: Any) -> str:
+    """Run a command, given in words (text, paths) and lists of words; its whole output is the failure's message."""
+    command = [str(w) for word in words for w in ([word] if isinstance(word, str | Path) else word)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise AssertionError(f"{' '.join(map(str, command))}\nexit code {done.returncode}\n{done.stdout}{done.stderr}")
+        raise AssertionError(f"{' '.join(command)}\nexit code {done.returncode}\n{done.stdout}{done.stderr}")
     return done.stdout
 
 
 def symbols(path: Path, *arguments: str) -> list[tuple[str, str]]:
     """(type, name) of the symbols of an object, by nm."""
     nm = shutil.which("nm") or "nm"
-    rows = [line.split() for line in run([nm, *arguments, path]).splitlines()]
+    rows = [line.split() for line in run(nm, arguments, path).splitlines()]
     return [(row[-2], row[-1]) for row in rows if len(row) >= 2]
 
 

@@ -1,4 +1,4 @@
-"""Emitted C against the reference solver over simulated closed-loop logs: same log, two implementations of DESIGN.md."""
+"""Emitted C against the reference solver over simulated closed-loop logs: two implementations of DESIGN.md."""
 
 from __future__ import annotations
 
@@ -207,7 +207,7 @@ def test_single_precision_at_all_speeds_through_its_own_chain() -> None:
     log = closed_loop(4, "mixed", 2.6)
     reference = estimate_reference(settings, signals_from_log(log, settings))
     for mode in ("tasks", "tick"):
-        c = compiled(settings).estimate_log(log, mode=mode)  # type: ignore[arg-type]
+        c = compiled(settings).estimate_log(log, mode=mode)
         compare_single(c, reference, settings.estimator.noise.parameter)
 
 
@@ -224,7 +224,7 @@ def test_raw_samples_and_one_task_give_the_same(changes: Mapping[str, Any]) -> N
     log = closed_loop(4, "paper", 1.2)
     estimator = compiled(settings)
     reference = estimate_reference(settings, signals_from_log(log, settings))
-    tasks, tick = (estimator.estimate_log(log, mode=m) for m in ("tasks", "tick"))  # type: ignore[arg-type]
+    tasks, tick = (estimator.estimate_log(log, mode=m) for m in ("tasks", "tick"))
     for name in ("friction_N", "friction_measured_N", "z_m", "parameters", "std", "status"):
         np.testing.assert_array_equal(getattr(tick, name), getattr(tasks, name), err_msg=name)
     # The two chains round differently, nothing more.
@@ -268,14 +268,16 @@ def linear_signals(updates: int = 40) -> Signals:
 def kalman_filter(model: Model, signals: Signals, *, first: int) -> tuple[Array, Array, Array]:
     """Mean of (x, theta), standard deviations of theta and friction at every update, by the textbook's equations.
 
-    The right side is linear in (chi, theta, 1) at a given velocity, so RK4 over one sample is the first five terms of the
-    exponential series of its matrix. `first`: node of the first measurement that is used.
+    The right side is linear in (chi, theta, 1) at a given velocity, so RK4 over one sample is the first five terms of
+    the exponential series of its matrix. `first`: node of the first measurement that is used.
     """
     noise = model.machine.estimator.noise
     n_x, n_p = model.n_x, model.n_p
     n, h, samples = n_x + n_p, model.machine.sampling.step, model.machine.sampling.samples_per_update
     rhs, output = model.function("rhs"), model.function("output")
-    to_node = np.diag([float(np.array(model.function("to_node")(np.eye(n_x)[i], np.ones(n_p)))[i, 0]) for i in range(n_x)])
+    to_node = np.diag(
+        [float(np.array(model.function("to_node")(np.eye(n_x)[i], np.ones(n_p)))[i, 0]) for i in range(n_x)]
+    )
     to_all = np.eye(n + 1)
     to_all[:n_x, :n_x] = to_node
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -148,8 +148,8 @@ def test_sensitivities_are_differences(case: str, kernel: Any) -> None:
     # Weights of the symmetric differences f(+k h) - f(-k h).
     weights = {1: 45.0, 2: -9.0, 3: 1.0}
 
-    def slope(move: Any) -> Array:
-        return sum(c * (move(k * h) - move(-k * h)) for k, c in weights.items()) / (60.0 * h)
+    def slope(move: Callable[[float], Array]) -> Any:
+        return np.sum([c * (move(k * h) - move(-k * h)) for k, c in weights.items()], axis=0) / (60.0 * h)
 
     for j in range(model.n_x):
         by_x = slope(lambda e, j=j: compiled.run(w, x + e * np.eye(model.n_x)[j], theta)[0])
@@ -250,7 +250,9 @@ XI = np.concatenate([[0.0, 1e-9, 1e-4], np.geomspace(1e-3, 50.0, 40)])
 @lru_cache(maxsize=4)
 def flow_probe(precision: str, zeta: float, lambda_: float, folder: Path) -> ctypes.CDLL:
     settings = machine(
-        code={"precision": precision}, friction={"smoothing": {"zeta": zeta, "lambda": lambda_}}, sampling=scheme("flow")
+        code={"precision": precision},
+        friction={"smoothing": {"zeta": zeta, "lambda": lambda_}},
+        sampling=scheme("flow"),
     )
     package = written(emit_package(settings, selftest=False), folder)
     library = compile_probe("flow_probe.c", package, definitions=[f'-DSGMS_FLOW_HEADER="{settings.name}_flow.h"'])
@@ -278,8 +280,8 @@ def flow_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_flow_is_the_solution_of_its_equation(precision: str, zeta: float, lambda_: float, flow_folder: Path) -> None:
     library = flow_probe(precision, zeta, lambda_, flow_folder)
-    # As far as DOP853 goes; see the next test for the digits behind. The derivative of a polynomial is less exact than its
-    # value, most where the polynomial is shortest, about r*.
+    # As far as DOP853 goes; see the next test for the digits behind. The derivative of a polynomial is less exact than
+    # its value, most where the polynomial is shortest, about r*.
     atol, slope_atol = {"double": (1e-12, 5e-10), "single": (2e-6, 5e-5)}[precision]
     for r0, (r1, ratio) in exact_flow(zeta, lambda_).items():
         got = flow_step(library, np.full(len(XI), r0), XI)

@@ -7,7 +7,7 @@ force - mass * acceleration carries no transient that is not friction.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -25,6 +25,11 @@ Mask = NDArray[np.bool_]
 
 SETTLE_TOLERANCE = 0.01
 """The chain has settled when the step response of both low-passes stays within this fraction."""
+
+
+FARTHEST_m = 4e6
+LARGEST_SIGNAL = 1e9
+"""A position, or any other channel [N, m/s, m/s^2], at or beyond these is no reading: it counts as missing."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,7 @@ def signals_from_log(log: Log, machine: Machine) -> Signals:
     sampling = machine.sampling
     check_rate(log, machine)
     rate, settle = sampling.rate, settle_samples(machine)
+    log = _readings(log)
     given = (log.position_m, log.force_N, log.velocity_m_s, log.acceleration_m_s2, log.friction_N)
     missing = ~np.logical_and.reduce([np.isfinite(channel) for channel in given if channel is not None])
     force = _hold(log.force_N)
@@ -105,6 +111,18 @@ def lowpass_coefficients(machine: Machine) -> tuple[float, float, float, float, 
 def settle_samples(machine: Machine) -> int:
     """Samples until the step response of two low-passes in series stays within 1 % of its final value."""
     return _settle(machine.sampling.velocity_cutoff / machine.sampling.rate)
+
+
+def _readings(log: Log) -> Log:
+    """The log with NaN for whatever is no reading."""
+    limits = {"position_m": FARTHEST_m}
+    limits |= dict.fromkeys(("force_N", "velocity_m_s", "acceleration_m_s2", "friction_N"), LARGEST_SIGNAL)
+    spoilt: dict[str, Array] = {}
+    for name, limit in limits.items():
+        channel = getattr(log, name)
+        if channel is not None and np.any(np.abs(channel) >= limit):
+            spoilt[name] = np.where(np.abs(channel) < limit, channel, np.nan)
+    return replace(log, **spoilt) if spoilt else log
 
 
 def _coefficients(cutoff: float) -> tuple[float, float, float, float, float]:

@@ -1,7 +1,8 @@
 """The search: for every effect of the catalogue the force that it would add, and the sizes that fit it best.
 
-To first order an effect adds columns to the model's derivatives: columns in the sizes that it is linear in, given the few
-numbers that it is not linear in (pitch, frequency, time constant). Those are tried on grids; everything that the free
+To first order an effect adds columns to the model's derivatives: columns in the sizes that it is linear in, given the
+few numbers that it is not linear in (pitch, frequency, time constant). Those are tried on grids; everything that the
+free
 parameters of the model explain is projected out first. What comes out is where a refit of the effect's own definition
 starts; nothing is decided on these columns alone.
 """
@@ -136,6 +137,8 @@ def search(
             proposal = _search_harmonic(name, motion, recording, free, e)
         elif name == "step_disturbance":
             proposal = _search_step(motion, recording, free, e)
+        elif name == "dwell_dependence":
+            proposal = _search_dwell(workshop, fit, free, e)
         elif name in _COLUMNS:
             proposal = _search_grid(name, motion, recording, free, e)
         else:
@@ -149,7 +152,6 @@ def search(
 
 _EXACT: Final[Mapping[str, str]] = {
     "asymmetric_coulomb": "ratio",
-    "dwell_dependence": "ratio",
     "micro_viscous": "damping_N_s_m",
 }
 """Effects whose force is proportional to a size, but whose columns are rough where elements stick."""
@@ -167,14 +169,41 @@ def _exact(proposal: Proposal, workshop: Workshop, fit: Fit, free: Nuisance, e: 
     if slopes is None:
         return proposal
     Z = free.project(slopes[recording.used][:, [index]] / model.columns[index].scale)
-    return _proposal(
-        proposal.name,
-        recording,
-        Z,
-        e,
-        proposal.tests,
-        lambda found: {**proposal.parameters, size: float(found[0])},
-    )
+
+    def parameters(found: Array) -> Values:
+        return {**proposal.parameters, size: float(found[0])}
+
+    return _proposal(proposal.name, recording, Z, e, proposal.tests, parameters)
+
+
+def _search_dwell(workshop: Workshop, fit: Fit, free: Nuisance, e: Array) -> Proposal | None:
+    """Derivatives in the ratio at zero, over time constants and lengths, from one compiled model.
+
+    The level's rise dies away within the way over which the elements come up to it: nothing short of the model itself
+    says what is left.
+    """
+    recording, name = workshop.recording, "dwell_dependence"
+    friction = workshop.machine.friction
+    way = max(nu * friction.coulomb / k for nu, k in zip(friction.fraction, friction.stiffness, strict=True))
+    lengths, times = (0.1 * way, 0.5 * way, 2.5 * way), (0.05, 0.2, 0.8, 3.2)
+    group = f"+{len(fit.extras)}"
+    model = workshop.model((*fit.extras, Extra(name, {"time_constant_s": times[0], "length_m": lengths[0]})))
+    index = next(i for i, c in enumerate(model.columns) if c.group == group and c.name == "ratio")
+    best: tuple[float, Values, Array] | None = None
+    for length in lengths:
+        for time in times:
+            values = {"ratio": 0.0, "time_constant_s": time, "length_m": length}
+            theta = workshop.start(model, (*fit.extras, Extra(name, values)), fit)
+            _, slopes = model.run(recording, theta)
+            if slopes is None or not np.all(np.isfinite(slopes[:, index])):
+                continue
+            Z = free.project(slopes[recording.used][:, [index]] / model.columns[index].scale)
+            energy = _energy(Z, e)
+            if best is None or energy > best[0]:
+                best = energy, values, Z
+    if best is None or best[0] <= 0.0:
+        return None
+    return _proposal(name, recording, best[2], e, 6.0, lambda found: {**best[1], "ratio": float(found[0])})
 
 
 def degenerate(name: str, parameters: Mapping[str, float], motion: Motion) -> bool:
@@ -189,7 +218,7 @@ def degenerate(name: str, parameters: Mapping[str, float], motion: Motion) -> bo
 
 
 def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> Values:
-    """Where to look for a rise of friction towards low speed that the machine file does not know: ratio and velocity."""
+    """Ratio and velocity to start from where the machine file knows of no rise of friction towards low speed."""
     motion = motion_of(recording, fit)
     e = free.project(fit.residual[recording.used])
     speed = np.abs(motion.velocity[motion.used])
@@ -251,19 +280,11 @@ def _first_order(keep: Array, add: Array) -> Array:
     return result
 
 
-def _age(motion: Motion, values: Values) -> Array:
-    """dd/dt = (1 - d) / time_constant - |v| d / length, from 0."""
-    dt = 1.0 / motion.rate
-    rate = 1.0 / values["time_constant_s"] + np.abs(motion.velocity) / values["length_m"]
-    keep = np.exp(-rate * dt)
-    return _first_order(keep, (1.0 - keep) / (values["time_constant_s"] * rate))
-
-
 def _lagged(signal: Array, time_constant: float, rate: float) -> Array:
     """First-order lag, bilinear."""
     k = 2.0 * time_constant * rate
     b, a = np.array([1.0, 1.0]) / (1.0 + k), np.array([1.0, (1.0 - k) / (1.0 + k)])
-    return np.asarray(lfilter(b, a, signal - signal[0])) + signal[0]
+    return np.asarray(lfilter(b, a, signal - signal[0]) + signal[0])
 
 
 def _hanging(motion: Motion, values: Values) -> Array:
@@ -323,16 +344,8 @@ _COLUMNS: Final[Mapping[str, _Linear]] = {
         tests=3.0,
     ),
     "structural_resonance": _Linear(lambda m, p: _hanging(m, p)[:, None], _one("mass_kg"), _resonances, tests=40.0),
-    # Both are replaced by the compiled derivative.
+    # Replaced by the compiled derivative.
     "micro_viscous": _Linear(lambda m, _: np.gradient(m.level)[:, None] * m.rate, _one("damping_N_s_m")),
-    "dwell_dependence": _Linear(
-        lambda m, p: (m.level * _age(m, p))[:, None],
-        _one("ratio"),
-        lambda m: [
-            {"time_constant_s": t, "length_m": length} for t in (0.05, 0.2, 1.0, 5.0) for length in (1e-5, 1e-4, 1e-3)
-        ],
-        tests=6.0,
-    ),
 }
 
 
@@ -422,7 +435,8 @@ class _Harmonic:
 
 
 def _ones(k: Array) -> NDArray[np.complex128]:
-    return np.ones(len(k), dtype=np.complex128)
+    ones: NDArray[np.complex128] = np.ones(len(k), dtype=np.complex128)
+    return ones
 
 
 _HARMONICS: Final[Mapping[str, _Harmonic]] = {
@@ -437,7 +451,7 @@ _HARMONICS: Final[Mapping[str, _Harmonic]] = {
     "encoder_periodic_error": _Harmonic(
         "position",
         lambda m: [m.velocity**2, m.mass * m.acceleration + m.damping * m.velocity],
-        lambda m, k: [m.mass * k**2 * _ones(k), -1j * k],
+        lambda m, k: [m.mass * k**2 * _ones(k), -1j * k * _ones(k)],
         "pitch_m",
         "amplitude_m",
     ),

@@ -51,7 +51,7 @@ def score_test(recording: Recording, Z: Array, residual: Array) -> tuple[float, 
     """
     H = Z.T @ Z
     k = Z.shape[1]
-    coefficients = np.linalg.lstsq(H, Z.T @ residual, rcond=1e-12)[0]
+    coefficients: Array = np.asarray(np.linalg.lstsq(H, Z.T @ residual, rcond=1e-12)[0], dtype=np.float64)
     rest = residual - Z @ coefficients
     block = recording.block[recording.used]
     scores = np.column_stack([np.bincount(block, weights=Z[:, j] * rest, minlength=recording.blocks) for j in range(k)])
@@ -70,7 +70,7 @@ def score_test(recording: Recording, Z: Array, residual: Array) -> tuple[float, 
 
 
 def gain_force(before: Array, after: Array, rows: Array) -> float:
-    """RMS of the force that a fit explains beyond another [N], from losses per block; negative where it explains less."""
+    """RMS of the force that a fit explains beyond another [N], from losses per block; negative for less."""
     difference = float((before - after).sum()) / max(1.0, float(rows.sum()))
     return math.copysign(math.sqrt(abs(difference)), difference)
 

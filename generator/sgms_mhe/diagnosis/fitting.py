@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -48,8 +49,8 @@ class Column:
     """One free parameter of the compiled model.
 
     Attributes:
-        group: what it belongs to: a base group, `machine:<label>` of an effect that the machine has, or `+<index>` of an
-            effect under test.
+        group: what it belongs to: a base group, `machine:<label>` of an effect that the machine has, or `+<index>` of
+            an effect under test.
         effect: name of the effect, empty for the base model's.
         name: in SI results (`stiffness_1`, `coulomb`, `amplitude_N`).
         nominal, scale: p = nominal + scale (theta - 1).
@@ -339,7 +340,7 @@ class Workshop:
         return theta, residual, slopes
 
     def covariance(self, fit: Fit) -> Array:
-        """Covariance of all of theta (n_p, n_p), robust to residuals that are coloured within a block; 0 where not free."""
+        """Covariance of theta (n_p, n_p), robust to residuals that are coloured within a block; 0 where not free."""
         recording = self.recording
         X = fit.slopes[:, fit.free]
         H = X[recording.used].T @ X[recording.used] + np.diag(self._prior(fit.model, fit.free))
@@ -355,9 +356,10 @@ class Workshop:
 
 
 def cross_loss(recording: Recording, X: Array, residual: Array, prior: Array) -> Array:
-    """Sum of squares per block as predicted by a fit without the block's fold, one Gauss-Newton step from the whole fit.
+    """Sum of squares per block as predicted by a fit without the block's fold.
 
-    X (m, p): derivatives of the model; `prior` (p): information that is always there.
+    That fit is one Gauss-Newton step from the whole one. X (m, p): derivatives of the model; `prior` (p):
+    information that is always there.
     """
     if X.shape[1] == 0:
         return recording.sum_blocks(residual**2)
@@ -378,7 +380,7 @@ def block_moments(recording: Recording, X: Array, residual: Array) -> tuple[Arra
     rows, e = X[used], residual[used]
     edges = np.searchsorted(order, np.arange(recording.blocks + 1))
     H, g, s = np.empty((recording.blocks, p, p)), np.empty((recording.blocks, p)), np.empty(recording.blocks)
-    for b, (start, end) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for b, (start, end) in enumerate(pairwise(edges)):
         part, rest = rows[start:end], e[start:end]
         H[b], g[b], s[b] = part.T @ part, part.T @ rest, rest @ rest
     return H, g, s
@@ -463,8 +465,10 @@ def _without_bounds(machine: Machine) -> Machine:
 
 
 def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
-    """Integration for fits: at least one step per sample, and where the elements are integrated exactly, coarser steps
-    for the rest: effects' states settle within them, and a refit runs them a hundred times.
+    """Integration for fits: at least one step per sample.
+
+    Where the elements are integrated exactly, steps are coarser for the rest: effects' states settle within them, and a
+    search runs them a hundred times.
     """
     sampling = machine.sampling
     integrator: dict[str, Any] = {}
@@ -476,7 +480,7 @@ def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _snapped(machine: Machine, extra: Extra) -> tuple[tuple[str, float], ...]:
-    """Nominal values of an effect's compiled model: coarse, so that few models are compiled, near where rates matter."""
+    """Nominal values of an effect's compiled model: coarse, so that few are compiled, near where rates matter."""
     definition = effect_definition(extra.name)
     values = []
     for parameter in definition.parameters:
@@ -489,12 +493,14 @@ def _snapped(machine: Machine, extra: Extra) -> tuple[tuple[str, float], ...]:
 
 
 def _step_limit(column: Column, theta: float, recording: Recording) -> float:
-    """Largest change of a parameter in one step: less than a quarter of a period over the record for pitches and
-    frequencies, a factor for other non-linear ones, free for amplitudes.
+    """Largest change of a parameter in one step.
+
+    Less than a quarter of a period over the record for pitches and frequencies, a factor for other non-linear ones,
+    free for amplitudes.
     """
     value = column.si(theta)
     if not column.group.startswith("+"):
-        return 0.5
+        return max(0.5, 0.5 * abs(theta))
     if column.name == "pitch_m":
         travel = max(float(np.ptp(recording.position[recording.used])), 1e-9)
         return min(0.3 * abs(value), 0.2 * value**2 / travel) / abs(column.scale)

@@ -29,7 +29,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class _Axis:
-    """Sizes that moves are built from: fastest speed [m/s], its acceleration and jerk, break-away distance, travel [m]."""
+    """Sizes of moves: fastest speed [m/s], its acceleration and jerk, break-away distance and travel [m]."""
 
     speed: float
     acceleration: float

@@ -81,7 +81,9 @@ class Recording:
 
     def sum_blocks(self, series: Array) -> Array:
         """Sum over the used rows of each block: (m,) to (blocks)."""
-        return np.bincount(self.block[self.used], weights=series[self.used], minlength=self.blocks)
+        return np.asarray(
+            np.bincount(self.block[self.used], weights=series[self.used], minlength=self.blocks), dtype=np.float64
+        )
 
 
 def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]] | None = None) -> Recording:

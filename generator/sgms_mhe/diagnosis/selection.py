@@ -14,7 +14,7 @@ from sgms_mhe.diagnosis.candidates import Proposal, degenerate, motion_of, searc
 from sgms_mhe.diagnosis.evidence import difference_statistic, gain_force, nuisance, score_test
 from sgms_mhe.diagnosis.fitting import BASE_GROUPS, Extra, Fit, Workshop, cross_loss
 from sgms_mhe.diagnosis.result import Score
-from sgms_mhe.model.effects import EFFECT_NAMES
+from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 
 Array = NDArray[np.float64]
 
@@ -25,10 +25,10 @@ ROUNDS: Final = 5
 REFITS: Final = 4  # per round
 CLOSE: Final = 0.55  # a candidate with less than this share of the best linear gain is not refitted
 SHARPER: Final = 0.97  # RMS by which the sharp transition must fit better to be taken
-RIVAL_SHARE: Final = 0.30  # RMS by which a rival may fit worse, over what the cause explains
+RIVAL_SHARE: Final = 0.15  # RMS by which a rival may fit worse, over what the cause explains
 RIVAL_T: Final = 2.5
-COSTLY: Final = ("backlash", "frictional_lag")
-"""Effects whose search runs models; put in a cause's place only if they ever showed."""
+COSTLY: Final = ("backlash", "frictional_lag", "dwell_dependence")
+"""Effects whose search runs models; put in a cause's place only if they ever showed, or are known to be confused."""
 REPEATABLE: Final = ("force_ripple", "periodic_disturbance")
 
 
@@ -183,7 +183,7 @@ class Selector:
         return fits[chosen] if chosen is not None else None
 
     def _choose(self, current: Fit, fits: dict[str, Fit]) -> str | None:
-        """The candidate to add: the best by cross-validation; among equals the one that leaves the other numbers alone."""
+        """The candidate to add: the best by cross-validation; among equals the one that leaves other numbers alone."""
         gains = {name: gain_force(current.cross, fit.cross, fit.rows) for name, fit in fits.items()}
         gains = {
             name: gain
@@ -297,7 +297,11 @@ class Selector:
             if own_gain <= 0.0:
                 continue
             free = nuisance(without.slopes[recording.used][:, without.free])
-            names = [n for n in self.names(extras) if n != cause and (n not in COSTLY or n in self.seen)]
+            names = [
+                n
+                for n in self.names(extras)
+                if n != cause and (n not in COSTLY or n in self.seen or cause in effect_definition(n).confused_with)
+            ]
             proposals = [p for p in search(self.workshop, without, names, free) if p.feasible]
             trials: list[tuple[float, Proposal]] = [(self._linear_gain(without, p), p) for p in proposals]
             for other in self.groups:
@@ -335,7 +339,7 @@ class Selector:
                     # More numbers and no better: it only imitates.
                     rejected[name] = (cause, max(0.0, excess))
                     continue
-                if excess < RIVAL_SHARE * own_gain and (statistic < RIVAL_T or excess < 0.4 * self.material):
+                if excess < 0.3 * self.material or (excess < RIVAL_SHARE * own_gain and statistic < RIVAL_T):
                     rivals.append(Rival(name.removeprefix("machine:"), cause, trial, excess, statistic))
                 else:
                     rejected[name] = (cause, excess)

@@ -1,4 +1,4 @@
-"""Where a residual lives: its dependence on position, velocity, acceleration, time, the way after reversals, frequency."""
+"""Where a residual lives: position, velocity, acceleration, time, the way after reversals, frequency."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _way_after_reversal(recording: Recording) -> Array:
     turn = np.concatenate(([True], held[1:] != held[:-1]))
     path = np.cumsum(np.abs(moved))
     start = np.maximum.accumulate(np.where(turn, path, -np.inf))
-    return np.log10(np.maximum(path - start, 1e-8))
+    return np.asarray(np.log10(np.maximum(path - start, 1e-8)))
 
 
 def _binned(recording: Recording, residual: Array, coordinate: str, series: Array) -> Structure:

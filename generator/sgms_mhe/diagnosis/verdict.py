@@ -162,6 +162,13 @@ class _Verdict:
         rms_after, held_after = _rms(blind, recording)
         causes = self._causes(selection, blind, seen) if named else ()
         extended, toml = self._extension(selection, causes) if named else (None, None)
+        warnings = recording.warnings
+        if self.smoothing == "sharp":
+            better = math.sqrt(float(plain.loss.sum() / plain.rows.sum()))
+            warnings += (
+                "elements slip more sharply than [friction.smoothing] says: "
+                f"zeta = {SHARP['zeta']}, lambda = {SHARP['lambda']:g} alone leave {better:.3g} N",
+            )
         held = recording.held_out
         interval = gain_interval(self.nominal.loss[held], blind.loss[held], blind.rows[held]) if named else (0.0, 0.0)
         alternatives = self._alternatives(selection)
@@ -186,7 +193,7 @@ class _Verdict:
             extended_toml=toml,
             smoothing=self.smoothing,
             excited=True,
-            warnings=recording.warnings,
+            warnings=warnings,
             seconds=time.monotonic() - started,
         )
 
@@ -390,7 +397,7 @@ def _excitation(name: str) -> str | None:
 
 def _experiment(verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Alternative]) -> str | None:
     if verdict == "unexplained":
-        return "repeat the same motion twice, and once at half the speed: what stays in place, in time or in velocity shows"
+        return "the same motion twice, and once at half the speed: what stays in place, in time or in velocity shows"
     moves = []
     for rival in rivals:
         if rival.instead_of is None:

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -24,7 +23,7 @@ from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, deflection
 from sgms_mhe.kinematics import Signals, settle_samples, signals_from_log
 from sgms_mhe.logs import Log
 from sgms_mhe.machine import override_machine
-from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, measures
+from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition, measures
 from sgms_mhe.simulation import AxisConfig, simulate_axis
 from sgms_mhe.trajectories import Trajectory
 
@@ -111,12 +110,10 @@ def make_draw(machine: Machine, seed: int, index: int) -> Draw:
     kind = KINDS[index % len(KINDS)]
     cycle, place = divmod(index, len(KINDS))
     number = cycle * KINDS.count(kind) + KINDS[:place].count(kind)  # of its kind
-    for attempt in range(ATTEMPTS):
+    for _ in range(ATTEMPTS):
         draw = _attempt(machine, kind, number, seed, index, random)
         if draw is not None:
             return draw
-        if attempt == ATTEMPTS // 2 and kind == "double":
-            kind = "double"  # another pair comes with another attempt
     # Nothing fair was found: the log of a clean axis takes the place.
     return _frame(machine, "clean", index, random, _style(random))
 
@@ -170,7 +167,8 @@ def _attempt(machine: Machine, kind: str, number: int, seed: int, index: int, ra
     if kind == "foreign":
         hidden = Hidden(list(FOREIGN)[number % len(FOREIGN)], size=_size(random, 0.1))
         draw = replace(draw, hidden=(hidden,))
-        left = _visible(machine, draw, foreign_force(machine, draw, hidden))
+        plain = _prescribed(machine, _motion(machine, draw), Hidden(""))
+        left = _visible(machine, _sensitivities(machine, plain), foreign_force(machine, draw, hidden))
         return replace(draw, hidden=(replace(hidden, visible=left),)) if left >= 0.6 else None
     if kind == "base":
         return _with_causes(machine, draw, (_in_turn(tuple(BASE_CAUSES), number, seed),), random)
@@ -222,31 +220,22 @@ def _with_causes(machine: Machine, draw: Draw, names: tuple[str, ...], random: G
     axis = machine_of(machine, draw)
     motion = _motion(axis, draw)
     plain = _prescribed(axis, motion, Hidden(""))
-    found = measures(plain, axis)
+    found, columns = measures(plain, axis), _sensitivities(axis, plain)
     causes, forces = [], []
     for name in names:
         sized = _sized(axis, motion, plain, name, _size(random), random)
-        if sized is None or cause(name).excitation.unmet(found, _nominal(sized[0])):
+        if sized is None or cause(name).excitation.unmet(found, sized[0].parameters):
             return None
         causes.append(sized[0])
         forces.append(sized[1])
     for k, hidden in enumerate(causes):
         others = np.stack([f for j, f in enumerate(forces) if j != k], axis=1) if len(forces) > 1 else None
-        left = _visible(machine, draw, forces[k], others)
+        left = _visible(axis, columns, forces[k], others)
         # A wrong number is itself what the projection takes out.
-        if name_is_effect(hidden.name) and left < VISIBLE:
+        if hidden.name in EFFECT_NAMES and left < VISIBLE:
             return None
         causes[k] = replace(hidden, visible=left)
     return replace(draw, hidden=tuple(causes))
-
-
-def name_is_effect(name: str) -> bool:
-    """Whether a cause is an effect, and not a wrong number."""
-    return name in EFFECT_NAMES
-
-
-def _nominal(hidden: Hidden) -> Mapping[str, float]:
-    return hidden.parameters
 
 
 def _weak(machine: Machine, index: int, number: int, random: Generator) -> Draw | None:
@@ -431,16 +420,23 @@ def _sized(
     shape, x = _SHAPES[name](scene)
     goal = size * machine.friction.coulomb
     hidden, force, peak = Hidden(name), plain.friction, 0.0
+    import sys,time; t0=time.time()
     for _ in range(5):
-        hidden = Hidden(name, shape(scene, x))
+        hidden = Hidden(name, _within_limits(name, shape(scene, x)))
         force = _prescribed(machine, motion, hidden).friction - plain.friction
         peak = _peak(force)
+        print(name,size,x,peak,hidden.parameters,time.time()-t0,file=sys.stderr,flush=True)
         if peak > 0.0 and abs(peak / goal - 1.0) < 0.1:
             break
         x = min(_SATURATION, x * min(10.0, max(0.1, goal / max(peak, 1e-12))))
     if not 0.5 < peak / goal < 2.0:
         return None
     return replace(hidden, size=peak / machine.friction.coulomb), force
+
+
+def _within_limits(name: str, values: Values) -> Values:
+    limits = {p.name: (p.lower, p.upper) for p in effect_definition(name).parameters}
+    return {key: min(max(value, limits[key][0]), limits[key][1]) for key, value in values.items()}
 
 
 def _wrong_number(
@@ -501,12 +497,14 @@ def _log_uniform(random: Generator, low: float, high: float) -> float:
 # --- what is left to be seen ------------------------------------------------------------------------------------
 
 
-def _visible(machine: Machine, draw: Draw, force: Array, others: Array | None = None) -> float:
-    """Share of a force (RMS) that neither the base model's numbers nor other forces can take over."""
-    axis = machine_of(machine, draw)
-    columns = _sensitivities(axis.digest, axis, draw.style, draw.seconds, draw.motion_seed)
-    factor = max(1, round(axis.sampling.rate / _RATE))
-    start = settle_samples(axis) // factor + 2
+_models: Final[dict[str, CompiledModel]] = {}
+"""Compiled once per process and machine."""
+
+
+def _visible(machine: Machine, columns: Array, force: Array, others: Array | None = None) -> float:
+    """Share of a force (RMS) that neither the base model's numbers (`columns`) nor other forces can take over."""
+    factor = max(1, round(machine.sampling.rate / _RATE))
+    start = settle_samples(machine) // factor + 2
 
     def reduced(series: Array) -> Array:
         m = len(series) // factor
@@ -522,30 +520,28 @@ def _visible(machine: Machine, draw: Draw, force: Array, others: Array | None = 
     return float(np.linalg.norm(f - q @ (q.T @ f))) / norm if norm > 0.0 else 0.0
 
 
-@lru_cache(maxsize=2)
-def _sensitivities(digest: str, machine: Machine, style: str, seconds: float, motion_seed: int) -> Array:
+def _sensitivities(machine: Machine, plain: Signals) -> Array:
     """Derivatives of friction in the base model's numbers along a motion (n, k)."""
-    model = _model(digest, machine)
-    motion = draw_motion(style, machine, seconds, np.random.default_rng(motion_seed))
-    slopes = model.predict(_prescribed(machine, motion, Hidden("")), derivatives=True).d_friction
+    slopes = _model(machine).predict(plain, derivatives=True).d_friction
     if slopes is None:
         raise RuntimeError("a prediction without derivatives")
     return slopes
 
 
-@lru_cache(maxsize=4)
-def _model(digest: str, machine: Machine) -> CompiledModel:
-    friction, sampling = machine.friction, machine.sampling
-    names = ["stiffness", "coulomb"]
-    names += [n for n in ("viscous", "stribeck_ratio") if getattr(friction, n) != 0.0]
-    substeps = max(sampling.integrator.substeps, sampling.samples_per_update)
-    changes = {
-        "name": "base_numbers",
-        "estimator": {"parameters": names},
-        "sampling": {"integrator": {"substeps": substeps}},
-        "code": {"precision": "double"},
-    }
-    return CompiledModel(override_machine(machine, changes))
+def _model(machine: Machine) -> CompiledModel:
+    if machine.digest not in _models:
+        friction, sampling = machine.friction, machine.sampling
+        names = ["stiffness", "coulomb"]
+        names += [n for n in ("viscous", "stribeck_ratio") if getattr(friction, n) != 0.0]
+        substeps = max(sampling.integrator.substeps, sampling.samples_per_update)
+        changes = {
+            "name": "base_numbers",
+            "estimator": {"parameters": names},
+            "sampling": {"integrator": {"substeps": substeps}},
+            "code": {"precision": "double"},
+        }
+        _models[machine.digest] = CompiledModel(override_machine(machine, changes))
+    return _models[machine.digest]
 
 
 def _motion(machine: Machine, draw: Draw) -> Trajectory:
