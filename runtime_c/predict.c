@@ -17,7 +17,12 @@ int sgms_predict_parameters(void)
 
 /* Force at one sample; d_force = C d_x + D. */
 static void put_force(
-    const sgms_real *x, const sgms_real *d_x, const double *signals, const sgms_real *theta, double *force, double *d_force)
+    const sgms_real *x,
+    const sgms_real *d_x,
+    const double *signals,
+    const sgms_real *theta,
+    double *force,
+    double *d_force)
 {
     sgms_real w[5], c[STATES], d[PARAMETERS];
     for (int i = 0; i < 5; i++) {

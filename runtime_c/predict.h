@@ -5,10 +5,10 @@
 
 /* Friction force [N] at every sample and, unless NULL, its derivatives in theta (samples x parameters).
  *
- * signals: samples x 5, position, velocity, acceleration, force, time; theta: scaled parameters; x: node state at the first
- * sample, on return at the last one; d_x: its derivatives in theta (states x parameters), likewise; zeros to start. A long
- * record can be run in pieces, the first row of each being the last row of the piece before. Returns 0, or -1 where the
- * package integrates several samples per step. */
+ * signals: samples x 5, position, velocity, acceleration, force, time; theta: scaled parameters; x: node state at the
+ * first sample, on return at the last one; d_x: its derivatives in theta (states x parameters), likewise; zeros to
+ * start. A long record can be run in pieces, the first row of each being the last row of the piece before. Returns 0,
+ * or -1 where the package integrates several samples per step. */
 int sgms_predict(
     long samples,
     const double *signals,

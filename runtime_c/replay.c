@@ -31,7 +31,8 @@ static machine_position to_position(double metres)
     if (half > (machine_position)0) {
         return (machine_position)metres;
     }
-    return fabs(metres) < 4e6 ? (machine_position)(metres * 1e12 + (metres < 0.0 ? -0.5 : 0.5)) : (machine_position)INT64_MAX;
+    return fabs(metres) < 4e6 ? (machine_position)(metres * 1e12 + (metres < 0.0 ? -0.5 : 0.5))
+                              : (machine_position)INT64_MAX;
 }
 
 size_t sgms_replay_memory(void)
@@ -91,7 +92,13 @@ static machine_real one_sample(machine *self, const sgms_series *series, long k)
     return CALL(sample)(self, to_position(series->position[k]), (machine_real)series->force[k]);
 }
 
-long sgms_replay_run(void *memory, const sgms_series *series, int mode, double *rows, int *statuses, double *compensation)
+long sgms_replay_run(
+    void *memory,
+    const sgms_series *series,
+    int mode,
+    double *rows,
+    int *statuses,
+    double *compensation)
 {
     machine *self = memory;
     long updates = 0;

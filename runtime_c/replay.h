@@ -5,8 +5,9 @@
 
 #include <stddef.h>
 
-/* One sample series, arrays of `samples` doubles. With `acceleration` and `friction` the aligned signals go to insert(); with
- * both NULL position and force are the raw measurements and go through the package's own signal chain. */
+/* One sample series, arrays of `samples` doubles. With `acceleration` and `friction` the aligned signals go to
+ * insert(); with both NULL position and force are the raw measurements and go through the package's own signal chain.
+ */
 typedef struct {
     long samples;
     const double *position;     /* m */
@@ -32,6 +33,12 @@ void sgms_replay_reset(void *memory);
 /* Run the series on; every update fills one row of `rows` and one status. `compensation`, if not NULL, receives the
  * friction that every sample returned. mode: SGMS_REPLAY_TASKS (prepare and feedback) or SGMS_REPLAY_TICK.
  * Returns the number of updates. */
-long sgms_replay_run(void *memory, const sgms_series *series, int mode, double *rows, int *statuses, double *compensation);
+long sgms_replay_run(
+    void *memory,
+    const sgms_series *series,
+    int mode,
+    double *rows,
+    int *statuses,
+    double *compensation);
 
 #endif

@@ -1,24 +1,25 @@
 /* Displacement flow of a Maxwell-slip element: the solution of dr/dxi = g(r) = 1 - etaA(r) max(r, 0) in closed form.
  *
- * psi linearises the flow, psi(r(xi)) = psi(r(0)) exp(-k xi), on both sides of the fixed point r*. psi and its inverse are
- * piecewise polynomials that depend on the smoothing alone. Below `start` the element is elastic (g = 1), above `end` it
- * relaxes as 1 + (r - 1) exp(-xi); there nothing is looked up. The work does not grow with xi. */
+ * psi linearises the flow, psi(r(xi)) = psi(r(0)) exp(-k xi), on both sides of the fixed point r*. psi and its inverse
+ * are piecewise polynomials that depend on the smoothing alone. Below `start` the element is elastic (g = 1), above
+ * `end` it relaxes as 1 + (r - 1) exp(-xi); there nothing is looked up. The work does not grow with xi. */
 #ifndef SGMS_FLOW_H
 #define SGMS_FLOW_H
 
 #include "sgms_math.h"
 
 typedef struct {
-    sgms_real start, end;       /* range of the polynomials in r */
-    sgms_real k;                /* -g'(r*) */
+    sgms_real start, end; /* range of the polynomials in r */
+    sgms_real k;          /* -g'(r*) */
     sgms_real segments_per_r;
-    sgms_real cells_per_s;      /* of the look-up from s = psi to a segment */
+    sgms_real cells_per_s; /* of the look-up from s = psi to a segment */
     int segments, cells, degree;
-    const sgms_real *edge;      /* [segments + 1] psi at the segments' edges, falling */
-    const sgms_real *forward;   /* [segments][degree + 1] psi over t in [-1, 1] */
-    const sgms_real *inverse;   /* [segments][degree + 1] r over s in the segment, scaled to [-1, 1] */
-    const uint8_t *cell;        /* [cells] segment that holds the upper end of the cell */
-    sgms_real r_star, near;     /* fixed point, and how close to it a sliding element stays: there a short polynomial does */
+    const sgms_real *edge;    /* [segments + 1] psi at the segments' edges, falling */
+    const sgms_real *forward; /* [segments][degree + 1] psi over t in [-1, 1] */
+    const sgms_real *inverse; /* [segments][degree + 1] r over s in the segment, scaled to [-1, 1] */
+    const uint8_t *cell;      /* [cells] segment that holds the upper end of the cell */
+    sgms_real r_star,
+        near; /* fixed point, and how close to it a sliding element stays: there a short polynomial does */
 } sgms_flow_table;
 
 typedef struct {

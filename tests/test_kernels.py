@@ -151,12 +151,18 @@ def test_sensitivities_are_differences(case: str, kernel: Any) -> None:
     def slope(move: Callable[[float], Array]) -> Any:
         return np.sum([c * (move(k * h) - move(-k * h)) for k, c in weights.items()], axis=0) / (60.0 * h)
 
-    for j in range(model.n_x):
-        by_x = slope(lambda e, j=j: compiled.run(w, x + e * np.eye(model.n_x)[j], theta)[0])
-        np.testing.assert_allclose(A[:, j], by_x, rtol=0.0, atol=1e-8 * np.abs(A).max())
-    for j in range(model.n_p):
-        by_theta = slope(lambda e, j=j: compiled.run(w, x, theta + e * np.eye(model.n_p)[j])[0])
-        np.testing.assert_allclose(B[:, j], by_theta, rtol=0.0, atol=1e-8 * max(1.0, np.abs(B).max()))
+    for j, e in enumerate(np.eye(model.n_x)):
+
+        def by_start(h: float, e: Array = e) -> Array:
+            return compiled.run(w, x + h * e, theta)[0]
+
+        np.testing.assert_allclose(A[:, j], slope(by_start), rtol=0.0, atol=1e-8 * np.abs(A).max())
+    for j, e in enumerate(np.eye(model.n_p)):
+
+        def by_theta(h: float, e: Array = e) -> Array:
+            return compiled.run(w, x, theta + h * e)[0]
+
+        np.testing.assert_allclose(B[:, j], slope(by_theta), rtol=0.0, atol=1e-8 * max(1.0, np.abs(B).max()))
 
 
 @pytest.mark.parametrize("case", ["flow", "deflection", "ten elements", "micro-viscous", "ripple"])

@@ -79,7 +79,7 @@ def arguments(function: str, precision: str) -> Array:
     multiples = multiples[(multiples >= low) & (multiples <= high)]
     tiny = np.array([0.0, -0.0, 1e-30, -1e-30, eps, -eps])
     reach = np.geomspace(1.0, high, 400)
-    parts += [np.linspace(max(low, -30.0), min(high, 30.0), POINTS), multiples, tiny, reach, [low, high]]
+    parts += [np.linspace(max(low, -30.0), min(high, 30.0), POINTS), multiples, tiny, reach, np.array([low, high])]
     if low < 0.0:
         parts.append(-np.geomspace(1.0, -low, 400))
     return np.concatenate(parts)
@@ -292,7 +292,7 @@ def best_of_all_active_sets(problem: Boxes) -> tuple[Array, Array]:
         pins = np.array(choice)
         free = pins == 0
         x = np.where(pins == 1, problem.lower, np.where(pins == 2, problem.upper, 0.0))
-        possible = np.isfinite(x).all(axis=1)
+        possible: Array = np.asarray(np.isfinite(x).all(axis=1))
         x = np.where(possible[:, None], x, 0.0)
         if free.any():
             right = problem.b - np.einsum("kij,kj->ki", problem.r, x)
@@ -386,7 +386,10 @@ def chain(log: Log, axis: Machine, precision: str) -> Signals:
         pointer(out),
         pointer(valid),
     )
-    return Signals(log.time_s, *out.astype(float), valid.astype(bool), np.zeros(n, bool))
+    position_m, velocity, acceleration, force_N, friction = out.astype(float)
+    return Signals(
+        log.time_s, position_m, velocity, acceleration, force_N, friction, valid.astype(bool), np.zeros(n, bool)
+    )
 
 
 def motion(seed: int = 0, start_m: float = 0.2) -> Log:

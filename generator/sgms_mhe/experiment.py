@@ -21,7 +21,7 @@ from sgms_mhe.errors import InputError
 from sgms_mhe.estimates import Estimates, write_estimates
 from sgms_mhe.files import write_text
 from sgms_mhe.kinematics import Signals, signals_from_log
-from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.reference import estimate_reference, estimate_smoother
 from sgms_mhe.simulation import AxisConfig, SimulatedRun, simulate_axis
 from sgms_mhe.tables import Table
@@ -35,8 +35,8 @@ DURATION_S: Final = 20.0
 TRUE_STIFFNESS: Final = (1.25, 0.8, 1.15, 0.9)
 # The window fills and the filters settle: not counted.
 SKIPPED_UPDATES: Final = 25
-# Estimators whose run is the expensive one, for the progress bar.
-_STEPS: Final = 9
+# Simulation, four estimators, the paper's weights, figures, files.
+_STEPS: Final = 8
 
 PAPER_WEIGHTS: Final[dict[str, Any]] = {
     "noise": {
@@ -140,11 +140,7 @@ def record_of(machine: Machine, run: SimulatedRun, stiffness: Sequence[float]) -
     nodes = np.arange(samples, len(signals), samples)
     # The chain filters and delays a force as it does the measured one.
     behind = signals_from_log(replace(run.log, force_N=run.truth.friction_N), machine)
-    theta = [
-        value
-        for name in machine.estimator.parameters
-        for value in (stiffness if name == "stiffness" else (1.0,))
-    ]
+    theta = [value for name in machine.estimator.parameters for value in (stiffness if name == "stiffness" else (1.0,))]
     return Record(run, signals, nodes, behind.force[nodes], np.array(theta))
 
 
@@ -171,13 +167,16 @@ def coverage(outcome: Outcome, record: Record) -> Array:
     return np.asarray(inside[SKIPPED_UPDATES:].mean(axis=0))
 
 
-def run_experiment(machine: Machine, out_dir: Path, progress: Progress | None = None) -> Experiment:
+def run_experiment(
+    machine: Machine, out_dir: Path, progress: Progress | None = None, *, duration_s: float = DURATION_S
+) -> Experiment:
     """Run the paper's experiment on a machine; figures, estimates and tables go into a folder.
 
     Args:
         machine: its friction model is the plant's too, its stiffness is estimated.
         out_dir: made where it does not exist; receives fig*.png, experiment.json, experiment.txt and estimates.
         progress: called with (steps done, steps in all).
+        duration_s: of the simulated run.
     """
     from sgms_mhe import figures
 
@@ -199,16 +198,17 @@ def run_experiment(machine: Machine, out_dir: Path, progress: Progress | None = 
         if progress is not None:
             progress(done, _STEPS)
 
-    record = simulate_record(machine, TRUE_STIFFNESS)
+    record = simulate_record(machine, TRUE_STIFFNESS, duration_s=duration_s)
     step()
-    outcomes: dict[str, Outcome] = {}
     mhe, ekf = (override_machine(machine, {"estimator": {"kind": kind}}) for kind in ("mhe", "ekf"))
-    for name, run in (
-        ("MHE, C", lambda: run_estimator("MHE, C", mhe, record)),
-        ("EKF, C", lambda: run_estimator("EKF, C", ekf, record)),
-        ("MHE, reference", lambda: _reference("MHE, reference", mhe, record)),
-        ("batch smoother", lambda: _smoother("batch smoother", mhe, record)),
-    ):
+    runs: dict[str, Callable[[], Outcome]] = {
+        "MHE, C": lambda: run_estimator("MHE, C", mhe, record),
+        "EKF, C": lambda: run_estimator("EKF, C", ekf, record),
+        "MHE, reference": lambda: _reference("MHE, reference", mhe, record),
+        "batch smoother": lambda: _smoother("batch smoother", mhe, record),
+    }
+    outcomes: dict[str, Outcome] = {}
+    for name, run in runs.items():
         outcomes[name] = run()
         step()
     paper = {
@@ -222,26 +222,23 @@ def run_experiment(machine: Machine, out_dir: Path, progress: Progress | None = 
     )
     true = ", ".join(f"{share:g}" for share in TRUE_STIFFNESS)
     tables = (
-        _table(f"{machine.name}: {DURATION_S:g} s in closed loop, true stiffness [{true}] of nominal",
+        _table(f"{machine.name}: {duration_s:g} s in closed loop, true stiffness [{true}] of nominal",
                list(outcomes.values()), record, notes),
         _table("the same record with the paper's weights", list(paper.values()), record, _finding(paper)),
     )  # fmt: skip
-    names = []
-    for name, figure in (
-        ("fig3_hysteresis", lambda: figures.hysteresis_figure(machine)),
-        ("fig6_signals", lambda: figures.signals_figure(record)),
-        ("fig7_friction", lambda: figures.friction_figure(record, outcomes["MHE, C"], outcomes["EKF, C"])),
-        (
-            "fig8_stiffness",
-            lambda: figures.stiffness_figure(record, outcomes["MHE, C"], outcomes["EKF, C"], "default weights"),
+    default, filtered = outcomes["MHE, C"], outcomes["EKF, C"]
+    drawn = {
+        "fig3_hysteresis": figures.hysteresis_figure(machine),
+        "fig6_signals": figures.signals_figure(record),
+        "fig7_friction": figures.friction_figure(record, default, filtered),
+        "fig8_stiffness": figures.stiffness_figure(record, default, filtered, f"weights of {machine.name}"),
+        "fig8_stiffness_paper": figures.stiffness_figure(
+            record, paper["MHE, C"], paper["EKF, C"], "the paper's weights"
         ),
-        (
-            "fig8_stiffness_paper",
-            lambda: figures.stiffness_figure(record, paper["MHE, C"], paper["EKF, C"], "the paper's weights"),
-        ),
-    ):
-        names.append(out_dir / f"{name}.png")
-        figures.save_figure(names[-1], figure())
+    }
+    names = [out_dir / f"{name}.png" for name in drawn]
+    for path, figure in zip(names, drawn.values(), strict=True):
+        figures.save_figure(path, figure)
     step()
     experiment = Experiment(tables, record, outcomes, tuple(names))
     for name, outcome in (("mhe", outcomes["MHE, C"]), ("ekf", outcomes["EKF, C"])):
@@ -251,13 +248,7 @@ def run_experiment(machine: Machine, out_dir: Path, progress: Progress | None = 
         out_dir / "experiment.json", json.dumps({"tables": [table.as_dict() for table in tables]}, indent=2) + "\n"
     )
     step()
-    step()
     return experiment
-
-
-def paper_machine() -> Machine:
-    """The machine file with the paper's weights."""
-    return load_machine("etel_xy_paper")
 
 
 def _timed(name: str, machine: Machine, run: Callable[[], Estimates]) -> Outcome:

@@ -11,6 +11,7 @@ import argparse
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -33,8 +34,8 @@ Kind = Literal["mhe", "ekf"]
 
 # --- data from the estimator's own noise model --------------------------------------------------------------------
 
-# Nothing in the statistics depends on the sample rate, and ten samples per update cost a tenth of a hundred. The paper's
-# motion stays below 2 mm/s.
+# Nothing in the statistics depends on the sample rate, and ten samples per update cost a tenth of a hundred. The
+# paper's motion stays below 2 mm/s.
 STATISTICS_SAMPLING: Final[dict[str, Any]] = {
     "rate": 1000.0,
     "velocity_cutoff": 50.0,
@@ -193,23 +194,28 @@ def factor_of_two(rng: np.random.Generator) -> Array:
     return rng.choice([0.5, 2.0], 4)
 
 
-def _noise(**noise: Any) -> dict[str, Any]:
-    return {"noise": noise}
+def _estimator(stiffness_bounds: tuple[float, float] | None = None, **noise: Any) -> dict[str, Any]:
+    bounds = {} if stiffness_bounds is None else {"bounds": {"stiffness": list(stiffness_bounds)}}
+    return {"estimator": {"noise": noise, **bounds}}
+
+
+def _updates_at(rate: float) -> dict[str, Any]:
+    return {"sampling": {"update_rate": rate}}
 
 
 CASES: Final[tuple[Case, ...]] = (
     Case("default", {}, spread),
-    Case("noise of the force 1.6 N", {"estimator": _noise(measurement=0.5)}, spread, 1.6),
+    Case("noise of the force 1.6 N", _estimator(measurement=0.5), spread, 1.6),
     Case("factor 2", {}, factor_of_two),
-    Case("factor 2, prior 1.0", {"estimator": _noise(parameter=1.0)}, factor_of_two),
-    Case("bounds at truth's limits", {"estimator": {"bounds": {"stiffness": [0.7, 1.4]}, **_noise(parameter=0.3, measurement=0.5)}}, spread, 1.6),  # fmt: skip
-    Case("bounds 0.95, 1.05", {"estimator": {"bounds": {"stiffness": [0.95, 1.05]}}}, spread),
+    Case("factor 2, prior 1.0", _estimator(parameter=1.0), factor_of_two),
+    Case("bounds at truth's limits", _estimator((0.7, 1.4), parameter=0.3, measurement=0.5), spread, 1.6),
+    Case("bounds 0.95, 1.05", _estimator((0.95, 1.05)), spread),
     Case("coulomb too", {"estimator": {"parameters": ["stiffness", "coulomb"]}}, spread),
     Case("fast moves", {}, spread, trajectory="mixed"),
-    Case("50 ms", {"sampling": {"update_rate": 20.0}}, spread),
-    Case("50 ms, factor 2, prior 0.5", {"sampling": {"update_rate": 20.0}, "estimator": _noise(parameter=0.5)}, factor_of_two),  # fmt: skip
-    Case("100 ms, factor 2, prior 0.5", {"sampling": {"update_rate": 10.0}, "estimator": _noise(parameter=0.5)}, factor_of_two),  # fmt: skip
-)  # fmt: skip
+    Case("50 ms", _updates_at(20.0), spread),
+    Case("50 ms, factor 2, prior 0.5", _updates_at(20.0) | _estimator(parameter=0.5), factor_of_two),
+    Case("100 ms, factor 2, prior 0.5", _updates_at(10.0) | _estimator(parameter=0.5), factor_of_two),
+)
 
 
 @dataclass(frozen=True)
@@ -279,9 +285,9 @@ def plant_study(seeds: int, duration_s: float = 20.0) -> Table:
         Case("factor 2", default, factor_of_two),
         Case("force noise 0.35 N (0.1 N of friction)", default, spread, 0.35),
         Case("force noise 1.6 N (0.46 N of friction)", default, spread, 1.6),
-        Case("the same, measurement = 0.5", {"estimator": _noise(measurement=0.5)}, spread, 1.6),
-        Case("prior 0.3", {"estimator": _noise(parameter=0.3)}, spread),
-        Case("no drift", {"estimator": _noise(parameter_drift=0.0)}, spread),
+        Case("the same, measurement = 0.5", _estimator(measurement=0.5), spread, 1.6),
+        Case("prior 0.3", _estimator(parameter=0.3), spread),
+        Case("no drift", _estimator(parameter_drift=0.0), spread),
         Case("the paper's weights", {"estimator": PAPER_WEIGHTS}, spread),
     )
     rows = []
@@ -335,8 +341,7 @@ FORMULATIONS: Final[tuple[Formulation, ...]] = (
     ),
     Formulation(
         "force alone (fixed)",
-        PAPER_WEIGHTS
-        | {"noise": PAPER_WEIGHTS["noise"] | {"state_as": "force"}, "bounds": {"stiffness": [0.2, 5.0]}},
+        PAPER_WEIGHTS | {"noise": PAPER_WEIGHTS["noise"] | {"state_as": "force"}, "bounds": {"stiffness": [0.2, 5.0]}},
     ),
     Formulation("force, riccati, drift with hold; 0.1", {"noise": {"state": 0.1, "measurement": 0.5}}),
     Formulation("default, measurement = 0.5", {"noise": {"measurement": 0.5}}),
@@ -357,7 +362,7 @@ def creep_signals(updates: int, force_noise_N: float, trajectory: str = "long_mi
 def follow(formulation: Formulation, signals: Signals) -> Array:
     """Estimated over nominal stiffness at every update (u, n_z)."""
     machine = override_machine(load_machine("etel_xy"), {"estimator": dict(formulation.changes)})
-    return CompiledEstimator(machine).estimate(signals).parameters / np.array(machine.friction.stiffness)
+    return np.asarray(CompiledEstimator(machine).estimate(signals).parameters / np.array(machine.friction.stiffness))
 
 
 def creep_study(updates: int, compared: int = 4000) -> Table:
@@ -370,10 +375,7 @@ def creep_study(updates: int, compared: int = 4000) -> Table:
         form = next(f for f in FORMULATIONS if f.name == name)
         theta = follow(form, creep_signals(updates, noise))
         edges = [0, *(round(updates * share) for share in (0.04, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0))]
-        rows += [
-            _creep_row(f"{name}, long", noise, theta[:last], first, last)
-            for first, last in zip(edges[:-1], edges[1:], strict=True)
-        ]
+        rows += [_creep_row(f"{name}, long", noise, theta[:last], first, last) for first, last in pairwise(edges)]
     formats = {"formulation": "", "noise [N]": ".1f", "updates": ""}
     formats |= {f"mean {k + 1}": ".3f" for k in range(4)} | {f"spread {k + 1}": ".3f" for k in range(4)}
     return Table(
@@ -381,7 +383,7 @@ def creep_study(updates: int, compared: int = 4000) -> Table:
         formats,
         rows,
         (
-            "short runs: the last quarter, along the paper's motion; long ones: each stretch of mixed motion and standstill;",
+            "short runs along the paper's motion: the last quarter; long ones, moves and standstill: each stretch",
             "noise: of the logged force, per sample; 1.6 N is 0.46 N of the measured friction, 0.1 N is 0.03 N",
         ),
     )
@@ -438,9 +440,9 @@ def _say(text: str) -> None:
 
 
 STUDIES: Final[Mapping[str, tuple[Callable[[int, int], Table], int, int]]] = {
-    "coverage": (lambda runs, updates: coverage_study(runs, updates), 400, 400),
-    "monte-carlo": (lambda runs, updates: monte_carlo_study(runs, updates / 100.0), 100, 600),
-    "plant": (lambda runs, updates: plant_study(runs, updates / 100.0), 50, 2000),
+    "coverage": (coverage_study, 400, 400),
+    "monte-carlo": (lambda runs, updates: monte_carlo_study(runs, updates / 100.0), 100, 400),
+    "plant": (lambda runs, updates: plant_study(runs, updates / 100.0), 20, 2000),
     "creep": (lambda runs, updates: creep_study(updates), 1, 100_000),
 }
 """Studies by name, with their numbers of runs and updates."""

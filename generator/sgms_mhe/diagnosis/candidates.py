@@ -134,7 +134,9 @@ def search(
         if name not in EFFECT_NAMES:
             continue
         if name in _HARMONICS:
-            proposal = _search_harmonic(name, motion, recording, free, e)
+            # Slow trends have more energy than they deserve: a short period gets a proposal of its own.
+            found += [p for fine in (False, True) if (p := _search_harmonic(name, motion, recording, free, e, fine))]
+            continue
         elif name == "step_disturbance":
             proposal = _search_step(motion, recording, free, e)
         elif name == "dwell_dependence":
@@ -461,7 +463,10 @@ _HARMONICS: Final[Mapping[str, _Harmonic]] = {
 }
 
 
-def _search_harmonic(name: str, motion: Motion, recording: Recording, free: Nuisance, e: Array) -> Proposal | None:
+def _search_harmonic(
+    name: str, motion: Motion, recording: Recording, free: Nuisance, e: Array, fine: bool
+) -> Proposal | None:
+    """The best period: of those that the record covers six times or more (`fine`), or of the longer ones."""
     kind = _HARMONICS[name]
     used = motion.used
     in_time = kind.coordinate == "time"
@@ -476,6 +481,8 @@ def _search_harmonic(name: str, motion: Motion, recording: Recording, free: Nuis
     else:
         edges = 1.0 / longest_pitch(recording) * 2.0 ** np.arange(0, math.ceil(math.log2(FINEST_PITCH)) + 1)
         bands = [(float(low), float(high)) for low, high in pairwise(edges)]
+    split = 4.0 * bands[0][0]
+    bands = [(max(low, split), high) for low, high in bands if high > split] if fine else [(bands[0][0], split)]
     best: tuple[float, float, Array] | None = None
     tests = 0.0
     limit = min(PITCH_BAND * motion.rate, 0.7 * recording.machine.sampling.velocity_cutoff)

@@ -295,6 +295,8 @@ class Workshop:
         lower, upper = _bounds(columns, recording)
         lower, upper = lower[free], upper[free]
         limit = np.array([_step_limit(c, t, recording) for c, t in zip(columns, theta, strict=True)])[free]
+        theta = theta.copy()
+        theta[free] = np.clip(theta[free], lower, upper)
 
         def evaluate(at: Array) -> tuple[Array, Array, float]:
             y, slopes = model.run(recording, at)
@@ -318,10 +320,11 @@ class Workshop:
             improved, promised = False, 0.0
             for _ in range(3):
                 A = H + np.diag(prior_rows + damping * diagonal + 1e-12 * max(1e-30, float(diagonal.max())))
-                step = np.clip(np.linalg.solve(A, g), -limit, limit)
+                step = _bounded_step(
+                    A, g, np.maximum(-limit, lower - theta[free]), np.minimum(limit, upper - theta[free])
+                )
                 trial = theta.copy()
-                trial[free] = np.clip(theta[free] + step, lower, upper)
-                step = trial[free] - theta[free]
+                trial[free] = theta[free] + step
                 promised = float(2.0 * g @ step - step @ (H @ step) - prior_rows @ step**2)
                 if promised < enough:
                     break
@@ -492,6 +495,22 @@ def _snapped(machine: Machine, extra: Extra) -> tuple[tuple[str, float], ...]:
     return tuple(values)
 
 
+def _bounded_step(A: Array, g: Array, lower: Array, upper: Array) -> Array:
+    """Minimise s'As/2 - g's over a box, approximately: what leaves it is held at its edge, the rest solved again."""
+    step, held = np.zeros(len(g)), np.zeros(len(g), dtype=np.bool_)
+    for _ in range(len(g)):
+        loose = ~held
+        if not loose.any():
+            break
+        step[loose] = np.linalg.solve(A[np.ix_(loose, loose)], g[loose] - A[np.ix_(loose, held)] @ step[held])
+        outside = loose & ((step < lower) | (step > upper))
+        if not outside.any():
+            break
+        step = np.clip(step, lower, upper)
+        held |= outside
+    return step
+
+
 def _step_limit(column: Column, theta: float, recording: Recording) -> float:
     """Largest change of a parameter in one step.
 
@@ -529,8 +548,8 @@ def _bounds(columns: Sequence[Column], recording: Recording) -> tuple[Array, Arr
 
 
 def longest_pitch(recording: Recording) -> float:
-    """The longest period in position [m] that a record can tell from a slope: it covers it once."""
-    return max(1e-9, float(np.ptp(recording.position[recording.used])))
+    """The longest period in position [m] that a record can tell from a slope: it covers one and a half."""
+    return max(1e-9, float(np.ptp(recording.position[recording.used])) / 1.5)
 
 
 def lowest_frequency(recording: Recording) -> float:

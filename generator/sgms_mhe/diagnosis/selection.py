@@ -25,6 +25,7 @@ ROUNDS: Final = 5
 REFITS: Final = 4  # per round
 CLOSE: Final = 0.55  # a candidate with less than this share of the best linear gain is not refitted
 SHARPER: Final = 0.97  # RMS by which the sharp transition must fit better to be taken
+SHARE: Final = 0.4  # of the RMS beyond noise
 RIVAL_SHARE: Final = 0.15  # RMS by which a rival may fit worse, over what the cause explains
 RIVAL_T: Final = 2.5
 COSTLY: Final = ("backlash", "frictional_lag", "dwell_dependence")
@@ -77,6 +78,7 @@ class Selector:
         self.sharp = sharp
         self.report = report
         machine = workshop.machine
+        self.floor = floor
         self.material = max(MATERIAL * machine.friction.coulomb, MATERIAL_NOISE * floor)
         self.own = tuple(f"machine:{effect.label}" for effect in machine.effects)
         self.groups = tuple(BASE_GROUPS) + self.own
@@ -98,6 +100,9 @@ class Selector:
             current = self._pruned(step)
             if self.sharp is not None:
                 current = self._transition(current.extras)
+        # What is left unexplained is no measure for the machine's numbers, but no finer one than that is possible.
+        left = math.sqrt(max(0.0, current.cross_rms**2 - self.floor**2))
+        self.material = max(self.material, 0.3 * left)
         base, fit = self._wrong_numbers(current)
         fit, base = self._leaner(fit, base)
         rivals: list[Rival] = []
@@ -108,6 +113,7 @@ class Selector:
             if better is None:
                 break
             base, fit = self._wrong_numbers(better)
+            fit, base = self._leaner(fit, base)
         for group in base + tuple(f"+{i}" for i in range(len(fit.extras))):
             p_values[group] = self._p_value(fit, group)
         return Selection(fit, base, tuple(self.scores), tuple(rivals), rejected, p_values)
@@ -149,10 +155,14 @@ class Selector:
         names = self.names(current.extras)
         proposals = search(self.workshop, current, names, free)
         gains = {id(p): self._linear_gain(current, p) for p in proposals}
+        best: dict[str, Proposal] = {}
+        for p in proposals:
+            if p.name not in best or gains[id(p)] > gains[id(best[p.name])]:
+                best[p.name] = p
+        proposals = list(best.values())
+        enough = self._enough(current)
         strong = [
-            p
-            for p in proposals
-            if p.feasible and p.p_value * len(names) < SIGNIFICANCE and gains[id(p)] > 0.8 * self.material
+            p for p in proposals if p.feasible and p.p_value * len(names) < SIGNIFICANCE and gains[id(p)] > 0.8 * enough
         ]
         strong.sort(key=lambda p: -gains[id(p)])
         top = gains[id(strong[0])] if strong else 0.0
@@ -182,13 +192,21 @@ class Selector:
             )
         return fits[chosen] if chosen is not None else None
 
+    def _enough(self, current: Fit) -> float:
+        """What an effect must explain to be added [N]: what matters, and a fair share of what there is to explain.
+
+        Where a lot is left, something with a small share of it only imitates a part of what is really there.
+        """
+        excess = math.sqrt(max(0.0, current.cross_rms**2 - self.floor**2))
+        return max(self.material, SHARE * excess)
+
     def _choose(self, current: Fit, fits: dict[str, Fit]) -> str | None:
         """The candidate to add: the best by cross-validation; among equals the one that leaves other numbers alone."""
         gains = {name: gain_force(current.cross, fit.cross, fit.rows) for name, fit in fits.items()}
         gains = {
             name: gain
             for name, gain in gains.items()
-            if gain > self.material and not self._degenerate(fits[name], name)
+            if gain > self._enough(current) and not self._degenerate(fits[name], name)
         }
         if not gains:
             return None
@@ -329,11 +347,10 @@ class Selector:
                 statistic = difference_statistic(fit.cross, trial.cross)
                 simpler = fit.numbers - trial.numbers
                 better = statistic < -RIVAL_T and excess < -0.2 * self.material
-                equal = excess < 0.2 * self.material or statistic < RIVAL_T
                 if self._degenerate(trial, name):
                     rejected[name] = (cause, max(0.0, excess))
                     continue
-                if better or (simpler > 0 and equal and excess < 0.5 * self.material):
+                if better or (simpler > 0 and excess < self.material):
                     return trial, [], {}
                 if simpler < 0 and (excess > -0.2 * self.material or statistic > -RIVAL_T):
                     # More numbers and no better: it only imitates.

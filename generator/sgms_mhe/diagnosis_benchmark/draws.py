@@ -367,7 +367,10 @@ def _step(scene: _Scene) -> tuple[Shape, float]:
 
 
 def _ageing(scene: _Scene) -> tuple[Shape, float]:
-    tau, length = _log_uniform(scene.random, 0.05, 0.3), _log_uniform(scene.random, 0.3, 2.0) * deflection(scene.machine)
+    tau, length = (
+        _log_uniform(scene.random, 0.05, 0.3),
+        _log_uniform(scene.random, 0.3, 2.0) * deflection(scene.machine),
+    )
     return lambda _, x: {"ratio": min(x, 3.0), "time_constant_s": tau, "length_m": length}, 1.0
 
 
@@ -420,12 +423,10 @@ def _sized(
     shape, x = _SHAPES[name](scene)
     goal = size * machine.friction.coulomb
     hidden, force, peak = Hidden(name), plain.friction, 0.0
-    import sys,time; t0=time.time()
     for _ in range(5):
         hidden = Hidden(name, _within_limits(name, shape(scene, x)))
         force = _prescribed(machine, motion, hidden).friction - plain.friction
         peak = _peak(force)
-        print(name,size,x,peak,hidden.parameters,time.time()-t0,file=sys.stderr,flush=True)
         if peak > 0.0 and abs(peak / goal - 1.0) < 0.1:
             break
         x = min(_SATURATION, x * min(10.0, max(0.1, goal / max(peak, 1e-12))))

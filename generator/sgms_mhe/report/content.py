@@ -18,6 +18,7 @@ from sgms_mhe.report.units import SPACE, force, percent, plain, probability, qua
 MEASURED, BEFORE, AFTER = "#374151", "#c2540a", "#0b6aa8"
 NEWTON: Final = f"{SPACE}N"
 SIGNIFICANT: Final = 0.01
+IDLE: Final = 0.02  # of the best candidate's gain
 
 _VERDICTS: Final = {
     "adequate": (
@@ -29,10 +30,7 @@ _VERDICTS: Final = {
         "What the simulation lacked has a name, and the record confirms it on data that the fit has not seen.",
     ),
     "ambiguous": ("?", "More than one cause fits this record equally well. The next step below tells them apart."),
-    "unexplained": (
-        "!",
-        "Something is left that no known effect accounts for. The plots show where it lives; no name is invented.",
-    ),
+    "unexplained": ("!", "The plots show where it lives; no name is invented."),
 }
 _ORDER: Final = {"named": 0, "rival": 1}
 _SAYS: Final = {
@@ -51,14 +49,19 @@ def page(
     """Everything that the template asks for, but for data, style and script."""
     d, t = diagnosis, diagnosis.traces
     sign, meaning = _VERDICTS[d.verdict]
+    shown: str = d.verdict
     if not d.excited:
-        meaning = "The axis hardly moved: this record excites nothing, so nothing is named and nothing is confirmed."
+        shown, sign, meaning = "not excited", "–", "Nothing is named and nothing is confirmed."
     rivals = [a for a in d.alternatives if a.rival]
+    scores = ranked_scores(d.scores)
+    most = max((_explained(s) for s in scores), default=0.0)
+    idle = [s for s in scores if s.outcome not in _ORDER and _explained(s) < IDLE * most]
     return {
         "machine": d.machine.name,
         "description": d.machine.description,
         "source": d.source,
-        "verdict": {"name": d.verdict, "sign": sign, "meaning": meaning},
+        "verdict": {"name": shown, "style": shown.replace(" ", "-"), "sign": sign, "meaning": meaning},
+        "headline": _headline(d),
         "summary": _sentence(d.summary),
         "tiles": _tiles(d, gain),
         "next_step": _sentence(d.separating_experiment) if d.separating_experiment else "",
@@ -90,12 +93,13 @@ def page(
             {
                 "key": f"view_{v.key}",
                 "title": _SAYS[v.key],
-                "says": _says(v.key, d.structure_before, d.structure_after),
+                "says": _says(v.key, d.structure_before, d.structure_after if d.extended is not None else ()),
                 "empty": len(v.centres) == 0,
             }
             for v in views
         ],
-        "candidates": _rows(ranked_scores(d.scores)),
+        "candidates": _rows([s for s in scores if s not in idle]),
+        "idle": _listed([s.name for s in idle]) if idle else "",
         "rounds": _rounds(d.scores),
         "gain_rows": _gain_rows(d),
         "floor_at": _share(d.noise_floor_N, _largest_rms(d)),
@@ -209,6 +213,32 @@ def _view(view: View, extended: bool) -> dict[str, Any]:
     }
 
 
+def _headline(d: Diagnosis) -> str:
+    """The verdict in one plain sentence."""
+    if not d.excited:
+        return "The axis hardly moves in this record: it says nothing about the simulation."
+    found = [_with_size(c) for c in d.causes[:3]]
+    if len(d.causes) > len(found):
+        found.append(f"{len(d.causes) - len(found)} more")
+    rivals = [title(a.name) for a in d.alternatives if a.rival and a.name not in {c.name for c in d.causes}]
+    if d.verdict == "ambiguous" and found and rivals:
+        return f"{_capital(_listed(found))}; or else {_listed(rivals, 'or')}: this record cannot tell."
+    if d.verdict == "unexplained":
+        rest = "Something is left that no known effect accounts for"
+        return f"Found: {_listed(found)}. {rest}, too." if found else f"{rest}."
+    if found:
+        return f"Found: {_listed(found)}."
+    return "The simulation explains this record down to the noise of the measurement."
+
+
+def _with_size(c: Cause) -> str:
+    """A cause in words, with its leading number where it is an effect."""
+    key = next(iter(c.parameters), None)
+    if key is None or c.name in BASE_CAUSES:
+        return title(c.name)
+    return f"{title(c.name)} ({quantity(key, c.parameters[key])})"
+
+
 def _tiles(d: Diagnosis, gain: EstimatorGain | None) -> list[dict[str, str]]:
     rms = d.rms
     tiles = []
@@ -291,7 +321,7 @@ def _cause(c: Cause) -> dict[str, Any]:
 def _left(d: Diagnosis) -> str:
     """What is left, strongest first, in one sentence."""
     left = sorted((s for s in d.structure_after if s.p_value < SIGNIFICANT), key=lambda s: -s.rms_N)
-    if not left or d.verdict != "unexplained":
+    if not left:
         return ""
     parts = [f"{_coordinate(s.coordinate)} ({force(s.rms_N)} RMS)" for s in left[:3]]
     return f"What is left depends most on {_listed(parts)}."
@@ -327,7 +357,11 @@ def ranked_scores(scores: Sequence[Score]) -> list[Score]:
 
 
 def _ranked(scores: Sequence[Score]) -> list[Score]:
-    return sorted(scores, key=lambda s: (_ORDER.get(s.outcome, 2), -_finite(s.refit_gain_N, s.gain_N)))
+    return sorted(scores, key=lambda s: (_ORDER.get(s.outcome, 2), -_explained(s)))
+
+
+def _explained(score: Score) -> float:
+    return _finite(score.refit_gain_N, score.gain_N)
 
 
 def _rounds(scores: Sequence[Score]) -> list[dict[str, Any]]:
@@ -342,7 +376,7 @@ def _rounds(scores: Sequence[Score]) -> list[dict[str, Any]]:
 
 
 def _rows(scores: Sequence[Score]) -> list[dict[str, Any]]:
-    most = max((_finite(s.refit_gain_N, s.gain_N) for s in scores), default=0.0)
+    most = max((_explained(s) for s in scores), default=0.0)
     return [
         {
             "title": _capital(title(s.name)),
@@ -352,7 +386,7 @@ def _rows(scores: Sequence[Score]) -> list[dict[str, Any]]:
             "chance": probability(s.p_value),
             "outcome": s.outcome,
             "kind": s.outcome if s.outcome in _ORDER else "other",
-            "width": _share(_finite(s.refit_gain_N, s.gain_N), most),
+            "width": _share(_explained(s), most),
         }
         for s in scores
     ]
@@ -458,8 +492,8 @@ def _finite(*values: float) -> float:
     return next((v for v in values if math.isfinite(v)), 0.0)
 
 
-def _listed(parts: Sequence[str]) -> str:
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+def _listed(parts: Sequence[str], last: str = "and") -> str:
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}"
 
 
 def _capital(text: str) -> str:
@@ -467,5 +501,8 @@ def _capital(text: str) -> str:
 
 
 def _sentence(text: str) -> str:
-    text = _capital(text.strip())
+    text = text.strip()
+    first = text.partition(" ")[0].rstrip(",:;")
+    if first not in CAUSE_NAMES and "_" not in first:  # names stay as they are written
+        text = _capital(text)
     return text if text.endswith((".", "!", "?", ":")) else text + "."

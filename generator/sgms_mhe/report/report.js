@@ -126,7 +126,7 @@
       }
       c.font = FONT; c.lineWidth = 1; c.strokeStyle = GRID; c.fillStyle = AXIS;
       const wide = Math.max(2, Math.floor((box.right - box.left) / 95));
-      const high = Math.max(2, Math.floor((box.bottom - box.top) / 30));
+      const high = Math.max(3, Math.floor((box.bottom - box.top) / 30));
       const xTicks = spec.xLog ? decades(Math.exp(x0), Math.exp(x1), wide) : ticks(x0, x1, wide);
       const yTicks = spec.yLog ? decades(Math.exp(y0), Math.exp(y1), high) : ticks(y0, y1, high);
       c.beginPath();

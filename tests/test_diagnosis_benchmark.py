@@ -1,0 +1,335 @@
+"""The benchmark of diagnoses: fair draws, right scores, runs that go on, and a seeded part of it for real."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sgms_mhe.diagnosis_benchmark import (
+    Draw,
+    Found,
+    Hidden,
+    machine_of,
+    make_draw,
+    outcome,
+    run_diagnosis_benchmark,
+    run_draw,
+    simulate_draw,
+    summarise,
+    summary_json,
+    summary_text,
+)
+from sgms_mhe.diagnosis_benchmark.draws import KINDS, VISIBLE, foreign_force
+from sgms_mhe.diagnosis_benchmark.foreign import FOREIGN
+from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, deflection, draw_motion
+from sgms_mhe.diagnosis_benchmark.scoring import confusion_table, half_found, parameter_errors
+from sgms_mhe.errors import InputError
+from sgms_mhe.kinematics import signals_from_log
+from sgms_mhe.logs import Log
+from sgms_mhe.machine import Machine, load_machine
+from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, measures
+
+SEED = 1
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("etel_xy")
+
+
+@pytest.fixture(scope="module")
+def draws(machine: Machine) -> list[Draw]:
+    return [make_draw(machine, SEED, index) for index in range(20)]
+
+
+# --- draws ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_draw_depends_on_seed_and_index_alone(machine: Machine, draws: list[Draw]) -> None:
+    again = make_draw(machine, SEED, 12)
+    assert again == draws[12]
+    assert make_draw(machine, SEED + 1, 12) != again
+    assert Draw.from_json(json.loads(json.dumps(again.to_json()))) == again
+
+
+def test_kinds_are_balanced_and_every_name_comes_up(draws: list[Draw]) -> None:
+    assert [d.kind for d in draws] == list(KINDS)
+    assert {kind: KINDS.count(kind) for kind in KINDS} == {
+        "single": 8, "clean": 5, "base": 2, "double": 2, "foreign": 2, "weak": 1,
+    }  # fmt: skip
+    for draw in draws:
+        counts = {"single": 1, "base": 1, "double": 2, "foreign": 1, "clean": 0}
+        assert len(draw.hidden) == counts.get(draw.kind, len(draw.hidden))
+        names = {"base": tuple(BASE_CAUSES), "foreign": tuple(FOREIGN)}.get(draw.kind, EFFECT_NAMES)
+        assert all(h.name in names for h in draw.hidden)
+    # Of one kind no name comes twice before all have come once.
+    singles = [d.hidden[0].name for d in draws if d.kind == "single"]
+    assert len(set(singles)) == len(singles)
+
+
+def test_hidden_causes_are_sized_excited_and_visible(machine: Machine, draws: list[Draw]) -> None:
+    for draw in draws:
+        if draw.kind not in ("single", "double"):
+            continue
+        axis = machine_of(machine, draw)
+        log, _ = simulate_draw(machine, draw)
+        found = measures(signals_from_log(log, axis), axis)
+        for hidden in draw.hidden:
+            assert 0.01 < hidden.size < 0.6
+            assert hidden.visible >= VISIBLE
+            assert cause(hidden.name).excitation.unmet(found, hidden.parameters) == ()
+
+
+def test_size_of_a_ripple_is_its_amplitude(machine: Machine, draws: list[Draw]) -> None:
+    ripples = [h for d in draws for h in d.hidden if h.name == "force_ripple"]
+    assert ripples
+    for hidden in ripples:
+        assert hidden.size == pytest.approx(hidden.parameters["amplitude_N"] / machine.friction.coulomb, rel=0.03)
+
+
+@pytest.mark.parametrize("style", [*STYLES, *WEAK_STYLES])
+def test_motions_do_what_their_style_says(machine: Machine, style: str) -> None:
+    motion = draw_motion(style, machine, 8.0, np.random.default_rng(3))
+    assert motion.duration_s == pytest.approx(8.2, abs=0.01)
+    assert np.abs(motion.velocity_m_s).max() <= machine.sampling.max_velocity
+    forward, back = motion.velocity_m_s.max(), -motion.velocity_m_s.min()
+    if style == "still":
+        assert forward == back == 0.0
+    elif style == "presliding":
+        assert np.ptp(motion.position_m) < 0.5 * deflection(machine)
+    elif style == "one_way":
+        assert forward > 0.01
+        assert back < 1e-9
+    else:
+        assert min(forward, back) > 0.2 * machine.sampling.max_velocity
+        assert np.abs(motion.acceleration_m_s2[:-1]).max() < 15.0 * machine.sampling.max_velocity
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_foreign_forces_have_their_size_and_stay_out_of_the_motion(
+    machine: Machine, draws: list[Draw], name: str
+) -> None:
+    draw = replace(next(d for d in draws if d.kind == "foreign"), hidden=(Hidden(name, size=0.2),), seconds=6.0)
+    force = foreign_force(machine, draw, draw.hidden[0])
+    peak = np.quantile(np.abs(force[len(force) // 50 :]), 0.98)
+    assert peak == pytest.approx(0.2 * machine.friction.coulomb, rel=1e-9)
+    log, _ = simulate_draw(machine, draw)
+    clean, _ = simulate_draw(machine, replace(draw, kind="clean", hidden=()))
+    np.testing.assert_array_equal(log.position_m, clean.position_m)
+    np.testing.assert_allclose(log.force_N - clean.force_N, force, atol=1e-12)
+    assert draw.truth == ()
+
+
+def test_noise_is_known_where_nothing_distorts_the_log(machine: Machine, draws: list[Draw]) -> None:
+    clean = next(d for d in draws if d.kind == "clean")
+    _, noise = simulate_draw(machine, clean)
+    assert 0.0 < noise < 0.1 * machine.friction.coulomb
+    _, unknown = simulate_draw(machine, next(d for d in draws if d.kind == "single"))
+    assert math.isnan(unknown)
+
+
+# --- scores ---------------------------------------------------------------------------------------------------------
+
+
+def drawn(kind: str, *names: str, size: float = 0.2) -> Draw:
+    hidden = tuple(Hidden(name, {"force_N": 0.5} if name == "constant_offset" else {}, size=size) for name in names)
+    return Draw(0, kind, hidden, {}, "workout", 10.0, 1, "sgms", 0.1, 0.0, 1e-9, 1)
+
+
+def said(verdict: str, *names: str, rivals: Sequence[tuple[str, str | None]] = ()) -> Found:
+    return Found(verdict, tuple((name, {}, {}) for name in names), tuple(rivals), has_experiment=verdict == "ambiguous")
+
+
+OFFSET, COULOMB = "constant_offset", "asymmetric_coulomb"
+
+
+@pytest.mark.parametrize(
+    ("draw", "found", "how"),
+    [
+        (drawn("single", OFFSET), said("explained", OFFSET), "named"),
+        (drawn("single", OFFSET), said("explained", COULOMB), "misnamed"),
+        (drawn("single", OFFSET), said("explained", OFFSET, COULOMB), "extra"),
+        (drawn("single", OFFSET), said("unexplained", OFFSET), "named"),
+        (drawn("single", OFFSET), said("adequate"), "missed"),
+        (drawn("single", OFFSET), said("unexplained"), "unexplained"),
+        (drawn("single", OFFSET), said("ambiguous", OFFSET, rivals=[(COULOMB, OFFSET)]), "ambiguous"),
+        (drawn("single", OFFSET), said("ambiguous", COULOMB, rivals=[(OFFSET, COULOMB)]), "ambiguous"),
+        (drawn("single", OFFSET), said("ambiguous", COULOMB, rivals=[("coulomb", COULOMB)]), "misnamed"),
+        # To list everything is to tell nothing.
+        (drawn("single", OFFSET), said("ambiguous", COULOMB, rivals=[(n, None) for n in EFFECT_NAMES]), "misnamed"),
+        # Without an experiment it is no honest ambiguity.
+        (
+            drawn("single", OFFSET),
+            replace(said("ambiguous", COULOMB, rivals=[(OFFSET, None)]), has_experiment=False),
+            "misnamed",
+        ),
+        (drawn("double", OFFSET, "force_ripple"), said("explained", "force_ripple", OFFSET), "named"),
+        (drawn("double", OFFSET, "force_ripple"), said("explained", OFFSET), "partial"),
+        (drawn("double", OFFSET, "force_ripple"), said("explained", OFFSET, "viscous"), "misnamed"),
+        (
+            drawn("double", OFFSET, "force_ripple"),
+            said("ambiguous", COULOMB, "force_ripple", rivals=[(OFFSET, COULOMB)]),
+            "ambiguous",
+        ),
+        (drawn("clean"), said("adequate"), "right"),
+        (drawn("clean"), said("unexplained"), "unexplained"),
+        (drawn("clean"), said("explained", "viscous"), "invented"),
+        (drawn("foreign", "bursts"), said("unexplained"), "unexplained"),
+        (drawn("foreign", "bursts"), said("adequate"), "missed"),
+        (drawn("foreign", "bursts"), said("unexplained", "force_ripple"), "misnamed"),
+        (drawn("weak", OFFSET), said("ambiguous", COULOMB, rivals=[(OFFSET, COULOMB)]), "right"),
+        (drawn("weak", OFFSET), said("explained", OFFSET), "overclaimed"),
+        (drawn("weak", OFFSET), said("explained", COULOMB), "misnamed"),
+        (drawn("weak"), said("adequate"), "right"),
+        (drawn("single", OFFSET), Found("", error="ValueError: no"), "error"),
+    ],
+)
+def test_outcomes(draw: Draw, found: Found, how: str) -> None:
+    assert outcome(draw, found) == how
+
+
+def test_rates_and_confusion(machine: Machine) -> None:
+    results = [
+        *[(drawn("single", OFFSET), said("explained", OFFSET))] * 7,
+        *[(drawn("single", OFFSET), said("ambiguous", COULOMB, rivals=[(OFFSET, COULOMB)]))] * 2,
+        (drawn("single", OFFSET), said("explained", COULOMB)),
+        (drawn("single", OFFSET, size=0.03), said("adequate")),  # too small to count
+        *[(drawn("clean"), said("adequate"))] * 9,
+        (drawn("clean"), said("explained", "viscous")),
+        *[(drawn("double", OFFSET, "force_ripple"), said("explained", OFFSET, "force_ripple"))] * 3,
+        (drawn("double", OFFSET, "force_ripple"), said("explained", OFFSET)),
+        (drawn("foreign", "bursts"), said("unexplained")),
+        (drawn("foreign", "chirp"), said("explained", "force_ripple")),
+    ]
+    summary = summarise(machine, results)
+    assert (summary.recovery.hits, summary.recovery.total) == (9, 10)
+    assert summary.recovery.interval[0] < 0.9 < summary.recovery.interval[1]
+    assert summary.ambiguous.hits == 2
+    assert summary.misnamed.hits == 1
+    assert (summary.false_alarms.hits, summary.false_alarms.total) == (1, 10)
+    assert (summary.doubles.hits, summary.doubles.total) == (3, 4)
+    assert (summary.foreign_unexplained.hits, summary.foreign_misnamed.hits) == (1, 1)
+    rows, columns, counts = confusion_table(summary.confusion)
+    table = {(r, c): n for r, line in zip(rows, counts, strict=True) for c, n in zip(columns, line, strict=True)}
+    # A correct ambiguity counts as itself.
+    assert table[OFFSET, OFFSET] == 13
+    assert table[OFFSET, COULOMB] == 1
+    assert table[OFFSET, "(nothing)"] == 1
+    assert table["force_ripple", "(nothing)"] == 1
+    assert table["clean", "viscous"] == 1
+    assert table["foreign: chirp", "force_ripple"] == 1
+    assert sum(summary.confusion.values()) == len(results) + 4
+    text = summary_text(summary)
+    assert "9 of 10    90.0 %" in text
+    assert json.loads(json.dumps(summary_json(summary)))["recovery"]["hits"] == 9
+
+
+def test_parameter_errors_and_coverage(machine: Machine) -> None:
+    ripple = {"amplitude_N": 0.5, "pitch_m": 0.03, "phase_rad": 1.0}
+    draw = replace(drawn("single"), hidden=(Hidden("force_ripple", ripple, size=0.125),))
+    # Half a turn of the phase makes up for the sign.
+    values = {"amplitude_N": -0.52, "pitch_m": 0.03003, "phase_rad": 1.0 - math.pi}
+    found = Found("explained", (("force_ripple", values, {"amplitude_N": 0.015, "pitch_m": 1e-6, "phase_rad": 0.1}),))
+    errors = {e.name: e for e in parameter_errors(machine, draw, found)}
+    assert set(errors) == {"force_ripple.amplitude_N", "force_ripple.pitch_m"}
+    assert errors["force_ripple.amplitude_N"].relative == pytest.approx(0.04)
+    summary = summarise(machine, [(draw, found)])
+    assert (summary.within.hits, summary.within.total) == (2, 2)
+    assert (summary.covered.hits, summary.covered.total) == (1, 2)
+
+    wrong = replace(drawn("base"), hidden=(Hidden("viscous", factors={"viscous": 1.2}, size=0.2),))
+    found = Found("explained", (("viscous", {"viscous_N_s_m": 25.2}, {"viscous_N_s_m": 1.0}),))
+    (error,) = parameter_errors(machine, wrong, found)
+    assert error.relative == pytest.approx(0.05)
+
+    gain = replace(drawn("single"), hidden=(Hidden("force_gain", {"gain": 1.02}, size=0.2),))
+    found = Found("explained", (("force_gain", {"gain": 1.021}, {"gain": 0.001}),))
+    (error,) = parameter_errors(machine, gain, found)
+    assert error.relative == pytest.approx(0.05)
+
+
+def test_smallest_size_found_half_of_the_time() -> None:
+    random = np.random.default_rng(2)
+    sizes = np.exp(random.uniform(math.log(0.01), math.log(0.5), 60))
+    found = random.uniform(size=60) < 1.0 / (1.0 + (sizes / 0.05) ** -6)
+    threshold = half_found("force_ripple", sizes.tolist(), found.tolist())
+    assert threshold.low < 0.05 < threshold.high
+    assert threshold.size == pytest.approx(0.05, rel=0.3)
+    # With everything found, or nothing, it is beyond what was tried.
+    assert half_found("x", [0.05, 0.1, 0.2], [True] * 3).size < 0.05
+    assert half_found("x", [0.05, 0.1, 0.2], [False] * 3).size > 0.2
+
+
+# --- runs -----------------------------------------------------------------------------------------------------------
+
+
+def refuse(machine: Machine, log: Log) -> None:
+    raise ValueError(f"not today: {log.source}")
+
+
+def test_an_interrupted_run_goes_on(machine: Machine, tmp_path: Path) -> None:
+    class Interrupt(KeyboardInterrupt):
+        pass
+
+    def stop(done: int, total: int) -> None:
+        if done == 2:
+            raise Interrupt
+
+    options = {"draws": 4, "seed": SEED, "jobs": 1, "diagnose": refuse}
+    with pytest.raises(Interrupt):
+        run_diagnosis_benchmark(machine, tmp_path, progress=stop, **options)  # type: ignore[arg-type]
+    results = tmp_path / "results.jsonl"
+    assert len(results.read_text().splitlines()) == 3  # a header and two results
+    with results.open("a") as stream:
+        stream.write('{"index":3,"dra')  # cut off
+    calls: list[tuple[int, int]] = []
+    summary = run_diagnosis_benchmark(
+        machine,
+        tmp_path,
+        progress=lambda done, total: calls.append((done, total)),
+        **options,  # type: ignore[arg-type]
+    )
+    assert calls == [(2, 4), (3, 4), (4, 4)]
+    assert summary.errors.hits == 4
+    lines = [json.loads(line) for line in results.read_text().splitlines()]
+    assert [line.get("index") for line in lines] == [None, 0, 1, 2, 3]
+    assert lines[1]["found"]["error"] == "ValueError: not today: draw_0.csv"
+    assert (tmp_path / "summary.txt").read_text() == summary_text(summary) + "\n"
+    assert json.loads((tmp_path / "summary.json").read_text())["draws"] == 4
+    assert (tmp_path / "confusion.csv").read_text().startswith("hidden,")
+    with pytest.raises(InputError, match="another folder"):
+        run_diagnosis_benchmark(machine, tmp_path, draws=4, seed=SEED + 1, jobs=1, diagnose=refuse)  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_processes_give_what_one_gives(machine: Machine, tmp_path: Path) -> None:
+    for jobs in (1, 2):
+        run_diagnosis_benchmark(machine, tmp_path / str(jobs), draws=2, seed=SEED, jobs=jobs, diagnose=refuse)  # type: ignore[arg-type]
+
+    def results(jobs: int) -> list[Draw]:
+        lines = (tmp_path / str(jobs) / "results.jsonl").read_text().splitlines()[1:]
+        return sorted((Draw.from_json(json.loads(line)["draw"]) for line in lines), key=lambda d: d.index)
+
+    assert [d.motion_seed for d in results(1)] == [d.motion_seed for d in results(2)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("index", "kind", "right"),
+    [
+        (1, "clean", {"right"}),
+        (3, "base", {"named", "ambiguous"}),
+        (8, "foreign", {"unexplained"}),
+        (19, "weak", {"right"}),
+    ],
+)
+def test_part_of_the_benchmark(machine: Machine, index: int, kind: str, right: set[str]) -> None:
+    draw, found = run_draw(machine, SEED, index)
+    assert draw.kind == kind
+    assert outcome(draw, found) in right, (draw, found)

@@ -1,0 +1,126 @@
+"""The paper's experiment: its table, its figures, and what the paper found."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sgms_mhe import figures
+from sgms_mhe.errors import InputError
+from sgms_mhe.experiment import (
+    PAPER_WEIGHTS,
+    PAPER_WEIGHTS_EKF,
+    TRUE_STIFFNESS,
+    Record,
+    coverage,
+    friction_rms,
+    run_estimator,
+    run_experiment,
+    simulate_record,
+    smoothness,
+)
+from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.simulation import AxisConfig, simulate_axis
+from sgms_mhe.tables import Table
+from sgms_mhe.trajectories import Motion
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    return simulate_record(load_machine("etel_xy"), TRUE_STIFFNESS, duration_s=10.0)
+
+
+def test_experiment_writes_figures_tables_and_data(tmp_path: Path) -> None:
+    steps: list[tuple[int, int]] = []
+    experiment = run_experiment(
+        load_machine("etel_xy"), tmp_path / "new", lambda done, total: steps.append((done, total)), duration_s=2.0
+    )
+    assert steps == [(k + 1, steps[-1][1]) for k in range(steps[-1][1])]
+    assert {path.stem for path in experiment.figures} == {
+        "fig3_hysteresis",
+        "fig6_signals",
+        "fig7_friction",
+        "fig8_stiffness",
+        "fig8_stiffness_paper",
+    }
+    for path in experiment.figures:
+        assert path.read_bytes().startswith(b"\x89PNG")
+    names = [row["estimator"] for row in experiment.tables[0].rows]
+    assert names == ["MHE, C", "EKF, C", "MHE, reference", "batch smoother"]
+    written = json.loads((tmp_path / "new" / "experiment.json").read_text())
+    assert [row["estimator"] for row in written["tables"][0]["rows"]] == names
+    assert (tmp_path / "new" / "experiment.txt").read_text() == f"{experiment}\n"
+    compiled, reference = (experiment.outcomes[name].estimates for name in ("MHE, C", "MHE, reference"))
+    np.testing.assert_allclose(compiled.parameters, reference.parameters, rtol=1e-8)
+
+
+def test_default_weights_find_the_stiffness(record: Record) -> None:
+    machine = load_machine("etel_xy")
+    outcome = run_estimator("MHE, C", machine, record)
+    assert friction_rms(outcome, record) < 0.025  # 0.014 N in 20 s
+    assert coverage(outcome, record).mean() > 0.8
+    start, end = (float(np.abs(theta - record.theta).max()) for theta in (np.ones(4), outcome.theta[-1]))
+    assert end < 0.5 * start
+
+
+def test_the_papers_weights_are_those_of_its_machine_file() -> None:
+    paper = load_machine("etel_xy_paper").estimator
+    assert override_machine(load_machine("etel_xy"), {"estimator": PAPER_WEIGHTS}).estimator == paper
+
+
+def test_with_the_papers_weights_the_mhe_is_five_times_smoother(record: Record) -> None:
+    machine = load_machine("etel_xy")
+    mhe, ekf = (
+        run_estimator("", override_machine(machine, {"estimator": weights}), record)
+        for weights in (PAPER_WEIGHTS, PAPER_WEIGHTS_EKF)
+    )
+    assert np.all(smoothness(ekf) > 5.0 * smoothness(mhe))
+
+
+def test_truth_is_compared_behind_the_filters(record: Record) -> None:
+    # What is left between measured and true friction is noise: no delay, no transient.
+    measured = record.signals.friction[record.nodes][25:]
+    assert np.sqrt(np.mean((measured - record.friction[25:]) ** 2)) < 0.05
+
+
+def test_figure_3_has_the_papers_parameters_and_non_local_memory() -> None:
+    machine = figures.figure_3_machine(load_machine("etel_xy"))
+    friction = machine.friction
+    assert friction.coulomb * (1.0 + friction.stribeck_ratio) == pytest.approx(3.0)
+    # Memory: an inner loop that closed leaves no trace, and one that is open does.
+    plain, closed = (friction_at(machine, 0.4e-6, targets) for targets in ((), (0.2e-6, 0.0)))
+    inside = friction_at(machine, 0.1e-6, (0.2e-6, 0.0))
+    assert closed == pytest.approx(plain, abs=0.01)
+    assert inside < friction_at(machine, 0.1e-6, ()) - 0.1
+
+
+def friction_at(machine: Machine, position_m: float, inner: tuple[float, ...]) -> float:
+    """Friction [N] at the last upward pass of a position, after the reversals at 1, -0.5 and `inner` micrometres."""
+    velocity = 4e-6
+    motion = Motion(machine.sampling.rate)
+    for target in (1e-6, -0.5e-6, *inner, 0.6e-6):
+        motion.move_to(target, velocity, 100.0 * velocity, 2e4 * velocity)
+    path = motion.trajectory("loops")
+    run = simulate_axis(machine, path, AxisConfig(control="prescribed", encoder_resolution_m=0.0, force_noise_N=0.0))
+    assert run.truth is not None
+    return float(run.truth.friction_N[np.flatnonzero(path.position_m < position_m)[-1]])
+
+
+def test_experiment_refuses_what_it_cannot_compare(tmp_path: Path) -> None:
+    machine = override_machine(load_machine("etel_xy"), {"estimator": {"parameters": ["coulomb"], "bounds": {}}})
+    with pytest.raises(InputError, match=r"estimator\.parameters"):
+        run_experiment(machine, tmp_path)
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(InputError, match="output folder"):
+        run_experiment(load_machine("etel_xy"), blocked / "out")
+    assert not [path for path in tmp_path.iterdir() if path != blocked]
+
+
+def test_tables_align_and_leave_what_is_absent_empty() -> None:
+    table = Table("title", {"name": "", "value": ".2f"}, ({"name": "a", "value": 1.0}, {"name": "longer"}), ("note",))
+    assert str(table).splitlines() == ["title", "  name    value", "  a        1.00", "  longer", "  note"]
+    assert table.as_dict()["rows"][0] == {"name": "a", "value": 1.0}
