@@ -19,7 +19,7 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := all
 .PHONY: all help venv generate check-generated compile experiment figures test lint lint-ruff lint-format \
-        lint-types lint-c format benchmark benchmark-diagnosis wheel lock clean distclean
+        lint-types lint-c format studies benchmark benchmark-diagnosis wheel lock clean distclean
 
 all: experiment ## (default) set up, generate etel_xy, compile it, run the paper's experiment, print its table
 
@@ -88,6 +88,12 @@ experiment: compile ## the paper's experiment on MACHINE: table on stdout, figur
 figures: experiment ## run the experiment and put its figures into docs/figures
 	@mkdir -p docs/figures
 	find $(BUILD)/experiment -maxdepth 1 \( -name '*.svg' -o -name '*.png' \) -exec cp {} docs/figures/ \;
+
+studies: $(STAMP) ## statistics: coverage, Monte Carlo against EKF and smoother, creep over 1e5 updates; half an hour
+	@mkdir -p $(BUILD)/studies
+	@for name in coverage monte-carlo plant creep; do \
+	    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_mhe.studies $$name > $(BUILD)/studies/$$name.txt && \
+	    cat $(BUILD)/studies/$$name.txt || exit; done
 
 benchmark: $(STAMP) ## time and instructions of MACHINE's variants, and of peers
 	$(RUN) bench machines/$(MACHINE).toml

@@ -26,8 +26,11 @@ COMMANDS: Final = {
     "predict": "predict",
     "estimate": "estimate",
     "compare": "compare",
+    "diagnose": "diagnose",
+    "plan": "plan",
     "experiment": "experiment",
     "bench": "bench",
+    "bench-diagnosis": "bench_diagnosis",
     "check": "check",
     "schema": "schema",
 }

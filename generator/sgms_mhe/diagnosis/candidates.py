@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from sgms_mhe.diagnosis.evidence import Nuisance, score_test
-from sgms_mhe.diagnosis.fitting import Extra, Fit, Workshop, longest_pitch, lowest_frequency
+from sgms_mhe.diagnosis.fitting import CompiledFit, Extra, Fit, Workshop, longest_pitch, lowest_frequency
 from sgms_mhe.diagnosis.residuals import Recording
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 
@@ -184,7 +184,8 @@ def _search_dwell(workshop: Workshop, fit: Fit, free: Nuisance, e: Array) -> Pro
     The level's rise dies away within the way over which the elements come up to it: nothing short of the model itself
     says what is left.
     """
-    recording, name = workshop.recording, "dwell_dependence"
+    workshop, name = workshop.coarse, "dwell_dependence"
+    recording = workshop.recording
     friction = workshop.machine.friction
     way = max(nu * friction.coulomb / k for nu, k in zip(friction.fraction, friction.stiffness, strict=True))
     lengths, times = (0.1 * way, 0.5 * way, 2.5 * way), (0.05, 0.2, 0.8, 3.2)
@@ -582,17 +583,21 @@ def _search_compiled(
     name: str, workshop: Workshop, fit: Fit, motion: Motion, free: Nuisance, e: Array
 ) -> Proposal | None:
     """Run the effect's own model at a few sizes; its column is the change of the force."""
+    workshop = workshop.coarse
     recording = workshop.recording
+    at_rest = workshop.model(fit.extras)
+    theta = workshop.start(at_rest, fit.extras, fit)
+    without, _ = at_rest.run(recording, theta, derivatives=False)
     best: tuple[float, Values, Array] | None = None
     trials = _TRIALS[name](motion)
     for values in trials:
         if name == "backlash":
-            force = _behind_gap(recording, fit, motion, values["gap_m"])
+            force = _behind_gap(recording, at_rest, theta, motion, values["gap_m"])
         else:
             extras = (*fit.extras, Extra(name, values))
             model = workshop.model(extras)
             force, _ = model.run(recording, workshop.start(model, extras, fit), derivatives=False)
-        Z = free.project((force - motion.friction)[motion.used][:, None])
+        Z = free.project((force - without)[motion.used][:, None])
         energy = _energy(Z, e)
         if energy > 0.0:
             # The trial's own size is the right one where its coefficient is 1.
@@ -612,14 +617,13 @@ def _search_compiled(
     return _proposal(name, recording, best[2], e, float(len(trials)), parameters)
 
 
-def _behind_gap(recording: Recording, fit: Fit, motion: Motion, gap: float) -> Array:
+def _behind_gap(recording: Recording, model: CompiledFit, theta: Array, motion: Motion, gap: float) -> Array:
     """Friction (m) that moves behind a gap: the model along the motion without what crosses the gap.
 
     Cheaper than the effect's own equations, whose steps a small gap makes many; good enough to start a refit from.
     """
-    signals, factor = recording.signals, recording.factor
-    push = np.repeat(motion.friction - motion.damping * motion.velocity, factor)
-    push = np.concatenate((push, np.full(max(0, len(signals) - len(push)), push[-1])))[: len(signals)]
+    signals = recording.signals
+    push = motion.friction - motion.damping * motion.velocity
     moved = (signals.velocity * recording.machine.sampling.step).tolist()
     engaged = np.empty(len(moved))
     side, left = 1, 0.0  # way left to the side that the mass moves towards
@@ -639,4 +643,4 @@ def _behind_gap(recording: Recording, fit: Fit, motion: Motion, gap: float) -> A
         engaged[k] = step
     velocity = engaged * recording.machine.sampling.rate
     shifted = replace(recording, signals=replace(signals, velocity=velocity))
-    return fit.model.run(shifted, fit.theta, derivatives=False)[0]
+    return model.run(shifted, theta, derivatives=False)[0]

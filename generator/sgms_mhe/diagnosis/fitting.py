@@ -5,8 +5,8 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any, Final
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.compiled import CompiledModel
 from sgms_mhe.diagnosis.residuals import Recording
+from sgms_mhe.kinematics import Signals
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.model.effects import effect_definition
 
@@ -194,6 +195,46 @@ class Workshop:
         self.fits = 0
         self.starts: dict[str, float] = {}  # SI, for numbers that the machine file gives no idea of
         self._known: dict[object, Fit] = {}
+
+    @cached_property
+    def coarse(self) -> Workshop:
+        """The same record at the fit's rate, for searches that run models: mean signals, so displacements are exact."""
+        return self.thinned(self.recording.factor)
+
+    def thinned(self, factor: int) -> Workshop:
+        """The same record with the mean signals of `factor` samples, a divisor of the recording's own factor."""
+        recording = self.recording
+        if factor == 1:
+            return self
+        rate = self.machine.sampling.rate / factor
+        n = len(recording.time) * recording.factor
+
+        def mean(series: Array) -> Array:
+            return np.asarray(series[:n].reshape(-1, factor).mean(axis=1))
+
+        changes = {
+            "sampling": {
+                "rate": rate,
+                "update_rate": rate,
+                "velocity_cutoff": min(self.machine.sampling.velocity_cutoff, 0.4 * rate),
+                "integrator": {"substeps": 1},
+            }
+        }
+        machine = override_machine(_without_bounds(self.machine), changes)
+        signals = recording.signals
+        thin = Signals(
+            time=mean(signals.time),
+            position=mean(signals.position),
+            velocity=mean(signals.velocity),
+            acceleration=mean(signals.acceleration),
+            force=mean(signals.force),
+            friction=mean(signals.friction),
+            valid=signals.valid[:n].reshape(-1, factor).all(axis=1),
+            missing=signals.missing[:n].reshape(-1, factor).any(axis=1),
+        )
+        other = Workshop(machine, replace(recording, machine=machine, signals=thin, factor=recording.factor // factor))
+        other.noise, other.starts = self.noise, self.starts
+        return other
 
     def model(self, extras: Sequence[Extra]) -> CompiledFit:
         """The machine with effects added, everything in it a free parameter."""

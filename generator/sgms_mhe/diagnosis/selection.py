@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -30,6 +30,18 @@ RIVAL_SHARE: Final = 0.15  # RMS by which a rival may fit worse, over what the c
 RIVAL_T: Final = 2.5
 COSTLY: Final = ("backlash", "frictional_lag", "dwell_dependence")
 """Effects whose search runs models; put in a cause's place only if they ever showed, or are known to be confused."""
+SPECIAL: Final[Mapping[str, tuple[str, ...]]] = {
+    "position_spring": ("constant_offset",),
+    "step_disturbance": ("constant_offset",),
+    "force_ripple": ("constant_offset", "position_spring"),
+    "periodic_disturbance": ("constant_offset", "step_disturbance"),
+    "hose_hysteresis": ("position_spring",),
+    "friction_drift": ("coulomb",),
+    "viscous_drift": ("viscous",),
+    "eddy_current_damping": ("viscous",),
+    "position_dependent_friction": ("coulomb",),
+}
+"""Effects that contain a simpler cause as a limit: the simpler one is meant unless the other explains more that matters."""
 REPEATABLE: Final = ("force_ripple", "periodic_disturbance")
 
 
@@ -345,14 +357,13 @@ class Selector:
                 )
                 excess = gain_force(trial.cross, fit.cross, fit.rows)
                 statistic = difference_statistic(fit.cross, trial.cross)
-                simpler = fit.numbers - trial.numbers
                 better = statistic < -RIVAL_T and excess < -0.2 * self.material
                 if self._degenerate(trial, name):
                     rejected[name] = (cause, max(0.0, excess))
                     continue
-                if better or (simpler > 0 and excess < self.material):
+                if better or (name in SPECIAL.get(cause, ()) and excess < self.material):
                     return trial, [], {}
-                if simpler < 0 and (excess > -0.2 * self.material or statistic > -RIVAL_T):
+                if cause in SPECIAL.get(name, ()) and (excess > -0.2 * self.material or statistic > -RIVAL_T):
                     # More numbers and no better: it only imitates.
                     rejected[name] = (cause, max(0.0, excess))
                     continue

@@ -38,6 +38,7 @@ Progress = Callable[[str], None]
 
 EXCITED: Final = 0.05  # of f_C: range of the simulated friction below which a record says nothing
 SHARP: Final[Mapping[str, float]] = {"zeta": 0.99, "lambda": 350.0}
+LONG: Final = 150_000  # samples
 UNEXPLAINED: Final = 0.02  # of f_C: RMS beyond noise that a complete explanation may leave
 UNEXPLAINED_SHARE: Final = 0.45  # of the RMS beyond noise of the machine as it is
 
@@ -76,11 +77,17 @@ def diagnose(
     for shop in (workshop, sharp):
         if shop is not None:
             shop.noise = floor
-    selector = Selector(workshop, sharp, floor, report)
+    # A long record is searched on mean signals of a few samples; what is reported comes from all of them.
+    thin = next((k for k in (5, 4, 3, 2) if recording.factor % k == 0), 1) if len(recording.signals) > LONG else 1
+    selector = Selector(workshop.thinned(thin), None if sharp is None else sharp.thinned(thin), floor, report)
     selection = selector.select()
-    smoothing = "machine" if selector.workshop is workshop else "sharp"
-    workshop = selector.workshop
+    smoothing = "sharp" if sharp is not None and selector.workshop is selector.sharp else "machine"
+    if sharp is not None and smoothing == "sharp":
+        workshop = sharp
+    workshop.starts = dict(selector.workshop.starts)
     start = workshop.fit(())
+    if thin > 1:
+        selection = replace(selection, fit=workshop.fit(selection.fit.extras, base=selection.base))
     return _Verdict(machine, log, recording, workshop, nominal, start, selection, smoothing, report).finish(started)
 
 

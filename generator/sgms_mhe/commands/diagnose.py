@@ -1,0 +1,103 @@
+"""`sgms-mhe diagnose`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from sgms_mhe.commands.common import (
+    check_output_folder,
+    example,
+    json_option,
+    json_text,
+    log_argument,
+    machine_argument,
+    note,
+    out_option,
+    show,
+)
+
+if TYPE_CHECKING:
+    from sgms_mhe.diagnosis.result import Diagnosis
+
+
+@click.command(
+    short_help="What the simulation gets wrong along LOG, and why.",
+    epilog=example("diagnose etel_xy log.csv --out diagnosis", "diagnose etel_xy log.csv --unseen another.csv"),
+)
+@machine_argument
+@log_argument
+@out_option("Folder of the results; default: MACHINE's name and _diagnosis.", metavar="DIR", required=False)
+@click.option(
+    "--unseen",
+    type=click.Path(path_type=Path),
+    metavar="LOG",
+    help="Another log, on which the estimators of the machine and of the extended machine are compared.",
+)
+@click.option(
+    "--held-out",
+    type=(float, float),
+    multiple=True,
+    metavar="FROM TO",
+    help="Seconds since the log's start that no fit may see; default: a third of the record.",
+)
+@json_option
+def command(
+    machine: str,
+    log: Path,
+    out: Path | None,
+    unseen: Path | None,
+    held_out: tuple[tuple[float, float], ...],
+    as_json: bool,
+) -> None:
+    """Say what the simulation of MACHINE gets wrong along LOG, name the cause, and measure what naming it gains.
+
+    Writes report.html with its figures, diagnosis.json and, where a cause is named, the extended machine file. The
+    verdict is explained, adequate (nothing is missing), ambiguous (the record cannot tell causes apart; the report has
+    the move that does) or unexplained (structure is left that no known effect accounts for; nothing is invented).
+
+    Exit code 1: unexplained.
+    """
+    from sgms_mhe.machine import load_machine
+
+    resolved = load_machine(machine)
+    folder = out or Path(f"{resolved.name}_diagnosis")
+    check_output_folder(folder)
+
+    from sgms_mhe.diagnosis import diagnose, write_diagnosis
+    from sgms_mhe.logs import read_log
+    from sgms_mhe.report import closed_loop_gain, write_report
+
+    recorded = read_log(log, resolved)
+    another = read_log(unseen, resolved) if unseen else None
+    found = diagnose(resolved, recorded, progress=note, held_out_s=held_out or None)
+    write_diagnosis(found, folder)
+    gain = None
+    if another is not None and found.extended is not None:
+        note("estimators of the machine and of the extended machine on the unseen log")
+        gain = closed_loop_gain(resolved, found.extended, another)
+    report = write_report(found, folder, estimator=gain)
+    show(json_text(found.to_json()) if as_json else _text(found, folder, report))
+    if found.verdict == "unexplained":
+        click.get_current_context().exit(1)
+
+
+def _text(diagnosis: Diagnosis, folder: Path, report: Path) -> str:
+    lines = [f"{diagnosis.verdict}: {diagnosis.summary}"]
+    for cause in diagnosis.causes:
+        values = ", ".join(
+            f"{name} = {value:.4g} +- {2.0 * cause.std.get(name, math.nan):.1g}"
+            for name, value in cause.parameters.items()
+        )
+        lines.append(f"  {cause.name}: {values}; explains {cause.gain_N:.3g} N rms on held-out data")
+    lines += [f"  {a.name}: {a.why_not}" for a in diagnosis.alternatives if a.rival]
+    if diagnosis.separating_experiment:
+        lines.append(f"next: {diagnosis.separating_experiment}")
+    lines += [f"note: {warning}" for warning in diagnosis.warnings]
+    if diagnosis.extended_name:
+        lines.append(f"extended machine: {folder / diagnosis.extended_name}")
+    lines.append(f"report: {report}")
+    return "\n".join(lines)

@@ -1,0 +1,31 @@
+"""`sgms-mhe plan`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from sgms_mhe.commands.common import check_output_file, example, machine_argument, out_option, show
+
+
+@click.command(
+    short_help="The trajectory that tells two causes apart.",
+    epilog=example("plan etel_xy --out plan.csv", "plan etel_xy --separate constant_offset asymmetric_coulomb"),
+)
+@machine_argument
+@click.option("--separate", type=(str, str), metavar="A B", help="Two causes; default: a motion that excites them all.")
+@out_option("Reference trajectory, columns time_s and position_m; default: MACHINE's name and _plan.csv.", required=False)
+def command(machine: str, separate: tuple[str, str] | None, out: Path | None) -> None:
+    """Write the reference trajectory that separates two causes on MACHINE, or that excites every effect."""
+    from sgms_mhe.machine import load_machine
+
+    resolved = load_machine(machine)
+    path = out or Path(f"{resolved.name}_plan.csv")
+    check_output_file(path, (".csv",))
+
+    from sgms_mhe.diagnosis.plan import make_plan, write_plan
+
+    plan = make_plan(resolved, separate)
+    write_plan(path, plan)
+    show(f"{path}: {plan.trajectory.duration_s:.1f} s; {plan.reason}", path)

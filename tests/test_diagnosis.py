@@ -1,0 +1,273 @@
+"""Hidden effects, wrong numbers and clean logs: the diagnosis must find what is there and nothing else."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
+from sgms_mhe.diagnosis.evidence import nuisance, score_test
+from sgms_mhe.diagnosis.fitting import Extra, Workshop
+from sgms_mhe.diagnosis.plan import make_plan, write_plan
+from sgms_mhe.diagnosis.residuals import Recording, noise_floor, prepare
+from sgms_mhe.errors import InputError
+from sgms_mhe.logs import Log, read_log
+from sgms_mhe.machine import Machine, load_machine
+from sgms_mhe.simulation import AxisConfig, simulate_axis
+from sgms_mhe.trajectories import make_trajectory
+
+Hidden = list[tuple[str, Mapping[str, float]]]
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("etel_xy")
+
+
+def simulated(
+    machine: Machine,
+    hidden: Hidden,
+    *,
+    trajectory: str = "mixed",
+    law: str = "sgms",
+    seed: int = 1,
+    scale: Mapping[str, float] | None = None,
+) -> Log:
+    """A log of the plant in closed loop with encoder quantisation and force noise."""
+    path = make_trajectory(trajectory, machine.sampling.rate)
+    config = AxisConfig(law=law, seed=seed, force_noise_N=0.1)  # type: ignore[arg-type]
+    return simulate_axis(machine, path, config, hidden_effects=hidden, scale=scale or {}, truth=False).log
+
+
+def names(diagnosis: Diagnosis) -> list[str]:
+    return [cause.name for cause in diagnosis.causes]
+
+
+# --- one hidden effect ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "law"),
+    [
+        ("force_ripple", {"amplitude_N": 0.3, "pitch_m": 0.0173, "phase_rad": 0.7}, "maxwell_slip"),
+        ("asymmetric_viscous", {"difference_N_s_m": -1.5}, "sgms"),
+        ("mass_mismatch", {"mass_kg": 1.1}, "maxwell_slip"),
+        ("step_disturbance", {"force_N": -0.5, "time_s": 3.7}, "sgms"),
+        ("actuator_lag", {"time_constant_s": 0.0005}, "sgms"),
+    ],
+)
+def test_names_a_hidden_effect_and_its_size(
+    machine: Machine, name: str, parameters: Mapping[str, float], law: str
+) -> None:
+    diagnosis = diagnose(machine, simulated(machine, [(name, parameters)], law=law))
+    assert names(diagnosis) == [name], diagnosis.summary
+    assert diagnosis.verdict in ("explained", "ambiguous")
+    found = diagnosis.causes[0].parameters
+    for key, value in parameters.items():
+        error = found[key] - value
+        if key == "phase_rad":
+            assert abs(np.angle(np.exp(1j * error))) < 0.2
+        else:
+            assert abs(error) < 0.1 * abs(value), key
+    assert diagnosis.rms.held_out_after < 0.3 * diagnosis.rms.held_out_before
+    assert diagnosis.rms.held_out_after < 1.6 * diagnosis.noise_floor_N
+    assert diagnosis.extended is not None
+
+
+def test_finds_two_effects_at_once(machine: Machine) -> None:
+    hidden: Hidden = [
+        ("constant_offset", {"force_N": 0.5}),
+        ("periodic_disturbance", {"amplitude_N": 0.4, "frequency_Hz": 31.0, "phase_rad": 1.0}),
+    ]
+    diagnosis = diagnose(machine, simulated(machine, hidden))
+    rivals = {a.name for a in diagnosis.alternatives if a.rival}
+    assert {"constant_offset", "periodic_disturbance"} <= {*names(diagnosis), *rivals}
+    assert len(diagnosis.causes) == 2
+
+
+# --- wrong numbers, nothing wrong, nothing known ----------------------------------------------------------------
+
+
+def test_a_wrong_number_is_not_taken_for_an_effect(machine: Machine) -> None:
+    diagnosis = diagnose(machine, simulated(machine, [], scale={"coulomb": 1.3}))
+    assert names(diagnosis) == ["coulomb"]
+    assert diagnosis.causes[0].parameters["coulomb_N"] == pytest.approx(5.2, rel=0.03)
+    assert diagnosis.causes[0].nominal["coulomb_N"] == 4.0
+    assert diagnosis.extended is not None
+    assert diagnosis.extended.friction.coulomb == pytest.approx(5.2, rel=0.03)
+
+
+@pytest.mark.parametrize("law", ["sgms", "maxwell_slip"])
+@pytest.mark.parametrize("trajectory", ["mixed", "trapezoids", "step_and_settle"])
+def test_names_nothing_on_a_clean_log(machine: Machine, law: str, trajectory: str) -> None:
+    diagnosis = diagnose(machine, simulated(machine, [], law=law, trajectory=trajectory, seed=7))
+    assert (diagnosis.verdict, names(diagnosis)) == ("adequate", [])
+    assert diagnosis.extended is None
+
+
+def test_what_no_effect_explains_stays_unexplained(machine: Machine) -> None:
+    log = simulated(machine, [])
+    random = np.random.default_rng(3)
+    n = len(log.force_N)
+    # A smooth random force with a correlation time of 50 ms: in no catalogue.
+    kernel = np.hanning(1000)
+    foreign = np.convolve(random.normal(size=n + 999), kernel, mode="valid")
+    log = replace(log, force_N=log.force_N + 0.5 * foreign / foreign.std())
+    diagnosis = diagnose(machine, log)
+    assert (diagnosis.verdict, names(diagnosis)) == ("unexplained", [])
+    assert diagnosis.separating_experiment
+    assert max(s.rms_N for s in diagnosis.structure_after) > 0.1
+
+
+# --- what logs really have --------------------------------------------------------------------------------------
+
+
+def test_without_motion_there_is_nothing_to_say(machine: Machine) -> None:
+    random = np.random.default_rng(0)
+    n = 20_000
+    log = Log(
+        time_s=np.arange(n) / 1e4,
+        position_m=np.round(random.normal(scale=1e-9, size=n), 9),
+        force_N=random.normal(scale=0.1, size=n),
+        rate=1e4,
+    )
+    diagnosis = diagnose(machine, log)
+    assert not diagnosis.excited
+    assert names(diagnosis) == []
+    assert "excitation" in diagnosis.summary
+
+
+def test_gaps_and_saturation_are_left_out(machine: Machine) -> None:
+    log = simulated(machine, [])
+    force, position = log.force_N.copy(), log.position_m.copy()
+    force[20_000:20_300] = np.nan
+    position[40_000:40_050] = np.nan
+    force[60_000:60_500] = np.nanmax(force) + 1.0
+    diagnosis = diagnose(machine, replace(log, force_N=force, position_m=position))
+    assert names(diagnosis) == []
+    assert len(diagnosis.warnings) >= 2
+    used = diagnosis.traces.used
+    assert not used[2000:2030].any()
+    assert not used[6000:6050].any()
+
+
+def test_a_log_that_is_too_short_says_so(machine: Machine) -> None:
+    log = Log(time_s=np.arange(200) / 1e4, position_m=np.zeros(200), force_N=np.zeros(200), rate=1e4)
+    with pytest.raises(InputError, match="at least"):
+        diagnose(machine, log)
+
+
+# --- results ----------------------------------------------------------------------------------------------------
+
+
+def test_writes_the_contract_and_a_machine_that_loads(machine: Machine, tmp_path: Path) -> None:
+    log = simulated(machine, [("constant_offset", {"force_N": -0.6})], trajectory="step_and_settle")
+    diagnosis = diagnose(machine, log)
+    write_diagnosis(diagnosis, tmp_path)
+    content = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert content["verdict"] in ("explained", "ambiguous")
+    assert set(content["residual_rms_N"]) >= {"held_out_before", "held_out_after", "noise_floor"}
+    cause = content["causes"][0]
+    assert set(cause) >= {"name", "parameters", "std", "residual_rms_N"}
+    assert set(cause["residual_rms_N"]) == {"before", "after", "held_out_before", "held_out_after"}
+    assert all({"name", "why_not"} <= set(a) for a in content["alternatives"])
+    if content["verdict"] == "ambiguous":
+        assert content["separating_experiment"]
+    extended = load_machine(tmp_path / content["extended_machine"])
+    assert diagnosis.extended is not None
+    assert extended.digest == diagnosis.extended.digest
+
+
+def test_held_out_intervals_are_not_seen(machine: Machine) -> None:
+    recording = prepare(machine, simulated(machine, []), [(4.0, 9.0)])
+    rows = recording.rows_held_out()
+    assert recording.time[rows].min() > 3.8
+    assert recording.time[recording.used & ~rows].max() < 4.2
+
+
+# --- parts ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def recording(machine: Machine) -> Recording:
+    return prepare(machine, simulated(machine, [], trajectory="trapezoids"))
+
+
+def test_score_test_holds_its_level_under_coloured_residuals(recording: Recording) -> None:
+    random = np.random.default_rng(5)
+    used = int(recording.used.sum())
+    smooth = np.hanning(25)
+    low = 0
+    for _ in range(400):
+        e, z = (np.convolve(random.normal(size=used + 24), smooth, mode="valid") for _ in range(2))
+        p, _ = score_test(recording, z[:, None], e)
+        low += p < 0.02
+    assert low / 400 < 0.06
+
+
+def test_projection_removes_what_is_free() -> None:
+    random = np.random.default_rng(0)
+    X = random.normal(size=(500, 3)) @ np.diag([1.0, 1e-6, 1e6])
+    left = nuisance(X).project(X @ np.array([1.0, 2.0, 3.0]))
+    assert np.abs(left).max() < 1e-3
+
+
+def test_noise_floor_is_that_of_the_noise(recording: Recording) -> None:
+    random = np.random.default_rng(2)
+    wave = np.sin(2.0 * np.pi * 3.0 * recording.time)
+    assert noise_floor(recording, wave + 0.05 * random.normal(size=len(wave))) == pytest.approx(0.05, rel=0.1)
+
+
+def test_derivatives_along_a_recording_match_differences(machine: Machine, recording: Recording) -> None:
+    workshop = Workshop(machine, recording)
+    model = workshop.model([Extra("force_ripple", {"amplitude_N": 0.3, "pitch_m": 0.02, "phase_rad": 0.1})])
+    theta = workshop.start(model, [Extra("force_ripple", {"amplitude_N": 0.3, "pitch_m": 0.02, "phase_rad": 0.1})])
+    _, slopes = model.run(recording, theta)
+    assert slopes is not None
+    for i, column in enumerate(model.columns):
+        step = 1e-5
+        up, down = theta.copy(), theta.copy()
+        up[i] += step
+        down[i] -= step
+        difference = (
+            model.run(recording, up, derivatives=False)[0] - model.run(recording, down, derivatives=False)[0]
+        ) / (2.0 * step)
+        error = np.sqrt(np.mean((difference - slopes[:, i]) ** 2))
+        assert error < 1e-2 * np.sqrt(np.mean(slopes[:, i] ** 2)) + 1e-6, column.name
+
+
+@pytest.mark.parametrize("separate", [None, ("constant_offset", "asymmetric_coulomb"), ("viscous", "quadratic_drag")])
+def test_plan_is_a_trajectory_within_limits(machine: Machine, separate: tuple[str, str] | None, tmp_path: Path) -> None:
+    plan = make_plan(machine, separate)
+    speed = np.abs(plan.trajectory.velocity_m_s).max()
+    assert 0.0 < speed <= machine.sampling.max_velocity
+    assert plan.trajectory.position_m[-1] == pytest.approx(0.0, abs=1e-9)
+    write_plan(tmp_path / "plan.csv", plan)
+    lines = (tmp_path / "plan.csv").read_text().splitlines()
+    assert lines[0] == "time_s,position_m"
+    assert len(lines) == 1 + len(plan.trajectory.position_m)
+    with pytest.raises(InputError, match="separate"):
+        make_plan(machine, ("constant_offset", "gremlins"))
+
+
+# --- measured data ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_finds_what_is_in_the_emps_record(measured_data: Callable[[str], Path]) -> None:
+    machine = load_machine("emps")
+    log = read_log(measured_data("emps/DATA_EMPS.mat"), machine)
+    diagnosis = diagnose(machine, log, held_out_s=[(12.4, 25.0)])
+    found = {cause.name: cause for cause in diagnosis.causes}
+    assert "asymmetric_viscous" in found
+    ripples = [c for c in diagnosis.causes if c.name == "force_ripple"]
+    assert any(abs(c.parameters["pitch_m"] - 0.0025) < 2e-5 for c in ripples)
+    traces = diagnosis.traces
+    held = traces.held_out
+    error = np.linalg.norm(traces.residual_after[held]) / np.linalg.norm(traces.force_N[held])
+    assert error < 0.023
