@@ -229,8 +229,8 @@ class Workshop:
             acceleration=mean(signals.acceleration),
             force=mean(signals.force),
             friction=mean(signals.friction),
-            valid=signals.valid[:n].reshape(-1, factor).all(axis=1),
-            missing=signals.missing[:n].reshape(-1, factor).any(axis=1),
+            valid=np.asarray(signals.valid[:n].reshape(-1, factor).all(axis=1)),
+            missing=np.asarray(signals.missing[:n].reshape(-1, factor).any(axis=1)),
         )
         other = Workshop(machine, replace(recording, machine=machine, signals=thin, factor=recording.factor // factor))
         other.noise, other.starts = self.noise, self.starts
