@@ -14,9 +14,7 @@ def test_c_example_compiles(repo_root: Path, tmp_path: Path) -> None:
     assert blocks, "the README has no C example"
     source = tmp_path / "example.c"
     # The example's functions are called by a firmware; a prototype is all they lack here.
-    prototypes = (
-        "void start(void);\ndouble control_tick(double, double);\nint first_stiffness(double *, double *);\n"
-    )
+    prototypes = "void start(void);\ndouble control_tick(double, double);\nint first_stiffness(double *, double *);\n"
     source.write_text(prototypes + "\n".join(blocks), encoding="utf-8")
     package = repo_root / "generated" / "etel_xy"
     done = subprocess.run(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,7 +117,7 @@ def _readings(log: Log) -> Log:
     """The log with NaN for whatever is no reading."""
     limits = {"position_m": FARTHEST_m}
     limits |= dict.fromkeys(("force_N", "velocity_m_s", "acceleration_m_s2", "friction_N"), LARGEST_SIGNAL)
-    spoilt: dict[str, Array] = {}
+    spoilt: dict[str, Any] = {}
     for name, limit in limits.items():
         channel = getattr(log, name)
         if channel is not None and np.any(np.abs(channel) >= limit):

@@ -15,7 +15,7 @@ from sgms_mhe.commands.common import check_output_file, example, machine_argumen
 )
 @machine_argument
 @click.option("--separate", type=(str, str), metavar="A B", help="Two causes; default: a motion that excites them all.")
-@out_option("Reference trajectory, columns time_s and position_m; default: MACHINE's name and _plan.csv.", required=False)
+@out_option("Columns time_s and position_m; default: MACHINE's name and _plan.csv.", required=False)
 def command(machine: str, separate: tuple[str, str] | None, out: Path | None) -> None:
     """Write the reference trajectory that separates two causes on MACHINE, or that excites every effect."""
     from sgms_mhe.machine import load_machine

@@ -41,7 +41,7 @@ SPECIAL: Final[Mapping[str, tuple[str, ...]]] = {
     "eddy_current_damping": ("viscous",),
     "position_dependent_friction": ("coulomb",),
 }
-"""Effects that contain a simpler cause as a limit: it is meant unless the effect explains something more that matters."""
+"""Effects with a simpler cause as a limit: that is meant unless the effect explains something more that matters."""
 REPEATABLE: Final = ("force_ripple", "periodic_disturbance")
 
 

@@ -58,7 +58,9 @@ def gate_ratio(zeta: float, lambda_: float, gamma: float) -> float:
     for hundredths in range(1, 1000):
         c = hundredths / 100.0
         worst = max(
-            r / (1.0 + math.exp(min(700.0, -2.0 * lambda_ * (r - zeta)))) / (1.0 + math.exp(min(700.0, 2.0 * gamma * c * r)))
+            r
+            / (1.0 + math.exp(min(700.0, -2.0 * lambda_ * (r - zeta))))
+            / (1.0 + math.exp(min(700.0, 2.0 * gamma * c * r)))
             for r in (k / 1000.0 for k in range(1, 3001))
         )
         if worst < TAIL:

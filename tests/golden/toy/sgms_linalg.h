@@ -1,15 +1,23 @@
-/* Small dense least squares in square-root form. Matrices are row-major; nothing forms J'J, so single precision works. */
+/* Small dense least squares in square-root form. Matrices are row-major; nothing forms J'J, so single precision works.
+ */
 #ifndef SGMS_LINALG_H
 #define SGMS_LINALG_H
 
 #include "sgms_math.h"
 
 /* Householder reflections that make the first `columns` columns of the rows x width matrix a upper triangular, from
- * row 0 on; rows lie `stride` numbers apart. Entries below the diagonal of these columns are set to zero. dots: `width` numbers.
+ * row 0 on; rows lie `stride` numbers apart. Entries below the diagonal of these columns are set to zero. dots: `width`
+ * numbers.
  *
- * Every reflection runs over whole rows: the columns already done hold zeros and stay what they are, and a loop of constant length
- * is one that compilers vectorise. */
-static inline void sgms_qr(sgms_real *restrict a, int rows, int stride, int width, int columns, sgms_real *restrict dots)
+ * Every reflection runs over whole rows: the columns already done hold zeros and stay what they are, and a loop of
+ * constant length is one that compilers vectorise. */
+static inline void sgms_qr(
+    sgms_real *restrict a,
+    int rows,
+    int stride,
+    int width,
+    int columns,
+    sgms_real *restrict dots)
 {
     for (int c = 0; c < columns && c < rows; c++) {
         sgms_real *const pivot_row = a + c * stride;
@@ -200,8 +208,7 @@ static inline int sgms_box_least_squares(
                     size += sgms_fabs(r[i * width + j] * work[i]);
                 }
                 /* A gradient within rounding of zero does not release a bound: it would be pinned again. */
-                if ((sgms_real)pinned[j] * gradient > SGMS_ROUNDING * size &&
-                    sgms_fabs(gradient) > strongest) {
+                if ((sgms_real)pinned[j] * gradient > SGMS_ROUNDING * size && sgms_fabs(gradient) > strongest) {
                     worst = j;
                     strongest = sgms_fabs(gradient);
                 }

@@ -16,7 +16,8 @@
 
 #include "sgms_real.h"
 
-/* The bits of a number, and back. A union says the same, but compilers vectorise only the copy; it is expanded in place. */
+/* The bits of a number, and back. A union says the same, but compilers vectorise only the copy; it is expanded in
+ * place. */
 #if defined(__GNUC__)
 static inline sgms_integer sgms_bits(sgms_real x)
 {
@@ -139,8 +140,8 @@ static inline int sgms_is_finite(sgms_real x)
     return x - x == SGMS_R(0.0);
 }
 
-/* x, with what is too small to matter (against 1e-20) rounded away: sensitivities of a sliding element decay without end,
- * and many processors are slow on subnormal numbers. */
+/* x, with what is too small to matter (against 1e-20) rounded away: sensitivities of a sliding element decay without
+ * end, and many processors are slow on subnormal numbers. */
 static inline sgms_real sgms_drop_tiny(sgms_real x)
 {
     return (x + SGMS_R(1e-20)) - SGMS_R(1e-20);
@@ -175,7 +176,8 @@ static inline sgms_real sgms_exp_core(sgms_real x)
     p = p * f + 1.0;
 #endif
     /* The low bits of `shifted` hold n; unsigned arithmetic moves it into the exponent of p. */
-    return sgms_from_bits((sgms_integer)((sgms_unsigned)sgms_bits(p) + ((sgms_unsigned)sgms_bits(shifted) << SGMS_MANTISSA_BITS)));
+    return sgms_from_bits(
+        (sgms_integer)((sgms_unsigned)sgms_bits(p) + ((sgms_unsigned)sgms_bits(shifted) << SGMS_MANTISSA_BITS)));
 }
 
 static inline sgms_real sgms_exp(sgms_real x)
@@ -225,7 +227,8 @@ static inline sgms_real sgms_sine(sgms_real x, int quadrant)
     f = ((x - n * 1.5703125f) - n * 4.837512969970703e-4f) - n * 7.549789954891895e-8f;
     f2 = f * f;
     if (q & 1) {
-        p = 1.0f + f2 * (-0.5f + f2 * (4.166664568298827e-2f + f2 * (-1.388731625493765e-3f + f2 * 2.443315711809948e-5f)));
+        p = 1.0f +
+            f2 * (-0.5f + f2 * (4.166664568298827e-2f + f2 * (-1.388731625493765e-3f + f2 * 2.443315711809948e-5f)));
     } else {
         p = f + f * f2 * (-1.6666654611e-1f + f2 * (8.3321608736e-3f + f2 * -1.9515295891e-4f));
     }
@@ -281,9 +284,11 @@ static inline sgms_real sgms_log(sgms_real x)
              s2 * (1.0 / 5.0 +
                    s2 * (1.0 / 7.0 +
                          s2 * (1.0 / 9.0 +
-                               s2 * (1.0 / 11.0 + s2 * (1.0 / 13.0 + s2 * (1.0 / 15.0 + s2 * (1.0 / 17.0 + s2 / 19.0)))))));
+                               s2 * (1.0 / 11.0 +
+                                     s2 * (1.0 / 13.0 + s2 * (1.0 / 15.0 + s2 * (1.0 / 17.0 + s2 / 19.0)))))));
 #endif
-    return (sgms_real)e * SGMS_LN2_HI + (SGMS_R(2.0) * s + (SGMS_R(2.0) * s * s2 * series + (sgms_real)e * SGMS_LN2_LO));
+    return (sgms_real)e * SGMS_LN2_HI +
+           (SGMS_R(2.0) * s + (SGMS_R(2.0) * s * s2 * series + (sgms_real)e * SGMS_LN2_LO));
 }
 
 #endif
