@@ -6,7 +6,7 @@
 void probe_flow(long n, const double *r0, const double *xi, double *r, double *ratio, double *slope)
 {
     for (long i = 0; i < n; i++) {
-        const sgms_flow_move moved = sgms_flow_step(&flow_table, (sgms_real)r0[i], (sgms_real)xi[i]);
+        const sgms_flow_move moved = sgms_flow_step((sgms_real)r0[i], (sgms_real)xi[i]);
         r[i] = (double)moved.r;
         ratio[i] = (double)moved.ratio;
         slope[i] = (double)moved.slope;

@@ -33,6 +33,8 @@ from sgms_mhe.structure import Group, Structure, analyse, report
 RUNTIME_VERSION = 1
 RUNTIME_HEADERS = ("sgms_real.h", "sgms_math.h", "sgms_linalg.h", "sgms_filter.h")
 SLOW_DISPLACEMENT = 0.02
+FARTHEST = 5.0
+"""Relative deflection that no element comes near: a level is reached at 1."""
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
 
@@ -357,27 +359,29 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
 def element_law(machine: Machine) -> Mapping[str, float] | None:
     """Constants of an element's right side as two logistic functions of |r| and r v, powers of two (DESIGN section 6).
 
-    The window depends on |r| alone where its two sides do not overlap (`SATURATED`); r is held within `farthest`, beyond
-    which the window is open to rounding, and the gate's velocity within `fastest`, beyond which it is saturated wherever
-    the window is not shut. None where the exponentials would leave the range of the package's precision.
+    The window depends on |r| alone where its two sides do not overlap (`SATURATED`). The gate's velocity is held within
+    `fastest`, beyond which the gate is saturated wherever the window is not shut. Exponents must stay in range: r is
+    held within `farthest`, where the range reaches far beyond every deflection there is; otherwise (0) both exponents
+    are held within `deepest`, where the logistic functions have reached 0 or 1 to rounding. None where the window's own
+    exponent leaves the range.
     """
     smoothing, friction = machine.friction.smoothing, machine.friction
     single = machine.code.precision == "single"
-    farthest = smoothing.zeta + (9.0 if single else SATURATED) / smoothing.lambda_
-    fastest = friction.stribeck_velocity * max(1.0, smoothing.lambda_ / smoothing.gamma)
+    fastest = max(1.0, smoothing.lambda_ / smoothing.gamma)
     per_power = 1.0 / math.log(2.0)
-    largest = max(
-        2.0 * smoothing.lambda_ * smoothing.zeta,
-        2.0 * smoothing.gamma * fastest / friction.stribeck_velocity * farthest,
-    )
-    if smoothing.lambda_ * smoothing.zeta < SATURATED or largest * per_power > (120.0 if single else 1000.0):
+    deepest, largest = (30.0, 125.0) if single else (60.0, 1000.0)
+    offset = 2.0 * smoothing.lambda_ * smoothing.zeta * per_power
+    farthest = largest / (2.0 * max(smoothing.lambda_, smoothing.gamma * fastest) * per_power)
+    if smoothing.lambda_ * smoothing.zeta < SATURATED or offset + deepest > largest:
         return None
+    shared = farthest >= FARTHEST  # the clamp of r comes doubled
     return {
-        "farthest": farthest,
-        "fastest": fastest,
-        "window": smoothing.lambda_ * per_power,
-        "offset": 2.0 * smoothing.lambda_ * smoothing.zeta * per_power,
-        "gate": -0.5 * smoothing.gamma / friction.stribeck_velocity * per_power,
+        "farthest": farthest if shared else 0.0,
+        "deepest": deepest,
+        "fastest": fastest * friction.stribeck_velocity,
+        "window": (1.0 if shared else 2.0) * smoothing.lambda_ * per_power,
+        "offset": offset,
+        "gate": -(0.5 if shared else 1.0) * smoothing.gamma / friction.stribeck_velocity * per_power,
         "ln2": math.log(2.0),
     }
 
@@ -449,9 +453,10 @@ def _group_context(
         "rates": ["{" + ", ".join(number(v) for v in row) + "}" for row in rates],
         "states_rows": ["{" + ", ".join(str(s) for s in b.states) + "}" for b in group.blocks],
         "flow": flow,
+        "n_up": m - 1 if flow or law else 0,
+        "coefficients": None,
     }
     if flow or law:
-        result["n_up"] = m - 1
         result["level_in_q"] = any(n.op != "const" for n in group.d_inverse_level)
         result["flow_arguments"] = [f"{real} {v}" for v in states[1:] + values] + [
             f"const {real} *q",
