@@ -5,12 +5,57 @@
 
 #include "sgms_math.h"
 
+/* One Householder reflection of a pivot row and `rows` rows below it, all `width` long, that makes column c of those
+ * rows zero; they lie `stride` numbers apart, anywhere. dots: `width` numbers.
+ *
+ * It runs over whole rows: the columns already done hold zeros and stay what they are, and a loop of constant length
+ * is one that compilers vectorise. Inlined, so that the lengths are constants where the caller's are. */
+static SGMS_INLINE void sgms_reflect(
+    sgms_real *restrict pivot_row,
+    sgms_real *restrict below,
+    int rows,
+    int stride,
+    int width,
+    int c,
+    sgms_real *restrict dots)
+{
+    sgms_real square = SGMS_R(0.0);
+    for (int i = 0; i < rows; i++) {
+        square += below[i * stride + c] * below[i * stride + c];
+    }
+    if (square > SGMS_R(0.0)) {
+        const sgms_real pivot = pivot_row[c];
+        const sgms_real norm = sgms_sqrt(pivot * pivot + square);
+        const sgms_real diagonal = pivot > SGMS_R(0.0) ? -norm : norm;
+        const sgms_real head = pivot - diagonal; /* reflector (head, column below) */
+        const sgms_real scale = SGMS_R(-1.0) / (diagonal * head);
+        for (int j = 0; j < width; j++) {
+            dots[j] = head * pivot_row[j];
+        }
+        for (int i = 0; i < rows; i++) {
+            const sgms_real entry = below[i * stride + c];
+            for (int j = 0; j < width; j++) {
+                dots[j] += entry * below[i * stride + j];
+            }
+        }
+        for (int j = 0; j < width; j++) {
+            dots[j] *= scale;
+            pivot_row[j] -= dots[j] * head;
+        }
+        for (int i = 0; i < rows; i++) {
+            const sgms_real entry = below[i * stride + c];
+            for (int j = 0; j < width; j++) {
+                below[i * stride + j] -= dots[j] * entry;
+            }
+            below[i * stride + c] = SGMS_R(0.0);
+        }
+        pivot_row[c] = diagonal;
+    }
+}
+
 /* Householder reflections that make the first `columns` columns of the rows x width matrix a upper triangular, from
  * row 0 on; rows lie `stride` numbers apart. Entries below the diagonal of these columns are set to zero. dots: `width`
- * numbers.
- *
- * Every reflection runs over whole rows: the columns already done hold zeros and stay what they are, and a loop of
- * constant length is one that compilers vectorise. */
+ * numbers. */
 static inline void sgms_qr(
     sgms_real *restrict a,
     int rows,
@@ -20,39 +65,7 @@ static inline void sgms_qr(
     sgms_real *restrict dots)
 {
     for (int c = 0; c < columns && c < rows; c++) {
-        sgms_real *const pivot_row = a + c * stride;
-        sgms_real below = SGMS_R(0.0);
-        for (int i = c + 1; i < rows; i++) {
-            below += a[i * stride + c] * a[i * stride + c];
-        }
-        if (below > SGMS_R(0.0)) {
-            const sgms_real pivot = pivot_row[c];
-            const sgms_real norm = sgms_sqrt(pivot * pivot + below);
-            const sgms_real diagonal = pivot > SGMS_R(0.0) ? -norm : norm;
-            const sgms_real head = pivot - diagonal; /* reflector (head, column below) */
-            const sgms_real scale = SGMS_R(-1.0) / (diagonal * head);
-            for (int j = 0; j < width; j++) {
-                dots[j] = head * pivot_row[j];
-            }
-            for (int i = c + 1; i < rows; i++) {
-                const sgms_real entry = a[i * stride + c];
-                for (int j = 0; j < width; j++) {
-                    dots[j] += entry * a[i * stride + j];
-                }
-            }
-            for (int j = 0; j < width; j++) {
-                dots[j] *= scale;
-                pivot_row[j] -= dots[j] * head;
-            }
-            for (int i = c + 1; i < rows; i++) {
-                const sgms_real entry = a[i * stride + c];
-                for (int j = 0; j < width; j++) {
-                    a[i * stride + j] -= dots[j] * entry;
-                }
-                a[i * stride + c] = SGMS_R(0.0);
-            }
-            pivot_row[c] = diagonal;
-        }
+        sgms_reflect(a + c * stride, a + (c + 1) * stride, rows - c - 1, stride, width, c, dots);
     }
 }
 

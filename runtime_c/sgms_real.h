@@ -25,4 +25,11 @@ typedef uint64_t sgms_unsigned;
 #define SGMS_R(x) x
 #endif
 
+/* A function whose arguments are to be constants in its body where the caller's are. */
+#if defined(__GNUC__)
+#define SGMS_INLINE __attribute__((always_inline)) inline
+#else
+#define SGMS_INLINE inline
+#endif
+
 #endif

@@ -32,6 +32,12 @@ from sgms_mhe.structure import Group, Structure, analyse, report
 RUNTIME_VERSION = 1
 RUNTIME_HEADERS = ("sgms_real.h", "sgms_math.h", "sgms_linalg.h", "sgms_filter.h")
 SLOW_DISPLACEMENT = 0.02
+CHOSEN = 2
+"""Intervals that an update linearises anew at most, where `relinearise` is "auto" (DESIGN section 4)."""
+MOVE = 0.2
+"""How far the end of an interval may move before that, over sqrt(sigma_x / lambda)."""
+STEP_COST_PER_ROW = 30
+"""Multiplications, or so, of one step of the series for each of chi and its sensitivities."""
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
 
@@ -205,7 +211,11 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     horizon = estimator.horizon if estimator.kind == "mhe" else 0
     slots = max(1, horizon)
     vector = VECTOR_BYTES // (4 if single else 8)
-    lanes = -(-slots // vector) * vector if horizon else 1
+    # The newest interval is integrated as it is sampled: only older ones need their series again, or lanes.
+    relinearise = estimator.relinearise if slots > 1 else "newest"
+    lanes = {"all": -(-slots // vector) * vector, "auto": slots, "newest": 1}[relinearise]
+    ring = relinearise != "newest"
+    linear = integrator.velocity == "linear"
     noise = estimator.noise
     fixed = estimator.arrival_cost.update == "fixed"
     scheme = SCHEMES["rk4" if integrator.scheme == "flow" else integrator.scheme]
@@ -214,6 +224,7 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         _group_context(g, structure, emitter, flow=flow and g.is_elements, step_time=step_time)
         for g in structure.groups
     ]
+    state_rows = sum(g.m * (1 + g.m + g.n_q) * len(g.blocks) for g in structure.groups)
     n_q_total = sum(g.n_q * len(g.blocks) for g in structure.groups)
     q = [e for g in structure.groups for b in g.blocks for e in b.parameter_terms]
     scale = [_node_scale(model, i) for i in range(model.n_x)]
@@ -240,14 +251,20 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "horizon": horizon,
         "slots": slots,
         "lanes": lanes,
-        "vector": vector if horizon else 1,
+        "vector": vector if relinearise == "all" else 1,
+        "relinearise": relinearise,
+        "chosen": CHOSEN,
+        "ring": ring,
+        "term_rows": (steps if ring else 1) + linear,
         "samples": samples,
         "merged": merged,
         "merge": merged > 1,
         "steps": steps,
         "n_terms": len(structure.sample_terms),
         "term_names": [t.name for t in structure.sample_terms],
-        "state_rows": sum(g.m * (1 + g.m + g.n_q) * len(g.blocks) for g in structure.groups),
+        "state_rows": state_rows,
+        "one_size": state_rows * lanes,
+        "costs": _costs(model, relinearise, slots=slots, steps=steps, samples=samples, state_rows=state_rows),
         "n_q_total": n_q_total,
         "settle": settle_samples(machine),
         "rate": sampling.rate,
@@ -265,11 +282,12 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "lower": [max(v, -largest) for v in lower],
         "upper": [min(v, largest) for v in upper],
         "inverse_state_noise": 1.0 / model.state_noise,
+        "inverse_move": np.sqrt(model.state_noise * machine.friction.smoothing.lambda_) / MOVE,
         "inverse_initial_state": 1.0 / model.initial_state,
         "inverse_arrival_state": 1.0 / model.state_noise,
         "fixed": fixed,
         "lowpass": lowpass_coefficients(machine),
-        "linear": integrator.velocity == "linear",
+        "linear": linear,
         "flow": flow,
         "scheme": scheme
         if not flow
@@ -338,6 +356,40 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         ("integrator.h.jinja", f"{name}_integrator.h"),
     ]
     return context
+
+
+@dataclass(frozen=True)
+class _Costs:
+    """Work of an update in multiplications or so: of one unit of each kind, and of the units in one sample."""
+
+    recover: int
+    step: int
+    node: int
+    per_sample: int
+
+
+def _costs(model: Model, relinearise: str, *, slots: int, steps: int, samples: int, state_rows: int) -> _Costs:
+    """Share the work of an update out over the samples of an interval but its last.
+
+    A sample does units as long as they fit, so those of one kind take ceil(count / (per_sample // cost)) samples at
+    most: per_sample is the smallest number with which all of them do.
+    """
+    n_x, n_p = model.n_x, model.n_p
+    width = 2 * n_x + n_p + 1
+    recover = (1 + (relinearise == "auto")) * n_x * (n_x + n_p)
+    node = 2 * n_x * (n_x + 2) * width + 2 * (n_x + n_p) * (n_x + n_p + 1)
+    step = STEP_COST_PER_ROW * state_rows * (slots if relinearise == "all" else 1)
+    count = {"all": 1, "auto": CHOSEN, "newest": 0}[relinearise] * steps
+    units = [(recover, slots), (step, count), (node, slots - 1)]
+    total = sum(cost * n for cost, n in units)
+
+    def needed(per_sample: int) -> int:
+        return sum(-(-n // (per_sample // cost)) for cost, n in units)
+
+    per_sample = max(cost for cost, n in units if n > 0 or cost == recover)
+    while per_sample < total and needed(per_sample) > samples - 1:
+        per_sample += 1
+    return _Costs(recover, step, node, per_sample)
 
 
 def hold_path(machine: Machine) -> float:
