@@ -213,6 +213,56 @@ def test_folded_rows_are_the_stacked_least_squares(precision: str) -> None:
         np.testing.assert_allclose(variance, np.diag(covariance), rtol=100.0 * EPS[precision] * condition)
 
 
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("kind", ["zeros", "scales"])
+def test_qr_is_that_of_numpy(kind: str, precision: str) -> None:
+    """Signs aside; with zero rows, columns and entries, and with columns from tiny to huge."""
+    rng = np.random.default_rng(7)
+    for _ in range(200):
+        rows, columns = int(rng.integers(2, 12)), int(rng.integers(1, 8))
+        columns = min(rows, columns)
+        width = columns + 1
+        a = rng.standard_normal((rows, width))
+        if kind == "zeros":
+            # Square from the top: what is left out keeps the rank, or R would not be unique.
+            a[columns:][rng.uniform(size=rows - columns) < 0.5] = 0.0
+            a[columns:, :columns][:, rng.uniform(size=columns) < 0.3] = 0.0
+            a[:columns, :columns] = np.triu(a[:columns, :columns]) + 2.0 * np.eye(columns)
+        scale = 10.0 ** rng.uniform(-12.0, 12.0, width) if kind == "scales" else np.ones(width)
+        got = c_array(a * scale, precision)
+        expected = np.abs(np.linalg.qr(got.astype(float) / scale, mode="r"))[:columns]
+        condition = float(np.linalg.cond(a[:, :columns]))
+        runtime_probe(precision).probe_qr(pointer(got), rows, width, width, columns)
+        error = np.abs(np.abs(got[:columns].astype(float) / scale) - expected)
+        assert error.max() < 30.0 * EPS[precision] * condition * (1.0 + np.abs(a).max())
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_growth_adds_to_the_covariance(precision: str) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        n = int(rng.integers(1, 10))
+        count = int(rng.integers(1, n + 1))
+        r = np.triu(rng.standard_normal((n, n + 1)))
+        r[range(n), range(n)] = rng.uniform(0.5, 2.0, n) * rng.choice([-1.0, 1.0], n)
+        growth = rng.uniform(0.0, 2.0, count) * (rng.uniform(size=count) < 0.7)
+        got = c_array(r, precision)
+        runtime_probe(precision).probe_qr_grow(pointer(got), n, count, pointer(c_array(growth, precision)))
+        assert not np.any(np.tril(got[:, :n], -1))
+        covariance = np.linalg.inv(r[:, :n].T @ r[:, :n])
+        covariance[range(n - count, n), range(n - count, n)] += growth**2
+        found = np.linalg.inv(got[:, :n].astype(float).T @ got[:, :n].astype(float))
+        condition = float(np.linalg.cond(r[:, :n])) ** 2
+        np.testing.assert_allclose(
+            found, covariance, rtol=0.0, atol=20.0 * EPS[precision] * condition * (1.0 + np.abs(covariance).max())
+        )
+        # The mean stays where it was.
+        means = [np.linalg.solve(f[:, :n], f[:, n]) for f in (r, got.astype(float))]
+        np.testing.assert_allclose(
+            means[1], means[0], rtol=0.0, atol=20.0 * EPS[precision] * condition * (1.0 + np.abs(means[0]).max())
+        )
+
+
 def test_single_precision_survives_what_a_normal_matrix_does_not() -> None:
     # Two nearly equal columns: the squares of J'J would lose the difference in single precision.
     d = 1e-4

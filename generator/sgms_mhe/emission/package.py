@@ -228,6 +228,8 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     n_q_total = sum(g.n_q * len(g.blocks) for g in structure.groups)
     q = [e for g in structure.groups for b in g.blocks for e in b.parameter_terms]
     scale = [_node_scale(model, i) for i in range(model.n_x)]
+    couples = _couples(structure)
+    coupled = max(len(row) for row in couples)
     theta = model.theta
     name = machine.name
     output = ca.substitute(model.output, model.chi, model.from_node)
@@ -294,6 +296,10 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         else scheme.with_text("displacement flow, Runge-Kutta (rk4) where it does not apply"),
         "base_substeps": max(1, substeps // samples),
         "groups": groups,
+        "reach": [max(max(row) for row in couples[: c + 1]) + 1 for c in range(model.n_x)],
+        "coupled": [len(row) for row in couples],
+        "couples": [row + [row[-1]] * (coupled - len(row)) for row in couples],
+        "defect_width": coupled + model.n_p + 1,
         "factor_rows": model.n_x + model.n_p,
         "kept_width": 2 * model.n_x + model.n_p + 1,
         "parameter_columns": [p.column for p in model.parameters],
@@ -356,6 +362,13 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         ("integrator.h.jinja", f"{name}_integrator.h"),
     ]
     return context
+
+
+def _couples(structure: Structure) -> list[list[int]]:
+    """Per state the states that share a block with it, itself included: the columns of A that may not be zero."""
+    blocks = [block.states for group in structure.groups for block in group.blocks]
+    states = range(structure.model.n_x)
+    return [sorted({state for block in blocks if i in block for state in block}) for i in states]
 
 
 @dataclass(frozen=True)
