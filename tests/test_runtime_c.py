@@ -33,6 +33,7 @@ LIMITS: dict[str, dict[str, tuple[float, float]]] = {
     "cos": {"double": (-1e6, 1e6), "single": (-1e3, 1e3)},
     "log": {"double": (2.3e-308, 1.7e308), "single": (1.2e-38, 3.4e38)},
     "sqrt": {"double": (2.3e-308, 1.7e308), "single": (1.2e-38, 3.4e38)},
+    "inverse_sqrt": {"double": (2.3e-308, 1.7e308), "single": (1.2e-38, 3.4e38)},
 }
 BOUND: dict[str, dict[str, float]] = {
     "exp": {"double": 5e-16, "single": 2e-7},
@@ -41,6 +42,7 @@ BOUND: dict[str, dict[str, float]] = {
     "cos": {"double": 2e-15, "single": 3e-7},
     "log": {"double": 4e-16, "single": 3e-7},
     "sqrt": {"double": 3e-16, "single": 2e-7},
+    "inverse_sqrt": {"double": 6e-16, "single": 3e-7},
 }
 # What the bound is relative to, by the exact value.
 SCALE: dict[str, Callable[[Array], Array]] = {
@@ -50,8 +52,14 @@ SCALE: dict[str, Callable[[Array], Array]] = {
     "cos": np.ones_like,
     "log": lambda y: 1.0 + np.abs(y),
     "sqrt": np.abs,
+    "inverse_sqrt": np.abs,
 }
 POINTS = 200_000
+
+
+def exact_value(library: Any, function: str, x: Any) -> Any:
+    """The function in numpy or mpmath, which have no inverse root."""
+    return 1 / library.sqrt(x) if function == "inverse_sqrt" else getattr(library, function)(x)
 
 
 def evaluate(function: str, precision: str, x: Array) -> tuple[Array, Array]:
@@ -67,7 +75,7 @@ def arguments(function: str, precision: str) -> Array:
     rng = np.random.default_rng(7)
     low, high = LIMITS[function][precision]
     eps = float(np.finfo(REAL[precision]).eps)
-    if function in ("log", "sqrt"):
+    if function in ("log", "sqrt", "inverse_sqrt"):
         spread = np.exp(rng.uniform(np.log(low), np.log(high), POINTS))
         near_one = 1.0 + eps * np.arange(-50.0, 51.0)
         return np.concatenate(
@@ -89,7 +97,7 @@ def arguments(function: str, precision: str) -> Array:
 @pytest.mark.parametrize("function", list(BOUND))
 def test_function_keeps_its_stated_bound(function: str, precision: str) -> None:
     x, y = evaluate(function, precision, arguments(function, precision))
-    exact = getattr(np, function)(x.astype(np.longdouble))
+    exact = exact_value(np, function, x.astype(np.longdouble))
     error = np.abs(y - exact) / SCALE[function](exact)
     worst = int(np.argmax(error))
     assert error[worst] <= BOUND[function][precision], f"{function}({x[worst]!r}) is off by {error[worst]:.2e}"
@@ -100,7 +108,7 @@ def test_function_keeps_its_stated_bound(function: str, precision: str) -> None:
 def test_function_agrees_with_many_digits(function: str, precision: str) -> None:
     x, y = evaluate(function, precision, np.random.default_rng(3).permutation(arguments(function, precision))[:2000])
     with mpmath.workdps(40):
-        exact = [getattr(mpmath, function)(mpmath.mpf(float(v))) for v in x]
+        exact = [exact_value(mpmath, function, mpmath.mpf(float(v))) for v in x]
         error = np.array([float(abs(mpmath.mpf(float(v)) - e)) for v, e in zip(y, exact, strict=True)])
     scale = SCALE[function](np.array([float(e) for e in exact]))
     assert np.max(error / scale) <= BOUND[function][precision]

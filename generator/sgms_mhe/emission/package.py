@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import hashlib
 import math
 import shutil
@@ -384,8 +385,8 @@ class _Costs:
 def _costs(model: Model, relinearise: str, *, slots: int, steps: int, samples: int, state_rows: int) -> _Costs:
     """Share the work of an update out over the samples of an interval but its last.
 
-    A sample does units as long as they fit, so those of one kind take ceil(count / (per_sample // cost)) samples at
-    most: per_sample is the smallest number with which all of them do.
+    A sample does units, in their order, as long as they fit: per_sample is the smallest number with which all of them
+    are done in time. More never takes longer.
     """
     n_x, n_p = model.n_x, model.n_p
     width = 2 * n_x + n_p + 1
@@ -393,15 +394,21 @@ def _costs(model: Model, relinearise: str, *, slots: int, steps: int, samples: i
     node = 2 * n_x * (n_x + 2) * width + 2 * (n_x + n_p) * (n_x + n_p + 1)
     step = STEP_COST_PER_ROW * state_rows * (slots if relinearise == "all" else 1)
     count = {"all": 1, "auto": CHOSEN, "newest": 0}[relinearise] * steps
-    units = [(recover, slots), (step, count), (node, slots - 1)]
+    units = [(recover, slots - 1), (node, 1), (step, count), (node, slots - 1)]
     total = sum(cost * n for cost, n in units)
 
-    def needed(per_sample: int) -> int:
-        return sum(-(-n // (per_sample // cost)) for cost, n in units)
+    def is_enough(per_sample: int) -> bool:
+        used = left = 0
+        for cost, n in units:
+            n, left = max(0, n - left // cost), left - min(n, left // cost) * cost
+            if n > 0:
+                whole = per_sample // cost
+                used += -(-n // whole)
+                left = per_sample - ((n - 1) % whole + 1) * cost
+        return used <= samples - 1
 
-    per_sample = max(cost for cost, n in units if n > 0 or cost == recover)
-    while per_sample < total and needed(per_sample) > samples - 1:
-        per_sample += 1
+    possible = range(max(cost for cost, n in units if n > 0), total)
+    per_sample = possible.start + bisect.bisect_left(possible, True, key=is_enough)
     return _Costs(recover, step, node, per_sample)
 
 
