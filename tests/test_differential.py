@@ -190,7 +190,7 @@ def test_full_run_of_the_experiment() -> None:
 SINGLE_CASES: dict[str, dict[str, Any]] = {
     "flow": {},
     "auto": {"estimator": {"relinearise": "auto"}},
-    "auto, fixed": {"estimator": {"relinearise": "auto", "arrival_cost": {"update": "fixed"}}},
+    "auto, rk4": {"sampling": scheme("rk4"), "estimator": {"relinearise": "auto"}},
     "newest": {"estimator": {"relinearise": "newest"}},
     "rk4": {"sampling": scheme("rk4")},
     "ekf": {"estimator": {"kind": "ekf"}},
