@@ -32,11 +32,11 @@ typedef uint64_t sgms_unsigned;
 #define SGMS_LANES
 #endif
 
-/* For what has to become part of such a loop. */
+/* A function that becomes part of its caller: its constants fold, and it may stand in a loop that vectorises. */
 #if defined(__GNUC__)
-#define SGMS_INLINE static inline __attribute__((always_inline))
+#define SGMS_INLINE __attribute__((always_inline)) inline
 #else
-#define SGMS_INLINE static inline
+#define SGMS_INLINE inline
 #endif
 
 #endif

@@ -67,6 +67,25 @@ MHE_CASES: dict[str, dict[str, Any]] = {
     "two substeps": {"sampling": scheme("rk4", substeps=200)},
     "merged flow": {"sampling": scheme("flow", substeps=50)},
     "merged rk4": {"sampling": scheme("rk4", substeps=25)},
+    # linearisations that are kept
+    "auto": {"estimator": {"relinearise": "auto"}},
+    "auto, fixed": {"estimator": {"relinearise": "auto", "arrival_cost": {"update": "fixed"}}},
+    "auto, horizon 2": {"estimator": {"relinearise": "auto", "horizon": 2}},
+    "auto, stiffness, coulomb": {
+        "estimator": {"relinearise": "auto", "parameters": ["stiffness", "coulomb"], "bounds": {}}
+    },
+    "auto, bound": {"estimator": {"relinearise": "auto", "bounds": {"stiffness": [0.99, 1.1]}}},
+    "auto, ten elements": {"friction": elements(10), "estimator": {"relinearise": "auto"}},
+    "auto, level of its own": {
+        "effects": [{"name": "dwell_dependence"}],
+        "estimator": {"relinearise": "auto", "horizon": 8},
+    },
+    "auto, linear velocity": {"sampling": scheme("rk4", velocity="linear"), "estimator": {"relinearise": "auto"}},
+    "auto, merged flow": {"sampling": scheme("flow", substeps=50), "estimator": {"relinearise": "auto"}},
+    "newest": {"estimator": {"relinearise": "newest"}},
+    "newest, fixed": {"estimator": {"relinearise": "newest", "arrival_cost": {"update": "fixed"}}},
+    "newest, linear velocity": {"sampling": scheme("rk4", velocity="linear"), "estimator": {"relinearise": "newest"}},
+    "newest, merged rk4": {"sampling": scheme("rk4", substeps=25), "estimator": {"relinearise": "newest"}},
     # filter
     "ekf": {"estimator": {"kind": "ekf"}},
     "ekf, bound": {"estimator": {"kind": "ekf", "bounds": {"stiffness": [0.995, 1.05]}, "noise": {"parameter": 0.3}}},
@@ -124,10 +143,12 @@ def test_c_is_the_reference(case: str) -> None:
         assert np.count_nonzero(reference.status & Status.BOUND) > 3
 
 
-@pytest.mark.parametrize("kind", ["mhe", "ekf"])
-def test_all_speeds_and_bad_samples(kind: str) -> None:
+@pytest.mark.parametrize(("kind", "relinearise"), [("mhe", "all"), ("mhe", "auto"), ("mhe", "newest"), ("ekf", "all")])
+def test_all_speeds_and_bad_samples(kind: str, relinearise: str) -> None:
     """Presliding loops, 0.3 m/s and 1 m/s moves, standstill; samples missing alone, in short and in long gaps."""
-    settings = machine(estimator={"kind": kind, "parameters": ["stiffness", "coulomb"], "bounds": {}})
+    settings = machine(
+        estimator={"kind": kind, "relinearise": relinearise, "parameters": ["stiffness", "coulomb"], "bounds": {}}
+    )
     log = closed_loop(4, "mixed", 2.6)
     q, u = log.position_m.copy(), log.force_N.copy()
     u[7777], q[9000:9006], u[12000:12300], q[15000:15400] = np.nan, np.nan, np.inf, np.nan
@@ -168,6 +189,9 @@ def test_full_run_of_the_experiment() -> None:
 
 SINGLE_CASES: dict[str, dict[str, Any]] = {
     "flow": {},
+    "auto": {"estimator": {"relinearise": "auto"}},
+    "auto, rk4": {"sampling": scheme("rk4"), "estimator": {"relinearise": "auto"}},
+    "newest": {"estimator": {"relinearise": "newest"}},
     "rk4": {"sampling": scheme("rk4")},
     "ekf": {"estimator": {"kind": "ekf"}},
     "bound": {"estimator": {"bounds": {"stiffness": [0.99, 1.1]}}},
@@ -201,8 +225,9 @@ def test_single_precision_follows_the_reference(case: str) -> None:
     )
 
 
-def test_single_precision_at_all_speeds_through_its_own_chain() -> None:
-    settings = machine(code={"precision": "single"})
+@pytest.mark.parametrize("relinearise", ["all", "auto"])
+def test_single_precision_at_all_speeds_through_its_own_chain(relinearise: str) -> None:
+    settings = machine(code={"precision": "single"}, estimator={"relinearise": relinearise})
     log = closed_loop(4, "mixed", 2.6)
     reference = estimate_reference(settings, signals_from_log(log, settings))
     for mode in ("tasks", "tick"):
@@ -215,8 +240,15 @@ def test_single_precision_at_all_speeds_through_its_own_chain() -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"estimator": {"kind": "ekf"}}, {"sampling": scheme("flow", substeps=50)}, {"estimator": {"horizon": 1}}],
-    ids=["mhe", "ekf", "merged", "horizon 1"],
+    [
+        {},
+        {"estimator": {"relinearise": "auto"}},
+        {"estimator": {"relinearise": "newest"}},
+        {"estimator": {"kind": "ekf"}},
+        {"sampling": scheme("flow", substeps=50)},
+        {"estimator": {"horizon": 1}},
+    ],
+    ids=["mhe", "auto", "newest", "ekf", "merged", "horizon 1"],
 )
 def test_raw_samples_and_one_task_give_the_same(changes: Mapping[str, Any]) -> None:
     settings = machine(**changes)
@@ -325,9 +357,16 @@ def without_drift(**estimator: Any) -> Model:
     return linear_model(noise=noise, **estimator)
 
 
-@pytest.mark.parametrize("kind", ["horizon 1", "horizon 2", "horizon 5", "horizon 20", "ekf"])
+@pytest.mark.parametrize(
+    "kind", ["horizon 1", "horizon 2", "horizon 5", "horizon 20", "horizon 5 auto", "horizon 5 newest", "ekf"]
+)
 def test_riccati_is_the_kalman_filter_on_a_linear_model(kind: str) -> None:
-    model = without_drift(kind="ekf") if kind == "ekf" else without_drift(horizon=int(kind.split()[1]))
+    words = kind.split()
+    model = (
+        without_drift(kind="ekf")
+        if kind == "ekf"
+        else without_drift(horizon=int(words[1]), relinearise=words[2] if len(words) > 2 else "all")
+    )
     signals = linear_signals()
     c = compiled(model.machine, model).estimate(signals)
     means, deviations, frictions = kalman_filter(model, signals, first=int(kind == "ekf"))
@@ -338,10 +377,10 @@ def test_riccati_is_the_kalman_filter_on_a_linear_model(kind: str) -> None:
     assert np.ptp(theta, axis=0).max() > 1e-2
 
 
-@pytest.mark.parametrize("horizon", [1, 6])
-def test_coupled_states_agree_with_the_reference(horizon: int) -> None:
+@pytest.mark.parametrize(("horizon", "relinearise"), [(1, "all"), (6, "all"), (6, "auto"), (6, "newest")])
+def test_coupled_states_agree_with_the_reference(horizon: int, relinearise: str) -> None:
     """Blocks of two states, bounds and drift: what no friction model without effects has."""
-    model = linear_model(horizon=horizon, bounds={"stiffness": [0.95, 1.02]})
+    model = linear_model(horizon=horizon, relinearise=relinearise, bounds={"stiffness": [0.95, 1.02]})
     signals = linear_signals()
     reference = estimate_model(model, signals, "mhe")
     assert np.count_nonzero(reference.status & Status.BOUND) > 5

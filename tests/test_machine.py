@@ -302,6 +302,7 @@ BAD_VALUES = [
     # choices
     ('sampling.integrator.scheme = "rk45"', "sampling.integrator.scheme", "'bs23'"),
     ('estimator.kind = "ukf"', "estimator.kind", "'mhe' or 'ekf'"),
+    ('estimator.relinearise = "some"', "estimator.relinearise", "'all', 'auto' or 'newest'"),
     ('estimator.arrival_cost.update = "kalman"', "estimator.arrival_cost.update", "'riccati' or 'fixed'"),
     ('estimator.noise.state_as = "velocity"', "estimator.noise.state_as", "'force' or 'deflection'"),
     ('code.precision = "half"', "code.precision", "'double' or 'single'"),

@@ -49,6 +49,11 @@ VARIANTS: dict[str, dict[str, Any]] = {
     },
     "fixed, horizon 1": {"estimator": {"horizon": 1, "arrival_cost": {"update": "fixed"}}},
     "horizon 2": {"estimator": {"horizon": 2}},
+    "auto": {"estimator": {"relinearise": "auto"}},
+    "auto, linear": {"estimator": {"relinearise": "auto"}, "sampling": scheme("rk4", velocity="linear")},
+    "newest": {"estimator": {"relinearise": "newest"}},
+    "newest, linear": {"estimator": {"relinearise": "newest"}, "sampling": scheme("rk4", velocity="linear")},
+    "level of its own": {"effects": [{"name": "dwell_dependence"}], "estimator": {"relinearise": "auto"}},
     "ripple": {
         "effects": [{"name": "force_ripple", "pitch_m": 0.032, "amplitude_N": 0.8, "phase_rad": 0.7}],
         "estimator": {"parameters": ["stiffness", "force_ripple.amplitude_N"]},
@@ -333,8 +338,9 @@ def same(a: list[tuple[Array, int]], b: list[tuple[Array, int]]) -> bool:
     return len(a) == len(b) and all(s == t and np.array_equal(x, y) for (x, s), (y, t) in zip(a, b, strict=True))
 
 
-def test_tick_and_tasks_give_the_same(axis: Any) -> None:
-    estimator: Axis = axis()
+@pytest.mark.parametrize("relinearise", ["all", "auto", "newest"])
+def test_tick_and_tasks_give_the_same(relinearise: str, axis: Any) -> None:
+    estimator: Axis = axis(estimator={"relinearise": relinearise})
     log = log_of()
     tasks = estimator.run(estimator.new(), log.position_m, log.force_N)
     memory, ticked = estimator.new(), []
@@ -347,6 +353,47 @@ def test_tick_and_tasks_give_the_same(axis: Any) -> None:
         elif k > 1:
             assert same([estimator.estimate(memory)], [ticked[-1] if ticked else last]), "changed between updates"
     assert same(ticked, tasks)
+
+
+def constants(package: Package) -> dict[str, int]:
+    """Plain integer constants of a package's config header."""
+    text = package.files["etel_xy_config.h"]
+    return {name: int(value) for name, value in re.findall(r"^    (\w+) = (\d+),?", text, re.MULTILINE)}
+
+
+@pytest.mark.parametrize(("horizon", "samples"), [(2, 2), (20, 5), (20, 100), (60, 400)])
+@pytest.mark.parametrize("relinearise", ["all", "auto", "newest"])
+def test_work_of_an_interval_fits_into_its_samples(relinearise: str, horizon: int, samples: int) -> None:
+    """Units as tick does them, as many as there can be: never more than the bound in one sample, all done in time."""
+    settings: dict[str, Any] = {
+        "sampling": {"update_rate": 1e4 / samples, "integrator": {"scheme": "flow"}},
+        "estimator": {"horizon": horizon, "relinearise": relinearise},
+    }
+    of = constants(package_of(**settings))
+    nodes = horizon - 1
+    steps = {"all": 1, "auto": of.get("CHOSEN", 0), "newest": 0}[relinearise] * samples
+    units = [of["RECOVER_COST"]] * nodes + [of["NODE_COST"]] + [of["STEP_COST"]] * steps + [of["NODE_COST"]] * nodes
+    largest = 0
+    for _ in range(samples - 1):
+        left = of["COST_PER_SAMPLE"]
+        while units and units[0] <= left:
+            left -= units.pop(0)
+        largest = max(largest, of["COST_PER_SAMPLE"] - left)
+    assert not units
+    # A bound, and no more than the work asks for: the mean, and what does not fit because units are whole.
+    mean = (of["RECOVER_COST"] * nodes + of["STEP_COST"] * steps + of["NODE_COST"] * horizon) / (samples - 1)
+    assert 0 < largest <= 2.0 * mean + max(of["NODE_COST"], of["STEP_COST"] * (steps > 0))
+
+
+def test_memory_follows_what_is_linearised_anew(axis: Any) -> None:
+    """Lanes for all, the series for auto, neither for newest."""
+    sizes = {m: axis(estimator={"relinearise": m}).c.probe_size() for m in ("all", "auto", "newest")}
+    ring = 100 * 2 * 19 * 8  # newest keeps other things instead
+    assert sizes["newest"] < sizes["all"] - ring and sizes["newest"] < sizes["auto"] - ring
+    for relinearise, absent in (("all", ("rows",)), ("auto", ("lane",)), ("newest", ("lane", "one", "chosen"))):
+        header = package_of(estimator={"relinearise": relinearise}).files["etel_xy.h"]
+        for name in absent:
+            assert not re.search(rf"\b{name}\[", header), f"{relinearise}: {name}"
 
 
 def test_init_relies_on_nothing_and_instances_on_nothing_of_each_other(axis: Any) -> None:
@@ -492,6 +539,12 @@ def test_status_texts(axis: Any) -> None:
 HOSTILE = (np.nan, np.inf, -np.inf, 1e300, -1e300, 1e20, 3.4e38)
 
 
+def estimator_of(kind: str) -> dict[str, str]:
+    """Table `estimator` of "mhe", "mhe auto", "mhe newest" or "ekf"."""
+    name, _, relinearise = kind.partition(" ")
+    return {"kind": name, "relinearise": relinearise or "all"}
+
+
 def hostile_log(seed: int) -> tuple[Array, Array, int]:
     """Closed-loop log with a bad stretch: single values, runs, both channels; ends at the sample returned."""
     rng = np.random.default_rng(seed)
@@ -504,10 +557,10 @@ def hostile_log(seed: int) -> tuple[Array, Array, int]:
     return q, u, 6260
 
 
-@pytest.mark.parametrize("kind", ["mhe", "ekf"])
+@pytest.mark.parametrize("kind", ["mhe", "mhe auto", "ekf"])
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_hostile_samples_never_reach_the_estimate(precision: str, kind: str, axis: Any) -> None:
-    estimator: Axis = axis(code={"precision": precision}, estimator={"kind": kind})
+    estimator: Axis = axis(code={"precision": precision}, estimator=estimator_of(kind))
     log = log_of("paper", 1.6)
     clean = estimator.run(estimator.new(), log.position_m, log.force_N)
     for seed in range(6):
@@ -531,7 +584,16 @@ def test_hostile_samples_never_reach_the_estimate(precision: str, kind: str, axi
         assert end < len(q) - 8000
 
 
-@pytest.mark.parametrize("changes", [{"estimator": {"horizon": 5}}, {"estimator": {"kind": "ekf"}}], ids=["mhe", "ekf"])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"estimator": {"horizon": 5}},
+        {"estimator": {"horizon": 5, "relinearise": "auto"}},
+        {"estimator": {"horizon": 5, "relinearise": "newest"}},
+        {"estimator": {"kind": "ekf"}},
+    ],
+    ids=["mhe", "auto", "newest", "ekf"],
+)
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_solution_that_is_not_finite_is_refused(precision: str, changes: dict[str, Any], axis: Any) -> None:
     """A speed that explicit schemes blow up at: the last good estimate stays, the window starts anew and recovers."""
@@ -567,11 +629,11 @@ def test_solution_that_is_not_finite_is_refused(precision: str, changes: dict[st
     assert abs(found[-1][0][0] - clean[-1][0][0]) < 0.05
 
 
-@pytest.mark.parametrize("kind", ["mhe", "ekf"])
+@pytest.mark.parametrize("kind", ["mhe", "mhe auto", "mhe newest", "ekf"])
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_sanitizers_find_nothing(precision: str, kind: str, require_tool: Tool, tmp_path: Path) -> None:
     """ASan and UBSan over the hostile logs, one task and two; the program prints every estimate."""
-    folder = written(package_of(code={"precision": precision}, estimator={"kind": kind}), tmp_path)
+    folder = written(package_of(code={"precision": precision}, estimator=estimator_of(kind)), tmp_path)
     program = tmp_path / "program"
     checks = ["-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
     files = [PROBES / "hostile.c", PROBES / "estimator_probe.c", folder / "etel_xy.c", "-o", program]

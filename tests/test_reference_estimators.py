@@ -18,7 +18,7 @@ from sgms_mhe.model import Model, build_model
 from sgms_mhe.reference import Integrator, Record, Status, estimate_model, estimate_reference, run_mhe
 from sgms_mhe.reference.ekf import into_bounds
 from sgms_mhe.reference.least_squares import solve, solve_bounded
-from sgms_mhe.reference.mhe import Arrival, Window, dense_problem, linearise
+from sgms_mhe.reference.mhe import CHOSEN, Arrival, Kept, Window, dense_problem, integrate, linearise, renew
 
 Array = NDArray[np.float64]
 THETA = np.array([1.3, 0.8, 0.9])
@@ -87,6 +87,46 @@ def test_mhe_is_the_kalman_filter_on_a_linear_model(horizon: int, gaps: bool) ->
     np.testing.assert_array_equal(result.status & Status.FILLING, np.arange(1, 41) < horizon)
     missing = np.isin(5 * np.arange(1, 41), [35, 40, 45, 100, 130]) if gaps else np.zeros(40, dtype=bool)
     np.testing.assert_array_equal(result.status & Status.MISSING != 0, missing)
+
+
+def test_kept_linearisations_are_exact_on_a_linear_model() -> None:
+    signals = linear_record(linear_model())
+    every, auto, newest = (
+        estimate_model(linear_model(horizon=6, relinearise=mode), signals, "mhe") for mode in ("all", "auto", "newest")
+    )
+    for other in (auto, newest):
+        np.testing.assert_allclose(other.extra["x"], every.extra["x"], rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(other.extra["theta"], every.extra["theta"], rtol=0.0, atol=1e-10)
+
+
+def test_those_that_moved_most_are_linearised_anew() -> None:
+    model = build_model(with_integrator(variant(), scheme="rk4"))
+    motion = moving(2e-3 * np.sin(2.0 * np.pi * 4.0 * np.arange(601) / 10000.0))
+    record = Record(model, motion, Integrator(model))
+    theta = np.ones(4)
+    x = simulate(record.integrator, motion, theta)[:6]
+    kept = Kept(x, np.tile(theta, (6, 1)), integrate(record, 0, x, theta))
+    # An element that sticks moves its end as far as its start: in allowances of the fourth one.
+    steps = np.array([0.5, 3.0, 0.0, 2.0, 5.0, 0.9])
+    moved = x.copy()
+    moved[:, 3] += steps * record.weights.move[3] / kept.intervals.A[:, 3, 3]
+    np.testing.assert_allclose(kept.moves(moved, theta)[:, 3] / record.weights.move[3], steps, atol=1e-12)
+    renewed = renew(record, 0, kept, moved, theta)
+    assert CHOSEN == 2
+    expected = np.array([False, True, False, False, True, False])
+    np.testing.assert_array_equal(np.any(renewed.x != kept.x, axis=1), expected)
+    for k in range(6):
+        at = moved[k] if expected[k] else x[k]
+        fresh = integrate(record, k, at[None], theta)
+        for ours, theirs in zip(renewed.intervals, fresh, strict=True):
+            np.testing.assert_array_equal(ours[k], theirs[0])
+    # Those that wait are next.
+    again = renew(record, 0, renewed, moved, theta)
+    np.testing.assert_array_equal(np.any(again.x != renewed.x, axis=1), np.arange(6) == 3)
+    # About the new point the intervals are the same affine maps.
+    np.testing.assert_allclose(
+        kept.at(moved, theta).x1, kept.intervals.x1 + kept.moves(moved, theta), rtol=0.0, atol=1e-15
+    )
 
 
 def test_ekf_is_the_kalman_filter_on_a_linear_model() -> None:

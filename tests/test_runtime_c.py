@@ -33,6 +33,7 @@ LIMITS: dict[str, dict[str, tuple[float, float]]] = {
     "cos": {"double": (-1e6, 1e6), "single": (-1e3, 1e3)},
     "log": {"double": (2.3e-308, 1.7e308), "single": (1.2e-38, 3.4e38)},
     "sqrt": {"double": (2.3e-308, 1.7e308), "single": (1.2e-38, 3.4e38)},
+    "inverse_sqrt": {"double": (2.3e-308, 1.7e308), "single": (1.2e-38, 3.4e38)},
 }
 BOUND: dict[str, dict[str, float]] = {
     "exp": {"double": 5e-16, "single": 2e-7},
@@ -41,6 +42,7 @@ BOUND: dict[str, dict[str, float]] = {
     "cos": {"double": 2e-15, "single": 3e-7},
     "log": {"double": 4e-16, "single": 3e-7},
     "sqrt": {"double": 3e-16, "single": 2e-7},
+    "inverse_sqrt": {"double": 6e-16, "single": 3e-7},
 }
 # What the bound is relative to, by the exact value.
 SCALE: dict[str, Callable[[Array], Array]] = {
@@ -50,8 +52,14 @@ SCALE: dict[str, Callable[[Array], Array]] = {
     "cos": np.ones_like,
     "log": lambda y: 1.0 + np.abs(y),
     "sqrt": np.abs,
+    "inverse_sqrt": np.abs,
 }
 POINTS = 200_000
+
+
+def exact_value(library: Any, function: str, x: Any) -> Any:
+    """The function in numpy or mpmath, which have no inverse root."""
+    return 1 / library.sqrt(x) if function == "inverse_sqrt" else getattr(library, function)(x)
 
 
 def evaluate(function: str, precision: str, x: Array) -> tuple[Array, Array]:
@@ -67,7 +75,7 @@ def arguments(function: str, precision: str) -> Array:
     rng = np.random.default_rng(7)
     low, high = LIMITS[function][precision]
     eps = float(np.finfo(REAL[precision]).eps)
-    if function in ("log", "sqrt"):
+    if function in ("log", "sqrt", "inverse_sqrt"):
         spread = np.exp(rng.uniform(np.log(low), np.log(high), POINTS))
         near_one = 1.0 + eps * np.arange(-50.0, 51.0)
         return np.concatenate(
@@ -89,7 +97,7 @@ def arguments(function: str, precision: str) -> Array:
 @pytest.mark.parametrize("function", list(BOUND))
 def test_function_keeps_its_stated_bound(function: str, precision: str) -> None:
     x, y = evaluate(function, precision, arguments(function, precision))
-    exact = getattr(np, function)(x.astype(np.longdouble))
+    exact = exact_value(np, function, x.astype(np.longdouble))
     error = np.abs(y - exact) / SCALE[function](exact)
     worst = int(np.argmax(error))
     assert error[worst] <= BOUND[function][precision], f"{function}({x[worst]!r}) is off by {error[worst]:.2e}"
@@ -100,7 +108,7 @@ def test_function_keeps_its_stated_bound(function: str, precision: str) -> None:
 def test_function_agrees_with_many_digits(function: str, precision: str) -> None:
     x, y = evaluate(function, precision, np.random.default_rng(3).permutation(arguments(function, precision))[:2000])
     with mpmath.workdps(40):
-        exact = [getattr(mpmath, function)(mpmath.mpf(float(v))) for v in x]
+        exact = [exact_value(mpmath, function, mpmath.mpf(float(v))) for v in x]
         error = np.array([float(abs(mpmath.mpf(float(v)) - e)) for v, e in zip(y, exact, strict=True)])
     scale = SCALE[function](np.array([float(e) for e in exact]))
     assert np.max(error / scale) <= BOUND[function][precision]
@@ -211,6 +219,56 @@ def test_folded_rows_are_the_stacked_least_squares(precision: str) -> None:
         size = 1.0 + np.abs(expected).max() + np.abs(stacked[:, n]).max()
         np.testing.assert_allclose(x, expected, rtol=0.0, atol=20.0 * EPS[precision] * condition * size)
         np.testing.assert_allclose(variance, np.diag(covariance), rtol=100.0 * EPS[precision] * condition)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("kind", ["zeros", "scales"])
+def test_qr_is_that_of_numpy(kind: str, precision: str) -> None:
+    """Signs aside; with zero rows, columns and entries, and with columns from tiny to huge."""
+    rng = np.random.default_rng(7)
+    for _ in range(200):
+        rows, columns = int(rng.integers(2, 12)), int(rng.integers(1, 8))
+        columns = min(rows, columns)
+        width = columns + 1
+        a = rng.standard_normal((rows, width))
+        if kind == "zeros":
+            # Square from the top: what is left out keeps the rank, or R would not be unique.
+            a[columns:][rng.uniform(size=rows - columns) < 0.5] = 0.0
+            a[columns:, :columns][:, rng.uniform(size=columns) < 0.3] = 0.0
+            a[:columns, :columns] = np.triu(a[:columns, :columns]) + 2.0 * np.eye(columns)
+        scale = 10.0 ** rng.uniform(-12.0, 12.0, width) if kind == "scales" else np.ones(width)
+        got = c_array(a * scale, precision)
+        expected = np.abs(np.linalg.qr(got.astype(float) / scale, mode="r"))[:columns]
+        condition = float(np.linalg.cond(a[:, :columns]))
+        runtime_probe(precision).probe_qr(pointer(got), rows, width, width, columns)
+        error = np.abs(np.abs(got[:columns].astype(float) / scale) - expected)
+        assert error.max() < 30.0 * EPS[precision] * condition * (1.0 + np.abs(a).max())
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_growth_adds_to_the_covariance(precision: str) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        n = int(rng.integers(1, 10))
+        count = int(rng.integers(1, n + 1))
+        r = np.triu(rng.standard_normal((n, n + 1)))
+        r[range(n), range(n)] = rng.uniform(0.5, 2.0, n) * rng.choice([-1.0, 1.0], n)
+        growth = rng.uniform(0.0, 2.0, count) * (rng.uniform(size=count) < 0.7)
+        got = c_array(r, precision)
+        runtime_probe(precision).probe_qr_grow(pointer(got), n, count, pointer(c_array(growth, precision)))
+        assert not np.any(np.tril(got[:, :n], -1))
+        covariance = np.linalg.inv(r[:, :n].T @ r[:, :n])
+        covariance[range(n - count, n), range(n - count, n)] += growth**2
+        found = np.linalg.inv(got[:, :n].astype(float).T @ got[:, :n].astype(float))
+        condition = float(np.linalg.cond(r[:, :n])) ** 2
+        np.testing.assert_allclose(
+            found, covariance, rtol=0.0, atol=20.0 * EPS[precision] * condition * (1.0 + np.abs(covariance).max())
+        )
+        # The mean stays where it was.
+        means = [np.linalg.solve(f[:, :n], f[:, n]) for f in (r, got.astype(float))]
+        np.testing.assert_allclose(
+            means[1], means[0], rtol=0.0, atol=20.0 * EPS[precision] * condition * (1.0 + np.abs(means[0]).max())
+        )
 
 
 def test_single_precision_survives_what_a_normal_matrix_does_not() -> None:

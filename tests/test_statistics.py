@@ -10,6 +10,7 @@ from sgms_mhe.studies import (
     CASES,
     CREEP_TRUTH,
     FORMULATIONS,
+    RELINEARISE_CASES,
     Case,
     Formulation,
     compare_case,
@@ -18,6 +19,7 @@ from sgms_mhe.studies import (
     follow,
     main,
     normalised_errors,
+    relinearise_errors,
     statistics_machine,
 )
 
@@ -76,6 +78,16 @@ def test_the_papers_weights_creep_and_the_defaults_do_not() -> None:
     kept = follow(formulation("default, measurement = 0.5"), signals)[-1]
     assert creeping[3] > 2.0
     assert abs(kept[3] - CREEP_TRUTH[3]) < 0.06
+
+
+@pytest.mark.parametrize("name", ["default (state 0.01)", "30 % off, prior 0.3", "mixed motion"])
+def test_auto_is_within_a_percent_of_all(name: str) -> None:
+    chosen = next(c for c in RELINEARISE_CASES if c.name == name)
+    errors = relinearise_errors(chosen, range(2), 5.0)
+    assert np.all(errors["auto"] < 1.01 * errors["all"]), errors["auto"] / errors["all"]
+    assert not np.array_equal(errors["auto"], errors["all"])
+    if "prior" in name:  # keeping every linearisation is not free
+        assert np.any(errors["newest"] > 1.03 * errors["all"])
 
 
 def test_studies_run_from_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:

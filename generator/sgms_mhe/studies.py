@@ -1,7 +1,8 @@
 """Statistics of the estimator, from the command line: `python -m sgms_mhe.studies NAME`.
 
 `coverage` draws data from the estimator's own noise model, `plant` asks the same of the axis in closed loop,
-`monte-carlo` compares MHE, EKF and batch smoother over random axes, `creep` follows the parameters over 10^5 updates.
+`monte-carlo` compares MHE, EKF and batch smoother over random axes, `creep` follows the parameters over 10^5 updates,
+`relinearise` asks what it costs the estimate to keep linearisations, `speed` what fast moves cost the integrators.
 All numbers are seeded; the same command prints the same table.
 """
 
@@ -398,6 +399,74 @@ def _creep_row(name: str, noise: float, theta: Array, first: int, last: int) -> 
     return row
 
 
+# --- linearisations that are kept ----------------------------------------------------------------------------------
+
+RELINEARISE: Final = ("all", "auto", "newest")
+
+
+def thirty_percent(rng: np.random.Generator) -> Array:
+    """Every element 30 % softer or stiffer than nominal."""
+    return rng.choice([0.7, 1.3], 4)
+
+
+def _paper(**noise: float) -> dict[str, Any]:
+    return {"estimator": PAPER_WEIGHTS | {"noise": PAPER_WEIGHTS["noise"] | noise}}
+
+
+RELINEARISE_CASES: Final[tuple[Case, ...]] = (
+    Case("default (state 0.01)", {}, spread),
+    Case("state 0.003", _estimator(state=0.003), spread),
+    Case("state 0.1", _estimator(state=0.1), spread),
+    Case("measurement 0.5, noise 1.6 N", _estimator(measurement=0.5), spread, 1.6),
+    Case("30 % off", {}, thirty_percent),
+    Case("30 % off, prior 0.3", _estimator(parameter=0.3), thirty_percent),
+    Case("coulomb too", {"estimator": {"parameters": ["stiffness", "coulomb"]}}, spread),
+    Case("mixed motion", {}, spread, trajectory="mixed"),
+    Case("mixed motion, noise 1.6 N", _estimator(measurement=0.5), spread, 1.6, "mixed"),
+    Case("the paper's", _paper(), spread),
+    Case("the paper's, noise 1.6 N", _paper(), spread, 1.6),
+    Case("the paper's, state 0.01", _paper(state=0.01), spread),
+)
+
+
+def relinearise_errors(case: Case, seeds: Sequence[int], duration_s: float) -> dict[str, Array]:
+    """RMS errors of friction [N] and of every parameter over nominal, against truth, by `relinearise` (1 + n_p)."""
+    machine = override_machine(load_machine("etel_xy"), case.changes)
+    records = [_axis(machine, case, seed, duration_s) for seed in seeds]
+    errors = {}
+    for relinearise in RELINEARISE:
+        estimator = CompiledEstimator(override_machine(machine, {"estimator": {"relinearise": relinearise}}))
+        nominal = np.array([parameter.nominal for parameter in estimator.model.parameters])
+        rows = []
+        for record in records:
+            estimates = estimator.estimate(record.signals)
+            counted = _counted(record)
+            wrong = estimates.parameters[counted] / nominal - record.theta
+            rows.append([_friction_rms(estimates, record), *np.sqrt(np.mean(wrong**2, axis=0))])
+        errors[relinearise] = np.sqrt(np.mean(np.square(rows), axis=0))
+    return errors
+
+
+def relinearise_study(seeds: int, duration_s: float = 8.0) -> Table:
+    """Estimate errors with linearisations that are kept over those with all intervals linearised anew."""
+    rows: list[dict[str, Any]] = []
+    for case in RELINEARISE_CASES:
+        errors = relinearise_errors(case, range(seeds), duration_s)
+        for relinearise in RELINEARISE[1:]:
+            ratio = errors[relinearise] / errors["all"]
+            row: dict[str, Any] = {"weights": case.name, "relinearise": relinearise, "friction": float(ratio[0])}
+            row |= {f"p {k + 1}": float(ratio[k + 1]) if k + 1 < len(ratio) else None for k in range(5)}
+            rows.append(row | {"worst": float(ratio.max())})
+        _say(f"{case.name}: {rows[-2]['worst']:.4f} {rows[-1]['worst']:.4f}")
+    formats = {"weights": "", "relinearise": "", "friction": ".3f"} | {f"p {k + 1}": ".3f" for k in range(5)}
+    return Table(
+        f"RMS errors against truth over those of relinearise = all, {seeds} seeds of {duration_s:g} s",
+        formats | {"worst": ".3f"},
+        rows,
+        ("p 1 to 4: stiffness, 5: coulomb; noise: of the logged force; the paper's: its weights, DESIGN section 5",),
+    )
+
+
 # --- shared -------------------------------------------------------------------------------------------------------
 
 
@@ -413,10 +482,13 @@ def _axis(machine: Machine, case: Case, seed: int, duration_s: float) -> Record:
     )
 
 
-def _friction_rms(estimates: Estimates, record: Record) -> float:
+def _counted(record: Record) -> NDArray[np.bool_]:
     # The first quarter second: the filters settle.
-    counted = record.signals.time[record.nodes] > 0.25
-    return _rms((estimates.friction_N - record.friction)[counted])
+    return np.asarray(record.signals.time[record.nodes] > 0.25)
+
+
+def _friction_rms(estimates: Estimates, record: Record) -> float:
+    return _rms((estimates.friction_N - record.friction)[_counted(record)])
 
 
 def _rms(values: Array) -> float:
@@ -487,6 +559,7 @@ STUDIES: Final[Mapping[str, tuple[Callable[[int, int], Table], int, int]]] = {
     "monte-carlo": (lambda runs, updates: monte_carlo_study(runs, updates / 100.0), 100, 400),
     "plant": (lambda runs, updates: plant_study(runs, updates / 100.0), 20, 2000),
     "creep": (lambda runs, updates: creep_study(updates), 1, 100_000),
+    "relinearise": (lambda runs, updates: relinearise_study(runs, updates / 100.0), 10, 800),
     "speed": (lambda runs, updates: speed_study(updates), 1, 150),
 }
 """Studies by name, with their numbers of runs and updates."""

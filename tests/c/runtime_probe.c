@@ -1,5 +1,6 @@
 /* The runtime's static functions under exported names, over arrays. Compiled with -DSGMS_SINGLE=0 or 1.
- * Relies on: sgms_exp, sgms_tanh, sgms_sin, sgms_cos, sgms_log, sgms_sqrt, sgms_is_finite; sgms_qr, sgms_qr_add_row,
+ * Relies on: sgms_exp, sgms_tanh, sgms_sin, sgms_cos, sgms_log, sgms_sqrt, sgms_inverse_sqrt, sgms_is_finite; sgms_qr,
+ * sgms_qr_add_row, sgms_qr_grow,
  * sgms_back_substitute, sgms_variances, sgms_box_least_squares; sgms_lowpass, sgms_filter_step, sgms_filter_memory. */
 #include "sgms_filter.h"
 #include "sgms_linalg.h"
@@ -18,6 +19,7 @@ OVER_ARRAYS(sin)
 OVER_ARRAYS(cos)
 OVER_ARRAYS(log)
 OVER_ARRAYS(sqrt)
+OVER_ARRAYS(inverse_sqrt)
 OVER_ARRAYS(fabs)
 OVER_ARRAYS(sign)
 
@@ -30,13 +32,19 @@ void probe_is_finite(long n, const sgms_real *x, sgms_real *y)
 
 void probe_qr(sgms_real *a, int rows, int stride, int width, int columns)
 {
-    sgms_real dots[64];
-    sgms_qr(a, rows, stride, width, columns, dots);
+    sgms_real reflector[64];
+    sgms_qr(a, rows, stride, width, columns, reflector);
 }
 
 void probe_qr_add_row(sgms_real *r, int n, sgms_real *row)
 {
     sgms_qr_add_row(r, n, row);
+}
+
+void probe_qr_grow(sgms_real *r, int n, int count, const sgms_real *growth)
+{
+    sgms_real carrier[64];
+    sgms_qr_grow(r, n, count, growth, carrier);
 }
 
 void probe_back_substitute(const sgms_real *r, int n, int width, const sgms_real *b, sgms_real *x)

@@ -63,7 +63,11 @@ def _text(machine: Machine, package: Package) -> str:
         for p in build_model(machine).parameters
     ]
     interval = f"{sampling.samples_per_update} samples ({1e3 / sampling.update_rate:g} ms)"
-    horizon = f", horizon {estimator.horizon} intervals" if estimator.kind == "mhe" else ""
+    horizon = (
+        f", horizon {estimator.horizon} intervals, relinearise {estimator.relinearise}"
+        if estimator.kind == "mhe"
+        else ""
+    )
     lines = [
         f"{machine.name}: {machine.description}" if machine.description else machine.name,
         f"  file        {machine.source}",

@@ -43,7 +43,6 @@ class FlowTable:
     forward: tuple[tuple[float, ...], ...]
     inverse: tuple[tuple[float, ...], ...]
     cell: tuple[int, ...]
-    scan: int
     near: float
     near_degree: int
     near_forward: tuple[float, ...]
@@ -140,18 +139,11 @@ def flow_table(zeta: float, lambda_: float, precision: str, source: str = "machi
             forward=tuple(tuple(float(c) for c in row) for row in forward),
             inverse=tuple(tuple(float(c) for c in row) for row in inverse),
             cell=tuple(cell),
-            scan=_longest_scan(cell, segments),
             near=float(near),
             near_degree=near_degree,
             near_forward=tuple(float(c) for c in near_forward),
             near_inverse=tuple(float(c) for c in _times(_interpolation(near_angles), near_roots)),
         )
-
-
-def _longest_scan(cell: list[int], segments: int) -> int:
-    """How many segments past the one at its upper end a cell reaches at most."""
-    ends = [*cell[1:], segments - 1]
-    return max(end - start for start, end in zip(cell, ends, strict=True))
 
 
 class _Curve:

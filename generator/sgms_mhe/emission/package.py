@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import hashlib
 import math
 import shutil
@@ -35,6 +36,12 @@ RUNTIME_HEADERS = ("sgms_real.h", "sgms_math.h", "sgms_linalg.h", "sgms_filter.h
 SLOW_DISPLACEMENT = 0.02
 FARTHEST = 5.0
 """Relative deflection that no element comes near: a level is reached at 1."""
+CHOSEN = 2
+"""Intervals that an update linearises anew at most, where `relinearise` is "auto" (DESIGN section 4)."""
+MOVE = 0.2
+"""How far the end of an interval may move before that, over sqrt(sigma_x / lambda)."""
+STEP_COST_PER_ROW = 30
+"""Multiplications, or so, of one step of the series for each of chi and its sensitivities."""
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
 
@@ -208,9 +215,13 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     horizon = estimator.horizon if estimator.kind == "mhe" else 0
     slots = max(1, horizon)
     vector = VECTOR_BYTES // (4 if single else 8)
+    # The newest interval is integrated as it is sampled: only older ones need their series again, or lanes.
+    relinearise = estimator.relinearise if slots > 1 else "newest"
     most_blocks = max(len(g.blocks) for g in structure.groups)
-    wide = -(-max(most_blocks, slots if horizon > 1 else 1) // vector) * vector
-    lanes = wide if horizon > 1 else 1
+    wide = -(-max(most_blocks, slots if relinearise == "all" else 1) // vector) * vector
+    lanes = {"all": wide, "auto": slots, "newest": 1}[relinearise]
+    ring = relinearise != "newest"
+    linear = integrator.velocity == "linear"
     noise = estimator.noise
     fixed = estimator.arrival_cost.update == "fixed"
     scheme = SCHEMES["rk4" if integrator.scheme == "flow" else integrator.scheme]
@@ -227,9 +238,12 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         )
         for g in structure.groups
     ]
+    state_rows = sum(g.m * (1 + g.m + g.n_q) * len(g.blocks) for g in structure.groups)
     n_q_total = sum(g.n_q * len(g.blocks) for g in structure.groups)
     q = [e for g in structure.groups for b in g.blocks for e in b.parameter_terms]
     scale = [_node_scale(model, i) for i in range(model.n_x)]
+    couples = _couples(structure)
+    coupled = max(len(row) for row in couples)
     theta = model.theta
     name = machine.name
     output = ca.substitute(model.output, model.chi, model.from_node)
@@ -256,14 +270,19 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "wide": wide,
         "vector": vector,
         "law": law if any(g["law"] for g in groups) else None,
+        "relinearise": relinearise,
+        "chosen": CHOSEN,
+        "ring": ring,
+        "term_rows": (steps if ring else 1) + linear,
         "samples": samples,
         "merged": merged,
         "merge": merged > 1,
         "steps": steps,
         "n_terms": len(structure.sample_terms),
         "term_names": [t.name for t in structure.sample_terms],
-        "state_rows": sum(g.m * (1 + g.m + g.n_q) * len(g.blocks) for g in structure.groups),
-        "one_rows": sum(g.m * (1 + g.m + g.n_q) for g in structure.groups),
+        "state_rows": state_rows,
+        "one_size": sum(g.m * (1 + g.m + g.n_q) for g in structure.groups) * wide,
+        "costs": _costs(model, relinearise, slots=slots, steps=steps, samples=samples, state_rows=state_rows),
         "n_q_total": n_q_total,
         "settle": settle_samples(machine),
         "rate": sampling.rate,
@@ -281,17 +300,22 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "lower": [max(v, -largest) for v in lower],
         "upper": [min(v, largest) for v in upper],
         "inverse_state_noise": 1.0 / model.state_noise,
+        "inverse_move": np.sqrt(model.state_noise * machine.friction.smoothing.lambda_) / MOVE,
         "inverse_initial_state": 1.0 / model.initial_state,
         "inverse_arrival_state": 1.0 / model.state_noise,
         "fixed": fixed,
         "lowpass": lowpass_coefficients(machine),
-        "linear": integrator.velocity == "linear",
+        "linear": linear,
         "flow": flow,
         "scheme": scheme
         if not flow
         else scheme.with_text("displacement flow, Runge-Kutta (rk4) where it does not apply"),
         "base_substeps": max(1, substeps // samples),
         "groups": groups,
+        "reach": [max(max(row) for row in couples[: c + 1]) + 1 for c in range(model.n_x)],
+        "coupled": [len(row) for row in couples],
+        "couples": [row + [row[-1]] * (coupled - len(row)) for row in couples],
+        "defect_width": coupled + model.n_p + 1,
         "factor_rows": model.n_x + model.n_p,
         "kept_width": 2 * model.n_x + model.n_p + 1,
         "parameter_columns": [p.column for p in model.parameters],
@@ -384,6 +408,53 @@ def element_law(machine: Machine) -> Mapping[str, float] | None:
         "gate": -(0.5 if shared else 1.0) * smoothing.gamma / friction.stribeck_velocity * per_power,
         "ln2": math.log(2.0),
     }
+
+
+def _couples(structure: Structure) -> list[list[int]]:
+    """Per state the states that share a block with it, itself included: the columns of A that may not be zero."""
+    blocks = [block.states for group in structure.groups for block in group.blocks]
+    states = range(structure.model.n_x)
+    return [sorted({state for block in blocks if i in block for state in block}) for i in states]
+
+
+@dataclass(frozen=True)
+class _Costs:
+    """Work of an update in multiplications or so: of one unit of each kind, and of the units in one sample."""
+
+    recover: int
+    step: int
+    node: int
+    per_sample: int
+
+
+def _costs(model: Model, relinearise: str, *, slots: int, steps: int, samples: int, state_rows: int) -> _Costs:
+    """Share the work of an update out over the samples of an interval but its last.
+
+    A sample does units, in their order, as long as they fit: per_sample is the smallest number with which all of them
+    are done in time. More never takes longer.
+    """
+    n_x, n_p = model.n_x, model.n_p
+    width = 2 * n_x + n_p + 1
+    recover = (1 + (relinearise == "auto")) * n_x * (n_x + n_p)
+    node = 2 * n_x * (n_x + 2) * width + 2 * (n_x + n_p) * (n_x + n_p + 1)
+    step = STEP_COST_PER_ROW * state_rows * (slots if relinearise == "all" else 1)
+    count = {"all": 1, "auto": CHOSEN, "newest": 0}[relinearise] * steps
+    units = [(recover, slots - 1), (node, 1), (step, count), (node, slots - 1)]
+    total = sum(cost * n for cost, n in units)
+
+    def is_enough(per_sample: int) -> bool:
+        used = left = 0
+        for cost, n in units:
+            n, left = max(0, n - left // cost), left - min(n, left // cost) * cost
+            if n > 0:
+                whole = per_sample // cost
+                used += -(-n // whole)
+                left = per_sample - ((n - 1) % whole + 1) * cost
+        return used <= samples - 1
+
+    possible = range(max(cost for cost, n in units if n > 0), total)
+    per_sample = possible.start + bisect.bisect_left(possible, True, key=is_enough)
+    return _Costs(recover, step, node, per_sample)
 
 
 def hold_path(machine: Machine) -> float:

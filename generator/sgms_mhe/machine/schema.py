@@ -286,6 +286,11 @@ class Estimator(Table):
 
     kind: Literal["mhe", "ekf"] = text("estimator", "mhe or ekf", "mhe")
     horizon: int = quantity("N, shooting intervals", "1", 20, ge=1, le=1000)
+    relinearise: Literal["all", "auto", "newest"] = text(
+        "older intervals that an update linearises anew about the last solution",
+        "all, auto (those that have moved most) or newest (none: each but once, as the newest); of the mhe alone",
+        "all",
+    )
     parameters: Names = text(
         "parameters to estimate",
         f"any of {listing(BASE_PARAMETERS)} and effect.parameter of the effects, each once, at least one",

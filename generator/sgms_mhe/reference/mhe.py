@@ -15,6 +15,9 @@ from sgms_mhe.reference.problem import NOT_FINITE, Progress, Record, Status, Wei
 
 Array = NDArray[np.float64]
 
+CHOSEN = 2
+"""Intervals that an update linearises anew at most, where `relinearise` is "auto"."""
+
 
 @dataclass(frozen=True)
 class Arrival:
@@ -35,12 +38,60 @@ class Window:
     outputs: Outputs
 
 
+@dataclass(frozen=True)
+class Kept:
+    """Linearisations of n intervals, oldest first, as they were made.
+
+    Attributes:
+        x: node at the start of each (n, n_x).
+        theta: parameters of each (n, n_p).
+        intervals: ends and sensitivities there.
+    """
+
+    x: Array
+    theta: Array
+    intervals: Linearised
+
+    @classmethod
+    def none(cls, n_x: int, n_p: int) -> Kept:
+        """No interval yet."""
+        empty = Linearised(np.empty((0, n_x)), np.empty((0, n_x, n_x)), np.empty((0, n_x, n_p)))
+        return cls(np.empty((0, n_x)), np.empty((0, n_p)), empty)
+
+    def moves(self, x: Array, theta: Array) -> Array:
+        """Move of each end when nodes and parameters go from the linearisation's to (x, theta): (n, n_x)."""
+        by_x = np.einsum("kij,kj->ki", self.intervals.A, x - self.x)
+        return np.asarray(by_x + np.einsum("kij,kj->ki", self.intervals.B, theta - self.theta))
+
+    def at(self, x: Array, theta: Array) -> Linearised:
+        """The affine intervals, written about (x, theta)."""
+        return self.intervals._replace(x1=self.intervals.x1 + self.moves(x, theta))
+
+    def renewed(self, k: int, x: Array, theta: Array, interval: Linearised) -> Kept:
+        """With interval k linearised at (x, theta)."""
+        renewed = Kept(x[None], theta[None], interval)
+        return self.part(0, k).with_newer(renewed).with_newer(self.part(k + 1, len(self.x)))
+
+    def with_newer(self, newest: Kept) -> Kept:
+        """With further intervals at the newer end."""
+        joined = (np.concatenate(pair) for pair in zip(self.intervals, newest.intervals, strict=True))
+        return Kept(np.vstack([self.x, newest.x]), np.vstack([self.theta, newest.theta]), Linearised(*joined))
+
+    def part(self, first: int, last: int) -> Kept:
+        """Intervals first to last - 1."""
+        return Kept(
+            self.x[first:last], self.theta[first:last], Linearised(*(array[first:last] for array in self.intervals))
+        )
+
+
 def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
     """One Gauss-Newton iteration per update, window by window."""
     weights, model = record.weights, record.model
     n_x, n_p, updates = model.n_x, model.n_p, record.updates
     is_riccati = model.machine.estimator.arrival_cost.update == "riccati"
 
+    relinearise = model.machine.estimator.relinearise
+    kept = Kept.none(n_x, n_p)
     arrival = prior = Arrival(*weights.prior)
     x, theta = prior.mean[None, :n_x], prior.mean[n_x:]
     std = weights.parameter
@@ -49,7 +100,14 @@ def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
     statuses = np.empty(updates, dtype=np.int64)
     for node in range(1, updates + 1):
         # x holds the nodes of the last solution that stay in the window.
-        window = linearise(record, node - len(x), x, theta)
+        first = node - len(x)
+        if relinearise == "all":
+            window = linearise(record, first, x, theta)
+        else:
+            if relinearise == "auto":
+                kept = renew(record, first, kept, x[:-1], theta)
+            kept = kept.with_newer(Kept(x[-1:], theta[None], integrate(record, node - 1, x[-1:], theta)))
+            window = window_of(record, first, x, theta, kept.at(x, theta))
         is_full = len(x) == weights.horizon
         status = record.status(node) | (0 if is_full else Status.FILLING)
         try:
@@ -60,11 +118,12 @@ def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
             # Keep the last good estimate and start again from it with the prior's covariance.
             status = NOT_FINITE
             x, arrival = x[-1:], Arrival(np.concatenate([x[-1], theta]), prior.covariance)
+            kept = Kept.none(n_x, n_p)
         else:
             x, theta, std, active = solution
             status |= Status.BOUND if active.any() else 0
             if is_full:
-                x = x[1:]
+                x, kept = x[1:], kept.part(1, len(kept.x))
                 if is_riccati:
                     path = float(record.plan.path[window.first])
                     arrival = arrival_update(weights, arrival, window, bool(record.valid[window.first]), record, path)
@@ -81,8 +140,27 @@ def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
 
 def linearise(record: Record, first: int, x: Array, theta: Array) -> Window:
     """Integrate from every node of x; the newest node starts where the newest interval leads."""
+    return window_of(record, first, x, theta, integrate(record, first, x, theta))
+
+
+def integrate(record: Record, first: int, x: Array, theta: Array) -> Linearised:
+    """Intervals from the nodes x, the first of them from node `first`."""
     with np.errstate(all="ignore"):
-        intervals = record.integrator.intervals(record.plan, first, x, theta)
+        return record.integrator.intervals(record.plan, first, x, theta)
+
+
+def renew(record: Record, first: int, kept: Kept, x: Array, theta: Array) -> Kept:
+    """Linearise anew at (x, theta) the intervals whose ends have moved too far: those that moved most, up to CHOSEN."""
+    moved = np.max(np.abs(kept.moves(x, theta)) / record.weights.move, axis=1, initial=0.0)
+    for k in np.argsort(-moved)[:CHOSEN]:
+        if moved[k] > 1.0:
+            kept = kept.renewed(k, x[k], theta, integrate(record, first + int(k), x[k : k + 1], theta))
+    return kept
+
+
+def window_of(record: Record, first: int, x: Array, theta: Array, intervals: Linearised) -> Window:
+    """The problem about (x, theta) and the end of the newest interval, outputs linearised there."""
+    with np.errstate(all="ignore"):
         nodes = np.vstack([x, intervals.x1[-1:]])
         outputs = record.integrator.outputs(nodes, record.w[first : first + len(nodes)], theta)
     return Window(first, nodes, theta, intervals, outputs)
@@ -145,7 +223,8 @@ def _solve(
         is_active = is_held[-n_p:]
         theta = np.clip(window.theta + step[-n_p:], weights.lower, weights.upper)
     x = window.x + step[:-n_p].reshape(nodes, n_x)
-    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(theta)) and np.all(np.isfinite(std))):
+    # An older node that is not finite is found by the next update.
+    if not (np.all(np.isfinite(x[-1])) and np.all(np.isfinite(theta)) and np.all(np.isfinite(std))):
         return None
     return x, theta, std, is_active
 

@@ -19,6 +19,7 @@ Progress = Callable[[int, int], None]
 """Called as progress(updates done, updates in all)."""
 
 HOLD_PART = 0.1
+MOVE = 0.2
 REFUSED = -1
 NOT_FINITE = -2
 
@@ -39,6 +40,7 @@ class Weights:
 
     Attributes:
         horizon: N, intervals in the window.
+        move: how far the end of an interval may move before it is linearised anew (n_x), node state units.
         sigma_y: measurement [N].
         sigma_x: state noise per interval (n_x), node state units.
         initial_state: first node's state (n_x).
@@ -50,6 +52,7 @@ class Weights:
     """
 
     horizon: int
+    move: Array
     sigma_y: float
     sigma_x: Array
     initial_state: Array
@@ -68,6 +71,7 @@ class Weights:
         scales = np.array(friction.fraction) * friction.coulomb / np.array(friction.stiffness)
         return cls(
             horizon=machine.estimator.horizon,
+            move=MOVE * np.sqrt(model.state_noise / friction.smoothing.lambda_),
             sigma_y=noise.measurement,
             sigma_x=model.state_noise,
             initial_state=model.initial_state,
