@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 
@@ -16,6 +17,8 @@ import sgms_mhe.target
 from c_packages import machine
 from cli_cases import SMALL, done, refused, run
 from sgms_mhe.benchmark import simulated_log
+from sgms_mhe.build import WARNING_FLAGS
+from sgms_mhe.commands.target import command
 from sgms_mhe.compiled import CompiledEstimator
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.errors import BuildError
@@ -237,6 +240,13 @@ def test_one_conversion_to_double_is_found(core: Target, tmp_path: Path) -> None
     assert double_arithmetic(core, tmp_path / "package.o") == ()
 
 
+@pytest.mark.parametrize("core", CORES)
+def test_compiles_for_the_target_without_a_warning(core: Target, small: Machine, tmp_path: Path) -> None:
+    """The package and what runs it, with every warning an error."""
+    package = emit_package(small, selftest=False)
+    assert build_program(core, package, tmp_path, (*TARGET_FLAGS, *WARNING_FLAGS)).path.is_file()
+
+
 # --- what goes wrong ---------------------------------------------------------------------------------------------
 
 
@@ -321,6 +331,12 @@ def test_command_says_so_where_the_host_disagrees(small_file: Path, monkeypatch:
     result = run("target", small_file, "--updates", "5")
     assert result.exit_code == 1
     assert "0 updates the same" in result.stdout and "friction_N off by" in result.stdout
+
+
+def test_command_offers_every_target() -> None:
+    (core,) = (option for option in command.params if option.name == "core")
+    assert isinstance(core.type, click.Choice)
+    assert list(core.type.choices) == list(TARGETS)
 
 
 def test_command_refuses_a_log_without_an_update(small_file: Path, tmp_path: Path) -> None:

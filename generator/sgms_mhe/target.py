@@ -93,8 +93,9 @@ TARGETS: Final[Mapping[str, Target]] = MappingProxyType(
         for target in (
             Target(
                 name="cortex_m7",
-                title="Arm Cortex-M7 with single-precision FPU (QEMU mps2-an500)",
+                title="Arm Cortex-M7 (QEMU mps2-an500)",
                 prefix="arm-none-eabi-",
+                # The emulated FPU has both precisions, as some parts have; code for the smaller one runs on all.
                 flags=("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16", "-mfloat-abi=hard"),
                 # 512 ns per instruction, and a timer of 25 MHz.
                 emulator=("qemu-system-arm", "-machine", "mps2-an500", "-icount", "shift=9"),
