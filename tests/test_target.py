@@ -278,11 +278,28 @@ def test_fault_is_reported(small: Machine, small_log: Log) -> None:
 
 
 @pytest.mark.needs_arm
-def test_run_that_does_not_end_is_stopped(small: Machine, small_log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_that_stalls_is_stopped(small: Machine, small_log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     # Before its first instruction: the emulator waits for a debugger.
-    monkeypatch.setattr(sgms_mhe.target, "_TIME_LIMIT_S", (0.3, 0.0))
-    with pytest.raises(BuildError, match="did not end within 0 s"):
+    monkeypatch.setattr(sgms_mhe.target, "_STALLED_S", 0.3)
+    with pytest.raises(BuildError, match=r"nothing came out of it for 0\.3 s"):
         run_trial(small, small_log, replace(M7, emulator=(*M7.emulator, "-S")))
+
+
+@pytest.mark.parametrize("core", CORES)
+def test_call_that_the_counter_cannot_hold_is_refused(
+    core: Target, small: Machine, small_log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A count that wrapped around would look harmless. Here with a coarser clock, so that the counter fills sooner."""
+    shift = {"cortex_m7": ("shift=10", 25.6), "riscv32": ("shift=7", 128.0)}[core.name]
+    coarse = replace(core, emulator=(*core.emulator[:-1], shift[0]), ticks=shift[1])
+    room = int(2**32 / coarse.ticks)
+    monkeypatch.setattr(sgms_mhe.target, "LOOPS", (10, int(0.48 * room)))
+    assert run_trial(small, small_log, coarse).calibration[-1][1] > 0.9 * room
+    monkeypatch.setattr(sgms_mhe.target, "LOOPS", (10, int(0.51 * room)))
+    with pytest.raises(
+        BuildError, match=rf"exit code 5, a call takes more than {room:.2g} instructions".replace("+", r"\+")
+    ):
+        run_trial(small, small_log, coarse)
 
 
 # --- command -----------------------------------------------------------------------------------------------------

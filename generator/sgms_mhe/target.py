@@ -48,8 +48,8 @@ CALLS: Final = ("init", "sample", "feedback", "prepare", "tick", "estimate")
 
 _SAMPLE: Final = np.dtype([("position", "<i8"), ("force", "<f4"), ("unused", "<f4")])
 _FAULT: Final = 100
-_TIME_LIMIT_S: Final = (60.0, 0.02)
-"""A run may take this long, and this long per sample."""
+_STALLED_S: Final = 120.0
+"""A run that writes nothing for so long is stopped."""
 
 
 @dataclass(frozen=True)
@@ -300,12 +300,11 @@ def run_trial(
         (folder / "samples.bin").write_bytes(_samples(log, updates * M + 1).tobytes())
         results = folder / "results.bin"
 
-        def report() -> None:
-            if progress is not None and results.exists():
-                progress(min(updates, results.stat().st_size // update_bytes), updates)
+        def report(written: int) -> None:
+            if progress is not None:
+                progress(min(updates, written // update_bytes), updates)
 
-        limit = _TIME_LIMIT_S[0] + _TIME_LIMIT_S[1] * updates * M
-        _emulate(target, program.path, folder, limit, report)
+        _emulate(target, program.path, results, report)
         content = results.read_bytes()
     return _trial(target, machine, model, program, content, log.time_s[M : updates * M + 1 : M])
 
@@ -337,40 +336,52 @@ def _estimate_type(model: Model) -> np.dtype[Any]:
     )
 
 
-def _emulate(target: Target, program: Path, folder: Path, limit_s: float, report: Callable[[], None]) -> None:
-    """Run a program in `folder`, whose files it sees, to its end."""
+def _emulate(target: Target, program: Path, results: Path, report: Callable[[int], None]) -> None:
+    """Run a program to its end in the folder of its results; `report` gets the bytes that it has written so far."""
     command = [
         *target.emulator,
         *("-nodefaults", "-display", "none", "-serial", "none", "-monitor", "none", "-no-reboot"),
         *("-semihosting-config", "enable=on,target=native", "-kernel", str(program)),
     ]
-    end = time.monotonic() + limit_s
-    log = folder / "emulator.txt"
-    with log.open("w") as stream:
+    messages = results.with_name("emulator.txt")
+    with messages.open("w") as stream:
         try:
             process = subprocess.Popen(
-                command, cwd=folder, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT
+                command, cwd=results.parent, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT
             )
         except OSError as error:
-            raise BuildError(
-                f"{command[0]}: {error.strerror}; the Debian packages {target.packages} bring it"
-            ) from None
+            raise BuildError(f"{command[0]}: {error.strerror}; {target.remedy}") from None
         try:
-            while True:
-                try:
-                    code = process.wait(timeout=0.2)
-                    break
-                except subprocess.TimeoutExpired:
-                    report()
-                if time.monotonic() > end:
-                    raise BuildError(f"{command[0]}: the program did not end within {limit_s:.0f} s")
+            code = _wait(process, results, report)
         finally:
             process.kill()  # of no consequence where it has ended
             process.wait()
+    if code is None:
+        raise BuildError(f"{command[0]}: stopped, nothing came out of it for {_STALLED_S:g} s")
     if code != 0:
-        meaning = {2: "it found no samples", 3: "its results could not be written", 4: "a stack was too small"}
+        meaning = {
+            2: "it found no samples",
+            3: "its results could not be written",
+            4: "a stack was too small",
+            5: f"a call takes more than {2**32 / target.ticks:.2g} instructions, which its counter cannot hold",
+        }
         text = f"exception {code - _FAULT}" if code >= _FAULT else meaning.get(code, "the emulator failed")
-        raise BuildError(f"{command[0]}: exit code {code}, {text}\n{log.read_text(errors='replace')}")
+        raise BuildError(f"{command[0]}: exit code {code}, {text}\n{messages.read_text(errors='replace')}")
+
+
+def _wait(process: subprocess.Popen[bytes], results: Path, report: Callable[[int], None]) -> int | None:
+    """Exit code of a process; None where its results stopped growing."""
+    written, since = 0, time.monotonic()
+    while True:
+        try:
+            return process.wait(timeout=0.2)
+        except subprocess.TimeoutExpired:
+            size = results.stat().st_size if results.exists() else 0
+        if size > written:
+            written, since = size, time.monotonic()
+            report(size)
+        elif time.monotonic() - since > _STALLED_S:
+            return None
 
 
 def _trial(target: Target, machine: Machine, model: Model, program: Program, content: bytes, times: Array) -> Trial:

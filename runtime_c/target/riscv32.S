@@ -48,16 +48,24 @@ target_measure:
     sw ra, 12(sp)
     sw s0, 8(sp)
     sw s1, 4(sp)
+    sw s2, 0(sp)
     mv s0, sp
     mv sp, a1
+    csrr s2, minstreth
     csrr s1, minstret
     jalr a0
     csrr a0, minstret
+    csrr a1, minstreth
     mv sp, s0
+    sltu t0, a0, s1
     sub a0, a0, s1
-    lw ra, 12(sp)
+    sub a1, a1, s2
+    beq a1, t0, 1f                  /* the upper word of the difference is zero */
+    li a0, -1
+1:  lw ra, 12(sp)
     lw s0, 8(sp)
     lw s1, 4(sp)
+    lw s2, 0(sp)
     addi sp, sp, 16
     ret
 

@@ -10,7 +10,8 @@ enum { SYS_OPEN = 1, SYS_CLOSE = 2, SYS_WRITE = 5, SYS_READ = 6 };
 /* Ask the host; arguments are words or addresses. */
 int target_host(int operation, void *arguments);
 
-/* Run `work` on a stack of its own; returns the ticks of the counter meanwhile. */
+/* Run `work` on a stack of its own; returns the ticks of the counter meanwhile, UINT32_MAX where it cannot hold them.
+ */
 uint32_t target_measure(void (*work)(void), void *stack_top);
 
 /* Work of known length, to calibrate the counter: none at all, and 2 + 2 target_loop_count instructions more. */

@@ -11,7 +11,7 @@
  *
  * Compiled with -DSGMS_MACHINE=etel_xy -DSGMS_MACHINE_UPPER=ETEL_XY -DSGMS_MACHINE_HEADER='"etel_xy.h"' and with
  * -DSGMS_LOOPS=<counts of the calibration loops>. Exit codes: 0 done, 2 no samples, 3 results cannot be written,
- * 4 a stack was too small; 100 and more, from the start code: a fault. */
+ * 4 a stack was too small, 5 a call was too long for the counter; 100 and more, from the start code: a fault. */
 #include "target.h"
 
 #include SGMS_MACHINE_HEADER
@@ -35,7 +35,8 @@ enum {
     PAINT = 0x5a17ac1d,
     NO_SAMPLES = 2,
     NO_RESULTS = 3,
-    STACK_FULL = 4
+    STACK_FULL = 4,
+    TOO_LONG = 5
 };
 
 /* One stack per call; init and estimate are called now and then, by whoever has the time. */
@@ -48,7 +49,7 @@ static machine two_tasks, one_task;
 static sample_t sample;
 static machine_estimate estimate;
 static volatile float compensation;
-static int input, output;
+static int input, output, too_long;
 
 /* --- what is measured -------------------------------------------------------------------------------------------- */
 
@@ -84,7 +85,9 @@ static void do_estimate(void)
 
 static uint32_t measure(int call, void (*work)(void))
 {
-    return target_measure(work, stacks[call] + STACK_WORDS);
+    const uint32_t ticks = target_measure(work, stacks[call] + STACK_WORDS);
+    too_long |= ticks == UINT32_MAX;
+    return ticks;
 }
 
 /* --- stacks ------------------------------------------------------------------------------------------------------ */
@@ -159,12 +162,12 @@ static int put_estimates(void)
     return good && move(SYS_WRITE, output, &estimate, sizeof estimate);
 }
 
-/* One interval; 0 at the end of the series, or where nothing can be written. */
+/* One interval; 0 at the end of the series, where a call was too long, or where nothing can be written. */
 static int update(void)
 {
     uint32_t ticks[2 * SAMPLES];
     for (int k = 0; k < SAMPLES; k++) {
-        if (!next_sample()) {
+        if (too_long || !next_sample()) {
             return 0;
         }
         ticks[2 * k] = measure(SAMPLE, do_sample);
@@ -191,6 +194,9 @@ int target_main(void)
         return NO_RESULTS;
     }
     while (update()) {
+    }
+    if (too_long) { /* calibration included */
+        return TOO_LONG;
     }
     for (int call = 0; call < CALLS; call++) {
         const uint32_t used = used_stack(call);

@@ -54,9 +54,9 @@ def command(
     """Run MACHINE's package on an emulated microcontroller over LOG, or over a simulated motion.
 
     The package is compiled for the core in single precision, whatever the machine file says, and run by QEMU with
-    position and force of the log. Printed are the instructions of every function, flash, RAM and stack, and whether
-    the estimates are those of the same package on this host. Instructions are those of an emulated core, the same in
-    every run; a real one's cycles also depend on its memory and its pipeline.
+    position and force of the log; other columns are not used. Printed are the instructions of every function, flash,
+    RAM and stack, and whether the estimates are those of the same package on this host. Instructions are those of an
+    emulated core, the same in every run; a real one's cycles also depend on its memory and its pipeline.
 
     An update is all the work between two estimates where two tasks share it: the samples, feedback, prepare. A tick is
     one sample where one task does everything.
