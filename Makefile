@@ -19,7 +19,7 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := all
 .PHONY: all help venv generate check-generated compile experiment figures test lint lint-ruff lint-format \
-        lint-types lint-c format studies benchmark benchmark-diagnosis wheel lock clean distclean
+        lint-types lint-c format studies benchmark benchmark-diagnosis target wheel lock clean distclean
 
 all: experiment ## (default) set up, generate etel_xy, compile it, run the paper's experiment, print its table
 
@@ -97,6 +97,9 @@ studies: $(STAMP) ## statistics: coverage, Monte Carlo against EKF and smoother,
 
 benchmark: $(STAMP) ## time and instructions of MACHINE's variants, and of peers
 	$(RUN) bench machines/$(MACHINE).toml
+
+target: $(STAMP) ## MACHINE on an emulated Cortex-M7: instructions, flash, RAM; needs arm-none-eabi-gcc and qemu-system-arm
+	$(RUN) target machines/$(MACHINE).toml
 
 benchmark-diagnosis: $(STAMP) ## plant every effect in simulated logs; how many are found, missed, invented
 	$(RUN) bench-diagnosis machines/$(MACHINE).toml --out $(BUILD)/benchmark-diagnosis

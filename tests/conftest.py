@@ -13,7 +13,11 @@ import pytest
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 REPO_ROOT = Path(__file__).resolve().parents[1]
-ARM_TOOLS = ("arm-none-eabi-gcc", "qemu-system-arm")
+MARKED_TOOLS = {
+    "needs_arm": ("arm-none-eabi-gcc", "qemu-system-arm"),
+    "needs_riscv": ("riscv64-unknown-elf-gcc", "qemu-system-riscv32"),
+}
+"""Cross compiler and emulator that the tests with a marker take."""
 
 # The only thing a CI machine may lack: measured data whose licence keeps it out of the repository.
 DATA_ABSENT = "measured data absent"
@@ -71,10 +75,11 @@ def require_tool() -> Callable[[str], str]:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Skip what needs a cross compiler where there is none; mark what reads measured data."""
-    absent = [tool for tool in ARM_TOOLS if shutil.which(tool) is None]
+    lacking = {marker: [tool for tool in tools if shutil.which(tool) is None] for marker, tools in MARKED_TOOLS.items()}
     for item in items:
-        if absent and item.get_closest_marker("needs_arm"):
-            item.add_marker(pytest.mark.skip(reason=f"tool absent: {', '.join(absent)}"))
+        for marker, absent in lacking.items():
+            if absent and item.get_closest_marker(marker):
+                item.add_marker(pytest.mark.skip(reason=f"tool absent: {', '.join(absent)}"))
         if "measured_data" in getattr(item, "fixturenames", ()):
             item.add_marker(pytest.mark.needs_data)
 

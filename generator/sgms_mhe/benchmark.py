@@ -24,7 +24,7 @@ from sgms_mhe.compiled import CompiledModel, replay_definitions
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.errors import BuildError
 from sgms_mhe.kinematics import Signals, signals_from_log
-from sgms_mhe.logs import write_log
+from sgms_mhe.logs import Log, write_log
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.model import build_model
 from sgms_mhe.paths import runtime_dir
@@ -112,12 +112,7 @@ def run_benchmark(
     Raises:
         BuildError: the compiler refused.
     """
-    samples, sampling = machine.sampling.samples_per_update, machine.sampling
-    duration = (updates * samples + 1) / sampling.rate
-    reference = make_trajectory(
-        trajectory, sampling.rate, duration_s=duration, max_velocity=0.95 * sampling.max_velocity
-    )
-    log = simulate_axis(machine, reference, AxisConfig(seed=1), truth=False).log
+    log = simulated_log(machine, trajectory, updates)
     exact = _exact_intervals(machine, signals_from_log(log, machine), checked)
     steps = 3 * len(PRECISIONS)
     done = 0
@@ -156,6 +151,22 @@ def run_benchmark(
                 )
             )
     return Benchmark(tuple(variants), ())
+
+
+def simulated_log(machine: Machine, trajectory: str, updates: int) -> Log:
+    """Log of the machine's axis in closed loop, as long as so many updates take.
+
+    Raises:
+        InputError: no trajectory of that name.
+    """
+    sampling = machine.sampling
+    reference = make_trajectory(
+        trajectory,
+        sampling.rate,
+        duration_s=(updates * sampling.samples_per_update + 1) / sampling.rate,
+        max_velocity=0.95 * sampling.max_velocity,
+    )
+    return simulate_axis(machine, reference, AxisConfig(seed=1), truth=False).log
 
 
 def build_harness(machine: Machine, package: Package, flags: Sequence[str] = DEFAULT_FLAGS) -> Path:

@@ -100,7 +100,7 @@ def _cached(
         ) from None
     with scratch as folder:
         built = Path(folder) / target.name
-        _run(
+        tool_output(
             [
                 *command,
                 *flags,
@@ -115,11 +115,16 @@ def _cached(
     return target
 
 
-def _run(command: Sequence[str]) -> str:
+def tool_output(command: Sequence[str], remedy: str = "CC names the C compiler to use") -> str:
+    """What a compiler or one of its tools prints on stdout.
+
+    Raises:
+        BuildError: it is not there, which `remedy` mends, or it refused; the message carries its output.
+    """
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:
-        raise BuildError(f"{command[0]}: {error.strerror}; CC names the C compiler to use") from None
+        raise BuildError(f"{command[0]}: {error.strerror}; {remedy}") from None
     if done.returncode != 0:
         raise BuildError(f"{shlex.join(command)}\nexit code {done.returncode}\n{done.stderr}{done.stdout}")
     return done.stdout
@@ -127,7 +132,7 @@ def _run(command: Sequence[str]) -> str:
 
 @lru_cache
 def _version(command: tuple[str, ...]) -> str:
-    return _run([*command, "--version"])
+    return tool_output([*command, "--version"])
 
 
 def _digest(sources: Sequence[Path], include_dirs: Sequence[Path], rest: Iterable[str]) -> str:

@@ -30,6 +30,7 @@ COMMANDS: Final = {
     "plan": "plan",
     "experiment": "experiment",
     "bench": "bench",
+    "target": "target",
     "bench-diagnosis": "bench_diagnosis",
     "check": "check",
     "schema": "schema",

@@ -1,0 +1,363 @@
+"""The package on emulated microcontrollers: the host's numbers, exact counts, memory; and command `target`."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pytest
+
+import sgms_mhe.target
+from c_packages import machine
+from cli_cases import SMALL, done, refused, run
+from sgms_mhe.benchmark import simulated_log
+from sgms_mhe.build import WARNING_FLAGS
+from sgms_mhe.commands.target import command
+from sgms_mhe.compiled import CompiledEstimator
+from sgms_mhe.emission.package import emit_package
+from sgms_mhe.errors import BuildError
+from sgms_mhe.logs import Log
+from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.status import FLAGS
+from sgms_mhe.target import (
+    LOOPS,
+    TARGET_FLAGS,
+    TARGETS,
+    Target,
+    Trial,
+    build_program,
+    compare_with_host,
+    double_arithmetic,
+    identical_updates,
+    run_trial,
+    single_precision,
+)
+
+FLASH = 48_000
+"""What a package may take, bytes."""
+
+CORES = [
+    pytest.param(TARGETS["cortex_m7"], marks=pytest.mark.needs_arm, id="cortex_m7"),
+    pytest.param(TARGETS["riscv32"], marks=pytest.mark.needs_riscv, id="riscv32"),
+]
+M7 = TARGETS["cortex_m7"]
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    """Two elements, 1 kHz, 20 samples per update, single precision."""
+    path = tmp_path_factory.mktemp("machine") / "small.toml"
+    path.write_text(SMALL)
+    return single_precision(load_machine(path))
+
+
+@pytest.fixture(scope="module")
+def small_log(small: Machine) -> Log:
+    return simulated_log(small, "mixed", 60)
+
+
+@pytest.fixture(scope="module", params=CORES)
+def small_trial(request: pytest.FixtureRequest, small: Machine, small_log: Log) -> Trial:
+    return run_trial(small, small_log, request.param)
+
+
+# --- the host's numbers ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.needs_arm
+def test_cortex_m7_repeats_the_host_to_the_last_bit() -> None:
+    """etel_xy over 5 s: presliding, reversals, moves at 0.3 m/s and beyond, standstill, missing samples."""
+    settings = single_precision(load_machine("etel_xy"))
+    log = simulated_log(settings, "mixed", 500)
+    velocity = np.diff(log.position_m) * log.rate
+    assert np.abs(velocity).max() > 0.9
+    assert np.count_nonzero(np.abs(np.abs(velocity) - 0.3) < 0.01) > 100
+    position, force = log.position_m.copy(), log.force_N.copy()
+    position[30_000:30_020] = np.nan
+    force[20_000] = np.inf
+    log = replace(log, position_m=position, force_N=force)
+    trial = run_trial(settings, log, M7)
+    host = compare_with_host(trial, log)
+    assert len(trial.estimates) == 500
+    assert host.identical, host
+    assert host.comparison.status_mismatches == 0
+    # The record has to have asked for something.
+    seen = {name for name, flag in FLAGS.items() if np.any(trial.estimates.status & flag)}
+    assert {"filling", "missing", "hold"} <= seen
+    assert np.count_nonzero(trial.estimates.status == 0) > 200
+    assert np.ptp(trial.estimates.friction_N) > 4.0
+    assert np.all(np.abs(trial.estimates.parameters[-1] / trial.estimates.parameters[0] - 1.0) > 0.0)
+    # One task or two: the same.
+    assert identical_updates(trial.estimates, trial.tick_estimates).all()
+    # Memory and arithmetic of the shipped machine.
+    assert trial.double_arithmetic == ()
+    assert 1_000 < trial.memory.package <= trial.memory.flash <= FLASH
+    assert trial.memory.data == 0
+
+
+VARIANTS: Mapping[str, Mapping[str, Any]] = {
+    "rk4": {"sampling": {"integrator": {"scheme": "rk4"}}},
+    "ekf": {"estimator": {"kind": "ekf"}},
+    "fixed": {"estimator": {"arrival_cost": {"update": "fixed"}}},
+    "ripple": {"effects": [{"name": "force_ripple", "pitch_m": 0.001, "amplitude_N": 0.8, "phase_rad": 0.7}]},
+}
+
+
+@pytest.mark.needs_arm
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_other_packages_repeat_the_host(variant: str, small: Machine) -> None:
+    settings = override_machine(small, VARIANTS[variant])
+    log = simulated_log(settings, "mixed", 20)
+    trial = run_trial(settings, log, M7)
+    assert compare_with_host(trial, log).identical
+    assert trial.double_arithmetic == ()
+
+
+def test_the_small_trial_repeats_the_host(small_trial: Trial, small_log: Log) -> None:
+    host = compare_with_host(small_trial, small_log)
+    assert host.identical and host.agrees
+    assert host.identical_updates == len(small_trial.estimates) == 60
+    np.testing.assert_allclose(np.diff(small_trial.estimates.time_s), 0.02)
+
+
+@pytest.mark.needs_arm
+def test_contracted_arithmetic_is_within_rounding_and_not_the_same(small: Machine, small_log: Log) -> None:
+    """Fused multiply-adds round once where a host rounds twice: what the comparison is there to see."""
+    host = compare_with_host(run_trial(small, small_log, M7, flags=("-std=gnu99", "-O2")), small_log)
+    assert host.agrees
+    assert not host.identical
+    assert host.identical_updates < 60
+
+
+def test_identical_updates_sees_every_column(small: Machine, small_log: Log) -> None:
+    estimates = CompiledEstimator(small).estimate_log(small_log, mode="tasks")
+    assert identical_updates(estimates, estimates).all()
+    for name in ("friction_measured_N", "friction_N", "z_m", "parameters", "std", "status"):
+        changed = getattr(estimates, name).copy()
+        changed[7] += 1
+        assert np.flatnonzero(~identical_updates(replace(estimates, **{name: changed}), estimates)).tolist() == [7]
+
+
+# --- instructions ------------------------------------------------------------------------------------------------
+
+
+def test_counter_is_calibrated(small_trial: Trial) -> None:
+    """Loops of known length are counted to the instruction."""
+    assert small_trial.calibration == tuple((2 + 2 * n, 2 + 2 * n) for n in LOOPS)
+
+
+@pytest.mark.needs_arm
+def test_clock_that_does_not_count_instructions_is_refused(small: Machine, small_log: Log) -> None:
+    wrong = replace(M7, emulator=tuple("shift=8" if word == "shift=9" else word for word in M7.emulator))
+    with pytest.raises(BuildError, match=r"counts 2 instructions where 4 ran"):
+        run_trial(small, small_log, wrong)
+
+
+def test_counts_are_those_of_the_work(small_trial: Trial) -> None:
+    M = small_trial.machine.sampling.samples_per_update
+    assert small_trial.sample.shape == small_trial.tick.shape == (60, M)
+    np.testing.assert_array_equal(
+        small_trial.update, small_trial.sample.sum(axis=1) + small_trial.feedback + small_trial.prepare
+    )
+    assert small_trial.sample.min() > 50
+    # One interval to linearise against a full window.
+    assert 3 * small_trial.prepare[1] < small_trial.prepare[10:].mean()
+    # One task does the same work, with a call per sample.
+    one, two = small_trial.tick.sum(axis=1), small_trial.update
+    assert abs(one[1:].mean() / two[1:].mean() - 1.0) < 0.05
+
+
+@pytest.mark.needs_arm
+def test_counts_are_the_same_in_every_run(small: Machine, small_log: Log) -> None:
+    short = Log(small_log.time_s[:201], small_log.position_m[:201], small_log.force_N[:201], small_log.rate)
+    first, second = (run_trial(small, short, M7) for _ in range(2))
+    for name in ("sample", "tick", "feedback", "prepare", "estimate"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    assert first.memory == second.memory
+
+
+# --- memory ------------------------------------------------------------------------------------------------------
+
+
+def test_memory_is_measured(small_trial: Trial, small: Machine, tmp_path: Path) -> None:
+    memory = small_trial.memory
+    assert memory.axis == CompiledEstimator(small).memory_bytes  # no pointer in it: as large as on the host
+    assert memory.flash == memory.package + memory.helpers
+    assert memory.ram == memory.axis + max(memory.stack.values())
+    # No stack is shallower than the largest frame that the compiler states for what runs on it.
+    package = emit_package(small, selftest=False)
+    build_program(small_trial.target, package, tmp_path, (*TARGET_FLAGS, "-fstack-usage"))
+    frames = {
+        line.split("\t")[0].rsplit(":", 1)[1]: int(line.split("\t")[1])
+        for line in (tmp_path / "package.su").read_text().splitlines()
+    }
+    for call in ("sample", "feedback", "prepare", "tick", "estimate"):
+        assert memory.stack[call] >= frames[f"small_{call}"]
+    assert max(memory.stack.values()) >= max(frames.values()) > 0
+    assert max(memory.stack.values()) <= sum(frames.values()) + 64
+
+
+@pytest.mark.parametrize(
+    ("core", "flags", "found"),
+    [
+        pytest.param(M7, M7.flags, "__aeabi_dadd", marks=pytest.mark.needs_arm, id="library"),
+        pytest.param(M7, (*M7.flags, "-mfpu=fpv5-d16"), "vadd.f64", marks=pytest.mark.needs_arm, id="instructions"),
+        pytest.param(
+            TARGETS["riscv32"], TARGETS["riscv32"].flags, "__adddf3", marks=pytest.mark.needs_riscv, id="riscv library"
+        ),
+        pytest.param(
+            TARGETS["riscv32"],
+            ("-march=rv32imafdc", "-mabi=ilp32d"),
+            "fadd.d",
+            marks=pytest.mark.needs_riscv,
+            id="riscv instructions",
+        ),
+    ],
+)
+def test_double_arithmetic_is_found(
+    core: Target, flags: tuple[str, ...], found: str, small: Machine, tmp_path: Path
+) -> None:
+    package = emit_package(override_machine(small, {"code": {"precision": "double"}}), selftest=False)
+    program = build_program(replace(core, flags=flags), package, tmp_path)
+    assert found in program.double_arithmetic
+
+
+@pytest.mark.needs_arm
+@pytest.mark.parametrize("core", [M7, replace(M7, flags=(*M7.flags, "-mfpu=fpv5-d16"))], ids=["single", "double"])
+def test_one_conversion_to_double_is_found(core: Target, tmp_path: Path) -> None:
+    source = tmp_path / "package.c"
+    source.write_text("float scaled(float x) { return x * 0.1; }\n")
+    sgms_mhe.target._tool(core, "gcc", *core.flags, "-O2", "-c", source, "-o", tmp_path / "package.o")
+    assert double_arithmetic(core, tmp_path / "package.o")
+    source.write_text("float scaled(float x) { return x * 0.1f; }\n")
+    sgms_mhe.target._tool(core, "gcc", *core.flags, "-O2", "-c", source, "-o", tmp_path / "package.o")
+    assert double_arithmetic(core, tmp_path / "package.o") == ()
+
+
+@pytest.mark.parametrize("core", CORES)
+def test_compiles_for_the_target_without_a_warning(core: Target, small: Machine, tmp_path: Path) -> None:
+    """The package and what runs it, with every warning an error."""
+    package = emit_package(small, selftest=False)
+    assert build_program(core, package, tmp_path, (*TARGET_FLAGS, *WARNING_FLAGS)).path.is_file()
+
+
+# --- what goes wrong ---------------------------------------------------------------------------------------------
+
+
+def test_double_precision_is_refused(small_log: Log) -> None:
+    with pytest.raises(ValueError, match="single precision"):
+        run_trial(machine(), small_log, M7)
+
+
+def test_absent_tools_are_named(
+    small: Machine, small_log: Log, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(BuildError, match=r"arm-none-eabi-gcc: .*gcc-arm-none-eabi and qemu-system-arm"):
+        run_trial(small, small_log, M7)
+
+
+@pytest.mark.needs_arm
+def test_absent_emulator_is_named(small: Machine, small_log: Log) -> None:
+    with pytest.raises(BuildError, match=r"qemu-system-absent: .*gcc-arm-none-eabi and qemu-system-arm"):
+        run_trial(small, small_log, replace(M7, emulator=("qemu-system-absent", *M7.emulator[1:])))
+
+
+@pytest.mark.needs_arm
+def test_fault_is_reported(small: Machine, small_log: Log) -> None:
+    """A Cortex-M3 has no FPU: the first instruction for it faults."""
+    other = replace(M7, emulator=("qemu-system-arm", "-machine", "mps2-an385", "-icount", "shift=9"))
+    with pytest.raises(BuildError, match=r"exit code 10\d, exception \d"):
+        run_trial(small, small_log, other)
+
+
+@pytest.mark.needs_arm
+def test_run_that_stalls_is_stopped(small: Machine, small_log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Before its first instruction: the emulator waits for a debugger.
+    monkeypatch.setattr(sgms_mhe.target, "_STALLED_S", 0.3)
+    with pytest.raises(BuildError, match=r"nothing came out of it for 0\.3 s"):
+        run_trial(small, small_log, replace(M7, emulator=(*M7.emulator, "-S")))
+
+
+@pytest.mark.parametrize("core", CORES)
+def test_call_that_the_counter_cannot_hold_is_refused(
+    core: Target, small: Machine, small_log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A count that wrapped around would look harmless. Here with a coarser clock, so that the counter fills sooner."""
+    shift = {"cortex_m7": ("shift=10", 25.6), "riscv32": ("shift=7", 128.0)}[core.name]
+    coarse = replace(core, emulator=(*core.emulator[:-1], shift[0]), ticks=shift[1])
+    room = int(2**32 / coarse.ticks)
+    monkeypatch.setattr(sgms_mhe.target, "LOOPS", (10, int(0.48 * room)))
+    assert run_trial(small, small_log, coarse).calibration[-1][1] > 0.9 * room
+    monkeypatch.setattr(sgms_mhe.target, "LOOPS", (10, int(0.51 * room)))
+    with pytest.raises(
+        BuildError, match=rf"exit code 5, a call takes more than {room:.2g} instructions".replace("+", r"\+")
+    ):
+        run_trial(small, small_log, coarse)
+
+
+# --- command -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def small_file(tmp_path: Path) -> Path:
+    path = tmp_path / "small.toml"
+    path.write_text(SMALL)
+    return path
+
+
+@pytest.mark.needs_arm
+def test_command_prints_one_table(small_file: Path, tmp_path: Path) -> None:
+    log = tmp_path / "axis.csv"
+    done("simulate", small_file, "--out", log, "--duration", "0.5")
+    result = done("target", small_file, log)
+    assert "double precision, taken as single" in result.stderr
+    assert "24 updates" in result.stdout
+    assert re.search(r"^update +\d+ +\d+", result.stdout, re.MULTILINE)
+    assert "the same as on this host to the last bit" in result.stdout
+    assert "double-precision arithmetic: none" in result.stdout
+
+
+@pytest.mark.needs_arm
+def test_command_prints_json(small_file: Path) -> None:
+    result = json.loads(done("target", small_file, "--updates", "10", "--json").stdout)
+    assert list(result) == [
+        *("machine", "core", "updates", "instructions", "calibration", "bytes", "double_arithmetic", "host"),
+    ]
+    assert result["updates"] == 10
+    assert list(result["instructions"]) == ["update", "feedback", "prepare", "sample", "tick", "estimate"]
+    for counts in result["instructions"].values():
+        assert 0 < counts["mean"] <= counts["max"]
+    assert result["bytes"]["ram"] == result["bytes"]["axis"] + max(result["bytes"]["stack"].values())
+    assert result["host"]["identical"] is True
+
+
+@pytest.mark.needs_arm
+def test_command_says_so_where_the_host_disagrees(small_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def off(trial: Trial, log: Log, **settings: Any) -> Any:
+        friction = trial.estimates.friction_N + 1.0
+        return compare_with_host(replace(trial, estimates=replace(trial.estimates, friction_N=friction)), log)
+
+    monkeypatch.setattr(sgms_mhe.target, "compare_with_host", off)
+    result = run("target", small_file, "--updates", "5")
+    assert result.exit_code == 1
+    assert "0 updates the same" in result.stdout and "friction_N off by" in result.stdout
+
+
+def test_command_offers_every_target() -> None:
+    (core,) = (option for option in command.params if option.name == "core")
+    assert isinstance(core.type, click.Choice)
+    assert list(core.type.choices) == list(TARGETS)
+
+
+def test_command_refuses_a_log_without_an_update(small_file: Path, tmp_path: Path) -> None:
+    log = tmp_path / "axis.csv"
+    rows = [f"{k * 1e-3:.3f},0.0,0.0" for k in range(5)]
+    log.write_text("\n".join(["time_s,position_m,force_N", *rows]))
+    assert "at least 21" in refused("target", small_file, log)
