@@ -215,7 +215,7 @@ def test_bench_in_full_compares_motions_integrators_and_sizes(
     monkeypatch.setattr("sgms_mhe.benchmark.ELEMENTS", (1, 2, 3))
     monkeypatch.setattr("sgms_mhe.benchmark.MOTIONS", ())
     monkeypatch.setattr("sgms_mhe.benchmark.SPEEDS", (1.0,))
-    monkeypatch.setattr("sgms_mhe.benchmark.INTEGRATORS", ({"scheme": "flow"}, {"scheme": "rk4", "displacement": 0.1}))
+    monkeypatch.setattr("sgms_mhe.benchmark.INTEGRATORS", (("flow", 0.02), ("rk4", 0.1)))
     monkeypatch.setattr("sgms_mhe.benchmark.PRECISIONS", ("double",))
     monkeypatch.setattr("sgms_mhe.benchmark.RUNS", 1)
     folder = tmp_path / "out"

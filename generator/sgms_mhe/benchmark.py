@@ -36,6 +36,7 @@ from sgms_mhe.reference import Integrator
 from sgms_mhe.reference.integrator import Linearised, signal_array
 from sgms_mhe.simulation import AxisConfig, simulate_axis
 from sgms_mhe.trajectories import Motion, Trajectory, make_trajectory
+from sgms_mhe.work_precision import CANDIDATES, settings
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -55,15 +56,9 @@ PEER_STEPS: Final = (0.1, 1.0)
 MOTIONS: Final = ("paper", "mixed")
 SPEEDS: Final = (0.3, 1.0)
 """Moves there and back at these shares of max_velocity."""
-INTEGRATORS: Final[tuple[Mapping[str, Any], ...]] = (
-    {"scheme": "flow"},
-    *({"scheme": "rk4", "displacement": displacement} for displacement in (0.1, 0.03, 0.01)),
-    *({"scheme": "bs23", "displacement": displacement} for displacement in (0.1, 0.02)),
-    {"scheme": "rk2", "displacement": 0.05},
-    {"scheme": "euler", "displacement": 0.01},
-)
+INTEGRATORS: Final = CANDIDATES
 """Integrators whose work and precision are compared, over the first `FEW_UPDATES` of the motion."""
-FEW_UPDATES: Final = 150
+FEW_UPDATES: Final = 100
 
 HORIZONS: Final = (10, 20, 50, 100, 200)
 ELEMENTS: Final = (1, 2, 4, 6, 8, 10)
@@ -90,7 +85,7 @@ class Variant:
         state_error: largest error of a node state after one interval, in units of its scale; None where several samples
             make one step.
         sensitivity_error: largest error of its derivatives in the node before and in the scaled parameters.
-        integrator: scheme and displacement.
+        integrator: scheme and largest displacement of a step; of the flow, below its gate's speed.
         trajectory: the motion.
     """
 
@@ -239,9 +234,9 @@ def run_benchmark(
             tasks.append(("motions", partial(bench.variant, machine.code.precision, machine, "all", other)))
             tasks += [("motions", partial(bench.peer, *peer, other)) for peer in peers if peer[0] == KINDS[0]]
         short = recorded(trajectory, min(updates, FEW_UPDATES))
-        for precision, integrator in product(PRECISIONS, INTEGRATORS):
-            if precision == "double" or integrator["scheme"] == "flow":
-                changes = {"sampling": {"integrator": integrator}, "code": {"precision": precision}}
+        for precision, candidate in product(PRECISIONS, INTEGRATORS):
+            if precision == "double" or candidate == INTEGRATORS[0]:
+                changes = {"sampling": {"integrator": settings(*candidate)}, "code": {"precision": precision}}
                 variant = override_machine(machine, changes)
                 tasks.append(("integrators", partial(bench.variant, precision, variant, "all", short)))
         for precision in PRECISIONS:
@@ -329,10 +324,10 @@ class Bench:
         log = simulate_axis(machine, trajectory, AxisConfig(seed=1), truth=False).log
         signals = signals_from_log(log, machine)
         # The velocity between samples is part of the problem, not of its solution.
-        settings = {**CONVERGED, "velocity": sampling.integrator.velocity, "substeps": 8 * samples}
+        converged = {**CONVERGED, "velocity": sampling.integrator.velocity, "substeps": 8 * samples}
         model = build_model(machine)
         own = Integrator(model)
-        fine = Integrator(build_model(override_machine(machine, {"sampling": {"integrator": settings}})))
+        fine = Integrator(build_model(override_machine(machine, {"sampling": {"integrator": converged}})))
         own_plan, fine_plan = own.plan(signals), fine.plan(signals)
         updates = len(own_plan.path)
         theta, x = np.ones(model.n_p), np.zeros((updates + 1, model.n_x))
@@ -366,7 +361,7 @@ class Bench:
         times, instructions = self._update_cost(machine, package, recording.log)
         errors = emitted_errors(machine, package, recording)
         integrator = machine.sampling.integrator
-        shown = integrator.scheme if integrator.scheme == "flow" else f"{integrator.scheme} {integrator.displacement:g}"
+        step = integrator.slow_displacement if integrator.scheme == "flow" else integrator.displacement
         return Variant(
             name=name,
             precision=machine.code.precision,
@@ -377,7 +372,7 @@ class Bench:
             instructions_max=None if instructions is None else int(instructions.max()),
             state_error=errors[0],
             sensitivity_error=errors[1],
-            integrator=shown,
+            integrator=f"{integrator.scheme} {step:g}",
             trajectory=recording.name,
         )
 
