@@ -66,7 +66,7 @@ int sgms_predict(
         const double *signal = signals + 5 * k;
         if (k > 0) {
             /* One step: x1 = f(x0, theta), d_x1 = A d_x0 + B. */
-            sgms_real term[2 * TERMS * LANES], lane[STATE_ROWS * LANES];
+            sgms_real term[2 * TERMS * LANES], one[ONE_SIZE];
             sgms_real next[STATES], a[STATES * STATES], b[STATES * PARAMETERS], moved[STATES * PARAMETERS], w[5];
             for (int i = 0; i < 5; i++) {
                 w[i] = (sgms_real)signal[i - (STEP_ROWS > STEPS ? 5 : 0)];
@@ -76,9 +76,9 @@ int sgms_predict(
                 w[i] = (sgms_real)signal[i];
             }
             sample_terms(w, term + TERMS * LANES, LANES);
-            start_lanes(1, &of, state, lane);
-            integrate_step(1, term, of.q, lane);
-            interval_end(&of, lane, 0, state, next, a, b);
+            start_one(&of, state, one);
+            integrate_one(term, of.q, one);
+            one_end(&of, one, state, next, a, b);
             for (int i = 0; i < STATES; i++) {
                 for (int p = 0; p < PARAMETERS; p++) {
                     sgms_real sum = b[i * PARAMETERS + p];

@@ -3,6 +3,7 @@
  *
  *   function      range               double             single
  *   sgms_exp      x <= 709 (88)       5e-16 relative     2e-7 relative
+ *   exp2_core     |x| <= 1000 (120)   8e-13 relative     1e-7 relative
  *   sgms_tanh     |x| <= 1e16 (1e8)   3e-15 absolute     8e-7 absolute
  *   sgms_sin/cos  |x| <= 1e6 (1e3)    2e-15 absolute     3e-7 absolute, growing with |x| beyond
  *   sgms_log      x > 0, normal       4e-16 (1 + |log|)  3e-7 (1 + |log|)
@@ -176,6 +177,34 @@ static inline sgms_real sgms_exp_core(sgms_real x)
     p = p * f + 1.0;
 #endif
     /* The low bits of `shifted` hold n; unsigned arithmetic moves it into the exponent of p. */
+    return sgms_from_bits(
+        (sgms_integer)((sgms_unsigned)sgms_bits(p) + ((sgms_unsigned)sgms_bits(shifted) << SGMS_MANTISSA_BITS)));
+}
+
+/* 2^x for results within the normal range: for the inner loops, two operations and an order shorter than exp. */
+static inline sgms_real sgms_exp2_core(sgms_real x)
+{
+    const sgms_real shifted = x + SGMS_ROUND_MAGIC;
+    const sgms_real f = x - (shifted - SGMS_ROUND_MAGIC);
+    sgms_real p;
+#if SGMS_SINGLE
+    p = 0.00132764726f;
+    p = p * f + 0.00967554134f;
+    p = p * f + 0.0555071327f;
+    p = p * f + 0.240221197f;
+    p = p * f + 0.693146967f;
+    p = p * f + 1.00000007f;
+#else
+    p = 1.31758588214245891e-6;
+    p = p * f + 1.5309737294734561e-5;
+    p = p * f + 1.5403851744514194e-4;
+    p = p * f + 0.00133334520627917774;
+    p = p * f + 0.00961812854287040984;
+    p = p * f + 0.0555041093934108908;
+    p = p * f + 0.240226506988803226;
+    p = p * f + 0.693147180546514336;
+    p = p * f + 0.999999999999762349;
+#endif
     return sgms_from_bits(
         (sgms_integer)((sgms_unsigned)sgms_bits(p) + ((sgms_unsigned)sgms_bits(shifted) << SGMS_MANTISSA_BITS)));
 }

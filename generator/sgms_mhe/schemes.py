@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 
 @dataclass(frozen=True)
@@ -15,12 +16,38 @@ class Stage:
 
 
 @dataclass(frozen=True)
+class WeightedStage(Stage):
+    """A stage whose state counts with weight w in the result."""
+
+    w: float
+
+
+@dataclass(frozen=True)
 class Scheme:
     """A Runge-Kutta scheme and its order of convergence."""
 
     text: str
     order: int
     stages: tuple[Stage, ...]
+
+    @property
+    def weighted_stages(self) -> tuple[WeightedStage, ...]:
+        """The stages with the weights of their states Y_i = y + a_i h k_(i-1) instead of those of the slopes.
+
+        k_(i-1) = (Y_i - y) / (a_i h), so y_1 = rest y + sum_i w_i Y_i + b h k_last, w_i = b_(i-1) / a_i.
+        """
+        weights = [0.0, *(before.b / stage.a for before, stage in pairwise(self.stages))]
+        return tuple(WeightedStage(s.a, s.b, s.c, w) for s, w in zip(self.stages, weights, strict=True))
+
+    @property
+    def rest(self) -> float:
+        """Weight of y itself beside the weighted stages."""
+        return 1.0 - sum(stage.w for stage in self.weighted_stages)
+
+    @property
+    def summed(self) -> bool:
+        """Whether a stage before the last has a weight of its own."""
+        return any(stage.b for stage in self.stages[:-1])
 
     def with_text(self, text: str) -> Scheme:
         """The same scheme described otherwise."""

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from sgms_mhe.emission.graph import Graph, Node, frontier, operations, to_sx, walk
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES, Model, StateSpec
 
 
@@ -51,6 +52,7 @@ class Group:
         level_by_state: derivatives of `inverse_level` in the element's upstream states (m - 1).
         upstream: those states at the end of a step (m - 1), with their derivatives in themselves (`upstream_by_state`,
             m - 1) and in the parameter terms (`upstream_by_q`, (m - 1) x n_q).
+        obeys_law: whether `rhs` is the S-GMS law of one state in these, for every value of its inputs.
         names: names for intermediate values.
     """
 
@@ -67,6 +69,7 @@ class Group:
     upstream: tuple[Node, ...]
     upstream_by_state: tuple[Node, ...]
     upstream_by_q: tuple[Node, ...]
+    obeys_law: bool
     names: dict[Node, str]
 
     @property
@@ -216,7 +219,7 @@ def analyse(model: Model) -> Structure:
         canonical = _canonical(graph, own, extra, named, [labels["chi"][i] for i in states], terms.nodes, q_nodes, step)
         expressions = tuple(to_sx(q_nodes, theta_symbols))
         found.setdefault(canonical.signature, []).append((canonical, states, expressions))
-    groups = tuple(_group(k, members, model.states) for k, members in enumerate(found.values()))
+    groups = tuple(_group(k, members, model.states, model.machine) for k, members in enumerate(found.values()))
     output = ca.substitute(model.output, model.chi, model.from_node)
     pattern = np.concatenate(
         [sparsity(output, model.x)[0], sparsity(output, model.theta)[0] if model.n_p else np.zeros(0, bool)]
@@ -303,7 +306,10 @@ def _upstream(rates: ca.SX, level: ca.SX, states: ca.SX, q: ca.SX, step: float) 
 
 
 def _group(
-    k: int, members: list[tuple[_Canonical, tuple[int, ...], tuple[ca.SX, ...]]], states: tuple[StateSpec, ...]
+    k: int,
+    members: list[tuple[_Canonical, tuple[int, ...], tuple[ca.SX, ...]]],
+    states: tuple[StateSpec, ...],
+    machine: Machine,
 ) -> Group:
     """Merge blocks of one signature; constants in which they differ become block data."""
     canonical = members[0][0]
@@ -357,8 +363,40 @@ def _group(
         upstream=parts[8],
         upstream_by_state=parts[9],
         upstream_by_q=parts[10],
+        obeys_law=_obeys_law(parts[0], parts[3], parts[4], machine),
         names=names,
     )
+
+
+def _obeys_law(rhs: Sequence[Node], rate: Sequence[Node], inverse_level: Sequence[Node], machine: Machine) -> bool:
+    """Whether the right side is equation (1) with (3) in the block's rho and level, v its first sample term.
+
+    Compared at points over all regimes, for both signs; an effect that changes the law differs at most of them.
+    """
+    if len(rhs) != 1 or not rate:
+        return False
+    outputs = [*rhs, *rate, *inverse_level]
+    inputs = [n for n in walk(outputs) if n.op == "input"]
+    symbols = [ca.SX.sym(n.label) for n in inputs]
+    f = ca.Function(
+        "law", [ca.vertcat(*symbols)], [ca.vertcat(*to_sx(outputs, dict(zip(inputs, symbols, strict=True))))]
+    )
+    friction, points = machine.friction, 200
+    draw = np.random.default_rng(1)
+    values = {n.label: draw.uniform(0.5, 1.5, points) for n in inputs}
+    chi = draw.uniform(-1.3, 1.3, points)
+    v = friction.stribeck_velocity * 10.0 ** draw.uniform(-2.0, 1.0, points) * draw.choice([-1.0, 1.0], points)
+    values |= {"chi0": chi, "term0": v}
+    found, rho, over_level = np.asarray(f(np.array([values[n.label] for n in inputs])))
+    r, smoothing = chi * over_level, friction.smoothing
+    window = (
+        1.0
+        - 0.5 * np.tanh(smoothing.lambda_ * (r + smoothing.zeta))
+        + 0.5 * np.tanh(smoothing.lambda_ * (r - smoothing.zeta))
+    )
+    gate = 0.5 + 0.5 * np.tanh(smoothing.gamma * r * v / friction.stribeck_velocity)
+    expected = rho * (v - np.abs(v) * window * gate * r)
+    return bool(np.all(np.abs(found - expected) <= 1e-11 * np.abs(rho * v)))
 
 
 def report(structure: Structure) -> str:

@@ -25,6 +25,7 @@ from sgms_mhe.errors import InputError
 from sgms_mhe.kinematics import lowpass_coefficients, settle_samples
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES, Model, build_model
+from sgms_mhe.model.friction import SATURATED
 from sgms_mhe.paths import runtime_dir, templates_dir
 from sgms_mhe.schemes import SCHEMES
 from sgms_mhe.structure import Group, Structure, analyse, report
@@ -208,13 +209,23 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     horizon = estimator.horizon if estimator.kind == "mhe" else 0
     slots = max(1, horizon)
     vector = VECTOR_BYTES // (4 if single else 8)
-    lanes = -(-slots // vector) * vector if horizon else 1
+    most_blocks = max(len(g.blocks) for g in structure.groups)
+    wide = -(-max(most_blocks, slots if horizon > 1 else 1) // vector) * vector
+    lanes = wide if horizon > 1 else 1
     noise = estimator.noise
     fixed = estimator.arrival_cost.update == "fixed"
     scheme = SCHEMES["rk4" if integrator.scheme == "flow" else integrator.scheme]
     flow = integrator.scheme == "flow" and any(g.is_elements for g in structure.groups)
+    law = element_law(machine)
     groups = [
-        _group_context(g, structure, emitter, flow=flow and g.is_elements, step_time=step_time)
+        _group_context(
+            g,
+            structure,
+            emitter,
+            flow=flow and g.is_elements,
+            law=law is not None and g.obeys_law,
+            step_time=step_time,
+        )
         for g in structure.groups
     ]
     n_q_total = sum(g.n_q * len(g.blocks) for g in structure.groups)
@@ -243,7 +254,9 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "horizon": horizon,
         "slots": slots,
         "lanes": lanes,
-        "vector": vector if horizon else 1,
+        "wide": wide,
+        "vector": vector,
+        "law": law if any(g["law"] for g in groups) else None,
         "samples": samples,
         "merged": merged,
         "merge": merged > 1,
@@ -251,6 +264,7 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "n_terms": len(structure.sample_terms),
         "term_names": [t.name for t in structure.sample_terms],
         "state_rows": sum(g.m * (1 + g.m + g.n_q) * len(g.blocks) for g in structure.groups),
+        "one_rows": sum(g.m * (1 + g.m + g.n_q) for g in structure.groups),
         "n_q_total": n_q_total,
         "settle": settle_samples(machine),
         "rate": sampling.rate,
@@ -343,6 +357,34 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     return context
 
 
+def element_law(machine: Machine) -> Mapping[str, float] | None:
+    """Constants of an element's right side as two logistic functions of |r| and r v, powers of two (DESIGN section 6).
+
+    The window depends on |r| alone where its two sides do not overlap (`SATURATED`); r is held within `farthest`, beyond
+    which the window is open to rounding, and the gate's velocity within `fastest`, beyond which it is saturated wherever
+    the window is not shut. None where the exponentials would leave the range of the package's precision.
+    """
+    smoothing, friction = machine.friction.smoothing, machine.friction
+    single = machine.code.precision == "single"
+    farthest = smoothing.zeta + (9.0 if single else SATURATED) / smoothing.lambda_
+    fastest = friction.stribeck_velocity * max(1.0, smoothing.lambda_ / smoothing.gamma)
+    per_power = 1.0 / math.log(2.0)
+    largest = max(
+        2.0 * smoothing.lambda_ * smoothing.zeta,
+        2.0 * smoothing.gamma * fastest / friction.stribeck_velocity * farthest,
+    )
+    if smoothing.lambda_ * smoothing.zeta < SATURATED or largest * per_power > (120.0 if single else 1000.0):
+        return None
+    return {
+        "farthest": farthest,
+        "fastest": fastest,
+        "window": smoothing.lambda_ * per_power,
+        "offset": 2.0 * smoothing.lambda_ * smoothing.zeta * per_power,
+        "gate": -0.5 * smoothing.gamma / friction.stribeck_velocity * per_power,
+        "ln2": math.log(2.0),
+    }
+
+
 def hold_path(machine: Machine) -> float:
     """Path [m] of an interval below which it says nothing of the parameters: 10 % of the smallest deflection scale."""
     friction = machine.friction
@@ -357,7 +399,7 @@ def _node_scale(model: Model, i: int) -> ca.SX:
 
 
 def _group_context(
-    group: Group, structure: Structure, emitter: _Emitter, *, flow: bool, step_time: float
+    group: Group, structure: Structure, emitter: _Emitter, *, flow: bool, law: bool, step_time: float
 ) -> dict[str, Any]:
     m, n_q, terms = group.m, group.n_q, emitter.terms
     integrator = structure.model.machine.sampling.integrator
@@ -365,6 +407,7 @@ def _group_context(
     per_step = step_time / integrator.displacement
     states = [f"chi{i}" for i in range(m)]
     values = list(terms)
+    inputs = ["q_l", "data_l"]
     real = "sgms_real"
     arguments = [f"{real} {v}" for v in states + values] + [f"const {real} *q", f"const {real} *data"]
     slopes = [f"rate[{i}]" for i in range(m)]
@@ -394,7 +437,10 @@ def _group_context(
         "n_blocks": len(group.blocks),
         "blocks": group.blocks,
         "arguments": arguments,
-        "call": [f"at{i}" for i in range(m)] + [f"term[{k} * LANES + l]" for k in range(len(terms))] + ["q", "data"],
+        "terms": values,
+        "call": [f"at{i}" for i in range(m)] + [f"term[{k} * WIDE + l]" for k in range(len(terms))] + inputs,
+        "call_between": [f"at{i}" for i in range(m)] + [f"between[{k} * WIDE + l]" for k in range(len(terms))] + inputs,
+        "law": law,
         "slopes": slopes,
         "rhs": emitter.group_function(
             group,
@@ -407,6 +453,20 @@ def _group_context(
         "states_rows": ["{" + ", ".join(str(s) for s in b.states) + "}" for b in group.blocks],
         "flow": flow,
     }
+    if flow or law:
+        result["n_up"] = m - 1
+        result["level_in_q"] = any(n.op != "const" for n in group.d_inverse_level)
+        result["flow_arguments"] = [f"{real} {v}" for v in states[1:] + values] + [
+            f"const {real} *q",
+            f"const {real} *data",
+        ]
+        result["flow_call"] = [f"chi[{i} * WIDE]" for i in range(1, m)]
+        result["flow_call"] += [f"term[{k} * WIDE + l]" for k in range(len(terms))] + inputs
+        outputs = [("*rho", group.rate[0]), ("*over_level", group.inverse_level[0])]
+        outputs += [(f"d_rho[{k}]", n) for k, n in enumerate(group.d_rate)]
+        outputs += [(f"d_over_level[{k}]", n) for k, n in enumerate(group.d_inverse_level)]
+        outputs += [(f"level_by_state[{i}]", n) for i, n in enumerate(group.level_by_state)]
+        result["coefficients"] = emitter.group_function(group, outputs, skip=states[:1])
     if flow:
         # At most slow_displacement, 0.02 by default, per RK4 step below the gate: there r moves slowly.
         friction = structure.model.machine.friction
@@ -422,19 +482,6 @@ def _group_context(
             )
             for b in group.blocks
         ]
-        result["n_up"] = m - 1
-        result["level_in_q"] = any(n.op != "const" for n in group.d_inverse_level)
-        result["flow_arguments"] = [f"{real} {v}" for v in states[1:] + values] + [
-            f"const {real} *q",
-            f"const {real} *data",
-        ]
-        result["flow_call"] = [f"chi[{i} * LANES]" for i in range(1, m)]
-        result["flow_call"] += [f"term[{k} * LANES + l]" for k in range(len(terms))] + ["q", "data"]
-        outputs = [("*rho", group.rate[0]), ("*over_level", group.inverse_level[0])]
-        outputs += [(f"d_rho[{k}]", n) for k, n in enumerate(group.d_rate)]
-        outputs += [(f"d_over_level[{k}]", n) for k, n in enumerate(group.d_inverse_level)]
-        outputs += [(f"level_by_state[{i}]", n) for i, n in enumerate(group.level_by_state)]
-        result["coefficients"] = emitter.group_function(group, outputs, skip=states[:1])
         outputs = [(f"end[{i}]", n) for i, n in enumerate(group.upstream)]
         outputs += [(f"by_state[{i}]", n) for i, n in enumerate(group.upstream_by_state)]
         outputs += [(f"by_q[{k}]", n) for k, n in enumerate(group.upstream_by_q)]
