@@ -44,7 +44,8 @@ Progress = Callable[[int, int], None]
 
 PRECISIONS: Final = ("double", "single")
 RUNS: Final = 5
-"""Timed runs; of each update the fastest counts, which leaves out what else the host does."""
+PEER_RUNS: Final = 25
+"""Timed runs; of each update the fastest counts, which leaves out what else the host does. A peer's run is short."""
 
 CONVERGED: Final[Mapping[str, Any]] = {"scheme": "rk4", "displacement": 0.004}
 """Integrator that errors are measured against: it leaves about 1e-9 in the state, 1e-8 in its derivatives."""
@@ -384,7 +385,7 @@ class Bench:
             problems, results = Path(folder) / "problems", Path(folder) / "results"
             problems.write_bytes(export.problems(windows))
             command = [str(export.program), str(problems), str(results)]
-            times = _fastest(command)
+            times = _fastest(command, PEER_RUNS)
             found = export.evaluation(windows, results.read_bytes())
             instructions = _instructions(command, _PEER_UPDATE)
         state, sensitivity = _largest(found.x1 - exact.x1), _largest(found.A - exact.A, found.B - exact.B)
@@ -431,7 +432,7 @@ class Bench:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "log.csv"
             write_log(path, log)
-            times = _fastest([str(harness), "--log", str(path), "--time"], header=1)
+            times = _fastest([str(harness), "--log", str(path), "--time"], RUNS, header=1)
             instructions = _instructions([str(harness), "--log", str(path)], _HARNESS_UPDATE)
         filling = machine.estimator.horizon if machine.estimator.kind == "mhe" else 0
         full = slice(filling if filling < len(times) else 0, None)
@@ -484,10 +485,10 @@ def build_harness(machine: Machine, package: Package, flags: Sequence[str] = DEF
         return program(sources, include_dirs=[folder], flags=[*flags, *definitions], libraries=["m"])
 
 
-def _fastest(command: Sequence[str], header: int = 0) -> Array:
-    """Numbers that a program prints, a row per update, without `header` lines: the smallest of all runs each."""
+def _fastest(command: Sequence[str], count: int, header: int = 0) -> Array:
+    """Numbers that a program prints, a row per update, without `header` lines: the smallest of `count` runs each."""
     runs = []
-    for _ in range(RUNS):
+    for _ in range(count):
         lines = _output(command).splitlines()[header:]
         runs.append([[float(field) for field in line.split(",")] for line in lines])
     fastest: Array = np.min(np.array(runs), axis=0)
