@@ -95,8 +95,8 @@ studies: $(STAMP) ## statistics: coverage, Monte Carlo against EKF and smoother,
 	    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_mhe.studies $$name > $(BUILD)/studies/$$name.txt && \
 	    cat $(BUILD)/studies/$$name.txt || exit; done
 
-benchmark: $(STAMP) ## time and instructions of MACHINE's variants, and of peers
-	$(RUN) bench machines/$(MACHINE).toml
+benchmark: $(STAMP) ## time, instructions and errors of MACHINE's variants beside CasADi's export; figures in build/benchmark
+	$(RUN) bench machines/$(MACHINE).toml --out $(BUILD)/benchmark
 
 target: $(STAMP) ## MACHINE on an emulated Cortex-M7: instructions, flash, RAM; needs arm-none-eabi-gcc and qemu-system-arm
 	$(RUN) target machines/$(MACHINE).toml

@@ -6,18 +6,25 @@ import io
 import json
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from cli_cases import SMALL, done
-from sgms_mhe.benchmark import build_harness
+from cli_cases import SMALL, done, files
+from sgms_mhe.benchmark import Bench, Recording, build_harness, emitted_errors, fitted_exponents, with_elements
 from sgms_mhe.build import DEFAULT_FLAGS, WARNING_FLAGS
 from sgms_mhe.compiled import CompiledEstimator
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.logs import read_log
 from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.model import build_model
+from sgms_mhe.peers import KINDS, Evaluation, Kind, PeerExport
+from sgms_mhe.reference import Integrator
+from sgms_mhe.reference.integrator import Linearised
+from sgms_mhe.trajectories import make_trajectory
 
 
 @pytest.fixture(scope="session")
@@ -135,40 +142,181 @@ def test_harness_refuses_a_log_without_the_columns(harness: Path, tmp_path: Path
 
 # --- bench -------------------------------------------------------------------------------------------------------
 
+VARIANT_KEYS = [
+    "name",
+    "precision",
+    "relinearise",
+    "update_us",
+    "feedback_us",
+    "instructions_mean",
+    "instructions_max",
+    "state_error",
+    "sensitivity_error",
+]
 
-def test_bench_has_the_agreed_json(small: Path) -> None:
-    result = json.loads(done("bench", small, "--updates", "40", "--json").stdout)
-    assert set(result) == {"variants", "peers"}
-    assert [variant["precision"] for variant in result["variants"]] == ["double", "single"]
-    for variant in result["variants"]:
-        assert list(variant) == [
-            "name",
-            "precision",
-            "relinearise",
-            "update_us",
-            "feedback_us",
-            "instructions_mean",
-            "instructions_max",
-            "state_error",
-            "sensitivity_error",
-        ]
+
+@pytest.fixture(scope="session")
+def quick(small: Path) -> dict[str, Any]:
+    result: dict[str, Any] = json.loads(done("bench", small, "--quick", "--updates", "100", "--json").stdout)
+    return result
+
+
+def test_bench_has_the_agreed_json(quick: dict[str, Any]) -> None:
+    assert {"variants", "peers"} <= set(quick)
+    assert {variant["precision"] for variant in quick["variants"]} == {"double", "single"}
+    for variant in quick["variants"]:
+        assert list(variant)[: len(VARIANT_KEYS)] == VARIANT_KEYS
         assert 0.0 < variant["feedback_us"] < variant["update_us"]
-    double, single = result["variants"]
-    assert double["state_error"] < 1e-8 < single["state_error"] < 1e-4
-    assert double["sensitivity_error"] < 1e-6
+    for peer in quick["peers"]:
+        assert list(peer)[:3] == ["name", "update_us", "instructions_mean"]
+        assert peer["update_us"] > 0.0
 
 
-def test_bench_counts_instructions(small: Path, require_tool: Callable[[str], str]) -> None:
-    require_tool("valgrind")
-    first, second = (
-        json.loads(done("bench", small, "--updates", "40", "--json").stdout)["variants"][0] for _ in range(2)
+def test_bench_states_the_errors_beside_the_cost(quick: dict[str, Any]) -> None:
+    double, single = (
+        next(v for v in quick["variants"] if v["precision"] == precision) for precision in ("double", "single")
     )
-    assert 1e3 < first["instructions_mean"] <= first["instructions_max"]
-    assert second["instructions_mean"] == pytest.approx(first["instructions_mean"], rel=1e-3)
+    assert double["state_error"] < 1e-7 < single["state_error"] < 1e-4
+    assert double["sensitivity_error"] < 1e-6
+    # A step per sample is closer than one in ten; both are farther off than the displacement flow.
+    errors = {peer["steps"]: peer["state_error"] for peer in quick["peers"]}
+    assert double["state_error"] < errors[20] < errors[2]
+
+
+def test_bench_counts_instructions(small: Path, quick: dict[str, Any], require_tool: Callable[[str], str]) -> None:
+    require_tool("valgrind")
+    again = json.loads(done("bench", small, "--quick", "--updates", "100", "--json").stdout)
+    for first, second in zip(quick["variants"] + quick["peers"], again["variants"] + again["peers"], strict=True):
+        assert first["instructions_mean"] > 1e3
+        assert second["instructions_mean"] == pytest.approx(first["instructions_mean"], rel=1e-3)
+    for variant in quick["variants"]:
+        assert variant["instructions_mean"] <= variant["instructions_max"]
 
 
 def test_bench_without_valgrind_has_null_for_instructions(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("shutil.which", lambda name: None)
-    result = json.loads(done("bench", small, "--updates", "5", "--json").stdout)
-    assert result["variants"][0]["instructions_mean"] is None
-    assert "-" in done("bench", small, "--updates", "5").stdout
+    result = json.loads(done("bench", small, "--quick", "--updates", "5", "--json").stdout)
+    assert {entry["instructions_mean"] for entry in result["variants"] + result["peers"]} == {None}
+
+
+def test_bench_without_peers_where_velocity_is_linear(small: Path, tmp_path: Path) -> None:
+    path = tmp_path / "linear.toml"
+    path.write_text(SMALL.replace('{ scheme = "flow" }', '{ scheme = "rk4", velocity = "linear" }'))
+    printed = done("bench", path, "--quick", "--updates", "5").stdout
+    assert "double, all" in printed
+    assert "CasADi" not in printed
+
+
+def test_bench_in_full_compares_motions_integrators_and_sizes(
+    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Few sizes and two integrators take the same way as all of them.
+    monkeypatch.setattr("sgms_mhe.benchmark.HORIZONS", (3, 6, 12))
+    monkeypatch.setattr("sgms_mhe.benchmark.ELEMENTS", (1, 2, 3))
+    monkeypatch.setattr("sgms_mhe.benchmark.MOTIONS", ())
+    monkeypatch.setattr("sgms_mhe.benchmark.SPEEDS", (1.0,))
+    monkeypatch.setattr("sgms_mhe.benchmark.INTEGRATORS", (("flow", 0.02), ("rk4", 0.1)))
+    monkeypatch.setattr("sgms_mhe.benchmark.PRECISIONS", ("double",))
+    monkeypatch.setattr("sgms_mhe.benchmark.RUNS", 1)
+    folder = tmp_path / "out"
+    printed = done("bench", small, "--updates", "20", "--out", folder).stdout
+    assert "horizon^" in printed
+    assert "elements^" in printed
+    assert files(folder) == {"benchmark.json"} | {
+        f"{name}.{kind}" for name in ("work_precision", "cost") for kind in ("png", "svg")
+    }
+    result = json.loads((folder / "benchmark.json").read_text())
+    fast = {entry["name"]: entry for entry in result["motions"]}
+    # At 1 m/s the fixed steps of the peer give no usable answer, the displacement flow does.
+    assert fast["double"]["state_error"] < 1e-6
+    assert all(e["state_error"] is None or e["state_error"] > 1.0 for name, e in fast.items() if name != "double")
+    assert {sweep["over"] for sweep in result["sweeps"]} == {"horizon", "elements"}
+    for sweep in result["sweeps"]:
+        assert 0.0 < sweep["exponent"] < 1.5
+        costs = [point["instructions_mean"] or point["update_us"] for point in sweep["points"]]
+        assert costs == sorted(costs)
+
+
+def test_exponents_of_known_costs() -> None:
+    sizes = (10, 20, 50, 100, 200)
+    assert fitted_exponents(sizes, [3.0 * n**1.5 for n in sizes])[0] == pytest.approx(1.5)
+    exponent, marginal = fitted_exponents(sizes, [100.0 + 2.0 * n for n in sizes])
+    assert exponent < 0.7  # the constant part
+    assert marginal == pytest.approx(1.0)
+
+
+def test_sizes_are_swept_at_equal_range(small: Path) -> None:
+    machine = load_machine(small)
+    for count in (1, 3, 10):
+        friction = with_elements(machine, count).friction
+        assert friction.n_z == count
+        scales = [
+            nu * friction.coulomb / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True)
+        ]
+        ends = (0.25 * 4.0 / 3e4, 0.75 * 4.0 / 1e4)
+        assert np.exp(np.mean(np.log(scales))) == pytest.approx(np.sqrt(ends[0] * ends[1]))
+
+
+# --- peers -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def fixed_step(small: Path) -> Machine:
+    """One classical Runge-Kutta step per sample whatever the speed: the peers' discretisation."""
+    integrator = {"scheme": "rk4", "displacement": 10.0}
+    return override_machine(load_machine(small), {"sampling": {"max_velocity": 1e-3, "integrator": integrator}})
+
+
+@pytest.fixture(scope="module")
+def recording(fixed_step: Machine) -> Recording:
+    return Bench(fixed_step, DEFAULT_FLAGS).record(make_trajectory("paper", 1000.0, duration_s=1.2))
+
+
+def evaluated(export: PeerExport, recording: Recording, folder: Path) -> Evaluation:
+    (folder / "problems").write_bytes(export.problems(recording.windows))
+    result = ran(export.program, folder / "problems", folder / "results")
+    assert result.returncode == 0, result.stderr
+    assert len(result.stdout.splitlines()) == len(recording.first)
+    return export.evaluation(recording.windows, (folder / "results").read_bytes())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_peer_computes_the_residual_and_jacobian_of_the_reference(
+    kind: Kind, fixed_step: Machine, recording: Recording, tmp_path: Path
+) -> None:
+    windows = recording.windows
+    found = evaluated(PeerExport(fixed_step, kind, windows.w.shape[1], 20), recording, tmp_path)
+    integrator = Integrator(build_model(fixed_step))
+    plan = integrator.plan(recording.signals)
+    assert plan.substeps.max() == 1
+    assert np.abs(found.A).max() > 0.1
+    assert np.abs(found.B).max() > 0.01
+    for i, first in enumerate(recording.first):
+        expected = integrator.intervals(plan, first, windows.x[i, :-1], windows.theta)
+        for name in ("x1", "A", "B"):
+            np.testing.assert_allclose(getattr(found, name)[i], getattr(expected, name), rtol=0, atol=1e-12)
+        outputs = integrator.outputs(windows.x[i], windows.w_node[i], windows.theta)
+        np.testing.assert_allclose(found.residual[i], outputs.y - windows.y[i], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.C[i], outputs.C, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.D[i], outputs.D, rtol=0, atol=1e-12)
+
+
+def test_peer_computes_what_the_emitted_code_does(fixed_step: Machine, recording: Recording, tmp_path: Path) -> None:
+    windows = recording.windows
+    found = evaluated(PeerExport(fixed_step, "propagated", windows.w.shape[1], 20), recording, tmp_path)
+    same = replace(recording, exact=Linearised(found.x1, found.A, found.B))
+    state, sensitivity = emitted_errors(fixed_step, emit_package(fixed_step, selftest=False), same)
+    # The emitted elementary functions are good to 1e-9 by choice.
+    assert state is not None and state < 1e-8
+    assert sensitivity is not None and sensitivity < 1e-7
+
+
+def test_peers_agree_where_effects_couple_states(small: Path, recording: Recording, tmp_path: Path) -> None:
+    effects = [{"name": "frictional_lag"}, {"name": "force_ripple"}]
+    machine = override_machine(load_machine(small), {"effects": effects, "sampling": {"integrator": {"scheme": "rk4"}}})
+    record = Bench(machine, DEFAULT_FLAGS).record(make_trajectory("paper", 1000.0, duration_s=1.2))
+    one, other = (
+        evaluated(PeerExport(machine, kind, record.windows.w.shape[1], 20), record, tmp_path) for kind in KINDS
+    )
+    for name in ("x1", "A", "B", "residual", "C", "D"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-10, atol=1e-10)

@@ -101,6 +101,8 @@ def test_defaults_are_resolved(tmp_path: Path) -> None:
         "substeps": 100,
         "velocity": "constant",
         "displacement": 0.03,
+        "slow_displacement": 0.02,
+        "tolerance": None,
     }
     assert machine.estimator.bounds == {}
     assert machine.log is None

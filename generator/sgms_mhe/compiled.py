@@ -81,6 +81,7 @@ class CompiledModel:
         *,
         derivatives: bool = False,
         x: Array | None = None,
+        d_x: Array | None = None,
         first: int = 0,
     ) -> Prediction:
         """Run the model along the signals.
@@ -90,6 +91,7 @@ class CompiledModel:
             theta: scaled parameters (n_p), 1 is nominal; None: nominal.
             derivatives: also return d(friction)/d(theta).
             x: node state at the first sample (n_x); None: zero.
+            d_x: its derivatives in theta (n_x, n_p); None: zero.
             first: index of the first sample in its record, from which the model's time counts.
 
         Raises:
@@ -107,7 +109,7 @@ class CompiledModel:
         )
         values = np.ones(n_p) if theta is None else np.ascontiguousarray(theta, dtype=np.float64)
         state = np.zeros(n_x) if x is None else np.array(x, dtype=np.float64)
-        sensitivity = np.zeros((n_x, n_p))
+        sensitivity = np.zeros((n_x, n_p)) if d_x is None else np.array(d_x, dtype=np.float64, order="C")
         force = np.empty(n)
         slopes = np.empty((n, n_p)) if derivatives else None
         done = self._library.sgms_predict(

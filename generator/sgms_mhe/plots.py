@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -72,10 +73,13 @@ def parameter_figure(estimates: Estimates, parameters: Sequence[FreeParameter], 
 
 
 def save_figure(path: Path, figure: Figure) -> None:
-    """Write a figure as PNG, atomically; the same figure gives the same bytes."""
+    """Write a figure as PNG, or SVG where the path says so, atomically; the same figure gives the same bytes."""
     FigureCanvasAgg(figure)
-    with atomic_write(path) as stream:
-        figure.savefig(stream, format="png", dpi=150, metadata={"Software": None})
+    is_svg = path.suffix == ".svg"
+    with atomic_write(path) as stream, rc_context({"svg.hashsalt": path.name}):
+        figure.savefig(
+            stream, format="svg" if is_svg else "png", dpi=150, metadata={"Date" if is_svg else "Software": None}
+        )
 
 
 def _figure(height_in: float) -> Figure:

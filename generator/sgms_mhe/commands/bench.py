@@ -4,19 +4,30 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from sgms_mhe.commands.common import example, json_option, json_text, machine_argument, progress_bar, show, table_text
+from sgms_mhe.commands.common import (
+    check_output_folder,
+    example,
+    json_option,
+    json_text,
+    machine_argument,
+    make_folder,
+    out_option,
+    progress_bar,
+    show,
+)
 
 if TYPE_CHECKING:
-    from sgms_mhe.benchmark import Benchmark
+    from sgms_mhe.benchmark import Benchmark, Peer, Variant
 
 
 @click.command(
-    short_help="Time, instructions and errors of an update.",
-    epilog=example("bench etel_xy", "bench etel_xy --trajectory mixed --json"),
+    short_help="Time, instructions and errors of an update, beside a peer.",
+    epilog=example("bench etel_xy --quick", "bench etel_xy --out build/benchmark", "bench etel_xy --json"),
 )
 @machine_argument
 @click.option("--trajectory", metavar="NAME", default="paper", show_default=True, help="Simulated motion to replay.")
@@ -24,47 +35,118 @@ if TYPE_CHECKING:
     "--updates", type=click.IntRange(1, 100_000), metavar="N", default=500, show_default=True, help="Updates to time."
 )
 @click.option("--cflags", metavar="FLAGS", help="Compiler flags; default -std=c99 -O3 -ffp-contract=off.")
+@click.option("--quick", is_flag=True, help="Only the machine's variants and the peers, on one motion.")
+@out_option("Folder for the figures, as PNG and SVG, and the numbers, as JSON.", metavar="DIR", required=False)
 @json_option
-def command(machine: str, trajectory: str, updates: int, cflags: str | None, as_json: bool) -> None:
-    """Measure what an update of MACHINE's estimator costs on this host, in double and single precision.
+def command(
+    machine: str, trajectory: str, updates: int, cflags: str | None, quick: bool, out: Path | None, as_json: bool
+) -> None:
+    """Measure what an update of MACHINE's estimator costs on this host, beside the same problem exported by CasADi.
 
-    Time and instructions (valgrind; null without it) are those of all the work between two updates: the samples,
-    feedback, prepare. feedback_us is the time from the newest sample to the estimate. state_error and
-    sensitivity_error are the largest errors of one interval's integration, in scaled units, against a converged one.
+    Time and instructions (valgrind; null without it) of a variant are those of all the work between two updates: the
+    samples, feedback, prepare. feedback_us is the time from the newest sample to the estimate. Those of a peer are
+    residual and Jacobian of one window alone. state_error and sensitivity_error are the largest errors of one
+    interval's integration, in scaled units, against a converged one.
     """
     from sgms_mhe.machine import load_machine
 
     resolved = load_machine(machine)
+    if out is not None:
+        check_output_folder(out)
 
     from sgms_mhe.benchmark import run_benchmark
     from sgms_mhe.build import DEFAULT_FLAGS
 
     flags = DEFAULT_FLAGS if cflags is None else shlex.split(cflags)
     with progress_bar(f"bench {resolved.name}") as progress:
-        benchmark = run_benchmark(resolved, trajectory=trajectory, updates=updates, flags=flags, progress=progress)
-    show(json_text(asdict(benchmark)) if as_json else _text(benchmark))
-
-
-def _text(benchmark: Benchmark) -> str:
-    rows = [
-        (
-            variant.name,
-            f"{variant.update_us:.1f}",
-            f"{variant.feedback_us:.2f}",
-            _number(variant.instructions_mean, ".0f"),
-            _number(variant.instructions_max, "d"),
-            _number(variant.state_error, ".1e"),
-            _number(variant.sensitivity_error, ".1e"),
+        benchmark = run_benchmark(
+            resolved, trajectory=trajectory, updates=updates, quick=quick, flags=flags, progress=progress
         )
-        for variant in benchmark.variants
-    ]
-    rows += [
-        (peer.name, f"{peer.update_us:.1f}", "", _number(peer.instructions_mean, ".0f"), "", "", "")
-        for peer in benchmark.peers
-    ]
-    header = ("variant", "update us", "feedback us", "instructions", "at most", "state error", "sensitivity error")
-    return table_text(header, rows)
+    content = json_text(asdict(benchmark))
+    if out is not None:
+        from sgms_mhe.benchmark_figures import benchmark_figures
+        from sgms_mhe.files import write_text
+        from sgms_mhe.plots import save_figure
+
+        make_folder(out)
+        write_text(out / "benchmark.json", content + "\n")
+        for name, figure in benchmark_figures(benchmark, resolved.name).items():
+            for suffix in (".png", ".svg"):
+                save_figure(out / f"{name}{suffix}", figure)
+    show(content if as_json else _text(benchmark, resolved.name, shlex.join(flags)))
 
 
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
+def _text(benchmark: Benchmark, machine: str, flags: str) -> str:
+    from sgms_mhe.tables import Table
+
+    rows = [_row(variant, benchmark.peer) for variant in benchmark.variants]
+    rows += [_row(peer, benchmark.peer) for peer in benchmark.peers]
+    trajectory = benchmark.variants[0].trajectory
+    tables = [
+        Table(
+            f"{machine}, motion {trajectory}, compiled with {flags}",
+            COLUMNS,
+            rows,
+            ()
+            if benchmark.peer is None
+            else (
+                "a variant: the whole update; a peer: residual and Jacobian of one window, nothing else",
+                f"time ratio, instr ratio: those of {benchmark.peer.name} over the row's",
+            ),
+        )
+    ]
+    if benchmark.motions:
+        rows = [{"motion": entry.trajectory} | _row(entry, None) for entry in benchmark.motions]
+        columns = {"motion": ""} | {name: form for name, form in COLUMNS.items() if "ratio" not in name}
+        tables.append(Table("other motions", columns, rows))
+    if benchmark.integrators:
+        rows = [_row(variant, benchmark.peer) for variant in benchmark.integrators]
+        tables.append(
+            Table(f"other integrators, {benchmark.integrators[0].precision}, motion {trajectory}", COLUMNS, rows)
+        )
+    for sweep in benchmark.sweeps:
+        rows = [
+            {sweep.over: point.size, "update us": point.update_us, "instructions": point.instructions_mean}
+            for point in sweep.points
+        ]
+        note = (
+            f"{sweep.unit} ~ {sweep.over}^{sweep.exponent:.2f} from {sweep.points[0].size} to {sweep.points[-1].size}; "
+            f"without the constant part ^{sweep.marginal_exponent:.2f}"
+        )
+        columns = {sweep.over: "d", "update us": ".1f", "instructions": ".0f"}
+        tables.append(Table(f"cost over {sweep.over}, {sweep.precision}", columns, rows, (note,)))
+    return "\n\n".join(map(str, tables))
+
+
+COLUMNS = {
+    "": "",
+    "integrator": "",
+    "update us": ".1f",
+    "feedback us": ".2f",
+    "instructions": ".0f",
+    "at most": "d",
+    "state error": ".1e",
+    "sensitivity error": ".1e",
+    "time ratio": ".1f",
+    "instr ratio": ".1f",
+}
+
+
+def _row(entry: Variant | Peer, peer: Peer | None) -> dict[str, Any]:
+    """Cells of a variant or a peer, and how many times as much `peer` takes."""
+    row = {
+        "": entry.name,
+        "update us": entry.update_us,
+        "instructions": entry.instructions_mean,
+        "state error": entry.state_error,
+        "sensitivity error": entry.sensitivity_error,
+        # What a peer has not: it is no estimator.
+        "integrator": getattr(entry, "integrator", None),
+        "feedback us": getattr(entry, "feedback_us", None),
+        "at most": getattr(entry, "instructions_max", None),
+    }
+    if peer is not None:
+        row["time ratio"] = peer.update_us / entry.update_us
+        if peer.instructions_mean is not None and entry.instructions_mean is not None:
+            row["instr ratio"] = peer.instructions_mean / entry.instructions_mean
+    return row

@@ -515,7 +515,8 @@ def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
     search runs them a hundred times.
     """
     sampling = machine.sampling
-    integrator: dict[str, Any] = {}
+    # By name, so that what a tolerance chose stays chosen.
+    integrator: dict[str, Any] = {"scheme": sampling.integrator.scheme}
     if sampling.integrator.substeps < sampling.samples_per_update:
         integrator["substeps"] = sampling.samples_per_update
     if sampling.integrator.scheme == "flow":

@@ -68,6 +68,16 @@ def gate_ratio(zeta: float, lambda_: float, gamma: float) -> float:
     return math.inf
 
 
+def flow_applies(zeta: float, lambda_: float, precision: str) -> bool:
+    """Whether the smoothing is sharp enough for an elastic range to be left above r = 0."""
+    return _reach(lambda_, precision) < zeta
+
+
+def _reach(lambda_: float, precision: str) -> float:
+    """How far from r = zeta the slip range extends."""
+    return math.log(1.0 / _ELASTIC[precision]) / (2.0 * lambda_)
+
+
 @lru_cache(maxsize=16)
 def flow_table(zeta: float, lambda_: float, precision: str, source: str = "machine") -> FlowTable:
     """Build the tables for one smoothing.
@@ -75,9 +85,9 @@ def flow_table(zeta: float, lambda_: float, precision: str, source: str = "machi
     Raises:
         InputError: the smoothing is too soft for the elastic range to end above r = 0.
     """
-    reach = math.log(1.0 / _ELASTIC[precision]) / (2.0 * lambda_)
+    reach = _reach(lambda_, precision)
     start, end = zeta - reach, zeta + reach
-    if start <= 0.0:
+    if not flow_applies(zeta, lambda_, precision):
         raise InputError(
             source, "friction.smoothing", lambda_, f"scheme flow needs lambda * zeta > {reach * lambda_:.1f}; use rk4"
         )

@@ -30,10 +30,10 @@ from sgms_mhe.model.friction import SATURATED
 from sgms_mhe.paths import runtime_dir, templates_dir
 from sgms_mhe.schemes import SCHEMES
 from sgms_mhe.structure import Group, Structure, analyse, report
+from sgms_mhe.work_precision import table_text
 
 RUNTIME_VERSION = 1
 RUNTIME_HEADERS = ("sgms_real.h", "sgms_math.h", "sgms_linalg.h", "sgms_filter.h")
-SLOW_DISPLACEMENT = 0.02
 FARTHEST = 5.0
 """Relative deflection that no element comes near: a level is reached at 1."""
 CHOSEN = 2
@@ -185,6 +185,8 @@ def emit_package(machine: Machine, model: Model | None = None, *, selftest: bool
     for header in RUNTIME_HEADERS + (("sgms_flow.h",) if context["flow"] else ()):
         files[header] = (runtime_dir() / header).read_text(encoding="utf-8")
     files["structure.txt"] = report(structure)
+    if machine.sampling.integrator.tolerance is not None:
+        files["work_precision.txt"] = table_text(machine)
     return Package(machine, dict(sorted(files.items())))
 
 
@@ -198,6 +200,7 @@ def _digest_of_sources() -> str:
     package = Path(__file__).resolve().parents[1]
     sources = [*sorted(templates_dir().glob("*.jinja")), *sorted((package / "emission").glob("*.py"))]
     sources += [*sorted((package / "model").rglob("*.py")), package / "structure.py", package / "schemes.py"]
+    sources += [package / "work_precision.py"]
     for path in sources:
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:12]
@@ -541,7 +544,7 @@ def _group_context(
         outputs += [(f"level_by_state[{i}]", n) for i, n in enumerate(group.level_by_state)]
         result["coefficients"] = emitter.group_function(group, outputs, skip=states[:1])
     if flow:
-        # At most 0.02 in units of the deflection scale per RK4 step below the gate: there r moves slowly.
+        # At most slow_displacement, 0.02 by default, per RK4 step below the gate: there r moves slowly.
         friction = structure.model.machine.friction
         smoothing = friction.smoothing
         gate = gate_ratio(smoothing.zeta, smoothing.lambda_, smoothing.gamma) * friction.stribeck_velocity
@@ -549,7 +552,7 @@ def _group_context(
             max(
                 1,
                 math.ceil(
-                    gate * step_time * b.rate_per_metre / SLOW_DISPLACEMENT
+                    gate * step_time * b.rate_per_metre / integrator.slow_displacement
                     + step_time * b.rate_per_second / integrator.displacement
                 ),
             )

@@ -35,6 +35,9 @@ DISPLACEMENT: Final = {"rk4": 0.03, "rk2": 0.05, "bs23": 0.02, "euler": 0.01, "f
 
 rk4 and bs23 then keep the force of Table I within 1e-4 N at every speed; rk2 and euler are off by up to 6e-3 N."""
 
+CHOSEN_BY_TOLERANCE: Final = ("scheme", "substeps", "displacement", "slow_displacement")
+"""Keys of the integrator that a tolerance excludes: it chooses them."""
+
 LOG_UNITS: Final[dict[str, dict[str, tuple[float, float]]]] = {
     "time_s": {"s": (1.0, 0.0), "ms": (1e-3, 0.0), "us": (1e-6, 0.0), "min": (60.0, 0.0)},
     "position_m": {"m": (1.0, 0.0), "mm": (1e-3, 0.0), "um": (1e-6, 0.0), "nm": (1e-9, 0.0)},
@@ -86,9 +89,19 @@ def listing(names: Iterable[str]) -> str:
 
 
 def merged(base: Any, over: Any) -> Any:
-    """Content `over` laid over `base`: tables merge key by key; everything else, arrays included, is replaced."""
+    """Content `over` laid over `base`: tables merge key by key; everything else, arrays included, is replaced.
+
+    A tolerance takes the place of the integrator that it would exclude, and the other way round.
+    """
     if isinstance(base, Mapping) and isinstance(over, Mapping):
-        return {**base, **{key: merged(base.get(key), value) for key, value in over.items()}}
+        kept = dict(base)
+        for given, excluded in (
+            ("tolerance", CHOSEN_BY_TOLERANCE),
+            *((key, ("tolerance",)) for key in CHOSEN_BY_TOLERANCE),
+        ):
+            if given in over:
+                kept = {key: value for key, value in kept.items() if key not in excluded}
+        return {**kept, **{key: merged(kept.get(key), value) for key, value in over.items()}}
     return over
 
 
@@ -186,6 +199,17 @@ class Integrator(Table):
         description="largest move per substep over the deflection scale [1]; > 0 and <= 10; "
         "default 0.03 (rk4), 0.1 (flow), 0.05 (rk2), 0.02 (bs23), 0.01 (euler)",
     )
+    slow_displacement: float = quantity(
+        "of the flow: the same below the speed at which the gate saturates", "1", 0.02, gt=0, le=1
+    )
+    tolerance: float | None = Field(
+        None,
+        gt=0,
+        le=0.1,
+        description="largest error of an element's end state and of both its sensitivities over one interval, over the "
+        "deflection scale [1]; > 0 and <= 0.1; chooses the scheme and its steps, so it stands without "
+        f"{listing(CHOSEN_BY_TOLERANCE)}; default none",
+    )
 
 
 class Sampling(Table):
@@ -214,6 +238,11 @@ class Sampling(Table):
         if not isinstance(data, Mapping):
             return data
         integrator = data.get("integrator", {})
+        if isinstance(integrator, Mapping) and integrator.get("tolerance") is not None:
+            given = [key for key in CHOSEN_BY_TOLERANCE if key in integrator]
+            if given:
+                allowed = f"no {given[0]} beside a tolerance, which chooses {listing(CHOSEN_BY_TOLERANCE)}"
+                raise refusal(f"integrator.{given[0]}", integrator[given[0]], allowed)
         rate, update_rate = (data.get(key, cls.model_fields[key].default) for key in ("rate", "update_rate"))
         sound = all(type(value) in (int, float) and 0 < value < math.inf for value in (rate, update_rate))
         if sound and rate >= update_rate and isinstance(integrator, Mapping) and "substeps" not in integrator:
@@ -235,6 +264,8 @@ class Sampling(Table):
         if steps % samples and samples % steps:
             raise refusal("integrator.substeps", steps, f"a multiple or a divisor of rate / update_rate = {samples}")
         if self.integrator.velocity == "linear":
+            if self.integrator.tolerance is not None:
+                raise refusal("integrator.velocity", "linear", "constant, where a tolerance is given")
             if self.integrator.scheme == "flow":
                 raise refusal("integrator.velocity", "linear", "constant, where scheme is flow")
             if steps < samples:
@@ -463,7 +494,7 @@ class Machine(Table):
     @model_validator(mode="wrap")
     @classmethod
     def _keep(cls, data: Any, handler: ModelWrapValidatorHandler[Machine]) -> Machine:
-        machine = handler(data)
+        machine = _with_chosen_integrator(handler(data))
         if isinstance(data, Mapping):
             machine._content = dict(data)
         return machine
@@ -492,3 +523,22 @@ class Machine(Table):
                     f"estimator.bounds.{name}", list(self.estimator.bounds[name]), f"a key out of {listing(names)}"
                 )
         return self
+
+
+def _with_chosen_integrator(machine: Machine) -> Machine:
+    """The machine with the integrator that its tolerance asks for, if it has one."""
+    sampling = machine.sampling
+    tolerance = sampling.integrator.tolerance
+    if tolerance is None:
+        return machine
+    # Imported here: few machines need it, and it brings numpy.
+    from sgms_mhe.work_precision import ROUNDING, candidates, choose
+
+    found = candidates(machine.friction, sampling, machine.code.precision)
+    chosen = choose(found, tolerance, machine.code.precision)
+    if chosen is None:
+        best = max(min(c.errors.largest for c in found), ROUNDING[machine.code.precision])
+        allowed = f">= {best:.1e}, the least that the schemes reach in {machine.code.precision} precision"
+        raise refusal("sampling.integrator.tolerance", tolerance, allowed)
+    integrator = sampling.integrator.model_copy(update=chosen.settings)
+    return machine.model_copy(update={"sampling": sampling.model_copy(update={"integrator": integrator})})

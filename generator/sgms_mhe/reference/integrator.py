@@ -35,9 +35,6 @@ from sgms_mhe.reference.flow import DEGREE, Flow, gate_ratio, window
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
-# Largest move of r in one RK4 substep where the gate is not saturated.
-SLOW_DISPLACEMENT = 0.02
-
 # (c, a, b): stages f(y + h sum_j a_ij k_j) at c_i h, y1 = y + h sum_i b_i k_i.
 TABLEAUS: dict[str, tuple[tuple[float, ...], tuple[tuple[float, ...], ...], tuple[float, ...]]] = {
     "euler": ((0.0,), ((),), (1.0,)),
@@ -211,7 +208,7 @@ class Integrator:
         for b, block in enumerate(self.blocks):
             if block.saturates:
                 slow = self.gate_ratio * self.model.machine.friction.stribeck_velocity
-                moved = slow * h_step * block.rate_per_metre / SLOW_DISPLACEMENT
+                moved = slow * h_step * block.rate_per_metre / settings.slow_displacement
                 count = max(1, math.ceil(moved + h_step * block.rate_per_second / settings.displacement))
                 substeps[:, b] = np.where(speed > slow, 0, count)
                 continue
