@@ -108,6 +108,12 @@ def lowpass_coefficients(machine: Machine) -> tuple[float, float, float, float, 
     return _coefficients(machine.sampling.velocity_cutoff / machine.sampling.rate)
 
 
+def chain_delay(machine: Machine) -> float:
+    """How late a slow signal leaves the chain [s]: two low-passes and one sample."""
+    b0, _, b2, a1, a2 = lowpass_coefficients(machine)
+    return (1.0 + 2.0 * ((1.0 - b0) + (b2 - a2)) / (1.0 + a1 + a2)) * machine.sampling.step
+
+
 def settle_samples(machine: Machine) -> int:
     """Samples until the step response of two low-passes in series stays within 1 % of its final value."""
     return _settle(machine.sampling.velocity_cutoff / machine.sampling.rate)

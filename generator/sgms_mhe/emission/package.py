@@ -22,7 +22,7 @@ from sgms_mhe.emission.flow_table import flow_table, gate_ratio
 from sgms_mhe.emission.graph import Graph, Node, operations, walk
 from sgms_mhe.emission.selftest import selftest_vectors
 from sgms_mhe.errors import InputError
-from sgms_mhe.kinematics import lowpass_coefficients, settle_samples
+from sgms_mhe.kinematics import chain_delay, lowpass_coefficients, settle_samples
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES, Model, build_model
 from sgms_mhe.paths import runtime_dir, templates_dir
@@ -32,6 +32,9 @@ from sgms_mhe.structure import Group, Structure, analyse, report
 RUNTIME_VERSION = 1
 RUNTIME_HEADERS = ("sgms_real.h", "sgms_math.h", "sgms_linalg.h", "sgms_filter.h")
 SLOW_DISPLACEMENT = 0.02
+AHEAD_DISPLACEMENT = 0.05
+"""Largest move per Runge-Kutta step of the propagation ahead, in deflection scales: no sensitivity hangs on it."""
+FARTHEST_MOVE = 10.0
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
 
@@ -280,6 +283,13 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "kept_width": 2 * model.n_x + model.n_p + 1,
         "parameter_columns": [p.column for p in model.parameters],
         "parameter_unit": [abs(p.scale) for p in model.parameters],
+        "compensation": _compensation_context(machine),
+        "ahead_displacement": AHEAD_DISPLACEMENT,
+        "farthest_move": FARTHEST_MOVE,
+        "feed_forward": emitter.function(
+            [("y", ca.substitute(model.feed_forward, model.chi, model.from_node))],
+            inputs={"x": "x", "w": "w", "theta": "theta"},
+        ),
         "memory_text": "static or on a stack that is large enough",
         "sample_terms": emitter.function(
             [(f"term[{k} * stride]", t.expression) for k, t in enumerate(structure.sample_terms)], inputs={"w": "w"}
@@ -336,8 +346,25 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         ("config.h.jinja", f"{name}_config.h"),
         ("model.h.jinja", f"{name}_model.h"),
         ("integrator.h.jinja", f"{name}_integrator.h"),
+        ("compensation.h.jinja", f"{name}_compensation.h"),
     ]
     return context
+
+
+def _compensation_context(machine: Machine) -> dict[str, Any]:
+    compensation, rate = machine.compensation, machine.sampling.rate
+    return {
+        "delay": compensation.delay,
+        "gain_step": min(1.0, 1.0 / (rate * compensation.ramp)) if compensation.ramp else 1.0,
+        "hold": compensation.hold,
+        "limit": compensation.limit,
+        "enabled": int(compensation.enabled),
+        "lag": chain_delay(machine),
+        "carry": math.exp(-1.0 / machine.sampling.samples_per_update),
+        "lag_text": f"{1e3 * chain_delay(machine):.3g} ms",
+        "delay_text": f"{1e6 * compensation.delay:g} us",
+        "ramp_text": f"{1e3 * compensation.ramp:g} ms",
+    }
 
 
 def hold_path(machine: Machine) -> float:
@@ -381,6 +408,7 @@ def _group_context(
         ]
         for b in group.blocks
     ]
+    ahead_terms = [f"term[{k}]" for k in range(len(terms))] + ["q", "data"]
     result: dict[str, Any] = {
         "name": group.name,
         "NAME": group.name.upper(),
@@ -393,6 +421,11 @@ def _group_context(
         "arguments": arguments,
         "call": [f"at{i}" for i in range(m)] + [f"term[{k} * LANES + l]" for k in range(len(terms))] + ["q", "data"],
         "slopes": slopes,
+        "ahead_call": [f"at{i}" for i in range(m)] + ahead_terms,
+        "ahead_rates": [
+            f"{{{number(b.rate_per_metre / AHEAD_DISPLACEMENT)}, {number(b.rate_per_second / integrator.displacement)}}}"
+            for b in group.blocks
+        ],
         "rhs": emitter.group_function(
             group,
             [(f"rate[{i}]", n) for i, n in enumerate(group.rhs)]
@@ -420,6 +453,7 @@ def _group_context(
             for b in group.blocks
         ]
         result["n_up"] = m - 1
+        result["ahead_flow_call"] = ahead_terms
         result["level_in_q"] = any(n.op != "const" for n in group.d_inverse_level)
         result["flow_arguments"] = [f"{real} {v}" for v in states[1:] + values] + [
             f"const {real} *q",
