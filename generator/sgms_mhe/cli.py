@@ -29,6 +29,7 @@ COMMANDS: Final = {
     "diagnose": "diagnose",
     "plan": "plan",
     "experiment": "experiment",
+    "compensate": "compensate",
     "bench": "bench",
     "bench-diagnosis": "bench_diagnosis",
     "check": "check",
