@@ -1,9 +1,9 @@
-"""Friction compensation in closed loop: tracking with nothing, static feed-forward, EKF and MHE, on a plant that is off.
+"""Friction compensation in closed loop: with nothing, static feed-forward, EKF and MHE, on a plant that is off.
 
-The plant is the simulated axis under the switching Maxwell-slip law. Its friction is not the machine file's: every level,
-stiffness and damping starts 30 % off and drifts by 25 % of its value during the run. The emitted C runs in the loop,
-sample by sample; what it returns adds to the position controller's force. A second axis, of the circle, is off the other
-way round and has an instance of its own.
+The plant is the simulated axis under the switching Maxwell-slip law. Its friction is not the machine file's: level,
+stiffness and damping start 30 % off and drift by 25 % of their value during the run. The emitted C runs in the loop,
+sample by sample; what it returns adds to the position controller's force. The circle's second axis is off the other way
+round and has an instance of its own.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -95,7 +95,7 @@ class AxisRun:
 
 @dataclass(frozen=True)
 class Measures:
-    """How well a reference was followed: RMS error [m], the largest error after each reversal [m], settling times [s]."""
+    """How well a reference was followed: RMS error [m], largest error after each reversal [m], settling times [s]."""
 
     rms_m: float
     peaks_m: Array
@@ -121,6 +121,7 @@ class Comparison:
         runs: by scenario and method, one per axis.
         measures: by row name (a scenario, or an axis or the contour of one) and method.
         scenarios: by name.
+        nominal: value of every estimated parameter in the machine file.
         figures: files written.
     """
 
@@ -128,7 +129,8 @@ class Comparison:
     runs: Mapping[tuple[str, str], tuple[AxisRun, ...]]
     measures: Mapping[tuple[str, str], Measures]
     scenarios: Mapping[str, Scenario]
-    figures: tuple[Path, ...] = field(default=())
+    nominal: Mapping[str, float]
+    figures: tuple[Path, ...] = ()
 
     def remaining(self, row: str, method: str, against: str) -> float:
         """Mean peak after reversals over that with another method."""
@@ -212,7 +214,7 @@ def set_point_ahead(trajectory: Trajectory, delay_s: float) -> tuple[Array, Arra
 
 
 def _true_friction(machine: Machine, trajectory: Trajectory, plant: Mapping[str, Any]) -> Array:
-    """What the plant's friction would be along the reference, taken when the force that answers a sample acts (n) [N]."""
+    """The plant's friction along the reference at the instants when the force that answers each sample acts (n) [N]."""
     config = AxisConfig("maxwell_slip", "prescribed", encoder_resolution_m=0.0, force_noise_N=0.0)
     truth = simulate_axis(machine, trajectory, config, **plant).truth
     if truth is None:
@@ -229,7 +231,7 @@ def reversals(trajectory: Trajectory) -> NDArray[np.int64]:
     velocity = trajectory.velocity_m_s
     moving = np.flatnonzero(np.abs(velocity) > 1e-9 * np.abs(velocity).max(initial=0.0))
     sign = np.sign(velocity[moving])
-    return moving[1:][sign[1:] != sign[:-1]]
+    return np.asarray(moving[1:][sign[1:] != sign[:-1]])
 
 
 def peaks_after(samples: NDArray[np.int64], error_m: Array, rate: float) -> Array:
@@ -323,9 +325,7 @@ def compare_compensations(
             for index, (trajectory, true) in enumerate(scenario.axes):
                 estimator = estimators.get(method, estimators[EKF])
                 config = axis_config(machine, seed + index)
-                axes.append(
-                    run_axis(machine, estimator, trajectory, true, method, config=config, set_point=set_point)
-                )
+                axes.append(run_axis(machine, estimator, trajectory, true, method, config=config, set_point=set_point))
                 done += 1
                 if progress is not None:
                     progress(done, total)
@@ -338,7 +338,9 @@ def compare_compensations(
         for letter, run in zip("xy", axes_run, strict=True):
             measures[f"{name}, {letter}", method] = measure(run, window_m)
         measures[f"{name}, contour", method] = measure_contour(*axes_run)
-    comparison = Comparison(_table(machine, measures, truth, window_m, set_point), runs, measures, scenarios)
+    nominal = {p.column: p.nominal for p in estimators[MHE].model.parameters}
+    table = _table(machine, measures, truth, window_m, set_point)
+    comparison = Comparison(table, runs, measures, scenarios, nominal)
     return comparison if out_dir is None else _written(comparison, out_dir)
 
 
@@ -383,4 +385,4 @@ def _written(comparison: Comparison, out_dir: Path) -> Comparison:
     written = figures.write_figures(comparison, out_dir)
     write_text(out_dir / "compensation.txt", f"{comparison.table}\n")
     write_text(out_dir / "compensation.json", json.dumps(comparison.table.as_dict(), indent=2) + "\n")
-    return Comparison(comparison.table, comparison.runs, comparison.measures, comparison.scenarios, written)
+    return replace(comparison, figures=written)

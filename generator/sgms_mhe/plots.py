@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import matplotlib
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -72,10 +73,12 @@ def parameter_figure(estimates: Estimates, parameters: Sequence[FreeParameter], 
 
 
 def save_figure(path: Path, figure: Figure) -> None:
-    """Write a figure as PNG, atomically; the same figure gives the same bytes."""
+    """Write a figure as PNG, or as SVG where the name says so, atomically; the same figure gives the same bytes."""
     FigureCanvasAgg(figure)
-    with atomic_write(path) as stream:
-        figure.savefig(stream, format="png", dpi=150, metadata={"Software": None})
+    svg = path.suffix == ".svg"
+    metadata = {"Date": None, "Creator": None} if svg else {"Software": None}
+    with matplotlib.rc_context({"svg.hashsalt": "sgms-mhe"}), atomic_write(path) as stream:
+        figure.savefig(stream, format="svg" if svg else "png", dpi=150, metadata=metadata)
 
 
 def _figure(height_in: float) -> Figure:

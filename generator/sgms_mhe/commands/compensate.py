@@ -66,8 +66,8 @@ def command(
 ) -> None:
     """Follow trajectories with a simulated axis of MACHINE and the emitted C in its loop.
 
-    The plant obeys the switching Maxwell-slip law, its parameters start 30 % off the machine file's and drift by 25 %. No
-    compensation, static Coulomb and viscous feed-forward with nominal parameters, EKF and MHE are compared with the
+    The plant obeys the switching Maxwell-slip law; its parameters start 30 % off the machine file's and drift by 25 %.
+    No compensation, static Coulomb and viscous feed-forward with nominal parameters, EKF and MHE are compared with the
     true friction fed forward: tracking error, peaks after reversals, settling.
     """
     from sgms_mhe.machine import load_machine

@@ -409,6 +409,9 @@ def _group_context(
         for b in group.blocks
     ]
     ahead_terms = [f"term[{k}]" for k in range(len(terms))] + ["q", "data"]
+    ahead_rates = [
+        (b.rate_per_metre / AHEAD_DISPLACEMENT, b.rate_per_second / integrator.displacement) for b in group.blocks
+    ]
     result: dict[str, Any] = {
         "name": group.name,
         "NAME": group.name.upper(),
@@ -422,10 +425,7 @@ def _group_context(
         "call": [f"at{i}" for i in range(m)] + [f"term[{k} * LANES + l]" for k in range(len(terms))] + ["q", "data"],
         "slopes": slopes,
         "ahead_call": [f"at{i}" for i in range(m)] + ahead_terms,
-        "ahead_rates": [
-            f"{{{number(b.rate_per_metre / AHEAD_DISPLACEMENT)}, {number(b.rate_per_second / integrator.displacement)}}}"
-            for b in group.blocks
-        ],
+        "ahead_rates": ["{" + ", ".join(number(v) for v in row) + "}" for row in ahead_rates],
         "rhs": emitter.group_function(
             group,
             [(f"rate[{i}]", n) for i, n in enumerate(group.rhs)]
