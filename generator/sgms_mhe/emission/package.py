@@ -22,7 +22,7 @@ from sgms_mhe.emission.flow_table import flow_table, gate_ratio
 from sgms_mhe.emission.graph import Graph, Node, operations, walk
 from sgms_mhe.emission.selftest import selftest_vectors
 from sgms_mhe.errors import InputError
-from sgms_mhe.kinematics import chain_delay, lowpass_coefficients, settle_samples
+from sgms_mhe.kinematics import chain_delay, chain_variance, lowpass_coefficients, settle_samples
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES, Model, build_model
 from sgms_mhe.paths import runtime_dir, templates_dir
@@ -35,6 +35,7 @@ SLOW_DISPLACEMENT = 0.02
 AHEAD_DISPLACEMENT = 0.05
 """Largest move per Runge-Kutta step of the propagation ahead, in deflection scales: no sensitivity hangs on it."""
 FARTHEST_MOVE = 10.0
+"""An element that has moved on by so many deflection scales slides, wherever it was."""
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
 
@@ -353,15 +354,21 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
 
 def _compensation_context(machine: Machine) -> dict[str, Any]:
     compensation, rate = machine.compensation, machine.sampling.rate
+    lag, h = chain_delay(machine), machine.sampling.step
+    # At constant acceleration the filtered velocity is that of lag + h/2 ago (a difference is the velocity of half a
+    # sample ago). The mean velocity since, the displacement beyond the filtered position over the lag, is later by:
+    later = 0.5 * (lag + h - chain_variance(machine) / lag)
     return {
         "delay": compensation.delay,
+        "over_delay": (lag + 0.5 * h + 0.5 * compensation.delay) / later,
+        "at_end": (lag + 0.5 * h + compensation.delay) / later,
         "gain_step": min(1.0, 1.0 / (rate * compensation.ramp)) if compensation.ramp else 1.0,
         "hold": compensation.hold,
         "limit": compensation.limit,
         "enabled": int(compensation.enabled),
-        "lag": chain_delay(machine),
+        "lag": lag,
         "carry": math.exp(-1.0 / machine.sampling.samples_per_update),
-        "lag_text": f"{1e3 * chain_delay(machine):.3g} ms",
+        "lag_text": f"{1e3 * lag:.3g} ms",
         "delay_text": f"{1e6 * compensation.delay:g} us",
         "ramp_text": f"{1e3 * compensation.ramp:g} ms",
     }
@@ -425,6 +432,7 @@ def _group_context(
         "call": [f"at{i}" for i in range(m)] + [f"term[{k} * LANES + l]" for k in range(len(terms))] + ["q", "data"],
         "slopes": slopes,
         "ahead_call": [f"at{i}" for i in range(m)] + ahead_terms,
+        "is_slider": group.is_elements and m == 1,
         "ahead_rates": ["{" + ", ".join(number(v) for v in row) + "}" for row in ahead_rates],
         "rhs": emitter.group_function(
             group,
@@ -453,7 +461,7 @@ def _group_context(
             for b in group.blocks
         ]
         result["n_up"] = m - 1
-        result["ahead_flow_call"] = ahead_terms
+        result["ahead_flow_call"] = [f"chi[{i}]" for i in range(1, m)] + ahead_terms
         result["level_in_q"] = any(n.op != "const" for n in group.d_inverse_level)
         result["flow_arguments"] = [f"{real} {v}" for v in states[1:] + values] + [
             f"const {real} *q",
