@@ -109,28 +109,14 @@ def lowpass_coefficients(machine: Machine) -> tuple[float, float, float, float, 
 
 
 def chain_delay(machine: Machine) -> float:
-    """How late a slow signal leaves the chain [s]: the mean of its impulse response, two low-passes and one sample."""
-    return (1.0 + 2.0 * _moments(machine)[0]) * machine.sampling.step
+    """How late a slow signal leaves the chain [s]: the mean of its impulse response, two low-passes and one sample.
 
-
-def chain_variance(machine: Machine) -> float:
-    """Second moment of the chain's impulse response about its mean [s^2]: t^2 leaves the chain higher by that."""
-    return 2.0 * _moments(machine)[1] * machine.sampling.step**2
-
-
-def _moments(machine: Machine) -> tuple[float, float]:
-    """Mean and variance of one low-pass's impulse response, in samples.
-
-    Cumulants of polynomials in 1/z add under multiplication and are subtracted under division.
+    A Butterworth's impulse response has no variance, |H|^2 being flat: parabolas are late by this too, not only lines.
     """
     b0, b1, b2, a1, a2 = lowpass_coefficients(machine)
-    cumulants = []
-    for c0, c1, c2 in ((b0, b1, b2), (1.0, a1, a2)):
-        total = c0 + c1 + c2
-        mean = (c1 + 2.0 * c2) / total
-        cumulants.append((mean, (c1 + 4.0 * c2) / total - mean * mean))
-    (above, spread), (below, narrowed) = cumulants
-    return above - below, spread - narrowed
+    # Means add under multiplication of polynomials in 1/z and are subtracted under division.
+    mean = (b1 + 2.0 * b2) / (b0 + b1 + b2) - (a1 + 2.0 * a2) / (1.0 + a1 + a2)
+    return (1.0 + 2.0 * mean) * machine.sampling.step
 
 
 def settle_samples(machine: Machine) -> int:

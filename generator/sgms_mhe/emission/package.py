@@ -22,7 +22,7 @@ from sgms_mhe.emission.flow_table import flow_table, gate_ratio
 from sgms_mhe.emission.graph import Graph, Node, operations, walk
 from sgms_mhe.emission.selftest import selftest_vectors
 from sgms_mhe.errors import InputError
-from sgms_mhe.kinematics import chain_delay, chain_variance, lowpass_coefficients, settle_samples
+from sgms_mhe.kinematics import chain_delay, lowpass_coefficients, settle_samples
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES, Model, build_model
 from sgms_mhe.paths import runtime_dir, templates_dir
@@ -357,7 +357,7 @@ def _compensation_context(machine: Machine) -> dict[str, Any]:
     lag, h = chain_delay(machine), machine.sampling.step
     # At constant acceleration the filtered velocity is that of lag + h/2 ago (a difference is the velocity of half a
     # sample ago). The mean velocity since, the displacement beyond the filtered position over the lag, is later by:
-    later = 0.5 * (lag + h - chain_variance(machine) / lag)
+    later = 0.5 * (lag + h)
     return {
         "delay": compensation.delay,
         "over_delay": (lag + 0.5 * h + 0.5 * compensation.delay) / later,
