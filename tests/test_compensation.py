@@ -62,7 +62,7 @@ class Drive:
     def __init__(self, settings: Machine, folder: Path) -> None:
         package = written(emit_package(settings, selftest=False), folder)
         sources = [package / f"{settings.name}.c", PROBES / "estimator_probe.c"]
-        flags = ["-std=c99", "-O1", "-ffp-contract=off", *replay_definitions(settings.name)]
+        flags = ["-std=c99", "-O0", "-ffp-contract=off", *replay_definitions(settings.name)]
         self.machine = settings
         self.c = ctypes.CDLL(str(shared_library(sources, [package], flags)))
         number, memory = ctypes.c_double, ctypes.c_void_p
@@ -198,7 +198,6 @@ def long_interval(**changes: Any) -> dict[str, Any]:
 AHEAD: dict[str, tuple[dict[str, Any], float]] = {
     "flow": ({"sampling": long_interval()}, 2e-5),
     "rk4": ({"sampling": long_interval(**scheme("rk4"))}, 2e-3),
-    "bs23": ({"sampling": long_interval(**scheme("bs23"))}, 2e-3),
     "mhe": ({"sampling": long_interval(), "estimator": {"kind": "mhe", "horizon": 2}}, 2e-5),
     "single": ({"sampling": long_interval(), "code": {"precision": "single"}}, 5e-4),
 }
@@ -244,31 +243,28 @@ def test_merged_samples_lose_no_displacement(motion: Motions, drive: Callable[..
 
 
 def test_own_signal_chain_has_no_lag(motion: Motions, drive: Callable[..., Drive]) -> None:
-    delay = 300e-6
-    c = drive(sampling=long_interval(), compensation={"delay": delay})
+    c = drive(sampling=long_interval(), compensation={"delay": DELAY})
     memory = c.new()
     for k in range(300):
         v = float(motion.velocity[k])
         found = c.insert(memory, np.array([motion.delayed_position[k], v, 0.0, 0.0, 0.0]))
         if k in (60, 150, 299):
-            expected = friction_at(moved(motion.chi[k], v, delay, 200), v)
+            expected = friction_at(moved(motion.chi[k], v, DELAY, 200), v)
             assert found == pytest.approx(expected, abs=2e-5)
 
 
 def test_measured_velocity_is_carried_to_the_instant_of_the_force(drive: Callable[..., Drive]) -> None:
     """Without a set-point the chain's delay must not show: at constant acceleration velocity is exact."""
-    delay, acceleration = 200e-6, 0.4
-    c = drive(friction={"viscous": 1e4}, sampling=long_interval(), compensation={"delay": delay})
-    weightless = drive(friction={"viscous": 0.0}, sampling=long_interval(), compensation={"delay": delay})
+    acceleration, viscous = 0.4, 1e8  # so much that nothing else counts
+    c = drive(friction={"viscous": viscous}, sampling=long_interval(), compensation={"delay": DELAY})
     time = np.arange(SAMPLES) / RATE
-    position = 0.5 * acceleration * time**2
-    viscous = c.run(c.new(), position, 0.0 * time) - weightless.run(weightless.new(), position, 0.0 * time)
+    found = c.run(c.new(), 0.5 * acceleration * time**2, 0.0 * time) / viscous
     settled = slice(60, None)
-    np.testing.assert_allclose(viscous[settled] / 1e4, acceleration * (time + delay)[settled], rtol=1e-6)
+    np.testing.assert_allclose(found[settled], acceleration * (time + DELAY)[settled], rtol=2e-5)
 
 
 def test_set_point_serves_one_sample(motion: Motions, drive: Callable[..., Drive]) -> None:
-    c = drive(sampling=long_interval(), compensation={"delay": 400e-6})
+    c = drive(sampling=long_interval(), compensation={"delay": DELAY})
     told, silent = c.new(), c.new()
     c.run(silent, motion.position[:100], motion.force[:100])
     c.run(told, motion.position[:100], motion.force[:100])
@@ -285,55 +281,46 @@ def test_set_point_serves_one_sample(motion: Motions, drive: Callable[..., Drive
 # --- effects ----------------------------------------------------------------------------------------------------
 
 
-def fed(c: Drive, motion: Motions) -> Array:
-    return c.run(c.new(), motion.position, motion.force, np.zeros(SAMPLES))
-
-
 def test_position_dependent_forces_are_those_of_the_position_ahead(
     motion: Motions, drive: Callable[..., Drive]
 ) -> None:
-    delay, v = 1e-3, 20e-3
+    v = 20e-3
     ripple = {"name": "force_ripple", "pitch_m": 1e-4, "amplitude_N": 0.8, "phase_rad": 0.7}
-    settings = {"sampling": long_interval(), "compensation": {"delay": delay}}
+    settings = {"sampling": long_interval(), "compensation": {"delay": DELAY}}
     plain, rippled = drive(**settings), drive(**settings, effects=[ripple])
     told = np.full(SAMPLES, v)
     found = [c.run(c.new(), motion.position, motion.force, told)[40:] for c in (plain, rippled)]
-    expected = 0.8 * np.sin(2 * np.pi / 1e-4 * (motion.position + v * delay) + 0.7)[40:]
+    expected = 0.8 * np.sin(2 * np.pi / 1e-4 * (motion.position + v * DELAY) + 0.7)[40:]
     np.testing.assert_allclose(found[1] - found[0], expected, rtol=0.0, atol=1e-6)
 
 
-LATE: dict[str, dict[str, float]] = {
-    "actuator_lag": {"time_constant_s": 5e-4},
-    "force_delay": {"delay_s": 4e-4},
-    "structural_resonance": {"frequency_Hz": 150.0, "damping_ratio": 0.02, "mass_kg": 3.0},
-    "mass_mismatch": {"mass_kg": 2.0},
-}
+LATE: list[dict[str, Any]] = [
+    {"name": "mass_mismatch", "mass_kg": 2.0},
+    {"name": "structural_resonance", "frequency_Hz": 150.0, "damping_ratio": 0.02, "mass_kg": 3.0},
+    {"name": "force_delay", "delay_s": 4e-4},
+    {"name": "actuator_lag", "time_constant_s": 5e-4},
+]
 
 
-@pytest.mark.parametrize("name", LATE)
-def test_what_answers_the_drive_itself_is_not_fed_back(name: str, motion: Motions, drive: Callable[..., Drive]) -> None:
+def test_what_answers_the_drive_itself_is_not_fed_back(motion: Motions, drive: Callable[..., Drive]) -> None:
     """A lag, a delay or a hanging mass is no friction: fed forward it would feed back."""
-    effects = [{"name": name, **LATE[name]}]
-    plain, late = drive(sampling=long_interval()), drive(sampling=long_interval(), effects=effects)
+    plain, late = drive(sampling=long_interval()), drive(sampling=long_interval(), effects=LATE)
     noise = np.random.default_rng(3).normal(0.0, 5.0, SAMPLES)
     found = [c.run(c.new(), motion.position, noise, np.zeros(SAMPLES)) for c in (plain, late)]
     np.testing.assert_allclose(found[1], found[0], rtol=0.0, atol=1e-9)
-    acceleration = 0.7
+    # The set-point's acceleration, where it is told, is what the heavier mass needs on top of the machine file's.
     inertia = []
     for c in (plain, late):
         memory = c.new()
-        c.c.probe_ahead(memory, 0.0, acceleration)
+        c.c.probe_ahead(memory, 0.0, 0.7)
         inertia.append(c.c.probe_tick(memory, 0.0, 0.0))
-    extra = LATE[name]["mass_kg"] * acceleration if name == "mass_mismatch" else 0.0
-    assert inertia[1] - inertia[0] == pytest.approx(extra, abs=1e-9)
+    assert inertia[1] - inertia[0] == pytest.approx(2.0 * 0.7, abs=1e-9)
 
 
 COUPLED: dict[str, dict[str, float]] = {
     "dwell_dependence": {},
     "hose_hysteresis": {},
     "backlash": {"gap_m": 2e-6},
-    "frictional_lag": {},
-    "asymmetric_coulomb": {"ratio": 0.2},
     "encoder_periodic_error": {},
 }
 
@@ -401,11 +388,9 @@ def test_off_feeds_nothing_and_estimates_the_same(log: Log, drive: Callable[...,
     assert s == t
 
 
-@pytest.mark.parametrize("precision", ["double", "single"])
-def test_ramp_up_and_down(precision: str, log: Log, drive: Callable[..., Drive]) -> None:
-    code = {"precision": precision}
-    full = ticked(drive(code=code), log)
-    c = drive(code=code, compensation={"ramp": 0.02})
+def test_ramp_up_and_down(log: Log, drive: Callable[..., Drive]) -> None:
+    full = ticked(drive(), log)
+    c = drive(compensation={"ramp": 0.02})
     memory, back, share = c.new(), np.empty(1200), np.empty(1200)
     for k in range(1200):
         if k in (500, 600):
@@ -415,8 +400,8 @@ def test_ramp_up_and_down(precision: str, log: Log, drive: Callable[..., Drive])
     step = 1.0 / (0.02 * RATE)
     expected = np.concatenate((np.minimum(step * np.arange(1, 501), 1.0), 1.0 - step * np.arange(1, 101)))
     expected = np.concatenate((expected, np.minimum(expected[-1] + step * np.arange(1, 601), 1.0)))
-    np.testing.assert_allclose(share, expected, rtol=0.0, atol=1e-4 if precision == "single" else 1e-12)
-    np.testing.assert_allclose(back, share * full[:1200], rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(share, expected, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(back, share * full[:1200], rtol=1e-12, atol=0.0)
 
 
 def test_limit(log: Log, drive: Callable[..., Drive]) -> None:
@@ -452,24 +437,24 @@ def test_set_point_that_starts_lets_go(log: Log, drive: Callable[..., Drive]) ->
 
 
 def test_lost_position_ramps_to_zero_and_back(log: Log, drive: Callable[..., Drive]) -> None:
-    c = drive(compensation={"ramp": 0.01})
+    c = drive(compensation={"ramp": 0.02})
     settle = settle_samples(c.machine)
     memory = c.new()
     position = log.position_m.copy()
     position[1000:1400] = np.nan
     back = c.run(memory, position[:1000], log.force_N[:1000])
     shares = []
-    for k in range(1000, 1700):
+    for k in range(1000, 1800):
         back = np.append(back, c.c.probe_tick(memory, float(position[k]), float(log.force_N[k])))
         shares.append(c.c.probe_share(memory))
     assert np.isfinite(back).all()
     assert shares[settle - 1] == 1.0, "a short gap is bridged"
-    assert shares[settle + 105] == 0.0 and back[1399] == 0.0
+    assert 0.0 < shares[settle + 150] < 1.0 and shares[settle + 205] == 0.0 and back[1399] == 0.0
     assert shares[-1] == 1.0
 
 
 def test_lost_samples_ramp_to_zero_and_back(log: Log, drive: Callable[..., Drive]) -> None:
-    c = drive(compensation={"ramp": 0.002})
+    c = drive(compensation={"ramp": 0.02})
     memory = c.new()
     for k in range(1200):
         c.c.probe_sample(memory, float(log.position_m[k]), float(log.force_N[k]))
@@ -478,7 +463,7 @@ def test_lost_samples_ramp_to_zero_and_back(log: Log, drive: Callable[..., Drive
             c.c.probe_feedback(memory)
             c.c.probe_prepare(memory)
         if k == 839:
-            assert c.c.probe_share(memory) == 0.0
+            assert c.c.probe_share(memory) == pytest.approx(1.0 - 39 / 200)
     assert c.c.probe_share(memory) == 1.0
 
 
@@ -507,7 +492,7 @@ def test_bad_input_never_reaches_the_drive(precision: str, log: Log, drive: Call
 
 
 def test_instances_do_not_disturb_each_other(log: Log, motion: Motions, drive: Callable[..., Drive]) -> None:
-    c = drive(compensation={"delay": 2e-4, "hold": 5e-6, "ramp": 0.01})
+    c = drive(compensation={"limit": 6.0, "delay": 3e-4, "hold": 1e-5})
     pairs = ((log.position_m[:SAMPLES], log.force_N[:SAMPLES]), (motion.position, motion.force))
     alone = [c.run(c.new(), *pair) for pair in pairs]
     memories = [c.new(), c.new()]
@@ -575,24 +560,24 @@ def test_single_precision_in_the_loop(compensated: Machine) -> None:
     assert found[1] == pytest.approx(found[0], rel=0.15)
 
 
-def stand(compensated: Machine, resolution_m: float, hold: float) -> tuple[float, float]:
+def stand(compensated: Machine, hold: float) -> tuple[float, float]:
     """Spread of error [m] and fed-forward force [N] over the last half second at rest."""
     path = Motion(RATE)
     path.wait(0.05)
     path.move_by(4e-3, 0.3, 3.0, 100.0)
-    path.wait(1.0)
-    settings = override_machine(compensated, {"compensation": {"hold": hold}, "estimator": {"kind": "ekf"}})
-    config = replace(axis_config(settings, 0), encoder_resolution_m=resolution_m)
+    path.wait(0.8)
     trajectory = path.trajectory("stand")
-    run = run_axis(settings, CompiledEstimator(settings), trajectory, truth_of(settings, drift=0.0), EKF, config=config)
+    settings = override_machine(compensated, {"compensation": {"hold": hold}, "estimator": {"kind": "ekf"}})
+    truth, config = truth_of(settings, drift=0.0), axis_config(settings, 0)
+    run = run_axis(settings, CompiledEstimator(settings), trajectory, truth, EKF, config=config)
     return float(np.ptp(run.error_m[-5000:])), float(np.ptp(run.compensation_N[-5000:]))
 
 
 def test_hold_ends_the_hunting_at_standstill(compensated: Machine) -> None:
     """An observer in the loop integrates, so it hunts about a standstill; a hold above the encoder's noise ends it."""
-    assert stand(compensated, 1e-8, 0.0)[0] > 5e-8
-    error, force = stand(compensated, 1e-8, 2e-5)
-    assert force == 0.0 and error < 2e-9
+    assert stand(compensated, 0.0)[0] > 1e-8
+    error, force = stand(compensated, compensated.compensation.hold)
+    assert force == 0.0 and error < 1e-9
 
 
 def test_set_point_is_not_needed(compensated: Machine) -> None:
