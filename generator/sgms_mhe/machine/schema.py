@@ -315,7 +315,13 @@ class Compensation(Table):
     delay: float = quantity("from a sample until the force that answers it acts, mean", "s", 0.0, ge=0, le=0.1)
     ramp: float = quantity("from off to fully on, and back", "s", 0.0, ge=0, le=100)
     limit: float | None = quantity("largest force fed forward; absent: none", "N", None, gt=0, le=1e9)
-    hold: float = quantity("speed below which the force fed forward holds: the axis stands", "m/s", 0.0, ge=0, le=10)
+    hold: float = quantity(
+        "speed below which the force fed forward holds; two encoder steps over the filters' delay end hunting at rest",
+        "m/s",
+        0.0,
+        ge=0,
+        le=10,
+    )
     enabled: bool = text("on from init on; otherwise the compensate call turns it on", "true or false", True)
 
 
