@@ -721,6 +721,16 @@ static double reference_at(const double *reference, size_t length, size_t k)
     return reference[k < length ? k : length - 1];
 }
 
+/* Central second difference `ahead` samples beyond sample k, linear in between. */
+static double acceleration_at(const double *reference, size_t length, size_t k, double ahead, double rate)
+{
+    const size_t at = k + (size_t)ahead;
+    const double part = ahead - floor(ahead), here = reference_at(reference, length, at);
+    const double before = at > 0 ? reference_at(reference, length, at - 1) : here;
+    const double next = reference_at(reference, length, at + 1), last = reference_at(reference, length, at + 2);
+    return ((1.0 - part) * (next - 2.0 * here + before) + part * (last - 2.0 * next + here)) * rate * rate;
+}
+
 static double measure_position(struct axis *axis)
 {
     double position = axis->position;
@@ -766,7 +776,7 @@ static double control(
     double measured_force,
     double before,
     double here,
-    double next)
+    double reference_acceleration)
 {
     const struct axis_settings *set = &axis->set;
     const double rate = set->rate, error = here - measured;
@@ -776,8 +786,7 @@ static double control(
 
     const double integral = axis->integral + error / rate;
     double command = set->proportional_gain * error + set->integral_gain * integral +
-                     set->derivative_gain * axis->derivative +
-                     set->acceleration_feedforward * (next - 2.0 * here + before) * rate * rate;
+                     set->derivative_gain * axis->derivative + set->acceleration_feedforward * reference_acceleration;
     if (axis->compensation != NULL) {
         command += axis->compensation(axis->compensation_context, measured, measured_force);
     }
@@ -870,6 +879,7 @@ void axis_run(
             axis->acceleration = (drive_force(axis) - friction - effects) / axis->moving_mass;
         }
         const double measured = measure_position(axis), measured_force = measure_force(axis);
+        const double wanted = acceleration_at(reference, length, k, axis->set.feedforward_lead * rate, rate);
 
         put(record->position_m, row, measured);
         put(record->force_N, row, measured_force);
@@ -888,7 +898,7 @@ void axis_run(
         if (prescribed) {
             run_prescribed(axis, here, next);
         } else {
-            run_controlled(axis, control(axis, measured, measured_force, before, here, next));
+            run_controlled(axis, control(axis, measured, measured_force, before, here, wanted));
         }
     }
 }

@@ -51,6 +51,7 @@ enum axis_control { AXIS_CONTROL_PRESCRIBED = 0, AXIS_CONTROL_POSITION = 1 };
     SCALAR(derivative_filter)        /* Hz, first order */                                                             \
     SCALAR(velocity_feedforward)     /* 0..1, share of the reference's velocity in the derivative term */              \
     SCALAR(acceleration_feedforward) /* kg, force per reference acceleration */                                        \
+    SCALAR(feedforward_lead)         /* s, how far ahead of the sample that acceleration is taken */                   \
     SCALAR(current_loop_lag)         /* s, first order from command to drive force; 0: none */                         \
     SCALAR(max_force)                /* N, limit of the command; 0: none */                                            \
     SCALAR(encoder_resolution)       /* m, 0: none */                                                                  \

@@ -108,6 +108,7 @@ def linear_model(**estimator: Any) -> Model:
         to_node=scale * chi,
         from_node=x / scale,
         output=3.0 * chi[0] - chi[1] + 0.5 * v * chi[2] + theta[2] * v + 0.2 * theta[0],
+        feed_forward=3.0 * chi[0] - chi[1] + 0.5 * v * chi[2] + theta[2] * v + 0.2 * theta[0],
         deflection=1e-5 * chi[0],
         level=1.0 + 0.0 * v,
         rho=ca.SX(1.0) + 0.0 * theta[0],

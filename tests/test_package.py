@@ -214,7 +214,7 @@ def test_freestanding(compiler: str, level: str, precision: str, require_tool: T
     assert {name for kind, name in found if kind == "U"} <= {"memcpy", "memset"}
     assert not [(kind, name) for kind, name in found if kind in "BbDdCcGgSs"], "writable globals"
     exported = {name for kind, name in found if kind.isupper() and kind != "U"}
-    public = "init reset tick sample insert due prepare feedback estimate status_text"
+    public = "init reset tick sample insert ahead compensate share due prepare feedback estimate status_text"
     assert exported == {f"etel_xy_{name}" for name in public.split()}
     # The program brings its own two functions only where the compiler wants them.
     (tmp_path / "memory.c").write_text(

@@ -29,6 +29,7 @@ COMMANDS: Final = {
     "diagnose": "diagnose",
     "plan": "plan",
     "experiment": "experiment",
+    "compensate": "compensate",
     "bench": "bench",
     "target": "target",
     "bench-diagnosis": "bench_diagnosis",

@@ -108,6 +108,17 @@ def lowpass_coefficients(machine: Machine) -> tuple[float, float, float, float, 
     return _coefficients(machine.sampling.velocity_cutoff / machine.sampling.rate)
 
 
+def chain_delay(machine: Machine) -> float:
+    """How late a slow signal leaves the chain [s]: the mean of its impulse response, two low-passes and one sample.
+
+    A Butterworth's impulse response has no variance, |H|^2 being flat: parabolas are late by this too, not only lines.
+    """
+    b0, b1, b2, a1, a2 = lowpass_coefficients(machine)
+    # Means add under multiplication of polynomials in 1/z and are subtracted under division.
+    mean = (b1 + 2.0 * b2) / (b0 + b1 + b2) - (a1 + 2.0 * a2) / (1.0 + a1 + a2)
+    return (1.0 + 2.0 * mean) * machine.sampling.step
+
+
 def settle_samples(machine: Machine) -> int:
     """Samples until the step response of two low-passes in series stays within 1 % of its final value."""
     return _settle(machine.sampling.velocity_cutoff / machine.sampling.rate)

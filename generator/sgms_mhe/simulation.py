@@ -40,6 +40,23 @@ MAX_SUBSTEPS: Final = 256
 COMPENSATION = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_double, ctypes.c_double)
 """C signature of a compensation: (context, measured position [m], measured force [N]) -> force to add [N]."""
 
+
+@dataclass(frozen=True)
+class NativeCompensation:
+    """A compensation in C: no interpreter in between, so that the axis runs at full speed and can be interrupted.
+
+    Attributes:
+        function: a `COMPENSATION`.
+        context: its first argument; whoever makes it keeps what it points to alive.
+    """
+
+    function: Any
+    context: int
+
+
+Compensation = Callable[[float, float], float] | NativeCompensation
+"""Called each sample with measured position [m] and force [N]; returns the force [N] to add."""
+
 _EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
@@ -56,6 +73,8 @@ class Controller:
         filter_Hz: first-order filter of the derivative term.
         velocity_feedforward: c_v, 0 to 1.
         acceleration_feedforward_kg: m.
+        feedforward_lead_s: how far ahead of the sample the reference's acceleration is taken; the time in which the
+            drive answers makes its force act when it is due.
     """
 
     proportional: float
@@ -64,9 +83,10 @@ class Controller:
     filter_Hz: float
     velocity_feedforward: float = 1.0
     acceleration_feedforward_kg: float = 0.0
+    feedforward_lead_s: float = 0.0
 
     @classmethod
-    def pid(cls, mass: float, bandwidth_Hz: float) -> Self:
+    def pid(cls, mass: float, bandwidth_Hz: float, *, feedforward_lead_s: float = 0.0) -> Self:
         """Crossover at the bandwidth with 50 degrees of phase left: zeros at 1/3 and 1/10 of it, filter at 10 times."""
         omega = 2.0 * math.pi * bandwidth_Hz
         proportional = mass * omega**2 / 3.0
@@ -76,6 +96,7 @@ class Controller:
             mass * omega,
             10.0 * bandwidth_Hz,
             acceleration_feedforward_kg=mass,
+            feedforward_lead_s=feedforward_lead_s,
         )
 
     @classmethod
@@ -215,7 +236,7 @@ def simulate_axis(
     drift: Mapping[str, Drift] = _EMPTY,
     drift_block_s: float = 0.01,
     hidden_effects: Sequence[tuple[str, Mapping[str, float]]] = (),
-    compensation: Callable[[float, float], float] | None = None,
+    compensation: Compensation | None = None,
     truth: bool = True,
 ) -> SimulatedRun:
     """Move a machine's axis along a trajectory and log what its sensors say.
@@ -235,7 +256,7 @@ def simulate_axis(
         drift_block_s: how long a drifting parameter stays constant [s].
         hidden_effects: (name, parameters) of effects that the plant has and the machine file does not know.
         compensation: called each sample with measured position [m] and force [N]; its force [N] adds to the
-            controller's. A `COMPENSATION` object is called without the interpreter in between.
+            controller's. A `NativeCompensation` is called without the interpreter in between.
         truth: record it; a long run without takes a third of the memory.
 
     Returns:
@@ -413,6 +434,7 @@ class _Axis:
             "derivative_filter": controller.filter_Hz,
             "velocity_feedforward": controller.velocity_feedforward,
             "acceleration_feedforward": controller.acceleration_feedforward_kg,
+            "feedforward_lead": controller.feedforward_lead_s,
             "current_loop_lag": 1.0 / (2.0 * math.pi * config.current_loop_Hz),
             "max_force": config.max_force_N if math.isfinite(config.max_force_N) else 0.0,
             "encoder_resolution": config.encoder_resolution_m,
@@ -442,15 +464,18 @@ class _Axis:
             parameter.assign(parameter.value * factor)
         self._apply()
 
-    def compensate(self, compensation: Callable[[float, float], float] | None) -> None:
+    def compensate(self, compensation: Compensation | None) -> None:
         """Add a force to the controller's at every sample."""
         if compensation is None:
             return
-        if isinstance(compensation, COMPENSATION):
+        context = None
+        if isinstance(compensation, NativeCompensation):
+            self._compensation, context = compensation.function, compensation.context
+        elif isinstance(compensation, COMPENSATION):
             self._compensation = compensation
         else:
             self._compensation = COMPENSATION(lambda _, position, force: compensation(position, force))
-        self._c.axis_set_compensation(self._memory, self._compensation, None)
+        self._c.axis_set_compensation(self._memory, self._compensation, context)
 
     def place(self, position: float) -> None:
         """Put the axis at rest."""

@@ -118,3 +118,18 @@ const char *probe_status_text(int status)
 {
     return CALL(status_text)(status);
 }
+
+void probe_ahead(void *self, double velocity, double acceleration)
+{
+    CALL(ahead)((machine *)self, (machine_real)velocity, (machine_real)acceleration);
+}
+
+void probe_compensate(void *self, int on)
+{
+    CALL(compensate)((machine *)self, on);
+}
+
+double probe_share(const void *self)
+{
+    return (double)CALL(share)((const machine *)self);
+}

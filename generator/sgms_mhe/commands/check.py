@@ -87,6 +87,12 @@ def _text(machine: Machine, package: Package) -> str:
         f"drift {noise.parameter_drift:g} per update",
         _indented(table_text(("parameter", "nominal", "prior std", "lower", "upper"), parameters)),
     ]
+    fed = machine.compensation
+    limit = "none" if fed.limit is None else f"{fed.limit:g} N"
+    lines.append(
+        f"  fed forward {'on' if fed.enabled else 'off'} after init, {1e6 * fed.delay:g} us ahead, "
+        f"ramp {fed.ramp:g} s, limit {limit}, hold below {fed.hold:g} m/s"
+    )
     for effect in machine.effects:
         numbers = ", ".join(f"{key} {value:g}" for key, value in effect.parameters.items())
         lines.append(f"  effect      {effect.label}: {numbers}")

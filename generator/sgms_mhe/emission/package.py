@@ -23,7 +23,7 @@ from sgms_mhe.emission.flow_table import flow_table, gate_ratio
 from sgms_mhe.emission.graph import Graph, Node, operations, walk
 from sgms_mhe.emission.selftest import selftest_vectors
 from sgms_mhe.errors import InputError
-from sgms_mhe.kinematics import lowpass_coefficients, settle_samples
+from sgms_mhe.kinematics import chain_delay, lowpass_coefficients, settle_samples
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES, Model, build_model
 from sgms_mhe.model.friction import SATURATED
@@ -42,6 +42,10 @@ MOVE = 0.2
 """How far the end of an interval may move before that, over sqrt(sigma_x / lambda)."""
 STEP_COST_PER_ROW = 30
 """Multiplications, or so, of one step of the series for each of chi and its sensitivities."""
+AHEAD_DISPLACEMENT = 0.05
+"""Largest move per Runge-Kutta step of the propagation ahead, in deflection scales: no sensitivity hangs on it."""
+FARTHEST_MOVE = 10.0
+"""An element that has moved on by so many deflection scales slides, wherever it was."""
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
 
@@ -323,6 +327,13 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "kept_width": 2 * model.n_x + model.n_p + 1,
         "parameter_columns": [p.column for p in model.parameters],
         "parameter_unit": [abs(p.scale) for p in model.parameters],
+        "compensation": _compensation_context(machine),
+        "ahead_displacement": AHEAD_DISPLACEMENT,
+        "farthest_move": FARTHEST_MOVE,
+        "feed_forward": emitter.function(
+            [("y", ca.substitute(model.feed_forward, model.chi, model.from_node))],
+            inputs={"x": "x", "w": "w", "theta": "theta"},
+        ),
         "memory_text": "static or on a stack that is large enough",
         "sample_terms": emitter.function(
             [(f"term[{k} * stride]", t.expression) for k, t in enumerate(structure.sample_terms)], inputs={"w": "w"}
@@ -379,6 +390,7 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         ("config.h.jinja", f"{name}_config.h"),
         ("model.h.jinja", f"{name}_model.h"),
         ("integrator.h.jinja", f"{name}_integrator.h"),
+        ("compensation.h.jinja", f"{name}_compensation.h"),
     ]
     return context
 
@@ -460,6 +472,28 @@ def _costs(model: Model, relinearise: str, *, slots: int, steps: int, samples: i
     return _Costs(recover, step, node, per_sample)
 
 
+def _compensation_context(machine: Machine) -> dict[str, Any]:
+    compensation, rate = machine.compensation, machine.sampling.rate
+    lag, h = chain_delay(machine), machine.sampling.step
+    # At constant acceleration the filtered velocity is that of lag + h/2 ago (a difference is the velocity of half a
+    # sample ago). The mean velocity since, the displacement beyond the filtered position over the lag, is later by:
+    later = 0.5 * (lag + h)
+    return {
+        "delay": compensation.delay,
+        "over_delay": (lag + 0.5 * h + 0.5 * compensation.delay) / later,
+        "at_end": (lag + 0.5 * h + compensation.delay) / later,
+        "gain_step": min(1.0, 1.0 / (rate * compensation.ramp)) if compensation.ramp else 1.0,
+        "hold": compensation.hold,
+        "limit": compensation.limit,
+        "enabled": int(compensation.enabled),
+        "lag": lag,
+        "carry": math.exp(-1.0 / machine.sampling.samples_per_update),
+        "lag_text": f"{1e3 * lag:.3g} ms",
+        "delay_text": f"{1e6 * compensation.delay:g} us",
+        "ramp_text": f"{1e3 * compensation.ramp:g} ms",
+    }
+
+
 def hold_path(machine: Machine) -> float:
     """Path [m] of an interval below which it says nothing of the parameters: 10 % of the smallest deflection scale."""
     friction = machine.friction
@@ -502,6 +536,10 @@ def _group_context(
         ]
         for b in group.blocks
     ]
+    ahead_terms = [f"term[{k}]" for k in range(len(terms))] + ["q", "data"]
+    ahead_rates = [
+        (b.rate_per_metre / AHEAD_DISPLACEMENT, b.rate_per_second / integrator.displacement) for b in group.blocks
+    ]
     result: dict[str, Any] = {
         "name": group.name,
         "NAME": group.name.upper(),
@@ -517,6 +555,9 @@ def _group_context(
         "call_between": [f"at{i}" for i in range(m)] + [f"between[{k} * WIDE + l]" for k in range(len(terms))] + inputs,
         "law": law,
         "slopes": slopes,
+        "ahead_call": [f"at{i}" for i in range(m)] + ahead_terms,
+        "is_slider": group.is_elements and m == 1,
+        "ahead_rates": ["{" + ", ".join(number(v) for v in row) + "}" for row in ahead_rates],
         "rhs": emitter.group_function(
             group,
             [(f"rate[{i}]", n) for i, n in enumerate(group.rhs)]
@@ -558,6 +599,7 @@ def _group_context(
             )
             for b in group.blocks
         ]
+        result["ahead_flow_call"] = [f"chi[{i}]" for i in range(1, m)] + ahead_terms
         outputs = [(f"end[{i}]", n) for i, n in enumerate(group.upstream)]
         outputs += [(f"by_state[{i}]", n) for i, n in enumerate(group.upstream_by_state)]
         outputs += [(f"by_q[{k}]", n) for k, n in enumerate(group.upstream_by_q)]

@@ -345,6 +345,22 @@ class Estimator(Table):
         return self
 
 
+class Compensation(Table):
+    """The friction that tick feeds forward to the drive."""
+
+    delay: float = quantity("from a sample until the force that answers it acts, mean", "s", 0.0, ge=0, le=0.1)
+    ramp: float = quantity("from off to fully on, and back", "s", 0.0, ge=0, le=100)
+    limit: float | None = quantity("largest force fed forward; absent: none", "N", None, gt=0, le=1e9)
+    hold: float = quantity(
+        "speed below which the force fed forward holds; two encoder steps over the filters' delay end hunting at rest",
+        "m/s",
+        0.0,
+        ge=0,
+        le=10,
+    )
+    enabled: bool = text("on from init on; otherwise the compensate call turns it on", "true or false", True)
+
+
 class Code(Table):
     """The emitted C."""
 
@@ -461,6 +477,9 @@ class Machine(Table):
         Sampling(integrator=Integrator(substeps=100)), description="rates; default 10 kHz, 100 Hz"
     )
     estimator: Estimator = Field(Estimator(), description="the observer; default as in its keys")
+    compensation: Compensation = Field(
+        Compensation(), description="the friction fed forward; default: at once, unlimited, without a delay"
+    )
     code: Code = Field(Code(), description="the emitted C; default double precision")
     effects: Annotated[tuple[Effect, ...], Field(strict=False)] = Field(
         (), description="what the axis has beyond S-GMS; none, one or many; default none"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sgms_mhe.errors import InputError
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.axis import SIGNAL_NAMES, StateSpec, SymbolicAxis
-from sgms_mhe.model.effects import STAGES, effect_definition
+from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.friction import FrictionSymbols, Smoothing, add_friction, declare_elements
 
 
@@ -45,6 +45,8 @@ class Model:
         to_node: node state x (n_x) of (chi, theta).
         from_node: chi (n_x) of (x, theta).
         output: friction force [N] of (chi, w, theta).
+        feed_forward: what the drive has to give beyond mass * acceleration [N], of (chi, w, theta): `output` without
+            what makes the log late, and with states that acceleration or drive force move at rest where these hold.
         deflection: z [m] (n_z) of (chi, theta).
         level: s(v) / f_C times the effects' factors, of (w, theta), and of chi where an effect's state sets it.
         rho: d(chi_i)/dt of an element that sticks over the measured velocity [1/m] (n_z), of (w, theta):
@@ -63,6 +65,7 @@ class Model:
     to_node: ca.SX
     from_node: ca.SX
     output: ca.SX
+    feed_forward: ca.SX
     deflection: ca.SX
     level: ca.SX
     rho: ca.SX
@@ -197,6 +200,15 @@ def build_model(machine: Machine) -> Model:
                 axis.scope = label
                 definition.contribute(axis, expressions, nominal)
 
+    def prompt_drive() -> ca.SX:
+        """The drive's force after the stages from "log" on, effects with states left out: these make the log late."""
+        logged = axis.drive
+        for definition, _, nominal, expressions in effects:
+            if definition.stage in ("log", "actuator") and not definition.states:
+                definition.contribute(axis, expressions, nominal)
+        prompt, axis.drive = axis.drive, logged
+        return prompt
+
     contribute("signal")
     declare_elements(
         axis,
@@ -210,28 +222,56 @@ def build_model(machine: Machine) -> Model:
     contribute("level")
     smoothing = Smoothing(friction.smoothing.zeta, friction.smoothing.lambda_, friction.smoothing.gamma)
     elements = add_friction(axis, friction.fraction, symbols, smoothing)
-    for stage in STAGES[2:]:
+    for stage in ("force", "motor"):
+        contribute(stage)
+    prompt = prompt_drive()
+    for stage in ("log", "actuator"):
         contribute(stage)
     rates = [state.rate for state in axis.states if state.rate is not None]
     if len(rates) != len(axis.states):
         raise ValueError("an effect declared a state and gave it no rate")
+    chi, rhs = ca.vertcat(*(state.chi for state in axis.states)), ca.vertcat(*rates)
     return Model(
         machine=machine,
         states=tuple(state.spec for state in axis.states),
         parameters=tuple(parameters.free),
-        chi=ca.vertcat(*(state.chi for state in axis.states)),
+        chi=chi,
         x=ca.vertcat(*(state.node for state in axis.states)),
         theta=ca.vertcat(*parameters.symbols),
         w=axis.measured,
-        rhs=ca.vertcat(*rates),
+        rhs=rhs,
         to_node=ca.vertcat(*(state.to_node for state in axis.states)),
         from_node=ca.vertcat(*(state.from_node for state in axis.states)),
         output=axis.output,
+        feed_forward=_at_rest(prompt - axis.mass * axis.measured[2], rhs, chi, axis.measured),
         deflection=elements.deflection,
         level=elements.level,
         rho=elements.rho,
         names=tuple(state.names for state in axis.states),
     )
+
+
+def _at_rest(force: ca.SX, rhs: ca.SX, chi: ca.SX, w: ca.SX) -> ca.SX:
+    """A force with the states that acceleration or drive force move where they come to rest while these hold.
+
+    A force that answers the drive's own force is no friction: fed forward it would feed back. Such states obey linear
+    equations; with them go the states that they read, J chi + c = 0 for all.
+    """
+    driven = {i for i in range(chi.numel()) if ca.depends_on(rhs[i], w[2:4])}
+    while more := [j for j in range(chi.numel()) if j not in driven and _reads(rhs, driven, chi[j])]:
+        driven |= set(more)
+    if not any(ca.depends_on(force, chi[i]) for i in driven):
+        return force
+    order = sorted(driven)
+    moved = ca.vertcat(*(chi[i] for i in order))
+    rate = ca.vertcat(*(rhs[i] for i in order))
+    slope = ca.jacobian(rate, moved)
+    rest = -ca.solve(slope, ca.substitute(rate, moved, ca.SX.zeros(len(order))))
+    return ca.substitute(force, moved, rest)
+
+
+def _reads(rhs: ca.SX, states: set[int], symbol: ca.SX) -> bool:
+    return any(ca.depends_on(rhs[i], symbol) for i in states)
 
 
 __all__ = ["SIGNAL_NAMES", "FreeParameter", "Model", "StateSpec", "build_model"]
