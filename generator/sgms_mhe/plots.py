@@ -76,10 +76,9 @@ def save_figure(path: Path, figure: Figure) -> None:
     """Write a figure as PNG, or SVG where the path says so, atomically; the same figure gives the same bytes."""
     FigureCanvasAgg(figure)
     is_svg = path.suffix == ".svg"
-    with atomic_write(path) as stream, rc_context({"svg.hashsalt": path.name}):
-        figure.savefig(
-            stream, format="svg" if is_svg else "png", dpi=150, metadata={"Date" if is_svg else "Software": None}
-        )
+    metadata = {"Date": None, "Creator": None} if is_svg else {"Software": None}
+    with atomic_write(path) as stream, rc_context({"svg.hashsalt": "sgms-mhe"}):
+        figure.savefig(stream, format="svg" if is_svg else "png", dpi=150, metadata=metadata)
 
 
 def _figure(height_in: float) -> Figure:

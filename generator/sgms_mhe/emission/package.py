@@ -36,6 +36,8 @@ RUNTIME_VERSION = 1
 RUNTIME_HEADERS = ("sgms_real.h", "sgms_math.h", "sgms_linalg.h", "sgms_filter.h")
 FARTHEST = 5.0
 """Relative deflection that no element comes near: a level is reached at 1."""
+IMPLAUSIBLE = 1e4
+"""A state so many standard deviations of the first node's away from zero is no solution (DESIGN section 4)."""
 CHOSEN = 2
 """Intervals that an update linearises anew at most, where `relinearise` is "auto" (DESIGN section 4)."""
 MOVE = 0.2
@@ -302,6 +304,7 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "hold_path": hold_path(machine),
         "inverse_measurement": 1.0 / noise.measurement,
         "prior_sd": noise.parameter,
+        "implausible": IMPLAUSIBLE,
         "drift_sd": noise.parameter_drift if not (fixed and horizon) else 0.0,
         "bounded": bounded,
         "lower": [max(v, -largest) for v in lower],

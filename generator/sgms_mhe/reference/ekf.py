@@ -37,7 +37,8 @@ def run_ekf(record: Record, progress: Progress | None = None) -> Estimates:
                 innovation = float(record.y[node] - window.outputs.y[1])
                 new, P_new = measurement_update(new, P_new, C, innovation, weights.sigma_y)
         P_new = 0.5 * (P_new + P_new.T)
-        if np.all(np.isfinite(new)) and np.all(np.isfinite(P_new)) and np.all(np.diag(P_new) > 0.0):
+        is_finite = np.all(np.isfinite(new)) and np.all(np.isfinite(P_new)) and np.all(np.diag(P_new) > 0.0)
+        if is_finite and weights.is_plausible(new[:n_x]):
             mean, P = new, P_new
             std = np.sqrt(np.diag(P)[n_x:])
             if np.any((mean[n_x:] < weights.lower) | (mean[n_x:] > weights.upper)):

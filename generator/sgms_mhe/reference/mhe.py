@@ -224,7 +224,7 @@ def _solve(
         theta = np.clip(window.theta + step[-n_p:], weights.lower, weights.upper)
     x = window.x + step[:-n_p].reshape(nodes, n_x)
     # An older node that is not finite is found by the next update.
-    if not (np.all(np.isfinite(x[-1])) and np.all(np.isfinite(theta)) and np.all(np.isfinite(std))):
+    if not (weights.is_plausible(x[-1]) and np.all(np.isfinite(theta)) and np.all(np.isfinite(std))):
         return None
     return x, theta, std, is_active
 

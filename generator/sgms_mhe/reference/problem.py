@@ -19,6 +19,8 @@ Progress = Callable[[int, int], None]
 """Called as progress(updates done, updates in all)."""
 
 HOLD_PART = 0.1
+IMPLAUSIBLE = 1e4
+"""A state so many standard deviations of the first node's away from zero is no solution."""
 MOVE = 0.2
 REFUSED = -1
 NOT_FINITE = -2
@@ -82,6 +84,10 @@ class Weights:
             hold_path=HOLD_PART * float(scales.min()),
             max_velocity=machine.sampling.max_velocity,
         )
+
+    def is_plausible(self, x: Array) -> bool:
+        """Whether a state (n_x) is finite and one that an axis can have."""
+        return bool(np.all(np.abs(x) < IMPLAUSIBLE * self.initial_state))
 
     @property
     def prior(self) -> tuple[Array, Array]:
