@@ -10,7 +10,11 @@
 #include <string.h>
 
 #define TWO_PI 6.283185307179586
-#define SETTLED 3e-5 /* distance in r at which the linear equation is good to 1e-8 */
+#define SETTLED 3e-5  /* distance in r at which the linear equation is good to 1e-8 */
+#define AT_REST 1e-12 /* dr/dxi of an element that moves no more */
+#define FARTHEST 4e6  /* m; no axis is there: the loop is unstable */
+#define STRONGEST 1e9 /* N, likewise */
+#define RESONANT 0.5  /* omega times step of a hanging mass, at most: its frequency is then right to 1 % */
 
 /* ---- tables ------------------------------------------------------------------------------------------------- */
 
@@ -250,9 +254,12 @@ static double sgms_move(const struct axis *axis, double r, double xi, double gat
             return axis->slip_root + (r - axis->slip_root) * exp(-axis->slip_rate * xi);
         }
         /* RK4 with steps that resolve the window, whose width in r goes with 1 / lambda; slower beyond its edge. */
-        const double step = open && r > edge ? 0.15 : 0.4 / axis->set.lambda;
+        const double step = r > edge ? (open ? 0.15 : 0.05) : 0.4 / axis->set.lambda;
         const double h = step < xi ? step : xi;
         const double k1 = slip(axis, r, gate);
+        if (!(fabs(k1) > AT_REST)) {
+            return r; /* in balance with its gate, or not a number: however long the rest of the way, it stays */
+        }
         const double k2 = slip(axis, r + 0.5 * h * k1, gate);
         const double k3 = slip(axis, r + 0.5 * h * k2, gate);
         const double k4 = slip(axis, r + h * k3, gate);
@@ -653,10 +660,10 @@ int axis_apply(struct axis *axis)
 {
     const struct axis_settings *set = &axis->set;
     if (!(set->rate > 0.0) || !(set->substeps >= 1.0) || set->substeps > AXIS_MAX_SUBSTEPS) {
-        return -1;
+        return AXIS_BAD_SETTING;
     }
     if (!(set->elements >= 1.0) || set->elements > AXIS_MAX_ELEMENTS) {
-        return -1;
+        return AXIS_BAD_SETTING;
     }
 
     axis->law = (int)set->law;
@@ -674,11 +681,17 @@ int axis_apply(struct axis *axis)
         }
         if (axis->effect[i].kind == STRUCTURAL_RESONANCE) {
             axis->moving_mass -= axis->effect[i].parameter[2];
+            if (!(TWO_PI * axis->effect[i].parameter[0] * axis->step <= RESONANT)) {
+                return AXIS_FAST_RESONANCE;
+            }
         }
     }
     const double delay = delay_of(axis);
-    if (!(axis->moving_mass > 0.0) || !(delay >= 0.0) || delay / axis->step > AXIS_HISTORY - 2) {
-        return -1;
+    if (!(axis->moving_mass > 0.0)) {
+        return AXIS_NO_MASS;
+    }
+    if (!(delay >= 0.0) || delay / axis->step > AXIS_HISTORY - 2) {
+        return AXIS_LONG_DELAY;
     }
     find_slip_root(axis);
     /* exp(-34) = 2e-15: no slip within rounding; only where the two halves of the window do not overlap */
@@ -846,7 +859,7 @@ static void put(double *column, size_t row, double value)
     }
 }
 
-void axis_run(
+size_t axis_run(
     struct axis *axis,
     const double *reference,
     size_t length,
@@ -870,6 +883,9 @@ void axis_run(
             axis->acceleration = (drive_force(axis) - friction - effects) / axis->moving_mass;
         }
         const double measured = measure_position(axis), measured_force = measure_force(axis);
+        if (!(fabs(measured) < FARTHEST && fabs(measured_force) < STRONGEST)) {
+            return row;
+        }
 
         put(record->position_m, row, measured);
         put(record->force_N, row, measured_force);
@@ -891,4 +907,5 @@ void axis_run(
             run_controlled(axis, control(axis, measured, measured_force, before, here, next));
         }
     }
+    return count;
 }
