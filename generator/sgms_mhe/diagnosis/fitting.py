@@ -2,28 +2,37 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes
+import hashlib
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.build import cache_dir
 from sgms_mhe.compiled import CompiledModel
 from sgms_mhe.diagnosis.residuals import Recording
+from sgms_mhe.emission.package import RUNTIME_HEADERS, Package, digest_of_sources, emit_package
+from sgms_mhe.files import write_text
 from sgms_mhe.kinematics import Signals
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.paths import runtime_dir
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memory of derivatives
 ITERATIONS: Final = 12
+UNSTABLE: Final = 1e6  # derivative over the largest friction: no step was short enough
+ENOUGH: Final = 10.0  # rows' worth of noise that a step must promise
 BASE_PRIOR: Final = 1.0  # relative; holds what the record does not excite
 FROZEN: Final[Mapping[str, tuple[str, ...]]] = {"step_disturbance": ("time_s",)}
 """Parameters in which the force jumps: their search ends on the grid, not in a refit."""
@@ -35,6 +44,10 @@ BASE_GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
     "stribeck": ("stribeck_ratio", "stribeck_velocity"),
 }
 """Wrong numbers of the base model that can be named, and the parameters that each of them means."""
+
+
+class FitError(RuntimeError):
+    """A model that cannot be fitted to this record: it is not finite where its fit starts."""
 
 
 @dataclass(frozen=True)
@@ -83,8 +96,16 @@ class CompiledFit(CompiledModel):
     """The emitted model along a recording, in pieces of bounded memory, reduced to the fit's rate."""
 
     def __init__(self, machine: Machine, columns: tuple[Column, ...]) -> None:
-        super().__init__(machine)
+        super().__init__(machine, _package(machine))
         self.columns = columns
+
+    def ordered(self, places: Sequence[int]) -> CompiledFit:
+        """The same code for effects under test in another order: `places[i]` is where number i stands in the order."""
+        other = copy.copy(self)
+        other.columns = tuple(
+            replace(c, group=f"+{places[int(c.group[1:])]}") if c.group.startswith("+") else c for c in self.columns
+        )
+        return other
 
     def run(self, recording: Recording, theta: Array, *, derivatives: bool = True) -> tuple[Array, Array | None]:
         """Friction (m) [N] and its derivatives in theta (m, n_p)."""
@@ -194,15 +215,14 @@ class Workshop:
         self.noise = 1.0  # N, weight of the prior
         self.fits = 0
         self.starts: dict[str, float] = {}  # SI, for numbers that the machine file gives no idea of
+        self.fine: Workshop | None = None  # what this one was thinned from
         self._known: dict[object, Fit] = {}
 
-    @cached_property
-    def coarse(self) -> Workshop:
-        """The same record at the fit's rate, for searches that run models: mean signals, so displacements are exact."""
-        return self.thinned(self.recording.factor)
-
     def thinned(self, factor: int) -> Workshop:
-        """The same record with the mean signals of `factor` samples, a divisor of the recording's own factor."""
+        """The same record with the mean signals of `factor` samples, a divisor of the recording's own factor.
+
+        Means keep displacements exact. What else a longer step changes, `align` takes out.
+        """
         recording = self.recording
         if factor == 1:
             return self
@@ -233,12 +253,33 @@ class Workshop:
             missing=np.asarray(signals.missing[:n].reshape(-1, factor).any(axis=1)),
         )
         other = Workshop(machine, replace(recording, machine=machine, signals=thin, factor=recording.factor // factor))
-        other.noise, other.starts = self.noise, self.starts
+        other.noise, other.starts, other.fine = self.noise, self.starts, self
         return other
+
+    def align(self, fit: Fit) -> None:
+        """Make this thinned workshop agree with the one it was thinned from, at a fit.
+
+        The difference of the two models' friction at the fit's parameters is taken out of the measured friction, so
+        that residuals there are those of the full rate; away from there only the change of that difference is missing.
+        """
+        if self.fine is None:
+            return
+        model, fine = self.fine.model(fit.extras), self.fine
+        known = {(c.group, c.name): c.si(t) for c, t in zip(fit.model.columns, fit.theta, strict=True)}
+        theta = np.array([c.theta(known[c.group, c.name]) for c in model.columns])
+        exact, _ = model.run(fine.recording, theta, derivatives=False)
+        thin, _ = fit.model.run(self.recording, fit.theta, derivatives=False)
+        if np.all(np.isfinite(exact)) and np.all(np.isfinite(thin)):
+            self.recording = replace(self.recording, friction=fine.recording.friction - (exact - thin))
+            self._known.clear()
 
     def model(self, extras: Sequence[Extra]) -> CompiledFit:
         """The machine with effects added, everything in it a free parameter."""
-        return compiled_fit(_Key(self.machine, tuple((e.name, _snapped(self.machine, e)) for e in extras)))
+        keys = [(e.name, _snapped(self.machine, e)) for e in extras]
+        # Compiled in the order of their names: what order effects were found in must not cost another compilation.
+        places = sorted(range(len(keys)), key=lambda i: keys[i])
+        compiled = compiled_fit(_Key(self.machine, tuple(keys[i] for i in places)))
+        return compiled if places == list(range(len(keys))) else compiled.ordered(places)
 
     def start(self, model: CompiledFit, extras: Sequence[Extra], warm: Fit | None = None) -> Array:
         """Parameters to start from: the machine's, a warm fit's where it has them, the proposals' otherwise."""
@@ -338,17 +379,21 @@ class Workshop:
         limit = np.array([_step_limit(c, t, recording) for c, t in zip(columns, theta, strict=True)])[free]
         theta = theta.copy()
         theta[free] = np.clip(theta[free], lower, upper)
+        largest = UNSTABLE * float(np.max(np.abs(recording.friction)))
 
         def evaluate(at: Array) -> tuple[Array, Array, float]:
             y, slopes = model.run(recording, at)
             residual = recording.friction - y
             cost = float(residual[seen] @ residual[seen]) + float(prior_rows @ (at[free] - centre) ** 2)
-            if slopes is None or not math.isfinite(cost):
-                cost = math.inf
-            return residual, np.empty((0, 0)) if slopes is None else slopes, cost
+            # A state that its steps are too long for shows in its derivatives first.
+            if slopes is None or not math.isfinite(cost) or not float(np.max(np.abs(slopes))) < largest:
+                return residual, np.empty((0, 0)), math.inf
+            return residual, slopes, cost
 
         residual, slopes, cost = evaluate(theta)
         damping = 1e-4
+        if not math.isfinite(cost):
+            raise FitError("the model is not finite where its fit starts")
         if not free.any():
             return theta, residual, slopes
         for _ in range(iterations):
@@ -357,7 +402,7 @@ class Workshop:
             g = X.T @ residual[seen] - prior_rows * (theta[free] - centre)
             diagonal = np.diag(H) + prior
             # A step that promises less than the noise of a few rows is not worth an evaluation.
-            enough = 10.0 * cost / len(X)
+            enough = ENOUGH * cost / len(X)
             improved, promised = False, 0.0
             for _ in range(3):
                 A = H + np.diag(prior_rows + damping * diagonal + 1e-12 * max(1e-30, float(diagonal.max())))
@@ -367,7 +412,7 @@ class Workshop:
                 trial = theta.copy()
                 trial[free] = theta[free] + step
                 promised = float(2.0 * g @ step - step @ (H @ step) - prior_rows @ step**2)
-                if promised < enough:
+                if not promised >= enough:
                     break
                 new_residual, new_slopes, new_cost = evaluate(trial)
                 if new_cost < cost:
@@ -445,7 +490,29 @@ class _Key:
         object.__setattr__(self, "digest", self.machine.digest)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=1)
+def _runtime_digest() -> str:
+    headers = [(runtime_dir() / name).read_bytes() for name in (*RUNTIME_HEADERS, "sgms_flow.h")]
+    return hashlib.sha256(b"".join(headers)).hexdigest()
+
+
+def _package(machine: Machine) -> Package:
+    """The machine's package, from the cache of compiled libraries where it was emitted before.
+
+    Every log of an axis asks for the same few dozen models; to derive and print one takes longer than to run it.
+    """
+    key = hashlib.sha256(f"{machine.digest} {digest_of_sources()} {_runtime_digest()}".encode()).hexdigest()[:24]
+    path = cache_dir() / f"package-{key}.json"
+    try:
+        return Package(machine, json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError):
+        package = emit_package(machine, selftest=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, json.dumps(dict(package.files)))
+    return package
+
+
+@lru_cache(maxsize=512)
 def compiled_fit(key: _Key) -> CompiledFit:
     """Compile a machine with effects added and every parameter free."""
     machine = key.machine

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.candidates import Proposal, degenerate, motion_of, search, stribeck_start
 from sgms_mhe.diagnosis.evidence import difference_statistic, gain_force, nuisance, score_test
-from sgms_mhe.diagnosis.fitting import BASE_GROUPS, Extra, Fit, Workshop, cross_loss
+from sgms_mhe.diagnosis.fitting import BASE_GROUPS, Extra, Fit, FitError, Workshop, cross_loss
 from sgms_mhe.diagnosis.result import Score
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 
@@ -23,8 +23,10 @@ MATERIAL: Final = 0.012  # of f_C, RMS: less is no cause but a detail
 MATERIAL_NOISE: Final = 0.25  # of the noise floor
 ROUNDS: Final = 5
 REFITS: Final = 4  # per round
+CLEAR: Final = 0.8  # the same for an effect that its linear gain says all of
 CLOSE: Final = 0.55  # a candidate with less than this share of the best linear gain is not refitted
 SHARPER: Final = 0.97  # RMS by which the sharp transition must fit better to be taken
+DECIDED: Final = 0.8  # and by which it must, or must not, for the other one not to be tried again
 SHARE: Final = 0.4  # of the RMS beyond noise
 RIVAL_SHARE: Final = 0.15  # RMS by which a rival may fit worse, over what the cause explains
 RIVAL_T: Final = 2.5
@@ -96,6 +98,7 @@ class Selector:
         self.groups = tuple(BASE_GROUPS) + self.own
         self.scores: list[Score] = []
         self.seen: set[str] = set()
+        self.decided = False  # on the transition
 
     # --- forward ------------------------------------------------------------------------------------------------
 
@@ -105,6 +108,8 @@ class Selector:
         current = self._transition(())
         p_values: dict[str, float] = {}
         for number in range(1, ROUNDS + 1):
+            if self._excess(current) < self.material:  # what is left could not make any cause matter
+                break
             self.report(f"searching effects, round {number}")
             step = self._round(current, number)
             if step is None:
@@ -113,8 +118,7 @@ class Selector:
             if self.sharp is not None:
                 current = self._transition(current.extras)
         # What is left unexplained is no measure for the machine's numbers, but no finer one than that is possible.
-        left = math.sqrt(max(0.0, current.cross_rms**2 - self.floor**2))
-        self.material = max(self.material, 0.3 * left)
+        self.material = max(self.material, 0.3 * self._excess(current))
         base, fit = self._wrong_numbers(current)
         fit, base = self._leaner(fit, base)
         rivals: list[Rival] = []
@@ -129,6 +133,15 @@ class Selector:
         for group in base + tuple(f"+{i}" for i in range(len(fit.extras))):
             p_values[group] = self._p_value(fit, group)
         return Selection(fit, base, tuple(self.scores), tuple(rivals), rejected, p_values)
+
+    def _attempt(
+        self, extras: Sequence[Extra], *, base: Sequence[str] | None = None, warm: Fit | None = None
+    ) -> Fit | None:
+        """A fit, or None where the model is not finite from its start on."""
+        try:
+            return self.workshop.fit(extras, base=base, warm=warm)
+        except FitError:
+            return None
 
     def names(self, extras: Sequence[Extra]) -> list[str]:
         """Effects that may still be added."""
@@ -152,21 +165,26 @@ class Selector:
         How sharply an element slips is a property of the smoothed law, not of an axis: a real one may switch. Both are
         tried, after every effect again, so that the difference is not taken for an effect, nor an effect for it.
         """
-        fit = self.plain.fit(extras)
-        if self.sharp is None:
-            return fit
-        other = self.sharp.fit(extras)
-        better = other.cross_rms < SHARPER * fit.cross_rms
-        self.workshop = self.sharp if better else self.plain
-        return other if better else fit
+        if self.sharp is None or self.decided:
+            return self.workshop.fit(extras)
+        fit, other = self.plain.fit(extras), self.sharp.fit(extras)
+        ratio = other.cross_rms / fit.cross_rms
+        self.decided = not DECIDED < ratio < 1.0 / DECIDED
+        self.workshop = self.sharp if ratio < SHARPER else self.plain
+        return other if ratio < SHARPER else fit
 
     def _round(self, current: Fit, number: int) -> Fit | None:
         """Search, refit the best, return the fit with the one to add."""
         recording = self.workshop.recording
         free = nuisance(current.slopes[recording.used][:, current.free])
         names = self.names(current.extras)
-        proposals = search(self.workshop, current, names, free)
+        proposals = search(self.workshop, current, [n for n in names if n not in COSTLY], free)
         gains = {id(p): self._linear_gain(current, p) for p in proposals}
+        costly = self._costly(current, proposals, gains)
+        if costly:
+            more = search(self.workshop, current, [n for n in names if n in costly], free)
+            gains |= {id(p): self._linear_gain(current, p) for p in more}
+            proposals += more
         best: dict[str, Proposal] = {}
         for p in proposals:
             if p.name not in best or gains[id(p)] > gains[id(best[p.name])]:
@@ -179,10 +197,13 @@ class Selector:
         strong.sort(key=lambda p: -gains[id(p)])
         top = gains[id(strong[0])] if strong else 0.0
         shortlist = _distinct([(gains[id(p)], p) for p in strong if gains[id(p)] > CLOSE * top])[:REFITS]
+        shortlist = [p for p in shortlist if gains[id(p)] > CLEAR * gains[id(shortlist[0])] or not _is_linear(p.name)]
         fits: dict[str, Fit] = {}
         for proposal in shortlist:
             self.report(f"refitting {proposal.name}")
-            fits[proposal.name] = self.workshop.fit((*current.extras, proposal.extra), warm=current)
+            fit = self._attempt((*current.extras, proposal.extra), warm=current)
+            if fit is not None:
+                fits[proposal.name] = fit
         chosen = self._choose(current, fits)
         self.seen |= {p.name for p in strong}
         for p in proposals:
@@ -204,13 +225,29 @@ class Selector:
             )
         return fits[chosen] if chosen is not None else None
 
+    def _costly(self, current: Fit, proposals: Sequence[Proposal], gains: Mapping[int, float]) -> list[str]:
+        """Effects worth a search that runs models: where the others leave something, or look like one of them."""
+        found = [p for p in proposals if p.feasible]
+        best = max(found, key=lambda p: gains[id(p)], default=None)
+        if best is None:
+            return list(COSTLY)
+        left = math.sqrt(max(0.0, self._excess(current) ** 2 - max(0.0, gains[id(best)]) ** 2))
+        return [
+            name
+            for name in COSTLY
+            if left > self.material or best.name in effect_definition(name).confused_with or name in self.seen
+        ]
+
     def _enough(self, current: Fit) -> float:
         """What an effect must explain to be added [N]: what matters, and a fair share of what there is to explain.
 
         Where a lot is left, something with a small share of it only imitates a part of what is really there.
         """
-        excess = math.sqrt(max(0.0, current.cross_rms**2 - self.floor**2))
-        return max(self.material, SHARE * excess)
+        return max(self.material, SHARE * self._excess(current))
+
+    def _excess(self, fit: Fit) -> float:
+        """RMS of what a fit leaves beyond noise [N]."""
+        return math.sqrt(max(0.0, fit.cross_rms**2 - self.floor**2))
 
     def _choose(self, current: Fit, fits: dict[str, Fit]) -> str | None:
         """The candidate to add: the best by cross-validation; among equals the one that leaves other numbers alone."""
@@ -351,10 +388,12 @@ class Selector:
                     continue
                 self.report(f"comparing {cause} with {name}")
                 trial = (
-                    self.workshop.fit((*extras, proposal.extra), base=free_base, warm=without)
+                    self._attempt((*extras, proposal.extra), base=free_base, warm=without)
                     if name not in self.groups
-                    else self.workshop.fit(extras, base=(*free_base, name), warm=without)
+                    else self._attempt(extras, base=(*free_base, name), warm=without)
                 )
+                if trial is None:
+                    continue
                 excess = gain_force(trial.cross, fit.cross, fit.rows)
                 statistic = difference_statistic(fit.cross, trial.cross)
                 better = statistic < -RIVAL_T and excess < -0.2 * self.material
@@ -404,6 +443,11 @@ def _distinct(ranked: list[tuple[float, Proposal]]) -> list[Proposal]:
         if not any(_numbers(p) < _numbers(proposal) and same(p, proposal) for _, p in ranked):
             kept.append((gain, proposal))
     return [proposal for _, proposal in kept]
+
+
+def _is_linear(name: str) -> bool:
+    """Whether an effect's force is its columns times its sizes: then its linear gain is what a refit would find."""
+    return name in EFFECT_NAMES and not effect_definition(name).states and name not in ("micro_viscous", "force_ripple")
 
 
 def _numbers(proposal: Proposal) -> int:

@@ -38,7 +38,7 @@ Progress = Callable[[str], None]
 
 EXCITED: Final = 0.05  # of f_C: range of the simulated friction below which a record says nothing
 SHARP: Final[Mapping[str, float]] = {"zeta": 0.99, "lambda": 350.0}
-LONG: Final = 150_000  # samples
+SEARCH_RATE: Final = 1000.0  # Hz
 UNEXPLAINED: Final = 0.02  # of f_C: RMS beyond noise that a complete explanation may leave
 UNEXPLAINED_SHARE: Final = 0.45  # of the RMS beyond noise of the machine as it is
 
@@ -66,29 +66,33 @@ def diagnose(
     report = progress or (lambda _: None)
     report("preparing the log")
     recording = prepare(machine, log, held_out_s)
-    workshop = Workshop(machine, recording)
-    nominal = workshop.fit((), base=())
+    whole = Workshop(machine, recording)
+    nominal = whole.fit((), base=())
     floor = noise_floor(recording, nominal.residual)
     simulated = (recording.friction - nominal.residual)[recording.used]
     if float(np.ptp(simulated)) < EXCITED * machine.friction.coulomb:
         return _without_excitation(machine, log, recording, nominal, floor, started)
     report("refitting the base model")
-    sharp = _sharp(machine, recording)
-    for shop in (workshop, sharp):
+    shops = []
+    for shop in (whole, _sharp(machine, recording)):
         if shop is not None:
             shop.noise = floor
-    # A long record is searched on mean signals of a few samples; what is reported comes from all of them.
-    thin = next((k for k in (5, 4, 3, 2) if recording.factor % k == 0), 1) if len(recording.signals) > LONG else 1
-    selector = Selector(workshop.thinned(thin), None if sharp is None else sharp.thinned(thin), floor, report)
+            # Searched on mean signals of a few samples, aligned with the whole record at each fit that matters.
+            thin = shop.thinned(_thinning(recording))
+            thin.align(thin.fit((), base=()))
+            shops.append(thin)
+    selector = Selector(shops[0], shops[1] if len(shops) > 1 else None, floor, report)
     selection = selector.select()
-    smoothing = "sharp" if sharp is not None and selector.workshop is selector.sharp else "machine"
-    if sharp is not None and smoothing == "sharp":
-        workshop = sharp
-    workshop.starts = dict(selector.workshop.starts)
-    start = workshop.fit(())
-    if thin > 1:
-        selection = replace(selection, fit=workshop.fit(selection.fit.extras, base=selection.base))
-    return _Verdict(machine, log, recording, workshop, nominal, start, selection, smoothing, report).finish(started)
+    smoothing = "sharp" if selector.workshop is selector.sharp else "machine"
+    return _Verdict(machine, log, selector.workshop, nominal, selection, smoothing, report).finish(started)
+
+
+def _thinning(recording: Recording) -> int:
+    """How many samples share a step of the search: the most that keep at least `SEARCH_RATE`."""
+    rate = recording.machine.sampling.rate
+    return max(
+        k for k in range(1, recording.factor + 1) if k == 1 or (recording.factor % k == 0 and rate / k >= SEARCH_RATE)
+    )
 
 
 def _sharp(machine: Machine, recording: Recording) -> Workshop | None:
@@ -118,24 +122,22 @@ class _Verdict:
         self,
         machine: Machine,
         log: Log,
-        recording: Recording,
         workshop: Workshop,
         nominal: Fit,
-        start: Fit,
         selection: Selection,
         smoothing: str,
         report: Progress,
     ) -> None:
         self.machine = machine
         self.log = log
-        self.recording = recording
         self.workshop = workshop
+        self.recording = workshop.recording
         self.nominal = nominal
-        self.start = start
+        self.start = workshop.fit(())
         self.selection = selection
         self.smoothing = smoothing
         self.report = report
-        self.floor = noise_floor(recording, selection.fit.residual)
+        self.floor = noise_floor(self.recording, selection.fit.residual)
 
     def finish(self, started: float) -> Diagnosis:
         selection, recording = self.selection, self.recording
@@ -364,7 +366,7 @@ def _unnamed(scores: Sequence[Score]) -> tuple[Score, ...]:
 
 
 def _traces(recording: Recording, nominal: Fit, start: Fit, extended: Fit, blind: Fit) -> Traces:
-    measured = recording.friction
+    measured = recording.reduce(recording.signals.friction)
     return Traces(
         time_s=recording.time,
         position_m=recording.position,
