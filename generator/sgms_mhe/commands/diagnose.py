@@ -17,6 +17,7 @@ from sgms_mhe.commands.common import (
     machine_argument,
     note,
     out_option,
+    part_options,
     show,
 )
 
@@ -37,12 +38,13 @@ if TYPE_CHECKING:
     metavar="LOG",
     help="Another log, on which the estimators of the machine and of the extended machine are compared.",
 )
+@part_options("Use the log from here on [s since its start] as a log of its own, whose time starts here.")
 @click.option(
     "--held-out",
     type=(float, float),
     multiple=True,
     metavar="FROM TO",
-    help="Seconds since the log's start that no fit may see; default: a third of the record.",
+    help="Seconds since the start that the fit behind the gain does not see; default: a third of the record.",
 )
 @json_option
 def command(
@@ -50,6 +52,8 @@ def command(
     log: Path,
     out: Path | None,
     unseen: Path | None,
+    start_s: float,
+    end_s: float,
     held_out: tuple[tuple[float, float], ...],
     as_json: bool,
 ) -> None:
@@ -71,7 +75,7 @@ def command(
     from sgms_mhe.logs import read_log
     from sgms_mhe.report import closed_loop_gain, write_report
 
-    recorded = read_log(log, resolved)
+    recorded = read_log(log, resolved).part(start_s, end_s)
     another = read_log(unseen, resolved) if unseen else None
     found = diagnose(resolved, recorded, progress=note, held_out_s=held_out or None)
     write_diagnosis(found, folder)
