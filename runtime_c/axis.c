@@ -497,7 +497,8 @@ static void move_level(struct axis *axis, double v, double end)
         }
     }
     const double position = at_end ? axis->position : axis->position - axis->half_step * v;
-    axis->level = level * level_factor(axis, velocity, position);
+    /* the direction is that of the drift, which moves the elements */
+    axis->level = level * level_factor(axis, v, position);
 }
 
 /* Whether friction is in contact with the mass, and the crossing of the gap (state: side -1, 0, 1; where it left). */
@@ -572,12 +573,13 @@ static void move_elements(struct axis *axis, double v)
         const double scale = set->fraction[i] * axis->level / set->stiffness[i];
         double *z = &axis->deflection[i];
         if (axis->law == AXIS_LAW_MAXWELL_SLIP) {
-            /* An element that a falling level leaves behind slips back to it; one that sticks keeps its deflection. */
+            /* Along the motion an element that a falling level leaves behind slips back to it; against it it sticks,
+               whatever the level of the new direction is. */
             *z += path;
-            if (*z > scale) {
+            if (path > 0.0 && *z > scale) {
                 *z = scale;
             }
-            if (*z < -scale) {
+            if (path < 0.0 && *z < -scale) {
                 *z = -scale;
             }
         } else if (path != 0.0) {
