@@ -21,7 +21,15 @@ from scipy.fft import next_fast_len, rfft
 from scipy.signal import lfilter
 
 from sgms_mhe.diagnosis.evidence import Nuisance, score_test
-from sgms_mhe.diagnosis.fitting import CompiledFit, Extra, Fit, Workshop, longest_pitch, lowest_frequency
+from sgms_mhe.diagnosis.fitting import (
+    FASTEST_STRIBECK,
+    CompiledFit,
+    Extra,
+    Fit,
+    Workshop,
+    longest_pitch,
+    lowest_frequency,
+)
 from sgms_mhe.diagnosis.residuals import Recording
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 
@@ -163,14 +171,16 @@ _EXACT: Final[Mapping[str, str]] = {
 
 def _exact(proposal: Proposal, workshop: Workshop, fit: Fit, free: Nuisance, e: Array) -> Proposal:
     """The proposal with its column from the compiled model's derivative at size zero."""
-    recording, size = workshop.recording, _EXACT[proposal.name]
+    size = _EXACT[proposal.name]
     extras = (*fit.extras, Extra(proposal.name, {**proposal.parameters, size: 0.0}))
+    workshop = workshop.suited(extras)
+    recording = workshop.recording
     model = workshop.model(extras)
     theta = workshop.start(model, extras, fit)
     _, slopes = model.run(recording, theta)
     group = f"+{len(fit.extras)}"
     index = next(i for i, c in enumerate(model.columns) if c.group == group and c.name == size)
-    if slopes is None:
+    if slopes is None or not np.all(np.isfinite(slopes[:, index])):
         return proposal
     Z = free.project(slopes[recording.used][:, [index]] / model.columns[index].scale)
 
@@ -186,11 +196,11 @@ def _search_dwell(workshop: Workshop, fit: Fit, free: Nuisance, e: Array) -> Pro
     The level's rise dies away within the way over which the elements come up to it: nothing short of the model itself
     says what is left.
     """
-    name = "dwell_dependence"
+    name, workshop = "dwell_dependence", workshop.suited(fit.extras)
     recording = workshop.recording
     friction = workshop.machine.friction
     way = max(nu * friction.coulomb / k for nu, k in zip(friction.fraction, friction.stiffness, strict=True))
-    lengths, times = (0.3 * way, 1.5 * way), (0.06, 0.25, 1.0)
+    lengths, times = (0.1 * way, 0.4 * way, 1.6 * way), (0.04, 0.12, 0.4, 1.2)
     group = f"+{len(fit.extras)}"
     model = workshop.model((*fit.extras, Extra(name, {"time_constant_s": times[0], "length_m": lengths[0]})))
     index = next(i for i, c in enumerate(model.columns) if c.group == group and c.name == "ratio")
@@ -228,7 +238,7 @@ def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> Values:
     e = free.project(fit.residual[recording.used])
     speed = np.abs(motion.velocity[motion.used])
     best: tuple[float, Values] = (0.0, {})
-    for velocity in np.geomspace(3e-4, 0.7, 12) * motion.speed:
+    for velocity in np.geomspace(3e-4, FASTEST_STRIBECK, 12) * motion.speed:
         Z = free.project((motion.level[motion.used] * np.exp(-((speed / velocity) ** 2)))[:, None])
         size = float((Z.T @ e)[0] / max(1e-300, (Z.T @ Z)[0, 0]))
         energy = _energy(Z, e)
@@ -546,7 +556,7 @@ def _harmonic_energies(
     grid = 1.0 / (length * bin_width)
     first, last = math.ceil(band[0] / grid), max(math.ceil(band[0] / grid) + 1, math.ceil(band[1] / grid))
     wanted = np.arange(first, last)
-    kappa = wanted * grid
+    kappa: Array = np.asarray(wanted * grid, dtype=np.float64)
     factors = kind.factors(motion, TWO_PI * kappa)
 
     def transform(series: Array, at: NDArray[np.int64]) -> NDArray[np.complex128]:
@@ -576,7 +586,8 @@ def _harmonic_energies(
     determinant = ss * cc - sc**2
     floor = 1e-3 * np.maximum(square, 1e-300) ** 2
     energy = (cc * s**2 - 2.0 * sc * s * c + ss * c**2) / np.maximum(determinant, floor * 0.01)
-    return kappa, np.where((ss > 0.0) & (cc > 0.0) & (determinant > 0.01 * floor), energy, 0.0)
+    good = (ss > 0.0) & (cc > 0.0) & (determinant > 0.01 * floor)
+    return kappa, np.asarray(np.where(good, energy, 0.0), dtype=np.float64)
 
 
 # --- effects whose force only their own equations give ----------------------------------------------------------
@@ -591,6 +602,7 @@ def _search_compiled(
     name: str, workshop: Workshop, fit: Fit, motion: Motion, free: Nuisance, e: Array
 ) -> Proposal | None:
     """Run the effect's own model at a few sizes; its column is the change of the force."""
+    workshop = workshop.suited(fit.extras)
     recording = workshop.recording
     at_rest = workshop.model(fit.extras)
     theta = workshop.start(at_rest, fit.extras, fit)
@@ -604,6 +616,8 @@ def _search_compiled(
             extras = (*fit.extras, Extra(name, values))
             model = workshop.model(extras)
             force, _ = model.run(recording, workshop.start(model, extras, fit), derivatives=False)
+        if not np.all(np.isfinite(force)):
+            continue
         Z = free.project((force - without)[motion.used][:, None])
         energy = _energy(Z, e)
         if energy > 0.0:

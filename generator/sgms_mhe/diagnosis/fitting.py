@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.build import cache_dir
 from sgms_mhe.compiled import CompiledModel
+from sgms_mhe.diagnosis.evidence import nuisance
 from sgms_mhe.diagnosis.residuals import Recording
 from sgms_mhe.emission.package import RUNTIME_HEADERS, Package, digest_of_sources, emit_package
 from sgms_mhe.files import write_text
@@ -31,11 +32,19 @@ Mask = NDArray[np.bool_]
 
 CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memory of derivatives
 ITERATIONS: Final = 12
+TIMING: Final = 0.1  # of a sample: how far force and position may be apart without that being a delay
+TIMED: Final = ("force_delay", "actuator_lag")
+ALIGNABLE: Final = 0.1  # largest difference that a longer step may make, over the friction
 UNSTABLE: Final = 1e6  # derivative over the largest friction: no step was short enough
 ENOUGH: Final = 10.0  # rows' worth of noise that a step must promise
 BASE_PRIOR: Final = 1.0  # relative; holds what the record does not excite
 FROZEN: Final[Mapping[str, tuple[str, ...]]] = {"step_disturbance": ("time_s",)}
 """Parameters in which the force jumps: their search ends on the grid, not in a refit."""
+
+FASTEST_STRIBECK: Final = 0.1  # largest Stribeck velocity, over the largest speed
+LONGEST_LAG: Final = 0.05  # s; a current loop that is later does not hold an axis
+FAST: Final = ("force_delay", "actuator_lag", "structural_resonance", "asymmetric_coulomb")
+"""Effects about as fast as a sample of the record, or with a level that jumps: always fitted at its full rate."""
 
 BASE_GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
     "stiffness": ("stiffness",),
@@ -211,6 +220,7 @@ class Workshop:
     def __init__(self, machine: Machine, recording: Recording) -> None:
         self.machine = machine
         self.recording = recording
+        self.measured = recording.friction  # (m) [N], before any alignment
         self.rows = recording.sum_blocks(np.ones(len(recording.time)))
         self.noise = 1.0  # N, weight of the prior
         self.fits = 0
@@ -257,21 +267,43 @@ class Workshop:
         return other
 
     def align(self, fit: Fit) -> None:
-        """Make this thinned workshop agree with the one it was thinned from, at a fit.
+        """Bring measured friction into line with the model at a fit, where the difference says nothing about friction.
 
-        The difference of the two models' friction at the fit's parameters is taken out of the measured friction, so
-        that residuals there are those of the full rate; away from there only the change of that difference is missing.
+        Two things are taken out of it. Timing: force and position are never sampled at quite the same instant; what is
+        proportional to the jerk, up to `TIMING` of a sample, unless a delay or lag is under test. And where this
+        workshop is a thinned one, the difference of its model's friction to that of the one it was thinned from:
+        residuals here are then those of the full rate, but for the change of that difference away from the fit.
         """
-        if self.fine is None:
+        whole = self.fine or self
+        values = {(c.group, c.name): c.si(t) for c, t in zip(fit.model.columns, fit.theta, strict=True)}
+
+        def friction(shop: Workshop) -> Array:
+            model = shop.model(fit.extras)
+            theta = np.array([c.theta(values[c.group, c.name]) for c in model.columns])
+            return model.run(shop.recording, theta, derivatives=False)[0]
+
+        exact = friction(whole)
+        used = self.recording.used
+        if not np.all(np.isfinite(exact)):
             return
-        model, fine = self.fine.model(fit.extras), self.fine
-        known = {(c.group, c.name): c.si(t) for c, t in zip(fit.model.columns, fit.theta, strict=True)}
-        theta = np.array([c.theta(known[c.group, c.name]) for c in model.columns])
-        exact, _ = model.run(fine.recording, theta, derivatives=False)
-        thin, _ = fit.model.run(self.recording, fit.theta, derivatives=False)
-        if np.all(np.isfinite(exact)) and np.all(np.isfinite(thin)):
-            self.recording = replace(self.recording, friction=fine.recording.friction - (exact - thin))
-            self._known.clear()
+        jerk = np.gradient(whole.recording.acceleration) * whole.recording.rate
+        late = 0.0
+        names = {e.name for e in fit.extras} | {e.name for e in self.machine.effects}
+        if not names & set(TIMED):
+            free = nuisance(fit.slopes[used][:, fit.free])
+            Z, e = free.project(jerk[used]), free.project((whole.measured - exact)[used])
+            most = TIMING * whole.machine.sampling.step * self.machine.plant.mass
+            late = float(np.clip(Z @ e / max(1e-300, float(Z @ Z)), -most, most))
+        measured = whole.measured - late * jerk
+        whole.recording = replace(whole.recording, friction=measured)
+        whole._known.clear()
+        if whole is self:
+            return
+        thin = friction(self)
+        self._known.clear()
+        # What is no small difference is a model that the longer steps do not suit: it is fitted at the full rate.
+        if float(np.std((exact - thin)[used])) < ALIGNABLE * float(np.std(exact[used])):
+            self.recording = replace(self.recording, friction=measured - (exact - thin))
 
     def model(self, extras: Sequence[Extra]) -> CompiledFit:
         """The machine with effects added, everything in it a free parameter."""
@@ -280,6 +312,10 @@ class Workshop:
         places = sorted(range(len(keys)), key=lambda i: keys[i])
         compiled = compiled_fit(_Key(self.machine, tuple(keys[i] for i in places)))
         return compiled if places == list(range(len(keys))) else compiled.ordered(places)
+
+    def suited(self, extras: Sequence[Extra]) -> Workshop:
+        """The workshop whose rate suits these effects: this one, or the one that it was thinned from."""
+        return self.fine if self.fine is not None and any(e.name in FAST for e in extras) else self
 
     def start(self, model: CompiledFit, extras: Sequence[Extra], warm: Fit | None = None) -> Array:
         """Parameters to start from: the machine's, a warm fit's where it has them, the proposals' otherwise."""
@@ -309,6 +345,7 @@ class Workshop:
         warm: Fit | None = None,
         rows: Mask | None = None,
         iterations: int = ITERATIONS,
+        again: bool = False,
     ) -> Fit:
         """Fit the machine with effects added.
 
@@ -318,20 +355,37 @@ class Workshop:
             warm: a fit whose base parameters to start from.
             rows: rows that the fit sees (m); None: all used ones.
             iterations: at most.
+            again: fit even what is known, from `warm`, and keep the better one.
         """
         key = (
             tuple((e.name, tuple(e.parameters.items())) for e in extras),
             None if base is None else tuple(sorted(base)),
             None if rows is None else rows.tobytes(),
         )
-        if key not in self._known:
-            self._known[key] = self._fit(extras, base, warm, rows, iterations)
+        known = self._known.get(key)
+        if known is None or again:
+            fit = self._fit(extras, base, warm, rows, iterations)
+            self._known[key] = fit if known is None or fit.rms < known.rms else known
         return self._known[key]
 
     def _fit(
         self, extras: Sequence[Extra], base: Sequence[str] | None, warm: Fit | None, rows: Mask | None, iterations: int
     ) -> Fit:
         self.fits += 1
+        shop = self.suited(extras)
+        if shop is not self:
+            return shop.fit(extras, base=base, warm=warm, rows=rows, iterations=iterations)
+        try:
+            return self._fit_here(extras, base, warm, rows, iterations)
+        except FitError:
+            if self.fine is None:
+                raise
+        return self.fine.fit(extras, base=base, warm=warm, rows=rows, iterations=iterations)
+
+    def _fit_here(
+        self, extras: Sequence[Extra], base: Sequence[str] | None, warm: Fit | None, rows: Mask | None, iterations: int
+    ) -> Fit:
+        """Fit at this workshop's own rate."""
         model = self.model(extras)
         columns = model.columns
         theta = self.start(model, extras, warm)
@@ -379,7 +433,7 @@ class Workshop:
         limit = np.array([_step_limit(c, t, recording) for c, t in zip(columns, theta, strict=True)])[free]
         theta = theta.copy()
         theta[free] = np.clip(theta[free], lower, upper)
-        largest = UNSTABLE * float(np.max(np.abs(recording.friction)))
+        largest = UNSTABLE * max(float(np.max(np.abs(recording.friction))), self.machine.friction.coulomb)
 
         def evaluate(at: Array) -> tuple[Array, Array, float]:
             y, slopes = model.run(recording, at)
@@ -650,6 +704,12 @@ def _bounds(columns: Sequence[Column], recording: Recording) -> tuple[Array, Arr
     for i, column in enumerate(columns):
         if column.name == "pitch_m":
             upper[i] = min(upper[i], column.theta(longest_pitch(recording)))
+        if column.name == "stribeck_velocity":
+            fastest = float(np.max(np.abs(recording.velocity[recording.used])))
+            # A rise over the whole range of speed is a friction curve of another kind.
+            upper[i] = max(lower[i], column.machine_theta, min(upper[i], column.theta(FASTEST_STRIBECK * fastest)))
+        if (column.effect, column.name) in (("actuator_lag", "time_constant_s"), ("force_delay", "delay_s")):
+            upper[i] = min(upper[i], column.theta(LONGEST_LAG))
         if column.name == "frequency_Hz" and column.effect == "periodic_disturbance":
             lower[i] = max(lower[i], column.theta(lowest_frequency(recording)))
     return lower, upper

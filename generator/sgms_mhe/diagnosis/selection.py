@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -15,11 +16,12 @@ from sgms_mhe.diagnosis.evidence import difference_statistic, gain_force, nuisan
 from sgms_mhe.diagnosis.fitting import BASE_GROUPS, Extra, Fit, FitError, Workshop, cross_loss
 from sgms_mhe.diagnosis.result import Score
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects.excitation import Measure
 
 Array = NDArray[np.float64]
 
 SIGNIFICANCE: Final = 1e-3  # of a candidate, all candidates and all their trials counted
-MATERIAL: Final = 0.012  # of f_C, RMS: less is no cause but a detail
+MATERIAL: Final = 0.007  # of f_C, RMS: less is no cause but a detail
 MATERIAL_NOISE: Final = 0.25  # of the noise floor
 ROUNDS: Final = 5
 REFITS: Final = 4  # per round
@@ -27,7 +29,9 @@ CLEAR: Final = 0.8  # the same for an effect that its linear gain says all of
 CLOSE: Final = 0.55  # a candidate with less than this share of the best linear gain is not refitted
 SHARPER: Final = 0.97  # RMS by which the sharp transition must fit better to be taken
 DECIDED: Final = 0.8  # and by which it must, or must not, for the other one not to be tried again
-SHARE: Final = 0.4  # of the RMS beyond noise
+ALIGNMENTS: Final = 2
+SHARE: Final = 0.25  # of the RMS beyond noise
+LEFT: Final = 0.2  # of the RMS beyond noise that stays unexplained: smaller gains are not told from it
 RIVAL_SHARE: Final = 0.15  # RMS by which a rival may fit worse, over what the cause explains
 RIVAL_T: Final = 2.5
 COSTLY: Final = ("backlash", "frictional_lag", "dwell_dependence")
@@ -44,6 +48,25 @@ SPECIAL: Final[Mapping[str, tuple[str, ...]]] = {
     "position_dependent_friction": ("coulomb",),
 }
 """Effects with a simpler cause as a limit: that is meant unless the effect explains something more that matters."""
+SIZES: Final = (
+    "amplitude",
+    "ratio",
+    "force_N",
+    "difference",
+    "damping_N",
+    "coefficient",
+    "mass",
+    "gain",
+    "stiffness",
+    "delay",
+)
+"""How the names of parameters begin that a force is proportional to."""
+INSTEAD: Final[Mapping[str, tuple[str, ...]]] = {
+    "force_delay": ("actuator_lag",),
+    "actuator_lag": ("force_delay",),
+}
+"""Never both: one makes the log late, the other the force, and together they cancel."""
+_ANY: Final[Mapping[str, float]] = defaultdict(float)
 REPEATABLE: Final = ("force_ripple", "periodic_disturbance")
 
 
@@ -87,7 +110,14 @@ class Selection:
 class Selector:
     """Forward selection, pruning and rivals on one recording."""
 
-    def __init__(self, workshop: Workshop, sharp: Workshop | None, floor: float, report: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        workshop: Workshop,
+        sharp: Workshop | None,
+        floor: float,
+        excitation: Mapping[Measure, float],
+        report: Callable[[str], None],
+    ) -> None:
         self.workshop = self.plain = workshop
         self.sharp = sharp
         self.report = report
@@ -96,6 +126,12 @@ class Selector:
         self.material = max(MATERIAL * machine.friction.coulomb, MATERIAL_NOISE * floor)
         self.own = tuple(f"machine:{effect.label}" for effect in machine.effects)
         self.groups = tuple(BASE_GROUPS) + self.own
+        # What a record does not excite cannot be found in it; what only imitates it can.
+        self.excited = tuple(
+            name
+            for name in EFFECT_NAMES
+            if not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
+        )
         self.scores: list[Score] = []
         self.seen: set[str] = set()
         self.decided = False  # on the transition
@@ -105,7 +141,7 @@ class Selector:
     def select(self) -> Selection:
         """Select causes, from the machine with all its own numbers refitted."""
         self._start_stribeck()
-        current = self._transition(())
+        current = self._aligned(self._transition(()))
         p_values: dict[str, float] = {}
         for number in range(1, ROUNDS + 1):
             if self._excess(current) < self.material:  # what is left could not make any cause matter
@@ -114,11 +150,9 @@ class Selector:
             step = self._round(current, number)
             if step is None:
                 break
-            current = self._pruned(step)
-            if self.sharp is not None:
-                current = self._transition(current.extras)
+            current = self._aligned(self._transition(self._pruned(step).extras))
         # What is left unexplained is no measure for the machine's numbers, but no finer one than that is possible.
-        self.material = max(self.material, 0.3 * self._excess(current))
+        self.material = max(self.material, LEFT * self._excess(current))
         base, fit = self._wrong_numbers(current)
         fit, base = self._leaner(fit, base)
         rivals: list[Rival] = []
@@ -134,6 +168,13 @@ class Selector:
             p_values[group] = self._p_value(fit, group)
         return Selection(fit, base, tuple(self.scores), tuple(rivals), rejected, p_values)
 
+    def _aligned(self, fit: Fit) -> Fit:
+        """The fit with everything at hand, its thinned model brought into line with the record's full rate."""
+        for _ in range(ALIGNMENTS):
+            self.workshop.align(fit)
+            fit = self.workshop.fit(fit.extras, warm=fit)
+        return fit
+
     def _attempt(
         self, extras: Sequence[Extra], *, base: Sequence[str] | None = None, warm: Fit | None = None
     ) -> Fit | None:
@@ -143,10 +184,16 @@ class Selector:
         except FitError:
             return None
 
+    def _called(self, group: str) -> str:
+        """Name of a candidate: that of its effect where it is a number of an effect that the machine has."""
+        label = group.removeprefix("machine:")
+        return next((e.name for e in self.workshop.machine.effects if group != label and e.label == label), group)
+
     def names(self, extras: Sequence[Extra]) -> list[str]:
         """Effects that may still be added."""
         taken = {extra.name for extra in extras} | {effect.name for effect in self.workshop.machine.effects}
-        return [name for name in EFFECT_NAMES if name not in taken or name in REPEATABLE]
+        taken |= {other for name in taken for other in INSTEAD.get(name, ())}
+        return [name for name in self.excited if name not in taken or name in REPEATABLE]
 
     def _start_stribeck(self) -> None:
         """A machine file without a Stribeck effect says nothing about its velocity: look for it first."""
@@ -167,11 +214,27 @@ class Selector:
         """
         if self.sharp is None or self.decided:
             return self.workshop.fit(extras)
-        fit, other = self.plain.fit(extras), self.sharp.fit(extras)
+        fit = self.plain.fit(extras)
+        # The switching law's sum of squares is rough: from the machine's numbers first, then from the smooth one's.
+        trials = [trial for warm in (None, fit) if (trial := self._sharp_fit(fit, warm)) is not None]
+        if not trials:
+            self.workshop = self.plain
+            return fit
+        other = min(trials, key=lambda trial: trial.cross_rms)
         ratio = other.cross_rms / fit.cross_rms
-        self.decided = not DECIDED < ratio < 1.0 / DECIDED
-        self.workshop = self.sharp if ratio < SHARPER else self.plain
-        return other if ratio < SHARPER else fit
+        better = other if ratio < SHARPER else fit
+        self.decided = not DECIDED < ratio < 1.0 / DECIDED and self._excess(better) < 2.0 * self.material
+        self.workshop = self.sharp if better is other else self.plain
+        return better
+
+    def _sharp_fit(self, fit: Fit, warm: Fit | None) -> Fit | None:
+        """The sharp transition with the effects of a fit; None where it cannot be fitted."""
+        if self.sharp is None:
+            return None
+        try:
+            return self.sharp.fit(fit.extras, warm=warm, again=warm is not None)
+        except FitError:
+            return None
 
     def _round(self, current: Fit, number: int) -> Fit | None:
         """Search, refit the best, return the fit with the one to add."""
@@ -311,13 +374,13 @@ class Selector:
         extras = fit.extras
         everything = self.workshop.fit(extras, warm=fit)
         named: tuple[str, ...] = ()
-        current = self.workshop.fit(extras, base=())
+        current = self.workshop.fit(extras, base=(), warm=everything)
         while True:
             missing = gain_force(current.cross, everything.cross, fit.rows)
             rest = [group for group in self.groups if group not in named]
             if missing < self.material or not rest:
                 break
-            trials = {group: self.workshop.fit(extras, base=(*named, group)) for group in rest}
+            trials = {group: self.workshop.fit(extras, base=(*named, group), warm=everything) for group in rest}
             best = min(trials, key=lambda group: float(trials[group].cross.sum()))
             gain = gain_force(current.cross, trials[best].cross, fit.rows)
             if gain < self.material:
@@ -327,7 +390,7 @@ class Selector:
             if len(named) < 2:
                 break
             without = tuple(g for g in named if g != group)
-            trial = self.workshop.fit(extras, base=without)
+            trial = self.workshop.fit(extras, base=without, warm=current, again=True)
             if gain_force(trial.cross, current.cross, fit.rows) < self.material:
                 named, current = without, trial
         return named, current
@@ -338,7 +401,7 @@ class Selector:
             losses = []
             for i in range(len(fit.extras)):
                 rest = tuple(e for j, e in enumerate(fit.extras) if j != i)
-                without = self.workshop.fit(rest, base=base)
+                without = self.workshop.fit(rest, base=base, warm=fit)
                 losses.append((gain_force(without.cross, fit.cross, fit.rows), without))
             gain, without = min(losses, key=lambda entry: entry[0])
             if gain > self.material:
@@ -358,8 +421,8 @@ class Selector:
                 extras = tuple(e for i, e in enumerate(fit.extras) if f"+{i}" != group)
                 free_base, cause = base, fit.extras[int(group[1:])].name
             else:
-                extras, free_base, cause = fit.extras, tuple(g for g in base if g != group), group
-            without = self.workshop.fit(extras, base=free_base)
+                extras, free_base, cause = fit.extras, tuple(g for g in base if g != group), self._called(group)
+            without = self.workshop.fit(extras, base=free_base, warm=fit)
             own_gain = gain_force(without.cross, fit.cross, fit.rows)
             if own_gain <= 0.0:
                 continue
@@ -382,15 +445,17 @@ class Selector:
             trials.sort(key=lambda trial: -trial[0])
             kept = _distinct(trials)[:REFITS]
             for gain, proposal in trials:
-                name = proposal.name
+                group_name, name = proposal.name, self._called(proposal.name)
+                if name == cause:
+                    continue
                 if not any(proposal is k for k in kept) or gain < 0.7 * own_gain:
                     rejected.setdefault(name, (cause, math.sqrt(max(0.0, own_gain**2 - max(gain, 0.0) ** 2))))
                     continue
                 self.report(f"comparing {cause} with {name}")
                 trial = (
                     self._attempt((*extras, proposal.extra), base=free_base, warm=without)
-                    if name not in self.groups
-                    else self._attempt(extras, base=(*free_base, name), warm=without)
+                    if group_name not in self.groups
+                    else self._attempt(extras, base=(*free_base, group_name), warm=without)
                 )
                 if trial is None:
                     continue
@@ -407,7 +472,7 @@ class Selector:
                     rejected[name] = (cause, max(0.0, excess))
                     continue
                 if excess < 0.3 * self.material or (excess < RIVAL_SHARE * own_gain and statistic < RIVAL_T):
-                    rivals.append(Rival(name.removeprefix("machine:"), cause, trial, excess, statistic))
+                    rivals.append(Rival(name, cause, trial, excess, statistic))
                 else:
                     rejected[name] = (cause, excess)
         return None, rivals, rejected
@@ -455,21 +520,18 @@ def _numbers(proposal: Proposal) -> int:
     return len(proposal.parameters) or proposal.columns.shape[1]
 
 
+def is_size(effect: str, parameter: str) -> bool:
+    """Whether an effect is none where this parameter is zero (or a gain one)."""
+    return parameter.startswith(SIZES) or (effect, parameter) in (
+        ("actuator_lag", "time_constant_s"),
+        ("frictional_lag", "time_constant_s"),
+        ("backlash", "gap_m"),
+    )
+
+
 def _amplitudes(fit: Fit, group: str) -> NDArray[np.bool_]:
     """Parameters of an effect that its force is proportional to, by their names."""
-    sizes = (
-        "amplitude",
-        "ratio",
-        "force_N",
-        "difference",
-        "damping_N",
-        "coefficient",
-        "mass",
-        "gain",
-        "stiffness",
-        "delay",
-    )
-    return np.array([c.group == group and c.name.startswith(sizes) for c in fit.model.columns])
+    return np.array([c.group == group and c.name.startswith(SIZES) for c in fit.model.columns])
 
 
 def _zero(fit: Fit, group: str) -> Array:
@@ -477,4 +539,4 @@ def _zero(fit: Fit, group: str) -> Array:
     return np.array([c.theta(1.0 if c.name == "gain" else 0.0) if c.group == group else 0.0 for c in fit.model.columns])
 
 
-__all__ = ["Rival", "Selection", "Selector"]
+__all__ = ["Rival", "Selection", "Selector", "is_size"]
