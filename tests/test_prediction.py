@@ -17,7 +17,7 @@ from sgms_mhe.logs import read_log, write_log
 from sgms_mhe.machine import load_machine, override_machine
 from sgms_mhe.prediction import ForceError, PredictedFriction, force_error, predict_log
 from sgms_mhe.simulation import AxisConfig, simulate_axis
-from sgms_mhe.trajectories import make_trajectory
+from sgms_mhe.trajectories import Motion, make_trajectory
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE + 7.0  # a record need not start at zero
@@ -183,3 +183,30 @@ def test_published_fit_has_the_published_error(
     machine = override_machine(load_machine("emps"), {"sampling": {"velocity_cutoff": cutoff}})
     prediction = predict_log(machine, read_log(measured_data("emps/DATA_EMPS.mat"), machine))
     assert 100.0 * force_error(prediction, factor=10).relative == pytest.approx(4.08, abs=tolerance)
+
+
+# --- smoothing sharper than usual -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_sharp_elements_are_right_at_a_low_rate(small: Path, precision: str) -> None:
+    # A fast sample of 5 ms is 500 deflections long, a slow one wider than the slip window of lambda = 350.
+    friction = {"smoothing": {"zeta": 0.99, "lambda": 350.0}, "stiffness": [1e5, 5e4]}
+    sampling = {"rate": 200.0, "update_rate": 20.0, "velocity_cutoff": 90.0}
+    sharp = override_machine(load_machine(small), {"sampling": sampling, "friction": friction})
+    motion = Motion(200.0)
+    for target in (1e-4, -1e-4, 1e-4):
+        motion.move_to(target, 5e-4, 0.1, 10.0)
+    for target in (0.05, -0.05, 0.0):
+        motion.move_to(target, 1.0, 100.0, 1e5)
+    log = simulate_axis(
+        sharp,
+        motion.trajectory("sharp"),
+        AxisConfig(control="prescribed", force_noise_N=0.0, encoder_resolution_m=0.0),
+        truth=False,
+    ).log
+    assert np.abs(np.diff(log.position_m)).max() > 450 * 0.25 * 4.0 / 1e5
+    flow = predict_log(override_machine(sharp, {"code": {"precision": precision}}), log).friction_N
+    small_steps = {"sampling": {"integrator": {"scheme": "rk4", "displacement": 1e-3}}}
+    reference = predict_log(override_machine(sharp, small_steps), log).friction_N
+    np.testing.assert_allclose(flow, reference, atol=2e-4 if precision == "double" else 5e-3)

@@ -32,7 +32,8 @@ from sgms_mhe.structure import Group, Structure, analyse, report
 
 RUNTIME_VERSION = 1
 RUNTIME_HEADERS = ("sgms_real.h", "sgms_math.h", "sgms_linalg.h", "sgms_filter.h")
-SLOW_DISPLACEMENT = 0.02
+SLOW_DISPLACEMENT, SLOW_LAMBDA = 0.02, 35.0
+"""Largest move of r in one RK4 step below the gate, where lambda is at most so large; as much less as it is more."""
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
 
@@ -415,15 +416,16 @@ def _group_context(
         "flow": flow,
     }
     if flow:
-        # At most 0.02 in units of the deflection scale per RK4 step below the gate: there r moves slowly.
+        # The slip window, 1 / lambda wide in r, bounds a step even where r moves slowly.
         friction = structure.model.machine.friction
         smoothing = friction.smoothing
         gate = gate_ratio(smoothing.zeta, smoothing.lambda_, smoothing.gamma) * friction.stribeck_velocity
+        displacement = SLOW_DISPLACEMENT * min(1.0, SLOW_LAMBDA / smoothing.lambda_)
         result["slow"] = [
             max(
                 1,
                 math.ceil(
-                    gate * step_time * b.rate_per_metre / SLOW_DISPLACEMENT
+                    gate * step_time * b.rate_per_metre / displacement
                     + step_time * b.rate_per_second / integrator.displacement
                 ),
             )
