@@ -32,6 +32,7 @@ Mask = NDArray[np.bool_]
 
 CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memory of derivatives
 ITERATIONS: Final = 12
+COHERENT: Final = 16  # rows over which the model's own error keeps its sign: a reversal
 TIMING: Final = 0.1  # of a sample: how far force and position may be apart without that being a delay
 TIMED: Final = ("force_delay", "actuator_lag")
 ALIGNABLE: Final = 0.1  # largest difference that a longer step may make, over the friction
@@ -483,7 +484,12 @@ class Workshop:
         return theta, residual, slopes
 
     def covariance(self, fit: Fit) -> Array:
-        """Covariance of theta (n_p, n_p), robust to residuals that are coloured within a block; 0 where not free."""
+        """Covariance of theta (n_p, n_p), 0 where not free.
+
+        Three parts: noise, robust to colour within a block (sandwich); what the model gets wrong, which does not
+        average out as noise does: its RMS beyond the noise floor, taken as coherent over `COHERENT` rows; and of a
+        delay or lag, the timing of force against position that no log is sure of.
+        """
         recording = self.recording
         X = fit.slopes[:, fit.free]
         H = X[recording.used].T @ X[recording.used] + np.diag(self._prior(fit.model, fit.free))
@@ -493,8 +499,14 @@ class Workshop:
         inner = inverse @ (scores.T @ scores) @ inverse * blocks / max(1, blocks - X.shape[1])
         # Blocks that happen to balance must not promise more than white noise would allow.
         white = inverse * fit.rms**2
+        inner = np.where(np.eye(len(inner), dtype=bool), np.maximum(inner, white), inner)
+        inner += inverse * COHERENT * max(0.0, fit.cross_rms**2 - self.noise**2)
+        timing = TIMING * (self.fine or self).machine.sampling.step / math.sqrt(3.0)
+        late = [c.effect in TIMED and c.name.endswith("_s") for c in fit.model.columns]
+        scale = np.array([timing / abs(c.scale) if at else 0.0 for c, at in zip(fit.model.columns, late, strict=True)])
+        inner += np.diag(scale[fit.free] ** 2)
         result = np.zeros((len(fit.theta), len(fit.theta)))
-        result[np.ix_(fit.free, fit.free)] = np.where(np.eye(len(inner), dtype=bool), np.maximum(inner, white), inner)
+        result[np.ix_(fit.free, fit.free)] = inner
         return result
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.evidence import gain_force, gain_interval, inconstancy
 from sgms_mhe.diagnosis.extension import extend_machine
-from sgms_mhe.diagnosis.fitting import Fit, Workshop
+from sgms_mhe.diagnosis.fitting import Fit, FitError, Workshop
 from sgms_mhe.diagnosis.residuals import Recording, noise_floor, prepare
 from sgms_mhe.diagnosis.result import (
     Alternative,
@@ -27,6 +27,7 @@ from sgms_mhe.diagnosis.result import (
 )
 from sgms_mhe.diagnosis.selection import Selection, Selector, is_size
 from sgms_mhe.diagnosis.structure import structure_map
+from sgms_mhe.errors import InputError
 from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition, measures
@@ -74,7 +75,10 @@ def diagnose(
     report("preparing the log")
     recording = prepare(machine, log, held_out_s)
     whole = Workshop(machine, recording)
-    nominal = whole.fit((), base=())
+    try:
+        nominal = whole.fit((), base=())
+    except FitError as error:
+        raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
     floor = noise_floor(recording, nominal.residual)
     simulated = (recording.friction - nominal.residual)[recording.used]
     if float(np.ptp(simulated)) < EXCITED * machine.friction.coulomb:
@@ -86,7 +90,10 @@ def diagnose(
             shop.noise = floor
             # Searched on mean signals of a few samples, aligned with the whole record at each fit that matters.
             thin = shop.thinned(_thinning(recording))
-            thin.align(thin.fit((), base=()))
+            try:
+                thin.align(thin.fit((), base=()))
+            except FitError:  # so sharp a transition is no model of this record
+                continue
             shops.append(thin)
     selector = Selector(
         shops[0], shops[1] if len(shops) > 1 else None, floor, measures(recording.signals, machine), report
@@ -145,7 +152,7 @@ class _Verdict:
         self.smoothing = smoothing
         self.report = report
         self.recording = workshop.recording
-        self.floor = noise_floor(self.recording, self.selection.fit.residual)
+        self.floor = workshop.noise = noise_floor(self.recording, self.selection.fit.residual)
         self.start = workshop.fit(())
 
     def _aligned(self, selection: Selection) -> Selection:
