@@ -66,8 +66,8 @@ class Log:
         rows = slice(int(np.searchsorted(since, start_s)), int(np.searchsorted(since, end_s, side="right")))
         left = len(since[rows])
         if left < 2:
-            allowed = f"at least 2 rows within 0 to {since[-1]:g} s"
-            raise InputError(self.source or "log", f"rows from {start_s:g} to {end_s:g} s", left, allowed)
+            asked = f"rows from {start_s:g} to {min(end_s, float(since[-1])):g} s"
+            raise InputError(self.source or "log", asked, left, f"at least 2 rows within 0 to {since[-1]:g} s")
         if left == len(self):
             return self
         source = f"{self.source or 'log'}, {since[rows][0]:g} to {since[rows][-1]:g} s"
