@@ -97,7 +97,11 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path) -> str:
             for name, value in cause.parameters.items()
         )
         lines.append(f"  {cause.name}: {values}; explains {cause.gain_N:.3g} N rms on held-out data")
-    lines += [f"  {a.name}: {a.why_not}" for a in diagnosis.alternatives if a.rival]
+    lines += [
+        f"  {a.name} in place of {a.instead_of}: {a.why_not}"
+        for a in diagnosis.alternatives
+        if a.instead_of and a.rival
+    ]
     if diagnosis.separating_experiment:
         lines.append(f"next: {diagnosis.separating_experiment}")
     lines += [f"note: {warning}" for warning in diagnosis.warnings]
