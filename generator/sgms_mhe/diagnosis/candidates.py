@@ -22,7 +22,7 @@ from scipy.signal import lfilter
 
 from sgms_mhe.diagnosis.evidence import Nuisance, score_test
 from sgms_mhe.diagnosis.fitting import (
-    FASTEST_STRIBECK,
+    WIDEST_STRIBECK,
     CompiledFit,
     Extra,
     Fit,
@@ -238,7 +238,7 @@ def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> Values:
     e = free.project(fit.residual[recording.used])
     speed = np.abs(motion.velocity[motion.used])
     best: tuple[float, Values] = (0.0, {})
-    for velocity in np.geomspace(3e-4, FASTEST_STRIBECK, 12) * motion.speed:
+    for velocity in np.geomspace(3e-4, WIDEST_STRIBECK, 12) * motion.speed:
         Z = free.project((motion.level[motion.used] * np.exp(-((speed / velocity) ** 2)))[:, None])
         size = float((Z.T @ e)[0] / max(1e-300, (Z.T @ Z)[0, 0]))
         energy = _energy(Z, e)

@@ -100,7 +100,7 @@ def difference_statistic(first: Array, second: Array) -> float:
     return float(difference.sum()) / spread if spread > 0.0 else 0.0
 
 
-def inconstancy(recording: Recording, contribution: Array, residual: Array) -> float:
+def inconstancy(recording: Recording, contribution: Array, residual: Array, *, inertial: bool = False) -> float:
     """How much the size of a cause changes over the record: 0 for the same everywhere, 1 for as much as the size.
 
     What only imitates something else fits here and misfits there. The record is cut into parts by time, by place and by
@@ -111,6 +111,9 @@ def inconstancy(recording: Recording, contribution: Array, residual: Array) -> f
         recording: the record.
         contribution: what the cause explains that the others cannot, residual without minus residual with it (m).
         residual: with it (m).
+        inertial: the cause acts where the axis accelerates. By place and by speed such parts are mixed with
+            break-away to different degrees, and what the model gets wrong there would count against the cause: by time
+            only.
     """
     used = recording.used
     c, e = contribution[used], residual[used]
@@ -118,7 +121,7 @@ def inconstancy(recording: Recording, contribution: Array, residual: Array) -> f
     if total <= 0.0:
         return math.inf
     worst = 0.0
-    for coordinate in (recording.time, recording.position, np.abs(recording.velocity)):
+    for coordinate in (recording.time, recording.position, np.abs(recording.velocity))[: 1 if inertial else 3]:
         x = coordinate[used]
         # Parts that the cause acts equally much in, so that none has no say.
         order = np.argsort(x, kind="stable")

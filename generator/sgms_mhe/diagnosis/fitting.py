@@ -43,6 +43,7 @@ FROZEN: Final[Mapping[str, tuple[str, ...]]] = {"step_disturbance": ("time_s",)}
 """Parameters in which the force jumps: their search ends on the grid, not in a refit."""
 
 FASTEST_STRIBECK: Final = 0.1  # largest Stribeck velocity, over the largest speed
+WIDEST_STRIBECK: Final = 0.7  # the same, where the machine file knows of no Stribeck effect
 LONGEST_LAG: Final = 0.05  # s; a current loop that is later does not hold an axis
 FAST: Final = ("force_delay", "actuator_lag", "structural_resonance", "asymmetric_coulomb")
 """Effects about as fast as a sample of the record, or with a level that jumps: always fitted at its full rate."""
@@ -106,7 +107,7 @@ class CompiledFit(CompiledModel):
     """The emitted model along a recording, in pieces of bounded memory, reduced to the fit's rate."""
 
     def __init__(self, machine: Machine, columns: tuple[Column, ...]) -> None:
-        super().__init__(machine, _package(machine))
+        super().__init__(machine, cached_package(machine))
         self.columns = columns
 
     def ordered(self, places: Sequence[int]) -> CompiledFit:
@@ -439,6 +440,8 @@ class Workshop:
         def evaluate(at: Array) -> tuple[Array, Array, float]:
             y, slopes = model.run(recording, at)
             residual = recording.friction - y
+            if not float(np.max(np.abs(residual))) < largest:
+                return residual, np.empty((0, 0)), math.inf
             cost = float(residual[seen] @ residual[seen]) + float(prior_rows @ (at[free] - centre) ** 2)
             # A state that its steps are too long for shows in its derivatives first.
             if slopes is None or not math.isfinite(cost) or not float(np.max(np.abs(slopes))) < largest:
@@ -513,17 +516,18 @@ class Workshop:
 def cross_loss(recording: Recording, X: Array, residual: Array, prior: Array) -> Array:
     """Sum of squares per block as predicted by a fit without the block's fold.
 
-    That fit is one Gauss-Newton step from the whole one. X (m, p): derivatives of the model; `prior` (p):
-    information that is always there.
+    That fit is one Gauss-Newton step from the whole one, which counts as the optimum of all rows, where it stopped
+    short of it too: a step that was promised and not found is no merit. X (m, p): derivatives of the model; `prior`
+    (p): information that is always there.
     """
     if X.shape[1] == 0:
         return recording.sum_blocks(residual**2)
     H, g, s = block_moments(recording, X, residual)
     result = np.empty(recording.blocks)
-    total_H, total_g = H.sum(axis=0) + np.diag(prior), g.sum(axis=0)
+    total_H = H.sum(axis=0) + np.diag(prior)
     for fold in np.unique(recording.fold):
         inside = recording.fold == fold
-        step = np.linalg.lstsq(total_H - H[inside].sum(axis=0), total_g - g[inside].sum(axis=0), rcond=1e-12)[0]
+        step = np.linalg.lstsq(total_H - H[inside].sum(axis=0), -g[inside].sum(axis=0), rcond=1e-12)[0]
         result[inside] = s[inside] - 2.0 * g[inside] @ step + np.einsum("bij,i,j->b", H[inside], step, step)
     return result
 
@@ -562,7 +566,7 @@ def _runtime_digest() -> str:
     return hashlib.sha256(b"".join(headers)).hexdigest()
 
 
-def _package(machine: Machine) -> Package:
+def cached_package(machine: Machine) -> Package:
     """The machine's package, from the cache of compiled libraries where it was emitted before.
 
     Every log of an axis asks for the same few dozen models; to derive and print one takes longer than to run it.
@@ -718,8 +722,10 @@ def _bounds(columns: Sequence[Column], recording: Recording) -> tuple[Array, Arr
             upper[i] = min(upper[i], column.theta(longest_pitch(recording)))
         if column.name == "stribeck_velocity":
             fastest = float(np.max(np.abs(recording.velocity[recording.used])))
-            # A rise over the whole range of speed is a friction curve of another kind.
-            upper[i] = max(lower[i], column.machine_theta, min(upper[i], column.theta(FASTEST_STRIBECK * fastest)))
+            known = recording.machine.friction.stribeck_ratio > 0.0
+            # Where the file has a rise towards low speed, one over the whole range of speed is something else.
+            limit = (FASTEST_STRIBECK if known else WIDEST_STRIBECK) * fastest
+            upper[i] = max(lower[i], column.machine_theta, min(upper[i], column.theta(limit)))
         if (column.effect, column.name) in (("actuator_lag", "time_constant_s"), ("force_delay", "delay_s")):
             upper[i] = min(upper[i], column.theta(LONGEST_LAG))
         if column.name == "frequency_Hz" and column.effect == "periodic_disturbance":

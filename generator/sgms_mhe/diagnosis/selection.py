@@ -68,6 +68,8 @@ INSTEAD: Final[Mapping[str, tuple[str, ...]]] = {
 """Never both: one makes the log late, the other the force, and together they cancel."""
 _ANY: Final[Mapping[str, float]] = defaultdict(float)
 REPEATABLE: Final = ("force_ripple", "periodic_disturbance")
+MOST_ALIKE: Final = 2
+"""More sines than that are the Fourier series of something else."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +195,8 @@ class Selector:
         """Effects that may still be added."""
         taken = {extra.name for extra in extras} | {effect.name for effect in self.workshop.machine.effects}
         taken |= {other for name in taken for other in INSTEAD.get(name, ())}
-        return [name for name in self.excited if name not in taken or name in REPEATABLE]
+        twice = {extra.name for extra in extras if sum(other.name == extra.name for other in extras) >= MOST_ALIKE}
+        return [name for name in self.excited if name not in taken or (name in REPEATABLE and name not in twice)]
 
     def _start_stribeck(self) -> None:
         """A machine file without a Stribeck effect says nothing about its velocity: look for it first."""

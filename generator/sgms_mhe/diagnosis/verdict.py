@@ -42,7 +42,8 @@ SHARP: Final[Mapping[str, float]] = {"zeta": 0.995, "lambda": 700.0, "gamma": 70
 """Smoothing of elements that slip almost at once: a hundredth of break-away from the switching law."""
 SEARCH_RATE: Final = 1000.0  # Hz
 UNEXPLAINED: Final = 0.02  # of f_C: RMS beyond noise that a complete explanation may leave
-MOST_LEFT: Final = 0.8  # of the RMS beyond noise, where every cause is the same all over the record
+MOST_LEFT: Final = 0.65  # of the RMS beyond noise, where every cause is the same all over the record
+INERTIAL: Final = ("force_delay", "actuator_lag", "mass_mismatch", "force_gain", "structural_resonance")
 INCONSTANT: Final = 0.3  # RMS change of a cause's size over the record that rules it out, over the size
 SIGMAS: Final = 2.0
 JOINT: Final = 1e-4  # significance of several wrong numbers together
@@ -212,7 +213,7 @@ class _Verdict:
         complete = after < max(allowed, UNEXPLAINED_SHARE * before)
         if not complete and selection.causes:
             # Something is left; but causes that are the same everywhere in the record are none the less real.
-            selection, blind, causes = self._constant(selection)
+            selection, blind, causes = self._constant(self.selection)
             fit = selection.fit
             complete = bool(causes) and self._excess(fit) < MOST_LEFT * before
         verdict: Verdict
@@ -284,7 +285,8 @@ class _Verdict:
         base = tuple(g for g in selection.base if g != group)
         extras = tuple(e for i, e in enumerate(fit.extras) if f"+{i}" != group)
         without = self.workshop.fit(extras, base=base, warm=fit)
-        return inconstancy(self.recording, without.residual - fit.residual, fit.residual)
+        inertial = _cause_name(fit, group) in INERTIAL
+        return inconstancy(self.recording, without.residual - fit.residual, fit.residual, inertial=inertial)
 
     def _excess(self, fit: Fit) -> float:
         return math.sqrt(max(0.0, fit.cross_rms**2 - self.floor**2))

@@ -18,6 +18,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from sgms_mhe.compiled import CompiledModel
+from sgms_mhe.diagnosis.fitting import cached_package
 from sgms_mhe.diagnosis_benchmark.foreign import FOREIGN
 from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, deflection, draw_motion
 from sgms_mhe.kinematics import Signals, settle_samples, signals_from_log
@@ -545,7 +546,8 @@ def _model(machine: Machine) -> CompiledModel:
             "sampling": {"integrator": {"substeps": substeps}},
             "code": {"precision": "double"},
         }
-        _models[machine.digest] = CompiledModel(override_machine(machine, changes))
+        plain = override_machine(machine, changes)
+        _models[machine.digest] = CompiledModel(plain, cached_package(plain))
     return _models[machine.digest]
 
 
