@@ -41,6 +41,9 @@ def test_diagnose_a_part_and_try_the_estimator_on_another_log(machine: Machine, 
     out = tmp_path / "out"
     text = done("diagnose", "etel_xy", log, "--to", "6", "--unseen", unseen, "--out", out).stdout
     assert text.startswith("explained: force_ripple")
+    reduction = re.search(rf"estimator on {re.escape(str(unseen))}: .* N rms, (\d+) % less", text)
+    assert reduction
+    assert int(reduction[1]) > 50
     extended = "etel_xy_force_ripple.toml"
     assert {"report.html", "diagnosis.json", extended} <= files(out)
     report = (out / "report.html").read_text()

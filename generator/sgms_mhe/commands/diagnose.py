@@ -23,6 +23,7 @@ from sgms_mhe.commands.common import (
 
 if TYPE_CHECKING:
     from sgms_mhe.diagnosis.result import Diagnosis
+    from sgms_mhe.report import EstimatorGain
 
 
 @click.command(
@@ -84,12 +85,25 @@ def command(
         note("estimators of the machine and of the extended machine on the unseen log")
         gain = closed_loop_gain(resolved, found.extended, another)
     report = write_report(found, folder, estimator=gain)
-    show(json_text(found.to_json()) if as_json else _text(found, folder, report))
+    if as_json:
+        show(json_text(found.to_json() | ({} if gain is None else {"unseen": _gain(gain)})))
+    else:
+        show(_text(found, folder, report, gain))
     if found.verdict == "unexplained":
         click.get_current_context().exit(1)
 
 
-def _text(diagnosis: Diagnosis, folder: Path, report: Path) -> str:
+def _gain(gain: EstimatorGain) -> dict[str, object]:
+    """Error of the friction that both estimators predict, and by what share it falls, with the 95 % interval."""
+    return {
+        "log": gain.source,
+        "predicted_rms_N": {"before": gain.base.predicted_rms_N, "after": gain.extended.predicted_rms_N},
+        "reduction": gain.reduction,
+        "reduction_interval": list(gain.reduction_interval),
+    }
+
+
+def _text(diagnosis: Diagnosis, folder: Path, report: Path, gain: EstimatorGain | None) -> str:
     lines = [f"{diagnosis.verdict}: {diagnosis.summary}"]
     for cause in diagnosis.causes:
         values = ", ".join(
@@ -104,6 +118,13 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path) -> str:
     ]
     if diagnosis.separating_experiment:
         lines.append(f"next: {diagnosis.separating_experiment}")
+    if gain is not None:
+        low, high = gain.reduction_interval
+        lines.append(
+            f"estimator on {gain.source}: error of the predicted friction {gain.base.predicted_rms_N:.3g} to "
+            f"{gain.extended.predicted_rms_N:.3g} N rms, {100.0 * gain.reduction:.0f} % less "
+            f"(95 %: {100.0 * low:.0f} to {100.0 * high:.0f} %)"
+        )
     lines += [f"note: {warning}" for warning in diagnosis.warnings]
     if diagnosis.extended_name:
         lines.append(f"extended machine: {folder / diagnosis.extended_name}")
