@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from sgms_mhe.build import cache_dir
 from sgms_mhe.compiled import CompiledModel
@@ -271,10 +272,9 @@ class Workshop:
     def align(self, fit: Fit) -> None:
         """Bring measured friction into line with the model at a fit, where the difference says nothing about friction.
 
-        Two things are taken out of it. Timing: force and position are never sampled at quite the same instant; what is
-        proportional to the jerk, up to `TIMING` of a sample, unless a delay or lag is under test. And where this
-        workshop is a thinned one, the difference of its model's friction to that of the one it was thinned from:
-        residuals here are then those of the full rate, but for the change of that difference away from the fit.
+        Two things are taken out of it: what is of the sampling (`_sampling`), unless a delay or lag is under test. And
+        where this workshop is a thinned one, the difference of its model's friction to that of the one it was thinned
+        from: residuals here are then those of the full rate, but for the change of that difference away from the fit.
         """
         whole = self.fine or self
         values = {(c.group, c.name): c.si(t) for c, t in zip(fit.model.columns, fit.theta, strict=True)}
@@ -288,15 +288,10 @@ class Workshop:
         used = self.recording.used
         if not np.all(np.isfinite(exact)):
             return
-        jerk = np.gradient(whole.recording.acceleration) * whole.recording.rate
-        late = 0.0
+        measured = whole.measured
         names = {e.name for e in fit.extras} | {e.name for e in self.machine.effects}
         if not names & set(TIMED):
-            free = nuisance(fit.slopes[used][:, fit.free])
-            Z, e = free.project(jerk[used]), free.project((whole.measured - exact)[used])
-            most = TIMING * whole.machine.sampling.step * self.machine.plant.mass
-            late = float(np.clip(Z @ e / max(1e-300, float(Z @ Z)), -most, most))
-        measured = whole.measured - late * jerk
+            measured = measured - self._sampling(fit, measured - exact)
         whole.recording = replace(whole.recording, friction=measured)
         whole._known.clear()
         if whole is self:
@@ -306,6 +301,24 @@ class Workshop:
         # What is no small difference is a model that the longer steps do not suit: it is fitted at the full rate.
         if float(np.std((exact - thin)[used])) < ALIGNABLE * float(np.std(exact[used])):
             self.recording = replace(self.recording, friction=measured - (exact - thin))
+
+    def _sampling(self, fit: Fit, residual: Array) -> Array:
+        """What in a residual (m) is of the sampling of force and position alone (m) [N].
+
+        Proportional to the jerk: force and position up to `TIMING` of a sample apart. Proportional to the second
+        derivative of the acceleration: its second difference over a sample h is low by h^2 / 12 of that, against a
+        force that is sampled in a point.
+        """
+        recording, used = self.recording, self.recording.used
+        step, mass = (self.fine or self).machine.sampling.step, self.machine.plant.mass
+        jerk = np.gradient(recording.acceleration) * recording.rate
+        snap = np.gradient(jerk) * recording.rate
+        free = nuisance(fit.slopes[used][:, fit.free])
+        columns = np.column_stack((jerk, snap))
+        scale = mass * np.array([TIMING * step, step**2 / 12.0])
+        Z = free.project(columns[used] * scale)
+        bounded = lsq_linear(Z, free.project(residual[used]), ([-1.0, -1.0], [1.0, 0.0]))
+        return np.asarray(columns @ (scale * bounded.x))
 
     def model(self, extras: Sequence[Extra]) -> CompiledFit:
         """The machine with effects added, everything in it a free parameter."""
