@@ -94,19 +94,11 @@ def test_a_tenth_of_the_samples_is_enough(slow: Machine, rippled: Log) -> None:
     assert_finds_the_ripple(diagnose(slow, rippled))
 
 
-def test_clean_record_at_a_low_rate_names_nothing(quick: Machine, slow: Machine) -> None:
-    diagnosis = diagnose(slow, every_tenth(recorded(quick)))
-    assert (diagnosis.verdict, names(diagnosis)) == ("adequate", set())
-
-
-@pytest.mark.xfail(
-    reason="the second difference of sparse samples loses 1 - (w h)^2 / 12 of a hard acceleration: a force_gain of "
-    "1.0005 is named",
-    strict=False,
-)
-def test_clean_record_of_hard_accelerations_at_a_low_rate_names_nothing(quick: Machine, slow: Machine) -> None:
-    hard = make_trajectory("mixed", quick.sampling.rate, duration_s=SECONDS)
-    diagnosis = diagnose(slow, every_tenth(recorded(quick, path=hard)))
+@pytest.mark.parametrize("speed", [0.3, 1.0])
+def test_clean_record_at_a_low_rate_names_nothing(quick: Machine, slow: Machine, speed: float) -> None:
+    # The second difference of sparse samples loses a share of a hard acceleration: that is no cause.
+    path = make_trajectory("mixed", quick.sampling.rate, duration_s=SECONDS, max_velocity=speed)
+    diagnosis = diagnose(slow, every_tenth(recorded(quick, path=path)))
     assert (diagnosis.verdict, names(diagnosis)) == ("adequate", set())
 
 
