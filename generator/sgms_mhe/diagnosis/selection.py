@@ -89,7 +89,9 @@ class Selection:
 
     Attributes:
         fit: effects and the numbers of the base model that are wrong; all other numbers as in the machine file.
-        base: named groups of the machine's own numbers.
+        base: groups of the machine's own numbers that are refitted.
+        unnamed: those of them that are no cause: refitted because something else is left, not because they are wrong.
+        free: where the forward search ended, all of the machine's numbers refitted.
         scores: of all rounds.
         rivals: of the causes in `fit`.
         rejected: candidates that were refitted in a cause's place and lost: name to (cause, excess [N]).
@@ -102,11 +104,14 @@ class Selection:
     rivals: tuple[Rival, ...]
     rejected: dict[str, tuple[str, float]] = field(default_factory=dict)
     p_values: dict[str, float] = field(default_factory=dict)
+    unnamed: tuple[str, ...] = ()
+    free: Fit | None = None
 
     @property
     def causes(self) -> tuple[str, ...]:
         """Groups that are named: base groups, then effects under test."""
-        return self.base + tuple(f"+{i}" for i in range(len(self.fit.extras)))
+        base = tuple(group for group in self.base if group not in self.unnamed)
+        return base + tuple(f"+{i}" for i in range(len(self.fit.extras)))
 
 
 class Selector:
@@ -168,7 +173,7 @@ class Selector:
             fit, base = self._leaner(fit, base)
         for group in base + tuple(f"+{i}" for i in range(len(fit.extras))):
             p_values[group] = self._p_value(fit, group)
-        return Selection(fit, base, tuple(self.scores), tuple(rivals), rejected, p_values)
+        return Selection(fit, base, tuple(self.scores), tuple(rivals), rejected, p_values, free=current)
 
     def _aligned(self, fit: Fit) -> Fit:
         """The fit with everything at hand, its thinned model brought into line with the record's full rate."""
