@@ -10,7 +10,11 @@
 #include <string.h>
 
 #define TWO_PI 6.283185307179586
-#define SETTLED 3e-5 /* distance in r at which the linear equation is good to 1e-8 */
+#define SETTLED 3e-5  /* distance in r at which the linear equation is good to 1e-8 */
+#define AT_REST 1e-12 /* dr/dxi of an element that moves no more */
+#define FARTHEST 4e6  /* m; no axis is there: the loop is unstable */
+#define STRONGEST 1e9 /* N, likewise */
+#define RESONANT 0.5  /* omega times step of a hanging mass, at most: its frequency is then right to 1 % */
 
 /* ---- tables ------------------------------------------------------------------------------------------------- */
 
@@ -250,9 +254,12 @@ static double sgms_move(const struct axis *axis, double r, double xi, double gat
             return axis->slip_root + (r - axis->slip_root) * exp(-axis->slip_rate * xi);
         }
         /* RK4 with steps that resolve the window, whose width in r goes with 1 / lambda; slower beyond its edge. */
-        const double step = open && r > edge ? 0.15 : 0.4 / axis->set.lambda;
+        const double step = r > edge ? (open ? 0.15 : 0.05) : 0.4 / axis->set.lambda;
         const double h = step < xi ? step : xi;
         const double k1 = slip(axis, r, gate);
+        if (!(fabs(k1) > AT_REST)) {
+            return r; /* in balance with its gate, or not a number: however long the rest of the way, it stays */
+        }
         const double k2 = slip(axis, r + 0.5 * h * k1, gate);
         const double k3 = slip(axis, r + 0.5 * h * k2, gate);
         const double k4 = slip(axis, r + h * k3, gate);
@@ -490,7 +497,8 @@ static void move_level(struct axis *axis, double v, double end)
         }
     }
     const double position = at_end ? axis->position : axis->position - axis->half_step * v;
-    axis->level = level * level_factor(axis, velocity, position);
+    /* the direction is that of the drift, which moves the elements */
+    axis->level = level * level_factor(axis, v, position);
 }
 
 /* Whether friction is in contact with the mass, and the crossing of the gap (state: side -1, 0, 1; where it left). */
@@ -565,12 +573,13 @@ static void move_elements(struct axis *axis, double v)
         const double scale = set->fraction[i] * axis->level / set->stiffness[i];
         double *z = &axis->deflection[i];
         if (axis->law == AXIS_LAW_MAXWELL_SLIP) {
-            /* An element that a falling level leaves behind slips back to it; one that sticks keeps its deflection. */
+            /* Along the motion an element that a falling level leaves behind slips back to it; against it it sticks,
+               whatever the level of the new direction is. */
             *z += path;
-            if (*z > scale) {
+            if (path > 0.0 && *z > scale) {
                 *z = scale;
             }
-            if (*z < -scale) {
+            if (path < 0.0 && *z < -scale) {
                 *z = -scale;
             }
         } else if (path != 0.0) {
@@ -653,10 +662,10 @@ int axis_apply(struct axis *axis)
 {
     const struct axis_settings *set = &axis->set;
     if (!(set->rate > 0.0) || !(set->substeps >= 1.0) || set->substeps > AXIS_MAX_SUBSTEPS) {
-        return -1;
+        return AXIS_BAD_SETTING;
     }
     if (!(set->elements >= 1.0) || set->elements > AXIS_MAX_ELEMENTS) {
-        return -1;
+        return AXIS_BAD_SETTING;
     }
 
     axis->law = (int)set->law;
@@ -674,11 +683,17 @@ int axis_apply(struct axis *axis)
         }
         if (axis->effect[i].kind == STRUCTURAL_RESONANCE) {
             axis->moving_mass -= axis->effect[i].parameter[2];
+            if (!(TWO_PI * axis->effect[i].parameter[0] * axis->step <= RESONANT)) {
+                return AXIS_FAST_RESONANCE;
+            }
         }
     }
     const double delay = delay_of(axis);
-    if (!(axis->moving_mass > 0.0) || !(delay >= 0.0) || delay / axis->step > AXIS_HISTORY - 2) {
-        return -1;
+    if (!(axis->moving_mass > 0.0)) {
+        return AXIS_NO_MASS;
+    }
+    if (!(delay >= 0.0) || delay / axis->step > AXIS_HISTORY - 2) {
+        return AXIS_LONG_DELAY;
     }
     find_slip_root(axis);
     /* exp(-34) = 2e-15: no slip within rounding; only where the two halves of the window do not overlap */
@@ -855,7 +870,7 @@ static void put(double *column, size_t row, double value)
     }
 }
 
-void axis_run(
+size_t axis_run(
     struct axis *axis,
     const double *reference,
     size_t length,
@@ -879,6 +894,9 @@ void axis_run(
             axis->acceleration = (drive_force(axis) - friction - effects) / axis->moving_mass;
         }
         const double measured = measure_position(axis), measured_force = measure_force(axis);
+        if (!(fabs(measured) < FARTHEST && fabs(measured_force) < STRONGEST)) {
+            return row;
+        }
         const double wanted = acceleration_at(reference, length, k, axis->set.feedforward_lead * rate, rate);
 
         put(record->position_m, row, measured);
@@ -901,4 +919,5 @@ void axis_run(
             run_controlled(axis, control(axis, measured, measured_force, before, here, wanted));
         }
     }
+    return count;
 }

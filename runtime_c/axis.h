@@ -137,14 +137,22 @@ void axis_set_effect(struct axis *axis, size_t effect, size_t j, double value);
 
 void axis_set_compensation(struct axis *axis, axis_compensation *compensation, void *context);
 
-/* Make changed settings effective, between runs as well. 0, or -1 where a setting is out of range. */
+/* Make changed settings effective, between runs as well. 0, or what is out of range. */
+enum axis_refusal {
+    AXIS_BAD_SETTING = -1,   /* rate, substeps or elements */
+    AXIS_NO_MASS = -2,       /* nothing is left to move */
+    AXIS_LONG_DELAY = -3,    /* more than AXIS_HISTORY - 2 substeps */
+    AXIS_FAST_RESONANCE = -4 /* a hanging mass that the substeps do not resolve */
+};
 int axis_apply(struct axis *axis);
 
 /* Put the axis at rest at a position. */
 void axis_place(struct axis *axis, double position);
 
-/* Run `count` samples from sample `start` of a reference of `length` samples; beyond its end it stands still. */
-void axis_run(
+/* Run `count` samples from sample `start` of a reference of `length` samples; beyond its end it stands still.
+ * The samples recorded: fewer than `count` where the loop is unstable and the axis left the world, whose bounds are
+ * 4e6 m and 1e9 N. */
+size_t axis_run(
     struct axis *axis,
     const double *reference,
     size_t length,

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
-from sgms_mhe.diagnosis.evidence import nuisance, score_test
-from sgms_mhe.diagnosis.fitting import Extra, Workshop
+from sgms_mhe.diagnosis.evidence import inconstancy, nuisance, score_test
+from sgms_mhe.diagnosis.fitting import Extra, Workshop, compiled_fit
 from sgms_mhe.diagnosis.plan import make_plan, write_plan
 from sgms_mhe.diagnosis.residuals import Recording, noise_floor, prepare
 from sgms_mhe.errors import InputError
@@ -241,6 +241,69 @@ def test_derivatives_along_a_recording_match_differences(machine: Machine, recor
         assert error < 1e-2 * np.sqrt(np.mean(slopes[:, i] ** 2)) + 1e-6, column.name
 
 
+def test_a_thinned_record_agrees_with_the_whole_at_the_fit(machine: Machine, recording: Recording) -> None:
+    whole = Workshop(machine, recording)
+    thin = whole.thinned(recording.factor)
+    fit = thin.fit((), base=())
+    used = recording.used
+
+    def difference() -> float:
+        exact, _ = whole.model(()).run(whole.recording, whole.start(whole.model(()), ()), derivatives=False)
+        coarse = thin.fit((), base=()).residual
+        return float(np.std((whole.recording.friction - exact - coarse)[used]))
+
+    assert difference() > 0.003
+    thin.align(fit)
+    assert difference() < 1e-9
+
+
+def test_the_timing_of_force_and_position_is_no_cause(machine: Machine, recording: Recording) -> None:
+    jerk = np.gradient(recording.acceleration) * recording.rate
+    late = 0.05 * machine.sampling.step * machine.plant.mass
+
+    def left(share: float) -> float:
+        shop = Workshop(machine, replace(recording, friction=recording.friction + share * late * jerk))
+        shop.align(shop.fit((), base=()))
+        return shop.fit((), base=()).rms
+
+    assert left(1.0) == pytest.approx(left(0.0), rel=1e-3)
+    assert left(20.0) > 1.5 * left(0.0)  # a sample late is a delay
+
+
+def test_an_imitation_is_not_the_same_everywhere(recording: Recording) -> None:
+    random = np.random.default_rng(4)
+    ripple = np.sin(2.0 * np.pi * recording.position / 0.01)
+    noise = 0.3 * random.normal(size=len(ripple))
+    assert inconstancy(recording, ripple, noise) < 0.1
+    # Twice as much in the first half, nothing in the second; all of it in one place.
+    early = np.where(recording.time < np.median(recording.time[recording.used]), 1.0, -1.0)
+    assert inconstancy(recording, ripple, ripple * early + noise) > 0.8
+    left = np.where(recording.position < np.median(recording.position[recording.used]), 1.0, -1.0)
+    assert inconstancy(recording, ripple, ripple * left + noise) > 0.8
+    assert inconstancy(recording, np.zeros(len(ripple)), noise) == np.inf
+
+
+def test_models_are_compiled_once_whatever_the_order(
+    machine: Machine, recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shop = Workshop(machine, recording)
+    one, other = Extra("constant_offset", {"force_N": 0.4}), Extra("quadratic_drag", {"coefficient_N_s2_m2": 1.5})
+    first, second = (shop.model(extras) for extras in ((one, other), (other, one)))
+    runs = [
+        model.run(recording, shop.start(model, extras), derivatives=False)[0]
+        for model, extras in ((first, (one, other)), (second, (other, one)))
+    ]
+    np.testing.assert_array_equal(runs[0], runs[1])
+    assert [c.effect for c in second.columns if c.group == "+0"] == ["quadratic_drag"]
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("emitted again")
+
+    monkeypatch.setattr("sgms_mhe.diagnosis.fitting.emit_package", refuse)
+    compiled_fit.cache_clear()
+    shop.model((one, other))
+
+
 @pytest.mark.parametrize("separate", [None, ("constant_offset", "asymmetric_coulomb"), ("viscous", "quadratic_drag")])
 def test_plan_is_a_trajectory_within_limits(machine: Machine, separate: tuple[str, str] | None, tmp_path: Path) -> None:
     plan = make_plan(machine, separate)
@@ -264,10 +327,15 @@ def test_finds_what_is_in_the_emps_record(measured_data: Callable[[str], Path]) 
     log = read_log(measured_data("emps/DATA_EMPS.mat"), machine)
     diagnosis = diagnose(machine, log, held_out_s=[(12.4, 25.0)])
     found = {cause.name: cause for cause in diagnosis.causes}
-    assert "asymmetric_viscous" in found
+    # Published: 166.7 and 240.4 N s/m in the two directions; the screw's pitch is 2.5 mm.
+    assert found["asymmetric_viscous"].parameters["difference_N_s_m"] == pytest.approx(-36.9, rel=0.15)
     ripples = [c for c in diagnosis.causes if c.name == "force_ripple"]
     assert any(abs(c.parameters["pitch_m"] - 0.0025) < 2e-5 for c in ripples)
+    assert len(diagnosis.causes) <= 5
+    for cause in diagnosis.causes:
+        assert cause.gain_interval_N[0] > 0.0, cause
+    assert not any(":" in a.name or ":" in (a.instead_of or "") for a in diagnosis.alternatives)
     traces = diagnosis.traces
     held = traces.held_out
     error = np.linalg.norm(traces.residual_after[held]) / np.linalg.norm(traces.force_N[held])
-    assert error < 0.023
+    assert error < 0.0311  # of the published fit with separate directions, on all data

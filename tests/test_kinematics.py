@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 from scipy.signal import butter
 
 from sgms_mhe.errors import InputError
-from sgms_mhe.kinematics import Signals, lowpass_coefficients, settle_samples, signals_from_log
+from sgms_mhe.kinematics import (
+    Signals,
+    lowpass_coefficients,
+    settle_samples,
+    signals_from_log,
+    signals_of_record,
+)
 from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine, load_machine, override_machine
 
@@ -372,3 +378,64 @@ def test_missing_sample_of_a_single_column_invalidates_friction(column: str) -> 
     signals = signals_from_log(with_column(noisy_log(300), column, values), MACHINE)
     assert np.isfinite(signals.friction).all()
     np.testing.assert_array_equal(np.flatnonzero(~signals.valid[SETTLE:]) + SETTLE, np.arange(100, 101 + SETTLE))
+
+
+# --- records, known to their end --------------------------------------------------------------------------------
+
+
+def pure_mass(n: int) -> Log:
+    """A mass without friction in smooth strokes."""
+    position, acceleration, _, _ = smooth_motion(n)
+    return a_log(position, MASS * acceleration)
+
+
+def without(log: Log, name: str, start: int, end: int) -> Log:
+    values = getattr(log, name).copy()
+    values[start:end] = np.nan
+    return with_column(log, name, values)
+
+
+def test_record_without_a_gap_is_what_a_controller_sees() -> None:
+    assert_same(signals_of_record(noisy_log(), MACHINE), signals_from_log(noisy_log(), MACHINE))
+    missing = without(noisy_log(), "position_m", 0, 600)
+    assert_same(signals_of_record(missing, MACHINE), signals_from_log(missing, MACHINE))
+
+
+@pytest.mark.parametrize("name", ["position_m", "force_N"])
+@pytest.mark.parametrize("length", [1, SETTLE, 3 * SETTLE, 300])
+def test_gap_in_a_record_leaves_no_transient(name: str, length: int) -> None:
+    whole = pure_mass(3000)
+    log = without(whole, name, 700, 700 + length)  # in mid-stroke, at 0.3 m/s
+    signals, complete = signals_of_record(log, MACHINE), signals_from_log(whole, MACHINE)
+    assert signals.valid.sum() == 3000 - SETTLE - length - 2 * SETTLE
+    assert not signals.valid[700 : 700 + length + 2 * SETTLE].any()
+    np.testing.assert_array_equal(signals.missing, ~np.isfinite(getattr(log, name)))
+    # No displacement is lost, whatever the length; what is left of friction is what a whole record leaves.
+    np.testing.assert_allclose(signals.position[-500:], complete.position[-500:], rtol=1e-12)
+    np.testing.assert_allclose(signals.velocity[signals.valid], complete.velocity[signals.valid], atol=1e-4)
+    left = np.abs(signals.friction - complete.friction)[signals.valid].max()
+    assert left < 2e-3 * MASS * np.abs(complete.acceleration).max()
+    causal = signals_from_log(log, MACHINE)
+    if length > 1:
+        assert np.abs(causal.friction - complete.friction)[causal.valid].max() > 3.0 * left
+
+
+def test_gaps_at_the_ends_of_a_record_are_left_to_the_chain() -> None:
+    log = without(without(pure_mass(1000), "position_m", 0, 50), "force_N", 900, 1000)
+    signals = signals_of_record(log, MACHINE)
+    assert np.isfinite(signals.friction).all()
+    assert np.flatnonzero(signals.valid)[[0, -1]].tolist() == [50 + 2 * SETTLE, 899]
+
+
+def test_reading_between_two_gaps_is_kept() -> None:
+    log = without(without(pure_mass(2000), "position_m", 700, 720), "position_m", 721, 740)
+    signals, complete = signals_of_record(log, MACHINE), signals_from_log(pure_mass(2000), MACHINE)
+    np.testing.assert_allclose(signals.friction[signals.valid], complete.friction[signals.valid], atol=0.05)
+
+
+def test_bypassed_record_misses_only_the_missing_sample() -> None:
+    n = 400
+    log = a_log(np.linspace(0.0, 0.01, n), np.ones(n), velocity_m_s=np.linspace(0.0, 1.0, n), friction_N=np.ones(n))
+    signals = signals_of_record(without(log, "velocity_m_s", 100, 120), MACHINE)
+    np.testing.assert_array_equal(np.flatnonzero(~signals.valid), np.arange(100, 120))
+    np.testing.assert_allclose(signals.velocity, log.velocity_m_s)

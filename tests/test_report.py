@@ -8,6 +8,7 @@ import math
 import re
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import numpy as np
 import pytest
 
 import diagnosis_cases as cases
-from sgms_mhe.diagnosis import Diagnosis
+from sgms_mhe.diagnosis import Alternative, Diagnosis
 from sgms_mhe.errors import InputError
 from sgms_mhe.machine import Machine, load_machine, override_machine
 from sgms_mhe.report import closed_loop_gain, write_report
@@ -141,7 +142,10 @@ def test_explained_says_cause_numbers_and_file(machine: Machine, tmp_path: Path)
     page = read(write_report(diagnosis, tmp_path))
     words = page.words
     assert "Found: force periodic in position (0.797 N)." in words
-    assert diagnosis.summary in words
+    before, after = force(diagnosis.rms.held_out_before), force(diagnosis.rms.held_out_after)
+    assert f"measured minus simulated friction falls from {before} to {after} RMS".replace(SPACE, " ") in words
+    assert "Confirm it on another record" in words
+    assert "sgms-mhe predict etel_xy_force_ripple.toml ANOTHER_LOG" in words
     assert "0.797 ± 0.012 N" in words
     assert "32.003 ± 0.041 mm" in words
     assert "Force periodic in position" in words
@@ -155,10 +159,38 @@ def test_explained_says_cause_numbers_and_file(machine: Machine, tmp_path: Path)
 
 def test_ambiguous_shows_the_rival_and_the_next_step(machine: Machine, tmp_path: Path) -> None:
     words = read(write_report(cases.ambiguous(machine), tmp_path)).words
-    assert "this data cannot tell" in words
-    assert "Constant force, independent of motion (0.410 N); or else Coulomb level different" in words
-    assert "Next step Loops below break-away" in words
-    assert "ratio 10.2 %" in words
+    assert "Found: constant force, independent of motion (0.410 N)." in words
+    assert "open Constant force, independent of motion or Coulomb level different in the two directions?" in words
+    assert "In its place this fits as well: Coulomb level different in the two directions asymmetric_coulomb" in words
+    assert "(ratio 10.2 %)" in words
+    assert "Next step Record one of these" in words
+    assert "Loops below break-away: an offset shifts them, an asymmetric level does not." in words
+    assert "sgms-mhe plan etel_xy --separate constant_offset asymmetric_coulomb --out plan.csv" in words
+
+
+def test_numbers_of_the_machine_file_are_named_in_words(machine: Machine, tmp_path: Path) -> None:
+    # A cause is no rival of itself, and nobody outside the program knows what "machine:constant_offset" is.
+    first = cases.ambiguous(machine)
+    offset = replace(first.causes[0], nominal={"force_N": -3.1648})
+    group = "machine:constant_offset"
+    spring = Alternative("position_spring", f"fits as well as {group}", True, group, {"stiffness_N_m": 3.3}, 0.0)
+    itself = Alternative(group, "named; fits as well as position_spring", True, None, {}, 0.0)
+    ripple = cases.explained(machine).causes[0]
+    diagnosis = replace(
+        first,
+        causes=(ripple, offset),
+        alternatives=(spring, itself),
+        summary=f"force_ripple, constant_offset, but {group} would fit as well",
+        separating_experiment=f"{group} or position_spring: the same move at two ends of the travel",
+    )
+    words = read(write_report(diagnosis, tmp_path)).words
+    assert "machine:" not in words
+    assert "Found: force periodic in position (0.797 N)." in words
+    assert "open Constant force, independent of motion or force proportional to position?" in words
+    assert words.count("In its place this fits as well: force proportional to position position_spring") == 1
+    assert "another value than the machine file's" in words
+    assert "−3.16 N 0.410 ± 0.039 N" in words
+    assert "The same move at two ends of the travel." in words
 
 
 def test_unexplained_names_the_coordinate_and_offers_no_file(machine: Machine, tmp_path: Path) -> None:

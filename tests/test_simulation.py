@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -169,10 +170,10 @@ def test_laws_meet_where_the_smoothing_vanishes(machine: Machine) -> None:
         smoothed = truth_of(machine, trajectory, prescribed(substeps=1), parameters=sharp).friction_N
         return float(np.sqrt(np.mean((smoothed - switched) ** 2)))
 
-    differences = [difference(width) for width in (0.1, 0.01, 0.001)]
-    assert differences[1] < 0.1 * differences[0]
-    assert differences[2] < 0.1 * differences[1]
-    assert differences[2] < 1e-3
+    differences = [difference(width) for width in (0.1, 0.02, 0.004)]  # to the sharpest that a machine file may have
+    assert differences[1] < 0.2 * differences[0]
+    assert differences[2] < 0.2 * differences[1]
+    assert differences[2] < 2.5e-3
 
 
 def test_micro_viscous_force_is_the_rate_of_deflection(machine: Machine) -> None:
@@ -645,6 +646,8 @@ def test_closed_loop_with_every_effect(machine: Machine, name: str, law: str) ->
         "mass_kg": 2.0, "gain": 1.05, "delay_s": 2e-4, "coefficient_N_s2_m2": 5.0, "damping_N_s_m": 10.0,
         "corner_velocity_m_s": 0.3, "frequency_Hz": 300.0, "damping_ratio": 0.02, "gap_m": 5e-6, "length_m": 1e-5,
     }  # fmt: skip
+    if name in ("friction_drift", "viscous_drift", "dwell_dependence"):
+        typical["time_constant_s"] = 5e-3
     effect = (name, {parameter: typical[parameter] for parameter in plant_effects()[name]})
     trajectory = make_trajectory("mixed", 1e4, duration_s=3.0)
     run = simulate_axis(machine, trajectory, AxisConfig(law=law), hidden_effects=[effect])  # type: ignore[arg-type]
@@ -686,17 +689,98 @@ def test_machine_effects_are_part_of_the_plant() -> None:
         ({"parameters": {"stifness": 1.0}}, "parameter"),
         ({"parameters": {"stiffness": (1.0, 2.0)}}, "stiffness"),
         ({"scale": {"coulomb": float("nan")}}, "coulomb"),
-        ({"parameters": {"mass": -1.0}}, "true parameters"),
+        ({"parameters": {"mass": -1.0}}, "mass"),
+        ({"scale": {"coulomb": 0.0}}, "coulomb"),
+        ({"scale": {"stiffness": (1.0, 1.0, -1.0, 1.0)}}, "stiffness_3"),
+        ({"parameters": {"zeta": 1.0}}, "zeta"),
+        ({"scale": {"lambda": 1e6}}, "lambda"),
+        ({"parameters": {"micro_viscous": -1.0}}, "micro_viscous_1"),
+        ({"drift": {"coulomb": linear_drift(-2.0, 0.01)}}, "coulomb"),
         ({"hidden_effects": [("gravity", {})]}, "effect"),
         ({"hidden_effects": [("constant_offset", {"amplitude_N": 1.0})]}, "parameters of constant_offset"),
         ({"hidden_effects": [("constant_offset", {"force_N": 1.0})] * 33}, "effect"),
-        ({"hidden_effects": [("force_delay", {"delay_s": 1.0})]}, "true parameters"),
+        ({"hidden_effects": [("constant_offset", {"force_N": float("inf")})]}, "constant_offset.force_N"),
+        ({"hidden_effects": [("mass_mismatch", {"mass_kg": -20.0})]}, "mass"),
+        ({"hidden_effects": [("force_delay", {"delay_s": 1.0})]}, "force_delay.delay_s"),
+        ({"hidden_effects": [("force_delay", {"delay_s": 0.1})]}, "force_delay.delay_s"),
     ],
 )
 def test_bad_parameters_are_named(machine: Machine, options: dict[str, Any], where: str) -> None:
     with pytest.raises(InputError) as caught:
         simulate_axis(machine, ramp(1e-4, 1e-3), clean(), **options)
     assert caught.value.where == where
+
+
+@pytest.mark.parametrize("ratio", [1.0, -1.0, 1.5, 1e3])
+def test_level_without_a_direction_is_refused(machine: Machine, tmp_path: Path, ratio: float) -> None:
+    # At 1 the level of one direction is zero, beyond it negative: no friction law goes on from there.
+    allowed = "a number from -0.95 to 0.95"
+    effect = ("asymmetric_coulomb", {"ratio": ratio})
+    with pytest.raises(InputError) as hidden:
+        simulate_axis(machine, ramp(1e-4, 1e-3), clean(), hidden_effects=[effect])
+    assert (hidden.value.where, hidden.value.value) == ("asymmetric_coulomb.ratio", ratio)
+    with pytest.raises(InputError) as scaled:
+        smaller = ("asymmetric_coulomb", {"ratio": 0.5})
+        factor = {"asymmetric_coulomb.ratio": 2.0 * ratio}
+        simulate_axis(machine, ramp(1e-4, 1e-3), clean(), hidden_effects=[smaller], scale=factor)
+    assert (scaled.value.where, scaled.value.value) == ("asymmetric_coulomb.ratio", ratio)
+    path = tmp_path / "tilted.toml"
+    path.write_text(f'extends = "etel_xy"\neffects = [{{ name = "asymmetric_coulomb", ratio = {ratio} }}]\n')
+    with pytest.raises(InputError) as loaded:
+        load_machine(path)
+    assert (loaded.value.source, loaded.value.where) == (str(path), "effects[1].ratio")
+    assert hidden.value.allowed == scaled.value.allowed == loaded.value.allowed == allowed
+
+
+def test_resonance_that_the_substeps_do_not_resolve_is_refused(machine: Machine) -> None:
+    hanging = {"damping_ratio": 0.02, "mass_kg": 1.0}
+    with pytest.raises(InputError, match=r"frequency_Hz = 7000\.0: at most 6366\.2 Hz"):
+        truth_of(
+            machine,
+            ramp(1e-4, 1e-3),
+            clean(),
+            hidden_effects=[("structural_resonance", {"frequency_Hz": 7000.0, **hanging})],
+        )
+    fastest = ("structural_resonance", {"frequency_Hz": 6366.0, **hanging})
+    truth = truth_of(machine, make_trajectory("mixed", 1e4, duration_s=0.5), clean(), hidden_effects=[fastest])
+    assert np.abs(truth.force_N).max() < 1e3
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(
+    "effect",
+    [
+        ("position_spring", {"stiffness_N_m": -16e6, "centre_m": 0.0}),
+        ("asymmetric_viscous", {"difference_N_s_m": 2e6}),
+        ("quadratic_drag", {"coefficient_N_s2_m2": -4e5}),
+    ],
+    ids=lambda effect: str(effect[0]),
+)
+def test_axis_that_runs_away_is_refused(machine: Machine, effect: tuple[str, dict[str, float]], law: str) -> None:
+    trajectory = make_trajectory("mixed", 1e4, duration_s=1.0)
+    with pytest.raises(InputError, match="runs away") as caught:
+        truth_of(machine, trajectory, clean(law=law), hidden_effects=[effect])
+    assert caught.value.where.startswith("sample ")
+
+
+@pytest.mark.parametrize(
+    ("scale", "friction"),
+    [
+        ({"coulomb": 1e-12}, 4e-12),
+        ({"coulomb": 1e-12, "stiffness": 1e6}, 4e-12),
+        ({"stiffness": 1e6, "lambda": 28.0}, 4.0),
+    ],
+)
+def test_elements_that_slip_at_once_take_bounded_work(
+    machine: Machine, scale: dict[str, float], friction: float
+) -> None:
+    # A sample is up to 1e12 deflections long here, some of it below the speed that opens the gate.
+    motion = Motion(1e4)
+    for target in (4e-6, 0.0):
+        motion.move_to(target, 1e-3, 1.0, 1e3)
+    truth = truth_of(machine, motion.trajectory("short"), prescribed(), scale={**scale, "viscous": 0.0})
+    assert np.abs(truth.friction_N).max() <= 2.3 * friction
+    assert np.isfinite(truth.deflection_m).all()
 
 
 @pytest.mark.parametrize(

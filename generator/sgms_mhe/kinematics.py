@@ -59,8 +59,7 @@ def signals_from_log(log: Log, machine: Machine) -> Signals:
     check_rate(log, machine)
     rate, settle = sampling.rate, settle_samples(machine)
     log = _readings(log)
-    given = (log.position_m, log.force_N, log.velocity_m_s, log.acceleration_m_s2, log.friction_N)
-    missing = ~np.logical_and.reduce([np.isfinite(channel) for channel in given if channel is not None])
+    missing = _missing(log)
     force = _hold(log.force_N)
     position, delayed_position, difference = _continue(log.position_m, settle)
 
@@ -100,6 +99,24 @@ def signals_from_log(log: Log, machine: Machine) -> Signals:
     return Signals(log.time_s, position, velocity, acceleration, force, friction, valid, missing)
 
 
+def signals_of_record(log: Log, machine: Machine) -> Signals:
+    """Send a whole record through the chain, its gaps bridged from both sides.
+
+    A controller meets a gap without knowing what comes after it, and the step back to the measurement leaves a
+    transient as large as what it missed. A record is known to its end: position goes through a gap with the speeds on
+    both sides of it, everything else in a line. Friction stays invalid in a gap, and behind the filters twice as long
+    after it as they settle.
+    """
+    log = _readings(log)
+    missing = _missing(log)
+    if not missing.any() or missing.all():
+        return signals_from_log(log, machine)
+    bypassed = log.velocity_m_s is not None and log.friction_N is not None
+    signals = signals_from_log(_bridged(log), machine)
+    after = 0 if bypassed else 2 * settle_samples(machine)
+    return replace(signals, valid=signals.valid & (_samples_since(missing) > after), missing=missing)
+
+
 def lowpass_coefficients(machine: Machine) -> tuple[float, float, float, float, float]:
     """(b0, b1, b2, a1, a2) of the low-pass: y[k] = b0 u[k] + b1 u[k-1] + b2 u[k-2] - a1 y[k-1] - a2 y[k-2].
 
@@ -134,6 +151,48 @@ def _readings(log: Log) -> Log:
         if channel is not None and np.any(np.abs(channel) >= limit):
             spoilt[name] = np.where(np.abs(channel) < limit, channel, np.nan)
     return replace(log, **spoilt) if spoilt else log
+
+
+def _missing(log: Log) -> Mask:
+    """Samples at which a channel has no reading."""
+    given = (log.position_m, log.force_N, log.velocity_m_s, log.acceleration_m_s2, log.friction_N)
+    finite: Mask = np.logical_and.reduce([np.isfinite(channel) for channel in given if channel is not None])
+    return ~finite
+
+
+def _bridged(log: Log) -> Log:
+    """The log with every gap between two readings filled."""
+    filled: dict[str, Any] = {}
+    for name in ("position_m", "force_N", "velocity_m_s", "acceleration_m_s2", "friction_N"):
+        channel = getattr(log, name)
+        if channel is None:
+            continue
+        good = np.flatnonzero(np.isfinite(channel))
+        absent = np.flatnonzero(~np.isfinite(channel))
+        if len(good):
+            absent = absent[(absent > good[0]) & (absent < good[-1])]
+        if not len(good) or not len(absent):
+            continue
+        bridged, readings = channel.copy(), channel[good]
+        bridged[absent] = _cubic(absent, good, readings) if name == "position_m" else np.interp(absent, good, readings)
+        filled[name] = bridged
+    return replace(log, **filled)
+
+
+def _cubic(at: NDArray[np.int64], good: NDArray[np.int64], values: Array) -> Array:
+    """Values between readings that keep the speeds on both sides, each over the two readings next to the gap."""
+    left = np.searchsorted(good, at) - 1
+    right = left + 1
+    width = (good[right] - good[left]).astype(np.float64)
+
+    def slope(first: NDArray[np.int64]) -> Array:
+        first = np.clip(first, 0, len(good) - 2)
+        return np.asarray((values[first + 1] - values[first]) / (good[first + 1] - good[first]))
+
+    start, end = slope(left - 1) * width, slope(right) * width
+    rise, t = values[right] - values[left], (at - good[left]) / width
+    second, third = 3.0 * rise - 2.0 * start - end, start + end - 2.0 * rise
+    return np.asarray(values[left] + t * (start + t * (second + t * third)))
 
 
 def _coefficients(cutoff: float) -> tuple[float, float, float, float, float]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -54,6 +55,24 @@ class Log:
         """The columns that are present, by name, in the order of a log file."""
         present = {name: getattr(self, name) for name in COLUMNS}
         return {name: values for name, values in present.items() if values is not None}
+
+    def part(self, start_s: float = 0.0, end_s: float = math.inf) -> Log:
+        """The rows from `start_s` to `end_s` [s since the first sample] as a log of its own.
+
+        Raises:
+            InputError: fewer than two rows are left.
+        """
+        since = self.time_s - self.time_s[0]
+        rows = slice(int(np.searchsorted(since, start_s)), int(np.searchsorted(since, end_s, side="right")))
+        left = len(since[rows])
+        if left < 2:
+            asked = f"rows from {start_s:g} to {min(end_s, float(since[-1])):g} s"
+            raise InputError(self.source or "log", asked, left, f"at least 2 rows within 0 to {since[-1]:g} s")
+        if left == len(self):
+            return self
+        source = f"{self.source or 'log'}, {since[rows][0]:g} to {since[rows][-1]:g} s"
+        columns: dict[str, Any] = {name: values[rows] for name, values in self.columns.items()}
+        return replace(self, source=source, **columns)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from sgms_mhe.build import shared_library
 from sgms_mhe.errors import InputError
 from sgms_mhe.logs import Log
+from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.paths import runtime_dir
 
 if TYPE_CHECKING:
@@ -37,6 +38,13 @@ LAWS: Final = ("sgms", "maxwell_slip")
 CONTROLS: Final = ("prescribed", "position")
 SUBSTEP_S: Final = 12.5e-6
 MAX_SUBSTEPS: Final = 256
+_HISTORY: Final = 4096
+_RESONANT: Final = 0.5
+"""AXIS_HISTORY and RESONANT of the C."""
+
+_NO_MASS, _LONG_DELAY, _FAST_RESONANCE = -2, -3, -4
+"""enum axis_refusal; the other one cannot happen to a machine and a config that are valid."""
+
 COMPENSATION = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_double, ctypes.c_double)
 """C signature of a compensation: (context, measured position [m], measured force [N]) -> force to add [N]."""
 
@@ -263,7 +271,7 @@ def simulate_axis(
         The log from time 0 on, one row per sample of the trajectory, and the truth.
 
     Raises:
-        InputError: a name, a rate or a number that does not fit.
+        InputError: a name, a rate or a number that does not fit, or an axis that its controller cannot hold.
     """
     if not math.isclose(trajectory.rate, machine.sampling.rate, rel_tol=1e-9):
         raise InputError(
@@ -282,7 +290,8 @@ def simulate_axis(
     if truth:
         columns |= {name: np.empty(n) for name in _TRUTH_COLUMNS} | {"true_deflection_m": np.empty(n * n_z)}
 
-    block = max(1, round(drift_block_s * trajectory.rate)) if drift else n
+    # Even without drift the interpreter is back every second of the axis, so that a long run can be interrupted.
+    block = max(1, round((drift_block_s if drift else 1.0) * trajectory.rate))
     axis.place(reference[0])
     for start in range(0, n, block):
         if drift:
@@ -354,7 +363,7 @@ def _library() -> _Library:
         "axis_set_compensation": (None, [axis, COMPENSATION, ctypes.c_void_p]),
         "axis_apply": (ctypes.c_int, [axis]),
         "axis_place": (None, [axis, number]),
-        "axis_run": (None, [axis, ctypes.c_void_p, size, size, size, ctypes.POINTER(_Record)]),
+        "axis_run": (size, [axis, ctypes.c_void_p, size, size, size, ctypes.POINTER(_Record)]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(c, name)
@@ -373,12 +382,56 @@ def _library() -> _Library:
     return _Library(c, settings, effects)
 
 
+@dataclass(frozen=True)
+class _Limits:
+    """What a number may be: the machine file's own limits hold for true values too."""
+
+    low: float
+    high: float
+    allowed: str
+    with_low: bool = True
+    with_high: bool = True
+
+    def hold(self, value: float) -> bool:
+        """Whether a value lies within."""
+        above = value >= self.low if self.with_low else value > self.low
+        below = value <= self.high if self.with_high else value < self.high
+        return above and below and math.isfinite(value)
+
+
+@lru_cache(maxsize=1)
+def _base_limits() -> Mapping[str, _Limits]:
+    """Limits of mass and friction parameters by their key in the machine file, an array's for each entry."""
+    from sgms_mhe.machine.schema import Friction, Plant, Smoothing
+
+    limits = {}
+    for table in (Plant, Friction, Smoothing):
+        for name, key in table.model_json_schema()["properties"].items():
+            spec = key.get("items", key)
+            if spec.get("type") != "number":
+                continue
+            least, most = spec.get("minimum", -math.inf), spec.get("maximum", math.inf)
+            above, below = spec.get("exclusiveMinimum", -math.inf), spec.get("exclusiveMaximum", math.inf)
+            allowed = f"{'>' if above >= least else '>='} {max(least, above):g} and "
+            allowed += f"{'<' if below <= most else '<='} {min(most, below):g}"
+            limits[name] = _Limits(max(least, above), min(most, below), allowed, least > above, most < below)
+    return limits
+
+
 @dataclass
 class _Parameter:
-    """One true number of the plant: its value before drift and how to set it."""
+    """One true number of the plant: its value before drift, how to set it, what it may be."""
 
+    name: str
     value: float
-    assign: Callable[[float], None] = field(repr=False)
+    send: Callable[[float], None] = field(repr=False)
+    limits: _Limits
+
+    def assign(self, value: float) -> None:
+        """Send a value to the plant, or refuse it."""
+        if not self.limits.hold(value):
+            raise InputError("simulation", self.name, value, self.limits.allowed)
+        self.send(value)
 
 
 class _Axis:
@@ -396,7 +449,7 @@ class _Axis:
         self._compensation: Any = None
         self._prescribed = config.control == "prescribed"
 
-        friction = machine.friction
+        friction, limits = machine.friction, _base_limits()
         smoothing = {"zeta": friction.smoothing.zeta, "lambda": friction.smoothing.lambda_}
         smoothing["gamma"] = friction.smoothing.gamma
         plant = {"mass": machine.plant.mass, **smoothing}
@@ -404,14 +457,16 @@ class _Axis:
             name: getattr(friction, name) for name in ("viscous", "coulomb", "stribeck_ratio", "stribeck_velocity")
         }
         for name, value in plant.items():
-            self._declare(name, value, self._setting(name))
+            self._declare(name, value, self._setting(name), limits[name])
         for name in ("stiffness", "fraction", "micro_viscous"):
             values = getattr(friction, name)
             self._arrays[name] = len(values)
             for i, value in enumerate(values):
-                self._declare(f"{name}_{i + 1}", value, self._setting(name, i))
-        for name, value in self._fixed(machine, config).items():
+                self._declare(f"{name}_{i + 1}", value, self._setting(name, i), limits[name])
+        fixed = self._fixed(machine, config)
+        for name, value in fixed.items():
             self._setting(name)(value)
+        self._substep_s = 1.0 / (fixed["rate"] * fixed["substeps"])
         seen: Counter[str] = Counter()
         for effect, values in [*((e.name, e.parameters) for e in machine.effects), *hidden_effects]:
             seen[effect] += 1
@@ -486,21 +541,35 @@ class _Axis:
         """Run `count` samples from `start`; fill the rows of the columns (a deflection's row has n_z entries)."""
         n = len(reference)
         rows = {name: column.ctypes.data + start * (column.nbytes // n) for name, column in columns.items()}
-        self._c.axis_run(self._memory, reference.ctypes.data, n, start, count, ctypes.byref(_Record(**rows)))
+        done = self._c.axis_run(self._memory, reference.ctypes.data, n, start, count, ctypes.byref(_Record(**rows)))
+        if done < count:
+            raise InputError(
+                "simulation",
+                f"sample {start + done}",
+                None,
+                "parameters with which the position loop is stable; this axis runs away beyond 4e6 m or 1e9 N",
+            )
 
     def _apply(self) -> None:
-        if self._c.axis_apply(self._memory) != 0:
-            raise InputError(
-                "simulation", "true parameters", None, "a positive moving mass and a delay of at most 4094 substeps"
-            )
+        refusal = self._c.axis_apply(self._memory)
+        if refusal:
+            where, allowed = {
+                _NO_MASS: ("mass", "a mass of which effects leave a positive part"),
+                _LONG_DELAY: ("force_delay.delay_s", f"0 to {(_HISTORY - 2) * self._substep_s:g} s in all"),
+                _FAST_RESONANCE: (
+                    "structural_resonance.frequency_Hz",
+                    f"at most {_RESONANT / (2.0 * math.pi * self._substep_s):.6g} Hz at this sample rate",
+                ),
+            }[refusal]
+            raise InputError("simulation", where, self._numbers[where].value, allowed)
 
     def _setting(self, name: str, i: int = 0) -> Callable[[float], None]:
         offset, _ = self._library.settings[name]
         return lambda value: self._c.axis_set(self._memory, offset + i, value)
 
-    def _declare(self, name: str, value: float, assign: Callable[[float], None]) -> None:
-        self._numbers[name] = _Parameter(value, assign)
-        assign(value)
+    def _declare(self, name: str, value: float, send: Callable[[float], None], limits: _Limits) -> None:
+        self._numbers[name] = parameter = _Parameter(name, value, send, limits)
+        parameter.assign(value)
 
     def _add_effect(self, effect: str, label: str, values: Mapping[str, float]) -> None:
         names = self._library.effects.get(effect)
@@ -515,8 +584,11 @@ class _Axis:
         index = self._c.axis_add_effect(self._memory, kind, (ctypes.c_double * len(numbers))(*numbers))
         if index < 0:
             raise InputError("simulation", "effect", effect, "no more effects than the plant has room for")
+        definition = effect_definition(effect)
         for j, name in enumerate(names):
-            self._declare(f"{label}.{name}", numbers[j], self._effect_parameter(index, j))
+            known = definition.parameter(name)
+            limits = _Limits(known.lower, known.upper, known.allowed)
+            self._declare(f"{label}.{name}", numbers[j], self._effect_parameter(index, j), limits)
 
     def _effect_parameter(self, index: int, j: int) -> Callable[[float], None]:
         return lambda value: self._c.axis_set_effect(self._memory, index, j, value)

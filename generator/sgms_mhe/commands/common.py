@@ -32,6 +32,14 @@ def out_option(meaning: str, *, metavar: str = "FILE", required: bool = True) ->
     )
 
 
+def part_options(meaning: str) -> Callable[[F], F]:
+    """The options --from and --to, in seconds since the log's first sample."""
+    seconds = click.FloatRange(min=0.0)
+    start = click.option("--from", "start_s", type=seconds, metavar="S", default=0.0, help=meaning)
+    end = click.option("--to", "end_s", type=seconds, metavar="S", default=math.inf, help="And until here [s].")
+    return lambda function: start(end(function))
+
+
 def example(*lines: str) -> str:
     """Epilog of a command's help."""
     return "\b\nExample:\n" + "\n".join(f"  sgms-mhe {line}" for line in lines)

@@ -17,11 +17,13 @@ from sgms_mhe.commands.common import (
     machine_argument,
     note,
     out_option,
+    part_options,
     show,
 )
 
 if TYPE_CHECKING:
     from sgms_mhe.diagnosis.result import Diagnosis
+    from sgms_mhe.report import EstimatorGain
 
 
 @click.command(
@@ -37,12 +39,13 @@ if TYPE_CHECKING:
     metavar="LOG",
     help="Another log, on which the estimators of the machine and of the extended machine are compared.",
 )
+@part_options("Use the log from here on [s since its start] as a log of its own, whose time starts here.")
 @click.option(
     "--held-out",
     type=(float, float),
     multiple=True,
     metavar="FROM TO",
-    help="Seconds since the log's start that no fit may see; default: a third of the record.",
+    help="Seconds since the start that the fit behind the gain does not see; default: a third of the record.",
 )
 @json_option
 def command(
@@ -50,6 +53,8 @@ def command(
     log: Path,
     out: Path | None,
     unseen: Path | None,
+    start_s: float,
+    end_s: float,
     held_out: tuple[tuple[float, float], ...],
     as_json: bool,
 ) -> None:
@@ -71,7 +76,7 @@ def command(
     from sgms_mhe.logs import read_log
     from sgms_mhe.report import closed_loop_gain, write_report
 
-    recorded = read_log(log, resolved)
+    recorded = read_log(log, resolved).part(start_s, end_s)
     another = read_log(unseen, resolved) if unseen else None
     found = diagnose(resolved, recorded, progress=note, held_out_s=held_out or None)
     write_diagnosis(found, folder)
@@ -80,12 +85,25 @@ def command(
         note("estimators of the machine and of the extended machine on the unseen log")
         gain = closed_loop_gain(resolved, found.extended, another)
     report = write_report(found, folder, estimator=gain)
-    show(json_text(found.to_json()) if as_json else _text(found, folder, report))
+    if as_json:
+        show(json_text(found.to_json() | ({} if gain is None else {"unseen": _gain(gain)})))
+    else:
+        show(_text(found, folder, report, gain))
     if found.verdict == "unexplained":
         click.get_current_context().exit(1)
 
 
-def _text(diagnosis: Diagnosis, folder: Path, report: Path) -> str:
+def _gain(gain: EstimatorGain) -> dict[str, object]:
+    """Error of the friction that both estimators predict, and by what share it falls, with the 95 % interval."""
+    return {
+        "log": gain.source,
+        "predicted_rms_N": {"before": gain.base.predicted_rms_N, "after": gain.extended.predicted_rms_N},
+        "reduction": gain.reduction,
+        "reduction_interval": list(gain.reduction_interval),
+    }
+
+
+def _text(diagnosis: Diagnosis, folder: Path, report: Path, gain: EstimatorGain | None) -> str:
     lines = [f"{diagnosis.verdict}: {diagnosis.summary}"]
     for cause in diagnosis.causes:
         values = ", ".join(
@@ -93,9 +111,20 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path) -> str:
             for name, value in cause.parameters.items()
         )
         lines.append(f"  {cause.name}: {values}; explains {cause.gain_N:.3g} N rms on held-out data")
-    lines += [f"  {a.name}: {a.why_not}" for a in diagnosis.alternatives if a.rival]
+    lines += [
+        f"  {a.name} in place of {a.instead_of}: {a.why_not}"
+        for a in diagnosis.alternatives
+        if a.instead_of and a.rival
+    ]
     if diagnosis.separating_experiment:
         lines.append(f"next: {diagnosis.separating_experiment}")
+    if gain is not None:
+        low, high = gain.reduction_interval
+        lines.append(
+            f"estimator on {gain.source}: error of the predicted friction {gain.base.predicted_rms_N:.3g} to "
+            f"{gain.extended.predicted_rms_N:.3g} N rms, {100.0 * gain.reduction:.0f} % less "
+            f"(95 %: {100.0 * low:.0f} to {100.0 * high:.0f} %)"
+        )
     lines += [f"note: {warning}" for warning in diagnosis.warnings]
     if diagnosis.extended_name:
         lines.append(f"extended machine: {folder / diagnosis.extended_name}")

@@ -14,50 +14,81 @@ from sgms_mhe.commands.common import (
     log_argument,
     machine_argument,
     out_option,
+    part_options,
     progress_bar,
     show,
 )
 
 
 @click.command(
-    short_help="Run the model alone along a log.", epilog=example("predict etel_xy axis.csv --out predicted.csv")
+    short_help="Run the model alone along a log.",
+    epilog=example(
+        "predict etel_xy axis.csv --out predicted.csv",
+        "predict emps DATA_EMPS.mat --out predicted.csv --from 12.5 --lowpass 100 --decimate 10",
+    ),
 )
 @machine_argument
 @log_argument
 @out_option("CSV to write: time_s, friction_measured_N, friction_N at every sample.")
+@part_options("Compare from here on [s since the log's start]; the model runs through the whole log.")
+@click.option("--lowpass", type=float, metavar="HZ", help="In place of the machine's velocity_cutoff.")
+@click.option(
+    "--decimate",
+    "factor",
+    type=int,
+    metavar="N",
+    default=1,
+    show_default=True,
+    help="Compare every N-th sample, behind an anti-aliasing filter.",
+)
 @json_option
-def command(machine: str, log: Path, out: Path, as_json: bool) -> None:
+def command(
+    machine: str,
+    log: Path,
+    out: Path,
+    start_s: float,
+    end_s: float,
+    lowpass: float | None,
+    factor: int,
+    as_json: bool,
+) -> None:
     """Run MACHINE's model along the motion in LOG, without estimation.
 
     Prints the RMS of measured minus simulated friction over the valid samples: those where the filters have settled and
-    nothing is missing. Elsewhere friction_measured_N is NaN.
+    nothing is missing. Elsewhere friction_measured_N is NaN. The force error is that RMS over the RMS of the drive
+    force, as inverse dynamic models are judged.
     """
-    from sgms_mhe.machine import load_machine
+    from sgms_mhe.machine import load_machine, override_machine
 
     resolved = load_machine(machine)
     check_output_file(out)
+    if lowpass is not None:
+        resolved = override_machine(resolved, {"sampling": {"velocity_cutoff": lowpass}})
 
     from sgms_mhe.logs import read_log
-    from sgms_mhe.prediction import predict_log, write_prediction
+    from sgms_mhe.prediction import force_error, predict_log, write_prediction
 
     recorded = read_log(log, resolved)
     with progress_bar(f"predict {resolved.name}"):
         prediction = predict_log(resolved, recorded)
+    error = force_error(prediction, start_s=start_s, end_s=end_s, factor=factor)
     write_prediction(out, prediction)
-    valid, total = len(prediction.residual_N), len(prediction.time_s)
-    residual, measured = prediction.residual_rms_N, prediction.measured_rms_N
     if as_json:
         result = {
             "machine": resolved.name,
-            "samples": total,
-            "valid": valid,
-            "residual_rms_N": residual,
-            "measured_rms_N": measured,
+            "samples": len(prediction.time_s),
+            "valid": error.rows,
+            "residual_rms_N": error.residual_rms_N,
+            "measured_rms_N": error.friction_rms_N,
+            "force_rms_N": error.force_rms_N,
+            "force_error": error.relative,
         }
         show(json_text(result), out)
         return
+    total = len(prediction.time_s)
     show(
-        f"measured minus simulated: {residual:.6g} N rms over {valid} of {total} samples "
-        f"(measured friction: {measured:.6g} N rms)",
+        f"measured minus simulated: {error.residual_rms_N:.6g} N rms over {error.rows} of {total} samples "
+        f"(measured friction: {error.friction_rms_N:.6g} N rms)\n"
+        f"force error: {100.0 * error.relative:.3g} % of {error.force_rms_N:.6g} N rms",
         out,
     )

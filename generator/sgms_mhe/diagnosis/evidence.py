@@ -14,6 +14,8 @@ from sgms_mhe.diagnosis.residuals import Recording
 
 Array = NDArray[np.float64]
 
+PARTS = 6  # that a record is cut into
+
 
 @dataclass(frozen=True)
 class Nuisance:
@@ -51,6 +53,8 @@ def score_test(recording: Recording, Z: Array, residual: Array) -> tuple[float, 
     """
     H = Z.T @ Z
     k = Z.shape[1]
+    if not np.all(np.isfinite(H)):
+        return 1.0, np.zeros(k)
     coefficients: Array = np.asarray(np.linalg.lstsq(H, Z.T @ residual, rcond=1e-12)[0], dtype=np.float64)
     rest = residual - Z @ coefficients
     block = recording.block[recording.used]
@@ -94,6 +98,39 @@ def difference_statistic(first: Array, second: Array) -> float:
         float(np.sum((difference - difference.mean()) ** 2)) * len(difference) / max(1, len(difference) - 1)
     )
     return float(difference.sum()) / spread if spread > 0.0 else 0.0
+
+
+def inconstancy(recording: Recording, contribution: Array, residual: Array, *, inertial: bool = False) -> float:
+    """How much the size of a cause changes over the record: 0 for the same everywhere, 1 for as much as the size.
+
+    What only imitates something else fits here and misfits there. The record is cut into parts by time, by place and by
+    speed; within each part the residual is regressed on the cause's contribution c: a - 1 = c'e / c'c. The RMS of
+    a - 1, weighted by c'c, is as large as the worst of the three ways to cut says.
+
+    Args:
+        recording: the record.
+        contribution: what the cause explains that the others cannot, residual without minus residual with it (m).
+        residual: with it (m).
+        inertial: the cause acts where the axis accelerates. By place and by speed such parts are mixed with
+            break-away to different degrees, and what the model gets wrong there would count against the cause: by time
+            only.
+    """
+    used = recording.used
+    c, e = contribution[used], residual[used]
+    total = float(c @ c)
+    if total <= 0.0:
+        return math.inf
+    worst = 0.0
+    for coordinate in (recording.time, recording.position, np.abs(recording.velocity))[: 1 if inertial else 3]:
+        x = coordinate[used]
+        # Parts that the cause acts equally much in, so that none has no say.
+        order = np.argsort(x, kind="stable")
+        part = np.empty(len(x), dtype=np.int64)
+        part[order] = np.minimum(PARTS - 1, (np.cumsum(c[order] ** 2) / total * PARTS).astype(np.int64))
+        power = np.bincount(part, weights=c * c, minlength=PARTS)
+        change = np.bincount(part, weights=c * e, minlength=PARTS) / np.maximum(power, 1e-300)
+        worst = max(worst, math.sqrt(float(power @ change**2) / total))
+    return worst
 
 
 def effective_rows(residual: Array) -> float:

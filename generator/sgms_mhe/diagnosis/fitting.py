@@ -2,31 +2,52 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes
+import hashlib
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
+from sgms_mhe.build import cache_dir
 from sgms_mhe.compiled import CompiledModel
+from sgms_mhe.diagnosis.evidence import nuisance
 from sgms_mhe.diagnosis.residuals import Recording
+from sgms_mhe.emission.package import RUNTIME_HEADERS, Package, digest_of_sources, emit_package
+from sgms_mhe.files import write_text
 from sgms_mhe.kinematics import Signals
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.paths import runtime_dir
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memory of derivatives
 ITERATIONS: Final = 12
+COHERENT: Final = 16  # rows over which the model's own error keeps its sign: a reversal
+TIMING: Final = 0.1  # of a sample: how far force and position may be apart without that being a delay
+TIMED: Final = ("force_delay", "actuator_lag")
+ALIGNABLE: Final = 0.1  # largest difference that a longer step may make, over the friction
+UNSTABLE: Final = 1e6  # derivative over the largest friction: no step was short enough
+ENOUGH: Final = 10.0  # rows' worth of noise that a step must promise
 BASE_PRIOR: Final = 1.0  # relative; holds what the record does not excite
 FROZEN: Final[Mapping[str, tuple[str, ...]]] = {"step_disturbance": ("time_s",)}
 """Parameters in which the force jumps: their search ends on the grid, not in a refit."""
+
+FASTEST_STRIBECK: Final = 0.1  # largest Stribeck velocity, over the largest speed
+WIDEST_STRIBECK: Final = 0.7  # the same, where the machine file knows of no Stribeck effect
+LONGEST_LAG: Final = 0.05  # s; a current loop that is later does not hold an axis
+FAST: Final = ("force_delay", "actuator_lag", "structural_resonance", "asymmetric_coulomb")
+"""Effects about as fast as a sample of the record, or with a level that jumps: always fitted at its full rate."""
 
 BASE_GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
     "stiffness": ("stiffness",),
@@ -35,6 +56,10 @@ BASE_GROUPS: Final[Mapping[str, tuple[str, ...]]] = {
     "stribeck": ("stribeck_ratio", "stribeck_velocity"),
 }
 """Wrong numbers of the base model that can be named, and the parameters that each of them means."""
+
+
+class FitError(RuntimeError):
+    """A model that cannot be fitted to this record: it is not finite where its fit starts."""
 
 
 @dataclass(frozen=True)
@@ -83,8 +108,16 @@ class CompiledFit(CompiledModel):
     """The emitted model along a recording, in pieces of bounded memory, reduced to the fit's rate."""
 
     def __init__(self, machine: Machine, columns: tuple[Column, ...]) -> None:
-        super().__init__(machine)
+        super().__init__(machine, cached_package(machine))
         self.columns = columns
+
+    def ordered(self, places: Sequence[int]) -> CompiledFit:
+        """The same code for effects under test in another order: `places[i]` is where number i stands in the order."""
+        other = copy.copy(self)
+        other.columns = tuple(
+            replace(c, group=f"+{places[int(c.group[1:])]}") if c.group.startswith("+") else c for c in self.columns
+        )
+        return other
 
     def run(self, recording: Recording, theta: Array, *, derivatives: bool = True) -> tuple[Array, Array | None]:
         """Friction (m) [N] and its derivatives in theta (m, n_p)."""
@@ -190,19 +223,19 @@ class Workshop:
     def __init__(self, machine: Machine, recording: Recording) -> None:
         self.machine = machine
         self.recording = recording
+        self.measured = recording.friction  # (m) [N], before any alignment
         self.rows = recording.sum_blocks(np.ones(len(recording.time)))
         self.noise = 1.0  # N, weight of the prior
         self.fits = 0
         self.starts: dict[str, float] = {}  # SI, for numbers that the machine file gives no idea of
+        self.fine: Workshop | None = None  # what this one was thinned from
         self._known: dict[object, Fit] = {}
 
-    @cached_property
-    def coarse(self) -> Workshop:
-        """The same record at the fit's rate, for searches that run models: mean signals, so displacements are exact."""
-        return self.thinned(self.recording.factor)
-
     def thinned(self, factor: int) -> Workshop:
-        """The same record with the mean signals of `factor` samples, a divisor of the recording's own factor."""
+        """The same record with the mean signals of `factor` samples, a divisor of the recording's own factor.
+
+        Means keep displacements exact. What else a longer step changes, `align` takes out.
+        """
         recording = self.recording
         if factor == 1:
             return self
@@ -233,12 +266,71 @@ class Workshop:
             missing=np.asarray(signals.missing[:n].reshape(-1, factor).any(axis=1)),
         )
         other = Workshop(machine, replace(recording, machine=machine, signals=thin, factor=recording.factor // factor))
-        other.noise, other.starts = self.noise, self.starts
+        other.noise, other.starts, other.fine = self.noise, self.starts, self
         return other
+
+    def align(self, fit: Fit) -> None:
+        """Bring measured friction into line with the model at a fit, where the difference says nothing about friction.
+
+        Two things are taken out of it: what is of the sampling (`_sampling`), unless a delay or lag is under test. And
+        where this workshop is a thinned one, the difference of its model's friction to that of the one it was thinned
+        from: residuals here are then those of the full rate, but for the change of that difference away from the fit.
+        """
+        whole = self.fine or self
+        values = {(c.group, c.name): c.si(t) for c, t in zip(fit.model.columns, fit.theta, strict=True)}
+
+        def friction(shop: Workshop) -> Array:
+            model = shop.model(fit.extras)
+            theta = np.array([c.theta(values[c.group, c.name]) for c in model.columns])
+            return model.run(shop.recording, theta, derivatives=False)[0]
+
+        exact = friction(whole)
+        used = self.recording.used
+        if not np.all(np.isfinite(exact)):
+            return
+        measured = whole.measured
+        names = {e.name for e in fit.extras} | {e.name for e in self.machine.effects}
+        if not names & set(TIMED):
+            measured = measured - self._sampling(fit, measured - exact)
+        whole.recording = replace(whole.recording, friction=measured)
+        whole._known.clear()
+        if whole is self:
+            return
+        thin = friction(self)
+        self._known.clear()
+        # What is no small difference is a model that the longer steps do not suit: it is fitted at the full rate.
+        if float(np.std((exact - thin)[used])) < ALIGNABLE * float(np.std(exact[used])):
+            self.recording = replace(self.recording, friction=measured - (exact - thin))
+
+    def _sampling(self, fit: Fit, residual: Array) -> Array:
+        """What in a residual (m) is of the sampling of force and position alone (m) [N].
+
+        Proportional to the jerk: force and position up to `TIMING` of a sample apart. Proportional to the second
+        derivative of the acceleration: its second difference over a sample h is low by h^2 / 12 of that, against a
+        force that is sampled in a point.
+        """
+        recording, used = self.recording, self.recording.used
+        step, mass = (self.fine or self).machine.sampling.step, self.machine.plant.mass
+        jerk = np.gradient(recording.acceleration) * recording.rate
+        snap = np.gradient(jerk) * recording.rate
+        free = nuisance(fit.slopes[used][:, fit.free])
+        columns = np.column_stack((jerk, snap))
+        scale = mass * np.array([TIMING * step, step**2 / 12.0])
+        Z = free.project(columns[used] * scale)
+        bounded = lsq_linear(Z, free.project(residual[used]), ([-1.0, -1.0], [1.0, 0.0]))
+        return np.asarray(columns @ (scale * bounded.x))
 
     def model(self, extras: Sequence[Extra]) -> CompiledFit:
         """The machine with effects added, everything in it a free parameter."""
-        return compiled_fit(_Key(self.machine, tuple((e.name, _snapped(self.machine, e)) for e in extras)))
+        keys = [(e.name, _snapped(self.machine, e)) for e in extras]
+        # Compiled in the order of their names: what order effects were found in must not cost another compilation.
+        places = sorted(range(len(keys)), key=lambda i: keys[i])
+        compiled = compiled_fit(_Key(self.machine, tuple(keys[i] for i in places)))
+        return compiled if places == list(range(len(keys))) else compiled.ordered(places)
+
+    def suited(self, extras: Sequence[Extra]) -> Workshop:
+        """The workshop whose rate suits these effects: this one, or the one that it was thinned from."""
+        return self.fine if self.fine is not None and any(e.name in FAST for e in extras) else self
 
     def start(self, model: CompiledFit, extras: Sequence[Extra], warm: Fit | None = None) -> Array:
         """Parameters to start from: the machine's, a warm fit's where it has them, the proposals' otherwise."""
@@ -268,6 +360,7 @@ class Workshop:
         warm: Fit | None = None,
         rows: Mask | None = None,
         iterations: int = ITERATIONS,
+        again: bool = False,
     ) -> Fit:
         """Fit the machine with effects added.
 
@@ -277,20 +370,37 @@ class Workshop:
             warm: a fit whose base parameters to start from.
             rows: rows that the fit sees (m); None: all used ones.
             iterations: at most.
+            again: fit even what is known, from `warm`, and keep the better one.
         """
         key = (
             tuple((e.name, tuple(e.parameters.items())) for e in extras),
             None if base is None else tuple(sorted(base)),
             None if rows is None else rows.tobytes(),
         )
-        if key not in self._known:
-            self._known[key] = self._fit(extras, base, warm, rows, iterations)
+        known = self._known.get(key)
+        if known is None or again:
+            fit = self._fit(extras, base, warm, rows, iterations)
+            self._known[key] = fit if known is None or fit.rms < known.rms else known
         return self._known[key]
 
     def _fit(
         self, extras: Sequence[Extra], base: Sequence[str] | None, warm: Fit | None, rows: Mask | None, iterations: int
     ) -> Fit:
         self.fits += 1
+        shop = self.suited(extras)
+        if shop is not self:
+            return shop.fit(extras, base=base, warm=warm, rows=rows, iterations=iterations)
+        try:
+            return self._fit_here(extras, base, warm, rows, iterations)
+        except FitError:
+            if self.fine is None:
+                raise
+        return self.fine.fit(extras, base=base, warm=warm, rows=rows, iterations=iterations)
+
+    def _fit_here(
+        self, extras: Sequence[Extra], base: Sequence[str] | None, warm: Fit | None, rows: Mask | None, iterations: int
+    ) -> Fit:
+        """Fit at this workshop's own rate."""
         model = self.model(extras)
         columns = model.columns
         theta = self.start(model, extras, warm)
@@ -338,17 +448,23 @@ class Workshop:
         limit = np.array([_step_limit(c, t, recording) for c, t in zip(columns, theta, strict=True)])[free]
         theta = theta.copy()
         theta[free] = np.clip(theta[free], lower, upper)
+        largest = UNSTABLE * max(float(np.max(np.abs(recording.friction))), self.machine.friction.coulomb)
 
         def evaluate(at: Array) -> tuple[Array, Array, float]:
             y, slopes = model.run(recording, at)
             residual = recording.friction - y
+            if not float(np.max(np.abs(residual))) < largest:
+                return residual, np.empty((0, 0)), math.inf
             cost = float(residual[seen] @ residual[seen]) + float(prior_rows @ (at[free] - centre) ** 2)
-            if slopes is None or not math.isfinite(cost):
-                cost = math.inf
-            return residual, np.empty((0, 0)) if slopes is None else slopes, cost
+            # A state that its steps are too long for shows in its derivatives first.
+            if slopes is None or not math.isfinite(cost) or not float(np.max(np.abs(slopes))) < largest:
+                return residual, np.empty((0, 0)), math.inf
+            return residual, slopes, cost
 
         residual, slopes, cost = evaluate(theta)
         damping = 1e-4
+        if not math.isfinite(cost):
+            raise FitError("the model is not finite where its fit starts")
         if not free.any():
             return theta, residual, slopes
         for _ in range(iterations):
@@ -357,7 +473,7 @@ class Workshop:
             g = X.T @ residual[seen] - prior_rows * (theta[free] - centre)
             diagonal = np.diag(H) + prior
             # A step that promises less than the noise of a few rows is not worth an evaluation.
-            enough = 10.0 * cost / len(X)
+            enough = ENOUGH * cost / len(X)
             improved, promised = False, 0.0
             for _ in range(3):
                 A = H + np.diag(prior_rows + damping * diagonal + 1e-12 * max(1e-30, float(diagonal.max())))
@@ -367,7 +483,7 @@ class Workshop:
                 trial = theta.copy()
                 trial[free] = theta[free] + step
                 promised = float(2.0 * g @ step - step @ (H @ step) - prior_rows @ step**2)
-                if promised < enough:
+                if not promised >= enough:
                     break
                 new_residual, new_slopes, new_cost = evaluate(trial)
                 if new_cost < cost:
@@ -384,7 +500,12 @@ class Workshop:
         return theta, residual, slopes
 
     def covariance(self, fit: Fit) -> Array:
-        """Covariance of theta (n_p, n_p), robust to residuals that are coloured within a block; 0 where not free."""
+        """Covariance of theta (n_p, n_p), 0 where not free.
+
+        Three parts: noise, robust to colour within a block (sandwich); what the model gets wrong, which does not
+        average out as noise does: its RMS beyond the noise floor, taken as coherent over `COHERENT` rows; and of a
+        delay or lag, the timing of force against position that no log is sure of.
+        """
         recording = self.recording
         X = fit.slopes[:, fit.free]
         H = X[recording.used].T @ X[recording.used] + np.diag(self._prior(fit.model, fit.free))
@@ -394,25 +515,32 @@ class Workshop:
         inner = inverse @ (scores.T @ scores) @ inverse * blocks / max(1, blocks - X.shape[1])
         # Blocks that happen to balance must not promise more than white noise would allow.
         white = inverse * fit.rms**2
+        inner = np.where(np.eye(len(inner), dtype=bool), np.maximum(inner, white), inner)
+        inner += inverse * COHERENT * max(0.0, fit.cross_rms**2 - self.noise**2)
+        timing = TIMING * (self.fine or self).machine.sampling.step / math.sqrt(3.0)
+        late = [c.effect in TIMED and c.name.endswith("_s") for c in fit.model.columns]
+        scale = np.array([timing / abs(c.scale) if at else 0.0 for c, at in zip(fit.model.columns, late, strict=True)])
+        inner += np.diag(scale[fit.free] ** 2)
         result = np.zeros((len(fit.theta), len(fit.theta)))
-        result[np.ix_(fit.free, fit.free)] = np.where(np.eye(len(inner), dtype=bool), np.maximum(inner, white), inner)
+        result[np.ix_(fit.free, fit.free)] = inner
         return result
 
 
 def cross_loss(recording: Recording, X: Array, residual: Array, prior: Array) -> Array:
     """Sum of squares per block as predicted by a fit without the block's fold.
 
-    That fit is one Gauss-Newton step from the whole one. X (m, p): derivatives of the model; `prior` (p):
-    information that is always there.
+    That fit is one Gauss-Newton step from the whole one, which counts as the optimum of all rows, where it stopped
+    short of it too: a step that was promised and not found is no merit. X (m, p): derivatives of the model; `prior`
+    (p): information that is always there.
     """
     if X.shape[1] == 0:
         return recording.sum_blocks(residual**2)
     H, g, s = block_moments(recording, X, residual)
     result = np.empty(recording.blocks)
-    total_H, total_g = H.sum(axis=0) + np.diag(prior), g.sum(axis=0)
+    total_H = H.sum(axis=0) + np.diag(prior)
     for fold in np.unique(recording.fold):
         inside = recording.fold == fold
-        step = np.linalg.lstsq(total_H - H[inside].sum(axis=0), total_g - g[inside].sum(axis=0), rcond=1e-12)[0]
+        step = np.linalg.lstsq(total_H - H[inside].sum(axis=0), -g[inside].sum(axis=0), rcond=1e-12)[0]
         result[inside] = s[inside] - 2.0 * g[inside] @ step + np.einsum("bij,i,j->b", H[inside], step, step)
     return result
 
@@ -445,7 +573,29 @@ class _Key:
         object.__setattr__(self, "digest", self.machine.digest)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=1)
+def _runtime_digest() -> str:
+    headers = [(runtime_dir() / name).read_bytes() for name in (*RUNTIME_HEADERS, "sgms_flow.h")]
+    return hashlib.sha256(b"".join(headers)).hexdigest()
+
+
+def cached_package(machine: Machine) -> Package:
+    """The machine's package, from the cache of compiled libraries where it was emitted before.
+
+    Every log of an axis asks for the same few dozen models; to derive and print one takes longer than to run it.
+    """
+    key = hashlib.sha256(f"{machine.digest} {digest_of_sources()} {_runtime_digest()}".encode()).hexdigest()[:24]
+    path = cache_dir() / f"package-{key}.json"
+    try:
+        return Package(machine, json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError):
+        package = emit_package(machine, selftest=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, json.dumps(dict(package.files)))
+    return package
+
+
+@lru_cache(maxsize=512)
 def compiled_fit(key: _Key) -> CompiledFit:
     """Compile a machine with effects added and every parameter free."""
     machine = key.machine
@@ -584,6 +734,14 @@ def _bounds(columns: Sequence[Column], recording: Recording) -> tuple[Array, Arr
     for i, column in enumerate(columns):
         if column.name == "pitch_m":
             upper[i] = min(upper[i], column.theta(longest_pitch(recording)))
+        if column.name == "stribeck_velocity":
+            fastest = float(np.max(np.abs(recording.velocity[recording.used])))
+            known = recording.machine.friction.stribeck_ratio > 0.0
+            # Where the file has a rise towards low speed, one over the whole range of speed is something else.
+            limit = (FASTEST_STRIBECK if known else WIDEST_STRIBECK) * fastest
+            upper[i] = max(lower[i], column.machine_theta, min(upper[i], column.theta(limit)))
+        if (column.effect, column.name) in (("actuator_lag", "time_constant_s"), ("force_delay", "delay_s")):
+            upper[i] = min(upper[i], column.theta(LONGEST_LAG))
         if column.name == "frequency_Hz" and column.effect == "periodic_disturbance":
             lower[i] = max(lower[i], column.theta(lowest_frequency(recording)))
     return lower, upper

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.errors import InputError
-from sgms_mhe.kinematics import Signals, settle_samples, signals_from_log
+from sgms_mhe.kinematics import Signals, settle_samples, signals_of_record
 from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine
 
@@ -97,7 +97,7 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
     Raises:
         InputError: fewer usable samples than a fit needs.
     """
-    signals = signals_from_log(log, machine)
+    signals = signals_of_record(log, machine)
     warnings: list[str] = []
     good = signals.valid.copy()
     settle = settle_samples(machine)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -12,20 +13,25 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.candidates import Proposal, degenerate, motion_of, search, stribeck_start
 from sgms_mhe.diagnosis.evidence import difference_statistic, gain_force, nuisance, score_test
-from sgms_mhe.diagnosis.fitting import BASE_GROUPS, Extra, Fit, Workshop, cross_loss
+from sgms_mhe.diagnosis.fitting import BASE_GROUPS, Extra, Fit, FitError, Workshop, cross_loss
 from sgms_mhe.diagnosis.result import Score
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects.excitation import Measure
 
 Array = NDArray[np.float64]
 
 SIGNIFICANCE: Final = 1e-3  # of a candidate, all candidates and all their trials counted
-MATERIAL: Final = 0.012  # of f_C, RMS: less is no cause but a detail
+MATERIAL: Final = 0.007  # of f_C, RMS: less is no cause but a detail
 MATERIAL_NOISE: Final = 0.25  # of the noise floor
 ROUNDS: Final = 5
 REFITS: Final = 4  # per round
+CLEAR: Final = 0.8  # the same for an effect that its linear gain says all of
 CLOSE: Final = 0.55  # a candidate with less than this share of the best linear gain is not refitted
 SHARPER: Final = 0.97  # RMS by which the sharp transition must fit better to be taken
-SHARE: Final = 0.4  # of the RMS beyond noise
+DECIDED: Final = 0.8  # and by which it must, or must not, for the other one not to be tried again
+ALIGNMENTS: Final = 2
+SHARE: Final = 0.25  # of the RMS beyond noise
+LEFT: Final = 0.2  # of the RMS beyond noise that stays unexplained: smaller gains are not told from it
 RIVAL_SHARE: Final = 0.15  # RMS by which a rival may fit worse, over what the cause explains
 RIVAL_T: Final = 2.5
 COSTLY: Final = ("backlash", "frictional_lag", "dwell_dependence")
@@ -42,7 +48,28 @@ SPECIAL: Final[Mapping[str, tuple[str, ...]]] = {
     "position_dependent_friction": ("coulomb",),
 }
 """Effects with a simpler cause as a limit: that is meant unless the effect explains something more that matters."""
+SIZES: Final = (
+    "amplitude",
+    "ratio",
+    "force_N",
+    "difference",
+    "damping_N",
+    "coefficient",
+    "mass",
+    "gain",
+    "stiffness",
+    "delay",
+)
+"""How the names of parameters begin that a force is proportional to."""
+INSTEAD: Final[Mapping[str, tuple[str, ...]]] = {
+    "force_delay": ("actuator_lag",),
+    "actuator_lag": ("force_delay",),
+}
+"""Never both: one makes the log late, the other the force, and together they cancel."""
+_ANY: Final[Mapping[str, float]] = defaultdict(float)
 REPEATABLE: Final = ("force_ripple", "periodic_disturbance")
+MOST_ALIKE: Final = 2
+"""More sines than that are the Fourier series of something else."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +89,9 @@ class Selection:
 
     Attributes:
         fit: effects and the numbers of the base model that are wrong; all other numbers as in the machine file.
-        base: named groups of the machine's own numbers.
+        base: groups of the machine's own numbers that are refitted.
+        unnamed: those of them that are no cause: refitted because something else is left, not because they are wrong.
+        free: where the forward search ended, all of the machine's numbers refitted.
         scores: of all rounds.
         rivals: of the causes in `fit`.
         rejected: candidates that were refitted in a cause's place and lost: name to (cause, excess [N]).
@@ -75,17 +104,27 @@ class Selection:
     rivals: tuple[Rival, ...]
     rejected: dict[str, tuple[str, float]] = field(default_factory=dict)
     p_values: dict[str, float] = field(default_factory=dict)
+    unnamed: tuple[str, ...] = ()
+    free: Fit | None = None
 
     @property
     def causes(self) -> tuple[str, ...]:
         """Groups that are named: base groups, then effects under test."""
-        return self.base + tuple(f"+{i}" for i in range(len(self.fit.extras)))
+        base = tuple(group for group in self.base if group not in self.unnamed)
+        return base + tuple(f"+{i}" for i in range(len(self.fit.extras)))
 
 
 class Selector:
     """Forward selection, pruning and rivals on one recording."""
 
-    def __init__(self, workshop: Workshop, sharp: Workshop | None, floor: float, report: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        workshop: Workshop,
+        sharp: Workshop | None,
+        floor: float,
+        excitation: Mapping[Measure, float],
+        report: Callable[[str], None],
+    ) -> None:
         self.workshop = self.plain = workshop
         self.sharp = sharp
         self.report = report
@@ -94,27 +133,33 @@ class Selector:
         self.material = max(MATERIAL * machine.friction.coulomb, MATERIAL_NOISE * floor)
         self.own = tuple(f"machine:{effect.label}" for effect in machine.effects)
         self.groups = tuple(BASE_GROUPS) + self.own
+        # What a record does not excite cannot be found in it; what only imitates it can.
+        self.excited = tuple(
+            name
+            for name in EFFECT_NAMES
+            if not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
+        )
         self.scores: list[Score] = []
         self.seen: set[str] = set()
+        self.decided = False  # on the transition
 
     # --- forward ------------------------------------------------------------------------------------------------
 
     def select(self) -> Selection:
         """Select causes, from the machine with all its own numbers refitted."""
         self._start_stribeck()
-        current = self._transition(())
+        current = self._aligned(self._transition(()))
         p_values: dict[str, float] = {}
         for number in range(1, ROUNDS + 1):
+            if self._excess(current) < self.material:  # what is left could not make any cause matter
+                break
             self.report(f"searching effects, round {number}")
             step = self._round(current, number)
             if step is None:
                 break
-            current = self._pruned(step)
-            if self.sharp is not None:
-                current = self._transition(current.extras)
+            current = self._aligned(self._transition(self._pruned(step).extras))
         # What is left unexplained is no measure for the machine's numbers, but no finer one than that is possible.
-        left = math.sqrt(max(0.0, current.cross_rms**2 - self.floor**2))
-        self.material = max(self.material, 0.3 * left)
+        self.material = max(self.material, LEFT * self._excess(current))
         base, fit = self._wrong_numbers(current)
         fit, base = self._leaner(fit, base)
         rivals: list[Rival] = []
@@ -128,12 +173,35 @@ class Selector:
             fit, base = self._leaner(fit, base)
         for group in base + tuple(f"+{i}" for i in range(len(fit.extras))):
             p_values[group] = self._p_value(fit, group)
-        return Selection(fit, base, tuple(self.scores), tuple(rivals), rejected, p_values)
+        return Selection(fit, base, tuple(self.scores), tuple(rivals), rejected, p_values, free=current)
+
+    def _aligned(self, fit: Fit) -> Fit:
+        """The fit with everything at hand, its thinned model brought into line with the record's full rate."""
+        for _ in range(ALIGNMENTS):
+            self.workshop.align(fit)
+            fit = self.workshop.fit(fit.extras, warm=fit)
+        return fit
+
+    def _attempt(
+        self, extras: Sequence[Extra], *, base: Sequence[str] | None = None, warm: Fit | None = None
+    ) -> Fit | None:
+        """A fit, or None where the model is not finite from its start on."""
+        try:
+            return self.workshop.fit(extras, base=base, warm=warm)
+        except FitError:
+            return None
+
+    def _called(self, group: str) -> str:
+        """Name of a candidate: that of its effect where it is a number of an effect that the machine has."""
+        label = group.removeprefix("machine:")
+        return next((e.name for e in self.workshop.machine.effects if group != label and e.label == label), group)
 
     def names(self, extras: Sequence[Extra]) -> list[str]:
         """Effects that may still be added."""
         taken = {extra.name for extra in extras} | {effect.name for effect in self.workshop.machine.effects}
-        return [name for name in EFFECT_NAMES if name not in taken or name in REPEATABLE]
+        taken |= {other for name in taken for other in INSTEAD.get(name, ())}
+        twice = {extra.name for extra in extras if sum(other.name == extra.name for other in extras) >= MOST_ALIKE}
+        return [name for name in self.excited if name not in taken or (name in REPEATABLE and name not in twice)]
 
     def _start_stribeck(self) -> None:
         """A machine file without a Stribeck effect says nothing about its velocity: look for it first."""
@@ -152,21 +220,42 @@ class Selector:
         How sharply an element slips is a property of the smoothed law, not of an axis: a real one may switch. Both are
         tried, after every effect again, so that the difference is not taken for an effect, nor an effect for it.
         """
+        if self.sharp is None or self.decided:
+            return self.workshop.fit(extras)
         fit = self.plain.fit(extras)
-        if self.sharp is None:
+        # The switching law's sum of squares is rough: from the machine's numbers first, then from the smooth one's.
+        trials = [trial for warm in (None, fit) if (trial := self._sharp_fit(fit, warm)) is not None]
+        if not trials:
+            self.workshop = self.plain
             return fit
-        other = self.sharp.fit(extras)
-        better = other.cross_rms < SHARPER * fit.cross_rms
-        self.workshop = self.sharp if better else self.plain
-        return other if better else fit
+        other = min(trials, key=lambda trial: trial.cross_rms)
+        ratio = other.cross_rms / fit.cross_rms
+        better = other if ratio < SHARPER else fit
+        self.decided = not DECIDED < ratio < 1.0 / DECIDED and self._excess(better) < 2.0 * self.material
+        self.workshop = self.sharp if better is other else self.plain
+        return better
+
+    def _sharp_fit(self, fit: Fit, warm: Fit | None) -> Fit | None:
+        """The sharp transition with the effects of a fit; None where it cannot be fitted."""
+        if self.sharp is None:
+            return None
+        try:
+            return self.sharp.fit(fit.extras, warm=warm, again=warm is not None)
+        except FitError:
+            return None
 
     def _round(self, current: Fit, number: int) -> Fit | None:
         """Search, refit the best, return the fit with the one to add."""
         recording = self.workshop.recording
         free = nuisance(current.slopes[recording.used][:, current.free])
         names = self.names(current.extras)
-        proposals = search(self.workshop, current, names, free)
+        proposals = search(self.workshop, current, [n for n in names if n not in COSTLY], free)
         gains = {id(p): self._linear_gain(current, p) for p in proposals}
+        costly = self._costly(current, proposals, gains)
+        if costly:
+            more = search(self.workshop, current, [n for n in names if n in costly], free)
+            gains |= {id(p): self._linear_gain(current, p) for p in more}
+            proposals += more
         best: dict[str, Proposal] = {}
         for p in proposals:
             if p.name not in best or gains[id(p)] > gains[id(best[p.name])]:
@@ -179,10 +268,13 @@ class Selector:
         strong.sort(key=lambda p: -gains[id(p)])
         top = gains[id(strong[0])] if strong else 0.0
         shortlist = _distinct([(gains[id(p)], p) for p in strong if gains[id(p)] > CLOSE * top])[:REFITS]
+        shortlist = [p for p in shortlist if gains[id(p)] > CLEAR * gains[id(shortlist[0])] or not _is_linear(p.name)]
         fits: dict[str, Fit] = {}
         for proposal in shortlist:
             self.report(f"refitting {proposal.name}")
-            fits[proposal.name] = self.workshop.fit((*current.extras, proposal.extra), warm=current)
+            fit = self._attempt((*current.extras, proposal.extra), warm=current)
+            if fit is not None:
+                fits[proposal.name] = fit
         chosen = self._choose(current, fits)
         self.seen |= {p.name for p in strong}
         for p in proposals:
@@ -204,13 +296,29 @@ class Selector:
             )
         return fits[chosen] if chosen is not None else None
 
+    def _costly(self, current: Fit, proposals: Sequence[Proposal], gains: Mapping[int, float]) -> list[str]:
+        """Effects worth a search that runs models: where the others leave something, or look like one of them."""
+        found = [p for p in proposals if p.feasible]
+        best = max(found, key=lambda p: gains[id(p)], default=None)
+        if best is None:
+            return list(COSTLY)
+        left = math.sqrt(max(0.0, self._excess(current) ** 2 - max(0.0, gains[id(best)]) ** 2))
+        return [
+            name
+            for name in COSTLY
+            if left > self.material or best.name in effect_definition(name).confused_with or name in self.seen
+        ]
+
     def _enough(self, current: Fit) -> float:
         """What an effect must explain to be added [N]: what matters, and a fair share of what there is to explain.
 
         Where a lot is left, something with a small share of it only imitates a part of what is really there.
         """
-        excess = math.sqrt(max(0.0, current.cross_rms**2 - self.floor**2))
-        return max(self.material, SHARE * excess)
+        return max(self.material, SHARE * self._excess(current))
+
+    def _excess(self, fit: Fit) -> float:
+        """RMS of what a fit leaves beyond noise [N]."""
+        return math.sqrt(max(0.0, fit.cross_rms**2 - self.floor**2))
 
     def _choose(self, current: Fit, fits: dict[str, Fit]) -> str | None:
         """The candidate to add: the best by cross-validation; among equals the one that leaves other numbers alone."""
@@ -274,13 +382,13 @@ class Selector:
         extras = fit.extras
         everything = self.workshop.fit(extras, warm=fit)
         named: tuple[str, ...] = ()
-        current = self.workshop.fit(extras, base=())
+        current = self.workshop.fit(extras, base=(), warm=everything)
         while True:
             missing = gain_force(current.cross, everything.cross, fit.rows)
             rest = [group for group in self.groups if group not in named]
             if missing < self.material or not rest:
                 break
-            trials = {group: self.workshop.fit(extras, base=(*named, group)) for group in rest}
+            trials = {group: self.workshop.fit(extras, base=(*named, group), warm=everything) for group in rest}
             best = min(trials, key=lambda group: float(trials[group].cross.sum()))
             gain = gain_force(current.cross, trials[best].cross, fit.rows)
             if gain < self.material:
@@ -290,7 +398,7 @@ class Selector:
             if len(named) < 2:
                 break
             without = tuple(g for g in named if g != group)
-            trial = self.workshop.fit(extras, base=without)
+            trial = self.workshop.fit(extras, base=without, warm=current, again=True)
             if gain_force(trial.cross, current.cross, fit.rows) < self.material:
                 named, current = without, trial
         return named, current
@@ -301,7 +409,7 @@ class Selector:
             losses = []
             for i in range(len(fit.extras)):
                 rest = tuple(e for j, e in enumerate(fit.extras) if j != i)
-                without = self.workshop.fit(rest, base=base)
+                without = self.workshop.fit(rest, base=base, warm=fit)
                 losses.append((gain_force(without.cross, fit.cross, fit.rows), without))
             gain, without = min(losses, key=lambda entry: entry[0])
             if gain > self.material:
@@ -321,8 +429,8 @@ class Selector:
                 extras = tuple(e for i, e in enumerate(fit.extras) if f"+{i}" != group)
                 free_base, cause = base, fit.extras[int(group[1:])].name
             else:
-                extras, free_base, cause = fit.extras, tuple(g for g in base if g != group), group
-            without = self.workshop.fit(extras, base=free_base)
+                extras, free_base, cause = fit.extras, tuple(g for g in base if g != group), self._called(group)
+            without = self.workshop.fit(extras, base=free_base, warm=fit)
             own_gain = gain_force(without.cross, fit.cross, fit.rows)
             if own_gain <= 0.0:
                 continue
@@ -345,16 +453,20 @@ class Selector:
             trials.sort(key=lambda trial: -trial[0])
             kept = _distinct(trials)[:REFITS]
             for gain, proposal in trials:
-                name = proposal.name
+                group_name, name = proposal.name, self._called(proposal.name)
+                if name == cause:
+                    continue
                 if not any(proposal is k for k in kept) or gain < 0.7 * own_gain:
                     rejected.setdefault(name, (cause, math.sqrt(max(0.0, own_gain**2 - max(gain, 0.0) ** 2))))
                     continue
                 self.report(f"comparing {cause} with {name}")
                 trial = (
-                    self.workshop.fit((*extras, proposal.extra), base=free_base, warm=without)
-                    if name not in self.groups
-                    else self.workshop.fit(extras, base=(*free_base, name), warm=without)
+                    self._attempt((*extras, proposal.extra), base=free_base, warm=without)
+                    if group_name not in self.groups
+                    else self._attempt(extras, base=(*free_base, group_name), warm=without)
                 )
+                if trial is None:
+                    continue
                 excess = gain_force(trial.cross, fit.cross, fit.rows)
                 statistic = difference_statistic(fit.cross, trial.cross)
                 better = statistic < -RIVAL_T and excess < -0.2 * self.material
@@ -368,7 +480,7 @@ class Selector:
                     rejected[name] = (cause, max(0.0, excess))
                     continue
                 if excess < 0.3 * self.material or (excess < RIVAL_SHARE * own_gain and statistic < RIVAL_T):
-                    rivals.append(Rival(name.removeprefix("machine:"), cause, trial, excess, statistic))
+                    rivals.append(Rival(name, cause, trial, excess, statistic))
                 else:
                     rejected[name] = (cause, excess)
         return None, rivals, rejected
@@ -406,26 +518,28 @@ def _distinct(ranked: list[tuple[float, Proposal]]) -> list[Proposal]:
     return [proposal for _, proposal in kept]
 
 
+def _is_linear(name: str) -> bool:
+    """Whether an effect's force is its columns times its sizes: then its linear gain is what a refit would find."""
+    return name in EFFECT_NAMES and not effect_definition(name).states and name not in ("micro_viscous", "force_ripple")
+
+
 def _numbers(proposal: Proposal) -> int:
     """Numbers of a candidate: an effect's parameters, a base group's columns."""
     return len(proposal.parameters) or proposal.columns.shape[1]
 
 
+def is_size(effect: str, parameter: str) -> bool:
+    """Whether an effect is none where this parameter is zero (or a gain one)."""
+    return parameter.startswith(SIZES) or (effect, parameter) in (
+        ("actuator_lag", "time_constant_s"),
+        ("frictional_lag", "time_constant_s"),
+        ("backlash", "gap_m"),
+    )
+
+
 def _amplitudes(fit: Fit, group: str) -> NDArray[np.bool_]:
     """Parameters of an effect that its force is proportional to, by their names."""
-    sizes = (
-        "amplitude",
-        "ratio",
-        "force_N",
-        "difference",
-        "damping_N",
-        "coefficient",
-        "mass",
-        "gain",
-        "stiffness",
-        "delay",
-    )
-    return np.array([c.group == group and c.name.startswith(sizes) for c in fit.model.columns])
+    return np.array([c.group == group and c.name.startswith(SIZES) for c in fit.model.columns])
 
 
 def _zero(fit: Fit, group: str) -> Array:
@@ -433,4 +547,4 @@ def _zero(fit: Fit, group: str) -> Array:
     return np.array([c.theta(1.0 if c.name == "gain" else 0.0) if c.group == group else 0.0 for c in fit.model.columns])
 
 
-__all__ = ["Rival", "Selection", "Selector"]
+__all__ = ["Rival", "Selection", "Selector", "is_size"]

@@ -11,9 +11,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.evidence import gain_force, gain_interval
+from sgms_mhe.diagnosis.evidence import gain_force, gain_interval, inconstancy
 from sgms_mhe.diagnosis.extension import extend_machine
-from sgms_mhe.diagnosis.fitting import Fit, Workshop
+from sgms_mhe.diagnosis.fitting import Fit, FitError, Workshop
 from sgms_mhe.diagnosis.residuals import Recording, noise_floor, prepare
 from sgms_mhe.diagnosis.result import (
     Alternative,
@@ -25,11 +25,12 @@ from sgms_mhe.diagnosis.result import (
     Traces,
     Verdict,
 )
-from sgms_mhe.diagnosis.selection import Selection, Selector
+from sgms_mhe.diagnosis.selection import Selection, Selector, is_size
 from sgms_mhe.diagnosis.structure import structure_map
+from sgms_mhe.errors import InputError
 from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine, override_machine
-from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition, measures
 from sgms_mhe.model.effects.base import BASE_CAUSES
 
 Array = NDArray[np.float64]
@@ -37,10 +38,19 @@ Progress = Callable[[str], None]
 """Called with what is being done."""
 
 EXCITED: Final = 0.05  # of f_C: range of the simulated friction below which a record says nothing
-SHARP: Final[Mapping[str, float]] = {"zeta": 0.99, "lambda": 350.0}
-LONG: Final = 150_000  # samples
+SHARP: Final[Mapping[str, float]] = {"zeta": 0.995, "lambda": 700.0, "gamma": 700.0}
+"""Smoothing of elements that slip almost at once: a hundredth of break-away from the switching law."""
+SEARCH_RATE: Final = 1000.0  # Hz
 UNEXPLAINED: Final = 0.02  # of f_C: RMS beyond noise that a complete explanation may leave
-UNEXPLAINED_SHARE: Final = 0.45  # of the RMS beyond noise of the machine as it is
+MOST_LEFT: Final = 0.75  # of the RMS beyond noise, where every cause is the same all over the record
+INERTIAL: Final = ("force_delay", "actuator_lag", "mass_mismatch", "force_gain", "structural_resonance")
+INCONSTANT: Final = 0.3  # RMS change of a cause's size over the record that rules it out, over the size
+PATIENT: Final = 40  # iterations of a fit that may start far from its end
+SIGMAS: Final = 2.0
+JOINT: Final = 1e-4  # significance of several wrong numbers together
+NO_EFFECT: Final[Mapping[tuple[str, str], float]] = {("force_gain", "gain"): 1.0}
+"""Sizes at which an effect is none, where that is not 0."""
+UNEXPLAINED_SHARE: Final = 0.15  # of the RMS beyond noise of the machine as it is
 
 
 def diagnose(
@@ -66,29 +76,41 @@ def diagnose(
     report = progress or (lambda _: None)
     report("preparing the log")
     recording = prepare(machine, log, held_out_s)
-    workshop = Workshop(machine, recording)
-    nominal = workshop.fit((), base=())
+    whole = Workshop(machine, recording)
+    try:
+        nominal = whole.fit((), base=())
+    except FitError as error:
+        raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
     floor = noise_floor(recording, nominal.residual)
     simulated = (recording.friction - nominal.residual)[recording.used]
     if float(np.ptp(simulated)) < EXCITED * machine.friction.coulomb:
         return _without_excitation(machine, log, recording, nominal, floor, started)
     report("refitting the base model")
-    sharp = _sharp(machine, recording)
-    for shop in (workshop, sharp):
+    shops = []
+    for shop in (whole, _sharp(machine, recording)):
         if shop is not None:
             shop.noise = floor
-    # A long record is searched on mean signals of a few samples; what is reported comes from all of them.
-    thin = next((k for k in (5, 4, 3, 2) if recording.factor % k == 0), 1) if len(recording.signals) > LONG else 1
-    selector = Selector(workshop.thinned(thin), None if sharp is None else sharp.thinned(thin), floor, report)
+            # Searched on mean signals of a few samples, aligned with the whole record at each fit that matters.
+            thin = shop.thinned(_thinning(recording))
+            try:
+                thin.align(thin.fit((), base=()))
+            except FitError:  # so sharp a transition is no model of this record
+                continue
+            shops.append(thin)
+    selector = Selector(
+        shops[0], shops[1] if len(shops) > 1 else None, floor, measures(recording.signals, machine), report
+    )
     selection = selector.select()
-    smoothing = "sharp" if sharp is not None and selector.workshop is selector.sharp else "machine"
-    if sharp is not None and smoothing == "sharp":
-        workshop = sharp
-    workshop.starts = dict(selector.workshop.starts)
-    start = workshop.fit(())
-    if thin > 1:
-        selection = replace(selection, fit=workshop.fit(selection.fit.extras, base=selection.base))
-    return _Verdict(machine, log, recording, workshop, nominal, start, selection, smoothing, report).finish(started)
+    smoothing = "sharp" if selector.workshop is selector.sharp else "machine"
+    return _Verdict(machine, log, selector.workshop, nominal, selection, smoothing, report).finish(started)
+
+
+def _thinning(recording: Recording) -> int:
+    """How many samples share a step of the search: the most that keep at least `SEARCH_RATE`."""
+    rate = recording.machine.sampling.rate
+    return max(
+        k for k in range(1, recording.factor + 1) if k == 1 or (recording.factor % k == 0 and rate / k >= SEARCH_RATE)
+    )
 
 
 def _sharp(machine: Machine, recording: Recording) -> Workshop | None:
@@ -96,7 +118,7 @@ def _sharp(machine: Machine, recording: Recording) -> Workshop | None:
     smoothing = machine.friction.smoothing
     if smoothing.lambda_ >= SHARP["lambda"]:
         return None
-    changes = {"friction": {"smoothing": {**SHARP, "gamma": smoothing.gamma}}}
+    changes = {"friction": {"smoothing": dict(SHARP)}}
     return Workshop(override_machine(machine, changes), recording)
 
 
@@ -118,27 +140,69 @@ class _Verdict:
         self,
         machine: Machine,
         log: Log,
-        recording: Recording,
         workshop: Workshop,
         nominal: Fit,
-        start: Fit,
         selection: Selection,
         smoothing: str,
         report: Progress,
     ) -> None:
         self.machine = machine
         self.log = log
-        self.recording = recording
         self.workshop = workshop
         self.nominal = nominal
-        self.start = start
-        self.selection = selection
+        self.selection = self._aligned(selection)
         self.smoothing = smoothing
         self.report = report
-        self.floor = noise_floor(recording, selection.fit.residual)
+        self.recording = workshop.recording
+        self.floor = workshop.noise = noise_floor(self.recording, self.selection.fit.residual)
+        self.start = workshop.fit(())
+
+    def _aligned(self, selection: Selection) -> Selection:
+        """The selection fitted at the record's full rate, to the second order."""
+        fit = selection.fit
+        for _ in range(2):
+            self.workshop.align(fit)
+            fit = self.workshop.fit(fit.extras, base=selection.base, warm=fit)
+        return replace(selection, fit=fit)
+
+    def _confirmed(self, selection: Selection, *, constant: bool = False) -> tuple[Selection, Fit, tuple[Cause, ...]]:
+        """The causes that hold on data that their fit has not seen; what does not is taken out, the weakest first.
+
+        `constant`: they are known to be the same all over the record. Also returns the fit that did not see the
+        held-out blocks.
+        """
+        recording = self.recording
+        seen = recording.used & ~recording.rows_held_out()
+        while selection.causes:
+            fit = selection.fit
+            blind = self.workshop.fit(fit.extras, base=selection.base, warm=fit, rows=seen)
+            causes = self._causes(selection, blind, seen)
+            doubtful = [group for group, cause in causes.items() if not _holds(cause, constant=constant)]
+            if not doubtful:
+                ordered = sorted(causes.values(), key=lambda cause: -cause.gain_N)
+                return selection, blind, tuple(ordered)
+            weakest = min(doubtful, key=lambda group: causes[group].gain_N)
+            selection = self._without(selection, weakest)
+        return selection, selection.fit, ()
+
+    def _without(self, selection: Selection, group: str) -> Selection:
+        """The selection without one of its causes, the others fitted again."""
+        fit = selection.fit
+        name = _cause_name(fit, group)
+        base = tuple(g for g in selection.base if g != group)
+        extras = tuple(e for i, e in enumerate(fit.extras) if f"+{i}" != group)
+        rivals = tuple(r for r in selection.rivals if r.instead_of != name)
+        rejected = {**selection.rejected, name: (name, 0.0)}
+        left = [g for g in selection.causes if g != group]
+        renamed = (*(g for g in base if g not in selection.unnamed), *(f"+{i}" for i in range(len(extras))))
+        p_values = {new: selection.p_values.get(old, math.nan) for old, new in zip(left, renamed, strict=True)}
+        fit = self.workshop.fit(extras, base=base, warm=fit)
+        return replace(selection, fit=fit, base=base, rivals=rivals, rejected=rejected, p_values=p_values)
 
     def finish(self, started: float) -> Diagnosis:
-        selection, recording = self.selection, self.recording
+        self.report("measuring the gain on held-out data")
+        recording = self.recording
+        selection, blind, causes = self._confirmed(self.selection)
         fit = selection.fit
         coulomb = self.machine.friction.coulomb
         plain = self.workshop.fit((), base=())  # the machine as it is, with the transition that was chosen
@@ -148,7 +212,12 @@ class _Verdict:
         # The base numbers' own small errors are no structure that asks for a name.
         free = self.workshop.fit(fit.extras, warm=fit)
         after = min(after, self._excess(free))
-        complete = after < max(allowed, UNEXPLAINED_SHARE * before if before > 3.0 * allowed else allowed)
+        complete = after < max(allowed, UNEXPLAINED_SHARE * before)
+        if not complete and selection.causes:
+            # Something is left; but causes that are the same everywhere in the record are none the less real.
+            selection, blind, causes = self._constant(self.selection)
+            fit = selection.fit
+            complete = bool(causes) and self._excess(fit) < MOST_LEFT * before
         verdict: Verdict
         if not selection.causes:
             verdict = "adequate" if after < allowed else "unexplained"
@@ -159,22 +228,20 @@ class _Verdict:
         else:
             verdict = "explained"
         if verdict == "unexplained" and selection.causes:
-            selection = replace(selection, fit=plain, base=(), rivals=())
-        self.report("measuring the gain on held-out data")
-        seen = recording.used & ~recording.rows_held_out()
+            selection, causes = replace(selection, fit=plain, base=(), rivals=()), ()
         fit = selection.fit
-        named = bool(selection.causes)
-        blind = self.workshop.fit(fit.extras, base=selection.base, warm=fit, rows=seen) if named else self.nominal
+        named = bool(causes)
+        if not named:  # the machine's numbers, with the transition that fits
+            blind = plain
         rms_before, held_before = _rms(self.nominal, recording)
         rms_after, held_after = _rms(blind, recording)
-        causes = self._causes(selection, blind, seen) if named else ()
         extended, toml = self._extension(selection, causes) if named else (None, None)
         warnings = recording.warnings
         if self.smoothing == "sharp":
             better = math.sqrt(float(plain.loss.sum() / plain.rows.sum()))
             warnings += (
                 "elements slip more sharply than [friction.smoothing] says: "
-                f"zeta = {SHARP['zeta']}, lambda = {SHARP['lambda']:g} alone leave {better:.3g} N",
+                f"{', '.join(f'{key} = {value:g}' for key, value in SHARP.items())} alone leave {better:.3g} N",
             )
         held = recording.held_out
         interval = gain_interval(self.nominal.loss[held], blind.loss[held], blind.rows[held]) if named else (0.0, 0.0)
@@ -204,43 +271,90 @@ class _Verdict:
             seconds=time.monotonic() - started,
         )
 
+    def _constant(self, selection: Selection) -> tuple[Selection, Fit, tuple[Cause, ...]]:
+        """The causes whose size is the same everywhere in the record, the least constant one taken out first."""
+        while selection.causes:
+            change = {group: self._inconstancy(selection, group) for group in selection.causes}
+            worst = max(change, key=lambda group: change[group])
+            if change[worst] < INCONSTANT:
+                break
+            selection = self._without(selection, worst)
+        return self._refitted(*self._confirmed(selection, constant=True))
+
+    def _refitted(
+        self, selection: Selection, blind: Fit, causes: tuple[Cause, ...]
+    ) -> tuple[Selection, Fit, tuple[Cause, ...]]:
+        """The same causes with all numbers of the machine refitted, where that is better on held-out data.
+
+        Where something is left that nothing accounts for, the machine's numbers may do best at other values, and held
+        at the file's they pass their errors on to the effects. They are no causes for that.
+        """
+        if not causes:
+            return selection, blind, causes
+        groups = tuple(dict.fromkeys(c.group for c in self.start.model.columns if not c.group.startswith("+")))
+        fit, seen = selection.fit, self.recording.used & ~self.recording.rows_held_out()
+        for warm in (selection.free, self.start, fit):
+            free = self.workshop.fit(fit.extras, base=groups, warm=warm, iterations=PATIENT, again=True)
+        blind_free = self.workshop.fit(fit.extras, base=groups, warm=free, rows=seen, iterations=PATIENT)
+        if not _rms(blind_free, self.recording)[1] < _rms(blind, self.recording)[1]:
+            return selection, blind, causes
+        named = selection.causes
+        unnamed = tuple(group for group in groups if group not in named)
+        whole = replace(selection, fit=free, base=groups, unnamed=unnamed)
+        found = self._causes(whole, blind_free, seen)
+        lost = [g for g, c in found.items() if self._inconstancy(whole, g) > INCONSTANT or not _holds(c)]
+        if any(group.startswith("+") for group in lost):
+            return selection, blind, causes
+        # A number of the machine that is no cause any more stays refitted with the others.
+        whole = replace(whole, unnamed=(*unnamed, *lost))
+        found = {group: cause for group, cause in found.items() if group not in lost}
+        return whole, blind_free, tuple(sorted(found.values(), key=lambda cause: -cause.gain_N))
+
+    def _inconstancy(self, selection: Selection, group: str) -> float:
+        """How much a cause's size changes over the record."""
+        fit = selection.fit
+        base = tuple(g for g in selection.base if g != group)
+        extras = tuple(e for i, e in enumerate(fit.extras) if f"+{i}" != group)
+        without = self.workshop.fit(extras, base=base, warm=fit)
+        inertial = _cause_name(fit, group) in INERTIAL
+        return inconstancy(self.recording, without.residual - fit.residual, fit.residual, inertial=inertial)
+
     def _excess(self, fit: Fit) -> float:
         return math.sqrt(max(0.0, fit.cross_rms**2 - self.floor**2))
 
-    def _causes(self, selection: Selection, blind: Fit, seen: NDArray[np.bool_]) -> tuple[Cause, ...]:
-        """Causes with parameters of all data and gains of the fit without the held-out blocks."""
+    def _causes(self, selection: Selection, blind: Fit, seen: NDArray[np.bool_]) -> dict[str, Cause]:
+        """Causes by group, with parameters of all data and gains of the fit without the held-out blocks."""
         recording, fit = self.recording, selection.fit
         covariance = self.workshop.covariance(fit)
         held = recording.held_out
-        causes = []
+        causes = {}
         for group in selection.causes:
+            name = label = _cause_name(fit, group)
             if group.startswith("+"):
                 index = int(group[1:])
                 extras = tuple(e for i, e in enumerate(blind.extras) if i != index)
-                base, name = selection.base, fit.extras[index].name
-                label = name if all(e.name != name for e in fit.extras[:index]) else f"{name}_2"
+                base = selection.base
+                if any(e.name == name for e in fit.extras[:index]):
+                    label = f"{name}_2"
             else:
                 extras, base = blind.extras, tuple(g for g in selection.base if g != group)
-                name = group.removeprefix("machine:").rstrip("_0123456789") if ":" in group else group
                 label = group.removeprefix("machine:")
-            without = self.workshop.fit(extras, base=base, rows=seen)
+            without = self.workshop.fit(extras, base=base, warm=blind, rows=seen)
             before, held_before = _rms(without, recording)
             after, held_after = _rms(blind, recording)
             values, std, nominal = _reported(fit, covariance, group)
-            causes.append(
-                Cause(
-                    name=name,
-                    label=label,
-                    parameters=values,
-                    std=std,
-                    nominal=nominal,
-                    rms=Rms(before, after, held_before, held_after),
-                    gain_N=gain_force(without.loss[held], blind.loss[held], fit.rows[held]),
-                    gain_interval_N=gain_interval(without.loss[held], blind.loss[held], fit.rows[held]),
-                    p_value=selection.p_values.get(group, math.nan),
-                )
+            causes[group] = Cause(
+                name=name,
+                label=label,
+                parameters=values,
+                std=std,
+                nominal=nominal,
+                rms=Rms(before, after, held_before, held_after),
+                gain_N=gain_force(without.loss[held], blind.loss[held], fit.rows[held]),
+                gain_interval_N=gain_interval(without.loss[held], blind.loss[held], fit.rows[held]),
+                p_value=selection.p_values.get(group, math.nan),
             )
-        return tuple(sorted(causes, key=lambda cause: -cause.gain_N))
+        return causes
 
     def _extension(self, selection: Selection, causes: Sequence[Cause]) -> tuple[Machine, str]:
         fit, machine = selection.fit, self.machine
@@ -254,7 +368,7 @@ class _Verdict:
                 else:
                     friction[name] = value
         if self.smoothing == "sharp":
-            friction["smoothing"] = {**SHARP, "gamma": machine.friction.smoothing.gamma}
+            friction["smoothing"] = dict(SHARP)
         effects: list[dict[str, Any]] = []
         for effect in machine.effects:
             values = fit.values(f"machine:{effect.label}")
@@ -277,19 +391,21 @@ class _Verdict:
             )
             for rival in selection.rivals
         ]
-        named = [e.name for e in selection.fit.extras] + list(selection.base)
+        named = [_cause_name(selection.fit, group) for group in selection.causes]
         if found:  # the named causes that have rivals are listed with them
             for cause in dict.fromkeys(rival.instead_of for rival in selection.rivals):
                 others = ", ".join(r.name for r in selection.rivals if r.instead_of == cause)
                 found.append(Alternative(cause, f"named; fits as well as {others} on this record", True, None, {}, 0.0))
         taken = {a.name for a in found} | set(named)
         for name, (cause, excess) in sorted(selection.rejected.items(), key=lambda entry: entry[1][1]):
-            plain = name.removeprefix("machine:")
-            if plain not in taken:
-                taken.add(plain)
-                found.append(
-                    Alternative(plain, f"in place of {cause} leaves {excess:.3g} N more", False, cause, {}, excess)
+            if name not in taken:
+                taken.add(name)
+                why = (
+                    "its size, or its gain on data not used in the fit, may be zero"
+                    if name == cause
+                    else f"in place of {cause} leaves {excess:.3g} N more"
                 )
+                found.append(Alternative(name, why, False, None if name == cause else cause, {}, excess))
         for score in selection.scores:
             if score.name not in taken and score.outcome in ("redundant", "too small"):
                 taken.add(score.name)
@@ -300,6 +416,33 @@ class _Verdict:
                 )
                 found.append(Alternative(score.name, why, False, None, dict(score.parameters)))
         return tuple(found)
+
+
+def _cause_name(fit: Fit, group: str) -> str:
+    """What a group's cause is called: the effect under test, the machine's own effect, or the base number."""
+    if group.startswith("+"):
+        return fit.extras[int(group[1:])].name
+    return next((c.effect for c in fit.model.columns if c.group == group and c.effect), group)
+
+
+def _holds(cause: Cause, *, constant: bool = False) -> bool:
+    """Whether a cause has a size, and a gain on data that its fit has not seen.
+
+    Of a cause that is the same all over the record (`constant`) the gain may be uncertain where it is certain that the
+    cause is there: few blocks of a short record, not all of which it acts in.
+    """
+    certain = constant and cause.gain_N > 0.0 and cause.p_value < JOINT
+    if not (cause.gain_interval_N[0] > 0.0 or certain):
+        return False
+    zero = cause.nominal or {key: NO_EFFECT.get((cause.name, key), 0.0) for key in cause.parameters}
+    sizes = [
+        key
+        for key, value in cause.parameters.items()
+        if math.isfinite(cause.std[key]) and (cause.nominal or is_size(cause.name, key)) and math.isfinite(value)
+    ]
+    if cause.nominal and len(sizes) > 1 and cause.p_value < JOINT:
+        return True  # none of several numbers is determined alone, but together they differ
+    return not sizes or any(abs(cause.parameters[key] - zero[key]) > SIGMAS * cause.std[key] for key in sizes)
 
 
 def _tidy(values: Mapping[str, float]) -> dict[str, float]:
@@ -364,7 +507,7 @@ def _unnamed(scores: Sequence[Score]) -> tuple[Score, ...]:
 
 
 def _traces(recording: Recording, nominal: Fit, start: Fit, extended: Fit, blind: Fit) -> Traces:
-    measured = recording.friction
+    measured = recording.reduce(recording.signals.friction)
     return Traces(
         time_s=recording.time,
         position_m=recording.position,
@@ -434,10 +577,11 @@ def _without_excitation(
 ) -> Diagnosis:
     rms, held = _rms(nominal, recording)
     maps = structure_map(recording, nominal.residual)
+    excess = math.sqrt(max(0.0, nominal.rms**2 - floor**2))
     return Diagnosis(
         machine=machine,
         source=log.source,
-        verdict="adequate",
+        verdict="adequate" if excess < max(UNEXPLAINED * machine.friction.coulomb, 0.5 * floor) else "unexplained",
         summary="There is no excitation in this record: the axis hardly moves, so nothing can be said about friction.",
         causes=(),
         alternatives=(),

@@ -108,19 +108,22 @@ def _results(
         for index in wanted:
             yield index, *run_draw(machine, seed, index, diagnose)
         return
-    # Fresh processes: what is compiled and loaded here must not be shared.
+    # Fresh processes: what is compiled and loaded here must not be shared. A pool is replaced as a whole: one that
+    # replaces its processes by itself (max_tasks_per_child) can stop for good.
     context = multiprocessing.get_context("spawn")
-    with (
-        _one_thread_each(),
-        ProcessPoolExecutor(jobs, mp_context=context, max_tasks_per_child=_TASKS_PER_PROCESS) as pool,
-    ):
-        try:
-            tasks = {pool.submit(run_draw, machine, seed, index, diagnose): index for index in wanted}
-            for task in as_completed(tasks):
-                yield tasks[task], *task.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    batch = jobs * _TASKS_PER_PROCESS
+    for first in range(0, len(wanted), batch):
+        with _one_thread_each(), ProcessPoolExecutor(jobs, mp_context=context) as pool:
+            try:
+                tasks = {
+                    pool.submit(run_draw, machine, seed, index, diagnose): index
+                    for index in wanted[first : first + batch]
+                }
+                for task in as_completed(tasks):
+                    yield tasks[task], *task.result()
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
 
 
 @contextmanager

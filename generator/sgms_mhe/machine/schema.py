@@ -405,9 +405,8 @@ class Effect(Table):
         filled: dict[str, Any] = {"name": name}
         for key, parameter in definitions.items():
             value = data.get(key, parameter.default)
-            low, high = parameter.lower, parameter.upper
-            if type(value) in (int, float) and not low <= value <= high:
-                raise refusal(key, value, f"a number from {low:g} to {high:g}")
+            if type(value) in (int, float) and not parameter.lower <= value <= parameter.upper:
+                raise refusal(key, value, parameter.allowed)
             filled[key] = value
         return filled
 

@@ -35,6 +35,9 @@ from sgms_mhe.reference.flow import DEGREE, Flow, gate_ratio, window
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
+# Largest lambda up to which a slow RK4 substep is as long as the settings say: the slip window is 1 / lambda wide.
+WIDE_LAMBDA = 35.0
+
 # (c, a, b): stages f(y + h sum_j a_ij k_j) at c_i h, y1 = y + h sum_i b_i k_i.
 TABLEAUS: dict[str, tuple[tuple[float, ...], tuple[tuple[float, ...], ...], tuple[float, ...]]] = {
     "euler": ((0.0,), ((),), (1.0,)),
@@ -207,8 +210,10 @@ class Integrator:
         substeps = np.empty((len(end), len(self.blocks)), dtype=np.int64)
         for b, block in enumerate(self.blocks):
             if block.saturates:
-                slow = self.gate_ratio * self.model.machine.friction.stribeck_velocity
-                moved = slow * h_step * block.rate_per_metre / settings.slow_displacement
+                friction = self.model.machine.friction
+                slow = self.gate_ratio * friction.stribeck_velocity
+                longest = settings.slow_displacement * min(1.0, WIDE_LAMBDA / friction.smoothing.lambda_)
+                moved = slow * h_step * block.rate_per_metre / longest
                 count = max(1, math.ceil(moved + h_step * block.rate_per_second / settings.displacement))
                 substeps[:, b] = np.where(speed > slow, 0, count)
                 continue

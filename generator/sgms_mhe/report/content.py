@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from sgms_mhe import __version__
-from sgms_mhe.diagnosis import Cause, Diagnosis, Score, Structure, Traces
+from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, Score, Structure, Traces, separating_move
 from sgms_mhe.model.effects import BASE_CAUSES, CAUSE_NAMES, cause
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.series import View, numbers, pack, runs
@@ -19,17 +19,19 @@ MEASURED, BEFORE, AFTER = "#374151", "#c2540a", "#0b6aa8"
 NEWTON: Final = f"{SPACE}N"
 SIGNIFICANT: Final = 0.01
 IDLE: Final = 0.02  # of the best candidate's gain
+_OWN: Final = "machine:"  # before the name of an effect that the machine file has already
 
 _VERDICTS: Final = {
     "adequate": (
         "✓",
         "The simulation explains the record down to the noise of the measurement. Nothing is missing from it.",
     ),
-    "explained": (
-        "✓",
-        "What the simulation lacked has a name, and the record confirms it on data that the fit has not seen.",
+    "explained": ("✓", "Each cause removes some of it there."),
+    "ambiguous": (
+        "?",
+        "Where a cause is open, something else in its place fits this record equally well. The extended machine file "
+        "holds the cause that is listed; along another motion the two differ, and the next step tells which one it is.",
     ),
-    "ambiguous": ("?", "More than one cause fits this record equally well. The next step below tells them apart."),
     "unexplained": ("!", "The plots show where it lives; no name is invented."),
 }
 _ORDER: Final = {"named": 0, "rival": 1}
@@ -52,7 +54,7 @@ def page(
     shown: str = d.verdict
     if not d.excited:
         shown, sign, meaning = "not excited", "–", "Nothing is named and nothing is confirmed."
-    rivals = [a for a in d.alternatives if a.rival]
+    rivals = _rivals(d)
     scores = ranked_scores(d.scores)
     most = max((_explained(s) for s in scores), default=0.0)
     idle = [s for s in scores if s.outcome not in _ORDER and _explained(s) < IDLE * most]
@@ -62,24 +64,14 @@ def page(
         "source": d.source,
         "verdict": {"name": shown, "style": shown.replace(" ", "-"), "sign": sign, "meaning": meaning},
         "headline": _headline(d),
-        "summary": _sentence(d.summary),
+        "open": _open(d),
+        "summary": _lead(d),
         "tiles": _tiles(d, gain),
-        "next_step": _sentence(d.separating_experiment) if d.separating_experiment else "",
+        "next": _next(d),
         "warnings": [_sentence(w) for w in d.warnings],
-        "causes_title": "What was found" if d.verdict != "ambiguous" else "What fits best",
-        "causes": [_cause(c) for c in d.causes],
-        "rivals": [
-            {
-                "title": _capital(title(a.name)),
-                "name": a.name,
-                "instead_of": a.instead_of,
-                "why_not": a.why_not,
-                "parameters": ", ".join(f"{split_name(k)[0]} {quantity(k, v)}" for k, v in a.parameters.items()),
-            }
-            for a in rivals
-        ],
+        "causes": [_cause(c, rivals.get(c.label, [])) for c in d.causes],
         "alternatives": [
-            {"title": _capital(title(a.name)), "name": a.name, "why_not": a.why_not}
+            {"title": _capital(title(a.name)), "name": _plain_name(a.name), "why_not": a.why_not}
             for a in d.alternatives
             if not a.rival
         ],
@@ -99,7 +91,7 @@ def page(
             for v in views
         ],
         "candidates": _rows([s for s in scores if s not in idle]),
-        "idle": _listed([s.name for s in idle]) if idle else "",
+        "idle": _listed([_plain_name(s.name) for s in idle]) if idle else "",
         "rounds": _rounds(d.scores),
         "gain_rows": _gain_rows(d),
         "floor_at": _share(d.noise_floor_N, _largest_rms(d)),
@@ -167,8 +159,10 @@ def plots(diagnosis: Diagnosis, views: Sequence[View]) -> dict[str, Any]:
 
 
 def title(name: str) -> str:
-    """What a cause is, in words."""
-    return cause(name).summary if name in CAUSE_NAMES else name.replace("_", " ")
+    """What a cause is, in words; a number of one of the machine file's own effects included."""
+    name, own = _plain_name(name), name.startswith(_OWN)
+    words = cause(name).summary if name in CAUSE_NAMES else name.replace("_", " ")
+    return f"{words}: another value than the machine file's" if own else words
 
 
 def _line(
@@ -213,29 +207,94 @@ def _view(view: View, extended: bool) -> dict[str, Any]:
     }
 
 
+def _plain_name(name: str) -> str:
+    return name.removeprefix(_OWN)
+
+
+def _cause_title(c: Cause) -> str:
+    return title(c.name if c.name in BASE_CAUSES or not c.nominal else _OWN + c.name)
+
+
+def _rivals(d: Diagnosis) -> dict[str, list[Alternative]]:
+    """What fits as well as a named cause, by that cause's label."""
+    labels = [c.label for c in d.causes]
+    found: dict[str, list[Alternative]] = {}
+    for a in d.alternatives:
+        if a.rival and a.instead_of is not None and _plain_name(a.name) not in labels:
+            found.setdefault(_plain_name(a.instead_of), []).append(a)
+    return {label: rivals for label, rivals in found.items() if label in labels}
+
+
 def _headline(d: Diagnosis) -> str:
     """The verdict in one plain sentence."""
     if not d.excited:
         return "The axis hardly moves in this record: it says nothing about the simulation."
-    found = [_with_size(c) for c in d.causes[:3]]
-    if len(d.causes) > len(found):
-        found.append(f"{len(d.causes) - len(found)} more")
-    rivals = [title(a.name) for a in d.alternatives if a.rival and a.name not in {c.name for c in d.causes}]
-    if d.verdict == "ambiguous" and found and rivals:
-        return f"{_capital(_listed(found))}; or else {_listed(rivals, 'or')}: this record cannot tell."
-    if d.verdict == "unexplained":
-        rest = "Something is left that no known effect accounts for"
-        return f"Found: {_listed(found)}. {rest}, too." if found else f"{rest}."
-    if found:
-        return f"Found: {_listed(found)}."
-    return "The simulation explains this record down to the noise of the measurement."
+    rest = "Something is left that no known effect accounts for"
+    if not d.causes:
+        known = "The simulation explains this record down to the noise of the measurement."
+        return f"{rest}." if d.verdict == "unexplained" else known
+    rivals = _rivals(d)
+    settled = [_with_size(c) for c in d.causes if c.label not in rivals] or [_with_size(c) for c in d.causes]
+    found = f"Found: {_listed(_shortened(settled))}."
+    return f"{found} {rest}, too." if d.verdict == "unexplained" else found
+
+
+def _open(d: Diagnosis) -> list[str]:
+    """The choices that the record leaves, each as a question."""
+    rivals = _rivals(d)
+    return [
+        f"{_capital(_listed([title(c.name), *(title(r.name) for r in rivals[c.label])], 'or'))}?"
+        for c in d.causes
+        if c.label in rivals
+    ]
+
+
+def _shortened(parts: Sequence[str]) -> list[str]:
+    """As many as a headline has room for."""
+    most = 3
+    return list(parts) if len(parts) <= most else [*parts[: most - 1], f"{len(parts) - most + 1} more"]
+
+
+def _lead(d: Diagnosis) -> str:
+    """What the verdict rests on, in numbers and in words."""
+    if not d.excited or (d.verdict == "unexplained" and not d.causes):
+        return _sentence(d.summary)
+    if d.extended is None:
+        return f"{force(d.rms.held_out_before)} RMS are left."
+    before, after = force(d.rms.held_out_before), force(d.rms.held_out_after)
+    return f"On data that the fit has not seen, measured minus simulated friction falls from {before} to {after} RMS."
+
+
+def _next(d: Diagnosis) -> dict[str, Any] | None:
+    """What to do next: the moves that tell open causes apart, or how to confirm."""
+    moves = [
+        {
+            "choice": f"{_capital(title(c.name))}, or {title(rival.name)}?",
+            "move": _sentence(separating_move(c.name, _plain_name(rival.name)) or rival.why_not),
+            "command": f"sgms-mhe plan {d.machine.name} --separate {c.name} {_plain_name(rival.name)} --out plan.csv",
+        }
+        for c in d.causes
+        for rival in _rivals(d).get(c.label, [])
+        if c.name != _plain_name(rival.name)
+    ]
+    text, command = "", ""
+    if not moves and d.separating_experiment:
+        text = _sentence(d.separating_experiment)
+    elif moves:
+        text = "Record one of these, then diagnose the new log."
+    elif d.extended is not None:
+        text = "Confirm it on another record. This prints what the extended simulation leaves there:"
+        command = f"sgms-mhe predict {d.extended_name} ANOTHER_LOG --out friction.csv"
+    else:
+        return None
+    return {"text": text, "command": command, "moves": moves}
 
 
 def _with_size(c: Cause) -> str:
     """A cause in words, with its leading number where it is an effect."""
     key = next(iter(c.parameters), None)
-    if key is None or c.name in BASE_CAUSES:
-        return title(c.name)
+    if key is None or c.nominal or c.name in BASE_CAUSES:
+        return _cause_title(c)
     return f"{title(c.name)} ({quantity(key, c.parameters[key])})"
 
 
@@ -296,10 +355,10 @@ def _tiles(d: Diagnosis, gain: EstimatorGain | None) -> list[dict[str, str]]:
     return tiles
 
 
-def _cause(c: Cause) -> dict[str, Any]:
-    wrong = c.name in BASE_CAUSES
+def _cause(c: Cause, rivals: Sequence[Alternative]) -> dict[str, Any]:
+    wrong = c.name in BASE_CAUSES or bool(c.nominal)
     return {
-        "title": _capital(title(c.name)),
+        "title": _capital(_cause_title(c)),
         "label": c.label,
         "wrong_number": wrong,
         "parameters": [
@@ -315,6 +374,14 @@ def _cause(c: Cause) -> dict[str, Any]:
         "gain": force(c.gain_N),
         "gain_interval": _between(*c.gain_interval_N),
         "chance": probability(c.p_value),
+        "rivals": [
+            {
+                "words": title(a.name),
+                "name": _plain_name(a.name),
+                "parameters": ", ".join(f"{split_name(k)[0]} {quantity(k, v)}" for k, v in a.parameters.items()),
+            }
+            for a in rivals
+        ],
     }
 
 
@@ -367,7 +434,7 @@ def _explained(score: Score) -> float:
 def _rounds(scores: Sequence[Score]) -> list[dict[str, Any]]:
     rounds = []
     for number in sorted({s.round for s in scores}):
-        names = [s.name for s in scores if s.round < number and s.outcome == "named"]
+        names = [_plain_name(s.name) for s in scores if s.round < number and s.outcome == "named"]
         done = f", after {_listed(names)} had been added" if names else ", the base model refitted"
         rounds.append(
             {"title": f"Round {number}{done}", "rows": _rows(_ranked([s for s in scores if s.round == number]))}
@@ -380,7 +447,7 @@ def _rows(scores: Sequence[Score]) -> list[dict[str, Any]]:
     return [
         {
             "title": _capital(title(s.name)),
-            "name": s.name,
+            "name": _plain_name(s.name),
             "gain": force(s.gain_N),
             "refit": force(s.refit_gain_N),
             "chance": probability(s.p_value),

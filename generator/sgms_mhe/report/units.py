@@ -110,10 +110,11 @@ def plain(number: float, digits: int = 3) -> str:
 
 
 def force(newton: float) -> str:
-    """A force in N, to the millinewton, as forces in one report are to be compared."""
+    """A force in N with three digits, to the millinewton: forces in one report are to be compared."""
     if not math.isfinite(newton):
         return "–"
-    return f"{_fixed(newton, 3 if abs(newton) < 10.0 else 2)}{SPACE}N"
+    decimals = sum(abs(newton) < limit for limit in (0.9995, 9.995, 99.95))
+    return f"{_fixed(newton, decimals)}{SPACE}N"
 
 
 def percent(share: float) -> str:

@@ -92,6 +92,13 @@ class EffectParameter:
     role: Role = "size"
     main: bool = True
 
+    @property
+    def allowed(self) -> str:
+        """The limits in words."""
+        if math.isinf(self.upper):
+            return "a finite number" if math.isinf(self.lower) else f"a number from {self.lower:g} on"
+        return f"a number from {self.lower:g} to {self.upper:g}"
+
     def size(self, machine: Machine) -> float:
         """Typical size [SI] on this machine."""
         return self.scale * machine_unit(machine, self.unit)

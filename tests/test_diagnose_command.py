@@ -1,0 +1,94 @@
+"""`diagnose` and `plan` from end to end: a part of a log, an estimator on an unseen log, a plan that separates."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli_cases import done, files, refused
+from sgms_mhe.diagnosis import diagnose
+from sgms_mhe.logs import write_log
+from sgms_mhe.machine import Machine, load_machine
+from sgms_mhe.simulation import AxisConfig, simulate_axis
+from sgms_mhe.trajectories import Trajectory, make_trajectory
+
+RIPPLE = {"amplitude_N": 0.5, "pitch_m": 0.0173, "phase_rad": 0.7}
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("etel_xy")
+
+
+def write_record(
+    path: Path, machine: Machine, hidden: tuple[str, Mapping[str, float]], seconds: float, seed: int
+) -> Path:
+    trajectory = make_trajectory("mixed", machine.sampling.rate, duration_s=seconds)
+    run = simulate_axis(machine, trajectory, AxisConfig(seed=seed), hidden_effects=[hidden], truth=False)
+    write_log(path, run.log)
+    return path
+
+
+def test_diagnose_a_part_and_try_the_estimator_on_another_log(machine: Machine, tmp_path: Path) -> None:
+    hidden = ("force_ripple", RIPPLE)
+    log = write_record(tmp_path / "log.npz", machine, hidden, 9.0, 1)
+    unseen = write_record(tmp_path / "unseen.npz", machine, hidden, 4.0, 2)
+    out = tmp_path / "out"
+    text = done("diagnose", "etel_xy", log, "--to", "6", "--unseen", unseen, "--out", out).stdout
+    assert text.startswith("explained: force_ripple")
+    reduction = re.search(rf"estimator on {re.escape(str(unseen))}: .* N rms, (\d+) % less", text)
+    assert reduction
+    assert int(reduction[1]) > 50
+    extended = "etel_xy_force_ripple.toml"
+    assert {"report.html", "diagnosis.json", extended} <= files(out)
+    report = (out / "report.html").read_text()
+    assert f"{log}, 0 to 6 s" in report
+    assert "Estimator on a log it has not seen" in report
+    assert "unseen.npz" in report
+    assert re.search(r"Its error falls by \d\d[^\d]*% \(95[^\d]*%: \d", report)
+    # What was learnt from the first six seconds holds in the last three.
+    part = ("--out", tmp_path / "p.csv", "--from", "6", "--json")
+    before = json.loads(done("predict", "etel_xy", log, *part).stdout)["residual_rms_N"]
+    after = json.loads(done("predict", out / extended, log, *part).stdout)["residual_rms_N"]
+    assert after < 0.3 * before
+
+
+def test_diagnose_refuses_a_part_that_is_none(machine: Machine, tmp_path: Path) -> None:
+    log = write_record(tmp_path / "log.npz", machine, ("force_ripple", RIPPLE), 1.0, 1)
+    message = refused("diagnose", "etel_xy", log, "--from", "2", "--out", tmp_path / "out")
+    assert "rows from 2 to 0.9999 s = 0: at least 2 rows within 0 to 0.9999 s" in message
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [
+        pytest.param("constant_offset", {"force_N": 0.4}, id="offset"),
+        pytest.param("asymmetric_coulomb", {"ratio": 0.1}, id="level", marks=pytest.mark.slow),
+    ],
+)
+def test_plan_separates_an_offset_from_an_asymmetric_level(
+    machine: Machine, tmp_path: Path, name: str, parameters: dict[str, float]
+) -> None:
+    path = tmp_path / "plan.csv"
+    text = done("plan", "etel_xy", "--separate", "constant_offset", "asymmetric_coulomb", "--out", path).stdout
+    assert "loops below break-away: an offset shifts them, an asymmetric level does not" in text
+    time, position = np.loadtxt(path, delimiter=",", skiprows=1, unpack=True)
+    np.testing.assert_allclose(np.diff(time), machine.sampling.step, rtol=1e-6)
+    run = simulate_axis(
+        machine,
+        Trajectory("planned", machine.sampling.rate, position),
+        AxisConfig(seed=3),
+        hidden_effects=[(name, parameters)],
+        truth=False,
+    )
+    diagnosis = diagnose(machine, run.log)
+    assert diagnosis.verdict == "explained", diagnosis.summary
+    assert [cause.name for cause in diagnosis.causes] == [name]
+    ((key, value),) = parameters.items()
+    assert diagnosis.causes[0].parameters[key] == pytest.approx(value, rel=0.02)
