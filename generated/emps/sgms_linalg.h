@@ -5,73 +5,124 @@
 
 #include "sgms_math.h"
 
-/* Householder reflections that make the first `columns` columns of the rows x width matrix a upper triangular, from
- * row 0 on; rows lie `stride` numbers apart. Entries below the diagonal of these columns are set to zero. dots: `width`
- * numbers.
+/* One Householder reflection of a pivot row and `rows` rows below it, all `width` long, that makes column c of those
+ * rows zero; they lie `stride` numbers apart, anywhere. v: `rows` numbers.
  *
- * Every reflection runs over whole rows: the columns already done hold zeros and stay what they are, and a loop of
- * constant length is one that compilers vectorise. */
-static inline void sgms_qr(
-    sgms_real *restrict a,
+ * It runs over whole rows: the columns already done hold zeros and stay what they are, and a loop of constant length
+ * is one that compilers vectorise. Inlined, so that the lengths are constants where the caller's are. */
+static SGMS_INLINE void sgms_reflect(
+    sgms_real *restrict pivot_row,
+    sgms_real *restrict below,
     int rows,
     int stride,
     int width,
-    int columns,
-    sgms_real *restrict dots)
+    int c,
+    sgms_real *restrict v)
 {
-    for (int c = 0; c < columns && c < rows; c++) {
-        sgms_real *const pivot_row = a + c * stride;
-        sgms_real below = SGMS_R(0.0);
-        for (int i = c + 1; i < rows; i++) {
-            below += a[i * stride + c] * a[i * stride + c];
+    sgms_real square = SGMS_R(0.0);
+    for (int i = 0; i < rows; i++) {
+        v[i] = below[i * stride + c];
+        square += v[i] * v[i];
+    }
+    if (square > SGMS_R(0.0)) {
+        const sgms_real pivot = pivot_row[c];
+        const sgms_real norm = sgms_sqrt(pivot * pivot + square);
+        const sgms_real diagonal = pivot > SGMS_R(0.0) ? -norm : norm;
+        const sgms_real head = pivot - diagonal; /* reflector (1, v) times this */
+        const sgms_real over_head = SGMS_R(1.0) / head;
+        const sgms_real scale = -head / diagonal;
+        for (int i = 0; i < rows; i++) {
+            v[i] *= over_head;
         }
-        if (below > SGMS_R(0.0)) {
-            const sgms_real pivot = pivot_row[c];
-            const sgms_real norm = sgms_sqrt(pivot * pivot + below);
-            const sgms_real diagonal = pivot > SGMS_R(0.0) ? -norm : norm;
-            const sgms_real head = pivot - diagonal; /* reflector (head, column below) */
-            const sgms_real scale = SGMS_R(-1.0) / (diagonal * head);
-            for (int j = 0; j < width; j++) {
-                dots[j] = head * pivot_row[j];
+        for (int j = 0; j < width; j++) {
+            sgms_real dot = pivot_row[j];
+            for (int i = 0; i < rows; i++) {
+                dot += v[i] * below[i * stride + j];
             }
-            for (int i = c + 1; i < rows; i++) {
-                const sgms_real entry = a[i * stride + c];
-                for (int j = 0; j < width; j++) {
-                    dots[j] += entry * a[i * stride + j];
-                }
+            dot *= scale;
+            pivot_row[j] -= dot;
+            for (int i = 0; i < rows; i++) {
+                below[i * stride + j] -= dot * v[i];
             }
-            for (int j = 0; j < width; j++) {
-                dots[j] *= scale;
-                pivot_row[j] -= dots[j] * head;
-            }
-            for (int i = c + 1; i < rows; i++) {
-                const sgms_real entry = a[i * stride + c];
-                for (int j = 0; j < width; j++) {
-                    a[i * stride + j] -= dots[j] * entry;
-                }
-                a[i * stride + c] = SGMS_R(0.0);
-            }
-            pivot_row[c] = diagonal;
+        }
+        pivot_row[c] = diagonal;
+        for (int i = 0; i < rows; i++) {
+            below[i * stride + c] = SGMS_R(0.0);
         }
     }
 }
 
+/* Householder reflections that make the first `columns` columns of the rows x width matrix a upper triangular, from
+ * row 0 on; rows lie `stride` numbers apart. Entries below the diagonal of these columns are set to zero. v: `rows`
+ * numbers. */
+static inline void sgms_qr(sgms_real *restrict a, int rows, int stride, int width, int columns, sgms_real *restrict v)
+{
+    for (int c = 0; c < columns && c < rows; c++) {
+        sgms_reflect(a + c * stride, a + (c + 1) * stride, rows - c - 1, stride, width, c, v);
+    }
+}
+
+/* Plane rotation of two rows that makes `*low` zero and `*high` their norm; a row's own column c, which holds these two
+ * numbers, may be among the `width` columns. */
+static SGMS_INLINE void sgms_rotate(
+    sgms_real *high,
+    const sgms_real low,
+    sgms_real *restrict high_row,
+    sgms_real *restrict low_row,
+    int width)
+{
+    const sgms_real square = *high * *high + low * low;
+    const sgms_real over_norm = sgms_inverse_sqrt(square);
+    const sgms_real cosine = *high * over_norm;
+    const sgms_real sine = low * over_norm;
+    for (int j = 0; j < width; j++) {
+        const sgms_real kept = high_row[j];
+        high_row[j] = cosine * kept + sine * low_row[j];
+        low_row[j] = cosine * low_row[j] - sine * kept;
+    }
+    *high = square * over_norm;
+}
+
 /* Fold one row of length n + 1 (coefficients, right side) into the n x (n + 1) upper triangular factor r by plane
  * rotations. The row is used up. */
-static inline void sgms_qr_add_row(sgms_real *r, int n, sgms_real *row)
+static SGMS_INLINE void sgms_qr_add_row(sgms_real *restrict r, int n, sgms_real *restrict row)
 {
     for (int c = 0; c < n; c++) {
-        sgms_real *top = r + c * (n + 1);
-        if (row[c] != SGMS_R(0.0)) {
-            const sgms_real norm = sgms_sqrt(top[c] * top[c] + row[c] * row[c]);
-            const sgms_real cosine = top[c] / norm;
-            const sgms_real sine = row[c] / norm;
-            top[c] = norm;
-            for (int j = c + 1; j <= n; j++) {
-                const sgms_real kept = top[j];
-                top[j] = cosine * kept + sine * row[j];
-                row[j] = cosine * row[j] - sine * kept;
-            }
+        sgms_real *const top = r + c * (n + 1);
+        const sgms_real low = row[c];
+        if (!(low * low == SGMS_R(0.0))) { /* too small for a norm is zero; what is not a number goes on */
+            sgms_real high = top[c];
+            sgms_rotate(&high, low, top, row, n + 1);
+            top[c] = high;
+            row[c] = SGMS_R(0.0);
+        }
+    }
+}
+
+/* Let the last `count` of n unknowns walk: their variances in the n x (n + 1) upper triangular factor r grow by
+ * growth^2. carrier: n + 1 numbers.
+ *
+ * x' = x + growth w with w ~ N(0, 1): eliminate w from [1 0; -growth r, r], one unknown after the other. Rotations
+ * from the last row upwards leave r triangular. */
+static SGMS_INLINE void sgms_qr_grow(
+    sgms_real *restrict r,
+    int n,
+    int count,
+    const sgms_real *growth,
+    sgms_real *restrict carrier)
+{
+    for (int k = n - count; k < n; k++) {
+        const sgms_real by = growth[k - n + count];
+        sgms_real head = SGMS_R(1.0);
+        if (by == SGMS_R(0.0)) {
+            continue;
+        }
+        for (int j = 0; j <= n; j++) {
+            carrier[j] = SGMS_R(0.0);
+        }
+        for (int i = k; i >= 0; i--) {
+            sgms_real *const row = r + i * (n + 1);
+            sgms_rotate(&head, -by * row[k], carrier, row, n + 1);
         }
     }
 }

@@ -25,4 +25,18 @@ typedef uint64_t sgms_unsigned;
 #define SGMS_R(x) x
 #endif
 
+/* Before a loop over the lanes of one vector: gcc would unroll so short a loop before it looks for vectors. */
+#if defined(__GNUC__) && !defined(__clang__)
+#define SGMS_LANES _Pragma("GCC unroll 1")
+#else
+#define SGMS_LANES
+#endif
+
+/* A function that becomes part of its caller: its constants fold, and it may stand in a loop that vectorises. */
+#if defined(__GNUC__)
+#define SGMS_INLINE __attribute__((always_inline)) inline
+#else
+#define SGMS_INLINE inline
+#endif
+
 #endif
