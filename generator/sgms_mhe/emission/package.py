@@ -50,7 +50,7 @@ AHEAD_DISPLACEMENT = 0.05
 FARTHEST_MOVE = 10.0
 """An element that has moved on by so many deflection scales slides, wherever it was."""
 SLOW_LAMBDA = 35.0
-"""Largest lambda up to which `slow_displacement` holds as it stands; beyond it is as much smaller: the window is 1 / lambda wide."""
+"""Largest lambda up to which `slow_displacement` holds as it stands: the slip window is 1 / lambda wide."""
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
 
@@ -600,8 +600,8 @@ def _group_context(
         outputs += [(f"level_by_state[{i}]", n) for i, n in enumerate(group.level_by_state)]
         result["coefficients"] = emitter.group_function(group, outputs, skip=states[:1])
     if flow:
-        # At most slow_displacement, 0.02 by default, per RK4 step below the gate: there r moves slowly. The slip window,
-        # 1 / lambda wide in r, bounds a step even there.
+        # At most slow_displacement per RK4 step below the gate, where r moves slowly; the slip window, 1 / lambda wide
+        # in r, bounds a step even there.
         friction = structure.model.machine.friction
         smoothing = friction.smoothing
         gate = gate_ratio(smoothing.zeta, smoothing.lambda_, smoothing.gamma) * friction.stribeck_velocity
