@@ -506,7 +506,7 @@ def compare_chains(log: Log, axis: Machine, precision: str) -> None:
         "velocity": 2.0 * eps * speed + steps,
         # Of the second difference, not of the difference of two velocities: the drive's acceleration sets the scale.
         "acceleration": 20.0 * eps * float(np.abs(expected.acceleration).max()) + 2.0 * steps * rate,
-        "force": 2.0 * eps * float(np.abs(expected.force).max()),
+        "force": 4.0 * eps * float(np.abs(expected.force).max()),  # through the same two low-passes as the position
     }
     tolerance["friction"] = tolerance["force"] + mass * tolerance["acceleration"]
     for name, absolute in tolerance.items():

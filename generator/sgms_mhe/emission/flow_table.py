@@ -25,7 +25,7 @@ _SEGMENT = 0.5  # width over 1/lambda: the poles of g lie pi/2 away
 _DEGREE = {"double": 12, "single": 6}
 _CELLS = 128
 _NEAR = 0.14  # half-width over 1/lambda of the short polynomials about the fixed point
-_NEAR_DEGREE = {"double": 7, "single": 3}  # odd: no Chebyshev node falls on the fixed point
+_NEAR_DEGREE = {"double": 7, "single": 5}  # odd: no Chebyshev node falls on the fixed point
 
 
 @dataclass(frozen=True)

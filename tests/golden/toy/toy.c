@@ -481,7 +481,8 @@ toy_real toy_insert(toy_t *self, const toy_signals *signals)
     return fed_forward(self);
 }
 
-toy_real toy_sample(toy_t *self, toy_position position, toy_real force)
+/* Take one sample of the machine's own signals in. */
+static void take_reading(toy_t *self, toy_position position, toy_real force)
 {
     const sgms_filter_memory memory = {
         .position = self->chain_position,
@@ -500,12 +501,17 @@ toy_real toy_sample(toy_t *self, toy_position position, toy_real force)
     self->through_chain = 1;
     take_sample(self, &signals);
     follow_compensation(self);
+}
+
+toy_real toy_sample(toy_t *self, toy_position position, toy_real force)
+{
+    take_reading(self, position, force);
     return fed_forward(self);
 }
 
 toy_real toy_tick(toy_t *self, toy_position position, toy_real force)
 {
-    const sgms_real friction = toy_sample(self, position, force);
+    take_reading(self, position, force);
     if (toy_due(self)) {
         (void)toy_feedback(self);
         return fed_forward(self);
@@ -514,7 +520,7 @@ toy_real toy_tick(toy_t *self, toy_position position, toy_real force)
         work(self);
         left -= cost;
     }
-    return friction;
+    return fed_forward(self);
 }
 
 void toy_ahead(toy_t *self, toy_real velocity, toy_real acceleration)

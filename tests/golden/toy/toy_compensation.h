@@ -181,8 +181,13 @@ static void follow_compensation(toy_t *self)
 /* The force to feed forward now. */
 static sgms_real fed_forward(toy_t *self)
 {
-    const sgms_real friction = friction_ahead(self);
-    sgms_real force;
+    sgms_real friction, force;
+    if (!self->compensate && !(self->gain > 0.0)) { /* nobody wants to know */
+        self->carry = 0.0;
+        self->fed = 0.0;
+        return 0.0;
+    }
+    friction = friction_ahead(self);
     if (self->holding) { /* what is fed forward stays; where it left the estimate, it goes back to it once the axis moves */
         self->carry = self->fed - friction;
     }

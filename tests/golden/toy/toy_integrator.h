@@ -164,10 +164,6 @@ static void element_step(
     sgms_real *state)
 {
     int most = element_count(fastest, rates[0]);
-    for (int l = 1; l < lanes * spread; l++) {
-        const int count = element_count(fastest, rates[l]);
-        most = count > most ? count : most;
-    }
     if (most == 1) {
         element_runge_kutta(lanes, 1, STEP_TIME, term, q, data, state);
         return;
