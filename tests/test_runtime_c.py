@@ -28,6 +28,7 @@ Array = NDArray[Any]
 # Bounds and ranges of the table at the head of sgms_math.h. A longdouble holds 11 bits more than a double.
 LIMITS: dict[str, dict[str, tuple[float, float]]] = {
     "exp": {"double": (-700.0, 709.0), "single": (-86.0, 88.0)},
+    "exp2_core": {"double": (-1000.0, 1000.0), "single": (-120.0, 120.0)},
     "tanh": {"double": (-1e16, 1e16), "single": (-1e8, 1e8)},
     "sin": {"double": (-1e6, 1e6), "single": (-1e3, 1e3)},
     "cos": {"double": (-1e6, 1e6), "single": (-1e3, 1e3)},
@@ -37,6 +38,7 @@ LIMITS: dict[str, dict[str, tuple[float, float]]] = {
 }
 BOUND: dict[str, dict[str, float]] = {
     "exp": {"double": 5e-16, "single": 2e-7},
+    "exp2_core": {"double": 8e-13, "single": 3e-7},
     "tanh": {"double": 3e-15, "single": 8e-7},
     "sin": {"double": 2e-15, "single": 3e-7},
     "cos": {"double": 2e-15, "single": 3e-7},
@@ -47,6 +49,7 @@ BOUND: dict[str, dict[str, float]] = {
 # What the bound is relative to, by the exact value.
 SCALE: dict[str, Callable[[Array], Array]] = {
     "exp": np.abs,
+    "exp2_core": np.abs,
     "tanh": np.ones_like,
     "sin": np.ones_like,
     "cos": np.ones_like,
@@ -58,8 +61,12 @@ POINTS = 200_000
 
 
 def exact_value(library: Any, function: str, x: Any) -> Any:
-    """The function in numpy or mpmath, which have no inverse root."""
-    return 1 / library.sqrt(x) if function == "inverse_sqrt" else getattr(library, function)(x)
+    """The function in numpy or mpmath, which have no inverse root; mpmath has no power of two either."""
+    if function == "inverse_sqrt":
+        return 1 / library.sqrt(x)
+    if function == "exp2_core":
+        return 2**x
+    return getattr(library, function)(x)
 
 
 def evaluate(function: str, precision: str, x: Array) -> tuple[Array, Array]:

@@ -3,7 +3,7 @@
  *
  *   function      range               double             single
  *   sgms_exp      x <= 709 (88)       5e-16 relative     2e-7 relative
- *   exp2_core     |x| <= 1000 (120)   8e-13 relative     1e-7 relative
+ *   exp2_core     |x| <= 1000 (120)   8e-13 relative     3e-7 relative
  *   sgms_tanh     |x| <= 1e16 (1e8)   3e-15 absolute     8e-7 absolute
  *   sgms_sin/cos  |x| <= 1e6 (1e3)    2e-15 absolute     3e-7 absolute, growing with |x| beyond
  *   sgms_log      x > 0, normal       4e-16 (1 + |log|)  3e-7 (1 + |log|)
