@@ -199,6 +199,7 @@ static inline sgms_real fastest_of(int lanes, const sgms_real *velocity)
 /* Move chi and its sensitivities over one step of the series in all older intervals, side by side. */
 static inline void integrate_step(int lanes, const sgms_real *term, const sgms_real *q, sgms_real *state)
 {
+    const sgms_real fastest = fastest_of(lanes, term);
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
         sgms_real lane_q[1 * WIDE], lane_data[1 * WIDE];
         for (int k = 0; k < 1; k++) {
@@ -207,7 +208,7 @@ static inline void integrate_step(int lanes, const sgms_real *term, const sgms_r
         for (int k = 0; k < 1; k++) {
             fill(lane_data + k * WIDE, element_data[block][k], WIDE);
         }
-        element_step(lanes, 0, fastest_of(lanes, term), term, lane_q, lane_data, element_rates + block, state);
+        element_step(lanes, 0, fastest, term, lane_q, lane_data, element_rates + block, state);
         q += ELEMENT_Q;
         state += ELEMENT_ROWS * WIDE;
     }
