@@ -167,15 +167,13 @@ def _depends_on(node: Node, *vectors: str) -> bool:
 class _Terms:
     """Sample terms shared by all blocks: signals, and functions of signals too expensive to repeat."""
 
-    def __init__(self, model: Model, *, raw_only: bool) -> None:
-        self._model = model
-        self._raw_only = raw_only
+    def __init__(self) -> None:
         self.nodes: list[Node] = []
 
     def is_term(self, node: Node) -> bool:
         if not _depends_on(node, "w"):
             return False
-        return node.op == "input" or (not self._raw_only and node.is_expensive)
+        return node.op == "input" or node.is_expensive
 
     def add(self, nodes: Sequence[Node]) -> None:
         for node in frontier(nodes, self.is_term):
@@ -195,9 +193,11 @@ def analyse(model: Model) -> Structure:
     rhs = graph.read(model.rhs, vectors, labels)
     inverse_level = graph.read(1.0 / model.level, vectors, labels)[0]
     rho = graph.read(model.rho, vectors, labels) if model.n_z else []
-    # Linear interpolation between samples makes every function of the signals vary within a step.
-    terms = _Terms(model, raw_only=model.machine.sampling.integrator.velocity == "linear")
+    terms = _Terms()
     terms.add([graph.input("w", "velocity"), *rhs, *rho, inverse_level])
+    sampling = model.machine.sampling
+    if sampling.varies_in_step:  # between the nodes of a step the signals are interpolated, and their functions follow
+        terms.add([n for n in walk(terms.nodes) if n.op == "input"])
     w_symbols = {graph.input("w", n): s for n, s in zip(SIGNAL_NAMES, ca.vertsplit(model.w), strict=True)}
     theta_symbols = {
         graph.input("theta", n): s
@@ -207,8 +207,6 @@ def analyse(model: Model) -> Structure:
         SampleTerm(_term_name(node, inverse_level, k), expression)
         for k, (node, expression) in enumerate(zip(terms.nodes, to_sx(terms.nodes, w_symbols), strict=True))
     )
-    sampling = model.machine.sampling
-    step = sampling.step * max(1, sampling.samples_per_update // sampling.integrator.substeps)
     found: dict[object, list[tuple[_Canonical, tuple[int, ...], tuple[ca.SX, ...]]]] = {}
     for states in block_states(model):
         own = [rhs[i] for i in states]
@@ -216,7 +214,7 @@ def analyse(model: Model) -> Structure:
         extra = [rho[element], inverse_level] if element is not None else []
         q_nodes = _parameter_terms(own + extra)
         named = [(n, graph.read(e, vectors, labels)[0]) for i in states for n, e in model.names[i].items()]
-        canonical = _canonical(graph, own, extra, named, [labels["chi"][i] for i in states], terms.nodes, q_nodes, step)
+        canonical = _canonical(graph, own, extra, named, [labels["chi"][i] for i in states], terms.nodes, q_nodes, sampling.step)
         expressions = tuple(to_sx(q_nodes, theta_symbols))
         found.setdefault(canonical.signature, []).append((canonical, states, expressions))
     groups = tuple(_group(k, members, model.states, model.machine) for k, members in enumerate(found.values()))

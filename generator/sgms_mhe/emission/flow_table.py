@@ -30,7 +30,7 @@ _NEAR_DEGREE = {"double": 7, "single": 5}  # odd: no Chebyshev node falls on the
 
 @dataclass(frozen=True)
 class FlowTable:
-    """One universal curve; see sgms_flow.h for the meaning of the fields. `gate` is the smallest |v| / v_s."""
+    """One universal curve; see sgms_flow.h for the meaning of the fields. `bend` is -g''(r*) / g'(r*)."""
 
     start: float
     end: float
@@ -47,6 +47,7 @@ class FlowTable:
     near_degree: int
     near_forward: tuple[float, ...]
     near_inverse: tuple[float, ...]
+    bend: float
 
 
 @lru_cache(maxsize=16)
@@ -153,6 +154,7 @@ def flow_table(zeta: float, lambda_: float, precision: str, source: str = "machi
             near_degree=near_degree,
             near_forward=tuple(float(c) for c in near_forward),
             near_inverse=tuple(float(c) for c in _times(_interpolation(near_angles), near_roots)),
+            bend=float(curve.curvature(curve.r_star) / curve.k),
         )
 
 
@@ -180,6 +182,11 @@ class _Curve:
     def slope(self, r: mpf) -> mpf:
         a = self.logistic(r)
         return -(a + 2 * self.lambda_ * a * (1 - a) * r)
+
+    def curvature(self, r: mpf) -> mpf:
+        a = self.logistic(r)
+        slope = 2 * self.lambda_ * a * (1 - a)
+        return -2 * slope * (1 + self.lambda_ * (1 - 2 * a) * r)
 
     def regular(self, r: mpf) -> mpf:
         """-k / g(r) - 1 / (r - r*), the part of d ln|psi| / dr without the pole."""

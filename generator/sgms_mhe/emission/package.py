@@ -47,6 +47,8 @@ STEP_COST_PER_ROW = 30
 """Multiplications, or so, of one step of the series for each of chi and its sensitivities."""
 AHEAD_DISPLACEMENT = 0.05
 """Largest move per Runge-Kutta step of the propagation ahead, in deflection scales: no sensitivity hangs on it."""
+LEVEL_CHANGE = 0.0175
+"""Change of the level over merged samples, times lambda, up to which an element slides through them at once."""
 FARTHEST_MOVE = 10.0
 """An element that has moved on by so many deflection scales slides, wherever it was."""
 SLOW_LAMBDA = 35.0
@@ -229,9 +231,9 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     integrator = sampling.integrator
     samples = sampling.samples_per_update
     substeps = integrator.substeps
-    steps = min(substeps, samples)
-    merged = samples // steps
-    step_time = merged / sampling.rate
+    merged = sampling.merged
+    steps = samples // merged
+    step_time = merged * sampling.step
     single = machine.code.precision == "single"
     horizon = estimator.horizon if estimator.kind == "mhe" else 0
     slots = max(1, horizon)
@@ -243,6 +245,8 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     lanes = {"all": wide, "auto": slots, "newest": 1}[relinearise]
     ring = relinearise != "newest"
     linear = integrator.velocity == "linear"
+    piece_time = sampling.step if merged > 1 else step_time
+    nodes = 3 if sampling.varies_in_step else 1
     noise = estimator.noise
     fixed = estimator.arrival_cost.update == "fixed"
     scheme = SCHEMES["rk4" if integrator.scheme == "flow" else integrator.scheme]
@@ -255,7 +259,8 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
             emitter,
             flow=flow and g.is_elements,
             law=law is not None and g.obeys_law,
-            step_time=step_time,
+            piece_time=piece_time,
+            wide=wide,
         )
         for g in structure.groups
     ]
@@ -294,7 +299,12 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "relinearise": relinearise,
         "chosen": CHOSEN,
         "ring": ring,
-        "term_rows": (steps if ring else 1) + linear,
+        "nodes": nodes,
+        "term_rows": nodes * (steps if ring else 1),
+        "varying": nodes > 1,
+        "raw_rows": [(SIGNAL_NAMES.index(t.name), k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES],
+        "slope_weight": 3.0 * merged / (merged * merged - 1.0) if merged > 1 else 0.0,
+        "piece_time": piece_time,
         "samples": samples,
         "merged": merged,
         "merge": merged > 1,
@@ -396,6 +406,9 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
             "lambda_": smoothing.lambda_,
             "gate": gate,
             "gate_velocity": gate * machine.friction.stribeck_velocity,
+            "level_change": LEVEL_CHANGE / smoothing.lambda_,
+            "phi": _series([(n - 1.0) / math.factorial(n + 1) for n in range(2, 9)], emitter.printer),
+            "d_phi": _series([n * (n - 1.0) / math.factorial(n + 1) for n in range(2, 9)], emitter.printer),
         }
         flow_template = [("flow.h.jinja", f"{name}_flow.h")]
     context["templates"] = [
@@ -408,6 +421,14 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         ("compensation.h.jinja", f"{name}_compensation.h"),
     ]
     return context
+
+
+def _series(coefficients: Sequence[float], printer: CPrinter) -> str:
+    """x^2 (c_0 - c_1 x + c_2 x^2 - ...) as C, by Horner's scheme."""
+    text = printer.number(coefficients[-1])
+    for c in reversed(coefficients[:-1]):
+        text = f"({printer.number(c)} - x * {text})"
+    return f"x * x * {text}"
 
 
 def element_law(machine: Machine) -> Mapping[str, float] | None:
@@ -523,12 +544,12 @@ def _node_scale(model: Model, i: int) -> ca.SX:
 
 
 def _group_context(
-    group: Group, structure: Structure, emitter: _Emitter, *, flow: bool, law: bool, step_time: float
+    group: Group, structure: Structure, emitter: _Emitter, *, flow: bool, law: bool, piece_time: float, wide: int
 ) -> dict[str, Any]:
     m, n_q, terms = group.m, group.n_q, emitter.terms
     integrator = structure.model.machine.sampling.integrator
     max_velocity = structure.model.machine.sampling.max_velocity
-    per_step = step_time / integrator.displacement
+    per_step = piece_time / integrator.displacement
     states = [f"chi{i}" for i in range(m)]
     values = list(terms)
     inputs = ["q_l", "data_l"]
@@ -567,7 +588,6 @@ def _group_context(
         "arguments": arguments,
         "terms": values,
         "call": [f"at{i}" for i in range(m)] + [f"term[{k} * WIDE + l]" for k in range(len(terms))] + inputs,
-        "call_between": [f"at{i}" for i in range(m)] + [f"between[{k} * WIDE + l]" for k in range(len(terms))] + inputs,
         "law": law,
         "slopes": slopes,
         "ahead_call": [f"at{i}" for i in range(m)] + ahead_terms,
@@ -610,12 +630,22 @@ def _group_context(
             max(
                 1,
                 math.ceil(
-                    gate * step_time * b.rate_per_metre / displacement
-                    + step_time * b.rate_per_second / integrator.displacement
+                    gate * piece_time * b.rate_per_metre / displacement
+                    + piece_time * b.rate_per_second / integrator.displacement
                 ),
             )
             for b in group.blocks
         ]
+        sampling = structure.model.machine.sampling
+        whole = sampling.merged * sampling.step
+        line_rates = [
+            (whole * b.rate_per_metre / displacement, whole * b.rate_per_second / integrator.displacement)
+            for b in group.blocks
+        ]
+        line_rates += [(0.0, 0.0)] * (wide - len(line_rates))
+        result["line_rates"] = ["{" + ", ".join(number(v) for v in row) + "}" for row in line_rates]
+        result["slides"] = group.obeys_law and not result["level_in_q"]
+        result["node_call"] = lambda node: [f"nodes[{node} + {k} * WIDE + l]" for k in range(len(terms))] + inputs
         result["ahead_flow_call"] = [f"chi[{i}]" for i in range(1, m)] + ahead_terms
         outputs = [(f"end[{i}]", n) for i, n in enumerate(group.upstream)]
         outputs += [(f"by_state[{i}]", n) for i, n in enumerate(group.upstream_by_state)]

@@ -231,6 +231,16 @@ class Sampling(Table):
         """h [s], time between samples."""
         return 1.0 / self.rate
 
+    @property
+    def merged(self) -> int:
+        """K, samples that make one integration step."""
+        return max(1, self.samples_per_update // self.integrator.substeps)
+
+    @property
+    def varies_in_step(self) -> bool:
+        """Whether signals are lines within a step, not constant."""
+        return self.merged > 1 or self.integrator.velocity == "linear"
+
     @model_validator(mode="before")
     @classmethod
     def _fill(cls, data: Any) -> Any:

@@ -160,13 +160,12 @@ def build_model(machine: Machine) -> Model:
     """Assemble the symbolic model of a machine: the S-GMS law and every effect of its machine file."""
     friction, noise = machine.friction, machine.estimator.noise
     parameters = _Parameters(machine)
-    integrator, sampling = machine.sampling.integrator, machine.sampling
-    merged = max(1, sampling.samples_per_update // integrator.substeps)
+    sampling = machine.sampling
     axis = SymbolicAxis(
         machine.plant.mass,
         friction.coulomb,
         step=sampling.step,
-        hold=0.0 if integrator.velocity == "linear" else sampling.step * merged,
+        hold=0.0 if sampling.varies_in_step else sampling.step,
         gate_per_velocity=friction.smoothing.gamma / friction.stribeck_velocity,
     )
     symbols = FrictionSymbols(
