@@ -604,6 +604,7 @@ def _group_context(
         "states_rows": ["{" + ", ".join(str(s) for s in b.states) + "}" for b in group.blocks],
         "flow": flow,
         "n_up": m - 1 if flow or law else 0,
+        "slides": False,
         "coefficients": None,
     }
     if flow or law:
