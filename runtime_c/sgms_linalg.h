@@ -7,7 +7,7 @@
 
 /* First column of a row to work on, where those before `c` hold zeros. */
 #if defined(__AVX__) || defined(__SSE2__) || defined(__ARM_NEON) || defined(_M_X64)
-#define SGMS_FROM(c) 0
+#define SGMS_FROM(c) (0 * (c))
 #else
 #define SGMS_FROM(c) (c)
 #endif

@@ -259,6 +259,7 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
             emitter,
             flow=flow and g.is_elements,
             law=law is not None and g.obeys_law,
+            step_time=step_time,
             piece_time=piece_time,
             wide=wide,
         )
@@ -544,12 +545,12 @@ def _node_scale(model: Model, i: int) -> ca.SX:
 
 
 def _group_context(
-    group: Group, structure: Structure, emitter: _Emitter, *, flow: bool, law: bool, piece_time: float, wide: int
+    group: Group, structure: Structure, emitter: _Emitter, *, flow: bool, law: bool, step_time: float, piece_time: float, wide: int
 ) -> dict[str, Any]:
     m, n_q, terms = group.m, group.n_q, emitter.terms
     integrator = structure.model.machine.sampling.integrator
     max_velocity = structure.model.machine.sampling.max_velocity
-    per_step = piece_time / integrator.displacement
+    per_step = step_time / integrator.displacement
     states = [f"chi{i}" for i in range(m)]
     values = list(terms)
     inputs = ["q_l", "data_l"]
@@ -638,10 +639,8 @@ def _group_context(
             )
             for b in group.blocks
         ]
-        sampling = structure.model.machine.sampling
-        whole = sampling.merged * sampling.step
         line_rates = [
-            (whole * b.rate_per_metre / displacement, whole * b.rate_per_second / integrator.displacement)
+            (step_time * b.rate_per_metre / displacement, step_time * b.rate_per_second / integrator.displacement)
             for b in group.blocks
         ]
         line_rates += [(0.0, 0.0)] * (wide - len(line_rates))
