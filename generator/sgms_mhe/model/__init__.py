@@ -161,12 +161,12 @@ def build_model(machine: Machine) -> Model:
     friction, noise = machine.friction, machine.estimator.noise
     parameters = _Parameters(machine)
     integrator, sampling = machine.sampling.integrator, machine.sampling
-    merged = max(1, sampling.samples_per_update // integrator.substeps)
     axis = SymbolicAxis(
         machine.plant.mass,
         friction.coulomb,
         step=sampling.step,
-        hold=0.0 if integrator.velocity == "linear" else sampling.step * merged,
+        # Lines through merged samples have them in the middle of their times: half a sample ahead, as held ones are.
+        hold=0.0 if integrator.velocity == "linear" else sampling.step,
         gate_per_velocity=friction.smoothing.gamma / friction.stribeck_velocity,
     )
     symbols = FrictionSymbols(
