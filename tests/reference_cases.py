@@ -61,6 +61,52 @@ def simulate(integrator: Integrator, signals: Signals, theta: Array, x0: Array |
     return x
 
 
+def lines(velocity: Array, merged: int) -> tuple[Array, Array]:
+    """Mean and half the change (steps,) of the least-squares line through each step's samples, by numpy's fit."""
+    tau = (2.0 * np.arange(merged) + 1.0) / merged - 1.0
+    mean, change = np.polynomial.polynomial.polyfit(tau, velocity[1:].reshape(-1, merged).T, 1)
+    return mean, change
+
+
+def along_lines(machine: Machine, mean: Array, change: Array, h: float, chi: Array) -> tuple[Array, Array, Array]:
+    """Converged chi1, dchi1/dchi0 and rho dchi1/drho (steps, n_z) of elements at nominal parameters, one step each.
+
+    RK4 at a displacement of 0.003 in complex arithmetic, whose imaginary part carries one derivative; steps are split
+    where the velocity changes sign, and others in the middle.
+    """
+    friction = machine.friction
+    zeta, lambda_, gamma = friction.smoothing.zeta, friction.smoothing.lambda_, friction.smoothing.gamma
+    nominal = np.array(friction.stiffness) / (np.array(friction.fraction) * friction.coulomb)
+
+    def rhs(y: Array, v: Array, rho: Array) -> Array:
+        r = y / (1.0 + friction.stribeck_ratio * np.exp(-((v / friction.stribeck_velocity) ** 2)))
+        eta = 1.0 - 0.5 * np.tanh(lambda_ * (r + zeta)) + 0.5 * np.tanh(lambda_ * (r - zeta))
+        eta = eta * (0.5 + 0.5 * np.tanh(gamma * v / friction.stribeck_velocity * r))
+        return rho * (v - np.abs(v) * eta * r)
+
+    mean, change = mean[:, None], change[:, None]
+    reverses = np.abs(change) > np.abs(mean)
+    split = np.where(reverses, -mean / np.where(reverses, change, 1.0), 0.0)
+    fastest = float(np.max(np.abs(mean) + np.abs(change)))
+    count = int(np.ceil(fastest * h * nominal.max() / 0.003))
+
+    def through(y: Array, rho: Array) -> Array:
+        for begin, width in ((-1.0, 1.0 + split), (split, 1.0 - split)):
+            step = 0.5 * h * width / count
+            for s in range(count):
+                v0, vm, v1 = (mean + change * (begin + width * part / count) for part in (s, s + 0.5, s + 1.0))
+                k1 = rhs(y, v0, rho)
+                k2 = rhs(y + 0.5 * step * k1, vm, rho)
+                k3 = rhs(y + 0.5 * step * k2, vm, rho)
+                y = y + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rhs(y + step * k3, v1, rho))
+        return y
+
+    tiny = 1e-30
+    by_chi = through(chi + 1j * tiny, nominal)
+    by_rho = through(chi + 0j, nominal * (1.0 + 1j * tiny))
+    return by_chi.real, by_chi.imag / tiny, by_rho.imag / tiny
+
+
 def friction_at_samples(model: Model, signals: Signals, nodes: Array, theta: Array) -> Array:
     """Friction record whose entries at the nodes are the model's output, zero between them."""
     samples = model.machine.sampling.samples_per_update

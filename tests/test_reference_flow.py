@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,7 +14,7 @@ from scipy.integrate import solve_ivp
 from reference_cases import moving, simulate, variant, with_integrator
 from sgms_mhe.machine import Smoothing
 from sgms_mhe.model import build_model
-from sgms_mhe.reference.flow import Flow, gate_ratio, window
+from sgms_mhe.reference.flow import Flow, gate_ratio, relaxation, window
 from sgms_mhe.reference.integrator import Integrator
 
 SMOOTHINGS = [(0.9, 35.0), (0.9, 10.0), (0.8, 100.0), (0.95, 300.0)]
@@ -73,6 +74,31 @@ def test_flow_settles_where_it_stands_still() -> None:
         r1, slope, g1 = TABLE.advance(r0, 200.0)
         assert (r1, g1) == (pytest.approx(TABLE.r_star, abs=1e-15), pytest.approx(0.0, abs=1e-15))
         assert 0.0 <= slope < 1e-60
+
+
+@pytest.mark.parametrize(("zeta", "lambda_"), [*SMOOTHINGS, (0.3, 4.0)])
+def test_slope_and_curvature_at_the_fixed_point(zeta: float, lambda_: float) -> None:
+    flow = Flow.of(smoothing(zeta, lambda_))
+
+    def g(r: mpmath.mpf) -> mpmath.mpf:
+        return 1 - r * (1 - mpmath.tanh(lambda_ * (r + zeta)) / 2 + mpmath.tanh(lambda_ * (r - zeta)) / 2)
+
+    with mpmath.workdps(40):
+        assert float(-mpmath.diff(g, flow.r_star)) == pytest.approx(flow.k, rel=1e-13)
+        assert float(mpmath.diff(g, flow.r_star, 2)) == pytest.approx(flow.curvature, rel=1e-12)
+
+
+def test_relaxation_answers_a_line() -> None:
+    # e' = -x e + x (2 u - 1), e(0) = 0, ends at phi(x) = x * integral of e^(-x (1 - u)) (2 u - 1) over 0..1.
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    for x in np.concatenate([np.geomspace(1e-7, 0.49999, 30), np.linspace(0.5, 20.0, 40)]):
+        early = 0.5 * (1.0 - nodes) * x
+        mean = np.sum(0.5 * weights * nodes * np.expm1(-early))
+        slope = mean - np.sum(0.5 * weights * nodes * early * np.exp(-early))
+        phi, dphi = relaxation(float(x))
+        assert phi == pytest.approx(x * mean, rel=1e-12)
+        assert dphi == pytest.approx(slope, rel=1e-11)
+    assert relaxation(1e6) == (pytest.approx(1.0, abs=3e-6), pytest.approx(0.0, abs=1e-11))
 
 
 def test_gate_ratio_is_the_smallest_on_its_grid() -> None:

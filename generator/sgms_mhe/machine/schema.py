@@ -282,7 +282,7 @@ class Sampling(Table):
                 raise refusal(
                     "integrator.velocity",
                     "linear",
-                    f"constant, where substeps < {samples}: merged samples have no slope",
+                    f"constant, where substeps < {samples}: merged samples are lines already",
                 )
         return self
 

@@ -160,12 +160,13 @@ def build_model(machine: Machine) -> Model:
     """Assemble the symbolic model of a machine: the S-GMS law and every effect of its machine file."""
     friction, noise = machine.friction, machine.estimator.noise
     parameters = _Parameters(machine)
-    sampling = machine.sampling
+    integrator, sampling = machine.sampling.integrator, machine.sampling
     axis = SymbolicAxis(
         machine.plant.mass,
         friction.coulomb,
         step=sampling.step,
-        hold=0.0 if sampling.varies_in_step else sampling.step,
+        # Lines through merged samples have them in the middle of their times: half a sample ahead, as held ones are.
+        hold=0.0 if integrator.velocity == "linear" else sampling.step,
         gate_per_velocity=friction.smoothing.gamma / friction.stribeck_velocity,
     )
     symbols = FrictionSymbols(

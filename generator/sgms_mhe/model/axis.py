@@ -60,7 +60,8 @@ class SymbolicAxis:
         mass: of the machine file [kg].
         coulomb: nominal f_C [N], the unit of the states that are forces.
         step: time between samples [s].
-        hold: how long the integrator holds a signal's value, that of the end of each step [s]; 0 where it interpolates.
+        hold: how long a sample's value counts, up to its own time [s]; 0 where the integrator interpolates between
+            samples.
         measured: the signals w as the machine logs them; `position` [m], `velocity` [m/s], `acceleration` [m/s^2],
             `force` [N], `time` [s] start as these, and an effect may replace them by what is really there.
         velocity_ratio: real over measured velocity.

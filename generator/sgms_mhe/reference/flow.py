@@ -30,6 +30,11 @@ DEGREE = 15
 PANEL = 0.2
 # Beyond zeta + 20/lambda etaA is 1 within double precision, and the flow is an exponential.
 SATURATED = 20.0
+# Distance from r* within which an element slides, times lambda: there merged samples may be one step.
+NEAR = 0.14
+# Below it relaxation() sums a series, TERMS of which leave nothing within double precision.
+SMALL = 0.5
+TERMS = 14
 
 
 def window(r: NDArray[np.float64] | float, smoothing: Smoothing) -> NDArray[np.float64]:
@@ -71,6 +76,7 @@ class Flow:
         smoothing: zeta, lambda, gamma.
         r_star: root of g, where sliding settles.
         k: -g'(r*), the rate of settling per unit of xi.
+        curvature: g''(r*).
         r_max: beyond it etaA is 1.
         below: Chebyshev coefficients of L on equal panels of [0, r*], shape (panels, DEGREE + 1), nearest to r* last.
         above: the same on [r*, r_max], nearest to r* first.
@@ -79,6 +85,7 @@ class Flow:
     smoothing: Smoothing
     r_star: float
     k: float
+    curvature: float
     r_max: float
     below: NDArray[np.float64]
     above: NDArray[np.float64]
@@ -88,14 +95,19 @@ class Flow:
         """Tabulate L for one smoothing."""
         lambda_, zeta = smoothing.lambda_, smoothing.zeta
         r_star = float(brentq(lambda r: r * float(window(r, smoothing)) - 1.0, 0.0, 2.0 + 20.0 / lambda_, xtol=1e-15))
-        slope = 0.5 * lambda_ * (math.cosh(_clip(lambda_ * (r_star - zeta))) ** -2.0)
-        slope -= 0.5 * lambda_ * (math.cosh(_clip(lambda_ * (r_star + zeta))) ** -2.0)
+        slope = bend = 0.0  # of etaA
+        for sign, edge in ((1.0, zeta), (-1.0, -zeta)):
+            angle = lambda_ * (r_star - edge)
+            part = sign * 0.5 * lambda_ * math.cosh(_clip(angle)) ** -2.0
+            slope += part
+            bend -= 2.0 * lambda_ * math.tanh(angle) * part
         k = float(window(r_star, smoothing)) + r_star * slope
+        curvature = -(2.0 * slope + r_star * bend)
         r_max = max(zeta, r_star) + SATURATED / lambda_
-        bare = cls(smoothing, r_star, k, r_max, np.zeros((0, 0)), np.zeros((0, 0)))
+        bare = cls(smoothing, r_star, k, curvature, r_max, np.zeros((0, 0)), np.zeros((0, 0)))
         below = bare._panels(-r_star)
         above = bare._panels(r_max - r_star)
-        return cls(smoothing, r_star, k, r_max, below[::-1], above)
+        return cls(smoothing, r_star, k, curvature, r_max, below[::-1], above)
 
     def g(self, d: float) -> float:
         """Rate at r = r* + d >= 0, with full relative accuracy near d = 0."""
@@ -134,7 +146,7 @@ class Flow:
 
     def packed(self) -> NDArray[np.float64]:
         """All numbers in one array, in the order that intervals.c reads."""
-        head = [self.r_star, self.k, self.r_max, self.smoothing.lambda_, self.smoothing.zeta]
+        head = [self.r_star, self.k, self.curvature, self.r_max, self.smoothing.lambda_, self.smoothing.zeta]
         return np.concatenate([head, [len(self.below), len(self.above)], self.below.ravel(), self.above.ravel()])
 
     def _level(self, d: float) -> tuple[float, float]:
@@ -191,6 +203,22 @@ class Flow:
             start = float(chebyshev.chebval(-inner, integral))
             panels.append(integral)
         return np.array(panels)
+
+
+def relaxation(x: float) -> tuple[float, float]:
+    """(phi(x), phi'(x)), what a sliding element makes of a level that is a line over displacement, for x = k xi >= 0.
+
+    phi = 1 + e^-x - 2 (1 - e^-x)/x cancels to x^2/6 near 0; its series is sum_n (n - 1)/(n + 1)! (-x)^n, n >= 2.
+    """
+    if x < SMALL:
+        phi = slope = 0.0
+        for n in range(TERMS, 1, -1):
+            term = (n - 1) / math.factorial(n + 1) * (-1.0) ** n
+            phi = phi * x + term
+            slope = slope * x + n * term
+        return phi * x * x, slope * x
+    decay, rise = math.exp(-x), -math.expm1(-x)
+    return 1.0 + decay - 2.0 * rise / x, -decay + 2.0 * (rise - x * decay) / (x * x)
 
 
 def _clip(x: float) -> float:

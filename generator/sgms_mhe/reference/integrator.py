@@ -11,7 +11,7 @@ import ctypes
 import math
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,13 +30,16 @@ from sgms_mhe.build import shared_library
 from sgms_mhe.errors import BuildError
 from sgms_mhe.kinematics import Signals
 from sgms_mhe.model import Model
-from sgms_mhe.reference.flow import DEGREE, Flow, gate_ratio, window
+from sgms_mhe.reference.flow import DEGREE, NEAR, Flow, gate_ratio, relaxation, window
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
 # Largest lambda up to which a slow RK4 substep is as long as the settings say: the slip window is 1 / lambda wide.
 WIDE_LAMBDA = 35.0
+
+# Largest lambda |delta| / s_m with which an element that slides takes merged samples at once.
+NEARLY_CONSTANT = 0.0175
 
 # (c, a, b): stages f(y + h sum_j a_ij k_j) at c_i h, y1 = y + h sum_i b_i k_i.
 TABLEAUS: dict[str, tuple[tuple[float, ...], tuple[tuple[float, ...], ...], tuple[float, ...]]] = {
@@ -67,30 +70,53 @@ class Outputs(NamedTuple):
     D: Array
 
 
+class Moved(NamedTuple):
+    """A block after a part of a step: chi (m,), and its derivatives in chi before it (m, m) and in theta (m, n_p)."""
+
+    chi: Array
+    by_chi: Array
+    by_theta: Array
+
+
 @dataclass(frozen=True)
 class Block:
     """States that depend on no state outside the block; blocks may share states that read none of the others.
 
     `saturates`: its first state is an element that obeys the law of equation (1), and the others set its level by
-    linear equations of their own.
+    linear equations of their own. `slides`: it is an element alone, its level depends on signals alone and its rho not
+    on them, and the measured velocity moves it; looked for only where samples are merged.
     """
 
     states: tuple[int, ...]
     rate_per_metre: float
     rate_per_second: float
     saturates: bool
+    slides: bool
 
 
 @dataclass(frozen=True)
 class Plan:
     """Steps of a record, set by its signals alone.
 
+    A step takes a block along the line from `start` to `end`, in two pieces where the velocity changes sign, or up K
+    stairs of constant signals; an element that slides may take it at once. Where samples are not merged K is 1, and the
+    stair has the signals of the step's end.
+
     Attributes:
         steps: steps per interval.
         h: duration of a step [s].
         start: signals w at the beginning of each step (intervals * steps, 5).
         end: signals w at its end; equal to `start` where velocity is constant.
-        substeps: Runge-Kutta substeps (intervals * steps, blocks); 0 is one jump of the displacement flow.
+        substeps: Runge-Kutta substeps along the line (intervals * steps, blocks); 0 are stairs.
+        cut: share of the step before its velocity changes sign (intervals * steps); 0 where it does not.
+        piece_substeps: Runge-Kutta substeps along the pieces before and after that (intervals * steps, blocks, 2); 0 are
+            stairs, or a step that is not cut.
+        stairs: K, stairs of a step; each lasts h / K.
+        stair: signals w of each stair (intervals * steps * K, 5).
+        stair_substeps: Runge-Kutta substeps of each (intervals * steps * K, blocks); 0 is one jump of the displacement
+            flow.
+        slide: displacement [m], mean level s_m and delta of each step (intervals * steps, 3); zero where the signals do
+            not let an element slide through it.
         path: sum |v_k| h of each interval [m].
         fastest: largest |v_k| of each interval [m/s].
     """
@@ -100,6 +126,12 @@ class Plan:
     start: Array
     end: Array
     substeps: Counts
+    cut: Array
+    piece_substeps: Counts
+    stairs: int
+    stair: Array
+    stair_substeps: Counts
+    slide: Array
     path: Array
     fastest: Array
 
@@ -146,15 +178,23 @@ class Integrator:
         graph = csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(model.n_x, model.n_x))
         closures = [set(breadth_first_order(graph, i, return_predecessors=False).tolist()) for i in range(model.n_x)]
         largest = {tuple(sorted(own)) for own in closures if not any(own < other for other in closures)}
-        return tuple(
-            Block(
+
+        def block(states: tuple[int, ...]) -> Block:
+            saturates = self._reaches_flow and self._obeys_law(states)
+            return Block(
                 states=states,
                 rate_per_metre=max(model.states[i].rate_per_metre for i in states),
                 rate_per_second=max(model.states[i].rate_per_second for i in states),
-                saturates=self._reaches_flow and self._obeys_law(states),
+                saturates=saturates,
+                slides=saturates and self._merged > 1 and self._is_moved_alone(states),
             )
-            for states in sorted(largest)
-        )
+
+        return tuple(block(states) for states in sorted(largest))
+
+    @property
+    def _merged(self) -> int:
+        """K, samples that make one step."""
+        return max(1, self._sampling.samples_per_update // self._sampling.integrator.substeps)
 
     def _drive(self, i: int) -> ca.SX:
         """rho_i v of an element, with whatever velocity the model really uses: its rhs at zero deflection."""
@@ -189,51 +229,148 @@ class Integrator:
                 return False
         return True
 
+    def _is_moved_alone(self, states: tuple[int, ...]) -> bool:
+        """Whether a block that obeys the law is an element alone, moved by rho(theta) times the measured velocity.
+
+        Its level must be a function of signals alone. The drive is checked at random points.
+        """
+        model, i = self.model, states[0]
+        if len(states) > 1 or ca.depends_on(model.level, ca.vertcat(model.chi, model.theta)):
+            return False
+        if ca.depends_on(model.rho[i], model.w):
+            return False
+        function = ca.Function("drive", [model.chi, model.w, model.theta], [self._drive(i), model.rho[i]])
+        rng = np.random.default_rng(2)
+        for _ in range(50):
+            w, chi = rng.standard_normal(5), rng.uniform(-1.2, 1.2, model.n_x)
+            theta = np.array([rng.uniform(max(p.lower, 0.9), min(p.upper, 1.1)) for p in model.parameters])
+            drive, rho = (float(value) for value in function(chi, w, theta))
+            if not abs(drive - rho * w[1]) <= 1e-12 * abs(rho * w[1]):
+                return False
+        return True
+
     # --- plan --------------------------------------------------------------------------------------------------
 
     def plan(self, signals: Signals) -> Plan:
         """Steps and substeps of every complete interval of a record."""
-        samples, h = self._sampling.samples_per_update, self._sampling.step
-        settings = self._sampling.integrator
+        samples, h, stairs = self._sampling.samples_per_update, self._sampling.step, self._merged
         intervals = (len(signals) - 1) // samples
         w = signal_array(signals, h)[: intervals * samples + 1]
-        merged = max(1, samples // settings.substeps)
-        # Merged samples make one step with their mean signals, so the displacement stays exact.
-        end = w[1:].reshape(-1, merged, w.shape[1]).mean(axis=1)
-        start = end
-        # Counts follow |v_k| alone, with linear velocity too.
-        speed = np.abs(end[:, 1])
-        if settings.velocity == "linear" and merged == 1:
-            start = w[:-1]
-        steps, h_step = samples // merged, h * merged
-        least = max(1, settings.substeps // samples)
-        substeps = np.empty((len(end), len(self.blocks)), dtype=np.int64)
-        for b, block in enumerate(self.blocks):
-            if block.saturates:
-                friction = self.model.machine.friction
-                slow = self.gate_ratio * friction.stribeck_velocity
-                longest = settings.slow_displacement * min(1.0, WIDE_LAMBDA / friction.smoothing.lambda_)
-                moved = slow * h_step * block.rate_per_metre / longest
-                count = max(1, math.ceil(moved + h_step * block.rate_per_second / settings.displacement))
-                substeps[:, b] = np.where(speed > slow, 0, count)
-                continue
-
-            def needed(v: Array, block: Block = block) -> Counts:
-                moved = (v * block.rate_per_metre + block.rate_per_second) * h_step
-                return np.maximum(least, np.ceil(moved / settings.displacement)).astype(np.int64)
-
-            most = needed(np.array([self._sampling.max_velocity]))[0]
-            substeps[:, b] = np.minimum(needed(np.minimum(speed, 1e3 * self._sampling.max_velocity)), most)
+        if stairs == 1:
+            stair = end = w[1:]
+            start = w[:-1] if self._sampling.integrator.velocity == "linear" else end
+            # Counts follow |v_k| alone, with linear velocity too.
+            substeps = stair_substeps = self._held(np.abs(end[:, 1]), h)
+            cut, piece_substeps = np.zeros(len(end)), np.zeros((len(end), len(self.blocks), 2), dtype=np.int64)
+            slide = np.zeros((len(end), 3))
+        else:
+            # Lines by least squares through samples at the middles of their times: displacement is exact.
+            tau = (2.0 * np.arange(stairs) + 1.0) / stairs - 1.0
+            merged = w[1:].reshape(-1, stairs, w.shape[1])
+            middle = merged.mean(axis=1)
+            change = np.einsum("k,ski->si", tau, merged) / np.sum(tau * tau)
+            start, end = middle - change, middle + change
+            stair = (middle[:, None, :] + tau[:, None] * change[:, None, :]).reshape(-1, w.shape[1])
+            reverses = np.abs(change[:, 1]) > np.abs(middle[:, 1])
+            substeps = np.where(reverses[:, None], 0, self._along_lines(np.abs(middle[:, 1]), h * stairs))
+            cut = np.zeros(len(end))
+            piece_substeps = np.zeros((len(end), len(self.blocks), 2), dtype=np.int64)
+            before, after = np.abs(start[reverses, 1]), np.abs(end[reverses, 1])
+            cut[reverses] = share = before / (before + after)
+            pieces = np.stack(
+                [
+                    self._along_lines(0.5 * before, h * stairs * share),
+                    self._along_lines(0.5 * after, h * stairs * (1.0 - share)),
+                ],
+                axis=2,
+            )
+            piece_substeps[reverses] = np.where(np.any(pieces == 0, axis=2, keepdims=True), 0, pieces)
+            stair_substeps = self._held(np.abs(stair[:, 1]), h)
+            slide = self._slide(middle, change, h * stairs)
         velocities = np.abs(w[1:, 1]).reshape(intervals, samples)
         return Plan(
-            steps=steps,
-            h=h_step,
+            steps=samples // stairs,
+            h=h * stairs,
             start=np.ascontiguousarray(start),
             end=np.ascontiguousarray(end),
             substeps=substeps,
+            cut=cut,
+            piece_substeps=piece_substeps,
+            stairs=stairs,
+            stair=np.ascontiguousarray(stair),
+            stair_substeps=stair_substeps,
+            slide=slide,
             path=velocities.sum(axis=1) * h,
             fastest=velocities.max(axis=1, initial=0.0),
         )
+
+    @property
+    def _slow(self) -> float:
+        """Speed up to which elements that follow the flow take Runge-Kutta steps [m/s]."""
+        return self.gate_ratio * self.model.machine.friction.stribeck_velocity
+
+    def _slow_substeps(self, block: Block, speed: Array | float, h: Array | float) -> Array:
+        """RK4 substeps, not rounded, of an element that follows the flow, for a move at some speed over h."""
+        settings = self._sampling.integrator
+        longest = settings.slow_displacement * min(1.0, WIDE_LAMBDA / self._smoothing.lambda_)
+        moved = np.asarray(speed) * h * block.rate_per_metre / longest
+        return np.asarray(moved + h * block.rate_per_second / settings.displacement)
+
+    def _runge_kutta_substeps(self, block: Block, speed: Array, h: Array | float, least: int) -> Counts:
+        settings, limit = self._sampling.integrator, self._sampling.max_velocity
+
+        def needed(v: Array) -> Counts:
+            moved = (v * block.rate_per_metre + block.rate_per_second) * h
+            return np.maximum(least, np.ceil(moved / settings.displacement)).astype(np.int64)
+
+        most = needed(np.full_like(speed, limit))
+        return np.asarray(np.minimum(needed(np.minimum(speed, 1e3 * limit)), most))
+
+    def _held(self, speed: Array, h: float) -> Counts:
+        """Substeps where signals are constant over h, 0 a jump of the flow (n, blocks)."""
+        least = max(1, self._sampling.integrator.substeps // self._sampling.samples_per_update)
+        counts = np.empty((len(speed), len(self.blocks)), dtype=np.int64)
+        for b, block in enumerate(self.blocks):
+            if block.saturates:
+                slow = max(1, math.ceil(self._slow_substeps(block, self._slow, h)))
+                counts[:, b] = np.where(speed > self._slow, 0, slow)
+            else:
+                counts[:, b] = self._runge_kutta_substeps(block, speed, h, least)
+        return counts
+
+    def _along_lines(self, speed: Array, h: Array | float) -> Counts:
+        """Substeps along lines of this mean speed and duration, 0 where stairs are less work (n, blocks)."""
+        counts = np.empty((len(speed), len(self.blocks)), dtype=np.int64)
+        for b, block in enumerate(self.blocks):
+            if block.saturates:
+                needed = np.maximum(1.0, np.ceil(self._slow_substeps(block, speed, h)))
+                counts[:, b] = np.where(needed <= self._merged - 1, needed, 0.0)
+            else:
+                counts[:, b] = self._runge_kutta_substeps(block, speed, h, 1)
+        return counts
+
+    def _slide(self, middle: Array, change: Array, h: float) -> Array:
+        """Displacement, mean level and delta of the steps whose signals let elements slide, zeros elsewhere (n, 3)."""
+        slide = np.zeros((len(middle), 3))
+        fast = np.flatnonzero(np.abs(middle[:, 1]) - np.abs(change[:, 1]) > self._slow)
+        if len(fast) == 0 or not any(block.slides for block in self.blocks):
+            return slide
+        middle, change = middle[fast], change[fast]
+        v, v_s = middle[:, 1], change[:, 1]
+        low, mid, high = (self._level(w) for w in (middle - change, middle, middle + change))
+        # Simpson's rule over displacement, which runs from -1 to 1; the middle of the time is at `at_mid`.
+        weight_low, weight_mid, weight_high = np.abs((v - v_s) / (6.0 * v)), 2.0 / 3.0, np.abs((v + v_s) / (6.0 * v))
+        at_mid = -0.5 * v_s / v
+        mean = 1.0 / (weight_low / low + weight_mid / mid + weight_high / high)
+        delta = 3.0 * (weight_high * (high - mean) + weight_mid * at_mid * (mid - mean) - weight_low * (low - mean))
+        constant = np.abs(delta) <= NEARLY_CONSTANT / self._smoothing.lambda_ * mean
+        slide[fast[constant]] = np.column_stack([v * h, mean, delta])[constant]
+        return slide
+
+    def _level(self, w: Array) -> Array:
+        """s~ of signals (n, 5), where it depends on nothing else."""
+        function = ca.Function("level", [self.model.w], [self.model.level])
+        return np.array(function(w.T)).reshape(len(w))
 
     # --- evaluation --------------------------------------------------------------------------------------------
 
@@ -257,6 +394,12 @@ class Integrator:
                 _pointer(plan.start),
                 _pointer(plan.end),
                 _pointer(plan.substeps),
+                _pointer(plan.cut),
+                _pointer(plan.piece_substeps),
+                ctypes.c_longlong(plan.stairs),
+                _pointer(plan.stair),
+                _pointer(plan.stair_substeps),
+                _pointer(plan.slide),
                 _pointer(packed),
                 _pointer(x[part]),
                 _pointer(theta),
@@ -299,11 +442,11 @@ class Integrator:
 
     @cached_property
     def _packed(self) -> Array:
-        return self.flow.packed() if any(block.saturates for block in self.blocks) else np.zeros(7)
+        return self.flow.packed() if any(block.saturates for block in self.blocks) else np.zeros(8)
 
     @cached_property
     def _functions(self) -> dict[str, ca.Function]:
-        """CasADi functions with dense Jacobians: start, finish, measure, step_b, flow_b."""
+        """CasADi functions with dense Jacobians: start, finish, measure, step_b, flow_b, rate_b."""
         model = self.model
         functions = {
             "start": _with_jacobians("start", [model.x, model.theta], model.from_node, (0, 1)),
@@ -315,6 +458,8 @@ class Integrator:
             functions[f"step_{b}"] = self._step(f"step_{b}", block)
             if block.saturates:
                 functions[f"flow_{b}"] = self._flow_drive(f"flow_{b}", block)
+            if block.slides:
+                functions[f"rate_{b}"] = _with_jacobians(f"rate_{b}", [model.theta], model.rho[block.states[0]], (0,))
         return functions
 
     def _flow_drive(self, name: str, block: Block) -> ca.Function:
@@ -346,7 +491,7 @@ class Integrator:
         chi = ca.vertcat(*(model.chi[i] for i in states))
         rhs = ca.Function("rhs", [chi, model.w, model.theta], [ca.vertcat(*(model.rhs[i] for i in states))])
         start, end, h = ca.SX.sym("w0", 5), ca.SX.sym("w1", 5), ca.SX.sym("h")
-        linear = self._sampling.integrator.velocity == "linear"
+        linear = self._merged > 1 or self._sampling.integrator.velocity == "linear"
         nodes, coefficients, weights = TABLEAUS[scheme]
         slopes: list[ca.SX] = []
         for c, row in zip(nodes, coefficients, strict=True):
@@ -389,6 +534,7 @@ class Integrator:
             "N_BLOCKS": len(blocks),
             "LARGEST_BLOCK": max(len(block.states) for block in blocks),
             "N_CHEBYSHEV": DEGREE + 1,
+            "NEAR": NEAR / self._smoothing.lambda_,
             "SZ_ARG": largest(ca.Function.sz_arg),
             "SZ_RES": largest(ca.Function.sz_res),
             "SZ_IW": largest(ca.Function.sz_iw),
@@ -404,6 +550,7 @@ class Integrator:
             array("const long long BLOCK_STATES", [str(i) for block in blocks for i in block.states]),
             array("const step_function STEP", [f"step_{b}" for b in range(len(blocks))]),
             array("const step_function FLOW", [f"flow_{b}" if k.saturates else "0" for b, k in enumerate(blocks)]),
+            array("const step_function RATE", [f"rate_{b}" if k.slides else "0" for b, k in enumerate(blocks)]),
         ]
         return "\n".join(["", *lines, ""])
 
@@ -419,21 +566,57 @@ class Integrator:
             states = list(block.states)
             c, p, t = begin[states], np.eye(len(states)), np.zeros((len(states), n_p))
             for k in range(k0, k0 + plan.steps):
-                count = int(plan.substeps[k, b])
-                if count == 0:
-                    c, p, t = self._jump(functions[f"flow_{b}"](c[1:], plan.end[k], theta, plan.h), c, p, t)
-                start, change = plan.start[k], plan.end[k] - plan.start[k]
-                for s in range(count):
-                    w0, w1 = start + change * (s / count), start + change * ((s + 1) / count)
-                    c, J, T = (np.array(part) for part in functions[f"step_{b}"](c, w0, w1, theta, plan.h / count))
-                    c, p, t = c.reshape(len(states)), J @ p, J @ t + T
+                for moved in self._step_of_block(plan, k, b, c, theta):
+                    c, p, t = moved.chi, moved.by_chi @ p, moved.by_chi @ t + moved.by_theta
             chi[states] = c
             phi[np.ix_(states, states)] = p
             psi[states] = t
         x1, T_x, T_t = (np.array(part) for part in functions["finish"](chi, theta))
         return x1.reshape(n_x), T_x @ phi @ F_x, T_x @ (phi @ F_t + psi) + T_t
 
-    def _jump(self, drive: tuple[ca.DM, ...], chi: Array, phi: Array, psi: Array) -> tuple[Array, Array, Array]:
+    def _step_of_block(self, plan: Plan, k: int, b: int, chi: Array, theta: Array) -> Iterator[Moved]:
+        """One step of one block, in as many parts as it takes."""
+        if self.blocks[b].slides and plan.slide[k, 0] != 0.0:
+            moved = self._slid(plan.slide[k], float(chi[0]), *self._functions[f"rate_{b}"].call([theta]))
+            if moved is not None:
+                yield moved
+                return
+        count = int(plan.substeps[k, b])
+        if count > 0:
+            yield from self._along(b, chi, plan.start[k], plan.end[k], theta, plan.h, count)
+            return
+        before, after = (int(count) for count in plan.piece_substeps[k, b])
+        if before > 0:
+            share = float(plan.cut[k])
+            turn = plan.start[k] + (plan.end[k] - plan.start[k]) * share
+            for moved in self._along(b, chi, plan.start[k], turn, theta, plan.h * share, before):
+                chi = moved.chi
+                yield moved
+            yield from self._along(b, chi, turn, plan.end[k], theta, plan.h * (1.0 - share), after)
+            return
+        h = plan.h / plan.stairs
+        for i in range(k * plan.stairs, (k + 1) * plan.stairs):
+            w, count = plan.stair[i], int(plan.stair_substeps[i, b])
+            parts: Iterable[Moved]
+            if count > 0:
+                parts = self._along(b, chi, w, w, theta, h, count)
+            else:
+                parts = [self._jumped(self._functions[f"flow_{b}"](chi[1:], w, theta, h), chi)]
+            for moved in parts:
+                chi = moved.chi
+                yield moved
+
+    def _along(
+        self, b: int, chi: Array, start: Array, end: Array, theta: Array, h: float, count: int
+    ) -> Iterator[Moved]:
+        """Runge-Kutta substeps with signals on the line from `start` to `end`."""
+        for s in range(count):
+            w0, w1 = start + (end - start) * (s / count), start + (end - start) * ((s + 1) / count)
+            new, J, T = (np.array(part) for part in self._functions[f"step_{b}"](chi, w0, w1, theta, h / count))
+            chi = new.reshape(len(chi))
+            yield Moved(chi, J, T)
+
+    def _jumped(self, drive: tuple[ca.DM, ...], chi: Array) -> Moved:
         """chi = sign level r: the level's sensitivity enters through r0 and again through chi1."""
         level, xi = float(drive[0]), float(drive[1])
         dlevel, dxi, dend = (np.array(part) for part in drive[3:])
@@ -446,7 +629,25 @@ class Integrator:
         J[0, 0], J[0, 1:], J[1:, 1:] = slope, change[0, :others], dend[:, :others]
         T[0], T[1:] = change[0, others:], dend[:, others:]
         end = np.array(drive[2]).reshape(others)
-        return np.concatenate([[sign * level * r1], end]), J @ phi, J @ psi + T
+        return Moved(np.concatenate([[sign * level * r1], end]), J, T)
+
+    def _slid(self, slide: Array, chi: float, rate: ca.DM, by_theta: ca.DM) -> Moved | None:
+        """A step that an element slides through, at once; None where it is not near enough to the fixed point."""
+        displacement, level, delta = (float(value) for value in slide)
+        flow, rho = self.flow, float(rate)
+        direction = math.copysign(1.0, displacement)
+        r0 = direction * chi / level
+        if not abs(r0 - flow.r_star) < NEAR / self._smoothing.lambda_:
+            return None
+        xi = rho * abs(displacement) / level
+        r1, slope, g1 = flow.advance(r0, xi)
+        x = flow.k * xi
+        phi, dphi = relaxation(x)
+        lag = flow.r_star * delta * phi
+        end = direction * (level * r1 + lag)
+        by_chi = slope * math.exp(-flow.curvature * lag / (level * flow.k))
+        by_rho = direction * (level * g1 * xi + flow.r_star * delta * x * dphi) / rho
+        return Moved(np.array([end]), np.array([[by_chi]]), by_rho * np.array(by_theta))
 
 
 def signal_array(signals: Signals, h: float) -> Array:

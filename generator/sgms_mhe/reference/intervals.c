@@ -1,7 +1,7 @@
-/* Driver of the reference integrator: the loops over intervals, blocks, samples and substeps, around functions that CasADi
+/* Driver of the reference integrator: the loops over intervals, blocks, steps and substeps, around functions that CasADi
    generates. What precedes this file in its translation unit: those functions; N_X, N_P, N_BLOCKS, LARGEST_BLOCK;
-   SZ_ARG, SZ_RES, SZ_IW, SZ_W; BLOCK_SIZE, BLOCK_STATES (block after block); STEP, FLOW (0 where a block has none).
-   Matrices are column-major, as CasADi has them. */
+   SZ_ARG, SZ_RES, SZ_IW, SZ_W; BLOCK_SIZE, BLOCK_STATES (block after block); STEP, FLOW, RATE (0 where a block has none);
+   N_CHEBYSHEV, NEAR. Matrices are column-major, as CasADi has them. */
 
 #include <math.h>
 #include <string.h>
@@ -9,7 +9,7 @@
 #define N_W 5
 
 struct flow {
-    double r_star, k, r_max, lambda, zeta, edge_below, edge_above; /* edge: L at either end of its tables */
+    double r_star, k, curvature, r_max, lambda, zeta, edge_below, edge_above; /* edge: L at either end of its tables */
     const double *below, *above;
     long long n_below, n_above;
 };
@@ -53,12 +53,13 @@ static struct flow flow_unpack(const double *packed)
     struct flow f;
     f.r_star = packed[0];
     f.k = packed[1];
-    f.r_max = packed[2];
-    f.lambda = packed[3];
-    f.zeta = packed[4];
-    f.n_below = (long long)packed[5];
-    f.n_above = (long long)packed[6];
-    f.below = packed + 7;
+    f.curvature = packed[2];
+    f.r_max = packed[3];
+    f.lambda = packed[4];
+    f.zeta = packed[5];
+    f.n_below = (long long)packed[6];
+    f.n_above = (long long)packed[7];
+    f.below = packed + 8;
     f.above = f.below + f.n_below * N_CHEBYSHEV;
     f.edge_below = f.n_below > 0 ? flow_level(&f, -f.r_star) : 0.0;
     f.edge_above = f.n_above > 0 ? flow_level(&f, f.r_max - f.r_star) : 0.0;
@@ -136,6 +137,34 @@ static double flow_advance(const struct flow *f, double r0, double xi, double *a
     return f->r_star + d1;
 }
 
+/* phi(x) = 1 + e^-x - 2 (1 - e^-x)/x and its derivative, x >= 0; below 1/2 by the series sum (n - 1)/(n + 1)! (-x)^n. */
+static double relaxation(double x, double *derivative)
+{
+    if (x < 0.5) {
+        double phi = 0.0, power = x, factor = 1.0 / 2.0; /* of n = 1: x^n, (-1)^(n + 1) / (n + 1)! */
+        *derivative = 0.0;
+        for (int n = 2; n <= 14; n++) {
+            factor /= -(double)(n + 1);
+            const double term = -(double)(n - 1) * factor;
+            *derivative += (double)n * term * power;
+            power *= x;
+            phi += term * power;
+        }
+        return phi;
+    }
+    const double decay = exp(-x), rise = -expm1(-x);
+    *derivative = -decay + 2.0 * (rise - x * decay) / (x * x);
+    return 1.0 + decay - 2.0 * rise / x;
+}
+
+/* Steps of a record, as the Plan of integrator.py has them. */
+struct plan {
+    long long steps, stairs;
+    double h;
+    const double *start, *end, *cut, *stair, *slide;
+    const long long *substeps, *piece_substeps, *stair_substeps;
+};
+
 struct work {
     const double *arg[SZ_ARG];
     double *res[SZ_RES];
@@ -155,87 +184,154 @@ static void multiply(int n, int m, int l, const double *a, const double *b, doub
         }
 }
 
-/* One block through all steps of one interval; phi: d/d(start) (n x n), psi: d/d(theta) (n x N_P). */
-static void integrate_block(int b, long long steps, double h, const double *wa, const double *wb, const long long *substeps,
-                            const struct flow *flow, const double *theta, double *chi, double *phi, double *psi,
-                            struct work *work)
+/* A block on its way through an interval; phi: d(chi)/d(start) (n x n), psi: d(chi)/d(theta) (n x N_P). */
+struct part {
+    int b, n;
+    double chi[LARGEST_BLOCK], phi[LARGEST_BLOCK * LARGEST_BLOCK], psi[LARGEST_BLOCK * N_P];
+};
+
+/* After a move with the derivatives J (n x n) in chi and T (n x N_P) in theta. */
+static void compose(struct part *part, const double *J, const double *T)
 {
-    const int n = (int)BLOCK_SIZE[b];
-    double next[LARGEST_BLOCK], J[LARGEST_BLOCK * LARGEST_BLOCK], T[LARGEST_BLOCK * N_P];
+    const int n = part->n;
     double product[LARGEST_BLOCK * (LARGEST_BLOCK > N_P ? LARGEST_BLOCK : N_P)];
-    for (long long k = 0; k < steps; k++) {
-        const double *a = wa + k * N_W, *e = wb + k * N_W;
-        const long long count = substeps[k * N_BLOCKS + b];
-        if (count == 0) {
-            /* chi = sign level r: the level's sensitivity enters through r0 and again through chi1. The other states of the
-               block set the level; their end and its Jacobians in (those states, theta) come in closed form. */
-            const int others = n - 1;
-            double level, xi, dlevel[LARGEST_BLOCK + N_P], dxi[LARGEST_BLOCK + N_P], slope, g1;
-            double end[LARGEST_BLOCK], dend[LARGEST_BLOCK * (LARGEST_BLOCK + N_P)];
-            work->arg[0] = chi + 1;
-            work->arg[1] = e;
-            work->arg[2] = theta;
-            work->arg[3] = &h;
-            work->res[0] = &level;
-            work->res[1] = &xi;
-            work->res[2] = end;
-            work->res[3] = dlevel;
-            work->res[4] = dxi;
-            work->res[5] = dend;
-            FLOW[b](work->arg, work->res, work->iw, work->w, 0);
-            const double sign = xi < 0.0 ? -1.0 : 1.0;
-            const double r0 = sign * chi[0] / level;
-            const double r1 = flow_advance(flow, r0, sign * xi, &slope, &g1);
-            chi[0] = sign * level * r1;
-            for (int j = 0; j < others + N_P; j++) {
-                double *column = j < others ? J + (j + 1) * n : T + (j - others) * n;
-                column[0] = sign * (r1 - slope * r0) * dlevel[j] + level * g1 * dxi[j];
-                for (int i = 0; i < others; i++)
-                    column[i + 1] = dend[j * others + i];
-            }
-            J[0] = slope;
-            for (int i = 0; i < others; i++) {
-                chi[i + 1] = end[i];
-                J[i + 1] = 0.0;
-            }
-            multiply(n, n, n, J, phi, product);
-            memcpy(phi, product, sizeof(double) * (size_t)(n * n));
-            multiply(n, n, N_P, J, psi, product);
-            for (int i = 0; i < n * N_P; i++)
-                psi[i] = product[i] + T[i];
-            continue;
+    multiply(n, n, n, J, part->phi, product);
+    memcpy(part->phi, product, sizeof(double) * (size_t)(n * n));
+    multiply(n, n, N_P, J, part->psi, product);
+    for (int i = 0; i < n * N_P; i++)
+        part->psi[i] = product[i] + T[i];
+}
+
+/* `count` Runge-Kutta substeps with signals on the line from `start` to `end`. */
+static void along(struct part *part, const double *start, const double *end, const double *theta, double h, long long count,
+                  struct work *work)
+{
+    const double step = h / (double)count;
+    double next[LARGEST_BLOCK], J[LARGEST_BLOCK * LARGEST_BLOCK], T[LARGEST_BLOCK * N_P];
+    for (long long s = 0; s < count; s++) {
+        double w0[N_W], w1[N_W];
+        for (int i = 0; i < N_W; i++) {
+            w0[i] = start[i] + (end[i] - start[i]) * ((double)s / (double)count);
+            w1[i] = start[i] + (end[i] - start[i]) * ((double)(s + 1) / (double)count);
         }
-        const double step = h / (double)count;
-        for (long long s = 0; s < count; s++) {
-            double w0[N_W], w1[N_W];
-            for (int i = 0; i < N_W; i++) {
-                w0[i] = a[i] + (e[i] - a[i]) * ((double)s / (double)count);
-                w1[i] = a[i] + (e[i] - a[i]) * ((double)(s + 1) / (double)count);
-            }
-            work->arg[0] = chi;
-            work->arg[1] = w0;
-            work->arg[2] = w1;
-            work->arg[3] = theta;
-            work->arg[4] = &step;
-            work->res[0] = next;
-            work->res[1] = J;
-            work->res[2] = T;
-            STEP[b](work->arg, work->res, work->iw, work->w, 0);
-            memcpy(chi, next, sizeof(double) * (size_t)n);
-            multiply(n, n, n, J, phi, product);
-            memcpy(phi, product, sizeof(double) * (size_t)(n * n));
-            multiply(n, n, N_P, J, psi, product);
-            for (int i = 0; i < n * N_P; i++)
-                psi[i] = product[i] + T[i];
-        }
+        work->arg[0] = part->chi;
+        work->arg[1] = w0;
+        work->arg[2] = w1;
+        work->arg[3] = theta;
+        work->arg[4] = &step;
+        work->res[0] = next;
+        work->res[1] = J;
+        work->res[2] = T;
+        STEP[part->b](work->arg, work->res, work->iw, work->w, 0);
+        memcpy(part->chi, next, sizeof(double) * (size_t)part->n);
+        compose(part, J, T);
     }
 }
 
-/* Integrate `count` intervals. first_step: first row of wa, wb, substeps per interval; x: N_X each in, x1, A, B out. */
+/* One jump of the flow over h with constant signals. chi = sign level r: the level's sensitivity enters through r0 and again
+   through chi1. The other states of the block set the level; their end and its Jacobians in (those states, theta) come in
+   closed form. */
+static void jump(struct part *part, const double *w, const double *theta, double h, const struct flow *flow,
+                 struct work *work)
+{
+    const int n = part->n, others = n - 1;
+    double J[LARGEST_BLOCK * LARGEST_BLOCK], T[LARGEST_BLOCK * N_P];
+    double level, xi, dlevel[LARGEST_BLOCK + N_P], dxi[LARGEST_BLOCK + N_P], slope, g1;
+    double end[LARGEST_BLOCK], dend[LARGEST_BLOCK * (LARGEST_BLOCK + N_P)];
+    work->arg[0] = part->chi + 1;
+    work->arg[1] = w;
+    work->arg[2] = theta;
+    work->arg[3] = &h;
+    work->res[0] = &level;
+    work->res[1] = &xi;
+    work->res[2] = end;
+    work->res[3] = dlevel;
+    work->res[4] = dxi;
+    work->res[5] = dend;
+    FLOW[part->b](work->arg, work->res, work->iw, work->w, 0);
+    const double sign = xi < 0.0 ? -1.0 : 1.0;
+    const double r0 = sign * part->chi[0] / level;
+    const double r1 = flow_advance(flow, r0, sign * xi, &slope, &g1);
+    part->chi[0] = sign * level * r1;
+    for (int j = 0; j < others + N_P; j++) {
+        double *column = j < others ? J + (j + 1) * n : T + (j - others) * n;
+        column[0] = sign * (r1 - slope * r0) * dlevel[j] + level * g1 * dxi[j];
+        for (int i = 0; i < others; i++)
+            column[i + 1] = dend[j * others + i];
+    }
+    J[0] = slope;
+    for (int i = 0; i < others; i++) {
+        part->chi[i + 1] = end[i];
+        J[i + 1] = 0.0;
+    }
+    compose(part, J, T);
+}
+
+/* An element that slides takes a step at once: slide = (displacement, mean level, delta). Returns 0, and leaves the element
+   where it is, if it is not near enough to the fixed point. */
+static int slid(struct part *part, const double *slide, const double *theta, const struct flow *flow, struct work *work)
+{
+    const double direction = slide[0] < 0.0 ? -1.0 : 1.0, level = slide[1], delta = slide[2];
+    const double r0 = direction * part->chi[0] / level;
+    if (!(fabs(r0 - flow->r_star) < NEAR))
+        return 0;
+    double rho, drho[N_P], T[N_P], slope, g1, dphi;
+    work->arg[0] = theta;
+    work->res[0] = &rho;
+    work->res[1] = drho;
+    RATE[part->b](work->arg, work->res, work->iw, work->w, 0);
+    const double xi = rho * fabs(slide[0]) / level, x = flow->k * xi;
+    const double r1 = flow_advance(flow, r0, xi, &slope, &g1);
+    const double lag = flow->r_star * delta * relaxation(x, &dphi);
+    part->chi[0] = direction * (level * r1 + lag);
+    slope *= exp(-flow->curvature * lag / (level * flow->k));
+    for (int j = 0; j < N_P; j++)
+        T[j] = direction * (level * g1 * xi + flow->r_star * delta * x * dphi) / rho * drho[j];
+    compose(part, &slope, T);
+    return 1;
+}
+
+/* One block through one step. */
+static void step_block(struct part *part, const struct plan *plan, long long k, const struct flow *flow, const double *theta,
+                       struct work *work)
+{
+    const double *slide = plan->slide + 3 * k;
+    if (RATE[part->b] && slide[0] != 0.0 && slid(part, slide, theta, flow, work))
+        return;
+    const long long count = plan->substeps[k * N_BLOCKS + part->b];
+    if (count > 0) {
+        along(part, plan->start + k * N_W, plan->end + k * N_W, theta, plan->h, count, work);
+        return;
+    }
+    const long long *pieces = plan->piece_substeps + 2 * (k * N_BLOCKS + part->b);
+    if (pieces[0] > 0) {
+        const double *start = plan->start + k * N_W, *end = plan->end + k * N_W, share = plan->cut[k];
+        double turn[N_W];
+        for (int i = 0; i < N_W; i++)
+            turn[i] = start[i] + (end[i] - start[i]) * share;
+        along(part, start, turn, theta, plan->h * share, pieces[0], work);
+        along(part, turn, end, theta, plan->h * (1.0 - share), pieces[1], work);
+        return;
+    }
+    const double h = plan->h / (double)plan->stairs;
+    for (long long i = k * plan->stairs; i < (k + 1) * plan->stairs; i++) {
+        const double *w = plan->stair + i * N_W;
+        const long long own = plan->stair_substeps[i * N_BLOCKS + part->b];
+        if (own > 0)
+            along(part, w, w, theta, h, own, work);
+        else
+            jump(part, w, theta, h, flow, work);
+    }
+}
+
+/* Integrate `count` intervals. first_step: the first step of each; wa, wb: start and end; x: N_X each in, x1, A, B out. */
 void sgms_reference_intervals(long long count, const long long *first_step, long long steps, double h, const double *wa,
-                              const double *wb, const long long *substeps, const double *packed, const double *x,
+                              const double *wb, const long long *substeps, const double *cut,
+                              const long long *piece_substeps, long long stairs, const double *stair,
+                              const long long *stair_substeps, const double *slide, const double *packed, const double *x,
                               const double *theta, double *x1, double *A, double *B)
 {
+    const struct plan plan = {steps, stairs, h, wa, wb, cut, stair, slide, substeps, piece_substeps, stair_substeps};
     struct work work;
     const struct flow flow = flow_unpack(packed);
     for (long long l = 0; l < count; l++) {
@@ -255,18 +351,19 @@ void sgms_reference_intervals(long long count, const long long *first_step, long
         const long long *state = BLOCK_STATES;
         for (int b = 0; b < N_BLOCKS; b++) {
             const int n = (int)BLOCK_SIZE[b];
-            double c[LARGEST_BLOCK], p[LARGEST_BLOCK * LARGEST_BLOCK] = {0}, t[LARGEST_BLOCK * N_P] = {0};
+            struct part part = {.b = b, .n = n};
             for (int i = 0; i < n; i++) {
-                c[i] = begin[state[i]];
-                p[i * n + i] = 1.0;
+                part.chi[i] = begin[state[i]];
+                part.phi[i * n + i] = 1.0;
             }
-            integrate_block(b, steps, h, wa + k0 * N_W, wb + k0 * N_W, substeps + k0 * N_BLOCKS, &flow, theta, c, p, t, &work);
+            for (long long k = k0; k < k0 + plan.steps; k++)
+                step_block(&part, &plan, k, &flow, theta, &work);
             for (int i = 0; i < n; i++) {
-                chi[state[i]] = c[i];
+                chi[state[i]] = part.chi[i];
                 for (int j = 0; j < n; j++)
-                    phi[state[j] * N_X + state[i]] = p[j * n + i];
+                    phi[state[j] * N_X + state[i]] = part.phi[j * n + i];
                 for (int j = 0; j < N_P; j++)
-                    psi[j * N_X + state[i]] = t[j * n + i];
+                    psi[j * N_X + state[i]] = part.psi[j * n + i];
             }
             state += n;
         }
