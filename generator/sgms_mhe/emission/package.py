@@ -265,7 +265,8 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         )
         for g in structure.groups
     ]
-    state_rows = sum(g.m * (1 + g.m + g.n_q) * len(g.blocks) for g in structure.groups)
+    block_rows = [g.m * (1 + g.m + g.n_q) for g in structure.groups for _ in g.blocks]
+    state_rows = sum(block_rows)
     n_q_total = sum(g.n_q * len(g.blocks) for g in structure.groups)
     q = [e for g in structure.groups for b in g.blocks for e in b.parameter_terms]
     scale = [_node_scale(model, i) for i in range(model.n_x)]
@@ -314,7 +315,9 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "term_names": [t.name for t in structure.sample_terms],
         "state_rows": state_rows,
         "one_size": sum(g["one_rows"] for g in groups) * wide,
-        "costs": _costs(model, relinearise, slots=slots, steps=steps, samples=samples, state_rows=state_rows),
+        "costs": _costs(model, relinearise, slots, steps, samples, stairs=merged, rows=[state_rows]),
+        "scalar_costs": _costs(model, relinearise, slots, steps, samples, stairs=merged, rows=block_rows),
+        "n_blocks": len(block_rows),
         "n_q_total": n_q_total,
         "settle": settle_samples(machine),
         "rate": sampling.rate,
@@ -479,18 +482,21 @@ class _Costs:
     per_sample: int
 
 
-def _costs(model: Model, relinearise: str, *, slots: int, steps: int, samples: int, state_rows: int) -> _Costs:
+def _costs(
+    model: Model, relinearise: str, slots: int, steps: int, samples: int, *, stairs: int, rows: Sequence[int]
+) -> _Costs:
     """Share the work of an update out over the samples of an interval but its last.
 
     A sample does units, in their order, as long as they fit: per_sample is the smallest number with which all of them
-    are done in time. More never takes longer.
+    are done in time. More never takes longer. `rows` are the rows of the parts that a step is taken in; at worst it is
+    taken as its samples (`stairs`).
     """
     n_x, n_p = model.n_x, model.n_p
     width = 2 * n_x + n_p + 1
     recover = (1 + (relinearise == "auto")) * n_x * (n_x + n_p)
     node = 2 * n_x * (n_x + 2) * width + 2 * (n_x + n_p) * (n_x + n_p + 1)
-    step = STEP_COST_PER_ROW * state_rows * (slots if relinearise == "all" else 1)
-    count = {"all": 1, "auto": CHOSEN, "newest": 0}[relinearise] * steps
+    step = STEP_COST_PER_ROW * stairs * max(rows) * (slots if relinearise == "all" else 1)
+    count = {"all": 1, "auto": CHOSEN * len(rows), "newest": 0}[relinearise] * steps
     units = [(recover, slots - 1), (node, 1), (step, count), (node, slots - 1)]
     total = sum(cost * n for cost, n in units)
 
