@@ -38,6 +38,34 @@ static void put_force(
     }
 }
 
+/* Terms of the step that ends at `last`, of signals that are constant through it or lines; samples lie five numbers
+ * apart. */
+static void put_terms(const double *last, sgms_real *term)
+{
+    for (int node = 0; node < NODES; node++) {
+        sgms_real w[5];
+        for (int i = 0; i < 5; i++) {
+            double mean = last[i], slope = 0.0;
+            if (MERGED > 1) { /* the least-squares line through samples at the middles of their times */
+                double squares = 0.0;
+                mean = 0.0;
+                for (int k = 0; k < MERGED; k++) {
+                    const double tau = (2.0 * k + 1.0) / MERGED - 1.0, value = last[5 * (k - MERGED + 1) + i];
+                    mean += value / MERGED;
+                    slope += tau * value;
+                    squares += tau * tau;
+                }
+                slope /= squares;
+            } else if (NODES > 1) { /* from one sample to the next */
+                mean = 0.5 * (last[i] + last[i - 5]);
+                slope = 0.5 * (last[i] - last[i - 5]);
+            }
+            w[i] = (sgms_real)(mean + (node - NODES / 2) * slope);
+        }
+        sample_terms(w, term + node * TERMS * LANES, LANES);
+    }
+}
+
 int sgms_predict(
     long samples,
     const double *signals,
@@ -49,7 +77,7 @@ int sgms_predict(
 {
     SGMS_JOIN(SGMS_MACHINE, terms) of;
     sgms_real state[STATES], sensitivity[STATES * PARAMETERS], at[PARAMETERS];
-    if (MERGED != 1) {
+    if (MERGED > 1 && (force || (samples - 1) % MERGED != 0)) { /* the state is known at the ends of steps alone */
         return -1;
     }
     for (int i = 0; i < STATES; i++) {
@@ -63,21 +91,13 @@ int sgms_predict(
     }
     parameter_terms(at, of.q, of.d_q, of.scale, of.d_scale);
     for (long k = 0; k < samples; k++) {
-        const double *signal = signals + 5 * k;
-        if (k > 0) {
+        if (k > 0 && k % MERGED == 0) {
             /* One step: x1 = f(x0, theta), d_x1 = A d_x0 + B. */
-            sgms_real term[2 * TERMS * LANES], one[ONE_SIZE];
-            sgms_real next[STATES], a[STATES * STATES], b[STATES * PARAMETERS], moved[STATES * PARAMETERS], w[5];
-            for (int i = 0; i < 5; i++) {
-                w[i] = (sgms_real)signal[i - (STEP_ROWS > STEPS ? 5 : 0)];
-            }
-            sample_terms(w, term, LANES);
-            for (int i = 0; i < 5; i++) {
-                w[i] = (sgms_real)signal[i];
-            }
-            sample_terms(w, term + TERMS * LANES, LANES);
+            sgms_real one[ONE_SIZE], next[STATES], a[STATES * STATES], b[STATES * PARAMETERS], moved[STATES * PARAMETERS];
+            sgms_real term[NODES * TERMS * LANES];
+            put_terms(signals + 5 * k, term);
             start_one(&of, state, one);
-            integrate_one(term, of.q, one);
+            integrate_one(term, 0, BLOCKS, one);
             one_end(&of, one, state, next, a, b);
             for (int i = 0; i < STATES; i++) {
                 for (int p = 0; p < PARAMETERS; p++) {
@@ -95,7 +115,9 @@ int sgms_predict(
                 state[i] = next[i];
             }
         }
-        put_force(state, sensitivity, signal, at, force + k, d_force ? d_force + k * PARAMETERS : 0);
+        if (force) {
+            put_force(state, sensitivity, signals + 5 * k, at, force + k, d_force ? d_force + k * PARAMETERS : 0);
+        }
     }
     for (int i = 0; i < STATES; i++) {
         x[i] = (double)state[i];

@@ -3,12 +3,13 @@
 #ifndef SGMS_PREDICT_H
 #define SGMS_PREDICT_H
 
-/* Friction force [N] at every sample and, unless NULL, its derivatives in theta (samples x parameters).
+/* Friction force [N] at every sample and its derivatives in theta (samples x parameters), each unless NULL.
  *
  * signals: samples x 5, position, velocity, acceleration, force, time; theta: scaled parameters; x: node state at the
  * first sample, on return at the last one; d_x: its derivatives in theta (states x parameters), likewise; zeros to
- * start. A long record can be run in pieces, the first row of each being the last row of the piece before. Returns 0,
- * or -1 where the package integrates several samples per step. */
+ * start. A long record can be run in pieces, the first row of each being the last row of the piece before. A package that
+ * merges samples knows the state at the ends of its steps alone: there `force` must be NULL and samples - 1 a number of
+ * whole steps, or -1 is returned, else 0. */
 int sgms_predict(
     long samples,
     const double *signals,

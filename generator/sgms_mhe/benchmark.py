@@ -84,8 +84,8 @@ class Variant:
         update_us: mean time of an update and its samples [us].
         feedback_us: mean time from the newest sample to the estimate [us].
         instructions_mean, instructions_max: of an update of a full window and its samples; None without valgrind.
-        state_error: largest error of a node state after one interval, in units of its scale; None where several samples
-            make one step.
+        state_error: largest error of a node state after one interval, in units of its scale; where samples are merged it
+            holds what their line leaves of the samples' velocities; None where the integration diverged.
         sensitivity_error: largest error of its derivatives in the node before and in the scaled parameters.
         integrator: scheme and largest displacement of a step; of the flow, below its gate's speed.
         trajectory: the motion.
@@ -547,8 +547,6 @@ def emitted_errors(machine: Machine, package: Package, recording: Recording) -> 
     """Largest errors of the emitted state and of its derivatives over all intervals of the windows."""
     sampling = machine.sampling
     samples = sampling.samples_per_update
-    if sampling.integrator.substeps < samples:
-        return None, None
     model = CompiledModel(machine, package)
     n_x, n_p = model.model.n_x, model.model.n_p
     # d_x1 = A d_x0 + B: columns of the identity for d_x0, as many at a time as there are parameters.
@@ -560,15 +558,15 @@ def emitted_errors(machine: Machine, package: Package, recording: Recording) -> 
             start = (first + k) * samples
             part = slice(start, start + samples + 1)
             signals = Signals(**{name: values[part] for name, values in vars(recording.signals).items()})
-            moved = model.predict(signals, x=x0, first=start)
+            x1, d_x1 = model.end(signals, x=x0, first=start)
             columns = [
-                model.predict(signals, x=x0, first=start, d_x=seed).d_x - moved.d_x
+                model.end(signals, x=x0, first=start, d_x=seed)[1] - d_x1
                 for seed in np.split(seeds, seeds.shape[1] // n_p, axis=1)
             ]
             by_x = np.hstack(columns)[:, :n_x]
             exact = recording.exact
-            state.append(moved.x - exact.x1[window, k])
-            sensitivity += [moved.d_x - exact.B[window, k], by_x - exact.A[window, k]]
+            state.append(x1 - exact.x1[window, k])
+            sensitivity += [d_x1 - exact.B[window, k], by_x - exact.A[window, k]]
     return _largest(*state), _largest(*sensitivity)
 
 

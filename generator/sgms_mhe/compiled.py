@@ -98,6 +98,44 @@ class CompiledModel:
         Raises:
             InputError: the machine merges samples into steps.
         """
+        if self.machine.sampling.merged > 1:
+            raise InputError(
+                self.machine.source,
+                "sampling.integrator.substeps",
+                self.machine.sampling.integrator.substeps,
+                "at least one per sample to run the model alone",
+            )
+        n, n_p = len(signals), self.model.n_p
+        force = np.empty(n)
+        slopes = np.empty((n, n_p)) if derivatives else None
+        state, sensitivity = self._run(signals, theta, x, d_x, first, force, slopes)
+        return Prediction(force, slopes, state, sensitivity)
+
+    def end(
+        self,
+        signals: Signals,
+        theta: Array | None = None,
+        *,
+        x: Array | None = None,
+        d_x: Array | None = None,
+        first: int = 0,
+    ) -> tuple[Array, Array]:
+        """Node state at the last sample (n_x) and its derivatives in theta (n_x, n_p); arguments as of `predict`.
+
+        From the first sample to the last there must be a whole number of integration steps.
+        """
+        return self._run(signals, theta, x, d_x, first, None, None)
+
+    def _run(
+        self,
+        signals: Signals,
+        theta: Array | None,
+        x: Array | None,
+        d_x: Array | None,
+        first: int,
+        force: Array | None,
+        slopes: Array | None,
+    ) -> tuple[Array, Array]:
         n, n_x, n_p = len(signals), self.model.n_x, self.model.n_p
         w = np.column_stack(
             [
@@ -111,25 +149,18 @@ class CompiledModel:
         values = np.ones(n_p) if theta is None else np.ascontiguousarray(theta, dtype=np.float64)
         state = np.zeros(n_x) if x is None else np.array(x, dtype=np.float64)
         sensitivity = np.zeros((n_x, n_p)) if d_x is None else np.array(d_x, dtype=np.float64, order="C")
-        force = np.empty(n)
-        slopes = np.empty((n, n_p)) if derivatives else None
         done = self._library.sgms_predict(
             ctypes.c_long(n),
             ctypes.c_void_p(w.ctypes.data),
             ctypes.c_void_p(values.ctypes.data),
             ctypes.c_void_p(state.ctypes.data),
             ctypes.c_void_p(sensitivity.ctypes.data),
-            ctypes.c_void_p(force.ctypes.data),
+            None if force is None else ctypes.c_void_p(force.ctypes.data),
             None if slopes is None else ctypes.c_void_p(slopes.ctypes.data),
         )
         if done != 0:
-            raise InputError(
-                self.machine.source,
-                "sampling.integrator.substeps",
-                self.machine.sampling.integrator.substeps,
-                "at least one per sample to run the model alone",
-            )
-        return Prediction(force, slopes, state, sensitivity)
+            raise ValueError(f"{n} samples are no whole number of steps of {self.machine.sampling.merged}")
+        return state, sensitivity
 
 
 class CompiledEstimator:
