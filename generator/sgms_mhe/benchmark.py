@@ -53,6 +53,8 @@ CONVERGED: Final[Mapping[str, Any]] = {"scheme": "rk4", "displacement": 0.004}
 
 WINDOWS: Final = 8
 """Windows of a record, evenly spread, whose intervals are checked and given to the peers."""
+MERGED: Final = (5, 10)
+"""Samples of a step in the variants that merge them."""
 PEER_STEPS: Final = (0.1, 1.0)
 """Runge-Kutta steps of a peer per sample; at 1 it solves the problem as the paper states it."""
 MOTIONS: Final = ("paper", "mixed")
@@ -189,6 +191,16 @@ def relinearisations(machine: Machine) -> list[tuple[str, Machine]]:
     return [(mode, override_machine(machine, {"estimator": {"relinearise": mode}})) for mode in modes]
 
 
+def mergings(machine: Machine) -> list[tuple[int, Machine]]:
+    """The machine as it is, and with more and more samples to a step, by their number."""
+    samples, own = machine.sampling.samples_per_update, machine.sampling.merged
+    possible = machine.sampling.integrator.velocity == "constant" and machine.sampling.integrator.tolerance is None
+    more = [k for k in MERGED if possible and k > own and samples % k == 0]
+    return [(own, machine)] + [
+        (k, override_machine(machine, {"sampling": {"integrator": {"substeps": samples // k}}})) for k in more
+    ]
+
+
 def run_benchmark(
     machine: Machine,
     *,
@@ -220,9 +232,10 @@ def run_benchmark(
 
     motion = recorded(trajectory)
     tasks: list[tuple[str, Callable[[], Any]]] = []
-    for precision in PRECISIONS:
-        for mode, variant in relinearisations(override_machine(machine, {"code": {"precision": precision}})):
-            tasks.append(("variants", partial(bench.variant, f"{precision}, {mode}", variant, mode, motion)))
+    for (samples, merging), precision in product(mergings(machine), PRECISIONS):
+        for mode, variant in relinearisations(override_machine(merging, {"code": {"precision": precision}})):
+            name = f"{precision}, {mode}" + (f", {samples} samples a step" if samples > 1 else "")
+            tasks.append(("variants", partial(bench.variant, name, variant, mode, motion)))
     peers = [
         (kind, round(share * sampling.samples_per_update))
         for share in PEER_STEPS
