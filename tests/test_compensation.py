@@ -150,20 +150,26 @@ class Motions:
 
     @property
     def force(self) -> Array:
-        return np.zeros(SAMPLES)
+        return np.zeros(len(self.position))
+
+
+def motions_of(position: Array) -> Motions:
+    count = len(position)
+    log = Log(time_s=np.arange(count) / RATE, position_m=position, force_N=np.zeros(count), rate=RATE, source="motion")
+    signals = signals_from_log(log, machine())
+    chi = np.zeros((count, 4))
+    for k in range(1, count):
+        chi[k] = moved(chi[k - 1], float(signals.velocity[k]), 1.0 / RATE)
+    return Motions(position, signals.velocity, signals.position, chi)
 
 
 @pytest.fixture(scope="module")
 def motion() -> Motions:
     time = np.arange(SAMPLES) / RATE
     # Twice to and fro within the interval; the second turn is tighter, and the start is smooth.
-    position = 80e-6 * np.sin(2 * np.pi * 55.0 * time * (1.0 + 12.0 * time)) * np.minimum(1.0, (time / 4e-3) ** 2)
-    log = Log(time_s=time, position_m=position, force_N=np.zeros(SAMPLES), rate=RATE, source="motion")
-    signals = signals_from_log(log, machine())
-    chi = np.zeros((SAMPLES, 4))
-    for k in range(1, SAMPLES):
-        chi[k] = moved(chi[k - 1], float(signals.velocity[k]), 1.0 / RATE)
-    return Motions(position, signals.velocity, signals.position, chi)
+    return motions_of(
+        80e-6 * np.sin(2 * np.pi * 55.0 * time * (1.0 + 12.0 * time)) * np.minimum(1.0, (time / 4e-3) ** 2)
+    )
 
 
 def ahead_of(motion: Motions, k: int, delay: float, velocity: float) -> float:
@@ -215,6 +221,27 @@ def test_friction_ahead_is_the_law_over_lag_and_delay(
     # The friction there is not what it was at the filtered sample: the propagation is what is tested.
     behind = [friction_at(motion.chi[k], float(motion.velocity[k])) for k in CHECKED]
     assert np.abs(expected - behind).max() > 0.5
+
+
+@pytest.mark.parametrize("delay", [0.0, DELAY])
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_shortcuts_ahead_cost_no_accuracy(precision: str, delay: float, drive: Callable[..., Drive]) -> None:
+    """Sliding, slowing down through the gate's speed, creeping to and fro at and below it."""
+    time = np.arange(900) / RATE
+    slide = 1.2e-3 * np.sin(np.minimum(np.pi * time / 0.06, 0.5 * np.pi)) ** 2
+    creep = (
+        4e-6 * np.sin(2 * np.pi * 22.0 * (time - 0.03) * (1.0 + 6.0 * time)) * np.clip((time - 0.03) / 0.02, 0.0, 1.0)
+    )
+    motion = motions_of(slide + creep)
+    velocity = np.diff(motion.position, append=motion.position[-1]) * RATE
+    c = drive(sampling=long_interval(), code={"precision": precision}, compensation={"delay": delay})
+    found = c.run(c.new(), motion.position, motion.force, velocity)
+    checked = np.arange(40, 890, 2)
+    slow = np.abs(motion.velocity[checked]) < 0.36 * STRIBECK
+    assert 0.2 < slow.mean() < 0.8
+    expected = [ahead_of(motion, int(k), delay, float(velocity[k])) for k in checked]
+    assert np.max(expected) > LEVEL, "it slides"
+    np.testing.assert_allclose(found[checked], expected, rtol=0.0, atol=1e-4 if precision == "double" else 6e-4)
 
 
 def test_without_a_delay_the_friction_is_that_of_the_newest_position(

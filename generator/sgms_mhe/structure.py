@@ -214,7 +214,9 @@ def analyse(model: Model) -> Structure:
         extra = [rho[element], inverse_level] if element is not None else []
         q_nodes = _parameter_terms(own + extra)
         named = [(n, graph.read(e, vectors, labels)[0]) for i in states for n, e in model.names[i].items()]
-        canonical = _canonical(graph, own, extra, named, [labels["chi"][i] for i in states], terms.nodes, q_nodes, sampling.step)
+        canonical = _canonical(
+            graph, own, extra, named, [labels["chi"][i] for i in states], terms.nodes, q_nodes, sampling.step
+        )
         expressions = tuple(to_sx(q_nodes, theta_symbols))
         found.setdefault(canonical.signature, []).append((canonical, states, expressions))
     groups = tuple(_group(k, members, model.states, model.machine) for k, members in enumerate(found.values()))

@@ -51,10 +51,10 @@ class FlowTable:
 
 
 @lru_cache(maxsize=16)
-def gate_ratio(zeta: float, lambda_: float, gamma: float) -> float:
+def gate_ratio(zeta: float, lambda_: float, gamma: float, tail: float = TAIL) -> float:
     """Smallest |v| / v_s, in steps of 0.01, at which the gate etaB is saturated.
 
-    Saturated: max over r of |r| etaA(r) (1 - etaB(|r|)) is below 1e-10, so that leaving it out changes g by less.
+    Saturated: max over r of |r| etaA(r) (1 - etaB(|r|)) is below `tail`, so that leaving it out changes g by less.
     """
     for hundredths in range(1, 1000):
         c = hundredths / 100.0
@@ -64,7 +64,7 @@ def gate_ratio(zeta: float, lambda_: float, gamma: float) -> float:
             / (1.0 + math.exp(min(700.0, 2.0 * gamma * c * r)))
             for r in (k / 1000.0 for k in range(1, 3001))
         )
-        if worst < TAIL:
+        if worst < tail:
             return c
     return math.inf
 

@@ -49,6 +49,10 @@ AHEAD_DISPLACEMENT = 0.05
 """Largest move per Runge-Kutta step of the propagation ahead, in deflection scales: no sensitivity hangs on it."""
 LEVEL_CHANGE = 0.0175
 """Change of the level over merged samples, times lambda, up to which an element slides through them at once."""
+AHEAD_SLOW_DISPLACEMENT = 0.01
+"""The same per linearly implicit midpoint step, which an element takes below AHEAD_GATE."""
+AHEAD_EQUAL = 4e-6
+"""Slip, and relative deflections, that the propagation ahead may neglect."""
 FARTHEST_MOVE = 10.0
 """An element that has moved on by so many deflection scales slides, wherever it was."""
 SLOW_LAMBDA = 35.0
@@ -304,7 +308,9 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "nodes": nodes,
         "term_rows": nodes * (steps if ring else 1),
         "varying": nodes > 1,
-        "raw_rows": [(SIGNAL_NAMES.index(t.name), k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES],
+        "raw_rows": [
+            (SIGNAL_NAMES.index(t.name), k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES
+        ],
         "slope_weight": 3.0 * merged / (merged * merged - 1.0) if merged > 1 else 0.0,
         "piece_time": piece_time,
         "samples": samples,
@@ -357,7 +363,8 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "parameter_columns": [p.column for p in model.parameters],
         "parameter_unit": [abs(p.scale) for p in model.parameters],
         "compensation": _compensation_context(machine),
-        "ahead_displacement": AHEAD_DISPLACEMENT,
+        "moves": 2 if machine.compensation.delay else 1,
+        "ahead": _ahead_context(machine, step_time),
         "farthest_move": FARTHEST_MOVE,
         "feed_forward": emitter.function(
             [("y", ca.substitute(model.feed_forward, model.chi, model.from_node))],
@@ -537,6 +544,39 @@ def _compensation_context(machine: Machine) -> dict[str, Any]:
     }
 
 
+def _ahead_context(machine: Machine, step_time: float) -> dict[str, float]:
+    """Constants of the propagation ahead: elastic range, gate, and du/dxi = -k u + a u^2 about the fixed point."""
+    friction, smoothing = machine.friction, machine.friction.smoothing
+    zeta, lambda_, gamma = smoothing.zeta, smoothing.lambda_, smoothing.gamma
+    longest = chain_delay(machine) + machine.compensation.delay + step_time
+    # Taken as saturated, a gate whose tail is left out moves an element's force by kappa |v| T tail at most.
+    saturated = gate_ratio(zeta, lambda_, gamma)
+    stroke = saturated * friction.stribeck_velocity * longest * sum(friction.stiffness) / friction.coulomb
+    gate = min(saturated, gate_ratio(zeta, lambda_, gamma, AHEAD_EQUAL / stroke))
+    r = 1.0
+    for _ in range(60):  # 1 - etaA(r) r = 0
+        window = 1.0 / (1.0 + math.exp(-2.0 * lambda_ * (r - zeta)))
+        first = 2.0 * lambda_ * window * (1.0 - window)
+        r += (1.0 - window * r) / (window + first * r)
+    second = 2.0 * lambda_ * first * (1.0 - 2.0 * window)
+    return {
+        "displacement": AHEAD_DISPLACEMENT,
+        "equal": AHEAD_EQUAL,
+        "elastic": _ahead_elastic(machine),
+        "gate_velocity": gate * friction.stribeck_velocity,
+        "longest": longest,
+        "curve": -0.5 * (2.0 * first + second * r) / (window + first * r),
+        "powers": (window + first * r) / math.log(2.0),
+        "forgotten": -math.log2(AHEAD_EQUAL),
+    }
+
+
+def _ahead_elastic(machine: Machine) -> float:
+    """Relative deflection below which slip is less than AHEAD_EQUAL of the motion; not positive: there is none."""
+    smoothing = machine.friction.smoothing
+    return smoothing.zeta + math.log(AHEAD_EQUAL) / (2.0 * smoothing.lambda_)
+
+
 def hold_path(machine: Machine) -> float:
     """Path [m] of an interval below which it says nothing of the parameters: 10 % of the smallest deflection scale."""
     friction = machine.friction
@@ -551,7 +591,15 @@ def _node_scale(model: Model, i: int) -> ca.SX:
 
 
 def _group_context(
-    group: Group, structure: Structure, emitter: _Emitter, *, flow: bool, law: bool, step_time: float, piece_time: float, wide: int
+    group: Group,
+    structure: Structure,
+    emitter: _Emitter,
+    *,
+    flow: bool,
+    law: bool,
+    step_time: float,
+    piece_time: float,
+    wide: int,
 ) -> dict[str, Any]:
     m, n_q, terms = group.m, group.n_q, emitter.terms
     integrator = structure.model.machine.sampling.integrator
@@ -580,9 +628,10 @@ def _group_context(
         for b in group.blocks
     ]
     ahead_terms = [f"term[{k}]" for k in range(len(terms))] + ["q", "data"]
-    ahead_rates = [
-        (b.rate_per_metre / AHEAD_DISPLACEMENT, b.rate_per_second / integrator.displacement) for b in group.blocks
-    ]
+    is_slider = group.is_elements and m == 1
+    ahead_slow = flow and is_slider
+    per_move = 1.0 / (AHEAD_SLOW_DISPLACEMENT if ahead_slow else AHEAD_DISPLACEMENT)
+    ahead_rates = [(b.rate_per_metre * per_move, b.rate_per_second / integrator.displacement) for b in group.blocks]
     result: dict[str, Any] = {
         "name": group.name,
         "NAME": group.name.upper(),
@@ -598,8 +647,15 @@ def _group_context(
         "call": [f"at{i}" for i in range(m)] + [f"term[{k} * WIDE + l]" for k in range(len(terms))] + inputs,
         "law": law,
         "slopes": slopes,
+        "ahead_flow_call": [f"chi[{i}]" for i in range(1, m)] + ahead_terms,
         "ahead_call": [f"at{i}" for i in range(m)] + ahead_terms,
-        "is_slider": group.is_elements and m == 1,
+        "ahead_move_calls": [
+            [f"term[{'TERMS + ' if move else ''}{k}]" for k in range(len(terms))] + ["q", "data"] for move in range(2)
+        ],
+        "is_slider": is_slider,
+        "ahead_slow": ahead_slow,
+        "ahead_steps": not ahead_slow,
+        "ahead_elastic": is_slider and (flow or law) and _ahead_elastic(structure.model.machine) > 0.0,
         "ahead_rates": ["{" + ", ".join(number(v) for v in row) + "}" for row in ahead_rates],
         "rhs": emitter.group_function(
             group,
@@ -653,7 +709,6 @@ def _group_context(
         result["line_rates"] = ["{" + ", ".join(number(v) for v in row) + "}" for row in line_rates]
         result["slides"] = group.obeys_law and not result["level_in_q"]
         result["node_call"] = lambda node: [f"nodes[{node} + {k} * WIDE + l]" for k in range(len(terms))] + inputs
-        result["ahead_flow_call"] = [f"chi[{i}]" for i in range(1, m)] + ahead_terms
         outputs = [(f"end[{i}]", n) for i, n in enumerate(group.upstream)]
         outputs += [(f"by_state[{i}]", n) for i, n in enumerate(group.upstream_by_state)]
         outputs += [(f"by_q[{k}]", n) for k, n in enumerate(group.upstream_by_q)]
