@@ -67,6 +67,28 @@ MHE_CASES: dict[str, dict[str, Any]] = {
     "two substeps": {"sampling": scheme("rk4", substeps=200)},
     "merged flow": {"sampling": scheme("flow", substeps=50)},
     "merged rk4": {"sampling": scheme("rk4", substeps=25)},
+    "five merged": {"sampling": scheme("flow", substeps=20)},
+    "ten merged": {"sampling": scheme("flow", substeps=10, slow_displacement=0.03)},
+    "all merged": {"sampling": scheme("flow", substeps=1)},
+    "five merged, bs23": {"sampling": scheme("bs23", substeps=20)},
+    "five merged, stiffness, coulomb": {
+        "sampling": scheme("flow", substeps=20),
+        "estimator": {"parameters": ["stiffness", "coulomb"], "bounds": {}},
+    },
+    "five merged, level of its own": {
+        "sampling": scheme("flow", substeps=20),
+        "effects": [{"name": "dwell_dependence"}],
+        "estimator": {"horizon": 8},
+    },
+    "five merged, level in a parameter": {
+        "sampling": scheme("flow", substeps=20),
+        "effects": [{"name": "asymmetric_coulomb", "ratio": 0.1}],
+        "estimator": {"parameters": ["stiffness", "asymmetric_coulomb.ratio"], "bounds": {}},
+    },
+    "five merged, another law": {
+        "sampling": scheme("flow", substeps=20),
+        "effects": [{"name": "position_dependent_friction"}, {"name": "actuator_lag"}],
+    },
     # linearisations that are kept
     "auto": {"estimator": {"relinearise": "auto"}},
     "auto, fixed": {"estimator": {"relinearise": "auto", "arrival_cost": {"update": "fixed"}}},
@@ -225,9 +247,13 @@ def test_single_precision_follows_the_reference(case: str) -> None:
     )
 
 
-@pytest.mark.parametrize("relinearise", ["all", "auto"])
-def test_single_precision_at_all_speeds_through_its_own_chain(relinearise: str) -> None:
-    settings = machine(code={"precision": "single"}, estimator={"relinearise": relinearise})
+@pytest.mark.parametrize(("relinearise", "substeps"), [("all", 100), ("auto", 100), ("auto", 20)])
+def test_single_precision_at_all_speeds_through_its_own_chain(relinearise: str, substeps: int) -> None:
+    settings = machine(
+        code={"precision": "single"},
+        estimator={"relinearise": relinearise},
+        sampling=scheme("flow", substeps=substeps),
+    )
     log = closed_loop(4, "mixed", 2.6)
     reference = estimate_reference(settings, signals_from_log(log, settings))
     for mode in ("tasks", "tick"):
@@ -246,9 +272,10 @@ def test_single_precision_at_all_speeds_through_its_own_chain(relinearise: str) 
         {"estimator": {"relinearise": "newest"}},
         {"estimator": {"kind": "ekf"}},
         {"sampling": scheme("flow", substeps=50)},
+        {"sampling": scheme("flow", substeps=20), "estimator": {"relinearise": "auto"}},
         {"estimator": {"horizon": 1}},
     ],
-    ids=["mhe", "auto", "newest", "ekf", "merged", "horizon 1"],
+    ids=["mhe", "auto", "newest", "ekf", "merged", "auto, merged", "horizon 1"],
 )
 def test_raw_samples_and_one_task_give_the_same(changes: Mapping[str, Any]) -> None:
     settings = machine(**changes)

@@ -355,23 +355,31 @@ def test_tick_and_tasks_give_the_same(relinearise: str, axis: Any) -> None:
     assert same(ticked, tasks)
 
 
-def constants(package: Package) -> dict[str, int]:
-    """Plain integer constants of a package's config header."""
+def constants(package: Package, *, scalar: bool) -> dict[str, int]:
+    """Plain integer constants of a package's config header, for a processor without vectors or with them."""
     text = package.files["etel_xy_config.h"]
-    return {name: int(value) for name, value in re.findall(r"^    (\w+) = (\d+),?", text, re.MULTILINE)}
+    found = re.findall(r"^    (\w+) = (?:VECTOR == 1 \? (\w+) : )?(\d+)(?:,| |$)", text, re.MULTILINE)
+    chosen = {name: if_scalar if scalar and if_scalar else value for name, if_scalar, value in found}
+    return {name: int(chosen.get(value, value)) for name, value in chosen.items()}
 
 
-@pytest.mark.parametrize(("horizon", "samples"), [(2, 2), (20, 5), (20, 100), (60, 400)])
+@pytest.mark.parametrize("scalar", [False, True], ids=["vectors", "scalar"])
+@pytest.mark.parametrize(
+    ("horizon", "samples", "merged"), [(2, 2, 1), (20, 5, 1), (20, 100, 1), (60, 400, 1), (20, 100, 5), (20, 100, 100)]
+)
 @pytest.mark.parametrize("relinearise", ["all", "auto", "newest"])
-def test_work_of_an_interval_fits_into_its_samples(relinearise: str, horizon: int, samples: int) -> None:
+def test_work_of_an_interval_fits_into_its_samples(
+    relinearise: str, horizon: int, samples: int, merged: int, scalar: bool
+) -> None:
     """Units as tick does them, as many as there can be: never more than the bound in one sample, all done in time."""
     settings: dict[str, Any] = {
-        "sampling": {"update_rate": 1e4 / samples, "integrator": {"scheme": "flow"}},
+        "sampling": {"update_rate": 1e4 / samples, "integrator": {"scheme": "flow", "substeps": samples // merged}},
         "estimator": {"horizon": horizon, "relinearise": relinearise},
     }
-    of = constants(package_of(**settings))
+    of = constants(package_of(**settings), scalar=scalar)
     nodes = horizon - 1
-    steps = {"all": 1, "auto": of.get("CHOSEN", 0), "newest": 0}[relinearise] * samples
+    own = {"all": 1, "auto": of.get("CHOSEN", 0) * of.get("STEP_UNITS", 0), "newest": 0}[relinearise]
+    steps = own * samples // merged
     units = [of["RECOVER_COST"]] * nodes + [of["NODE_COST"]] + [of["STEP_COST"]] * steps + [of["NODE_COST"]] * nodes
     largest = 0
     for _ in range(samples - 1):

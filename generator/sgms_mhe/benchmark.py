@@ -86,8 +86,8 @@ class Variant:
         update_us: mean time of an update and its samples [us].
         feedback_us: mean time from the newest sample to the estimate [us].
         instructions_mean, instructions_max: of an update of a full window and its samples; None without valgrind.
-        state_error: largest error of a node state after one interval, in units of its scale; where samples are merged it
-            holds what their line leaves of the samples' velocities; None where the integration diverged.
+        state_error: largest error of a node state after one interval, in units of its scale, with what a line leaves of
+            the velocities of merged samples; None where the integration diverged.
         sensitivity_error: largest error of its derivatives in the node before and in the scaled parameters.
         integrator: scheme and largest displacement of a step; of the flow, below its gate's speed.
         trajectory: the motion.

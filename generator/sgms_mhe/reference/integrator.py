@@ -109,8 +109,8 @@ class Plan:
         end: signals w at its end; equal to `start` where velocity is constant.
         substeps: Runge-Kutta substeps along the line (intervals * steps, blocks); 0 are stairs.
         cut: share of the step before its velocity changes sign (intervals * steps); 0 where it does not.
-        piece_substeps: Runge-Kutta substeps along the pieces before and after that (intervals * steps, blocks, 2); 0 are
-            stairs, or a step that is not cut.
+        piece_substeps: Runge-Kutta substeps along the pieces before and after that (intervals * steps, blocks, 2);
+            0 are stairs, or a step that is not cut.
         stairs: K, stairs of a step; each lasts h / K.
         stair: signals w of each stair (intervals * steps * K, 5).
         stair_substeps: Runge-Kutta substeps of each (intervals * steps * K, blocks); 0 is one jump of the displacement
