@@ -338,4 +338,4 @@ def test_finds_what_is_in_the_emps_record(measured_data: Callable[[str], Path]) 
     traces = diagnosis.traces
     held = traces.held_out
     error = np.linalg.norm(traces.residual_after[held]) / np.linalg.norm(traces.force_N[held])
-    assert error < 0.0311  # of the published fit with separate directions, on all data
+    assert error < 0.023  # the published fit with separate directions leaves 0.0311

@@ -54,11 +54,6 @@ def learnt(
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    reason="the fall of friction with speed (eddy_current_damping, or stribeck over 0.09 m/s) is not named: 2.4 % and "
-    "2.7 % are left",
-    strict=False,
-)
 def test_force_error_on_unused_laps(learnt: Learnt) -> None:
     print(f"force error: {100.0 * learnt.seen:.2f} % on laps of the fit, {100.0 * learnt.unused:.2f} % on unused laps")
     assert learnt.unused <= TARGET

@@ -44,7 +44,6 @@ FROZEN: Final[Mapping[str, tuple[str, ...]]] = {"step_disturbance": ("time_s",)}
 """Parameters in which the force jumps: their search ends on the grid, not in a refit."""
 
 FASTEST_STRIBECK: Final = 0.1  # largest Stribeck velocity, over the largest speed
-WIDEST_STRIBECK: Final = 0.7  # the same, where the machine file knows of no Stribeck effect
 LONGEST_LAG: Final = 0.05  # s; a current loop that is later does not hold an axis
 FAST: Final = ("force_delay", "actuator_lag", "structural_resonance", "asymmetric_coulomb")
 """Effects about as fast as a sample of the record, or with a level that jumps: always fitted at its full rate."""
@@ -168,6 +167,7 @@ class Fit:
         model: its compiled code.
         theta: (n_p).
         free: parameters that were fitted (n_p).
+        loose: those of them that no bound holds (n_p): the directions that the data may still move.
         residual: measured minus model (m) [N].
         slopes: d(model)/d(theta) (m, n_p).
         loss: sum of squared residuals per block (blocks).
@@ -179,6 +179,7 @@ class Fit:
     extras: tuple[Extra, ...]
     theta: Array
     free: Mask
+    loose: Mask
     residual: Array
     slopes: Array
     loss: Array
@@ -313,7 +314,7 @@ class Workshop:
         step, mass = (self.fine or self).machine.sampling.step, self.machine.plant.mass
         jerk = np.gradient(recording.acceleration) * recording.rate
         snap = np.gradient(jerk) * recording.rate
-        free = nuisance(fit.slopes[used][:, fit.free])
+        free = nuisance(fit.slopes[used][:, fit.loose])
         columns = np.column_stack((jerk, snap))
         scale = mass * np.array([TIMING * step, step**2 / 12.0])
         Z = free.project(columns[used] * scale)
@@ -412,20 +413,16 @@ class Workshop:
         theta[held] = [c.machine_theta for c, h in zip(columns, held, strict=True) if h]
         seen = self.recording.used if rows is None else rows
         theta, residual, slopes = self._descend(model, theta, free, seen, iterations)
-        return self.judged(model, tuple(extras), theta, free, residual, slopes)
-
-    def judged(
-        self, model: CompiledFit, extras: tuple[Extra, ...], theta: Array, free: Mask, residual: Array, slopes: Array
-    ) -> Fit:
-        """A fit with its evidence per block."""
+        # A parameter that its bound holds moves neither with a candidate nor from fold to fold.
+        loose = free & ~_held(columns, theta, slopes[seen].T @ residual[seen], self.recording)
         recording = self.recording
         loss = recording.sum_blocks(residual**2)
-        cross = cross_loss(recording, slopes[:, free], residual, self._prior(model, free))
+        cross = cross_loss(recording, slopes[:, loose], residual, self._prior(model, loose))
         extras = tuple(
             Extra(e.name, {c.name: c.si(t) for c, t in zip(model.columns, theta, strict=True) if c.group == f"+{i}"})
             for i, e in enumerate(extras)
         )
-        return Fit(model, extras, theta, free, residual, slopes, loss, cross, self.rows)
+        return Fit(model, extras, theta, free, loose, residual, slopes, loss, cross, self.rows)
 
     def _prior(self, model: CompiledFit, free: Mask) -> Array:
         """Information of the prior in units of the sum of squares, (free)."""
@@ -736,15 +733,20 @@ def _bounds(columns: Sequence[Column], recording: Recording) -> tuple[Array, Arr
             upper[i] = min(upper[i], column.theta(longest_pitch(recording)))
         if column.name == "stribeck_velocity":
             fastest = float(np.max(np.abs(recording.velocity[recording.used])))
-            known = recording.machine.friction.stribeck_ratio > 0.0
-            # Where the file has a rise towards low speed, one over the whole range of speed is something else.
-            limit = (FASTEST_STRIBECK if known else WIDEST_STRIBECK) * fastest
-            upper[i] = max(lower[i], column.machine_theta, min(upper[i], column.theta(limit)))
+            # A rise of friction over the whole range of speed is a curve that effects have names for.
+            upper[i] = max(lower[i], column.machine_theta, min(upper[i], column.theta(FASTEST_STRIBECK * fastest)))
         if (column.effect, column.name) in (("actuator_lag", "time_constant_s"), ("force_delay", "delay_s")):
             upper[i] = min(upper[i], column.theta(LONGEST_LAG))
         if column.name == "frequency_Hz" and column.effect == "periodic_disturbance":
             lower[i] = max(lower[i], column.theta(lowest_frequency(recording)))
     return lower, upper
+
+
+def _held(columns: Sequence[Column], theta: Array, descent: Array, recording: Recording) -> Mask:
+    """Parameters at a bound that the data push them against; `descent` (n_p): against the gradient of the cost."""
+    lower, upper = _bounds(columns, recording)
+    near = 1e-9 * np.maximum(1.0, np.abs(theta))
+    return np.asarray(((theta <= lower + near) & (descent < 0.0)) | ((theta >= upper - near) & (descent > 0.0)))
 
 
 def longest_pitch(recording: Recording) -> float:

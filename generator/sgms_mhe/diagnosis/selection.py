@@ -209,7 +209,7 @@ class Selector:
             return
         recording = self.plain.recording
         fit = self.plain.fit((), base=tuple(g for g in self.groups if g != "stribeck"))
-        found = stribeck_start(recording, fit, nuisance(fit.slopes[recording.used][:, fit.free]))
+        found = stribeck_start(recording, fit, nuisance(fit.slopes[recording.used][:, fit.loose]))
         for workshop in (self.plain, self.sharp):
             if workshop is not None:
                 workshop.starts.update(found)
@@ -247,7 +247,7 @@ class Selector:
     def _round(self, current: Fit, number: int) -> Fit | None:
         """Search, refit the best, return the fit with the one to add."""
         recording = self.workshop.recording
-        free = nuisance(current.slopes[recording.used][:, current.free])
+        free = nuisance(current.slopes[recording.used][:, current.loose])
         names = self.names(current.extras)
         proposals = search(self.workshop, current, [n for n in names if n not in COSTLY], free)
         gains = {id(p): self._linear_gain(current, p) for p in proposals}
@@ -434,7 +434,7 @@ class Selector:
             own_gain = gain_force(without.cross, fit.cross, fit.rows)
             if own_gain <= 0.0:
                 continue
-            free = nuisance(without.slopes[recording.used][:, without.free])
+            free = nuisance(without.slopes[recording.used][:, without.loose])
             names = [
                 n
                 for n in self.names(extras)
@@ -490,7 +490,7 @@ class Selector:
         recording = self.workshop.recording
         inside = np.array([c.group == group for c in fit.model.columns]) & fit.free
         X = fit.slopes[recording.used]
-        free = nuisance(X[:, fit.free & ~inside])
+        free = nuisance(X[:, fit.loose & ~inside])
         Z = free.project(X[:, inside])
         # What the group contributes at the fit stands in for the sizes that the parameters started from.
         start = np.array([c.machine_theta if not group.startswith("+") else 0.0 for c in fit.model.columns])

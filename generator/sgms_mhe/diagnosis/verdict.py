@@ -45,6 +45,7 @@ UNEXPLAINED: Final = 0.02  # of f_C: RMS beyond noise that a complete explanatio
 MOST_LEFT: Final = 0.75  # of the RMS beyond noise, where every cause is the same all over the record
 INERTIAL: Final = ("force_delay", "actuator_lag", "mass_mismatch", "force_gain", "structural_resonance")
 INCONSTANT: Final = 0.3  # RMS change of a cause's size over the record that rules it out, over the size
+FOLLOWS: Final = 0.5  # gain of a refitted number without the effects, over that beside them, that makes it their sequel
 PATIENT: Final = 40  # iterations of a fit that may start far from its end
 SIGMAS: Final = 2.0
 JOINT: Final = 1e-4  # significance of several wrong numbers together
@@ -182,22 +183,34 @@ class _Verdict:
                 ordered = sorted(causes.values(), key=lambda cause: -cause.gain_N)
                 return selection, blind, tuple(ordered)
             weakest = min(doubtful, key=lambda group: causes[group].gain_N)
-            selection = self._without(selection, weakest)
+            selection = self._no_cause(selection, weakest) if constant else self._without(selection, weakest)
         return selection, selection.fit, ()
 
     def _without(self, selection: Selection, group: str) -> Selection:
         """The selection without one of its causes, the others fitted again."""
         fit = selection.fit
-        name = _cause_name(fit, group)
         base = tuple(g for g in selection.base if g != group)
         extras = tuple(e for i, e in enumerate(fit.extras) if f"+{i}" != group)
-        rivals = tuple(r for r in selection.rivals if r.instead_of != name)
-        rejected = {**selection.rejected, name: (name, 0.0)}
-        left = [g for g in selection.causes if g != group]
-        renamed = (*(g for g in base if g not in selection.unnamed), *(f"+{i}" for i in range(len(extras))))
-        p_values = {new: selection.p_values.get(old, math.nan) for old, new in zip(left, renamed, strict=True)}
         fit = self.workshop.fit(extras, base=base, warm=fit)
-        return replace(selection, fit=fit, base=base, rivals=rivals, rejected=rejected, p_values=p_values)
+        return self._named_less(replace(selection, fit=fit, base=base), selection, group)
+
+    def _no_cause(self, selection: Selection, group: str) -> Selection:
+        """The same where more is left than is known: a number of the machine stays refitted, but is no cause.
+
+        Held at the file's it would pass its error on to the other causes, which then would seem to change.
+        """
+        if group.startswith("+"):
+            return self._without(selection, group)
+        return self._named_less(replace(selection, unnamed=(*selection.unnamed, group)), selection, group)
+
+    def _named_less(self, selection: Selection, before: Selection, group: str) -> Selection:
+        """What belongs to the causes of a selection that had one more, `group`, `before`."""
+        name = _cause_name(before.fit, group)
+        rivals = tuple(r for r in before.rivals if r.instead_of != name)
+        rejected = {**before.rejected, name: (name, 0.0)}
+        left = [g for g in before.causes if g != group]
+        p_values = {new: before.p_values.get(old, math.nan) for old, new in zip(left, selection.causes, strict=True)}
+        return replace(selection, rivals=rivals, rejected=rejected, p_values=p_values)
 
     def finish(self, started: float) -> Diagnosis:
         self.report("measuring the gain on held-out data")
@@ -217,6 +230,8 @@ class _Verdict:
             # Something is left; but causes that are the same everywhere in the record are none the less real.
             selection, blind, causes = self._constant(self.selection)
             fit = selection.fit
+            # What refitted numbers explain that are no cause is no merit of the causes.
+            before = self._excess(self.workshop.fit((), base=selection.unnamed))
             complete = bool(causes) and self._excess(fit) < MOST_LEFT * before
         verdict: Verdict
         if not selection.causes:
@@ -273,13 +288,25 @@ class _Verdict:
 
     def _constant(self, selection: Selection) -> tuple[Selection, Fit, tuple[Cause, ...]]:
         """The causes whose size is the same everywhere in the record, the least constant one taken out first."""
+        for group in selection.causes:
+            if self._follows(selection, group):
+                selection = self._no_cause(selection, group)
         while selection.causes:
             change = {group: self._inconstancy(selection, group) for group in selection.causes}
             worst = max(change, key=lambda group: change[group])
             if change[worst] < INCONSTANT:
                 break
-            selection = self._without(selection, worst)
+            selection = self._no_cause(selection, worst)
         return self._refitted(*self._confirmed(selection, constant=True))
+
+    def _follows(self, selection: Selection, group: str) -> bool:
+        """Whether a number of the machine is wrong only beside the effects: it was right for a model without them."""
+        if group.startswith("+") or not selection.fit.extras:
+            return False
+        fit, plain = selection.fit, self.workshop.fit((), base=())
+        without = self.workshop.fit(fit.extras, base=tuple(g for g in selection.base if g != group), warm=fit)
+        alone = self.workshop.fit((), base=(group,), warm=plain)
+        return gain_force(plain.cross, alone.cross, fit.rows) < FOLLOWS * gain_force(without.cross, fit.cross, fit.rows)
 
     def _refitted(
         self, selection: Selection, blind: Fit, causes: tuple[Cause, ...]
@@ -298,8 +325,7 @@ class _Verdict:
         blind_free = self.workshop.fit(fit.extras, base=groups, warm=free, rows=seen, iterations=PATIENT)
         if not _rms(blind_free, self.recording)[1] < _rms(blind, self.recording)[1]:
             return selection, blind, causes
-        named = selection.causes
-        unnamed = tuple(group for group in groups if group not in named)
+        unnamed = tuple(group for group in groups if group not in selection.causes)
         whole = replace(selection, fit=free, base=groups, unnamed=unnamed)
         found = self._causes(whole, blind_free, seen)
         lost = [g for g, c in found.items() if self._inconstancy(whole, g) > INCONSTANT or not _holds(c)]
@@ -392,6 +418,7 @@ class _Verdict:
             for rival in selection.rivals
         ]
         named = [_cause_name(selection.fit, group) for group in selection.causes]
+        unnamed = {_cause_name(selection.fit, group) for group in selection.unnamed}
         if found:  # the named causes that have rivals are listed with them
             for cause in dict.fromkeys(rival.instead_of for rival in selection.rivals):
                 others = ", ".join(r.name for r in selection.rivals if r.instead_of == cause)
@@ -401,7 +428,9 @@ class _Verdict:
             if name not in taken:
                 taken.add(name)
                 why = (
-                    "its size, or its gain on data not used in the fit, may be zero"
+                    "refitted with the causes, no cause of its own"
+                    if name in unnamed
+                    else "its size, or its gain on data not used in the fit, may be zero"
                     if name == cause
                     else f"in place of {cause} leaves {excess:.3g} N more"
                 )
