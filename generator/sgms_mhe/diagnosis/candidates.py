@@ -41,6 +41,8 @@ FINEST_PITCH: Final = 1500.0  # of the travel
 PITCH_BAND: Final = 0.3  # of the rate of the fit: faster ripples are not in the signals any more
 REST: Final = 1e-9
 BINS_PER_PERIOD: Final = 6.0
+STIFFER: Final = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8)
+"""Factors on all stiffnesses that fits may start from."""
 SHOWN: Final = 1e-3  # significance of a rise of friction towards low speed that a fit starts from
 
 
@@ -250,6 +252,21 @@ def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> Values:
         if p * len(velocities) < SHOWN and size[0] > 0.0 and energy > best[0]:
             best = energy, {"stribeck_ratio": float(size[0]), "stribeck_velocity": float(velocity)}
     return best[1]
+
+
+def stiffness_start(workshop: Workshop, material: float) -> Values:
+    """Stiffnesses to start from, all by one factor off the machine's; empty where none leaves `material` [N] less."""
+    recording, model = workshop.recording, workshop.model(())
+    theta = workshop.start(model, ())
+    common = np.array([c.group == "stiffness" for c in model.columns])
+    found: dict[float, float] = {}
+    for factor in STIFFER:
+        friction, _ = model.run(recording, np.where(common, factor * theta, theta), derivatives=False)
+        found[factor] = float(np.mean((recording.friction - friction)[recording.used] ** 2))
+    best = min(found, key=lambda factor: found[factor])
+    if not found[best] < found[1.0] - material**2:
+        return {}
+    return {c.name: c.si(best * float(t)) for c, t in zip(model.columns, theta, strict=True) if c.group == "stiffness"}
 
 
 # --- effects that are linear given a few numbers ----------------------------------------------------------------

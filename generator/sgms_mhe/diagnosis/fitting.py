@@ -228,7 +228,7 @@ class Workshop:
         self.rows = recording.sum_blocks(np.ones(len(recording.time)))
         self.noise = 1.0  # N, weight of the prior
         self.fits = 0
-        self.starts: dict[str, float] = {}  # SI, for numbers that the machine file gives no idea of
+        self.starts: dict[str, float] = {}  # SI, for base numbers that the machine file gives no idea of
         self.fine: Workshop | None = None  # what this one was thinned from
         self._known: dict[object, Fit] = {}
 
@@ -318,7 +318,11 @@ class Workshop:
         columns = np.column_stack((jerk, snap))
         scale = mass * np.array([TIMING * step, step**2 / 12.0])
         Z = free.project(columns[used] * scale)
-        bounded = lsq_linear(Z, free.project(residual[used]), ([-1.0, -1.0], [1.0, 0.0]))
+        e = free.project(residual[used])
+        bounded = lsq_linear(Z, e, ([-1.0, -1.0], [1.0, 0.0]))
+        if abs(bounded.x[0]) > 1.0 - 1e-6:  # more than sampling: all of it is for a delay or lag to explain
+            bounded = lsq_linear(Z[:, 1:], e, ([-1.0], [0.0]))
+            columns, scale = columns[:, 1:], scale[1:]
         return np.asarray(columns @ (scale * bounded.x))
 
     def model(self, extras: Sequence[Extra]) -> CompiledFit:
@@ -346,7 +350,7 @@ class Workshop:
                 else c.theta(known[c.group, c.name])
                 if (c.group, c.name) in known and not c.group.startswith("+")
                 else c.theta(self.starts[c.name])
-                if c.group == "stribeck" and c.name in self.starts
+                if c.name in self.starts
                 else c.machine_theta
                 for c in model.columns
             ]

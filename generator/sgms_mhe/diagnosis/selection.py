@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.candidates import Proposal, degenerate, motion_of, search, stribeck_start
+from sgms_mhe.diagnosis.candidates import Proposal, degenerate, motion_of, search, stiffness_start, stribeck_start
 from sgms_mhe.diagnosis.evidence import difference_statistic, gain_force, nuisance, score_test
 from sgms_mhe.diagnosis.fitting import BASE_GROUPS, Extra, Fit, FitError, Workshop, cross_loss
 from sgms_mhe.diagnosis.result import Score
@@ -148,7 +148,8 @@ class Selector:
     def select(self) -> Selection:
         """Select causes, from the machine with all its own numbers refitted."""
         self._start_stribeck()
-        current = self._aligned(self._transition(()))
+        self._start_stiffness()
+        current = self._transition(())
         p_values: dict[str, float] = {}
         for number in range(1, ROUNDS + 1):
             if self._excess(current) < self.material:  # what is left could not make any cause matter
@@ -157,7 +158,7 @@ class Selector:
             step = self._round(current, number)
             if step is None:
                 break
-            current = self._aligned(self._transition(self._pruned(step).extras))
+            current = self._transition(self._pruned(step).extras)
         # What is left unexplained is no measure for the machine's numbers, but no finer one than that is possible.
         self.material = max(self.material, LEFT * self._excess(current))
         base, fit = self._wrong_numbers(current)
@@ -174,13 +175,6 @@ class Selector:
         for group in base + tuple(f"+{i}" for i in range(len(fit.extras))):
             p_values[group] = self._p_value(fit, group)
         return Selection(fit, base, tuple(self.scores), tuple(rivals), rejected, p_values, free=current)
-
-    def _aligned(self, fit: Fit) -> Fit:
-        """The fit with everything at hand, its thinned model brought into line with the record's full rate."""
-        for _ in range(ALIGNMENTS):
-            self.workshop.align(fit)
-            fit = self.workshop.fit(fit.extras, warm=fit)
-        return fit
 
     def _attempt(
         self, extras: Sequence[Extra], *, base: Sequence[str] | None = None, warm: Fit | None = None
@@ -214,35 +208,58 @@ class Selector:
             if workshop is not None:
                 workshop.starts.update(found)
 
+    def _start_stiffness(self) -> None:
+        """Start all fits from the common factor on the stiffnesses that leaves clearly less than the machine file's.
+
+        Where elements turn round all the time the sum of squares is rough in their stiffness, and a fit that starts far
+        from it stops short.
+        """
+        for workshop in (self.plain, self.sharp):
+            if workshop is not None:
+                workshop.starts.update(stiffness_start(workshop, self.material))
+
     def _transition(self, extras: Sequence[Extra]) -> Fit:
         """Fit with the transition from sticking to slipping that fits better, from now on.
 
         How sharply an element slips is a property of the smoothed law, not of an axis: a real one may switch. Both are
-        tried, after every effect again, so that the difference is not taken for an effect, nor an effect for it.
+        tried, after every effect again, so that the difference is not taken for an effect, nor an effect for it; each
+        with its own thinned model brought into line, or what thinning does to the new effect would decide.
         """
         if self.sharp is None or self.decided:
-            return self.workshop.fit(extras)
-        fit = self.plain.fit(extras)
-        # The switching law's sum of squares is rough: from the machine's numbers first, then from the smooth one's.
-        trials = [trial for warm in (None, fit) if (trial := self._sharp_fit(fit, warm)) is not None]
-        if not trials:
+            return self._aligned(self.workshop, self.workshop.fit(extras))
+        fit = self._aligned(self.plain, self.plain.fit(extras))
+        other = self._sharp_fit(self.sharp, fit)
+        if other is None:
             self.workshop = self.plain
             return fit
-        other = min(trials, key=lambda trial: trial.cross_rms)
         ratio = other.cross_rms / fit.cross_rms
         better = other if ratio < SHARPER else fit
         self.decided = not DECIDED < ratio < 1.0 / DECIDED and self._excess(better) < 2.0 * self.material
         self.workshop = self.sharp if better is other else self.plain
         return better
 
-    def _sharp_fit(self, fit: Fit, warm: Fit | None) -> Fit | None:
-        """The sharp transition with the effects of a fit; None where it cannot be fitted."""
-        if self.sharp is None:
-            return None
-        try:
-            return self.sharp.fit(fit.extras, warm=warm, again=warm is not None)
-        except FitError:
-            return None
+    def _aligned(self, workshop: Workshop, fit: Fit) -> Fit:
+        """The fit with everything at hand, its thinned model brought into line with the record's full rate."""
+        for _ in range(ALIGNMENTS):
+            workshop.align(fit)
+            fit = workshop.fit(fit.extras, warm=fit)
+        return fit
+
+    def _sharp_fit(self, sharp: Workshop, fit: Fit) -> Fit | None:
+        """The sharp transition with the effects of a fit, in line; None where it cannot be fitted.
+
+        The switching law's sum of squares is rough: from the machine's numbers and from the smooth fit's.
+        """
+        found: Fit | None = None
+        for _ in range(1 + ALIGNMENTS):
+            if found is not None:
+                sharp.align(found)
+            for warm in (None, found or fit):
+                try:
+                    found = sharp.fit(fit.extras, warm=warm, again=warm is not None)
+                except FitError:
+                    continue
+        return found
 
     def _round(self, current: Fit, number: int) -> Fit | None:
         """Search, refit the best, return the fit with the one to add."""
