@@ -273,7 +273,8 @@ class Workshop:
     def align(self, fit: Fit) -> None:
         """Bring measured friction into line with the model at a fit, where the difference says nothing about friction.
 
-        Two things are taken out of it: what is of the sampling (`_sampling`), unless a delay or lag is under test. And
+        Three things are taken out of it: half a step of viscous force. What is of the sampling (`_sampling`), unless a
+        delay or lag is under test. And
         where this workshop is a thinned one, the difference of its model's friction to that of the one it was thinned
         from: residuals here are then those of the full rate, but for the change of that difference away from the fit.
         """
@@ -289,7 +290,9 @@ class Workshop:
         used = self.recording.used
         if not np.all(np.isfinite(exact)):
             return
-        measured = whole.measured
+        # A sample's velocity is the mean over the step before it, its force that at its end.
+        step = whole.machine.sampling.step
+        measured = whole.measured - values["viscous", "viscous"] * 0.5 * step * self.recording.acceleration
         names = {e.name for e in fit.extras} | {e.name for e in self.machine.effects}
         if not names & set(TIMED):
             measured = measured - self._sampling(fit, measured - exact)
@@ -310,12 +313,13 @@ class Workshop:
         derivative of the acceleration: its second difference over a sample h is low by h^2 / 12 of that, against a
         force that is sampled in a point.
         """
-        recording, used = self.recording, self.recording.used
-        step, mass = (self.fine or self).machine.sampling.step, self.machine.plant.mass
-        jerk = np.gradient(recording.acceleration) * recording.rate
-        snap = np.gradient(jerk) * recording.rate
+        used, whole = self.recording.used, self.fine or self
+        step, mass = whole.machine.sampling.step, self.machine.plant.mass
+        # At the log's rate: differences of rows would lose a share of what they are to say.
+        jerk = np.gradient(whole.recording.signals.acceleration) / step
+        snap = np.gradient(jerk) / step
         free = nuisance(fit.slopes[used][:, fit.loose])
-        columns = np.column_stack((jerk, snap))
+        columns = whole.recording.reduce(np.column_stack((jerk, snap)))
         scale = mass * np.array([TIMING * step, step**2 / 12.0])
         Z = free.project(columns[used] * scale)
         e = free.project(residual[used])

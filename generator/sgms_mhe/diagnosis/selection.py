@@ -251,7 +251,7 @@ class Selector:
         The switching law's sum of squares is rough: from the machine's numbers and from the smooth fit's.
         """
         found: Fit | None = None
-        for _ in range(1 + ALIGNMENTS):
+        for _ in range(ALIGNMENTS):
             if found is not None:
                 sharp.align(found)
             for warm in (None, found or fit):
@@ -259,7 +259,7 @@ class Selector:
                     found = sharp.fit(fit.extras, warm=warm, again=warm is not None)
                 except FitError:
                     continue
-        return found
+        return None if found is None else self._aligned(sharp, found)
 
     def _round(self, current: Fit, number: int) -> Fit | None:
         """Search, refit the best, return the fit with the one to add."""
