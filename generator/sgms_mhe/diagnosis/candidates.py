@@ -254,10 +254,11 @@ def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> Values:
     return best[1]
 
 
-def stiffness_start(workshop: Workshop, material: float) -> Values:
+def stiffness_start(workshop: Workshop, extras: Sequence[Extra], material: float) -> Values:
     """Stiffnesses to start from, all by one factor off the machine's; empty where none leaves `material` [N] less."""
-    recording, model = workshop.recording, workshop.model(())
-    theta = workshop.start(model, ())
+    workshop = workshop.suited(extras)
+    recording, model = workshop.recording, workshop.model(extras)
+    theta = workshop.start(model, extras)
     common = np.array([c.group == "stiffness" for c in model.columns])
     found: dict[float, float] = {}
     for factor in STIFFER:

@@ -91,6 +91,7 @@ class Selection:
         fit: effects and the numbers of the base model that are wrong; all other numbers as in the machine file.
         base: groups of the machine's own numbers that are refitted.
         unnamed: those of them that are no cause: refitted because something else is left, not because they are wrong.
+        inconstant: candidates that are no cause because their size changes over the record.
         free: where the forward search ended, all of the machine's numbers refitted.
         scores: of all rounds.
         rivals: of the causes in `fit`.
@@ -105,6 +106,7 @@ class Selection:
     rejected: dict[str, tuple[str, float]] = field(default_factory=dict)
     p_values: dict[str, float] = field(default_factory=dict)
     unnamed: tuple[str, ...] = ()
+    inconstant: tuple[str, ...] = ()
     free: Fit | None = None
 
     @property
@@ -148,7 +150,6 @@ class Selector:
     def select(self) -> Selection:
         """Select causes, from the machine with all its own numbers refitted."""
         self._start_stribeck()
-        self._start_stiffness()
         current = self._transition(())
         p_values: dict[str, float] = {}
         for number in range(1, ROUNDS + 1):
@@ -208,15 +209,17 @@ class Selector:
             if workshop is not None:
                 workshop.starts.update(found)
 
-    def _start_stiffness(self) -> None:
-        """Start all fits from the common factor on the stiffnesses that leaves clearly less than the machine file's.
+    def _start_stiffness(self, extras: Sequence[Extra]) -> None:
+        """Start fits from the common factor on the stiffnesses that leaves clearly less than the machine file's.
 
         Where elements turn round all the time the sum of squares is rough in their stiffness, and a fit that starts far
-        from it stops short.
+        from it stops short. With other effects it may be another one.
         """
-        for workshop in (self.plain, self.sharp):
+        for workshop in (self.workshop,) if self.decided else (self.plain, self.sharp):
             if workshop is not None:
-                workshop.starts.update(stiffness_start(workshop, self.material))
+                for name in [name for name in workshop.starts if name.startswith("stiffness")]:
+                    del workshop.starts[name]
+                workshop.starts.update(stiffness_start(workshop, extras, self.material))
 
     def _transition(self, extras: Sequence[Extra]) -> Fit:
         """Fit with the transition from sticking to slipping that fits better, from now on.
@@ -225,6 +228,7 @@ class Selector:
         tried, after every effect again, so that the difference is not taken for an effect, nor an effect for it; each
         with its own thinned model brought into line, or what thinning does to the new effect would decide.
         """
+        self._start_stiffness(extras)
         if self.sharp is None or self.decided:
             return self._aligned(self.workshop, self.workshop.fit(extras))
         fit = self._aligned(self.plain, self.plain.fit(extras))

@@ -296,7 +296,8 @@ class _Verdict:
             worst = max(change, key=lambda group: change[group])
             if change[worst] < INCONSTANT:
                 break
-            selection = self._no_cause(selection, worst)
+            name = _cause_name(selection.fit, worst)
+            selection = replace(self._no_cause(selection, worst), inconstant=(*selection.inconstant, name))
         return self._refitted(*self._confirmed(selection, constant=True))
 
     def _follows(self, selection: Selection, group: str) -> bool:
@@ -430,6 +431,8 @@ class _Verdict:
                 why = (
                     "refitted with the causes, no cause of its own"
                     if name in unnamed
+                    else "its size is not the same all over the record"
+                    if name in selection.inconstant
                     else "its size, or its gain on data not used in the fit, may be zero"
                     if name == cause
                     else f"in place of {cause} leaves {excess:.3g} N more"
