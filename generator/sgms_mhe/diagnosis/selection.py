@@ -222,13 +222,13 @@ class Selector:
         """
         if self.sharp is None or self.decided:
             return self.workshop.fit(extras)
-        fit = self.plain.fit(extras)
+        fit = _realigned(self.plain, self.plain.fit(extras))
         # The switching law's sum of squares is rough: from the machine's numbers first, then from the smooth one's.
         trials = [trial for warm in (None, fit) if (trial := self._sharp_fit(fit, warm)) is not None]
         if not trials:
             self.workshop = self.plain
             return fit
-        other = min(trials, key=lambda trial: trial.cross_rms)
+        other = _realigned(self.sharp, min(trials, key=lambda trial: trial.cross_rms))
         ratio = other.cross_rms / fit.cross_rms
         better = other if ratio < SHARPER else fit
         self.decided = not DECIDED < ratio < 1.0 / DECIDED and self._excess(better) < 2.0 * self.material
@@ -501,6 +501,12 @@ class Selector:
             shift = (fit.theta - start)[inside]
         p, _ = score_test(recording, Z, free.project(fit.residual[recording.used]) + Z @ shift)
         return p
+
+
+def _realigned(workshop: Workshop, fit: Fit) -> Fit:
+    """The fit against a record that was aligned with it, not with one that an effect was missing in."""
+    workshop.align(fit)
+    return workshop.fit(fit.extras, warm=fit)
 
 
 def _distinct(ranked: list[tuple[float, Proposal]]) -> list[Proposal]:
