@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from cli_cases import done
 from sgms_mhe.diagnosis import Diagnosis, diagnose
-from sgms_mhe.diagnosis.fitting import CompiledFit
-from sgms_mhe.diagnosis.residuals import FITTED_S, Recording, excerpt, prepare
+from sgms_mhe.diagnosis.fitting import SETTLED, CompiledFit, Workshop
+from sgms_mhe.diagnosis.residuals import FITTED_S, Recording, excerpt, noise_floor, prepare
+from sgms_mhe.diagnosis.verdict import SHARP
 from sgms_mhe.logs import Log, write_log
 from sgms_mhe.machine import Machine, load_machine, override_machine
 from sgms_mhe.simulation import AxisConfig, simulate_axis
@@ -89,6 +90,44 @@ def test_wrong_mass_hides_nothing(quick: Machine, slow: Machine, name: str, para
     assert found["mass_mismatch"]["mass_kg"] == pytest.approx(0.1 * quick.plant.mass, rel=0.03)
     main = next(iter(parameters))
     assert found[name][main] == pytest.approx(parameters[main], rel=0.1)
+
+
+# --- how true the numbers are -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "size"),
+    # Half a sample of viscous friction is a mass of 1 g; a delay is of the order of a sample.
+    [("mass_mismatch", "mass_kg", 0.06), ("force_delay", "delay_s", 8e-5)],
+)
+def test_what_is_about_as_fast_as_a_sample_is_measured_right(
+    quick: Machine, name: str, parameter: str, size: float
+) -> None:
+    hard = make_trajectory("mixed", quick.sampling.rate, duration_s=SECONDS)
+    diagnosis = diagnose(quick, recorded(quick, [(name, {parameter: size})], hard, force_noise_N=0.03))
+    assert names(diagnosis) == {name}, diagnosis.summary
+    cause = diagnosis.causes[0]
+    assert cause.parameters[parameter] == pytest.approx(size, rel=0.05 if name == "force_delay" else 0.008)
+    assert cause.parameters[parameter] == pytest.approx(size, abs=2.0 * cause.std[parameter])
+
+
+def test_interval_knows_that_the_axis_switches(quick: Machine) -> None:
+    # What the smooth law gets wrong at every reversal is in no scatter over blocks: the other transition tells it.
+    recording = prepare(quick, recorded(quick, law="maxwell_slip", force_noise_N=0.03))
+    smooth = Workshop(quick, recording)
+    sharp = Workshop(override_machine(quick, {"friction": {"smoothing": dict(SHARP)}}), recording)
+    sharp.noise = noise_floor(recording, sharp.fit((), base=()).residual)
+    sharp.enough = SETTLED
+    fit = sharp.fit((), iterations=40)
+
+    def errors() -> NDArray[np.float64]:
+        std = np.sqrt(np.diag(sharp.covariance(fit)))
+        return np.asarray(np.abs(fit.theta - 1.0)[fit.free] / std[fit.free])
+
+    assert np.max(errors()) > 3.0
+    sharp.other = smooth
+    assert np.max(errors()) < 2.5
+    assert np.median(errors()) > 0.3  # no wider than it has to be
 
 
 # --- low rate, gaps, saturation ---------------------------------------------------------------------------------
