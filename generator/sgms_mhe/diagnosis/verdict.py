@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.evidence import gain_force, gain_interval, inconstancy
 from sgms_mhe.diagnosis.extension import extend_machine
-from sgms_mhe.diagnosis.fitting import SETTLED, Extra, Fit, FitError, Workshop
+from sgms_mhe.diagnosis.fitting import ITERATIONS, SETTLED, Extra, Fit, FitError, Workshop
 from sgms_mhe.diagnosis.residuals import Recording, excerpt, noise_floor, prepare
 from sgms_mhe.diagnosis.result import (
     Alternative,
@@ -363,9 +363,11 @@ class _Verdict:
             return selection, blind, causes
         groups = tuple(dict.fromkeys(c.group for c in self.start.model.columns if not c.group.startswith("+")))
         fit, seen = selection.fit, self.recording.used & ~self.recording.rows_held_out()
-        for warm in (selection.free, self.start, fit):
-            free = self.workshop.fit(fit.extras, base=groups, warm=warm, iterations=PATIENT, again=True)
-        blind_free = self.workshop.fit(fit.extras, base=groups, warm=free, rows=seen, iterations=PATIENT)
+        # Where all is explained the numbers are near the file's; else a fit may have far to go.
+        starts, iterations = ((selection.free, self.start, fit), PATIENT) if constant else ((fit,), ITERATIONS)
+        for warm in starts:
+            free = self.workshop.fit(fit.extras, base=groups, warm=warm, iterations=iterations, again=True)
+        blind_free = self.workshop.fit(fit.extras, base=groups, warm=free, rows=seen, iterations=iterations)
         if not _rms(blind_free, self.recording)[1] < _rms(blind, self.recording)[1]:
             return selection, blind, causes
         named = selection.causes
