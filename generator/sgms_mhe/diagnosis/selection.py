@@ -524,6 +524,12 @@ class Selector:
         return p
 
 
+def _realigned(workshop: Workshop, fit: Fit) -> Fit:
+    """The fit against a record that was aligned with it, not with one that an effect was missing in."""
+    workshop.align(fit)
+    return workshop.fit(fit.extras, warm=fit)
+
+
 def _distinct(ranked: list[tuple[float, Proposal]]) -> list[Proposal]:
     """Without proposals that make the same force as another one with fewer numbers."""
     kept: list[tuple[float, Proposal]] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.evidence import gain_force, gain_interval, inconstancy
 from sgms_mhe.diagnosis.extension import extend_machine
-from sgms_mhe.diagnosis.fitting import Fit, FitError, Workshop
-from sgms_mhe.diagnosis.residuals import Recording, noise_floor, prepare
+from sgms_mhe.diagnosis.fitting import ITERATIONS, SETTLED, Extra, Fit, FitError, Workshop
+from sgms_mhe.diagnosis.residuals import Recording, excerpt, noise_floor, prepare
 from sgms_mhe.diagnosis.result import (
     Alternative,
     BaseParameter,
@@ -76,7 +76,8 @@ def diagnose(
     started = time.monotonic()
     report = progress or (lambda _: None)
     report("preparing the log")
-    recording = prepare(machine, log, held_out_s)
+    record = prepare(machine, log, held_out_s)
+    recording = excerpt(record)
     whole = Workshop(machine, recording)
     try:
         nominal = whole.fit((), base=())
@@ -85,6 +86,10 @@ def diagnose(
     floor = noise_floor(recording, nominal.residual)
     simulated = (recording.friction - nominal.residual)[recording.used]
     if float(np.ptp(simulated)) < EXCITED * machine.friction.coulomb:
+        if recording is not record:
+            # A long rest may hold all pieces; a whole record costs no more than this one run.
+            recording, nominal = record, Workshop(machine, record).fit((), base=())
+            floor = noise_floor(recording, nominal.residual)
         return _without_excitation(machine, log, recording, nominal, floor, started)
     report("refitting the base model")
     shops = []
@@ -98,12 +103,14 @@ def diagnose(
             except FitError:  # so sharp a transition is no model of this record
                 continue
             shops.append(thin)
+    if len(shops) > 1:
+        shops[0].other, shops[1].other = shops[1], shops[0]
     selector = Selector(
-        shops[0], shops[1] if len(shops) > 1 else None, floor, measures(recording.signals, machine), report
+        shops[0], shops[1] if len(shops) > 1 else None, floor, measures(record.signals, machine), report
     )
     selection = selector.select()
     smoothing = "sharp" if selector.workshop is selector.sharp else "machine"
-    return _Verdict(machine, log, selector.workshop, nominal, selection, smoothing, report).finish(started)
+    return _Verdict(machine, log, record, selector.workshop, nominal, selection, smoothing, report).finish(started)
 
 
 def _thinning(recording: Recording) -> int:
@@ -123,7 +130,21 @@ def _sharp(machine: Machine, recording: Recording) -> Workshop | None:
     return Workshop(override_machine(machine, changes), recording)
 
 
-def _rms(fit: Fit, recording: Recording) -> tuple[float, float]:
+@dataclass(frozen=True)
+class _Left:
+    """What a fit leaves of the whole record: `residual` (m) [N], `loss` and `rows` per block as those of a fit."""
+
+    residual: Array
+    loss: Array
+    rows: Array
+
+    @property
+    def rms(self) -> float:
+        """RMS on used rows [N]."""
+        return math.sqrt(float(self.loss.sum() / self.rows.sum()))
+
+
+def _rms(fit: Fit | _Left, recording: Recording) -> tuple[float, float]:
     """RMS on blocks that the fit saw, and on the held-out ones."""
     seen, held = ~recording.held_out, recording.held_out
 
@@ -141,6 +162,7 @@ class _Verdict:
         self,
         machine: Machine,
         log: Log,
+        record: Recording,
         workshop: Workshop,
         nominal: Fit,
         selection: Selection,
@@ -149,8 +171,18 @@ class _Verdict:
     ) -> None:
         self.machine = machine
         self.log = log
+        self.record = record
+        # A long record is fitted in pieces; what is left is measured along all of it.
+        pieces = (workshop.fine or workshop).recording
+        self.along: Workshop | None = None
+        self.known: dict[int, tuple[Fit, _Left]] = {}
+        if len(pieces.signals) < len(record.signals):
+            self.along = Workshop((workshop.fine or workshop).machine, record)
         self.workshop = workshop
         self.nominal = nominal
+        for shop in (workshop, workshop.fine):
+            if shop is not None:
+                shop.enough = SETTLED
         self.selection = self._aligned(selection)
         self.smoothing = smoothing
         self.report = report
@@ -163,8 +195,41 @@ class _Verdict:
         fit = selection.fit
         for _ in range(2):
             self.workshop.align(fit)
-            fit = self.workshop.fit(fit.extras, base=selection.base, warm=fit)
+            extras = fit.extras if self.along is None else tuple(self._timed(fit, extra) for extra in fit.extras)
+            fit = self.workshop.fit(extras, base=selection.base, warm=fit)
         return replace(selection, fit=fit)
+
+    def _timed(self, fit: Fit, extra: Extra) -> Extra:
+        """A step at the instant that the whole record says; pieces only know what two of them it is between."""
+        if extra.name != "step_disturbance" or self.along is None:
+            return extra
+        record, step = self.record, extra.parameters["force_N"]
+        shifts = np.where(record.time > extra.parameters["time_s"], step, 0.0)
+        without = self.along.residual_along(fit, self.workshop.sampled) + shifts
+        fitted = self.workshop.recording.time[self.workshop.recording.used]
+        seen = np.searchsorted(fitted, extra.parameters["time_s"])
+        inside = record.used.copy()
+        if seen > 0:
+            inside &= record.time >= fitted[seen - 1]
+        if seen < len(fitted):
+            inside &= record.time <= fitted[seen]
+        if inside.sum() < 2:
+            return extra
+        rest, time = without[inside], record.time[inside]
+        last = int(np.argmin(np.cumsum(rest**2 - (rest - step) ** 2)))  # before the step
+        at = float(time[min(last + 1, len(time) - 1)])
+        return replace(extra, parameters={**extra.parameters, "time_s": at - 0.5 / record.rate})
+
+    def _left(self, fit: Fit) -> _Left:
+        """What a fit leaves of the whole record."""
+        if self.along is None:
+            return _Left(fit.residual, fit.loss, fit.rows)
+        if id(fit) not in self.known:
+            # The machine as it is keeps the transition of its file.
+            shop = Workshop(self.machine, self.record) if fit is self.nominal else self.along
+            residual = shop.residual_along(fit, self.workshop.sampled)
+            self.known[id(fit)] = fit, _Left(residual, self.record.sum_blocks(residual**2), shop.rows)
+        return self.known[id(fit)][1]
 
     def _confirmed(self, selection: Selection, *, constant: bool = False) -> tuple[Selection, Fit, tuple[Cause, ...]]:
         """The causes that hold on data that their fit has not seen; what does not is taken out, the weakest first.
@@ -214,7 +279,6 @@ class _Verdict:
 
     def finish(self, started: float) -> Diagnosis:
         self.report("measuring the gain on held-out data")
-        recording = self.recording
         selection, blind, causes = self._confirmed(self.selection)
         fit = selection.fit
         coulomb = self.machine.friction.coulomb
@@ -233,6 +297,9 @@ class _Verdict:
             # What refitted numbers explain that are no cause is no merit of the causes.
             before = self._excess(self.workshop.fit((), base=selection.unnamed))
             complete = bool(causes) and self._excess(fit) < MOST_LEFT * before
+        elif causes and self.smoothing == "sharp":
+            selection, blind, causes = self._refitted(selection, blind, causes, constant=False)
+            fit = selection.fit
         verdict: Verdict
         if not selection.causes:
             verdict = "adequate" if after < allowed else "unexplained"
@@ -248,18 +315,20 @@ class _Verdict:
         named = bool(causes)
         if not named:  # the machine's numbers, with the transition that fits
             blind = plain
-        rms_before, held_before = _rms(self.nominal, recording)
-        rms_after, held_after = _rms(blind, recording)
+        nominal, unseen = self._left(self.nominal), self._left(blind)
+        rms_before, held_before = _rms(nominal, self.record)
+        rms_after, held_after = _rms(unseen, self.record)
         extended, toml = self._extension(selection, causes) if named else (None, None)
-        warnings = recording.warnings
+        warnings = self.recording.warnings
         if self.smoothing == "sharp":
             better = math.sqrt(float(plain.loss.sum() / plain.rows.sum()))
             warnings += (
                 "elements slip more sharply than [friction.smoothing] says: "
                 f"{', '.join(f'{key} = {value:g}' for key, value in SHARP.items())} alone leave {better:.3g} N",
             )
-        held = recording.held_out
-        interval = gain_interval(self.nominal.loss[held], blind.loss[held], blind.rows[held]) if named else (0.0, 0.0)
+        held = self.record.held_out
+        interval = gain_interval(nominal.loss[held], unseen.loss[held], unseen.rows[held]) if named else (0.0, 0.0)
+        final, start = self._left(fit), self._left(self.start)
         alternatives = self._alternatives(selection)
         rivals = [a for a in alternatives if a.rival]
         return Diagnosis(
@@ -271,13 +340,13 @@ class _Verdict:
             alternatives=alternatives,
             separating_experiment=_experiment(verdict, causes, rivals),
             rms=Rms(rms_before, rms_after, held_before, held_after),
-            noise_floor_N=self.floor,
+            noise_floor_N=self.floor if self.along is None else noise_floor(self.record, final.residual),
             gain_interval_N=interval,
             base=_base_parameters(self.workshop, free if named else self.start),
             scores=selection.scores if verdict != "unexplained" else _unnamed(selection.scores),
-            structure_before=structure_map(recording, self.nominal.residual),
-            structure_after=structure_map(recording, fit.residual if named else self.start.residual),
-            traces=_traces(recording, self.nominal, self.start, fit if named else self.nominal, blind),
+            structure_before=structure_map(self.record, nominal.residual),
+            structure_after=structure_map(self.record, final.residual if named else start.residual),
+            traces=_traces(self.record, nominal, start, final if named else nominal, unseen),
             extended=extended,
             extended_toml=toml,
             smoothing=self.smoothing,
@@ -298,7 +367,7 @@ class _Verdict:
                 break
             name = _cause_name(selection.fit, worst)
             selection = replace(self._no_cause(selection, worst), inconstant=(*selection.inconstant, name))
-        return self._refitted(*self._confirmed(selection, constant=True))
+        return self._refitted(*self._confirmed(selection, constant=True), constant=True)
 
     def _follows(self, selection: Selection, group: str) -> bool:
         """Whether a number of the machine is wrong only beside the effects: it was right for a model without them."""
@@ -310,27 +379,30 @@ class _Verdict:
         return gain_force(plain.cross, alone.cross, fit.rows) < FOLLOWS * gain_force(without.cross, fit.cross, fit.rows)
 
     def _refitted(
-        self, selection: Selection, blind: Fit, causes: tuple[Cause, ...]
+        self, selection: Selection, blind: Fit, causes: tuple[Cause, ...], *, constant: bool
     ) -> tuple[Selection, Fit, tuple[Cause, ...]]:
         """The same causes with all numbers of the machine refitted, where that is better on held-out data.
 
-        Where something is left that nothing accounts for, the machine's numbers may do best at other values, and held
-        at the file's they pass their errors on to the effects. They are no causes for that.
+        Where something is left that nothing accounts for, or the axis slips by another law than the file's, the
+        machine's numbers may do best at other values, and held at the file's they pass their errors on to the effects.
+        They are no causes for that. `constant`: the causes have to stay the same all over the record.
         """
         if not causes:
             return selection, blind, causes
         groups = tuple(dict.fromkeys(c.group for c in self.start.model.columns if not c.group.startswith("+")))
         fit, seen = selection.fit, self.recording.used & ~self.recording.rows_held_out()
-        for warm in (selection.free, self.start, fit):
-            free = self.workshop.fit(fit.extras, base=groups, warm=warm, iterations=PATIENT, again=True)
-        blind_free = self.workshop.fit(fit.extras, base=groups, warm=free, rows=seen, iterations=PATIENT)
+        # Where all is explained the numbers are near the file's; else a fit may have far to go.
+        starts, iterations = ((selection.free, self.start, fit), PATIENT) if constant else ((fit,), ITERATIONS)
+        for warm in starts:
+            free = self.workshop.fit(fit.extras, base=groups, warm=warm, iterations=iterations, again=True)
+        blind_free = self.workshop.fit(fit.extras, base=groups, warm=free, rows=seen, iterations=iterations)
         if not _rms(blind_free, self.recording)[1] < _rms(blind, self.recording)[1]:
             return selection, blind, causes
         unnamed = tuple(group for group in groups if group not in selection.causes)
         whole = replace(selection, fit=free, base=groups, unnamed=unnamed)
         found = self._causes(whole, blind_free, seen)
-        lost = [g for g, c in found.items() if self._inconstancy(whole, g) > INCONSTANT or not _holds(c)]
-        if any(group.startswith("+") for group in lost):
+        lost = [g for g, c in found.items() if not _holds(c) or (constant and self._inconstancy(whole, g) > INCONSTANT)]
+        if any(group.startswith("+") for group in lost) or (lost and not constant):
             return selection, blind, causes
         # A number of the machine that is no cause any more stays refitted with the others.
         whole = replace(whole, unnamed=(*unnamed, *lost))
@@ -347,7 +419,12 @@ class _Verdict:
         return inconstancy(self.recording, without.residual - fit.residual, fit.residual, inertial=inertial)
 
     def _excess(self, fit: Fit) -> float:
-        return math.sqrt(max(0.0, fit.cross_rms**2 - self.floor**2))
+        """RMS beyond noise [N]; of a record fitted in pieces, that of the pieces or of the whole, whichever is more."""
+        beyond = fit.cross_rms**2 - self.floor**2
+        if self.along is not None:
+            left = self._left(fit)
+            beyond = max(beyond, left.rms**2 - noise_floor(self.record, left.residual) ** 2)
+        return math.sqrt(max(0.0, beyond))
 
     def _causes(self, selection: Selection, blind: Fit, seen: NDArray[np.bool_]) -> dict[str, Cause]:
         """Causes by group, with parameters of all data and gains of the fit without the held-out blocks."""
@@ -538,7 +615,7 @@ def _unnamed(scores: Sequence[Score]) -> tuple[Score, ...]:
     return tuple(replace(s, outcome="redundant") if s.outcome == "named" else s for s in scores)
 
 
-def _traces(recording: Recording, nominal: Fit, start: Fit, extended: Fit, blind: Fit) -> Traces:
+def _traces(recording: Recording, nominal: _Left, start: _Left, extended: _Left, blind: _Left) -> Traces:
     measured = recording.reduce(recording.signals.friction)
     return Traces(
         time_s=recording.time,
@@ -625,7 +702,7 @@ def _without_excitation(
         scores=(),
         structure_before=maps,
         structure_after=maps,
-        traces=_traces(recording, nominal, nominal, nominal, nominal),
+        traces=_traces(recording, *4 * (_Left(nominal.residual, nominal.loss, nominal.rows),)),
         extended=None,
         extended_toml=None,
         smoothing="machine",
