@@ -102,6 +102,22 @@ def test_a_wrong_number_is_not_taken_for_an_effect(machine: Machine) -> None:
     assert diagnosis.extended.friction.coulomb == pytest.approx(5.2, rel=0.03)
 
 
+@pytest.mark.parametrize("factor", [0.56, 1.8])
+def test_stiffnesses_far_off_are_found_on_a_switching_axis(machine: Machine, factor: float) -> None:
+    diagnosis = diagnose(machine, simulated(machine, [], law="maxwell_slip", scale={"stiffness": factor}))
+    assert names(diagnosis) == ["stiffness"], diagnosis.summary
+    found = diagnosis.causes[0].parameters
+    for i, nominal in enumerate(machine.friction.stiffness, start=1):
+        assert found[f"stiffness_{i}_N_m"] == pytest.approx(factor * nominal, rel=0.1)
+
+
+def test_thinning_does_not_decide_the_transition(machine: Machine) -> None:
+    hidden: Hidden = [("micro_viscous", {"damping_N_s_m": 68.0})]
+    diagnosis = diagnose(machine, simulated(machine, hidden, law="maxwell_slip"))
+    assert names(diagnosis) == ["micro_viscous"], diagnosis.summary
+    assert diagnosis.smoothing == "sharp"
+
+
 @pytest.mark.parametrize("law", ["sgms", "maxwell_slip"])
 @pytest.mark.parametrize("trajectory", ["mixed", "trapezoids", "step_and_settle"])
 def test_names_nothing_on_a_clean_log(machine: Machine, law: str, trajectory: str) -> None:
@@ -258,7 +274,7 @@ def test_a_thinned_record_agrees_with_the_whole_at_the_fit(machine: Machine, rec
 
 
 def test_the_timing_of_force_and_position_is_no_cause(machine: Machine, recording: Recording) -> None:
-    jerk = np.gradient(recording.acceleration) * recording.rate
+    jerk = recording.reduce(np.gradient(recording.signals.acceleration) / machine.sampling.step)
     late = 0.05 * machine.sampling.step * machine.plant.mass
 
     def left(share: float) -> float:
@@ -268,6 +284,19 @@ def test_the_timing_of_force_and_position_is_no_cause(machine: Machine, recordin
 
     assert left(1.0) == pytest.approx(left(0.0), rel=1e-3)
     assert left(20.0) > 1.5 * left(0.0)  # a sample late is a delay
+
+
+def test_a_parameter_at_its_bound_is_no_free_direction(machine: Machine, recording: Recording) -> None:
+    plain = Workshop(machine, recording).fit((), base=())
+    at = {c.name: i for i, c in enumerate(plain.model.columns)}
+    # As if friction fell towards low speed: the record pushes the Stribeck ratio below zero.
+    falling = recording.friction - 2.0 * plain.slopes[:, at["stribeck_ratio"]]
+    shop = Workshop(machine, replace(recording, friction=falling))
+    fit = shop.fit((), base=("stribeck",))
+    assert fit.theta[at["stribeck_ratio"]] == 0.0
+    assert fit.free[at["stribeck_ratio"]]
+    assert not fit.loose[at["stribeck_ratio"]]
+    assert not (fit.loose & ~fit.free).any()
 
 
 def test_an_imitation_is_not_the_same_everywhere(recording: Recording) -> None:
@@ -338,4 +367,4 @@ def test_finds_what_is_in_the_emps_record(measured_data: Callable[[str], Path]) 
     traces = diagnosis.traces
     held = traces.held_out
     error = np.linalg.norm(traces.residual_after[held]) / np.linalg.norm(traces.force_N[held])
-    assert error < 0.0311  # of the published fit with separate directions, on all data
+    assert error < 0.023  # the published fit with separate directions leaves 0.0311

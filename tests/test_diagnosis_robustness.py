@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 
 from cli_cases import done
 from sgms_mhe.diagnosis import Diagnosis, diagnose
+from sgms_mhe.diagnosis.fitting import SETTLED, CompiledFit, Workshop
+from sgms_mhe.diagnosis.residuals import FITTED_S, Recording, excerpt, noise_floor, prepare
+from sgms_mhe.diagnosis.verdict import SHARP
 from sgms_mhe.logs import Log, write_log
 from sgms_mhe.machine import Machine, load_machine, override_machine
 from sgms_mhe.simulation import AxisConfig, simulate_axis
@@ -25,6 +28,8 @@ Hidden = Sequence[tuple[str, Mapping[str, float]]]
 
 RIPPLE = {"amplitude_N": 0.5, "pitch_m": 0.0173, "phase_rad": 0.7}
 SECONDS = 6.0
+LONG_S = 120.0
+STEP_N = 0.6
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +90,44 @@ def test_wrong_mass_hides_nothing(quick: Machine, slow: Machine, name: str, para
     assert found["mass_mismatch"]["mass_kg"] == pytest.approx(0.1 * quick.plant.mass, rel=0.03)
     main = next(iter(parameters))
     assert found[name][main] == pytest.approx(parameters[main], rel=0.1)
+
+
+# --- how true the numbers are -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "size"),
+    # Half a sample of viscous friction is a mass of 1 g; a delay is of the order of a sample.
+    [("mass_mismatch", "mass_kg", 0.06), ("force_delay", "delay_s", 8e-5)],
+)
+def test_what_is_about_as_fast_as_a_sample_is_measured_right(
+    quick: Machine, name: str, parameter: str, size: float
+) -> None:
+    hard = make_trajectory("mixed", quick.sampling.rate, duration_s=SECONDS)
+    diagnosis = diagnose(quick, recorded(quick, [(name, {parameter: size})], hard, force_noise_N=0.03))
+    assert names(diagnosis) == {name}, diagnosis.summary
+    cause = diagnosis.causes[0]
+    assert cause.parameters[parameter] == pytest.approx(size, rel=0.05 if name == "force_delay" else 0.008)
+    assert cause.parameters[parameter] == pytest.approx(size, abs=2.0 * cause.std[parameter])
+
+
+def test_interval_knows_that_the_axis_switches(quick: Machine) -> None:
+    # What the smooth law gets wrong at every reversal is in no scatter over blocks: the other transition tells it.
+    recording = prepare(quick, recorded(quick, law="maxwell_slip", force_noise_N=0.03))
+    smooth = Workshop(quick, recording)
+    sharp = Workshop(override_machine(quick, {"friction": {"smoothing": dict(SHARP)}}), recording)
+    sharp.noise = noise_floor(recording, sharp.fit((), base=()).residual)
+    sharp.enough = SETTLED
+    fit = sharp.fit((), iterations=40)
+
+    def errors() -> NDArray[np.float64]:
+        std = np.sqrt(np.diag(sharp.covariance(fit)))
+        return np.asarray(np.abs(fit.theta - 1.0)[fit.free] / std[fit.free])
+
+    assert np.max(errors()) > 3.0
+    sharp.other = smooth
+    assert np.max(errors()) < 2.5
+    assert np.median(errors()) > 0.3  # no wider than it has to be
 
 
 # --- low rate, gaps, saturation ---------------------------------------------------------------------------------
@@ -225,3 +268,56 @@ def test_memory_grows_with_the_log_alone(quick: Machine, tmp_path: Path) -> None
         samples.append(n)
         peaks.append(1024 * int(peak))
     assert (peaks[1] - peaks[0]) / (samples[1] - samples[0]) < 400.0  # bytes a sample
+
+
+@pytest.fixture(scope="module")
+def long(quick: Machine) -> Log:
+    """Two minutes at 1 kHz of an axis with a force ripple, and a step after a third of it."""
+    path = make_trajectory("mixed", quick.sampling.rate, duration_s=LONG_S, max_velocity=0.3)
+    step = {"force_N": STEP_N, "time_s": LONG_S / 3.0}
+    return every_tenth(recorded(quick, [("force_ripple", RIPPLE), ("step_disturbance", step)], path))
+
+
+def test_excerpt_is_spread_over_the_record(slow: Machine, rippled: Log, long: Log) -> None:
+    whole = prepare(slow, long)
+    part = excerpt(whole)
+    short = prepare(slow, rippled)
+    assert excerpt(short) is short
+    assert len(part.signals) <= 1.1 * FITTED_S * slow.sampling.rate
+    time = part.time[part.used]
+    stretch = whole.time[-1] / len(np.unique(np.floor(time / 2.0)))
+    assert time[0] < 2.0 * stretch and time[-1] > whole.time[-1] - 2.0 * stretch
+    assert np.max(np.diff(time)) < 4.0 * stretch
+    assert np.ptp(part.position[part.used]) > 0.9 * np.ptp(whole.position[whole.used])
+    assert 0.15 < part.held_out.mean() < 0.6
+    # The same rows as in the record, at their own time.
+    place = np.searchsorted(whole.time, time - 1e-6)
+    np.testing.assert_allclose(part.friction[part.used], whole.friction[place], atol=1e-12)
+    np.testing.assert_allclose(part.clock[:: part.factor], part.time, atol=part.factor / slow.sampling.rate)
+    # A third of the pieces is held out, and nothing that is held out was not.
+    held = whole.held_out[whole.block[place]]
+    np.testing.assert_array_equal(part.held_out[part.block[part.used]], held)
+
+
+def test_work_on_a_long_record_is_bounded(slow: Machine, long: Log) -> None:
+    # Models are fitted to as much of it as of a minute, and run along all of it a few times.
+    runs: list[int] = []
+    run = CompiledFit.run
+
+    def counted(model: CompiledFit, recording: Recording, *args: Any, **options: Any) -> Any:
+        runs.append(len(recording.signals))
+        return run(model, recording, *args, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CompiledFit, "run", counted)
+        diagnosis = diagnose(slow, long)
+    n = len(long)
+    assert max(k for k in runs if k < n) <= 1.1 * FITTED_S * slow.sampling.rate
+    assert 0 < sum(k == n for k in runs) <= 12
+    assert len(diagnosis.traces.time_s) * slow.sampling.rate / diagnosis.traces.rate == pytest.approx(n, rel=1e-3)
+    assert any("models are fitted to" in warning for warning in diagnosis.warnings)
+    assert names(diagnosis) == {"force_ripple", "step_disturbance"}, diagnosis.summary
+    found = {cause.name: cause.parameters for cause in diagnosis.causes}
+    assert found["force_ripple"]["pitch_m"] == pytest.approx(RIPPLE["pitch_m"], rel=2e-3)
+    assert found["step_disturbance"]["force_N"] == pytest.approx(STEP_N, rel=0.05)
+    assert found["step_disturbance"]["time_s"] == pytest.approx(LONG_S / 3.0, abs=0.05)

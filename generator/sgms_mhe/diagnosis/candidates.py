@@ -22,7 +22,7 @@ from scipy.signal import lfilter
 
 from sgms_mhe.diagnosis.evidence import Nuisance, score_test
 from sgms_mhe.diagnosis.fitting import (
-    WIDEST_STRIBECK,
+    FASTEST_STRIBECK,
     CompiledFit,
     Extra,
     Fit,
@@ -41,6 +41,9 @@ FINEST_PITCH: Final = 1500.0  # of the travel
 PITCH_BAND: Final = 0.3  # of the rate of the fit: faster ripples are not in the signals any more
 REST: Final = 1e-9
 BINS_PER_PERIOD: Final = 6.0
+STIFFER: Final = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8)
+"""Factors on all stiffnesses that fits may start from."""
+SHOWN: Final = 1e-3  # significance of a rise of friction towards low speed that a fit starts from
 
 
 @dataclass(frozen=True)
@@ -233,18 +236,38 @@ def degenerate(name: str, parameters: Mapping[str, float], motion: Motion) -> bo
 
 
 def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> Values:
-    """Ratio and velocity to start from where the machine file knows of no rise of friction towards low speed."""
+    """Ratio and velocity to start from where the machine file knows of no rise of friction towards low speed.
+
+    Empty where the record shows none.
+    """
     motion = motion_of(recording, fit)
     e = free.project(fit.residual[recording.used])
     speed = np.abs(motion.velocity[motion.used])
+    velocities = np.geomspace(3e-4, FASTEST_STRIBECK, 12) * motion.speed
     best: tuple[float, Values] = (0.0, {})
-    for velocity in np.geomspace(3e-4, WIDEST_STRIBECK, 12) * motion.speed:
+    for velocity in velocities:
         Z = free.project((motion.level[motion.used] * np.exp(-((speed / velocity) ** 2)))[:, None])
-        size = float((Z.T @ e)[0] / max(1e-300, (Z.T @ Z)[0, 0]))
+        p, size = score_test(recording, Z, e)
         energy = _energy(Z, e)
-        if size > 0.0 and energy > best[0]:
-            best = energy, {"stribeck_ratio": size, "stribeck_velocity": float(velocity)}
+        if p * len(velocities) < SHOWN and size[0] > 0.0 and energy > best[0]:
+            best = energy, {"stribeck_ratio": float(size[0]), "stribeck_velocity": float(velocity)}
     return best[1]
+
+
+def stiffness_start(workshop: Workshop, extras: Sequence[Extra], material: float) -> Values:
+    """Stiffnesses to start from, all by one factor off the machine's; empty where none leaves `material` [N] less."""
+    workshop = workshop.suited(extras)
+    recording, model = workshop.recording, workshop.model(extras)
+    theta = workshop.start(model, extras)
+    common = np.array([c.group == "stiffness" for c in model.columns])
+    found: dict[float, float] = {}
+    for factor in STIFFER:
+        friction, _ = model.run(recording, np.where(common, factor * theta, theta), derivatives=False)
+        found[factor] = float(np.mean((recording.friction - friction)[recording.used] ** 2))
+    best = min(found, key=lambda factor: found[factor])
+    if not found[best] < found[1.0] - material**2:
+        return {}
+    return {c.name: c.si(best * float(t)) for c, t in zip(model.columns, theta, strict=True) if c.group == "stiffness"}
 
 
 # --- effects that are linear given a few numbers ----------------------------------------------------------------

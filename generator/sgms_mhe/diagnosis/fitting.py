@@ -38,13 +38,16 @@ TIMING: Final = 0.1  # of a sample: how far force and position may be apart with
 TIMED: Final = ("force_delay", "actuator_lag")
 ALIGNABLE: Final = 0.1  # largest difference that a longer step may make, over the friction
 UNSTABLE: Final = 1e6  # derivative over the largest friction: no step was short enough
-ENOUGH: Final = 10.0  # rows' worth of noise that a step must promise
+LAGGING: Final = 0.2
+"""Largest step of the states behind delays and lags: theirs are the derivatives of the force, and 1 makes a jerk half
+as large again."""
+ENOUGH: Final = 10.0  # rows' worth of noise that a step must promise in a search
+SETTLED: Final = 0.01  # the same where numbers are reported: a tenth of a standard deviation
 BASE_PRIOR: Final = 1.0  # relative; holds what the record does not excite
 FROZEN: Final[Mapping[str, tuple[str, ...]]] = {"step_disturbance": ("time_s",)}
 """Parameters in which the force jumps: their search ends on the grid, not in a refit."""
 
 FASTEST_STRIBECK: Final = 0.1  # largest Stribeck velocity, over the largest speed
-WIDEST_STRIBECK: Final = 0.7  # the same, where the machine file knows of no Stribeck effect
 LONGEST_LAG: Final = 0.05  # s; a current loop that is later does not hold an axis
 FAST: Final = ("force_delay", "actuator_lag", "structural_resonance", "asymmetric_coulomb")
 """Effects about as fast as a sample of the record, or with a level that jumps: always fitted at its full rate."""
@@ -128,7 +131,6 @@ class CompiledFit(CompiledModel):
         values = np.ascontiguousarray(theta, dtype=np.float64)
         force, slopes = np.empty(m), np.empty((m, n_p)) if derivatives else None
         rows = max(1, CHUNK // factor)
-        step = self.machine.sampling.step
         for first in range(0, m, rows):
             last = min(m, first + rows)
             start, end = first * factor, min(n, last * factor)
@@ -140,7 +142,7 @@ class CompiledFit(CompiledModel):
                     signals.velocity[part],
                     signals.acceleration[part],
                     signals.force[part],
-                    np.arange(part.start, part.stop) * step,
+                    recording.clock[part],
                 ]
             )
             y = np.empty(len(w))
@@ -168,6 +170,7 @@ class Fit:
         model: its compiled code.
         theta: (n_p).
         free: parameters that were fitted (n_p).
+        loose: those of them that no bound holds (n_p): the directions that the data may still move.
         residual: measured minus model (m) [N].
         slopes: d(model)/d(theta) (m, n_p).
         loss: sum of squared residuals per block (blocks).
@@ -179,6 +182,7 @@ class Fit:
     extras: tuple[Extra, ...]
     theta: Array
     free: Mask
+    loose: Mask
     residual: Array
     slopes: Array
     loss: Array
@@ -226,9 +230,12 @@ class Workshop:
         self.measured = recording.friction  # (m) [N], before any alignment
         self.rows = recording.sum_blocks(np.ones(len(recording.time)))
         self.noise = 1.0  # N, weight of the prior
+        self.enough = ENOUGH
+        self.sampled = np.zeros(2)  # coefficients of jerk and snap that `align` took out
         self.fits = 0
-        self.starts: dict[str, float] = {}  # SI, for numbers that the machine file gives no idea of
+        self.starts: dict[str, float] = {}  # SI, for base numbers that the machine file gives no idea of
         self.fine: Workshop | None = None  # what this one was thinned from
+        self.other: Workshop | None = None  # the same axis with the other transition from sticking to slipping
         self._known: dict[object, Fit] = {}
 
     def thinned(self, factor: int) -> Workshop:
@@ -265,60 +272,92 @@ class Workshop:
             valid=np.asarray(signals.valid[:n].reshape(-1, factor).all(axis=1)),
             missing=np.asarray(signals.missing[:n].reshape(-1, factor).any(axis=1)),
         )
-        other = Workshop(machine, replace(recording, machine=machine, signals=thin, factor=recording.factor // factor))
+        clock = np.ascontiguousarray(recording.clock[:n:factor])
+        less = replace(recording, machine=machine, signals=thin, clock=clock, factor=recording.factor // factor)
+        other = Workshop(machine, less)
         other.noise, other.starts, other.fine = self.noise, self.starts, self
         return other
 
     def align(self, fit: Fit) -> None:
         """Bring measured friction into line with the model at a fit, where the difference says nothing about friction.
 
-        Two things are taken out of it: what is of the sampling (`_sampling`), unless a delay or lag is under test. And
+        Three things are taken out of it: half a step of viscous force. What is of the sampling (`_sampling`), unless a
+        delay or lag is under test. And
         where this workshop is a thinned one, the difference of its model's friction to that of the one it was thinned
         from: residuals here are then those of the full rate, but for the change of that difference away from the fit.
         """
         whole = self.fine or self
-        values = {(c.group, c.name): c.si(t) for c, t in zip(fit.model.columns, fit.theta, strict=True)}
-
-        def friction(shop: Workshop) -> Array:
-            model = shop.model(fit.extras)
-            theta = np.array([c.theta(values[c.group, c.name]) for c in model.columns])
-            return model.run(shop.recording, theta, derivatives=False)[0]
-
-        exact = friction(whole)
+        exact = whole.friction(fit)
         used = self.recording.used
         if not np.all(np.isfinite(exact)):
             return
-        measured = whole.measured
+        measured = whole.measured - self._since_mean_velocity(fit)
         names = {e.name for e in fit.extras} | {e.name for e in self.machine.effects}
-        if not names & set(TIMED):
-            measured = measured - self._sampling(fit, measured - exact)
+        self.sampled = self._sampling(fit, measured - exact) if not names & set(TIMED) else np.zeros(2)
+        measured = measured - jerk_and_snap(self.recording) @ self.sampled
         whole.recording = replace(whole.recording, friction=measured)
         whole._known.clear()
         if whole is self:
             return
-        thin = friction(self)
+        thin = self.friction(fit)
         self._known.clear()
         # What is no small difference is a model that the longer steps do not suit: it is fitted at the full rate.
         if float(np.std((exact - thin)[used])) < ALIGNABLE * float(np.std(exact[used])):
             self.recording = replace(self.recording, friction=measured - (exact - thin))
 
+    def friction(self, fit: Fit) -> Array:
+        """Friction (m) [N] of this workshop's machine, at its rate, with the numbers of a fit."""
+        values = {(c.group, c.name): c.si(t) for c, t in zip(fit.model.columns, fit.theta, strict=True)}
+        model = self.model(fit.extras)
+        theta = np.array([c.theta(values[c.group, c.name]) for c in model.columns])
+        return model.run(self.recording, theta, derivatives=False)[0]
+
+    def _since_mean_velocity(self, fit: Fit) -> Array:
+        """What friction has changed by since the mean velocity of the sample that ends with it (m) [N].
+
+        The chain's velocity is a mean over a sample: that is what displacements need, but as a speed it is half a
+        sample old. A force is sampled in a point, so viscous friction shows an acceleration h / 2 more of it, which
+        looks like a mass of sigma_v h / 2. Sliding elements are taken for it: no other state knows so fast a change.
+        """
+        recording, model = self.recording, fit.model.model
+        v = recording.velocity
+        chi = np.zeros((model.n_x, len(v)))
+        chi[: model.n_z] = np.sign(v)
+        theta = np.tile(fit.theta[:, None], len(v))
+        later = v + 0.5 * (self.fine or self).machine.sampling.step * recording.acceleration
+        output = model.function("output")
+
+        def force(velocity: Array) -> Array:
+            w = np.stack((recording.position, velocity, recording.acceleration, recording.force, recording.time))
+            return np.asarray(output(chi, w, theta)).ravel()
+
+        return np.asarray(force(later) - force(v))
+
     def _sampling(self, fit: Fit, residual: Array) -> Array:
-        """What in a residual (m) is of the sampling of force and position alone (m) [N].
+        """Coefficients of `jerk_and_snap` (2) in what a residual (m) owes to the sampling of force and position alone.
 
         Proportional to the jerk: force and position up to `TIMING` of a sample apart. Proportional to the second
         derivative of the acceleration: its second difference over a sample h is low by h^2 / 12 of that, against a
         force that is sampled in a point.
         """
-        recording, used = self.recording, self.recording.used
+        used = self.recording.used
         step, mass = (self.fine or self).machine.sampling.step, self.machine.plant.mass
-        jerk = np.gradient(recording.acceleration) * recording.rate
-        snap = np.gradient(jerk) * recording.rate
-        free = nuisance(fit.slopes[used][:, fit.free])
-        columns = np.column_stack((jerk, snap))
+        free = nuisance(fit.slopes[used][:, fit.loose])
         scale = mass * np.array([TIMING * step, step**2 / 12.0])
-        Z = free.project(columns[used] * scale)
-        bounded = lsq_linear(Z, free.project(residual[used]), ([-1.0, -1.0], [1.0, 0.0]))
-        return np.asarray(columns @ (scale * bounded.x))
+        Z = free.project(jerk_and_snap(self.recording)[used] * scale)
+        e = free.project(residual[used])
+        bounded = lsq_linear(Z, e, ([-1.0, -1.0], [1.0, 0.0])).x
+        if abs(bounded[0]) > 1.0 - 1e-6:  # more than sampling: all of it is for a delay or lag to explain
+            bounded = np.array([0.0, *lsq_linear(Z[:, 1:], e, ([-1.0], [0.0])).x])
+        return np.asarray(scale * bounded)
+
+    def residual_along(self, fit: Fit, sampled: Array) -> Array:
+        """Measured minus simulated friction (m) [N] of a fit to another part of this record.
+
+        `sampled`: what its alignment found of the sampling.
+        """
+        measured = self.measured - self._since_mean_velocity(fit) - jerk_and_snap(self.recording) @ sampled
+        return np.asarray(measured - self.friction(fit))
 
     def model(self, extras: Sequence[Extra]) -> CompiledFit:
         """The machine with effects added, everything in it a free parameter."""
@@ -345,7 +384,7 @@ class Workshop:
                 else c.theta(known[c.group, c.name])
                 if (c.group, c.name) in known and not c.group.startswith("+")
                 else c.theta(self.starts[c.name])
-                if c.group == "stribeck" and c.name in self.starts
+                if c.name in self.starts
                 else c.machine_theta
                 for c in model.columns
             ]
@@ -412,20 +451,16 @@ class Workshop:
         theta[held] = [c.machine_theta for c, h in zip(columns, held, strict=True) if h]
         seen = self.recording.used if rows is None else rows
         theta, residual, slopes = self._descend(model, theta, free, seen, iterations)
-        return self.judged(model, tuple(extras), theta, free, residual, slopes)
-
-    def judged(
-        self, model: CompiledFit, extras: tuple[Extra, ...], theta: Array, free: Mask, residual: Array, slopes: Array
-    ) -> Fit:
-        """A fit with its evidence per block."""
+        # A parameter that its bound holds moves neither with a candidate nor from fold to fold.
+        loose = free & ~_held(columns, theta, slopes[seen].T @ residual[seen], self.recording)
         recording = self.recording
         loss = recording.sum_blocks(residual**2)
-        cross = cross_loss(recording, slopes[:, free], residual, self._prior(model, free))
+        cross = cross_loss(recording, slopes[:, loose], residual, self._prior(model, loose))
         extras = tuple(
             Extra(e.name, {c.name: c.si(t) for c, t in zip(model.columns, theta, strict=True) if c.group == f"+{i}"})
             for i, e in enumerate(extras)
         )
-        return Fit(model, extras, theta, free, residual, slopes, loss, cross, self.rows)
+        return Fit(model, extras, theta, free, loose, residual, slopes, loss, cross, self.rows)
 
     def _prior(self, model: CompiledFit, free: Mask) -> Array:
         """Information of the prior in units of the sum of squares, (free)."""
@@ -473,7 +508,7 @@ class Workshop:
             g = X.T @ residual[seen] - prior_rows * (theta[free] - centre)
             diagonal = np.diag(H) + prior
             # A step that promises less than the noise of a few rows is not worth an evaluation.
-            enough = ENOUGH * cost / len(X)
+            enough = self.enough * cost / len(X)
             improved, promised = False, 0.0
             for _ in range(3):
                 A = H + np.diag(prior_rows + damping * diagonal + 1e-12 * max(1e-30, float(diagonal.max())))
@@ -502,21 +537,25 @@ class Workshop:
     def covariance(self, fit: Fit) -> Array:
         """Covariance of theta (n_p, n_p), 0 where not free.
 
-        Three parts: noise, robust to colour within a block (sandwich); what the model gets wrong, which does not
-        average out as noise does: its RMS beyond the noise floor, taken as coherent over `COHERENT` rows; and of a
-        delay or lag, the timing of force against position that no log is sure of.
+        Four parts: noise, robust to colour within a block (sandwich); what the model gets wrong anywhere, which does
+        not average out as noise does: its RMS beyond the noise floor, taken as coherent over `COHERENT` rows; what the
+        law gets wrong, the same way at every reversal (`_law`); and of a delay or lag, the timing of force against
+        position that no log is sure of.
         """
         recording = self.recording
         X = fit.slopes[:, fit.free]
         H = X[recording.used].T @ X[recording.used] + np.diag(self._prior(fit.model, fit.free))
         scores = np.column_stack([recording.sum_blocks(X[:, j] * fit.residual) for j in range(X.shape[1])])
-        inverse = np.linalg.pinv(H, hermitian=True)
+        inverse = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
         blocks = recording.blocks
         inner = inverse @ (scores.T @ scores) @ inverse * blocks / max(1, blocks - X.shape[1])
         # Blocks that happen to balance must not promise more than white noise would allow.
         white = inverse * fit.rms**2
         inner = np.where(np.eye(len(inner), dtype=bool), np.maximum(inner, white), inner)
-        inner += inverse * COHERENT * max(0.0, fit.cross_rms**2 - self.noise**2)
+        wrong = math.sqrt(max(0.0, fit.cross_rms**2 - self.noise**2))
+        inner += inverse * COHERENT * wrong**2
+        change = self._law(fit, inverse, wrong)
+        inner += np.outer(change, change)
         timing = TIMING * (self.fine or self).machine.sampling.step / math.sqrt(3.0)
         late = [c.effect in TIMED and c.name.endswith("_s") for c in fit.model.columns]
         scale = np.array([timing / abs(c.scale) if at else 0.0 for c, at in zip(fit.model.columns, late, strict=True)])
@@ -524,6 +563,32 @@ class Workshop:
         result = np.zeros((len(fit.theta), len(fit.theta)))
         result[np.ix_(fit.free, fit.free)] = inner
         return result
+
+    def _law(self, fit: Fit, inverse: Array, wrong: float) -> Array:
+        """What the free parameters may be off by because the axis does not slip as the law says (free).
+
+        An axis switches, a law is smooth, and the difference comes back at every reversal: no average over blocks sees
+        it. How it acts on each number is what a change of the law does: the other transition's friction minus this
+        one's is split into what the free parameters make up for, which moves them, and what they cannot. As much of the
+        latter as the residual has beyond noise (`wrong` [N]), so much of the former is in the numbers.
+        """
+        nothing = np.zeros(len(inverse))
+        if self.other is None:
+            return nothing
+        used = self.recording.used
+        change = (self.other.fine or self.other).friction(fit)[used] - (self.fine or self).friction(fit)[used]
+        if not np.all(np.isfinite(change)):
+            return nothing
+        X = fit.slopes[used][:, fit.free]
+        moved = inverse @ (X.T @ change)
+        left = float(np.sqrt(np.mean((change - X @ moved) ** 2)))
+        return np.asarray(moved * min(1.0, wrong / left)) if left > 0.0 else nothing
+
+
+def jerk_and_snap(recording: Recording) -> Array:
+    """First and second derivative of the acceleration (m, 2)."""
+    jerk = np.gradient(recording.acceleration) * recording.rate
+    return np.column_stack((jerk, np.gradient(jerk) * recording.rate))
 
 
 def cross_loss(recording: Recording, X: Array, residual: Array, prior: Array) -> Array:
@@ -670,7 +735,7 @@ def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
     if sampling.integrator.substeps < sampling.samples_per_update:
         integrator["substeps"] = sampling.samples_per_update
     if sampling.integrator.scheme == "flow":
-        integrator["displacement"] = 2.0 if "backlash" in names else 1.0
+        integrator["displacement"] = 2.0 if "backlash" in names else LAGGING if set(names) & set(TIMED) else 1.0
     return {"integrator": integrator}
 
 
@@ -736,15 +801,20 @@ def _bounds(columns: Sequence[Column], recording: Recording) -> tuple[Array, Arr
             upper[i] = min(upper[i], column.theta(longest_pitch(recording)))
         if column.name == "stribeck_velocity":
             fastest = float(np.max(np.abs(recording.velocity[recording.used])))
-            known = recording.machine.friction.stribeck_ratio > 0.0
-            # Where the file has a rise towards low speed, one over the whole range of speed is something else.
-            limit = (FASTEST_STRIBECK if known else WIDEST_STRIBECK) * fastest
-            upper[i] = max(lower[i], column.machine_theta, min(upper[i], column.theta(limit)))
+            # A rise of friction over the whole range of speed is a curve that effects have names for.
+            upper[i] = max(lower[i], column.machine_theta, min(upper[i], column.theta(FASTEST_STRIBECK * fastest)))
         if (column.effect, column.name) in (("actuator_lag", "time_constant_s"), ("force_delay", "delay_s")):
             upper[i] = min(upper[i], column.theta(LONGEST_LAG))
         if column.name == "frequency_Hz" and column.effect == "periodic_disturbance":
             lower[i] = max(lower[i], column.theta(lowest_frequency(recording)))
     return lower, upper
+
+
+def _held(columns: Sequence[Column], theta: Array, descent: Array, recording: Recording) -> Mask:
+    """Parameters at a bound that the data push them against; `descent` (n_p): against the gradient of the cost."""
+    lower, upper = _bounds(columns, recording)
+    near = 1e-9 * np.maximum(1.0, np.abs(theta))
+    return np.asarray(((theta <= lower + near) & (descent < 0.0)) | ((theta >= upper - near) & (descent > 0.0)))
 
 
 def longest_pitch(recording: Recording) -> float:

@@ -27,6 +27,12 @@ BLOCKS: Final = 48
 FOLDS: Final = 5
 FORGET: Final = 4.0  # deflection scales of motion after which a state does not remember where it started
 SATURATED_RUN: Final = 5  # samples
+FITTED_S: Final = 60.0  # of a record that models are fitted to; a longer one is fitted in pieces
+LEAD_S: Final = (0.5, 2.0)  # of motion before a piece: at least, and at most, until states know where they are
+LEAD_TRAVEL: Final = 0.3  # of the record's range of position: a lead that slow hysteresis is known after
+SEAM: Final = 2  # rows at the end of a piece that derivatives of a row's neighbours would mix with the next
+SLOW: Final = 0.02  # of the largest speed
+PLACES: Final = 60  # that the range of position is divided into
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,7 @@ class Recording:
     Attributes:
         machine: whose chain it went through.
         signals: at the log's rate (n).
+        clock: the model's time (n) [s], from the log's first sample; a piece of a record keeps that of the record.
         factor: samples of the log per row.
         time, position, velocity, acceleration, force, friction: means over `factor` samples (m).
         used: rows that count (m).
@@ -47,6 +54,7 @@ class Recording:
 
     machine: Machine
     signals: Signals
+    clock: Array
     factor: int
     time: Array
     position: Array
@@ -119,38 +127,20 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
     good &= _remembered(signals, machine, good)
 
     rate = machine.sampling.rate
-    wanted = min(rate, LARGEST_RATE, max(2.0 * machine.sampling.velocity_cutoff, LEAST_RATE))
-    factor = max(1, int(rate / wanted + 1e-9), math.ceil(n / MOST_ROWS))
+    factor = _finest(machine)
+    factor *= math.ceil(n / factor / MOST_ROWS)
     m = n // factor
     if m < 100:
         raise InputError(log.source or "log", "samples", n, f"at least {100 * factor} for a diagnosis")
     used = np.asarray(good[: m * factor].reshape(m, factor).all(axis=1))
     if used.sum() < 100:
         raise InputError(log.source or "log", "usable samples", int(good.sum()), f"at least {100 * factor}")
-
-    def reduce(series: Array) -> Array:
-        return np.asarray(series[: m * factor].reshape(m, factor).mean(axis=1))
-
-    time = reduce(signals.time) - float(signals.time[0])
     block, count = _blocks(used, factor / rate)
     fold, held_out = _split(count)
-    recording = Recording(
-        machine=machine,
-        signals=signals,
-        factor=factor,
-        time=time,
-        position=reduce(signals.position),
-        velocity=reduce(signals.velocity),
-        acceleration=reduce(signals.acceleration),
-        force=reduce(signals.force),
-        friction=reduce(signals.friction),
-        used=used & (block >= 0),
-        block=np.where(used, block, -1),
-        fold=fold,
-        held_out=held_out,
-        warnings=tuple(warnings),
-    )
+    clock = np.arange(n) / rate
+    recording = _reduced(machine, signals, clock, factor, np.where(used, block, -1), fold, held_out, tuple(warnings))
     if held_out_s is not None:
+        time = recording.time
         # A block belongs to the held-out part with its middle.
         middle = np.array([float(time[recording.block == b].mean()) for b in range(count)])
         inside = np.zeros(count, dtype=np.bool_)
@@ -160,6 +150,149 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
             raise InputError("diagnosis", "held_out", list(held_out_s), "intervals that leave data on both sides")
         recording = replace(recording, held_out=inside)
     return recording
+
+
+def _finest(machine: Machine) -> int:
+    """Samples of the log per row of a fit."""
+    rate = machine.sampling.rate
+    wanted = min(rate, LARGEST_RATE, max(2.0 * machine.sampling.velocity_cutoff, LEAST_RATE))
+    return max(1, int(rate / wanted + 1e-9))
+
+
+def _reduced(
+    machine: Machine,
+    signals: Signals,
+    clock: Array,
+    factor: int,
+    block: Index,
+    fold: Index,
+    held_out: Mask,
+    warnings: tuple[str, ...],
+) -> Recording:
+    """Rows of means over `factor` samples; `block` (m) is -1 where a row does not count."""
+    m = len(block)
+
+    def reduce(series: Array) -> Array:
+        return np.asarray(series[: m * factor].reshape(m, factor).mean(axis=1))
+
+    return Recording(
+        machine=machine,
+        signals=signals,
+        clock=clock,
+        factor=factor,
+        time=reduce(signals.time) - float(signals.time[0] - clock[0]),
+        position=reduce(signals.position),
+        velocity=reduce(signals.velocity),
+        acceleration=reduce(signals.acceleration),
+        force=reduce(signals.force),
+        friction=reduce(signals.friction),
+        used=block >= 0,
+        block=block,
+        fold=fold,
+        held_out=held_out,
+        warnings=warnings,
+    )
+
+
+def excerpt(recording: Recording, seconds: float = FITTED_S) -> Recording:
+    """What models are fitted to: the record, or of a longer one pieces from all over it, `seconds` in all.
+
+    A piece is a block and the motion before it, which the fit runs through and does not see: as long as states need to
+    forget what was before. The record is cut into as many stretches of time as there are to be pieces. Each gives the
+    one of its blocks that is richest in something, taking turns: reversals, acceleration, speed, slow motion, and
+    places that no piece has been to. So drifts and steps are seen from the first stretch to the last, pitches over the
+    whole range, and what an axis does rarely is seen too. Rows are as fine as those of a short record.
+    """
+    step = recording.factor / recording.machine.sampling.rate
+    m = len(recording.time)
+    if m * step <= seconds:
+        return recording
+    pieces = _pieces(recording, seconds)
+    if not pieces:  # nothing ever moves far enough to forget where it started: the beginning of the record
+        pieces = [(b, 0) for b in range(recording.blocks) if float(recording.time[recording.block == b][-1]) < seconds]
+    wanted, chosen = np.zeros(m, dtype=np.bool_), np.full(m, -1, dtype=np.int64)
+    parts = math.ceil(BLOCKS / len(pieces))
+    for number, (piece, first) in enumerate(pieces):
+        rows = np.flatnonzero(recording.block == piece)
+        wanted[first : rows[-1] + 1] = True
+        chosen[rows] = number * parts + np.arange(len(rows)) * parts // len(rows)
+    ends = np.flatnonzero(wanted & ~np.append(wanted[1:], True))
+    for back in range(SEAM):
+        chosen[np.maximum(ends - back, 0)] = -1
+    numbers, block = np.unique(chosen[wanted], return_inverse=True)
+    block = np.where(chosen[wanted] >= 0, block - int(numbers[0] < 0), -1)
+    kept = numbers[numbers >= 0]
+    fine = _finest(recording.machine)
+    finer = recording.factor // fine
+    samples = np.flatnonzero(np.repeat(wanted, recording.factor))
+    signals = recording.signals
+    part = Signals(**{name: getattr(signals, name)[samples] for name in signals.__dataclass_fields__})
+    fitted = _reduced(
+        recording.machine,
+        part,
+        recording.clock[samples],
+        fine,
+        np.repeat(block, finer).astype(np.int64),
+        _split(len(kept))[0],
+        recording.held_out[[pieces[k // parts][0] for k in kept.tolist()]],
+        recording.warnings,
+    )
+    note = (
+        f"models are fitted to {float(fitted.used.sum()) / fitted.rate:.0f} s of the record's {m * step:.0f} s, in "
+        f"{len(pieces)} pieces from all over it; what is left is stated for the whole record"
+    )
+    return replace(fitted, warnings=(*recording.warnings, note))
+
+
+def _pieces(recording: Recording, seconds: float) -> list[tuple[int, int]]:
+    """Blocks of an excerpt and the row that the motion before each begins at; none where no state forgets."""
+    step = recording.factor / recording.machine.sampling.rate
+    velocity, speed = recording.velocity, np.abs(recording.velocity)
+    path = np.concatenate(([0.0], np.cumsum(speed) * step))
+    low, high = float(np.min(recording.position)), float(np.max(recording.position))
+    forget = _forgotten_after(recording.machine)
+    way = max(forget, LEAD_TRAVEL * (high - low))
+    least, most = (math.ceil(lead / step) for lead in LEAD_S)
+    place = np.minimum(PLACES - 1, (recording.position - low) / max(high - low, 1e-12) * PLACES).astype(np.int64)
+    sign = np.sign(np.where(speed > SLOW * SLOW * float(speed.max()), velocity, 0.0))
+    turns = np.append(sign[1:] * sign[:-1] < 0.0, False) | np.append((sign[1:] != 0.0) & (sign[:-1] == 0.0), False)
+    slow = (sign != 0.0) & (speed < SLOW * float(speed.max()))
+
+    first: dict[int, int] = {}
+    last: dict[int, int] = {}
+    for block in range(recording.blocks):
+        rows = np.flatnonzero(recording.block == block)
+        start = int(rows[0])
+        begin = int(np.searchsorted(path, path[start] - way, side="right")) - 1
+        begin = max(0, start - most, min(begin, start - least))
+        if begin == 0 or path[start] - path[begin] >= forget:
+            first[block], last[block] = begin, int(rows[-1])
+    if len(first) < 2:
+        return []
+    length = float(np.mean([last[b] + 1 - first[b] for b in first])) * step
+    count = max(2, min(len(first), int(seconds / length)))
+    seen = np.zeros(PLACES, dtype=np.bool_)
+
+    def new_places(rows: slice) -> float:
+        return float(np.count_nonzero(~seen[np.unique(place[rows])]))
+
+    turn = (
+        lambda rows: float(np.count_nonzero(turns[rows])),
+        lambda rows: float(np.sum(recording.acceleration[rows] ** 2)),
+        lambda rows: float(np.sum(velocity[rows] ** 2)),
+        lambda rows: float(np.count_nonzero(slow[rows])),
+        new_places,
+    )
+    pieces = []
+    for k, stretch in enumerate(np.array_split(np.array(sorted(first)), count)):
+        # A third of them, as of the record, is held out.
+        same = [b for b in stretch.tolist() if bool(recording.held_out[b]) == (k % 3 == 1)] or stretch.tolist()
+        span = {b: slice(first[b], last[b] + 1) for b in same}
+        riches = {b: turn[k % len(turn)](span[b]) for b in same}
+        best = max(same, key=lambda b: riches[b])
+        seen[place[span[best]]] = True
+        pieces.append((best, first[best]))
+    return pieces
 
 
 def noise_floor(recording: Recording, residual: Array) -> float:
@@ -216,8 +349,7 @@ def _remembered(signals: Signals, machine: Machine, good: Mask) -> Mask:
 
     A record of presliding alone never forgets its start; it is kept, and taken to start from relaxed elements.
     """
-    friction = machine.friction
-    scale = FORGET * max(nu * friction.coulomb / k for nu, k in zip(friction.fraction, friction.stiffness, strict=True))
+    scale = _forgotten_after(machine)
     path = np.cumsum(np.abs(signals.velocity)) * machine.sampling.step
     known = np.ones(len(signals), dtype=np.bool_)
     starts = np.flatnonzero(np.diff(signals.missing.astype(np.int8)) == -1) + 1
@@ -225,6 +357,12 @@ def _remembered(signals: Signals, machine: Machine, good: Mask) -> Mask:
         end = int(np.searchsorted(path, path[start] + scale))
         known[start:end] = False
     return known if (known & good).sum() >= 0.5 * good.sum() else np.ones(len(signals), dtype=np.bool_)
+
+
+def _forgotten_after(machine: Machine) -> float:
+    """Way [m] after which elements do not remember where they started."""
+    friction = machine.friction
+    return FORGET * max(nu * friction.coulomb / k for nu, k in zip(friction.fraction, friction.stiffness, strict=True))
 
 
 def _blocks(used: Mask, step: float) -> tuple[Index, int]:

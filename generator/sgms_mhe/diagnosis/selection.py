@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.candidates import Proposal, degenerate, motion_of, search, stribeck_start
+from sgms_mhe.diagnosis.candidates import Proposal, degenerate, motion_of, search, stiffness_start, stribeck_start
 from sgms_mhe.diagnosis.evidence import difference_statistic, gain_force, nuisance, score_test
 from sgms_mhe.diagnosis.fitting import BASE_GROUPS, Extra, Fit, FitError, Workshop, cross_loss
 from sgms_mhe.diagnosis.result import Score
@@ -91,6 +91,7 @@ class Selection:
         fit: effects and the numbers of the base model that are wrong; all other numbers as in the machine file.
         base: groups of the machine's own numbers that are refitted.
         unnamed: those of them that are no cause: refitted because something else is left, not because they are wrong.
+        inconstant: candidates that are no cause because their size changes over the record.
         free: where the forward search ended, all of the machine's numbers refitted.
         scores: of all rounds.
         rivals: of the causes in `fit`.
@@ -105,6 +106,7 @@ class Selection:
     rejected: dict[str, tuple[str, float]] = field(default_factory=dict)
     p_values: dict[str, float] = field(default_factory=dict)
     unnamed: tuple[str, ...] = ()
+    inconstant: tuple[str, ...] = ()
     free: Fit | None = None
 
     @property
@@ -148,7 +150,7 @@ class Selector:
     def select(self) -> Selection:
         """Select causes, from the machine with all its own numbers refitted."""
         self._start_stribeck()
-        current = self._aligned(self._transition(()))
+        current = self._transition(())
         p_values: dict[str, float] = {}
         for number in range(1, ROUNDS + 1):
             if self._excess(current) < self.material:  # what is left could not make any cause matter
@@ -157,7 +159,7 @@ class Selector:
             step = self._round(current, number)
             if step is None:
                 break
-            current = self._aligned(self._transition(self._pruned(step).extras))
+            current = self._transition(self._pruned(step).extras)
         # What is left unexplained is no measure for the machine's numbers, but no finer one than that is possible.
         self.material = max(self.material, LEFT * self._excess(current))
         base, fit = self._wrong_numbers(current)
@@ -174,13 +176,6 @@ class Selector:
         for group in base + tuple(f"+{i}" for i in range(len(fit.extras))):
             p_values[group] = self._p_value(fit, group)
         return Selection(fit, base, tuple(self.scores), tuple(rivals), rejected, p_values, free=current)
-
-    def _aligned(self, fit: Fit) -> Fit:
-        """The fit with everything at hand, its thinned model brought into line with the record's full rate."""
-        for _ in range(ALIGNMENTS):
-            self.workshop.align(fit)
-            fit = self.workshop.fit(fit.extras, warm=fit)
-        return fit
 
     def _attempt(
         self, extras: Sequence[Extra], *, base: Sequence[str] | None = None, warm: Fit | None = None
@@ -209,45 +204,71 @@ class Selector:
             return
         recording = self.plain.recording
         fit = self.plain.fit((), base=tuple(g for g in self.groups if g != "stribeck"))
-        found = stribeck_start(recording, fit, nuisance(fit.slopes[recording.used][:, fit.free]))
+        found = stribeck_start(recording, fit, nuisance(fit.slopes[recording.used][:, fit.loose]))
         for workshop in (self.plain, self.sharp):
             if workshop is not None:
                 workshop.starts.update(found)
+
+    def _start_stiffness(self, extras: Sequence[Extra]) -> None:
+        """Start fits from the common factor on the stiffnesses that leaves clearly less than the machine file's.
+
+        Where elements turn round all the time the sum of squares is rough in their stiffness, and a fit that starts far
+        from it stops short. With other effects it may be another one.
+        """
+        for workshop in (self.workshop,) if self.decided else (self.plain, self.sharp):
+            if workshop is not None:
+                for name in [name for name in workshop.starts if name.startswith("stiffness")]:
+                    del workshop.starts[name]
+                workshop.starts.update(stiffness_start(workshop, extras, self.material))
 
     def _transition(self, extras: Sequence[Extra]) -> Fit:
         """Fit with the transition from sticking to slipping that fits better, from now on.
 
         How sharply an element slips is a property of the smoothed law, not of an axis: a real one may switch. Both are
-        tried, after every effect again, so that the difference is not taken for an effect, nor an effect for it.
+        tried, after every effect again, so that the difference is not taken for an effect, nor an effect for it; each
+        with its own thinned model brought into line, or what thinning does to the new effect would decide.
         """
+        self._start_stiffness(extras)
         if self.sharp is None or self.decided:
-            return self.workshop.fit(extras)
-        fit = self.plain.fit(extras)
-        # The switching law's sum of squares is rough: from the machine's numbers first, then from the smooth one's.
-        trials = [trial for warm in (None, fit) if (trial := self._sharp_fit(fit, warm)) is not None]
-        if not trials:
+            return self._aligned(self.workshop, self.workshop.fit(extras))
+        fit = self._aligned(self.plain, self.plain.fit(extras))
+        other = self._sharp_fit(self.sharp, fit)
+        if other is None:
             self.workshop = self.plain
             return fit
-        other = min(trials, key=lambda trial: trial.cross_rms)
         ratio = other.cross_rms / fit.cross_rms
         better = other if ratio < SHARPER else fit
         self.decided = not DECIDED < ratio < 1.0 / DECIDED and self._excess(better) < 2.0 * self.material
         self.workshop = self.sharp if better is other else self.plain
         return better
 
-    def _sharp_fit(self, fit: Fit, warm: Fit | None) -> Fit | None:
-        """The sharp transition with the effects of a fit; None where it cannot be fitted."""
-        if self.sharp is None:
-            return None
-        try:
-            return self.sharp.fit(fit.extras, warm=warm, again=warm is not None)
-        except FitError:
-            return None
+    def _aligned(self, workshop: Workshop, fit: Fit) -> Fit:
+        """The fit with everything at hand, its thinned model brought into line with the record's full rate."""
+        for _ in range(ALIGNMENTS):
+            workshop.align(fit)
+            fit = workshop.fit(fit.extras, warm=fit)
+        return fit
+
+    def _sharp_fit(self, sharp: Workshop, fit: Fit) -> Fit | None:
+        """The sharp transition with the effects of a fit, in line; None where it cannot be fitted.
+
+        The switching law's sum of squares is rough: from the machine's numbers and from the smooth fit's.
+        """
+        found: Fit | None = None
+        for _ in range(ALIGNMENTS):
+            if found is not None:
+                sharp.align(found)
+            for warm in (None, found or fit):
+                try:
+                    found = sharp.fit(fit.extras, warm=warm, again=warm is not None)
+                except FitError:
+                    continue
+        return None if found is None else self._aligned(sharp, found)
 
     def _round(self, current: Fit, number: int) -> Fit | None:
         """Search, refit the best, return the fit with the one to add."""
         recording = self.workshop.recording
-        free = nuisance(current.slopes[recording.used][:, current.free])
+        free = nuisance(current.slopes[recording.used][:, current.loose])
         names = self.names(current.extras)
         proposals = search(self.workshop, current, [n for n in names if n not in COSTLY], free)
         gains = {id(p): self._linear_gain(current, p) for p in proposals}
@@ -434,7 +455,7 @@ class Selector:
             own_gain = gain_force(without.cross, fit.cross, fit.rows)
             if own_gain <= 0.0:
                 continue
-            free = nuisance(without.slopes[recording.used][:, without.free])
+            free = nuisance(without.slopes[recording.used][:, without.loose])
             names = [
                 n
                 for n in self.names(extras)
@@ -490,7 +511,7 @@ class Selector:
         recording = self.workshop.recording
         inside = np.array([c.group == group for c in fit.model.columns]) & fit.free
         X = fit.slopes[recording.used]
-        free = nuisance(X[:, fit.free & ~inside])
+        free = nuisance(X[:, fit.loose & ~inside])
         Z = free.project(X[:, inside])
         # What the group contributes at the fit stands in for the sizes that the parameters started from.
         start = np.array([c.machine_theta if not group.startswith("+") else 0.0 for c in fit.model.columns])
@@ -501,6 +522,12 @@ class Selector:
             shift = (fit.theta - start)[inside]
         p, _ = score_test(recording, Z, free.project(fit.residual[recording.used]) + Z @ shift)
         return p
+
+
+def _realigned(workshop: Workshop, fit: Fit) -> Fit:
+    """The fit against a record that was aligned with it, not with one that an effect was missing in."""
+    workshop.align(fit)
+    return workshop.fit(fit.extras, warm=fit)
 
 
 def _distinct(ranked: list[tuple[float, Proposal]]) -> list[Proposal]:

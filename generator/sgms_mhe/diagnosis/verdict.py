@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.evidence import gain_force, gain_interval, inconstancy
 from sgms_mhe.diagnosis.extension import extend_machine
-from sgms_mhe.diagnosis.fitting import Fit, FitError, Workshop
-from sgms_mhe.diagnosis.residuals import Recording, noise_floor, prepare
+from sgms_mhe.diagnosis.fitting import ITERATIONS, SETTLED, Extra, Fit, FitError, Workshop
+from sgms_mhe.diagnosis.residuals import Recording, excerpt, noise_floor, prepare
 from sgms_mhe.diagnosis.result import (
     Alternative,
     BaseParameter,
@@ -45,6 +45,7 @@ UNEXPLAINED: Final = 0.02  # of f_C: RMS beyond noise that a complete explanatio
 MOST_LEFT: Final = 0.75  # of the RMS beyond noise, where every cause is the same all over the record
 INERTIAL: Final = ("force_delay", "actuator_lag", "mass_mismatch", "force_gain", "structural_resonance")
 INCONSTANT: Final = 0.3  # RMS change of a cause's size over the record that rules it out, over the size
+FOLLOWS: Final = 0.5  # gain of a refitted number without the effects, over that beside them, that makes it their sequel
 PATIENT: Final = 40  # iterations of a fit that may start far from its end
 SIGMAS: Final = 2.0
 JOINT: Final = 1e-4  # significance of several wrong numbers together
@@ -75,7 +76,8 @@ def diagnose(
     started = time.monotonic()
     report = progress or (lambda _: None)
     report("preparing the log")
-    recording = prepare(machine, log, held_out_s)
+    record = prepare(machine, log, held_out_s)
+    recording = excerpt(record)
     whole = Workshop(machine, recording)
     try:
         nominal = whole.fit((), base=())
@@ -84,6 +86,10 @@ def diagnose(
     floor = noise_floor(recording, nominal.residual)
     simulated = (recording.friction - nominal.residual)[recording.used]
     if float(np.ptp(simulated)) < EXCITED * machine.friction.coulomb:
+        if recording is not record:
+            # A long rest may hold all pieces; a whole record costs no more than this one run.
+            recording, nominal = record, Workshop(machine, record).fit((), base=())
+            floor = noise_floor(recording, nominal.residual)
         return _without_excitation(machine, log, recording, nominal, floor, started)
     report("refitting the base model")
     shops = []
@@ -97,12 +103,14 @@ def diagnose(
             except FitError:  # so sharp a transition is no model of this record
                 continue
             shops.append(thin)
+    if len(shops) > 1:
+        shops[0].other, shops[1].other = shops[1], shops[0]
     selector = Selector(
-        shops[0], shops[1] if len(shops) > 1 else None, floor, measures(recording.signals, machine), report
+        shops[0], shops[1] if len(shops) > 1 else None, floor, measures(record.signals, machine), report
     )
     selection = selector.select()
     smoothing = "sharp" if selector.workshop is selector.sharp else "machine"
-    return _Verdict(machine, log, selector.workshop, nominal, selection, smoothing, report).finish(started)
+    return _Verdict(machine, log, record, selector.workshop, nominal, selection, smoothing, report).finish(started)
 
 
 def _thinning(recording: Recording) -> int:
@@ -122,7 +130,21 @@ def _sharp(machine: Machine, recording: Recording) -> Workshop | None:
     return Workshop(override_machine(machine, changes), recording)
 
 
-def _rms(fit: Fit, recording: Recording) -> tuple[float, float]:
+@dataclass(frozen=True)
+class _Left:
+    """What a fit leaves of the whole record: `residual` (m) [N], `loss` and `rows` per block as those of a fit."""
+
+    residual: Array
+    loss: Array
+    rows: Array
+
+    @property
+    def rms(self) -> float:
+        """RMS on used rows [N]."""
+        return math.sqrt(float(self.loss.sum() / self.rows.sum()))
+
+
+def _rms(fit: Fit | _Left, recording: Recording) -> tuple[float, float]:
     """RMS on blocks that the fit saw, and on the held-out ones."""
     seen, held = ~recording.held_out, recording.held_out
 
@@ -140,6 +162,7 @@ class _Verdict:
         self,
         machine: Machine,
         log: Log,
+        record: Recording,
         workshop: Workshop,
         nominal: Fit,
         selection: Selection,
@@ -148,8 +171,18 @@ class _Verdict:
     ) -> None:
         self.machine = machine
         self.log = log
+        self.record = record
+        # A long record is fitted in pieces; what is left is measured along all of it.
+        pieces = (workshop.fine or workshop).recording
+        self.along: Workshop | None = None
+        self.known: dict[int, tuple[Fit, _Left]] = {}
+        if len(pieces.signals) < len(record.signals):
+            self.along = Workshop((workshop.fine or workshop).machine, record)
         self.workshop = workshop
         self.nominal = nominal
+        for shop in (workshop, workshop.fine):
+            if shop is not None:
+                shop.enough = SETTLED
         self.selection = self._aligned(selection)
         self.smoothing = smoothing
         self.report = report
@@ -162,8 +195,41 @@ class _Verdict:
         fit = selection.fit
         for _ in range(2):
             self.workshop.align(fit)
-            fit = self.workshop.fit(fit.extras, base=selection.base, warm=fit)
+            extras = fit.extras if self.along is None else tuple(self._timed(fit, extra) for extra in fit.extras)
+            fit = self.workshop.fit(extras, base=selection.base, warm=fit)
         return replace(selection, fit=fit)
+
+    def _timed(self, fit: Fit, extra: Extra) -> Extra:
+        """A step at the instant that the whole record says; pieces only know what two of them it is between."""
+        if extra.name != "step_disturbance" or self.along is None:
+            return extra
+        record, step = self.record, extra.parameters["force_N"]
+        shifts = np.where(record.time > extra.parameters["time_s"], step, 0.0)
+        without = self.along.residual_along(fit, self.workshop.sampled) + shifts
+        fitted = self.workshop.recording.time[self.workshop.recording.used]
+        seen = np.searchsorted(fitted, extra.parameters["time_s"])
+        inside = record.used.copy()
+        if seen > 0:
+            inside &= record.time >= fitted[seen - 1]
+        if seen < len(fitted):
+            inside &= record.time <= fitted[seen]
+        if inside.sum() < 2:
+            return extra
+        rest, time = without[inside], record.time[inside]
+        last = int(np.argmin(np.cumsum(rest**2 - (rest - step) ** 2)))  # before the step
+        at = float(time[min(last + 1, len(time) - 1)])
+        return replace(extra, parameters={**extra.parameters, "time_s": at - 0.5 / record.rate})
+
+    def _left(self, fit: Fit) -> _Left:
+        """What a fit leaves of the whole record."""
+        if self.along is None:
+            return _Left(fit.residual, fit.loss, fit.rows)
+        if id(fit) not in self.known:
+            # The machine as it is keeps the transition of its file.
+            shop = Workshop(self.machine, self.record) if fit is self.nominal else self.along
+            residual = shop.residual_along(fit, self.workshop.sampled)
+            self.known[id(fit)] = fit, _Left(residual, self.record.sum_blocks(residual**2), shop.rows)
+        return self.known[id(fit)][1]
 
     def _confirmed(self, selection: Selection, *, constant: bool = False) -> tuple[Selection, Fit, tuple[Cause, ...]]:
         """The causes that hold on data that their fit has not seen; what does not is taken out, the weakest first.
@@ -182,26 +248,37 @@ class _Verdict:
                 ordered = sorted(causes.values(), key=lambda cause: -cause.gain_N)
                 return selection, blind, tuple(ordered)
             weakest = min(doubtful, key=lambda group: causes[group].gain_N)
-            selection = self._without(selection, weakest)
+            selection = self._no_cause(selection, weakest) if constant else self._without(selection, weakest)
         return selection, selection.fit, ()
 
     def _without(self, selection: Selection, group: str) -> Selection:
         """The selection without one of its causes, the others fitted again."""
         fit = selection.fit
-        name = _cause_name(fit, group)
         base = tuple(g for g in selection.base if g != group)
         extras = tuple(e for i, e in enumerate(fit.extras) if f"+{i}" != group)
-        rivals = tuple(r for r in selection.rivals if r.instead_of != name)
-        rejected = {**selection.rejected, name: (name, 0.0)}
-        left = [g for g in selection.causes if g != group]
-        renamed = (*(g for g in base if g not in selection.unnamed), *(f"+{i}" for i in range(len(extras))))
-        p_values = {new: selection.p_values.get(old, math.nan) for old, new in zip(left, renamed, strict=True)}
         fit = self.workshop.fit(extras, base=base, warm=fit)
-        return replace(selection, fit=fit, base=base, rivals=rivals, rejected=rejected, p_values=p_values)
+        return self._named_less(replace(selection, fit=fit, base=base), selection, group)
+
+    def _no_cause(self, selection: Selection, group: str) -> Selection:
+        """The same where more is left than is known: a number of the machine stays refitted, but is no cause.
+
+        Held at the file's it would pass its error on to the other causes, which then would seem to change.
+        """
+        if group.startswith("+"):
+            return self._without(selection, group)
+        return self._named_less(replace(selection, unnamed=(*selection.unnamed, group)), selection, group)
+
+    def _named_less(self, selection: Selection, before: Selection, group: str) -> Selection:
+        """What belongs to the causes of a selection that had one more, `group`, `before`."""
+        name = _cause_name(before.fit, group)
+        rivals = tuple(r for r in before.rivals if r.instead_of != name)
+        rejected = {**before.rejected, name: (name, 0.0)}
+        left = [g for g in before.causes if g != group]
+        p_values = {new: before.p_values.get(old, math.nan) for old, new in zip(left, selection.causes, strict=True)}
+        return replace(selection, rivals=rivals, rejected=rejected, p_values=p_values)
 
     def finish(self, started: float) -> Diagnosis:
         self.report("measuring the gain on held-out data")
-        recording = self.recording
         selection, blind, causes = self._confirmed(self.selection)
         fit = selection.fit
         coulomb = self.machine.friction.coulomb
@@ -217,7 +294,12 @@ class _Verdict:
             # Something is left; but causes that are the same everywhere in the record are none the less real.
             selection, blind, causes = self._constant(self.selection)
             fit = selection.fit
+            # What refitted numbers explain that are no cause is no merit of the causes.
+            before = self._excess(self.workshop.fit((), base=selection.unnamed))
             complete = bool(causes) and self._excess(fit) < MOST_LEFT * before
+        elif causes and self.smoothing == "sharp":
+            selection, blind, causes = self._refitted(selection, blind, causes, constant=False)
+            fit = selection.fit
         verdict: Verdict
         if not selection.causes:
             verdict = "adequate" if after < allowed else "unexplained"
@@ -233,18 +315,20 @@ class _Verdict:
         named = bool(causes)
         if not named:  # the machine's numbers, with the transition that fits
             blind = plain
-        rms_before, held_before = _rms(self.nominal, recording)
-        rms_after, held_after = _rms(blind, recording)
+        nominal, unseen = self._left(self.nominal), self._left(blind)
+        rms_before, held_before = _rms(nominal, self.record)
+        rms_after, held_after = _rms(unseen, self.record)
         extended, toml = self._extension(selection, causes) if named else (None, None)
-        warnings = recording.warnings
+        warnings = self.recording.warnings
         if self.smoothing == "sharp":
             better = math.sqrt(float(plain.loss.sum() / plain.rows.sum()))
             warnings += (
                 "elements slip more sharply than [friction.smoothing] says: "
                 f"{', '.join(f'{key} = {value:g}' for key, value in SHARP.items())} alone leave {better:.3g} N",
             )
-        held = recording.held_out
-        interval = gain_interval(self.nominal.loss[held], blind.loss[held], blind.rows[held]) if named else (0.0, 0.0)
+        held = self.record.held_out
+        interval = gain_interval(nominal.loss[held], unseen.loss[held], unseen.rows[held]) if named else (0.0, 0.0)
+        final, start = self._left(fit), self._left(self.start)
         alternatives = self._alternatives(selection)
         rivals = [a for a in alternatives if a.rival]
         return Diagnosis(
@@ -256,13 +340,13 @@ class _Verdict:
             alternatives=alternatives,
             separating_experiment=_experiment(verdict, causes, rivals),
             rms=Rms(rms_before, rms_after, held_before, held_after),
-            noise_floor_N=self.floor,
+            noise_floor_N=self.floor if self.along is None else noise_floor(self.record, final.residual),
             gain_interval_N=interval,
             base=_base_parameters(self.workshop, free if named else self.start),
             scores=selection.scores if verdict != "unexplained" else _unnamed(selection.scores),
-            structure_before=structure_map(recording, self.nominal.residual),
-            structure_after=structure_map(recording, fit.residual if named else self.start.residual),
-            traces=_traces(recording, self.nominal, self.start, fit if named else self.nominal, blind),
+            structure_before=structure_map(self.record, nominal.residual),
+            structure_after=structure_map(self.record, final.residual if named else start.residual),
+            traces=_traces(self.record, nominal, start, final if named else nominal, unseen),
             extended=extended,
             extended_toml=toml,
             smoothing=self.smoothing,
@@ -273,37 +357,52 @@ class _Verdict:
 
     def _constant(self, selection: Selection) -> tuple[Selection, Fit, tuple[Cause, ...]]:
         """The causes whose size is the same everywhere in the record, the least constant one taken out first."""
+        for group in selection.causes:
+            if self._follows(selection, group):
+                selection = self._no_cause(selection, group)
         while selection.causes:
             change = {group: self._inconstancy(selection, group) for group in selection.causes}
             worst = max(change, key=lambda group: change[group])
             if change[worst] < INCONSTANT:
                 break
-            selection = self._without(selection, worst)
-        return self._refitted(*self._confirmed(selection, constant=True))
+            name = _cause_name(selection.fit, worst)
+            selection = replace(self._no_cause(selection, worst), inconstant=(*selection.inconstant, name))
+        return self._refitted(*self._confirmed(selection, constant=True), constant=True)
+
+    def _follows(self, selection: Selection, group: str) -> bool:
+        """Whether a number of the machine is wrong only beside the effects: it was right for a model without them."""
+        if group.startswith("+") or not selection.fit.extras:
+            return False
+        fit, plain = selection.fit, self.workshop.fit((), base=())
+        without = self.workshop.fit(fit.extras, base=tuple(g for g in selection.base if g != group), warm=fit)
+        alone = self.workshop.fit((), base=(group,), warm=plain)
+        return gain_force(plain.cross, alone.cross, fit.rows) < FOLLOWS * gain_force(without.cross, fit.cross, fit.rows)
 
     def _refitted(
-        self, selection: Selection, blind: Fit, causes: tuple[Cause, ...]
+        self, selection: Selection, blind: Fit, causes: tuple[Cause, ...], *, constant: bool
     ) -> tuple[Selection, Fit, tuple[Cause, ...]]:
         """The same causes with all numbers of the machine refitted, where that is better on held-out data.
 
-        Where something is left that nothing accounts for, the machine's numbers may do best at other values, and held
-        at the file's they pass their errors on to the effects. They are no causes for that.
+        Where something is left that nothing accounts for, or the axis slips by another law than the file's, the
+        machine's numbers may do best at other values, and held at the file's they pass their errors on to the effects.
+        They are no causes for that. `constant`: the causes have to stay the same all over the record.
         """
         if not causes:
             return selection, blind, causes
         groups = tuple(dict.fromkeys(c.group for c in self.start.model.columns if not c.group.startswith("+")))
         fit, seen = selection.fit, self.recording.used & ~self.recording.rows_held_out()
-        for warm in (selection.free, self.start, fit):
-            free = self.workshop.fit(fit.extras, base=groups, warm=warm, iterations=PATIENT, again=True)
-        blind_free = self.workshop.fit(fit.extras, base=groups, warm=free, rows=seen, iterations=PATIENT)
+        # Where all is explained the numbers are near the file's; else a fit may have far to go.
+        starts, iterations = ((selection.free, self.start, fit), PATIENT) if constant else ((fit,), ITERATIONS)
+        for warm in starts:
+            free = self.workshop.fit(fit.extras, base=groups, warm=warm, iterations=iterations, again=True)
+        blind_free = self.workshop.fit(fit.extras, base=groups, warm=free, rows=seen, iterations=iterations)
         if not _rms(blind_free, self.recording)[1] < _rms(blind, self.recording)[1]:
             return selection, blind, causes
-        named = selection.causes
-        unnamed = tuple(group for group in groups if group not in named)
+        unnamed = tuple(group for group in groups if group not in selection.causes)
         whole = replace(selection, fit=free, base=groups, unnamed=unnamed)
         found = self._causes(whole, blind_free, seen)
-        lost = [g for g, c in found.items() if self._inconstancy(whole, g) > INCONSTANT or not _holds(c)]
-        if any(group.startswith("+") for group in lost):
+        lost = [g for g, c in found.items() if not _holds(c) or (constant and self._inconstancy(whole, g) > INCONSTANT)]
+        if any(group.startswith("+") for group in lost) or (lost and not constant):
             return selection, blind, causes
         # A number of the machine that is no cause any more stays refitted with the others.
         whole = replace(whole, unnamed=(*unnamed, *lost))
@@ -320,7 +419,12 @@ class _Verdict:
         return inconstancy(self.recording, without.residual - fit.residual, fit.residual, inertial=inertial)
 
     def _excess(self, fit: Fit) -> float:
-        return math.sqrt(max(0.0, fit.cross_rms**2 - self.floor**2))
+        """RMS beyond noise [N]; of a record fitted in pieces, that of the pieces or of the whole, whichever is more."""
+        beyond = fit.cross_rms**2 - self.floor**2
+        if self.along is not None:
+            left = self._left(fit)
+            beyond = max(beyond, left.rms**2 - noise_floor(self.record, left.residual) ** 2)
+        return math.sqrt(max(0.0, beyond))
 
     def _causes(self, selection: Selection, blind: Fit, seen: NDArray[np.bool_]) -> dict[str, Cause]:
         """Causes by group, with parameters of all data and gains of the fit without the held-out blocks."""
@@ -392,6 +496,7 @@ class _Verdict:
             for rival in selection.rivals
         ]
         named = [_cause_name(selection.fit, group) for group in selection.causes]
+        unnamed = {_cause_name(selection.fit, group) for group in selection.unnamed}
         if found:  # the named causes that have rivals are listed with them
             for cause in dict.fromkeys(rival.instead_of for rival in selection.rivals):
                 others = ", ".join(r.name for r in selection.rivals if r.instead_of == cause)
@@ -401,7 +506,11 @@ class _Verdict:
             if name not in taken:
                 taken.add(name)
                 why = (
-                    "its size, or its gain on data not used in the fit, may be zero"
+                    "refitted with the causes, no cause of its own"
+                    if name in unnamed
+                    else "its size is not the same all over the record"
+                    if name in selection.inconstant
+                    else "its size, or its gain on data not used in the fit, may be zero"
                     if name == cause
                     else f"in place of {cause} leaves {excess:.3g} N more"
                 )
@@ -506,7 +615,7 @@ def _unnamed(scores: Sequence[Score]) -> tuple[Score, ...]:
     return tuple(replace(s, outcome="redundant") if s.outcome == "named" else s for s in scores)
 
 
-def _traces(recording: Recording, nominal: Fit, start: Fit, extended: Fit, blind: Fit) -> Traces:
+def _traces(recording: Recording, nominal: _Left, start: _Left, extended: _Left, blind: _Left) -> Traces:
     measured = recording.reduce(recording.signals.friction)
     return Traces(
         time_s=recording.time,
@@ -593,7 +702,7 @@ def _without_excitation(
         scores=(),
         structure_before=maps,
         structure_after=maps,
-        traces=_traces(recording, nominal, nominal, nominal, nominal),
+        traces=_traces(recording, *4 * (_Left(nominal.residual, nominal.loss, nominal.rows),)),
         extended=None,
         extended_toml=None,
         smoothing="machine",

@@ -26,7 +26,7 @@ DEFINITION = EffectDefinition(
     contribute=_contribute,
     excitation=Excitation(
         "constant speeds from well below to beyond the corner velocity",
-        (Need("speed_m_s", 1.0, times="corner_velocity_m_s"), Need("speed_ratio", 3.0)),
+        (Need("speed_m_s", 1.0, times="corner_velocity_m_s"), Need("speed_ratio", 2.5)),
     ),
     confused_with={
         "viscous": "constant speeds up to twice the corner velocity: damping falls off beyond it",

@@ -21,7 +21,7 @@ DEFINITION = EffectDefinition(
     parameters=(EffectParameter("coefficient_N_s2_m2", 0.0, 0.1, "force over v |v|", unit="coulomb"),),
     contribute=_contribute,
     excitation=Excitation(
-        "three constant speeds or more, up to the fastest", (Need("speed_ratio", 3.0), Need("moving_s", 0.5))
+        "three constant speeds or more, up to the fastest", (Need("speed_ratio", 2.5), Need("moving_s", 0.5))
     ),
     confused_with={
         "viscous": "three constant speeds or more: is the force over speed a line or a parabola",
