@@ -294,7 +294,7 @@ class Workshop:
         measured = whole.measured - self._since_mean_velocity(fit)
         names = {e.name for e in fit.extras} | {e.name for e in self.machine.effects}
         self.sampled = self._sampling(fit, measured - exact) if not names & set(TIMED) else np.zeros(2)
-        measured = measured - jerk_and_snap(self.recording) @ self.sampled
+        measured = measured - self._jerk_and_snap() @ self.sampled
         whole.recording = replace(whole.recording, friction=measured)
         whole._known.clear()
         if whole is self:
@@ -334,7 +334,7 @@ class Workshop:
         return np.asarray(force(later) - force(v))
 
     def _sampling(self, fit: Fit, residual: Array) -> Array:
-        """Coefficients of `jerk_and_snap` (2) in what a residual (m) owes to the sampling of force and position alone.
+        """Coefficients of `_jerk_and_snap` (2) in what a residual (m) owes to the sampling of force and position alone.
 
         Proportional to the jerk: force and position up to `TIMING` of a sample apart. Proportional to the second
         derivative of the acceleration: its second difference over a sample h is low by h^2 / 12 of that, against a
@@ -344,19 +344,26 @@ class Workshop:
         step, mass = (self.fine or self).machine.sampling.step, self.machine.plant.mass
         free = nuisance(fit.slopes[used][:, fit.loose])
         scale = mass * np.array([TIMING * step, step**2 / 12.0])
-        Z = free.project(jerk_and_snap(self.recording)[used] * scale)
+        Z = free.project(self._jerk_and_snap()[used] * scale)
         e = free.project(residual[used])
         bounded = lsq_linear(Z, e, ([-1.0, -1.0], [1.0, 0.0])).x
         if abs(bounded[0]) > 1.0 - 1e-6:  # more than sampling: all of it is for a delay or lag to explain
             bounded = np.array([0.0, *lsq_linear(Z[:, 1:], e, ([-1.0], [0.0])).x])
         return np.asarray(scale * bounded)
 
+    def _jerk_and_snap(self) -> Array:
+        """First and second derivative of the acceleration (m, 2), as the log's samples have them."""
+        whole = self.fine or self
+        step = whole.machine.sampling.step
+        jerk = np.gradient(whole.recording.signals.acceleration) / step
+        return whole.recording.reduce(np.column_stack((jerk, np.gradient(jerk) / step)))
+
     def residual_along(self, fit: Fit, sampled: Array) -> Array:
         """Measured minus simulated friction (m) [N] of a fit to another part of this record.
 
         `sampled`: what its alignment found of the sampling.
         """
-        measured = self.measured - self._since_mean_velocity(fit) - jerk_and_snap(self.recording) @ sampled
+        measured = self.measured - self._since_mean_velocity(fit) - self._jerk_and_snap() @ sampled
         return np.asarray(measured - self.friction(fit))
 
     def model(self, extras: Sequence[Extra]) -> CompiledFit:
@@ -583,12 +590,6 @@ class Workshop:
         moved = inverse @ (X.T @ change)
         left = float(np.sqrt(np.mean((change - X @ moved) ** 2)))
         return np.asarray(moved * min(1.0, wrong / left)) if left > 0.0 else nothing
-
-
-def jerk_and_snap(recording: Recording) -> Array:
-    """First and second derivative of the acceleration (m, 2)."""
-    jerk = np.gradient(recording.acceleration) * recording.rate
-    return np.column_stack((jerk, np.gradient(jerk) * recording.rate))
 
 
 def cross_loss(recording: Recording, X: Array, residual: Array, prior: Array) -> Array:
