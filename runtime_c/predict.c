@@ -93,7 +93,8 @@ int sgms_predict(
     for (long k = 0; k < samples; k++) {
         if (k > 0 && k % MERGED == 0) {
             /* One step: x1 = f(x0, theta), d_x1 = A d_x0 + B. */
-            sgms_real one[ONE_SIZE], next[STATES], a[STATES * STATES], b[STATES * PARAMETERS], moved[STATES * PARAMETERS];
+            sgms_real one[ONE_SIZE], next[STATES], a[STATES * STATES], b[STATES * PARAMETERS],
+                moved[STATES * PARAMETERS];
             sgms_real term[NODES * TERMS * LANES];
             put_terms(signals + 5 * k, term);
             start_one(&of, state, one);

@@ -7,9 +7,9 @@
  *
  * signals: samples x 5, position, velocity, acceleration, force, time; theta: scaled parameters; x: node state at the
  * first sample, on return at the last one; d_x: its derivatives in theta (states x parameters), likewise; zeros to
- * start. A long record can be run in pieces, the first row of each being the last row of the piece before. A package that
- * merges samples knows the state at the ends of its steps alone: there `force` must be NULL and samples - 1 a number of
- * whole steps, or -1 is returned, else 0. */
+ * start. A long record can be run in pieces, the first row of each being the last row of the piece before. A package
+ * that merges samples knows the state at the ends of its steps alone: there `force` must be NULL and samples - 1 a
+ * number of whole steps, or -1 is returned, else 0. */
 int sgms_predict(
     long samples,
     const double *signals,

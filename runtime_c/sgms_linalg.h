@@ -15,8 +15,8 @@
 /* One Householder reflection of a pivot row and `rows` rows below it, all `width` long, that makes column c of those
  * rows zero; they lie `stride` numbers apart, anywhere. v: `rows` numbers.
  *
- * Where processors have vectors it runs over whole rows: the columns already done hold zeros and stay what they are, and
- * a loop of constant length is one that compilers vectorise. Inlined, so that the lengths are constants where the
+ * Where processors have vectors it runs over whole rows: the columns already done hold zeros and stay what they are,
+ * and a loop of constant length is one that compilers vectorise. Inlined, so that the lengths are constants where the
  * caller's are. */
 static SGMS_INLINE void sgms_reflect(
     sgms_real *restrict pivot_row,

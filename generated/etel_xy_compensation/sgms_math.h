@@ -79,9 +79,16 @@ static inline sgms_real sgms_from_bits(sgms_integer bits)
 #define SGMS_ROUNDING 1e-13
 #endif
 
+/* Compilers that have it know one instruction for it, where the bits take a way through integer registers. */
 static inline sgms_real sgms_fabs(sgms_real x)
 {
+#if defined(__GNUC__) && SGMS_SINGLE
+    return __builtin_fabsf(x);
+#elif defined(__GNUC__)
+    return __builtin_fabs(x);
+#else
     return sgms_from_bits(sgms_bits(x) & SGMS_INTEGER_MAX);
+#endif
 }
 
 static inline sgms_real sgms_square(sgms_real x)

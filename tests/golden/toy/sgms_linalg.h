@@ -5,11 +5,19 @@
 
 #include "sgms_math.h"
 
+/* First column of a row to work on, where those before `c` hold zeros. */
+#if defined(__AVX__) || defined(__SSE2__) || defined(__ARM_NEON) || defined(_M_X64)
+#define SGMS_FROM(c) (0 * (c))
+#else
+#define SGMS_FROM(c) (c)
+#endif
+
 /* One Householder reflection of a pivot row and `rows` rows below it, all `width` long, that makes column c of those
  * rows zero; they lie `stride` numbers apart, anywhere. v: `rows` numbers.
  *
- * It runs over whole rows: the columns already done hold zeros and stay what they are, and a loop of constant length
- * is one that compilers vectorise. Inlined, so that the lengths are constants where the caller's are. */
+ * Where processors have vectors it runs over whole rows: the columns already done hold zeros and stay what they are,
+ * and a loop of constant length is one that compilers vectorise. Inlined, so that the lengths are constants where the
+ * caller's are. */
 static SGMS_INLINE void sgms_reflect(
     sgms_real *restrict pivot_row,
     sgms_real *restrict below,
@@ -34,7 +42,7 @@ static SGMS_INLINE void sgms_reflect(
         for (int i = 0; i < rows; i++) {
             v[i] *= over_head;
         }
-        for (int j = 0; j < width; j++) {
+        for (int j = SGMS_FROM(c + 1); j < width; j++) {
             sgms_real dot = pivot_row[j];
             for (int i = 0; i < rows; i++) {
                 dot += v[i] * below[i * stride + j];
@@ -69,13 +77,14 @@ static SGMS_INLINE void sgms_rotate(
     const sgms_real low,
     sgms_real *restrict high_row,
     sgms_real *restrict low_row,
+    int from,
     int width)
 {
     const sgms_real square = *high * *high + low * low;
     const sgms_real over_norm = sgms_inverse_sqrt(square);
     const sgms_real cosine = *high * over_norm;
     const sgms_real sine = low * over_norm;
-    for (int j = 0; j < width; j++) {
+    for (int j = SGMS_FROM(from); j < width; j++) {
         const sgms_real kept = high_row[j];
         high_row[j] = cosine * kept + sine * low_row[j];
         low_row[j] = cosine * low_row[j] - sine * kept;
@@ -92,7 +101,7 @@ static SGMS_INLINE void sgms_qr_add_row(sgms_real *restrict r, int n, sgms_real 
         const sgms_real low = row[c];
         if (!(low * low == SGMS_R(0.0))) { /* too small for a norm is zero; what is not a number goes on */
             sgms_real high = top[c];
-            sgms_rotate(&high, low, top, row, n + 1);
+            sgms_rotate(&high, low, top, row, c + 1, n + 1);
             top[c] = high;
             row[c] = SGMS_R(0.0);
         }
@@ -122,7 +131,7 @@ static SGMS_INLINE void sgms_qr_grow(
         }
         for (int i = k; i >= 0; i--) {
             sgms_real *const row = r + i * (n + 1);
-            sgms_rotate(&head, -by * row[k], carrier, row, n + 1);
+            sgms_rotate(&head, -by * row[k], carrier, row, i, n + 1);
         }
     }
 }

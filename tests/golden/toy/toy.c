@@ -247,7 +247,7 @@ static void start_sweep(toy_t *self)
 /* One step of all older intervals side by side. */
 static void linearise_step(toy_t *self, int step)
 {
-    integrate_step(SLOTS, self->term + step * TERMS * LANES, self->of_theta.q, self->lane);
+    integrate_step(SLOTS, self->term + step * NODES * TERMS * LANES, self->of_theta.q, self->lane);
 }
 
 /* Eliminate the node at the start of the interval `back` before the newest; the next one's measurement is known. */
@@ -427,9 +427,9 @@ int toy_feedback(toy_t *self)
 /* One step of the series: store its terms, move the newest interval. */
 static void take_step(toy_t *self, const sgms_real *w)
 {
-    sgms_real *term = self->term + self->step * TERMS * LANES + self->filling;
+    sgms_real *term = self->term + self->step * NODES * TERMS * LANES + self->filling;
     sample_terms(w, term, LANES);
-    integrate_one(term, self->of_theta.q, self->newest);
+    integrate_one(term, 0, BLOCKS, self->newest);
     self->step++;
 }
 

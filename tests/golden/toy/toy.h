@@ -90,7 +90,7 @@ typedef struct {
     uint8_t last_valid;
     /* integration */
     toy_real lane[3 * 4]; /* the older intervals */
-    toy_real newest[12]; /* the interval under way */
+    toy_real newest[16]; /* the interval under way */
     toy_real theta[2];
     toy_terms of_theta;
     /* least squares: triangular factor over (x, theta) with right side */

@@ -11,13 +11,22 @@
 #include "toy_integrator.h"
 
 #define LAG_TIME 0.002027486296746016        /* s, of the signal chain */
-#define DELAY 0.0           /* s, of the loop */
-#define OVER_DELAY 1.6696929723266414      /* extrapolation to the middle of the delay, and to its end */
-#define AT_END 1.6696929723266414
+#define OVER_LAG_TIME 493.2215826094288
+#define AT_END 1.6696929723266414          /* extrapolation to the newest sample */
 #define GAIN_STEP 1.0       /* per sample, of a ramp */
 #define HOLD_SPEED 0.0      /* m/s */
 #define CARRY 0.8187307530779818           /* kept of a held difference from one sample to the next */
 #define FARTHEST_MOVE 10.0   /* deflection scales; an element that moved this far slides, whatever it was before */
+#define AHEAD_EQUAL 4e-06   /* of relative deflections that need not be told apart */
+#define AHEAD_ELASTIC 0.7224397686165088 /* relative deflection up to which an element moves with the axis */
+
+enum { MOVES = 1 }; /* over the lag */
+
+/* How the signals go on from the newest filtered sample. */
+typedef struct {
+    sgms_real duration[MOVES], velocity[MOVES], distance[MOVES];
+    sgms_real end; /* velocity as the force acts, m/s */
+} course;
 
 /* The drive's force beyond mass * acceleration [N]: the output without what makes the log late. Operations: 1 add, 1 div, 3 mul. */
 static inline sgms_real feed_forward_force(const sgms_real *x, const sgms_real *w, const sgms_real *theta)
@@ -27,7 +36,7 @@ static inline sgms_real feed_forward_force(const sgms_real *x, const sgms_real *
     return y;
 }
 
-/* Runge-Kutta steps (rk4) per metre and per second. */
+/* Steps per metre and per second of a move. */
 static const sgms_real element_ahead_rates[1][2] = { {66666.66666666667, 0.0} };
 
 /* Move the states of a block over `duration`: Runge-Kutta steps, no more than make an element slide. */
@@ -58,14 +67,44 @@ static void element_ahead_steps(
         for (int i = 0; i < 1; i++) {
             chi[i] += sum[i];
         }
+        if (sgms_fabs(sum[0]) < AHEAD_EQUAL * h * rates[0] * sgms_fabs(term[0])) { /* it slides: nothing happens any more */
+            return;
+        }
     }
 }
 
-/* Move the states of a block over `duration` at the signals behind `term`. */
-static void element_ahead(
-    sgms_real duration, const sgms_real *term, const sgms_real *q, const sgms_real *data, const sgms_real *rates, sgms_real *chi)
+/* Move the states over one part of the course, from `before` to `after`: elastic ones with the axis. */
+static inline void element_ahead_move(const course *c, int move, const sgms_real *term, const sgms_real *all_q, const sgms_real *before, sgms_real *after)
 {
-    element_ahead_steps(duration, term, q, data, rates, chi);
+    const sgms_real distance = c->distance[move];
+    const sgms_real *q = all_q;
+    for (int block = 0; block < ELEMENT_BLOCKS; block++) {
+        const sgms_real *const data = element_data[block];
+        const sgms_real chi = before[block];
+        sgms_real moved;
+        sgms_real rho, over_level, d_rho[1], d_over_level[1];
+        element_coefficients(term[0], term[1], q, data, &rho, &over_level, d_rho, d_over_level);
+        moved = chi + rho * distance;
+        if (sgms_fmax(sgms_fabs(chi), sgms_fabs(moved)) * over_level < AHEAD_ELASTIC) {
+            after[block] = moved;
+        } else {
+            after[block] = chi;
+            element_ahead_steps(c->duration[move], term, q, data, element_ahead_rates[block], after + block);
+        }
+        q += ELEMENT_Q;
+    }
+}
+
+/* The states of all blocks, one block after the other, at the end of the course; `row` as in the interval under way. */
+static void element_ahead(const course *c, const sgms_real *term, const sgms_real *q, const sgms_real *row, sgms_real *chi)
+{
+    if (c->duration[0] > 0.0) {
+        element_ahead_move(c, 0, term, q, row, chi);
+    } else {
+        for (int block = 0; block < ELEMENT_BLOCKS; block++) {
+            chi[block] = row[block];
+        }
+    }
 }
 
 /* What the position has moved beyond the chain's position, from its differences d: q - LP(LP(q one sample ago)). The filters pass a
@@ -95,24 +134,16 @@ static void start_compensation(toy_t *self)
     self->holding = 0;
 }
 
-/* How the signals go on from the newest filtered sample: over the chain's lag, then over the loop's delay. */
-typedef struct {
-    sgms_real duration[2], velocity[2];
-    sgms_real end; /* velocity as the force acts, m/s */
-} course;
-
 static course course_ahead(const toy_t *self)
 {
     course c;
-    const sgms_real pending = (sgms_real)self->merged_count * SAMPLE_TIME; /* samples that no step has taken in */
     const sgms_real behind = self->through_chain ? LAG_TIME : 0.0;
     const sgms_real measured = self->signal[1];
-    const sgms_real mean = self->through_chain ? self->lag / LAG_TIME : measured;
-    c.duration[0] = pending + behind;
-    c.velocity[0] = c.duration[0] > 0.0 ? (self->merged[1] * STEP_TIME + self->lag) / c.duration[0] : 0.0;
-    c.duration[1] = DELAY;
+    const sgms_real mean = self->through_chain ? self->lag * OVER_LAG_TIME : measured;
+    c.duration[0] = behind;
+    c.distance[0] = self->lag;
+    c.velocity[0] = mean;
     /* Unless the set-point says more: the line through the filtered velocity and the mean one since. */
-    c.velocity[1] = self->ahead_given ? self->ahead[0] : measured + (mean - measured) * OVER_DELAY;
     c.end = self->ahead_given ? self->ahead[0] : measured + (mean - measured) * AT_END;
     return c;
 }
@@ -121,38 +152,25 @@ static course course_ahead(const toy_t *self)
 static sgms_real friction_ahead(const toy_t *self)
 {
     const course c = course_ahead(self);
-    sgms_real term[2][TERMS], w[5], x[STATES], friction;
+    sgms_real term[MOVES * TERMS], w[5], x[STATES], friction;
     const sgms_real *row = self->newest;
     const sgms_real *q = self->of_theta.q;
-    fill(w, 0.0, 5);
     w[0] = self->signal[0];
     w[2] = self->ahead_given ? self->ahead[1] : 0.0;
     w[3] = self->signal[3];
     w[4] = self->signal[4];
-    for (int i = 0; i < 2; i++) {
-        w[0] += c.velocity[i] * c.duration[i];
-        w[1] = c.velocity[i];
-        w[4] += c.duration[i];
-        sample_terms(w, term[i], 1);
-    }
+    w[0] += c.distance[0];
+    w[1] = c.velocity[0];
+    w[4] += c.duration[0];
+    sample_terms(w, term, 1);
     w[1] = c.end;
-    for (int block = 0; block < ELEMENT_BLOCKS; block++) {
-        sgms_real chi[ELEMENT_STATES];
-        for (int i = 0; i < ELEMENT_STATES; i++) {
-            chi[i] = row[i * WIDE + block];
-        }
-        for (int i = 0; i < 2; i++) {
-            if (c.duration[i] > 0.0) {
-                element_ahead(c.duration[i], term[i], q, element_data[block], element_ahead_rates[block], chi);
-            }
-        }
-        for (int i = 0; i < ELEMENT_STATES; i++) {
-            const int state = element_states[block][i];
-            x[state] = self->of_theta.scale[state] * chi[i];
-        }
-        q += ELEMENT_Q;
+    {
+        sgms_real chi[ELEMENT_BLOCKS * ELEMENT_STATES];
+        element_ahead(&c, term, q, row, chi);
+        x[0] = self->of_theta.scale[0] * chi[0];
+        row += 4 * WIDE;
+        q += ELEMENT_BLOCKS * ELEMENT_Q;
     }
-    row += ELEMENT_ROWS * WIDE;
     friction = feed_forward_force(x, w, self->theta);
     return sgms_is_finite(friction) ? friction : self->friction;
 }
@@ -168,7 +186,7 @@ static int is_unsound(const toy_t *self, sgms_real speed)
 /* Once per sample: ramp, whether the axis stands, what is left of a held difference. */
 static void follow_compensation(toy_t *self)
 {
-    const sgms_real speed = sgms_fmax(sgms_fabs(self->signal[1]), sgms_fabs(self->lag) / LAG_TIME);
+    const sgms_real speed = sgms_fmax(sgms_fabs(self->signal[1]), sgms_fabs(self->lag) * OVER_LAG_TIME);
     const int on = self->compensate && !is_unsound(self, speed);
     self->ahead_given -= self->ahead_given > 0;
     self->gain = on ? sgms_fmin(self->gain + GAIN_STEP, 1.0) : sgms_fmax(self->gain - GAIN_STEP, 0.0);

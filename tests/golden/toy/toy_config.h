@@ -24,8 +24,8 @@ enum {
     SAMPLES = 5,        /* per interval */
     MERGED = 1,           /* samples per integration step */
     STEPS = 5,          /* integration steps per interval */
-    STEP_ROWS = 5,      /* rows of the series; one more where it is interpolated */
-    TERMS = 2,           /* stored per step: velocity, inverse_level */
+    NODES = 1,           /* of a step of the series */
+    TERMS = 2,           /* stored per node: velocity, inverse_level */
     STATE_ROWS = 3,      /* chi and its sensitivities, all blocks */
     Q_TERMS = 1,         /* parameter terms, all blocks */
     SETTLE = 7,         /* samples that a disturbance of the filters lasts */
@@ -34,11 +34,7 @@ enum {
     COUPLED = 1,         /* states that a state depends on over an interval, at most */
     DEFECT_WIDTH = COUPLED + PARAMETERS + 1,
     KEPT_WIDTH = 2 * STATES + PARAMETERS + 1,
-    /* multiplications of a unit of the work: a node recovered, a step, a node eliminated; of those in one sample */
-    RECOVER_COST = 3,
-    STEP_COST = 180,
-    NODE_COST = 54,
-    COST_PER_SAMPLE = 360
+    BLOCKS = 1            /* of states that depend on no other */
 };
 
 /* Scalars in one vector register of the processor, where compilers vectorise. */
@@ -50,9 +46,18 @@ enum { VECTOR = 2 };
 enum { VECTOR = 1 };
 #endif
 
+/* Multiplications of a unit of the work: a node recovered, a step, a node eliminated; of those in one sample. */
+enum {
+    STEP_COST = 180,
+    COST_PER_SAMPLE = 360,
+    RECOVER_COST = 3,
+    NODE_COST = 54
+};
+
 #define RATE 1000.0                 /* Hz */
 #define SAMPLE_TIME 0.001        /* s */
 #define STEP_TIME 0.001          /* s */
+#define PIECE_TIME 0.001         /* s, of constant signals */
 #define MASS 2.0                 /* kg */
 #define MAX_VELOCITY 0.5         /* m/s */
 #define HOLD_PATH 2.9999999999999997e-05            /* m; an interval that moves less says nothing of the parameters */

@@ -63,8 +63,8 @@ static inline void element_rhs(
     (void)d_over_level;
 }
 
-/* `substeps` equal Runge-Kutta steps over the time `duration` in all lanes. Every stage but the first stands at y + a h k with the slope k
- * before it, so the stages' weighted states hold the sum of the slopes but for the last. */
+/* `substeps` equal Runge-Kutta steps over the time `duration` in all lanes. Every stage but the first stands at
+ * y + a h k with the slope k before it, so the stages' weighted states hold the sum of the slopes but for the last. */
 static void element_runge_kutta(
     int lanes,
     int substeps,
@@ -78,7 +78,7 @@ static void element_runge_kutta(
     sgms_real slope[ELEMENT_ROWS * WIDE];
     sgms_real sum[ELEMENT_ROWS * WIDE];
     sgms_real speed[WIDE], gate[WIDE], brake[WIDE];
-    for (int l = 0; l < lanes; l++) {
+    SGMS_LANES for (int l = 0; l < lanes; l++) {
         const sgms_real q_l[1] = { q[0 * WIDE + l] };
         const sgms_real data_l[1] = { data[0 * WIDE + l] };
         element_drive(term[0 * WIDE + l], term[1 * WIDE + l], q_l, data_l, speed + l, gate + l, brake + l);
@@ -165,12 +165,12 @@ static void element_step(
 {
     int most = element_count(fastest, rates[0]);
     if (most == 1) {
-        element_runge_kutta(lanes, 1, STEP_TIME, term, q, data, state);
+        element_runge_kutta(lanes, 1, PIECE_TIME, term, q, data, state);
         return;
     }
     for (int l = 0; l < lanes; l++) {
         const int count = element_count(sgms_fabs(term[l]), rates[l * spread]);
-        element_runge_kutta(1, count, STEP_TIME, term + l, q + l, data + l, state + l);
+        element_runge_kutta(1, count, PIECE_TIME, term + l, q + l, data + l, state + l);
     }
 }
 
@@ -231,11 +231,13 @@ static inline void start_lanes(int lanes, const toy_terms *of, const sgms_real *
     }
 }
 
-/* One interval by itself, the one under way or one that is linearised anew: its blocks side by side, a group's rows WIDE numbers apart. */
-enum { ONE_SIZE = 3 * WIDE };
+/* One interval by itself, the one under way or one that is linearised anew: its blocks side by side, a group's rows WIDE numbers apart, and behind them
+ * its parameter terms and data. */
+enum { ONE_SIZE = 4 * WIDE };
 
 static void start_one(const toy_terms *of, const sgms_real *node, sgms_real *one)
 {
+    const sgms_real *q = of->q;
     fill(one, 0.0, ONE_SIZE);
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
         for (int i = 0; i < ELEMENT_STATES; i++) {
@@ -243,30 +245,32 @@ static void start_one(const toy_terms *of, const sgms_real *node, sgms_real *one
             one[i * WIDE + block] = node[state] / of->scale[state];
             one[(ELEMENT_STATES + i * ELEMENT_STATES + i) * WIDE + block] = 1.0;
         }
+        one[(ELEMENT_ROWS + 0) * WIDE + block] = *q++;
     }
-    one += ELEMENT_ROWS * WIDE;
+    one += 4 * WIDE;
+    (void)q;
 }
 
-/* Move it over one step of the series; its terms lie LANES numbers apart. */
-static void integrate_one(const sgms_real *term, const sgms_real *q, sgms_real *one)
+/* Move its blocks from `first` up to `end` over one step of the series; its terms lie LANES numbers apart. */
+static void integrate_one(const sgms_real *term, int first, int end, sgms_real *one)
 {
-    sgms_real wide_term[1 * TERMS * WIDE];
-    for (int row = 0; row < 1 * TERMS; row++) {
-        fill(wide_term + row * WIDE, term[row * LANES], WIDE);
+    const int blocks_in_tiles = (end - first + VECTOR - 1) / VECTOR * VECTOR, lanes = blocks_in_tiles < WIDE ? blocks_in_tiles : WIDE;
+    sgms_real wide_term[NODES * TERMS * WIDE];
+    for (int row = 0; row < NODES * TERMS; row++) {
+        fill(wide_term + row * WIDE, term[row * LANES], lanes);
     }
     {
-        sgms_real lane_q[1 * WIDE], lane_data[1 * WIDE];
-        fill(lane_q, 0.0, 1 * WIDE);
-        fill(lane_data, 0.0, 1 * WIDE);
-        for (int block = 0; block < ELEMENT_BLOCKS; block++) {
-            lane_q[0 * WIDE + block] = q[block * ELEMENT_Q + 0];
-            lane_data[0 * WIDE + block] = element_data[block][0];
+        const int b = first > 0 ? first : 0, blocks = (end < ELEMENT_BLOCKS ? end : ELEMENT_BLOCKS) - b;
+        const sgms_real *q = one + 3 * WIDE, *data = one + 3 * WIDE;
+        if (blocks > 0) {
+            element_step(blocks, 1, sgms_fabs(wide_term[0]), wide_term, q + b, data + b, element_rates + b, one + b);
         }
-        element_step(ELEMENT_BLOCKS, 1, sgms_fabs(wide_term[0]), wide_term, lane_q, lane_data, element_rates, one);
-        q += ELEMENT_BLOCKS * ELEMENT_Q;
-        one += ELEMENT_ROWS * WIDE;
+        first -= ELEMENT_BLOCKS;
+        end -= ELEMENT_BLOCKS;
+        one += 4 * WIDE;
     }
-    (void)q;
+    (void)first;
+    (void)end;
 }
 
 /* Rows of x, A = dx/dx0 and B = dx/dtheta that belong to one block; its rows start at `row`, WIDE numbers apart. */
@@ -329,7 +333,7 @@ static void one_end(
         element_end(of, block, one + block, d_q, start, x, a, b);
         d_q += ELEMENT_Q * PARAMETERS;
     }
-    one += ELEMENT_ROWS * WIDE;
+    one += 4 * WIDE;
     (void)d_q;
 }
 
@@ -342,7 +346,7 @@ static inline void one_state(const toy_terms *of, const sgms_real *one, sgms_rea
             x[state] = of->scale[state] * one[i * WIDE + block];
         }
     }
-    one += ELEMENT_ROWS * WIDE;
+    one += 4 * WIDE;
 }
 
 #endif

@@ -1,0 +1,151 @@
+/* Kinematics and friction from position and force: blocks V and Y of the signal chain.
+ *
+ * Everything leaves the chain with the delay the acceleration cannot avoid (two low-passes and one sample), so that
+ * u - m a carries no transient that is not friction. Single precision takes the position as an integer number of
+ * picometres: a float resolves no more than 20 nm at 0.3 m, and the velocity is made of differences. */
+#ifndef SGMS_FILTER_H
+#define SGMS_FILTER_H
+
+#include "sgms_math.h"
+
+/* Second-order low-pass, y = (b0 + b1/z + b2/z^2) / (1 + a1/z + a2/z^2) u; state holds 2 numbers. */
+typedef struct {
+    sgms_real b0, b1, b2, a1, a2;
+} sgms_lowpass;
+
+static inline sgms_real sgms_lowpass_step(const sgms_lowpass *filter, sgms_real *state, sgms_real input)
+{
+    const sgms_real output = filter->b0 * input + state[0];
+    state[0] = filter->b1 * input - filter->a1 * output + state[1];
+    state[1] = filter->b2 * input - filter->a2 * output;
+    return output;
+}
+
+/* The state in which a constant input has been there forever. */
+static inline void sgms_lowpass_rest(const sgms_lowpass *filter, sgms_real *state, sgms_real input)
+{
+    state[1] = (filter->b2 - filter->a2) * input;
+    state[0] = (SGMS_R(1.0) - filter->b0) * input;
+}
+
+/* A reading at or beyond these is no reading, whatever its bits say: it counts as missing, as NaN does. */
+#define SGMS_FARTHEST SGMS_R(4e6)       /* m */
+#define SGMS_LARGEST_SIGNAL SGMS_R(1e9) /* N, m/s, m/s^2 */
+
+static inline int sgms_is_reading(sgms_real x)
+{
+    return sgms_fabs(x) < SGMS_LARGEST_SIGNAL; /* false for NaN */
+}
+
+#if SGMS_SINGLE
+typedef int64_t sgms_position; /* pm */
+#define SGMS_METRES(p) ((sgms_real)(p) * SGMS_R(1e-12))
+static inline int sgms_position_is_good(sgms_position p)
+{
+    return p > -INT64_C(4000000000000000000) && p < INT64_C(4000000000000000000);
+}
+#else
+typedef double sgms_position; /* m */
+#define SGMS_METRES(p) (p)
+static inline int sgms_position_is_good(sgms_position p)
+{
+    return sgms_fabs(p) < SGMS_FARTHEST;
+}
+#endif
+
+#define SGMS_FILTER_STATES 16 /* eight low-passes of two states */
+
+/* Memory of the chain. Plain arrays, so that the public header of a package can declare it without this one. */
+typedef struct {
+    sgms_position *position; /* [2] last position, last raw difference */
+    sgms_real *lowpass;      /* [SGMS_FILTER_STATES] */
+    sgms_real *last;         /* [4] last force, last filtered velocity, force and position one sample ago */
+    int32_t *counts; /* [3] channels seen (1 force, 2 position), length of the gap, samples since friction was spoilt */
+} sgms_filter_memory;
+
+typedef struct {
+    sgms_real position, velocity, acceleration, force, friction;
+    int valid; /* whether friction may be used as a measurement */
+} sgms_aligned;
+
+/* One sample through the chain. `settle`: samples that a disturbance of the filters lasts. */
+static inline sgms_aligned sgms_filter_step(
+    const sgms_lowpass *filter,
+    sgms_real rate,
+    sgms_real mass,
+    int32_t settle,
+    const sgms_filter_memory *m,
+    sgms_position position,
+    sgms_real force)
+{
+    const int position_good = sgms_position_is_good(position);
+    const int force_good = sgms_is_reading(force);
+    sgms_real *const f = m->lowpass;
+    sgms_aligned out;
+    sgms_position difference = m->position[1];
+    sgms_real velocity;
+
+    if ((m->counts[0] & 1) == 0 && force_good) { /* first good force */
+        m->counts[0] |= 1;
+        m->last[0] = force;
+        m->last[2] = force;
+        sgms_lowpass_rest(filter, f + 8, force);
+        sgms_lowpass_rest(filter, f + 10, force);
+        m->counts[2] = 0;
+    }
+    if ((m->counts[0] & 2) == 0 && position_good) { /* first good position */
+        m->counts[0] |= 2;
+        m->position[0] = position;
+        m->position[1] = 0;
+        m->last[3] = SGMS_METRES(position);
+        sgms_lowpass_rest(filter, f + 12, m->last[3]);
+        sgms_lowpass_rest(filter, f + 14, m->last[3]);
+        m->counts[1] = 0;
+        m->counts[2] = 0;
+    }
+    if (!position_good) {
+        position = m->position[0] + m->position[1];
+        if (m->counts[1] <= settle) {
+            m->counts[1]++;
+        }
+    } else {
+        m->position[1] = position - m->position[0];
+        if (m->counts[1] > settle) { /* what was travelled unseen is not a velocity */
+            m->position[1] = 0;
+            m->last[3] = SGMS_METRES(position);
+        }
+        m->counts[1] = 0;
+    }
+    m->position[0] = position;
+    if (!force_good) {
+        force = m->last[0];
+    }
+    m->last[0] = force;
+
+    /* The filters are linear, so the difference of two filtered velocities is the filtered second difference of the
+     * position, which is exact: at 1 m/s the other order costs single precision 0.03 N. */
+    difference = m->position[1] - difference;
+    velocity = sgms_lowpass_step(filter, f, SGMS_METRES(m->position[1]) * rate);
+    out.velocity = sgms_lowpass_step(filter, f + 2, m->last[1]);
+    out.acceleration = sgms_lowpass_step(
+        filter, f + 6, sgms_lowpass_step(filter, f + 4, SGMS_METRES(difference) * rate * rate));
+    out.force = sgms_lowpass_step(filter, f + 10, sgms_lowpass_step(filter, f + 8, m->last[2]));
+    out.position = sgms_lowpass_step(filter, f + 14, sgms_lowpass_step(filter, f + 12, m->last[3]));
+    m->last[1] = velocity;
+    m->last[2] = force;
+    m->last[3] = SGMS_METRES(position);
+    out.friction = out.force - mass * out.acceleration;
+
+    if (!position_good || !force_good || m->counts[0] != 3) {
+        m->counts[2] = 0;
+        out.valid = 0;
+    } else {
+        out.valid = m->counts[2] >= settle;
+        if (m->counts[2] < settle) {
+            m->counts[2]++;
+        }
+    }
+    return out;
+}
+
+#endif

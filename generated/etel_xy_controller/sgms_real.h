@@ -1,0 +1,42 @@
+/* The number type of one package, and the version of the runtime that emitted files were written for.
+ *
+ * The runtime is a set of headers with static functions only: two packages of different precision can be linked
+ * into one binary, each with a runtime of its own. SGMS_SINGLE is 0 or 1 and comes from the package's config header. */
+#ifndef SGMS_REAL_H
+#define SGMS_REAL_H
+
+#include <stdint.h>
+
+#define SGMS_RUNTIME_VERSION 1
+
+#ifndef SGMS_SINGLE
+#error "define SGMS_SINGLE (0 or 1) before including the runtime"
+#endif
+
+#if SGMS_SINGLE
+typedef float sgms_real;
+typedef int32_t sgms_integer; /* as wide as sgms_real */
+typedef uint32_t sgms_unsigned;
+#define SGMS_R(x) x##f
+#else
+typedef double sgms_real;
+typedef int64_t sgms_integer;
+typedef uint64_t sgms_unsigned;
+#define SGMS_R(x) x
+#endif
+
+/* Before a loop over the lanes of one vector: gcc would unroll so short a loop before it looks for vectors. */
+#if defined(__GNUC__) && !defined(__clang__)
+#define SGMS_LANES _Pragma("GCC unroll 1")
+#else
+#define SGMS_LANES
+#endif
+
+/* A function that becomes part of its caller: its constants fold, and it may stand in a loop that vectorises. */
+#if defined(__GNUC__)
+#define SGMS_INLINE __attribute__((always_inline)) inline
+#else
+#define SGMS_INLINE inline
+#endif
+
+#endif
