@@ -34,6 +34,7 @@ from sgms_mhe.reference.flow import DEGREE, NEAR, Flow, gate_ratio, relaxation, 
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 # Largest lambda up to which a slow RK4 substep is as long as the settings say: the slip window is 1 / lambda wide.
 WIDE_LAMBDA = 35.0
@@ -272,15 +273,16 @@ class Integrator:
             start, end = middle - change, middle + change
             stair = (middle[:, None, :] + tau[:, None] * change[:, None, :]).reshape(-1, w.shape[1])
             reverses = np.abs(change[:, 1]) > np.abs(middle[:, 1])
-            substeps = np.where(reverses[:, None], 0, self._along_lines(np.abs(middle[:, 1]), h * stairs))
+            fast = np.abs(middle[:, 1]) - np.abs(change[:, 1]) > self._slow
+            substeps = np.where(reverses[:, None], 0, self._along_lines(np.abs(middle[:, 1]), h * stairs, fast))
             cut = np.zeros(len(end))
             piece_substeps = np.zeros((len(end), len(self.blocks), 2), dtype=np.int64)
             before, after = np.abs(start[reverses, 1]), np.abs(end[reverses, 1])
             cut[reverses] = share = before / (before + after)
             pieces = np.stack(
                 [
-                    self._along_lines(0.5 * before, h * stairs * share),
-                    self._along_lines(0.5 * after, h * stairs * (1.0 - share)),
+                    self._along_lines(0.5 * before, h * stairs * share, fast[reverses]),
+                    self._along_lines(0.5 * after, h * stairs * (1.0 - share), fast[reverses]),
                 ],
                 axis=2,
             )
@@ -338,13 +340,14 @@ class Integrator:
                 counts[:, b] = self._runge_kutta_substeps(block, speed, h, least)
         return counts
 
-    def _along_lines(self, speed: Array, h: Array | float) -> Counts:
-        """Substeps along lines of this mean speed and duration, 0 where stairs are less work (n, blocks)."""
+    def _along_lines(self, speed: Array, h: Array | float, fast: Mask) -> Counts:
+        """Substeps along lines of this mean speed and duration, the gate saturated all along or not, 0 where stairs are less work (n, blocks)."""
         counts = np.empty((len(speed), len(self.blocks)), dtype=np.int64)
         for b, block in enumerate(self.blocks):
             if block.saturates:
                 needed = np.maximum(1.0, np.ceil(self._slow_substeps(block, speed, h)))
-                counts[:, b] = np.where(needed <= self._merged - 1, needed, 0.0)
+                most = np.where(fast, max(1, self._merged // 2), self._merged - 1)
+                counts[:, b] = np.where(needed <= most, needed, 0.0)
             else:
                 counts[:, b] = self._runge_kutta_substeps(block, speed, h, 1)
         return counts
