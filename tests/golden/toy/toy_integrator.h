@@ -10,6 +10,17 @@
 #include "toy.h"
 #include "toy_model.h"
 
+static inline void fill(sgms_real *to, sgms_real value, int count)
+{
+    for (int i = 0; i < count; i++) {
+        to[i] = value;
+    }
+}
+
+static const sgms_real element_data[1][1] = { {0.0} };
+/* States of each block of the group element. */
+static const uint8_t element_states[1][1] = { {0} };
+
 enum { ELEMENT_STATES = 1, ELEMENT_Q = 1, ELEMENT_ROWS = 3, ELEMENT_BLOCKS = 1 };
 
 /* rho and f_C / s(v) of an element, with their derivatives in q. No operations. */
@@ -171,17 +182,6 @@ static void element_step(
     for (int l = 0; l < lanes; l++) {
         const int count = element_count(sgms_fabs(term[l]), rates[l * spread]);
         element_runge_kutta(1, count, PIECE_TIME, term + l, q + l, data + l, state + l);
-    }
-}
-
-static const sgms_real element_data[1][1] = { {0.0} };
-/* States of each block of the group element. */
-static const uint8_t element_states[1][1] = { {0} };
-
-static inline void fill(sgms_real *to, sgms_real value, int count)
-{
-    for (int i = 0; i < count; i++) {
-        to[i] = value;
     }
 }
 
