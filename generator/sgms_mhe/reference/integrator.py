@@ -341,7 +341,10 @@ class Integrator:
         return counts
 
     def _along_lines(self, speed: Array, h: Array | float, fast: Mask) -> Counts:
-        """Substeps along lines of this mean speed and duration, the gate saturated all along or not, 0 where stairs are less work (n, blocks)."""
+        """Substeps along lines of this mean speed and duration, 0 where stairs are less work (n, blocks).
+
+        `fast`: the gate is saturated all along.
+        """
         counts = np.empty((len(speed), len(self.blocks)), dtype=np.int64)
         for b, block in enumerate(self.blocks):
             if block.saturates:
