@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import Any, Final
 
@@ -281,10 +281,10 @@ class Workshop:
     def align(self, fit: Fit) -> None:
         """Bring measured friction into line with the model at a fit, where the difference says nothing about friction.
 
-        Three things are taken out of it: half a step of viscous force. What is of the sampling (`_sampling`), unless a
-        delay or lag is under test. And
-        where this workshop is a thinned one, the difference of its model's friction to that of the one it was thinned
-        from: residuals here are then those of the full rate, but for the change of that difference away from the fit.
+        Three things are taken out of it: half a step of viscous force (`_since_mean_velocity`). What is of the sampling
+        (`_sampling`), unless a delay or lag is under test. And where this workshop is a thinned one, the difference of
+        its model's friction to that of the one it was thinned from: residuals here are then those of the full rate, but
+        for the change of that difference away from the fit.
         """
         whole = self.fine or self
         exact = whole.friction(fit)
@@ -294,7 +294,7 @@ class Workshop:
         measured = whole.measured - self._since_mean_velocity(fit)
         names = {e.name for e in fit.extras} | {e.name for e in self.machine.effects}
         self.sampled = self._sampling(fit, measured - exact) if not names & set(TIMED) else np.zeros(2)
-        measured = measured - self._jerk_and_snap() @ self.sampled
+        measured = measured - self._jerk_and_snap @ self.sampled
         whole.recording = replace(whole.recording, friction=measured)
         whole._known.clear()
         if whole is self:
@@ -344,13 +344,14 @@ class Workshop:
         step, mass = (self.fine or self).machine.sampling.step, self.machine.plant.mass
         free = nuisance(fit.slopes[used][:, fit.loose])
         scale = mass * np.array([TIMING * step, step**2 / 12.0])
-        Z = free.project(self._jerk_and_snap()[used] * scale)
+        Z = free.project(self._jerk_and_snap[used] * scale)
         e = free.project(residual[used])
         bounded = lsq_linear(Z, e, ([-1.0, -1.0], [1.0, 0.0])).x
         if abs(bounded[0]) > 1.0 - 1e-6:  # more than sampling: all of it is for a delay or lag to explain
             bounded = np.array([0.0, *lsq_linear(Z[:, 1:], e, ([-1.0], [0.0])).x])
         return np.asarray(scale * bounded)
 
+    @cached_property
     def _jerk_and_snap(self) -> Array:
         """First and second derivative of the acceleration (m, 2), as the log's samples have them."""
         whole = self.fine or self
@@ -363,7 +364,7 @@ class Workshop:
 
         `sampled`: what its alignment found of the sampling.
         """
-        measured = self.measured - self._since_mean_velocity(fit) - self._jerk_and_snap() @ sampled
+        measured = self.measured - self._since_mean_velocity(fit) - self._jerk_and_snap @ sampled
         return np.asarray(measured - self.friction(fit))
 
     def model(self, extras: Sequence[Extra]) -> CompiledFit:

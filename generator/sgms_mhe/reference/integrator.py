@@ -187,15 +187,10 @@ class Integrator:
                 rate_per_metre=max(model.states[i].rate_per_metre for i in states),
                 rate_per_second=max(model.states[i].rate_per_second for i in states),
                 saturates=saturates,
-                slides=saturates and self._merged > 1 and self._is_moved_alone(states),
+                slides=saturates and self._sampling.merged > 1 and self._is_moved_alone(states),
             )
 
         return tuple(block(states) for states in sorted(largest))
-
-    @property
-    def _merged(self) -> int:
-        """K, samples that make one step."""
-        return max(1, self._sampling.samples_per_update // self._sampling.integrator.substeps)
 
     def _drive(self, i: int) -> ca.SX:
         """rho_i v of an element, with whatever velocity the model really uses: its rhs at zero deflection."""
@@ -254,7 +249,7 @@ class Integrator:
 
     def plan(self, signals: Signals) -> Plan:
         """Steps and substeps of every complete interval of a record."""
-        samples, h, stairs = self._sampling.samples_per_update, self._sampling.step, self._merged
+        samples, h, stairs = self._sampling.samples_per_update, self._sampling.step, self._sampling.merged
         intervals = (len(signals) - 1) // samples
         w = signal_array(signals, h)[: intervals * samples + 1]
         if stairs == 1:
@@ -349,7 +344,7 @@ class Integrator:
         for b, block in enumerate(self.blocks):
             if block.saturates:
                 needed = np.maximum(1.0, np.ceil(self._slow_substeps(block, speed, h)))
-                most = np.where(fast, max(1, self._merged // 2), self._merged - 1)
+                most = np.where(fast, max(1, self._sampling.merged // 2), self._sampling.merged - 1)
                 counts[:, b] = np.where(needed <= most, needed, 0.0)
             else:
                 counts[:, b] = self._runge_kutta_substeps(block, speed, h, 1)
@@ -497,7 +492,7 @@ class Integrator:
         chi = ca.vertcat(*(model.chi[i] for i in states))
         rhs = ca.Function("rhs", [chi, model.w, model.theta], [ca.vertcat(*(model.rhs[i] for i in states))])
         start, end, h = ca.SX.sym("w0", 5), ca.SX.sym("w1", 5), ca.SX.sym("h")
-        linear = self._merged > 1 or self._sampling.integrator.velocity == "linear"
+        linear = self._sampling.varies_in_step
         nodes, coefficients, weights = TABLEAUS[scheme]
         slopes: list[ca.SX] = []
         for c, row in zip(nodes, coefficients, strict=True):
