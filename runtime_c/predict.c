@@ -98,7 +98,7 @@ int sgms_predict(
             sgms_real term[NODES * TERMS * LANES];
             put_terms(signals + 5 * k, term);
             start_one(&of, state, one);
-            integrate_one(term, 0, BLOCKS, one);
+            integrate_one(term, one);
             one_end(&of, one, state, next, a, b);
             for (int i = 0; i < STATES; i++) {
                 for (int p = 0; p < PARAMETERS; p++) {

@@ -39,8 +39,6 @@ FARTHEST = 5.0
 """Relative deflection that no element comes near: a level is reached at 1."""
 IMPLAUSIBLE = 1e4
 """A state so many standard deviations of the first node's away from zero is no solution (DESIGN section 4)."""
-CHOSEN = 2
-"""Intervals that an update linearises anew at most, where `relinearise` is "auto" (DESIGN section 4)."""
 MOVE = 0.2
 """How far the end of an interval may move before that, over sqrt(sigma_x / lambda)."""
 STEP_COST_PER_ROW = 30
@@ -245,7 +243,10 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     # The newest interval is integrated as it is sampled: only older ones need their series again, or lanes.
     relinearise = estimator.relinearise if slots > 1 else "newest"
     most_blocks = max(len(g.blocks) for g in structure.groups)
-    wide = -(-max(most_blocks, slots if relinearise == "all" else 1) // vector) * vector
+    n_blocks = sum(len(g.blocks) for g in structure.groups)
+    chosen = max(2, n_blocks)  # blocks that an update linearises anew at most (DESIGN section 4)
+    side_by_side = {"all": max(most_blocks, slots), "auto": max(most_blocks, chosen), "newest": most_blocks}[relinearise]
+    wide = -(-side_by_side // vector) * vector
     lanes = {"all": wide, "auto": slots, "newest": 1}[relinearise]
     ring = relinearise != "newest"
     linear = integrator.velocity == "linear"
@@ -253,6 +254,8 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     nodes = 3 if sampling.varies_in_step else 1
     noise = estimator.noise
     fixed = estimator.arrival_cost.update == "fixed"
+    # A factor of the sweep stays what it is while nothing before it changes.
+    resume = horizon > 0 and relinearise != "all" and not fixed and model.output_is_affine
     scheme = SCHEMES["rk4" if integrator.scheme == "flow" else integrator.scheme]
     flow = integrator.scheme == "flow" and any(g.is_elements for g in structure.groups)
     law = element_law(machine)
@@ -269,6 +272,13 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         )
         for g in structure.groups
     ]
+    first = first_q = 0
+    for group in groups:
+        group |= {"first": first, "first_q": first_q}
+        first += group["n_blocks"]
+        first_q += group["n_q"] * group["n_blocks"]
+    block_states = [b.states for g in structure.groups for b in g.blocks]
+    largest_block = max(len(states) for states in block_states)
     block_rows = [g.m * (1 + g.m + g.n_q) for g in structure.groups for _ in g.blocks]
     state_rows = sum(block_rows)
     n_q_total = sum(g.n_q * len(g.blocks) for g in structure.groups)
@@ -303,7 +313,17 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "vector": vector,
         "law": law if any(g["law"] for g in groups) else None,
         "relinearise": relinearise,
-        "chosen": CHOSEN,
+        "chosen": chosen,
+        "most_blocks": most_blocks,
+        "resume": resume,
+        "start_size": (model.n_x + model.n_p) * (model.n_x + model.n_p + 3) // 2,
+        "drift_interval": estimator.drift_interval,
+        "block_sizes": [len(states) for states in block_states],
+        "block_states": [
+            "{" + ", ".join(str(i) for i in [*states, *[states[-1]] * (largest_block - len(states))]) + "}"
+            for states in block_states
+        ],
+        "largest_block": largest_block,
         "ring": ring,
         "nodes": nodes,
         "term_rows": nodes * (steps if ring else 1),
@@ -321,9 +341,11 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "term_names": [t.name for t in structure.sample_terms],
         "state_rows": state_rows,
         "one_size": sum(g["one_rows"] for g in groups) * wide,
-        "costs": _costs(model, relinearise, slots, steps, samples, stairs=merged, rows=[state_rows]),
-        "scalar_costs": _costs(model, relinearise, slots, steps, samples, stairs=merged, rows=block_rows),
-        "n_blocks": len(block_rows),
+        "costs": _costs(model, relinearise, slots, steps, samples, stairs=merged, rows=state_rows, batches=1),
+        "scalar_costs": _costs(
+            model, relinearise, slots, steps, samples, stairs=merged, rows=max(block_rows), batches=chosen
+        ),
+        "n_blocks": n_blocks,
         "n_q_total": n_q_total,
         "settle": settle_samples(machine),
         "rate": sampling.rate,
@@ -490,20 +512,20 @@ class _Costs:
 
 
 def _costs(
-    model: Model, relinearise: str, slots: int, steps: int, samples: int, *, stairs: int, rows: Sequence[int]
+    model: Model, relinearise: str, slots: int, steps: int, samples: int, *, stairs: int, rows: int, batches: int
 ) -> _Costs:
     """Share the work of an update out over the samples of an interval but its last.
 
     A sample does units, in their order, as long as they fit: per_sample is the smallest number with which all of them
-    are done in time. More never takes longer. `rows` are the rows of the parts that a step is taken in; at worst it is
-    taken as its samples (`stairs`).
+    are done in time. More never takes longer. `rows` are those of a step, of which "auto" takes every one `batches`
+    times; at worst it is taken as its samples (`stairs`).
     """
     n_x, n_p = model.n_x, model.n_p
     width = 2 * n_x + n_p + 1
     recover = (1 + (relinearise == "auto")) * n_x * (n_x + n_p)
     node = 2 * n_x * (n_x + 2) * width + 2 * (n_x + n_p) * (n_x + n_p + 1)
-    step = STEP_COST_PER_ROW * stairs * max(rows) * (slots if relinearise == "all" else 1)
-    count = {"all": 1, "auto": CHOSEN * len(rows), "newest": 0}[relinearise] * steps
+    step = STEP_COST_PER_ROW * stairs * rows * (slots if relinearise == "all" else 1)
+    count = {"all": 1, "auto": batches, "newest": 0}[relinearise] * steps
     units = [(recover, slots - 1), (node, 1), (step, count), (node, slots - 1)]
     total = sum(cost * n for cost, n in units)
 
@@ -665,7 +687,6 @@ def _group_context(
         ),
         "data_rows": [emitter.printer.array(b.data or (0.0,)) for b in group.blocks],
         "rates": ["{" + ", ".join(number(v) for v in row) + "}" for row in rates],
-        "states_rows": ["{" + ", ".join(str(s) for s in b.states) + "}" for b in group.blocks],
         "flow": flow,
         "n_up": m - 1 if flow or law else 0,
         "slides": False,
