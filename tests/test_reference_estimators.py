@@ -13,12 +13,12 @@ from scipy.optimize import lsq_linear
 
 from reference_cases import friction_at_samples, linear_model, moving, simulate, variant, with_integrator
 from sgms_mhe.kinematics import Signals
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.reference import Integrator, Record, Status, estimate_model, estimate_reference, run_mhe
 from sgms_mhe.reference.ekf import into_bounds
 from sgms_mhe.reference.least_squares import solve, solve_bounded
-from sgms_mhe.reference.mhe import CHOSEN, Arrival, Kept, Window, dense_problem, integrate, linearise, renew
+from sgms_mhe.reference.mhe import Arrival, Kept, Window, dense_problem, integrate, linearise, renew
 
 Array = NDArray[np.float64]
 THETA = np.array([1.3, 0.8, 0.9])
@@ -99,34 +99,117 @@ def test_kept_linearisations_are_exact_on_a_linear_model() -> None:
         np.testing.assert_allclose(other.extra["theta"], every.extra["theta"], rtol=0.0, atol=1e-10)
 
 
-def test_those_that_moved_most_are_linearised_anew() -> None:
-    model = build_model(with_integrator(variant(), scheme="rk4"))
-    motion = moving(2e-3 * np.sin(2.0 * np.pi * 4.0 * np.arange(601) / 10000.0))
+def kept_at(record: Record, x: Array, theta: Array) -> Kept:
+    return Kept.of(x, theta, integrate(record, 0, x, theta))
+
+
+def slow_record(model: Model) -> tuple[Record, Array]:
+    """A motion through which all elements stick, so that an end moves as far as the start; nodes of six intervals."""
+    motion = moving(2e-5 * np.sin(2.0 * np.pi * 4.0 * np.arange(601) / 10000.0))
     record = Record(model, motion, Integrator(model))
+    return record, simulate(record.integrator, motion, np.ones(4))[:6]
+
+
+def with_effect(effect: dict[str, Any]) -> Machine:
+    return override_machine(with_integrator(scheme="rk4"), {"effects": [effect]})
+
+
+def rows_of(pairs: list[tuple[int, tuple[int, ...]]], n_x: int) -> NDArray[np.bool_]:
+    rows = np.zeros((6, n_x), dtype=np.bool_)
+    for k, states in pairs:
+        rows[k, states] = True
+    return rows
+
+
+def assert_renewed(renewed: Kept, kept: Kept, fresh: Kept, rows: NDArray[np.bool_]) -> None:
+    """Every array is that of `fresh` in the given rows, and untouched in all others."""
+    for ours, before, new in zip(renewed, kept, fresh, strict=True):
+        np.testing.assert_array_equal(ours[rows], new[rows])
+        np.testing.assert_array_equal(ours[~rows], before[~rows])
+
+
+def test_one_block_of_one_interval_is_linearised_anew() -> None:
+    model = build_model(with_integrator(variant(), scheme="rk4"))
+    record, x = slow_record(model)
     theta = np.ones(4)
-    x = simulate(record.integrator, motion, theta)[:6]
-    kept = Kept(x, np.tile(theta, (6, 1)), integrate(record, 0, x, theta))
-    # An element that sticks moves its end as far as its start: in allowances of the fourth one.
-    steps = np.array([0.5, 3.0, 0.0, 2.0, 5.0, 0.9])
+    kept = kept_at(record, x, theta)
     moved = x.copy()
-    moved[:, 3] += steps * record.weights.move[3] / kept.intervals.A[:, 3, 3]
-    np.testing.assert_allclose(kept.moves(moved, theta)[:, 3] / record.weights.move[3], steps, atol=1e-12)
+    moved[3, 2] += 1.1 * record.weights.move[2]
+    moved[3, 1] += 0.9 * record.weights.move[1]
+    # Parameters have moved too, though by too little to count.
+    near = theta + 1e-6
+    renewed = renew(record, 0, kept, moved, near)
+    fresh = kept_at(record, moved, near)
+    assert_renewed(renewed, kept, fresh, rows_of([(3, (2,))], 4))
+    assert not np.array_equal(renewed.x1, kept.x1)
+    # Each row moves on from where it was linearised.
+    further, beyond = moved + 1e-3, near + 1e-3
+    about = renewed.at(further, beyond)
+    for k, i in itertools.product(range(6), range(4)):
+        own = fresh if (k, i) == (3, 2) else kept
+        point, parameters = (moved[k], near) if own is fresh else (x[k], theta)
+        end = own.x1[k, i] + own.A[k, i] @ (further[k] - point) + own.B[k, i] @ (beyond - parameters)
+        assert about.x1[k, i] == pytest.approx(end, abs=1e-15)
+    np.testing.assert_array_equal(about.A, renewed.A)
+    # Less than the allowance everywhere: nothing to do.
+    assert_renewed(renew(record, 0, renewed, moved, near), renewed, fresh, np.zeros((6, 4), dtype=np.bool_))
+
+
+def test_blocks_that_moved_most_are_linearised_anew() -> None:
+    model = build_model(with_integrator(variant(), scheme="rk4"))
+    record, x = slow_record(model)
+    theta = np.ones(4)
+    kept = kept_at(record, x, theta)
+    steps = np.zeros((6, 4))
+    for (k, i), step in {(1, 2): 6.0, (3, 3): -5.0, (2, 2): 4.0, (1, 0): -3.0, (4, 1): 2.0, (4, 0): 1.5}.items():
+        steps[k, i] = step
+    steps[5, 3] = 0.9
+    moved = x + steps * record.weights.move
+    np.testing.assert_allclose(kept.moves(moved, theta) / record.weights.move, steps, atol=1e-6)
+    fresh = kept_at(record, moved, theta)
+    # As many as there are blocks, of whichever intervals.
     renewed = renew(record, 0, kept, moved, theta)
-    assert CHOSEN == 2
-    expected = np.array([False, True, False, False, True, False])
-    np.testing.assert_array_equal(np.any(renewed.x != kept.x, axis=1), expected)
-    for k in range(6):
-        at = moved[k] if expected[k] else x[k]
-        fresh = integrate(record, k, at[None], theta)
-        for ours, theirs in zip(renewed.intervals, fresh, strict=True):
-            np.testing.assert_array_equal(ours[k], theirs[0])
+    assert_renewed(renewed, kept, fresh, rows_of([(1, (2,)), (3, (3,)), (2, (2,)), (1, (0,))], 4))
     # Those that wait are next.
     again = renew(record, 0, renewed, moved, theta)
-    np.testing.assert_array_equal(np.any(again.x != renewed.x, axis=1), np.arange(6) == 3)
-    # About the new point the intervals are the same affine maps.
-    np.testing.assert_allclose(
-        kept.at(moved, theta).x1, kept.intervals.x1 + kept.moves(moved, theta), rtol=0.0, atol=1e-15
-    )
+    assert_renewed(again, renewed, fresh, rows_of([(4, (1,)), (4, (0,))], 4))
+
+
+def test_a_state_of_several_blocks_counts_for_each_of_them() -> None:
+    model = build_model(with_effect({"name": "dwell_dependence", "ratio": 0.5}))
+    record, x = slow_record(model)
+    blocks = [block.states for block in record.integrator.blocks]
+    assert blocks == [(0, 4), (1, 4), (2, 4), (3, 4)]
+    theta = np.ones(4)
+    kept = kept_at(record, x, theta)
+    fresh_at = {step: x + step * np.eye(5)[4] * record.weights.move[4] / kept.A[2, 4, 4] for step in (0.5, 3.0)}
+    moved = x.copy()
+    moved[2] = fresh_at[3.0][2]
+    fresh = kept_at(record, moved, theta)
+    assert_renewed(renew(record, 0, kept, moved, theta), kept, fresh, rows_of([(2, (0, 1, 2, 3, 4))], 5))
+    # An element that moved takes its block's shared state along, and no other element.
+    moved = x.copy()
+    moved[2] = fresh_at[0.5][2]
+    moved[2, 1] += 2.0 * record.weights.move[1]
+    fresh = kept_at(record, moved, theta)
+    assert_renewed(renew(record, 0, kept, moved, theta), kept, fresh, rows_of([(2, (1, 4))], 5))
+
+
+def test_at_least_two_pairs_are_linearised_anew() -> None:
+    model = build_model(with_effect({"name": "backlash", "gap_m": 1e-5}))
+    record, x = slow_record(model)
+    assert len(record.integrator.blocks) == 1
+    theta = np.ones(4)
+    kept = kept_at(record, x, theta)
+    moved = x.copy()
+    for k, step in ((0, 2.0), (2, 5.0), (3, 4.0)):
+        moved[k, 0] += step * record.weights.move[0] / kept.A[k, 0, 0]
+    fresh = kept_at(record, moved, theta)
+    everything = tuple(range(model.n_x))
+    renewed = renew(record, 0, kept, moved, theta)
+    assert_renewed(renewed, kept, fresh, rows_of([(2, everything), (3, everything)], model.n_x))
+    last = renew(record, 0, renewed, moved, theta)
+    assert_renewed(last, renewed, fresh, rows_of([(0, everything)], model.n_x))
 
 
 def test_ekf_is_the_kalman_filter_on_a_linear_model() -> None:
@@ -310,6 +393,48 @@ def test_parameters_do_not_drift_at_standstill() -> None:
     std = result.std[56:]
     np.testing.assert_allclose(std, np.tile(std[0], (len(std), 1)), rtol=1e-9)
     assert np.all(result.status[50:] == Status.HOLD | Status.MISSING)
+
+
+@pytest.mark.parametrize(("horizon", "interval"), [(1, 1), (4, 1), (9, 1), (10, 2), (20, 4), (24, 4)])
+def test_the_horizon_says_how_often_theta_drifts(horizon: int, interval: int) -> None:
+    assert axis(horizon=horizon).estimator.drift_interval == interval
+
+
+@pytest.mark.parametrize(
+    ("horizon", "interval", "restart"), [(4, 1, 0), (11, 2, 0), (20, 4, 0), (11, 2, 16), (20, 4, 26)]
+)
+@pytest.mark.parametrize("relinearise", ["all", "newest"])
+@pytest.mark.parametrize("drift", [0.01, 0.15])
+def test_drift_enters_in_batches(horizon: int, interval: int, restart: int, relinearise: str, drift: float) -> None:
+    weights = variant().estimator.noise.model_dump() | {"parameter": 0.3, "parameter_drift": drift}
+    machine = axis("rk4", horizon=horizon, relinearise=relinearise, noise=weights)
+    measured = restart + 10
+    updates = measured + 2 * horizon + 14
+    # Two intervals of three move; what is not finite ends with the node `restart`.
+    moves = np.arange(updates) % 3 != 1
+    speeds = np.where(moves, 2e-3, 0.0)
+    velocity = np.concatenate([[0.0], np.repeat(speeds, 100)])
+    signals = record_of(machine, velocity, np.ones(4))
+    if restart:
+        velocity[100 * restart - 99 : 100 * restart] = 1e200
+    valid = np.arange(len(velocity)) <= 100 * measured
+    result = estimate_reference(machine, dataclasses.replace(signals, velocity=velocity, valid=valid))
+    assert np.flatnonzero(result.status == -2).tolist() == ([restart - 1] if restart else [])
+    np.testing.assert_array_equal(result.status[measured:] & Status.HOLD == 0, moves[measured:])
+    # From the first window without a measurement on, its deviations of theta are those of the arrival cost.
+    variance = np.square(result.extra["theta_std"])
+    growths = 0
+    for update in range(measured + horizon + 1, updates):
+        # The shift after this update: how many there have been, and the intervals of the last ones.
+        shift = update - restart - horizon + 1
+        owed = np.sum(moves[update - horizon + 1 - interval : update - horizon + 1]) if shift % interval == 0 else 0
+        growth = np.minimum(owed * drift**2, 0.3**2 - variance[update - 1])
+        np.testing.assert_allclose(variance[update] - variance[update - 1], growth, rtol=0.0, atol=1e-10)
+        growths += owed > 0
+    assert growths >= horizon // interval
+    assert np.all(result.extra["theta_std"] <= 0.3 * (1.0 + 1e-9))
+    if drift == 0.15:
+        np.testing.assert_allclose(result.extra["theta_std"][-1], 0.3)
 
 
 def test_no_parameter_gets_less_certain_than_its_prior() -> None:

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reference_cases import moving, simulate, variant, with_integrator
-from sgms_mhe.machine import Machine, Smoothing
+from reference_cases import linear_model, moving, simulate, variant, with_integrator
+from sgms_mhe.machine import Machine, Smoothing, load_machine, override_machine
 from sgms_mhe.model import build_model
 from sgms_mhe.reference.flow import window
 from sgms_mhe.reference.integrator import Integrator
@@ -134,3 +134,30 @@ def test_node_state_scalings_are_the_same_model() -> None:
         x = simulate(Integrator(model), moving(velocity), theta)[-1]
         ends.append(np.array(model.function("deflection")(model.function("from_node")(x, theta), theta)))
     np.testing.assert_allclose(*ends, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("friction", "estimator", "is_affine"),
+    [
+        ({}, {}, True),
+        # The Coulomb level multiplies chi, which is the node state over it: on paper it cancels.
+        ({}, {"parameters": ["stiffness", "coulomb", "viscous"]}, True),
+        # A deflection times its stiffness.
+        ({}, {"noise": {"state_as": "deflection"}}, False),
+        ({}, {"noise": {"state_as": "deflection"}, "parameters": ["viscous"]}, True),
+        # The rate of a state is not affine in it, whatever is estimated.
+        ({"micro_viscous": [10.0] * 4}, {}, False),
+        ({"micro_viscous": [10.0] * 4}, {"parameters": ["viscous"]}, False),
+    ],
+)
+def test_output_is_affine_where_nothing_multiplies(
+    friction: dict[str, Any], estimator: dict[str, Any], is_affine: bool
+) -> None:
+    machine = override_machine(load_machine("etel_xy"), {"friction": friction, "estimator": {"bounds": {}} | estimator})
+    assert build_model(machine).output_is_affine == is_affine
+
+
+def test_output_of_a_gain_is_not_affine() -> None:
+    changes = {"effects": [{"name": "force_gain"}], "estimator": {"parameters": ["stiffness", "force_gain.gain"]}}
+    assert not build_model(override_machine(load_machine("etel_xy"), changes)).output_is_affine
+    assert linear_model().output_is_affine

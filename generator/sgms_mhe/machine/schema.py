@@ -328,8 +328,8 @@ class Estimator(Table):
     kind: Literal["mhe", "ekf"] = text("estimator", "mhe or ekf", "mhe")
     horizon: int = quantity("N, shooting intervals", "1", 20, ge=1, le=1000)
     relinearise: Literal["all", "auto", "newest"] = text(
-        "older intervals that an update linearises anew about the last solution",
-        "all, auto (those that have moved most) or newest (none: each but once, as the newest); of the mhe alone",
+        "what of the older intervals an update linearises anew about the last solution",
+        "all, auto (the blocks that have moved most) or newest (none: each but once, as the newest); of the mhe alone",
         "all",
     )
     parameters: Names = text(
@@ -343,6 +343,11 @@ class Estimator(Table):
     bounds: Annotated[dict[str, Pair], BeforeValidator(_flatten)] = Field(
         {}, description="[low, high] of a parameter over its nominal value [1]; 0 <= low < 1 < high; default unbounded"
     )
+
+    @property
+    def drift_interval(self) -> int:
+        """Shifts of the window between two growths of the arrival cost by the drift: five to a horizon."""
+        return max(1, self.horizon // 5)
 
     @model_validator(mode="after")
     def _check(self) -> Self:

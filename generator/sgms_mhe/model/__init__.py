@@ -96,6 +96,32 @@ class Model:
         """Standard deviation of the first node's state (n_x)."""
         return np.array([state.initial_state for state in self.states])
 
+    @property
+    def output_is_affine(self) -> bool:
+        """Whether the output is affine in (node state, theta) jointly, whatever the signals are.
+
+        Its Jacobian is then the same at any two points, up to rounding. It is compared at random ones of all sizes:
+        what cancels on paper (the Coulomb level of a node state that is a force) still stands in the expression.
+        """
+        variables = ca.vertcat(self.x, self.theta)
+        output = ca.substitute(self.output, self.chi, self.from_node)
+        function = ca.Function("slopes", [variables, self.w], [ca.densify(ca.jacobian(output, variables))])
+        rng = np.random.default_rng(3)
+
+        def signed(count: int, low: float, high: float) -> NDArray[np.float64]:
+            return np.asarray(rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(low, high, count))
+
+        def slopes(w: NDArray[np.float64]) -> NDArray[np.float64]:
+            theta = [rng.uniform(max(p.lower, 0.9), min(p.upper, 1.1)) for p in self.parameters]
+            return np.array(function(np.concatenate([signed(self.n_x, -2.0, 1.0), theta]), w))
+
+        for _ in range(100):
+            w = signed(len(SIGNAL_NAMES), -6.0, 2.0)
+            here, there = slopes(w), slopes(w)
+            if not np.max(np.abs(there - here)) <= 1e-11 * np.max(np.abs(here)):
+                return False
+        return True
+
     def to_si(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """Parameters in SI units from scaled ones, shape (..., n_p)."""
         nominal = np.array([p.nominal for p in self.parameters])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +12,9 @@ from scipy.linalg import solve_triangular
 from sgms_mhe.estimates import Estimates
 from sgms_mhe.reference.integrator import Linearised, Outputs
 from sgms_mhe.reference.least_squares import solve_bounded, triangular_factor
-from sgms_mhe.reference.problem import NOT_FINITE, Progress, Record, Status, Weights, estimates
+from sgms_mhe.reference.problem import NOT_FINITE, Progress, Record, Status, estimates
 
 Array = NDArray[np.float64]
-
-CHOSEN = 2
-"""Intervals that an update linearises anew at most, where `relinearise` is "auto"."""
 
 
 @dataclass(frozen=True)
@@ -38,50 +36,58 @@ class Window:
     outputs: Outputs
 
 
-@dataclass(frozen=True)
-class Kept:
-    """Linearisations of n intervals, oldest first, as they were made.
+class Kept(NamedTuple):
+    """Affine maps of n intervals, oldest first, as they were made; each state's row has a point of its own.
 
     Attributes:
-        x: node at the start of each (n, n_x).
-        theta: parameters of each (n, n_p).
-        intervals: ends and sensitivities there.
+        x: node at the start of the interval that a state's row was linearised at (n, n_x, n_x).
+        theta: parameters that it was linearised at (n, n_x, n_p).
+        x1: where the state ended there (n, n_x).
+        A: its sensitivities to the node at the start, there (n, n_x, n_x).
+        B: its sensitivities to the parameters, there (n, n_x, n_p).
     """
 
     x: Array
     theta: Array
-    intervals: Linearised
+    x1: Array
+    A: Array
+    B: Array
+
+    @classmethod
+    def of(cls, x: Array, theta: Array, intervals: Linearised) -> Kept:
+        """Intervals from the nodes x (n, n_x), all rows linearised there and at theta (n_p)."""
+        n, n_x = x.shape
+        return cls(np.tile(x[:, None, :], (1, n_x, 1)), np.tile(theta, (n, n_x, 1)), *intervals)
 
     @classmethod
     def none(cls, n_x: int, n_p: int) -> Kept:
         """No interval yet."""
         empty = Linearised(np.empty((0, n_x)), np.empty((0, n_x, n_x)), np.empty((0, n_x, n_p)))
-        return cls(np.empty((0, n_x)), np.empty((0, n_p)), empty)
+        return cls.of(np.empty((0, n_x)), np.empty(n_p), empty)
 
     def moves(self, x: Array, theta: Array) -> Array:
-        """Move of each end when nodes and parameters go from the linearisation's to (x, theta): (n, n_x)."""
-        by_x = np.einsum("kij,kj->ki", self.intervals.A, x - self.x)
-        return np.asarray(by_x + np.einsum("kij,kj->ki", self.intervals.B, theta - self.theta))
+        """Move of each end when nodes and parameters go from the linearisations' to (x, theta): (n, n_x)."""
+        by_x = np.einsum("kij,kij->ki", self.A, x[:, None, :] - self.x)
+        return np.asarray(by_x + np.einsum("kij,kij->ki", self.B, theta - self.theta))
 
     def at(self, x: Array, theta: Array) -> Linearised:
-        """The affine intervals, written about (x, theta)."""
-        return self.intervals._replace(x1=self.intervals.x1 + self.moves(x, theta))
+        """The affine maps, written about (x, theta)."""
+        return Linearised(self.x1 + self.moves(x, theta), self.A, self.B)
 
-    def renewed(self, k: int, x: Array, theta: Array, interval: Linearised) -> Kept:
-        """With interval k linearised at (x, theta)."""
-        renewed = Kept(x[None], theta[None], interval)
-        return self.part(0, k).with_newer(renewed).with_newer(self.part(k + 1, len(self.x)))
+    def renewed(self, k: int, states: tuple[int, ...], fresh: Kept) -> Kept:
+        """With the rows of some states of interval k as they are in `fresh`, which is that interval alone."""
+        renewed = Kept(*(array.copy() for array in self))
+        for array, new in zip(renewed, fresh, strict=True):
+            array[k, states] = new[0, states]
+        return renewed
 
     def with_newer(self, newest: Kept) -> Kept:
         """With further intervals at the newer end."""
-        joined = (np.concatenate(pair) for pair in zip(self.intervals, newest.intervals, strict=True))
-        return Kept(np.vstack([self.x, newest.x]), np.vstack([self.theta, newest.theta]), Linearised(*joined))
+        return Kept(*(np.concatenate(pair) for pair in zip(self, newest, strict=True)))
 
     def part(self, first: int, last: int) -> Kept:
         """Intervals first to last - 1."""
-        return Kept(
-            self.x[first:last], self.theta[first:last], Linearised(*(array[first:last] for array in self.intervals))
-        )
+        return Kept(*(array[first:last] for array in self))
 
 
 def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
@@ -92,6 +98,8 @@ def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
 
     relinearise = model.machine.estimator.relinearise
     kept = Kept.none(n_x, n_p)
+    # Since theta last drifted: shifts of the window, and those of them whose interval had moved.
+    shifts = owed = 0
     arrival = prior = Arrival(*weights.prior)
     x, theta = prior.mean[None, :n_x], prior.mean[n_x:]
     std = weights.parameter
@@ -106,7 +114,7 @@ def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
         else:
             if relinearise == "auto":
                 kept = renew(record, first, kept, x[:-1], theta)
-            kept = kept.with_newer(Kept(x[-1:], theta[None], integrate(record, node - 1, x[-1:], theta)))
+            kept = kept.with_newer(Kept.of(x[-1:], theta, integrate(record, node - 1, x[-1:], theta)))
             window = window_of(record, first, x, theta, kept.at(x, theta))
         is_full = len(x) == weights.horizon
         status = record.status(node) | (0 if is_full else Status.FILLING)
@@ -119,14 +127,18 @@ def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
             status = NOT_FINITE
             x, arrival = x[-1:], Arrival(np.concatenate([x[-1], theta]), prior.covariance)
             kept = Kept.none(n_x, n_p)
+            shifts = owed = 0
         else:
             x, theta, std, active = solution
             status |= Status.BOUND if active.any() else 0
             if is_full:
                 x, kept = x[1:], kept.part(1, len(kept.x))
                 if is_riccati:
-                    path = float(record.plan.path[window.first])
-                    arrival = arrival_update(weights, arrival, window, bool(record.valid[window.first]), record, path)
+                    shifts, owed = shifts + 1, owed + record.moves(window.first)
+                    is_due = shifts == weights.drift_interval
+                    arrival = arrival_update(record, arrival, window, owed if is_due else 0)
+                    if is_due:
+                        shifts = owed = 0
                 else:
                     spread = np.concatenate([weights.sigma_x, weights.parameter])
                     arrival = Arrival(np.concatenate([x[0], theta]), np.diag(spread**2))
@@ -150,11 +162,16 @@ def integrate(record: Record, first: int, x: Array, theta: Array) -> Linearised:
 
 
 def renew(record: Record, first: int, kept: Kept, x: Array, theta: Array) -> Kept:
-    """Linearise anew at (x, theta) the intervals whose ends have moved too far: those that moved most, up to CHOSEN."""
-    moved = np.max(np.abs(kept.moves(x, theta)) / record.weights.move, axis=1, initial=0.0)
-    for k in np.argsort(-moved)[:CHOSEN]:
-        if moved[k] > 1.0:
-            kept = kept.renewed(k, x[k], theta, integrate(record, first + int(k), x[k : k + 1], theta))
+    """Linearise anew at (x, theta) the blocks of intervals whose ends have moved too far: a few that moved most."""
+    blocks = record.integrator.blocks
+    moved = np.abs(kept.moves(x, theta)) / record.weights.move
+    by_block = np.stack([np.max(moved[:, block.states], axis=1) for block in blocks], axis=1)
+    most_first = np.argsort(-by_block, axis=None, kind="stable")[: max(2, len(blocks))]
+    for k, b in zip(*np.unravel_index(most_first, by_block.shape), strict=True):
+        if by_block[k, b] > 1.0:
+            start = x[k : k + 1]
+            fresh = Kept.of(start, theta, integrate(record, first + int(k), start, theta))
+            kept = kept.renewed(int(k), blocks[b].states, fresh)
     return kept
 
 
@@ -229,17 +246,16 @@ def _solve(
     return x, theta, std, is_active
 
 
-def arrival_update(
-    weights: Weights, arrival: Arrival, window: Window, is_valid: bool, record: Record, path: float
-) -> Arrival:
+def arrival_update(record: Record, arrival: Arrival, window: Window, owed: int) -> Arrival:
     """Kalman update and prediction of (x, theta) over the interval that leaves, linearised as the window was.
 
-    Covariance form: measurement of the oldest node (Joseph), prediction with state noise, then the drift of theta.
+    Covariance form: measurement of the oldest node (Joseph), prediction with state noise, then the drift of theta that
+    is owed for so many intervals.
     """
-    n_x = window.x.shape[1]
+    weights, n_x = record.weights, window.x.shape[1]
     point = np.concatenate([window.x[0], window.theta])
     mean, P = arrival.mean, arrival.covariance
-    if is_valid:
+    if record.valid[window.first]:
         C = np.concatenate([window.outputs.C[0], window.outputs.D[0]])
         innovation = record.y[window.first] - window.outputs.y[0] - C @ (mean - point)
         mean, P = measurement_update(mean, P, C, float(innovation), weights.sigma_y)
@@ -247,7 +263,7 @@ def arrival_update(
     F[:n_x, :n_x], F[:n_x, n_x:] = window.intervals.A[0], window.intervals.B[0]
     image = np.concatenate([window.intervals.x1[0], window.theta])
     mean, P = image + F @ (mean - point), F @ P @ F.T
-    growth = np.concatenate([weights.sigma_x**2, weights.drift_variance(np.diag(P)[n_x:], path)])
+    growth = np.concatenate([weights.sigma_x**2, weights.drift_variance(np.diag(P)[n_x:], owed)])
     P = P + np.diag(growth)
     return Arrival(mean, 0.5 * (P + P.T))
 

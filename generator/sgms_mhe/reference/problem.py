@@ -42,6 +42,7 @@ class Weights:
 
     Attributes:
         horizon: N, intervals in the window.
+        drift_interval: shifts of the window between two growths of the arrival cost by the drift.
         move: how far the end of an interval may move before it is linearised anew (n_x), node state units.
         sigma_y: measurement [N].
         sigma_x: state noise per interval (n_x), node state units.
@@ -54,6 +55,7 @@ class Weights:
     """
 
     horizon: int
+    drift_interval: int
     move: Array
     sigma_y: float
     sigma_x: Array
@@ -73,6 +75,7 @@ class Weights:
         scales = np.array(friction.fraction) * friction.coulomb / np.array(friction.stiffness)
         return cls(
             horizon=machine.estimator.horizon,
+            drift_interval=machine.estimator.drift_interval,
             move=MOVE * np.sqrt(model.state_noise / friction.smoothing.lambda_),
             sigma_y=noise.measurement,
             sigma_x=model.state_noise,
@@ -95,11 +98,9 @@ class Weights:
         mean = np.concatenate([np.zeros(len(self.sigma_x)), np.ones(len(self.parameter))])
         return mean, np.diag(np.concatenate([self.initial_state, self.parameter]) ** 2)
 
-    def drift_variance(self, variance: Array, path: float) -> Array:
-        """d_j^2 of DESIGN section 4: growth of the variances of theta over an interval of the given path."""
-        if path < self.hold_path:
-            return np.zeros_like(self.drift)
-        return np.minimum(self.drift**2, np.maximum(0.0, self.parameter**2 - variance))
+    def drift_variance(self, variance: Array, owed: int) -> Array:
+        """d_j^2 of DESIGN section 4: growth of the variances of theta over so many intervals that moved."""
+        return np.minimum(owed * self.drift**2, np.maximum(0.0, self.parameter**2 - variance))
 
 
 class Record:
@@ -118,10 +119,14 @@ class Record:
         self.y: Array = signals.friction[nodes]
         self.valid: NDArray[np.bool_] = signals.valid[nodes] & np.isfinite(self.y)
 
+    def moves(self, interval: int) -> bool:
+        """Whether the axis moves far enough in an interval for theta to drift."""
+        return not self.plan.path[interval] < self.weights.hold_path
+
     def status(self, node: int) -> int:
         """What the newest interval and measurement say of the update at a node."""
         status = 0 if self.valid[node] else int(Status.MISSING)
-        if self.plan.path[node - 1] < self.weights.hold_path:
+        if not self.moves(node - 1):
             status |= Status.HOLD
         if self.plan.fastest[node - 1] > self.weights.max_velocity:
             status |= Status.SPEED
