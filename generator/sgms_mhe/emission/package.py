@@ -317,6 +317,7 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "most_blocks": most_blocks,
         "resume": resume,
         "start_size": (model.n_x + model.n_p) * (model.n_x + model.n_p + 3) // 2,
+        "start_rows": [i * (2 * (model.n_x + model.n_p) + 3 - i) // 2 for i in range(model.n_x + model.n_p)],
         "drift_interval": estimator.drift_interval,
         "block_sizes": [len(states) for states in block_states],
         "block_states": [
