@@ -1,8 +1,9 @@
 """What an update costs on this host and how exact its integration is, beside the same problem by a peer's code.
 
 Time and instructions of the emitted C are those of all the work between two updates, as `runtime_c/harness.c` calls it:
-the samples of one interval through the signal chain and the newest interval, feedback, prepare. Those of a peer are
-residual and Jacobian of one window and nothing else: no signals, no solution, no arrival cost. Only instruction counts
+the samples of one interval through the signal chain and the newest interval, feedback, prepare; in the variants that
+say so also the force fed forward at every sample, which is no part of an estimate. Those of a peer are residual and
+Jacobian of one window and nothing else: no signals, no solution, no arrival cost. Only instruction counts
 compare between machines; time is that of this host, and says something as a ratio within one run.
 """
 
@@ -224,6 +225,7 @@ def run_benchmark(
         InputError: no such motion.
         BuildError: the compiler refused.
     """
+    feeding, machine = machine, override_machine(machine, {"compensation": {"enabled": False}})
     sampling = machine.sampling
     bench = Bench(machine, flags)
 
@@ -236,6 +238,12 @@ def run_benchmark(
         for mode, variant in relinearisations(override_machine(merging, {"code": {"precision": precision}})):
             name = f"{precision}, {mode}" + (f", {samples} samples a step" if samples > 1 else "")
             tasks.append(("variants", partial(bench.variant, name, variant, mode, motion)))
+    if feeding.compensation.enabled:
+        for precision in PRECISIONS:
+            mode, variant = feeding.estimator.relinearise, override_machine(feeding, {"code": {"precision": precision}})
+            tasks.append(
+                ("variants", partial(bench.variant, f"{precision}, {mode}, force fed forward", variant, mode, motion))
+            )
     peers = [
         (kind, round(share * sampling.samples_per_update))
         for share in PEER_STEPS
