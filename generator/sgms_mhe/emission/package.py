@@ -245,7 +245,7 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     most_blocks = max(len(g.blocks) for g in structure.groups)
     n_blocks = sum(len(g.blocks) for g in structure.groups)
     chosen = max(2, n_blocks)  # blocks that an update linearises anew at most (DESIGN section 4)
-    side_by_side = {"all": max(most_blocks, slots), "auto": max(most_blocks, chosen), "newest": most_blocks}[relinearise]
+    side_by_side = max(most_blocks, {"all": slots, "auto": chosen, "newest": 1}[relinearise])
     wide = -(-side_by_side // vector) * vector
     lanes = {"all": wide, "auto": slots, "newest": 1}[relinearise]
     ring = relinearise != "newest"
