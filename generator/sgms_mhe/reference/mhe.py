@@ -162,7 +162,10 @@ def integrate(record: Record, first: int, x: Array, theta: Array) -> Linearised:
 
 
 def renew(record: Record, first: int, kept: Kept, x: Array, theta: Array) -> Kept:
-    """Linearise anew at (x, theta) the blocks of intervals whose ends have moved too far: a few that moved most."""
+    """Linearise anew at (x, theta) the blocks of intervals whose ends have moved too far, those that moved most.
+
+    Of n intervals, at the nodes x (n, n_x) where they start; at most as many blocks as an interval has, or two.
+    """
     blocks = record.integrator.blocks
     moved = np.abs(kept.moves(x, theta)) / record.weights.move
     by_block = np.stack([np.max(moved[:, block.states], axis=1) for block in blocks], axis=1)
