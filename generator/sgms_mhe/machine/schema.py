@@ -346,8 +346,8 @@ class Estimator(Table):
 
     @property
     def drift_interval(self) -> int:
-        """Shifts of the window between two growths of the arrival cost by the drift: five to a horizon."""
-        return max(1, self.horizon // 5)
+        """Shifts of the window between two growths of the arrival cost by the drift: one window long, 20 at most."""
+        return min(self.horizon, 20)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
