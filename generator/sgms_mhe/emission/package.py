@@ -236,6 +236,7 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     samples = sampling.samples_per_update
     substeps = integrator.substeps
     merged = sampling.merged
+    read = _signals_read(model, structure)
     steps = samples // merged
     step_time = merged * sampling.step
     single = machine.code.precision == "single"
@@ -311,7 +312,10 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "raw_rows": [
             (SIGNAL_NAMES.index(t.name), k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES
         ],
-        "slope_weight": 3.0 * merged / (merged * merged - 1.0) if merged > 1 else 0.0,
+        "slope_weights": 3.0 / (merged * merged - 1.0) * (2.0 * np.arange(merged) + 1.0 - merged) if merged > 1 else [],
+        "signal_names": SIGNAL_NAMES,
+        "read": read,
+        "chain": " + ".join(f"SGMS_{s.upper()}" for s in ("position", "force", "acceleration") if s in read) or "0",
         "piece_time": piece_time,
         "samples": samples,
         "merged": merged,
@@ -432,6 +436,13 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         ("compensation.h.jinja", f"{name}_compensation.h"),
     ]
     return context
+
+
+def _signals_read(model: Model, structure: Structure) -> set[str]:
+    """Names of the signals that the estimator's functions depend on; velocity it needs itself."""
+    functions = ca.vertcat(*(t.expression for t in structure.sample_terms), model.output, model.feed_forward)
+    depends = ca.which_depends(functions, model.w)
+    return {"velocity"} | {name for name, does in zip(SIGNAL_NAMES, depends, strict=True) if does}
 
 
 def _series(coefficients: Sequence[float], printer: CPrinter) -> str:
