@@ -138,6 +138,32 @@ static inline sgms_real sgms_fmin(sgms_real a, sgms_real b)
     return a < b ? a : b;
 }
 
+/* a >= 0 with the sign of b */
+static inline sgms_real sgms_signed(sgms_real a, sgms_real b)
+{
+    return sgms_from_bits(sgms_bits(a) | (sgms_bits(b) & ~SGMS_INTEGER_MAX));
+}
+
+/* x >= 0, but no more than a positive limit; x within +-limit. Comparisons of bits vectorise; where nothing does, those of
+ * numbers are cheaper, and come to the same. */
+static inline sgms_real sgms_at_most(sgms_real x, sgms_real limit)
+{
+#if SGMS_VECTORS
+    return sgms_from_bits(sgms_bits(x) < sgms_bits(limit) ? sgms_bits(x) : sgms_bits(limit));
+#else
+    return x < limit ? x : limit;
+#endif
+}
+
+static inline sgms_real sgms_within(sgms_real x, sgms_real limit)
+{
+#if SGMS_VECTORS
+    return sgms_signed(sgms_at_most(sgms_fabs(x), limit), x);
+#else
+    return x > limit ? limit : x < -limit ? -limit : x;
+#endif
+}
+
 static inline sgms_real sgms_not(sgms_real x)
 {
     return (sgms_real)(x == SGMS_R(0.0));
