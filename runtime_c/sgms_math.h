@@ -110,10 +110,15 @@ static inline sgms_real sgms_copy_sign(sgms_real a, sgms_real b)
     return sgms_from_bits((sgms_bits(a) & SGMS_INTEGER_MAX) | (sgms_bits(b) & ~SGMS_INTEGER_MAX));
 }
 
-/* All ones where a < b, both not negative, else zero: the bits of such numbers are in the order of the numbers. */
+/* All ones where a < b, b not negative, else zero. The bits of such numbers are in the order of the numbers, and vectorise;
+ * where nothing does, the numbers themselves are cheaper. */
 static inline sgms_integer sgms_less(sgms_real a, sgms_real b)
 {
+#if SGMS_VECTORS
     return -(sgms_integer)(sgms_bits(a) < sgms_bits(b));
+#else
+    return -(sgms_integer)(a < b);
+#endif
 }
 
 /* All ones where the sign bits agree. */
@@ -125,7 +130,11 @@ static inline sgms_integer sgms_same_sign(sgms_real a, sgms_real b)
 /* a where the mask is all ones, b where it is zero. */
 static inline sgms_real sgms_select(sgms_integer mask, sgms_real a, sgms_real b)
 {
+#if SGMS_VECTORS
     return sgms_from_bits((sgms_bits(a) & mask) | (sgms_bits(b) & ~mask));
+#else
+    return mask ? a : b;
+#endif
 }
 
 static inline sgms_real sgms_fmax(sgms_real a, sgms_real b)
