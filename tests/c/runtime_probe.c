@@ -84,6 +84,7 @@ void probe_chain(
     double rate,
     double mass,
     int settle,
+    int wanted,
     const sgms_position *position,
     const sgms_real *force,
     sgms_real *out,
@@ -101,7 +102,7 @@ void probe_chain(
     const sgms_filter_memory memory = {.position = positions, .lowpass = states, .last = last, .counts = counts};
     for (long k = 0; k < n; k++) {
         const sgms_aligned s = sgms_filter_step(
-            &filter, (sgms_real)rate, (sgms_real)mass, settle, &memory, position[k], force[k]);
+            &filter, (sgms_real)rate, (sgms_real)mass, settle, wanted, &memory, position[k], force[k]);
         out[k] = s.position;
         out[n + k] = s.velocity;
         out[2 * n + k] = s.acceleration;

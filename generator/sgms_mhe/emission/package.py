@@ -234,6 +234,7 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     samples = sampling.samples_per_update
     substeps = integrator.substeps
     merged = sampling.merged
+    read = _signals_read(model, structure)
     steps = samples // merged
     step_time = merged * sampling.step
     single = machine.code.precision == "single"
@@ -332,7 +333,10 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
         "raw_rows": [
             (SIGNAL_NAMES.index(t.name), k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES
         ],
-        "slope_weight": 3.0 * merged / (merged * merged - 1.0) if merged > 1 else 0.0,
+        "slope_weights": 3.0 / (merged * merged - 1.0) * (2.0 * np.arange(merged) + 1.0 - merged) if merged > 1 else [],
+        "signal_names": SIGNAL_NAMES,
+        "read": read,
+        "chain": " + ".join(f"SGMS_{s.upper()}" for s in ("position", "force", "acceleration") if s in read) or "0",
         "piece_time": piece_time,
         "samples": samples,
         "merged": merged,
@@ -457,6 +461,13 @@ def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emi
     return context
 
 
+def _signals_read(model: Model, structure: Structure) -> set[str]:
+    """Names of the signals that the estimator's functions depend on; velocity it needs itself."""
+    functions = ca.vertcat(*(t.expression for t in structure.sample_terms), model.output, model.feed_forward)
+    depends = ca.which_depends(functions, model.w)
+    return {"velocity"} | {name for name, does in zip(SIGNAL_NAMES, depends, strict=True) if does}
+
+
 def _series(coefficients: Sequence[float], printer: CPrinter) -> str:
     """x^2 (c_0 - c_1 x + c_2 x^2 - ...) as C, by Horner's scheme."""
     text = printer.number(coefficients[-1])
@@ -483,14 +494,13 @@ def element_law(machine: Machine) -> Mapping[str, float] | None:
     farthest = largest / (2.0 * max(smoothing.lambda_, smoothing.gamma * fastest) * per_power)
     if smoothing.lambda_ * smoothing.zeta < SATURATED or offset + deepest > largest:
         return None
-    shared = farthest >= FARTHEST  # the clamp of r comes doubled
     return {
-        "farthest": farthest if shared else 0.0,
+        "farthest": farthest if farthest >= FARTHEST else 0.0,
         "deepest": deepest,
         "fastest": fastest * friction.stribeck_velocity,
-        "window": (1.0 if shared else 2.0) * smoothing.lambda_ * per_power,
+        "window": 2.0 * smoothing.lambda_ * per_power,
         "offset": offset,
-        "gate": -(0.5 if shared else 1.0) * smoothing.gamma / friction.stribeck_velocity * per_power,
+        "gate": -2.0 * smoothing.gamma / friction.stribeck_velocity * per_power,
         "ln2": math.log(2.0),
     }
 
