@@ -39,7 +39,7 @@ FARTHEST = 5.0
 """Relative deflection that no element comes near: a level is reached at 1."""
 IMPLAUSIBLE = 1e4
 """A state so many standard deviations of the first node's away from zero is no solution (DESIGN section 4)."""
-MOVE = 0.2
+MOVE = 0.3
 """How far the end of an interval may move before that, over sqrt(sigma_x / lambda)."""
 STEP_COST_PER_ROW = 30
 """Multiplications, or so, of one step of the series for each of chi and its sensitivities."""

@@ -21,7 +21,7 @@ Progress = Callable[[int, int], None]
 HOLD_PART = 0.1
 IMPLAUSIBLE = 1e4
 """A state so many standard deviations of the first node's away from zero is no solution."""
-MOVE = 0.2
+MOVE = 0.3
 REFUSED = -1
 NOT_FINITE = -2
 
