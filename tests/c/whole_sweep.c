@@ -1,0 +1,20 @@
+/* Sweep of a package that resumes it: how far the last one reached back, and to make the next one a whole one. Compiled with a package:
+ *     -DSGMS_MACHINE=etel_xy -DSGMS_MACHINE_HEADER='"etel_xy.h"' */
+#include SGMS_MACHINE_HEADER
+
+#define JOIN2(a, b) a##_##b
+#define JOIN(a, b) JOIN2(a, b)
+typedef JOIN(SGMS_MACHINE, t) machine;
+
+/* Older intervals whose elimination was done again; -1: none, and the factor was left as it was. */
+int probe_sweep(const void *self)
+{
+    return (int)((const machine *)self)->sweep;
+}
+
+/* Have all older intervals eliminated by the next prepare. */
+void probe_forget_sweep(void *self)
+{
+    machine *const axis = self;
+    axis->sweep = axis->complete;
+}
