@@ -39,6 +39,13 @@ typedef uint64_t sgms_unsigned;
 #define SGMS_LANES
 #endif
 
+/* Before a loop of few turns whose number its caller knows: straight code, also where the compiler is asked for small code. */
+#if defined(__GNUC__) && !defined(__clang__) && !SGMS_VECTORS
+#define SGMS_UNROLL _Pragma("GCC unroll 16")
+#else
+#define SGMS_UNROLL
+#endif
+
 /* A function that becomes part of its caller: its constants fold, and it may stand in a loop that vectorises. */
 #if defined(__GNUC__)
 #define SGMS_INLINE __attribute__((always_inline)) inline
