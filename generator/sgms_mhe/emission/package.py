@@ -479,11 +479,11 @@ def _series(coefficients: Sequence[float], printer: CPrinter) -> str:
 def element_law(machine: Machine) -> Mapping[str, float] | None:
     """Constants of an element's right side as two logistic functions of |r| and r v, powers of two (DESIGN section 6).
 
-    The window depends on |r| alone where its two sides do not overlap (`SATURATED`). The gate's velocity is held within
-    `fastest`, beyond which the gate is saturated wherever the window is not shut. Exponents must stay in range: r is
-    held within `farthest`, where the range reaches far beyond every deflection there is; otherwise (0) both exponents
-    are held within `deepest`, where the logistic functions have reached 0 or 1 to rounding. None where the window's own
-    exponent leaves the range.
+    The window depends on |r| alone where its two sides do not overlap (`SATURATED`). Exponents must stay in range: r is
+    held within `farthest`, where the range reaches far beyond every deflection there is, and the gate's velocity within
+    `fastest`, beyond which the gate is saturated wherever the window is not shut; otherwise (0) both exponents are held
+    within `deepest`, where the logistic functions have reached 0 or 1 to rounding. None where the window's own exponent
+    leaves the range.
     """
     smoothing, friction = machine.friction.smoothing, machine.friction
     single = machine.code.precision == "single"
