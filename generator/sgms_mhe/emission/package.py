@@ -494,13 +494,14 @@ def element_law(machine: Machine) -> Mapping[str, float] | None:
     farthest = largest / (2.0 * max(smoothing.lambda_, smoothing.gamma * fastest) * per_power)
     if smoothing.lambda_ * smoothing.zeta < SATURATED or offset + deepest > largest:
         return None
+    shared = farthest >= FARTHEST  # the clamps of r and v come doubled
     return {
-        "farthest": farthest if farthest >= FARTHEST else 0.0,
+        "farthest": farthest if shared else 0.0,
         "deepest": deepest,
         "fastest": fastest * friction.stribeck_velocity,
-        "window": 2.0 * smoothing.lambda_ * per_power,
+        "window": (1.0 if shared else 2.0) * smoothing.lambda_ * per_power,
         "offset": offset,
-        "gate": -2.0 * smoothing.gamma / friction.stribeck_velocity * per_power,
+        "gate": -(0.5 if shared else 2.0) * smoothing.gamma / friction.stribeck_velocity * per_power,
         "ln2": math.log(2.0),
     }
 
