@@ -110,8 +110,8 @@ static inline sgms_real sgms_copy_sign(sgms_real a, sgms_real b)
     return sgms_from_bits((sgms_bits(a) & SGMS_INTEGER_MAX) | (sgms_bits(b) & ~SGMS_INTEGER_MAX));
 }
 
-/* All ones where a < b, b not negative, else zero. The bits of such numbers are in the order of the numbers, and vectorise;
- * where nothing does, the numbers themselves are cheaper. */
+/* All ones where a < b, b not negative, else zero. The bits of such numbers are in the order of the numbers, and
+ * vectorise; where nothing does, the numbers themselves are cheaper. */
 static inline sgms_integer sgms_less(sgms_real a, sgms_real b)
 {
 #if SGMS_VECTORS
@@ -153,8 +153,8 @@ static inline sgms_real sgms_signed(sgms_real a, sgms_real b)
     return sgms_from_bits(sgms_bits(a) | (sgms_bits(b) & ~SGMS_INTEGER_MAX));
 }
 
-/* x >= 0, but no more than a positive limit; x within +-limit. Comparisons of bits vectorise; where nothing does, those of
- * numbers are cheaper, and come to the same. */
+/* x >= 0, but no more than a positive limit; x within +-limit. Comparisons of bits vectorise; where nothing does, those
+ * of numbers are cheaper, and come to the same. */
 static inline sgms_real sgms_at_most(sgms_real x, sgms_real limit)
 {
 #if SGMS_VECTORS

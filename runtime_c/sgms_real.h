@@ -39,7 +39,8 @@ typedef uint64_t sgms_unsigned;
 #define SGMS_LANES
 #endif
 
-/* Before a loop of few turns whose number its caller knows: straight code, also where the compiler is asked for small code. */
+/* Before a loop of few turns whose number its caller knows: straight code, also where the compiler is asked for small
+ * code. */
 #if defined(__GNUC__) && !defined(__clang__) && !SGMS_VECTORS
 #define SGMS_UNROLL _Pragma("GCC unroll 16")
 #else

@@ -16,16 +16,16 @@ typedef struct {
 static inline sgms_real sgms_lowpass_step(const sgms_lowpass *filter, sgms_real *state, sgms_real input)
 {
     const sgms_real output = filter->b0 * input + state[0];
-    state[0] = filter->b1 * input - filter->a1 * output + state[1];
+    state[0] = state[1] + filter->b1 * input - filter->a1 * output;
     state[1] = filter->b2 * input - filter->a2 * output;
     return output;
 }
 
-/* The state in which a constant input has been there forever. */
+/* Add to the state that of a constant input which has been there forever. */
 static inline void sgms_lowpass_rest(const sgms_lowpass *filter, sgms_real *state, sgms_real input)
 {
-    state[1] = (filter->b2 - filter->a2) * input;
-    state[0] = (SGMS_R(1.0) - filter->b0) * input;
+    state[1] += (filter->b2 - filter->a2) * input;
+    state[0] += (SGMS_R(1.0) - filter->b0) * input;
 }
 
 /* A reading at or beyond these is no reading, whatever its bits say: it counts as missing, as NaN does. */
@@ -39,14 +39,24 @@ static inline int sgms_is_reading(sgms_real x)
 
 #if SGMS_SINGLE
 typedef int64_t sgms_position; /* pm */
-#define SGMS_METRES(p) ((sgms_real)(p) * SGMS_R(1e-12))
+/* What moves in a sample mostly fits 32 bits, which a small processor converts in one instruction. */
+static inline sgms_real sgms_metres(sgms_position p)
+{
+    const sgms_real picometres = p >= INT32_MIN && p <= INT32_MAX ? (sgms_real)(int32_t)p : (sgms_real)p;
+    return picometres * SGMS_R(1e-12);
+}
+
 static inline int sgms_position_is_good(sgms_position p)
 {
     return p > -INT64_C(4000000000000000000) && p < INT64_C(4000000000000000000);
 }
 #else
 typedef double sgms_position; /* m */
-#define SGMS_METRES(p) (p)
+static inline sgms_real sgms_metres(sgms_position p)
+{
+    return p;
+}
+
 static inline int sgms_position_is_good(sgms_position p)
 {
     return sgms_fabs(p) < SGMS_FARTHEST;
@@ -54,6 +64,9 @@ static inline int sgms_position_is_good(sgms_position p)
 #endif
 
 #define SGMS_FILTER_STATES 16 /* eight low-passes of two states */
+
+/* What of the chain is asked for beside velocity and friction, a sum. The rest is left out, and is zero. */
+enum { SGMS_POSITION = 1, SGMS_FORCE = 2, SGMS_ACCELERATION = 4 };
 
 /* Memory of the chain. Plain arrays, so that the public header of a package can declare it without this one. */
 typedef struct {
@@ -68,38 +81,44 @@ typedef struct {
     int valid; /* whether friction may be used as a measurement */
 } sgms_aligned;
 
-/* One sample through the chain. `settle`: samples that a disturbance of the filters lasts. */
+/* One sample through the chain. `settle`: samples that a disturbance of the filters lasts. `wanted`: what is asked
+ * for, always the same. */
 static inline sgms_aligned sgms_filter_step(
     const sgms_lowpass *filter,
     sgms_real rate,
     sgms_real mass,
     int32_t settle,
+    int wanted,
     const sgms_filter_memory *m,
     sgms_position position,
     sgms_real force)
 {
     const int position_good = sgms_position_is_good(position);
     const int force_good = sgms_is_reading(force);
+    const int apart = wanted & (SGMS_FORCE | SGMS_ACCELERATION);
     sgms_real *const f = m->lowpass;
-    sgms_aligned out;
+    sgms_real *const of_force = apart ? f + 8 : f + 4;
+    sgms_aligned out = {.position = SGMS_R(0.0), .acceleration = SGMS_R(0.0), .force = SGMS_R(0.0)};
     sgms_position difference = m->position[1];
-    sgms_real velocity;
+    sgms_real velocity, acceleration;
 
     if ((m->counts[0] & 1) == 0 && force_good) { /* first good force */
         m->counts[0] |= 1;
         m->last[0] = force;
         m->last[2] = force;
-        sgms_lowpass_rest(filter, f + 8, force);
-        sgms_lowpass_rest(filter, f + 10, force);
+        sgms_lowpass_rest(filter, of_force, force);
+        sgms_lowpass_rest(filter, of_force + 2, force);
         m->counts[2] = 0;
     }
     if ((m->counts[0] & 2) == 0 && position_good) { /* first good position */
         m->counts[0] |= 2;
         m->position[0] = position;
         m->position[1] = 0;
-        m->last[3] = SGMS_METRES(position);
-        sgms_lowpass_rest(filter, f + 12, m->last[3]);
-        sgms_lowpass_rest(filter, f + 14, m->last[3]);
+        if (wanted & SGMS_POSITION) {
+            m->last[3] = sgms_metres(position);
+            sgms_lowpass_rest(filter, f + 12, m->last[3]);
+            sgms_lowpass_rest(filter, f + 14, m->last[3]);
+        }
         m->counts[1] = 0;
         m->counts[2] = 0;
     }
@@ -112,7 +131,7 @@ static inline sgms_aligned sgms_filter_step(
         m->position[1] = position - m->position[0];
         if (m->counts[1] > settle) { /* what was travelled unseen is not a velocity */
             m->position[1] = 0;
-            m->last[3] = SGMS_METRES(position);
+            m->last[3] = wanted & SGMS_POSITION ? sgms_metres(position) : SGMS_R(0.0);
         }
         m->counts[1] = 0;
     }
@@ -125,16 +144,23 @@ static inline sgms_aligned sgms_filter_step(
     /* The filters are linear, so the difference of two filtered velocities is the filtered second difference of the
      * position, which is exact: at 1 m/s the other order costs single precision 0.03 N. */
     difference = m->position[1] - difference;
-    velocity = sgms_lowpass_step(filter, f, SGMS_METRES(m->position[1]) * rate);
+    velocity = sgms_lowpass_step(filter, f, sgms_metres(m->position[1]) * rate);
+    acceleration = sgms_metres(difference) * rate * rate;
     out.velocity = sgms_lowpass_step(filter, f + 2, m->last[1]);
-    out.acceleration = sgms_lowpass_step(
-        filter, f + 6, sgms_lowpass_step(filter, f + 4, SGMS_METRES(difference) * rate * rate));
-    out.force = sgms_lowpass_step(filter, f + 10, sgms_lowpass_step(filter, f + 8, m->last[2]));
-    out.position = sgms_lowpass_step(filter, f + 14, sgms_lowpass_step(filter, f + 12, m->last[3]));
+    if (apart) {
+        out.acceleration = sgms_lowpass_step(filter, f + 6, sgms_lowpass_step(filter, f + 4, acceleration));
+        out.force = sgms_lowpass_step(filter, f + 10, sgms_lowpass_step(filter, f + 8, m->last[2]));
+        out.friction = out.force - mass * out.acceleration;
+    } else { /* linear again: what is not asked for apart goes through one pair of filters */
+        const sgms_real friction = m->last[2] - mass * acceleration;
+        out.friction = sgms_lowpass_step(filter, f + 6, sgms_lowpass_step(filter, f + 4, friction));
+    }
     m->last[1] = velocity;
     m->last[2] = force;
-    m->last[3] = SGMS_METRES(position);
-    out.friction = out.force - mass * out.acceleration;
+    if (wanted & SGMS_POSITION) {
+        out.position = sgms_lowpass_step(filter, f + 14, sgms_lowpass_step(filter, f + 12, m->last[3]));
+        m->last[3] = sgms_metres(position);
+    }
 
     if (!position_good || !force_good || m->counts[0] != 3) {
         m->counts[2] = 0;

@@ -1,5 +1,5 @@
-/* Sweep of a package that resumes it: how far the last one reached back, and to make the next one a whole one. Compiled with a package:
- *     -DSGMS_MACHINE=etel_xy -DSGMS_MACHINE_HEADER='"etel_xy.h"' */
+/* Sweep of a package that resumes it: how far the last one reached back, and to make the next one a whole one. Compiled
+ * with a package: -DSGMS_MACHINE=etel_xy -DSGMS_MACHINE_HEADER='"etel_xy.h"' */
 #include SGMS_MACHINE_HEADER
 
 #define JOIN2(a, b) a##_##b

@@ -28,6 +28,7 @@ static SGMS_INLINE void sgms_reflect(
     sgms_real *restrict v)
 {
     sgms_real square = SGMS_R(0.0);
+    SGMS_UNROLL
     for (int i = 0; i < rows; i++) {
         v[i] = below[i * stride + c];
         square += v[i] * v[i];
@@ -39,21 +40,25 @@ static SGMS_INLINE void sgms_reflect(
         const sgms_real head = pivot - diagonal; /* reflector (1, v) times this */
         const sgms_real over_head = SGMS_R(1.0) / head;
         const sgms_real scale = -head / diagonal;
+        SGMS_UNROLL
         for (int i = 0; i < rows; i++) {
             v[i] *= over_head;
         }
         for (int j = SGMS_FROM(c + 1); j < width; j++) {
             sgms_real dot = pivot_row[j];
+            SGMS_UNROLL
             for (int i = 0; i < rows; i++) {
                 dot += v[i] * below[i * stride + j];
             }
             dot *= scale;
             pivot_row[j] -= dot;
+            SGMS_UNROLL
             for (int i = 0; i < rows; i++) {
                 below[i * stride + j] -= dot * v[i];
             }
         }
         pivot_row[c] = diagonal;
+        SGMS_UNROLL
         for (int i = 0; i < rows; i++) {
             below[i * stride + c] = SGMS_R(0.0);
         }

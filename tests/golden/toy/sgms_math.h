@@ -110,10 +110,15 @@ static inline sgms_real sgms_copy_sign(sgms_real a, sgms_real b)
     return sgms_from_bits((sgms_bits(a) & SGMS_INTEGER_MAX) | (sgms_bits(b) & ~SGMS_INTEGER_MAX));
 }
 
-/* All ones where a < b, both not negative, else zero: the bits of such numbers are in the order of the numbers. */
+/* All ones where a < b, b not negative, else zero. The bits of such numbers are in the order of the numbers, and
+ * vectorise; where nothing does, the numbers themselves are cheaper. */
 static inline sgms_integer sgms_less(sgms_real a, sgms_real b)
 {
+#if SGMS_VECTORS
     return -(sgms_integer)(sgms_bits(a) < sgms_bits(b));
+#else
+    return -(sgms_integer)(a < b);
+#endif
 }
 
 /* All ones where the sign bits agree. */
@@ -125,7 +130,11 @@ static inline sgms_integer sgms_same_sign(sgms_real a, sgms_real b)
 /* a where the mask is all ones, b where it is zero. */
 static inline sgms_real sgms_select(sgms_integer mask, sgms_real a, sgms_real b)
 {
+#if SGMS_VECTORS
     return sgms_from_bits((sgms_bits(a) & mask) | (sgms_bits(b) & ~mask));
+#else
+    return mask ? a : b;
+#endif
 }
 
 static inline sgms_real sgms_fmax(sgms_real a, sgms_real b)
@@ -136,6 +145,32 @@ static inline sgms_real sgms_fmax(sgms_real a, sgms_real b)
 static inline sgms_real sgms_fmin(sgms_real a, sgms_real b)
 {
     return a < b ? a : b;
+}
+
+/* a >= 0 with the sign of b */
+static inline sgms_real sgms_signed(sgms_real a, sgms_real b)
+{
+    return sgms_from_bits(sgms_bits(a) | (sgms_bits(b) & ~SGMS_INTEGER_MAX));
+}
+
+/* x >= 0, but no more than a positive limit; x within +-limit. Comparisons of bits vectorise; where nothing does, those
+ * of numbers are cheaper, and come to the same. */
+static inline sgms_real sgms_at_most(sgms_real x, sgms_real limit)
+{
+#if SGMS_VECTORS
+    return sgms_from_bits(sgms_bits(x) < sgms_bits(limit) ? sgms_bits(x) : sgms_bits(limit));
+#else
+    return x < limit ? x : limit;
+#endif
+}
+
+static inline sgms_real sgms_within(sgms_real x, sgms_real limit)
+{
+#if SGMS_VECTORS
+    return sgms_signed(sgms_at_most(sgms_fabs(x), limit), x);
+#else
+    return x > limit ? limit : x < -limit ? -limit : x;
+#endif
 }
 
 static inline sgms_real sgms_not(sgms_real x)

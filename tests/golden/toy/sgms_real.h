@@ -25,11 +25,26 @@ typedef uint64_t sgms_unsigned;
 #define SGMS_R(x) x
 #endif
 
+/* Whether compilers find vector registers. */
+#if defined(__AVX__) || defined(__SSE2__) || defined(__ARM_NEON) || defined(_M_X64)
+#define SGMS_VECTORS 1
+#else
+#define SGMS_VECTORS 0
+#endif
+
 /* Before a loop over the lanes of one vector: gcc would unroll so short a loop before it looks for vectors. */
 #if defined(__GNUC__) && !defined(__clang__)
 #define SGMS_LANES _Pragma("GCC unroll 1")
 #else
 #define SGMS_LANES
+#endif
+
+/* Before a loop of few turns whose number its caller knows: straight code, also where the compiler is asked for small
+ * code. */
+#if defined(__GNUC__) && !defined(__clang__) && !SGMS_VECTORS
+#define SGMS_UNROLL _Pragma("GCC unroll 16")
+#else
+#define SGMS_UNROLL
 #endif
 
 /* A function that becomes part of its caller: its constants fold, and it may stand in a loop that vectorises. */

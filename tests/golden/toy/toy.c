@@ -16,11 +16,11 @@ static void copy(sgms_real *to, const sgms_real *from, int count)
     }
 }
 
-/* A slot `back` intervals before the one that is filling. */
+/* A slot `back` intervals before the one that is filling; -1 is the next one. */
 static int slot_before(const toy_t *self, int back)
 {
     const int slot = (int)self->filling - back;
-    return slot < 0 ? slot + SLOTS : slot;
+    return slot < 0 ? slot + SLOTS : (slot < SLOTS ? slot : slot - SLOTS);
 }
 
 /* Factor of the prior: independent normal deviates about (x, theta). */
@@ -57,7 +57,8 @@ static void start_window(toy_t *self, const sgms_real *x)
     self->started = 0;
     copy(self->node, x, STATES);
     self->complete = 0;
-    self->shifted = 0;
+    self->shifts = 0;
+    self->moved_shifts = 0;
     set_factor(self->arrival, inverse_initial_state, x, self->theta);
     start_interval(self);
 }
@@ -82,7 +83,6 @@ void toy_init(toy_t *self)
     const sgms_real zero[STATES] = { 0.0 };
     start_signals(self);
     self->compensate = 1;
-    self->elapsed = 0;
     fill(self->theta, 1.0, PARAMETERS);
     fill(self->term, 0.0, (int)(sizeof self->term / sizeof self->term[0]));
     fill(self->node, 0.0, SLOTS * STATES);
@@ -128,37 +128,42 @@ static void fold_measurement(toy_t *self, const sgms_real *x, const sgms_real *w
     sgms_qr_add_row(self->factor, FACTOR_ROWS, row);
 }
 
-/* Let theta walk: its covariance in the factor grows, but never beyond the prior's. */
-static void add_drift(sgms_real *factor)
+/* Let theta walk over so many intervals: its covariance in the factor grows, but never beyond the prior's. */
+static void add_drift(sgms_real *factor, int intervals)
 {
     sgms_real variance[PARAMETERS], growth[PARAMETERS], work[FACTOR_WIDTH];
     sgms_variances(factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH, variance, work);
     for (int p = 0; p < PARAMETERS; p++) {
         const sgms_real room = sgms_fmax(0.0, PRIOR_SD * PRIOR_SD - variance[p]);
-        growth[p] = sgms_sqrt(sgms_fmin(DRIFT_SD * DRIFT_SD, room));
+        growth[p] = sgms_sqrt(sgms_fmin((sgms_real)intervals * (DRIFT_SD * DRIFT_SD), room));
     }
     sgms_qr_grow(factor, FACTOR_ROWS, PARAMETERS, growth, work);
 }
 
-/* Defect of an interval, x_k+1 - A x_k - B theta - rest over its standard deviation, as rows [-A, -B, rest] of the
- * least squares; of A the columns of `couples` alone, the rest is zero. x, a, b: its end and sensitivities, linearised at `start`
+/* Defect of state i over an interval, x_k+1 - A x_k - B theta - rest over its standard deviation, as a row [-A, -B, rest] of the
+ * least squares; of A the columns of `couples` alone, the rest is zero. x, a, b: the interval's end and sensitivities, linearised at `start`
  * and the parameters of the last estimate. */
+static void defect_row(
+    const toy_t *self, int i, const sgms_real *start, const sgms_real *x, const sgms_real *a, const sgms_real *b, sgms_real *row)
+{
+    sgms_real rest = x[i];
+    for (int k = 0; k < COUPLED; k++) {
+        const sgms_real entry = k < coupled[i] ? a[i * STATES + couples[i][k]] : 0.0;
+        row[k] = -inverse_state_noise[i] * entry;
+        rest -= entry * start[couples[i][k]];
+    }
+    for (int p = 0; p < PARAMETERS; p++) {
+        row[COUPLED + p] = -inverse_state_noise[i] * b[i * PARAMETERS + p];
+        rest -= b[i * PARAMETERS + p] * self->theta[p];
+    }
+    row[DEFECT_WIDTH - 1] = inverse_state_noise[i] * rest;
+}
+
 static void defect_rows(
     const toy_t *self, const sgms_real *start, const sgms_real *x, const sgms_real *a, const sgms_real *b, sgms_real *rows)
 {
     for (int i = 0; i < STATES; i++) {
-        sgms_real *row = rows + i * DEFECT_WIDTH;
-        sgms_real rest = x[i];
-        for (int k = 0; k < COUPLED; k++) {
-            const sgms_real entry = k < coupled[i] ? a[i * STATES + couples[i][k]] : 0.0;
-            row[k] = -inverse_state_noise[i] * entry;
-            rest -= entry * start[couples[i][k]];
-        }
-        for (int p = 0; p < PARAMETERS; p++) {
-            row[COUPLED + p] = -inverse_state_noise[i] * b[i * PARAMETERS + p];
-            rest -= b[i * PARAMETERS + p] * self->theta[p];
-        }
-        row[DEFECT_WIDTH - 1] = inverse_state_noise[i] * rest;
+        defect_row(self, i, start, x, a, b, rows + i * DEFECT_WIDTH);
     }
 }
 
@@ -221,9 +226,6 @@ static void sweep_interval(toy_t *self, int back, const sgms_real *rows)
     eliminate(self->factor, rows, self->kept + slot * STATES * KEPT_WIDTH);
     if (back == HORIZON - 1) { /* the first elimination of a full window is the arrival-cost update */
         copy(self->arrival, self->factor, FACTOR_ROWS * FACTOR_WIDTH);
-        if (self->path[slot] >= HOLD_PATH && DRIFT_SD > 0.0) {
-            add_drift(self->arrival);
-        }
     }
 }
 
@@ -239,6 +241,12 @@ static void recover_node(toy_t *self, int back)
 /* All older nodes are known: begin the sweep at the oldest, and the integration. */
 static void start_sweep(toy_t *self)
 {
+    const int is_growing = DRIFT_SD > 0.0 && self->shifts >= DRIFT_INTERVAL;
+    if (is_growing) {
+        add_drift(self->arrival, (int)self->moved_shifts);
+        self->shifts = 0;
+        self->moved_shifts = 0;
+    }
     copy(self->factor, self->arrival, FACTOR_ROWS * FACTOR_WIDTH);
     fold_node(self, (int)self->complete);
     start_lanes(SLOTS, &self->of_theta, self->node, self->lane);
@@ -265,13 +273,13 @@ static void eliminate_node(toy_t *self, int back)
 /* Units of the work that does not need the newest sample, in their order: the older nodes of the last solution, the start of the
  * sweep, steps of the intervals to linearise anew, eliminations of the older nodes. */
 typedef struct {
-    int nodes, steps;
+    int nodes, steps, eliminations;
 } workload;
 
 static workload workload_of(const toy_t *self)
 {
     const int nodes = (int)self->complete;
-    return (workload){.nodes = nodes, .steps = nodes > 0 ? STEPS : 0};
+    return (workload){.nodes = nodes, .steps = nodes > 0 ? STEPS : 0, .eliminations = nodes};
 }
 
 /* What the next unit costs, in multiplications or so; 0 when all is done. */
@@ -282,7 +290,7 @@ static int next_cost(const toy_t *self)
     if (at < 0) {
         return RECOVER_COST;
     }
-    if (at > of.steps + of.nodes) {
+    if (at > of.steps + of.eliminations) {
         return 0;
     }
     return at > 0 && at <= of.steps ? STEP_COST : NODE_COST;
@@ -300,7 +308,7 @@ static void work(toy_t *self)
     } else if (at <= of.steps) {
         linearise_step(self, at - 1);
     } else {
-        eliminate_node(self, of.steps + of.nodes + 1 - at);
+        eliminate_node(self, of.steps + of.eliminations + 1 - at);
     }
     self->cursor++;
 }
@@ -408,12 +416,14 @@ int toy_feedback(toy_t *self)
     status += self->too_fast ? TOY_SPEED : 0;
     status += self->lost ? TOY_OVERRUN : 0;
     self->lost = 0;
-    self->shifted = self->complete == HORIZON - 1;
-    if (!self->shifted) { /* the window was this long for the first time only if it still has room */
+    next = slot_before(self, -1);
+    if (self->complete == HORIZON - 1) { /* the interval that leaves the window stands in the next slot */
+        self->shifts++;
+        self->moved_shifts += self->path[next] >= HOLD_PATH;
+    } else {
         self->complete++;
         status += TOY_FILLING;
     }
-    next = self->filling + 1 == SLOTS ? 0 : (int)self->filling + 1;
     self->status = status;
     self->filling = next;
     copy(self->node + next * STATES, x, STATES);
@@ -429,24 +439,17 @@ static void take_step(toy_t *self, const sgms_real *w)
 {
     sgms_real *term = self->term + self->step * NODES * TERMS * LANES + self->filling;
     sample_terms(w, term, LANES);
-    integrate_one(term, 0, BLOCKS, self->newest);
+    integrate_one(term, self->newest);
     self->step++;
 }
 
-/* Take the signals of one sample in. */
-static void take_sample(toy_t *self, const toy_signals *signals)
+/* Take the signals of one sample in: those that the model reads. */
+static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
 {
     const int good = sgms_is_reading(signals->velocity) && sgms_fabs(signals->position) < SGMS_FARTHEST &&
                      sgms_is_reading(signals->acceleration) && sgms_is_reading(signals->force);
     if (good) { /* otherwise the last signals hold */
-        self->signal[0] = signals->position;
         self->signal[1] = signals->velocity;
-        self->signal[2] = signals->acceleration;
-        self->signal[3] = signals->force;
-    }
-    self->signal[4] = (sgms_real)self->elapsed * SAMPLE_TIME;
-    if (self->elapsed < INT32_MAX) { /* after 59 hours at 10 kHz effects in time see it stand still */
-        self->elapsed++;
     }
     if (!self->started) { /* the first sample is the first node */
         self->started = 1;
@@ -489,7 +492,7 @@ static void take_reading(toy_t *self, toy_position position, toy_real force)
         .lowpass = self->chain_lowpass,
         .last = self->chain_last,
         .counts = self->chain_counts};
-    const sgms_aligned aligned = sgms_filter_step(&lowpass, RATE, MASS, SETTLE, &memory, position, force);
+    const sgms_aligned aligned = sgms_filter_step(&lowpass, RATE, MASS, SETTLE, CHAIN, &memory, position, force);
     const toy_signals signals = {
         .position = aligned.position,
         .velocity = aligned.velocity,
@@ -497,7 +500,7 @@ static void take_reading(toy_t *self, toy_position position, toy_real force)
         .force = aligned.force,
         .friction = aligned.friction,
         .valid = aligned.valid};
-    follow_lag(self, SGMS_METRES(self->chain_position[1]));
+    follow_lag(self, sgms_metres(self->chain_position[1]));
     self->through_chain = 1;
     take_sample(self, &signals);
     follow_compensation(self);

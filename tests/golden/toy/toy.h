@@ -67,21 +67,30 @@ typedef struct {
     toy_real scale[1], d_scale[2];
 } toy_terms;
 
-/* Memory of one axis, static or on a stack that is large enough. Set it up with toy_init(); its fields are not for the application. */
+/* Memory of one axis, static or on a stack that is large enough. Set it up with toy_init(); its fields are not for the application. What every sample needs
+ * comes first, within reach of short addresses. */
 typedef struct {
     /* signal chain */
     toy_position chain_position[2];
     toy_real chain_lowpass[16];
     toy_real chain_last[4];
     int32_t chain_counts[3];
-    int32_t elapsed; /* samples since init */
-    toy_real signal[5]; /* position, velocity, acceleration, force, time of the last sample */
+    toy_real signal[5]; /* position, velocity, acceleration, force, time of the last sample; zero what the model does not read */
     toy_real merged[5];
     int32_t merged_count;
-    /* series and nodes of the window; slots are used in turn, `filling` is the interval under way */
-    int32_t filling, step, started, lost, too_fast;
+    /* slots of the window are used in turn, `filling` is the interval under way */
+    int32_t filling, step, started, lost, too_fast, status;
+    toy_real theta[2];
+    toy_terms of_theta;
+    toy_real newest[16]; /* the interval under way */
+    toy_real path[2];     /* m, of each interval */
+    /* compensation */
+    toy_real lag_state[6], lag; /* m, the newest position beyond the chain's */
+    toy_real ahead[2];          /* set-point's velocity and acceleration as the force acts */
+    toy_real gain; /* share that is on */
+    int32_t compensate, ahead_given, through_chain;
+    /* series and nodes of the window */
     toy_real term[5 * 2 * 4];
-    toy_real path[2];
     toy_real node[2 * 1];  /* state at the start of each interval, linearisation point and estimate */
     toy_real node_signal[2 * 5];
     toy_real node_friction[2];
@@ -90,24 +99,15 @@ typedef struct {
     uint8_t last_valid;
     /* integration */
     toy_real lane[3 * 4]; /* the older intervals */
-    toy_real newest[16]; /* the interval under way */
-    toy_real theta[2];
-    toy_terms of_theta;
     /* least squares: triangular factor over (x, theta) with right side */
     toy_real factor[3 * 4];
     toy_real arrival[3 * 4]; /* before the oldest node of the window */
     toy_real kept[2 * 5]; /* rows for the back-substitution */
     int32_t complete, cursor; /* older intervals; units of the work done */
-    int32_t shifted;          /* whether the last update was one of a full window */
+    int32_t shifts, moved_shifts; /* of the window since the parameters' drift entered; those of them with motion */
     /* last good estimate */
     toy_real good_state[1], good_theta[2], good_variance[2];
     toy_real friction, friction_measured;
-    int32_t status;
-    /* compensation */
-    toy_real lag_state[6], lag; /* m, the newest position beyond the chain's */
-    toy_real ahead[2];          /* set-point's velocity and acceleration as the force acts */
-    toy_real gain, fed, carry;  /* share that is on; N, fed forward before it; N, of that held over from standstill */
-    int32_t compensate, ahead_given, through_chain, holding;
 } toy_t;
 
 /* Start: nominal parameters, empty window. */

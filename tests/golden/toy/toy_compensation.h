@@ -14,8 +14,6 @@
 #define OVER_LAG_TIME 493.2215826094288
 #define AT_END 1.6696929723266414          /* extrapolation to the newest sample */
 #define GAIN_STEP 1.0       /* per sample, of a ramp */
-#define HOLD_SPEED 0.0      /* m/s */
-#define CARRY 0.8187307530779818           /* kept of a held difference from one sample to the next */
 #define FARTHEST_MOVE 10.0   /* deflection scales; an element that moved this far slides, whatever it was before */
 #define AHEAD_EQUAL 4e-06   /* of relative deflections that need not be told apart */
 #define AHEAD_ELASTIC 0.7224397686165088 /* relative deflection up to which an element moves with the axis */
@@ -127,11 +125,8 @@ static void start_compensation(toy_t *self)
     fill(self->ahead, 0.0, 2);
     self->lag = 0.0;
     self->gain = 0.0;
-    self->fed = 0.0;
-    self->carry = 0.0;
     self->ahead_given = 0;
     self->through_chain = 0;
-    self->holding = 0;
 }
 
 static course course_ahead(const toy_t *self)
@@ -183,34 +178,23 @@ static int is_unsound(const toy_t *self, sgms_real speed)
            speed > 2.0 * MAX_VELOCITY;
 }
 
-/* Once per sample: ramp, whether the axis stands, what is left of a held difference. */
+/* Once per sample: ramp. */
 static void follow_compensation(toy_t *self)
 {
     const sgms_real speed = sgms_fmax(sgms_fabs(self->signal[1]), sgms_fabs(self->lag) * OVER_LAG_TIME);
     const int on = self->compensate && !is_unsound(self, speed);
     self->ahead_given -= self->ahead_given > 0;
     self->gain = on ? sgms_fmin(self->gain + GAIN_STEP, 1.0) : sgms_fmax(self->gain - GAIN_STEP, 0.0);
-    /* Once held, noise must not let go; the set-point may. */
-    self->holding = speed < (self->holding ? 2.0 * HOLD_SPEED : HOLD_SPEED) &&
-                    !(self->ahead_given && sgms_fabs(self->ahead[0]) >= HOLD_SPEED);
-    self->carry *= CARRY;
 }
 
 /* The force to feed forward now. */
 static sgms_real fed_forward(toy_t *self)
 {
-    sgms_real friction, force;
+    sgms_real force;
     if (!self->compensate && !(self->gain > 0.0)) { /* nobody wants to know */
-        self->carry = 0.0;
-        self->fed = 0.0;
         return 0.0;
     }
-    friction = friction_ahead(self);
-    if (self->holding) { /* what is fed forward stays; where it left the estimate, it goes back to it once the axis moves */
-        self->carry = self->fed - friction;
-    }
-    self->fed = friction + self->carry;
-    force = self->gain > 0.0 ? self->gain * self->fed : 0.0;
+    force = self->gain * friction_ahead(self);
     return force;
 }
 

@@ -18,6 +18,7 @@ enum {
     ELEMENTS = 1,        /* Maxwell-slip elements, the first states */
     PARAMETERS = 2,      /* theta */
     HORIZON = 2,         /* intervals of the window; 0 for the filter */
+    DRIFT_INTERVAL = 2, /* shifts of the window after which the parameters' drift enters the arrival cost */
     SLOTS = 2,           /* intervals kept, the one that is filling included */
     LANES = 4,           /* intervals in a row of the series, padded to the vector width */
     WIDE = 4,            /* scalars side by side: intervals of one block, or blocks of one interval */
@@ -29,18 +30,20 @@ enum {
     STATE_ROWS = 3,      /* chi and its sensitivities, all blocks */
     Q_TERMS = 1,         /* parameter terms, all blocks */
     SETTLE = 7,         /* samples that a disturbance of the filters lasts */
+    CHAIN = 0,           /* what the model reads of the signal chain beside velocity and friction */
     FACTOR_ROWS = STATES + PARAMETERS,
     FACTOR_WIDTH = FACTOR_ROWS + 1,
     COUPLED = 1,         /* states that a state depends on over an interval, at most */
     DEFECT_WIDTH = COUPLED + PARAMETERS + 1,
     KEPT_WIDTH = 2 * STATES + PARAMETERS + 1,
+    LARGEST_BLOCK = 1,
     BLOCKS = 1            /* of states that depend on no other */
 };
 
 /* Scalars in one vector register of the processor, where compilers vectorise. */
 #if defined(__AVX__)
 enum { VECTOR = 4 };
-#elif defined(__SSE2__) || defined(__ARM_NEON) || defined(_M_X64)
+#elif SGMS_VECTORS
 enum { VECTOR = 2 };
 #else
 enum { VECTOR = 1 };

@@ -18,10 +18,17 @@ static inline void fill(sgms_real *to, sgms_real value, int count)
 }
 
 static const sgms_real element_data[1][1] = { {0.0} };
-/* States of each block of the group element. */
-static const uint8_t element_states[1][1] = { {0} };
+/* States of each block, group by group. */
+static const uint8_t block_states[BLOCKS][LARGEST_BLOCK] = { {0} };
 
-enum { ELEMENT_STATES = 1, ELEMENT_Q = 1, ELEMENT_ROWS = 3, ELEMENT_BLOCKS = 1 };
+enum {
+    ELEMENT_STATES = 1,
+    ELEMENT_Q = 1,
+    ELEMENT_ROWS = 3,
+    ELEMENT_BLOCKS = 1,
+    ELEMENT_FIRST = 0, /* of its blocks among all */
+    ELEMENT_FIRST_Q = 0
+};
 
 /* rho and f_C / s(v) of an element, with their derivatives in q. No operations. */
 static inline void element_coefficients(
@@ -222,7 +229,7 @@ static inline void start_lanes(int lanes, const toy_terms *of, const sgms_real *
         sgms_real *row = lane + l;
         for (int block = 0; block < ELEMENT_BLOCKS; block++) {
             for (int i = 0; i < ELEMENT_STATES; i++) {
-                const int state = element_states[block][i];
+                const int state = block_states[ELEMENT_FIRST + block][i];
                 row[i * WIDE] = node[l * STATES + state] / of->scale[state];
                 row[(ELEMENT_STATES + i * ELEMENT_STATES + i) * WIDE] = 1.0;
             }
@@ -231,46 +238,54 @@ static inline void start_lanes(int lanes, const toy_terms *of, const sgms_real *
     }
 }
 
-/* One interval by itself, the one under way or one that is linearised anew: its blocks side by side, a group's rows WIDE numbers apart, and behind them
- * its parameter terms and data. */
+/* Blocks side by side, those of the interval under way or those that are linearised anew: a group's rows WIDE numbers apart, and behind them its
+ * parameter terms and data. */
 enum { ONE_SIZE = 4 * WIDE };
 
-static void start_one(const toy_terms *of, const sgms_real *node, sgms_real *one)
+/* Put a block at its node into a lane. */
+static void element_start(const toy_terms *of, int block, const sgms_real *node, sgms_real *lane)
 {
-    const sgms_real *q = of->q;
-    fill(one, 0.0, ONE_SIZE);
-    for (int block = 0; block < ELEMENT_BLOCKS; block++) {
-        for (int i = 0; i < ELEMENT_STATES; i++) {
-            const int state = element_states[block][i];
-            one[i * WIDE + block] = node[state] / of->scale[state];
-            one[(ELEMENT_STATES + i * ELEMENT_STATES + i) * WIDE + block] = 1.0;
-        }
-        one[(ELEMENT_ROWS + 0) * WIDE + block] = *q++;
+    for (int i = 0; i < ELEMENT_STATES; i++) {
+        const int state = block_states[ELEMENT_FIRST + block][i];
+        lane[i * WIDE] = node[state] / of->scale[state];
+        lane[(ELEMENT_STATES + i * ELEMENT_STATES + i) * WIDE] = 1.0;
     }
-    one += 4 * WIDE;
-    (void)q;
+    lane[(ELEMENT_ROWS + 0) * WIDE] = of->q[ELEMENT_FIRST_Q + block * ELEMENT_Q + 0];
 }
 
-/* Move its blocks from `first` up to `end` over one step of the series; its terms lie LANES numbers apart. */
-static void integrate_one(const sgms_real *term, int first, int end, sgms_real *one)
+/* Move `count` blocks over one step of the series: those of `which`, each with the signals in its own lane, or (0) the first ones, of one interval. */
+static void element_side_by_side(int count, const int *which, const sgms_real *term, sgms_real *one)
 {
-    const int blocks_in_tiles = (end - first + VECTOR - 1) / VECTOR * VECTOR, lanes = blocks_in_tiles < WIDE ? blocks_in_tiles : WIDE;
+    const sgms_real *q = one + 3 * WIDE, *data = one + 3 * WIDE;
+    sgms_real rates[WIDE][3] = { { 0.0 } }, fastest = 0.0;
+    for (int l = 0; l < count; l++) {
+        fastest = sgms_fmax(fastest, sgms_fabs(term[l]));
+        for (int i = 0; i < 3; i++) {
+            rates[l][i] = element_rates[which ? which[l] : l][i];
+        }
+    }
+    element_step(count, 1, fastest, term, q, data, (const sgms_real (*)[3])rates, one);
+}
+
+/* Put all blocks of one interval at its node. */
+static void start_one(const toy_terms *of, const sgms_real *node, sgms_real *one)
+{
+    fill(one, 0.0, ONE_SIZE);
+    for (int block = 0; block < ELEMENT_BLOCKS; block++) {
+        element_start(of, block, node, one + block);
+    }
+    one += 4 * WIDE;
+}
+
+/* Move them over one step of the series; its terms lie LANES numbers apart. */
+static void integrate_one(const sgms_real *term, sgms_real *one)
+{
     sgms_real wide_term[NODES * TERMS * WIDE];
     for (int row = 0; row < NODES * TERMS; row++) {
-        fill(wide_term + row * WIDE, term[row * LANES], lanes);
+        fill(wide_term + row * WIDE, term[row * LANES], (1 + VECTOR - 1) / VECTOR * VECTOR);
     }
-    {
-        const int b = first > 0 ? first : 0, blocks = (end < ELEMENT_BLOCKS ? end : ELEMENT_BLOCKS) - b;
-        const sgms_real *q = one + 3 * WIDE, *data = one + 3 * WIDE;
-        if (blocks > 0) {
-            element_step(blocks, 1, sgms_fabs(wide_term[0]), wide_term, q + b, data + b, element_rates + b, one + b);
-        }
-        first -= ELEMENT_BLOCKS;
-        end -= ELEMENT_BLOCKS;
-        one += 4 * WIDE;
-    }
-    (void)first;
-    (void)end;
+    element_side_by_side(ELEMENT_BLOCKS, 0, wide_term, one);
+    one += 4 * WIDE;
 }
 
 /* Rows of x, A = dx/dx0 and B = dx/dtheta that belong to one block; its rows start at `row`, WIDE numbers apart. */
@@ -278,13 +293,14 @@ static inline void element_end(
     const toy_terms *of, int block, const sgms_real *row, const sgms_real *d_q, const sgms_real *start, sgms_real *x, sgms_real *a, sgms_real *b)
 {
     for (int i = 0; i < ELEMENT_STATES; i++) {
-        const int state = element_states[block][i];
+        const int state = block_states[ELEMENT_FIRST + block][i];
         const sgms_real *phi = row + (ELEMENT_STATES + i * ELEMENT_STATES) * WIDE;
         const sgms_real *psi = row + (ELEMENT_STATES * (1 + ELEMENT_STATES) + i * ELEMENT_Q) * WIDE;
         const sgms_real scale = of->scale[state];
         const sgms_real chi = row[i * WIDE];
         sgms_real *const b_row = b + state * PARAMETERS;
         x[state] = scale * chi;
+        fill(a + state * STATES, 0.0, STATES);
         for (int p = 0; p < PARAMETERS; p++) {
             b_row[p] = chi * of->d_scale[state * PARAMETERS + p];
         }
@@ -295,7 +311,7 @@ static inline void element_end(
             }
         }
         for (int j = 0; j < ELEMENT_STATES; j++) {
-            const int from = element_states[block][j];
+            const int from = block_states[ELEMENT_FIRST + block][j];
             const sgms_real by_node = phi[j * WIDE] * (scale / of->scale[from]);
             const sgms_real by_scale = by_node * (start[from] / of->scale[from]);
             a[state * STATES + from] = by_node;
@@ -314,7 +330,6 @@ static inline void interval_end(
 {
     const sgms_real *row = lane + l;
     const sgms_real *d_q = of->d_q;
-    fill(a, 0.0, STATES * STATES);
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
         element_end(of, block, row, d_q, start, x, a, b);
         row += ELEMENT_ROWS * WIDE;
@@ -328,7 +343,6 @@ static void one_end(
     const toy_terms *of, const sgms_real *one, const sgms_real *start, sgms_real *x, sgms_real *a, sgms_real *b)
 {
     const sgms_real *d_q = of->d_q;
-    fill(a, 0.0, STATES * STATES);
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
         element_end(of, block, one + block, d_q, start, x, a, b);
         d_q += ELEMENT_Q * PARAMETERS;
@@ -342,7 +356,7 @@ static inline void one_state(const toy_terms *of, const sgms_real *one, sgms_rea
 {
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
         for (int i = 0; i < ELEMENT_STATES; i++) {
-            const int state = element_states[block][i];
+            const int state = block_states[ELEMENT_FIRST + block][i];
             x[state] = of->scale[state] * one[i * WIDE + block];
         }
     }

@@ -27,6 +27,6 @@ static const double selftest_parameter[SELFTEST_UPDATES][2] = {
     { 10014.319, 3.0 },
     { 20000.0, 3.0 },
     { 20000.0, 3.0 },
-    { 20000.0, 1.9865307 }};
+    { 20000.0, 1.98653 }};
 
 #endif
