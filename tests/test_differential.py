@@ -104,6 +104,28 @@ MHE_CASES: dict[str, dict[str, Any]] = {
     },
     "auto, linear velocity": {"sampling": scheme("rk4", velocity="linear"), "estimator": {"relinearise": "auto"}},
     "auto, merged flow": {"sampling": scheme("flow", substeps=50), "estimator": {"relinearise": "auto"}},
+    "auto, five merged": {"sampling": scheme("flow", substeps=20), "estimator": {"relinearise": "auto"}},
+    "auto, five merged, ten elements": {
+        "friction": elements(10),
+        "sampling": scheme("flow", substeps=20),
+        "estimator": {"relinearise": "auto"},
+    },
+    "auto, five merged, level of its own": {
+        "sampling": scheme("flow", substeps=20),
+        "effects": [{"name": "dwell_dependence"}],
+        "estimator": {"relinearise": "auto"},
+    },
+    "auto, groups": {"effects": [{"name": "hose_hysteresis"}], "estimator": {"relinearise": "auto"}},
+    "auto, five merged, groups": {
+        "sampling": scheme("flow", substeps=20),
+        "effects": [{"name": "hose_hysteresis"}],
+        "estimator": {"relinearise": "auto"},
+    },
+    "auto, output not affine": {
+        "friction": {"micro_viscous": [50.0, 20.0, 10.0, 5.0]},
+        "estimator": {"relinearise": "auto"},
+    },
+    "auto, much drift": {"estimator": {"relinearise": "auto", "horizon": 7, "noise": {"parameter_drift": 0.02}}},
     "newest": {"estimator": {"relinearise": "newest"}},
     "newest, fixed": {"estimator": {"relinearise": "newest", "arrival_cost": {"update": "fixed"}}},
     "newest, linear velocity": {"sampling": scheme("rk4", velocity="linear"), "estimator": {"relinearise": "newest"}},
