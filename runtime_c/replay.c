@@ -86,7 +86,8 @@ static machine_real one_sample(machine *self, const sgms_series *series, long k)
             .acceleration = (machine_real)series->acceleration[k],
             .force = (machine_real)series->force[k],
             .friction = (machine_real)series->friction[k],
-            .valid = series->valid[k]};
+            .valid = series->valid[k],
+            .late = (machine_real)series->late};
         return CALL(insert)(self, &signals);
     }
     return CALL(sample)(self, to_position(series->position[k]), (machine_real)series->force[k]);

@@ -308,17 +308,35 @@ def test_set_point_serves_one_sample(motion: Motions, drive: Callable[..., Drive
 # --- effects ----------------------------------------------------------------------------------------------------
 
 
+STEPS: dict[str, dict[str, Any]] = {"sample": {}, "ten samples": scheme("flow", substeps=100)}
+
+
+@pytest.mark.parametrize("step", STEPS)
 def test_position_dependent_forces_are_those_of_the_position_ahead(
-    motion: Motions, drive: Callable[..., Drive]
+    step: str, motion: Motions, drive: Callable[..., Drive]
 ) -> None:
     v = 20e-3
     ripple = {"name": "force_ripple", "pitch_m": 1e-4, "amplitude_N": 0.8, "phase_rad": 0.7}
-    settings = {"sampling": long_interval(), "compensation": {"delay": DELAY}}
+    settings = {"sampling": long_interval(**STEPS[step]), "compensation": {"delay": DELAY}}
     plain, rippled = drive(**settings), drive(**settings, effects=[ripple])
     told = np.full(SAMPLES, v)
     found = [c.run(c.new(), motion.position, motion.force, told)[40:] for c in (plain, rippled)]
     expected = 0.8 * np.sin(2 * np.pi / 1e-4 * (motion.position + v * DELAY) + 0.7)[40:]
     np.testing.assert_allclose(found[1] - found[0], expected, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_forces_in_time_are_those_of_the_instant_ahead(step: str, motion: Motions, drive: Callable[..., Drive]) -> None:
+    disturbance = {"name": "periodic_disturbance", "frequency_Hz": 90.0, "amplitude_N": 0.8, "phase_rad": 0.7}
+    settings = {"sampling": long_interval(**STEPS[step]), "compensation": {"delay": DELAY}}
+    plain, disturbed = drive(**settings), drive(**settings, effects=[disturbance])
+    expected = 0.8 * np.sin(2 * np.pi * 90.0 * (np.arange(SAMPLES) / RATE + DELAY) + 0.7)
+    found = [c.run(c.new(), motion.position, motion.force, np.zeros(SAMPLES)) for c in (plain, disturbed)]
+    np.testing.assert_allclose(found[1] - found[0], expected, rtol=0.0, atol=1e-9)
+    # Signals without a lag need none made up for.
+    rows = np.column_stack((motion.position, motion.velocity, np.zeros((SAMPLES, 3))))[:60]
+    now = [[c.insert(memory, row) for row in rows] for c in (plain, disturbed) for memory in (c.new(),)]
+    np.testing.assert_allclose(np.subtract(now[1], now[0]), expected[:60], rtol=0.0, atol=1e-9)
 
 
 LATE: list[dict[str, Any]] = [

@@ -18,6 +18,7 @@ from sgms_mhe.diagnosis.residuals import Recording, noise_floor, prepare
 from sgms_mhe.errors import InputError
 from sgms_mhe.logs import Log, read_log
 from sgms_mhe.machine import Machine, load_machine
+from sgms_mhe.prediction import force_error, predict_log
 from sgms_mhe.simulation import AxisConfig, simulate_axis
 from sgms_mhe.trajectories import make_trajectory
 
@@ -72,11 +73,31 @@ def test_names_a_hidden_effect_and_its_size(
         error = found[key] - value
         if key == "phase_rad":
             assert abs(np.angle(np.exp(1j * error))) < 0.2
+        elif key == "time_s":
+            assert abs(error) < 0.7e-3  # rows are a millisecond
         else:
             assert abs(error) < 0.1 * abs(value), key
     assert diagnosis.rms.held_out_after < 0.3 * diagnosis.rms.held_out_before
     assert diagnosis.rms.held_out_after < 1.6 * diagnosis.noise_floor_N
     assert diagnosis.extended is not None
+
+
+def test_phase_is_that_of_the_log_s_clock(machine: Machine) -> None:
+    """Neither the signal chain's lag nor the rate that models are fitted at is in it."""
+    hum = {"amplitude_N": 0.4, "frequency_Hz": 40.0, "phase_rad": 0.7}
+    log = simulated(machine, [("periodic_disturbance", hum)])
+    diagnosis = diagnose(machine, log)
+    assert names(diagnosis) == ["periodic_disturbance"]
+    cause = diagnosis.causes[0]
+    for key, value in hum.items():
+        assert abs(cause.parameters[key] - value) < 2.0 * cause.std[key], key
+    assert cause.std["phase_rad"] < 0.01  # the chain's lag is 0.25 rad
+    assert diagnosis.extended is not None
+    left, clean = (
+        force_error(predict_log(m, record), start_s=0.3).residual_rms_N
+        for m, record in ((diagnosis.extended, log), (machine, simulated(machine, [])))
+    )
+    assert left < 1.05 * clean
 
 
 def test_finds_two_effects_at_once(machine: Machine) -> None:

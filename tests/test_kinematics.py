@@ -15,6 +15,7 @@ from scipy.signal import butter
 from sgms_mhe.errors import InputError
 from sgms_mhe.kinematics import (
     Signals,
+    chain_delay,
     lowpass_coefficients,
     settle_samples,
     signals_from_log,
@@ -22,6 +23,7 @@ from sgms_mhe.kinematics import (
 )
 from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.reference.integrator import signal_array
 
 Array = NDArray[np.float64]
 MACHINE = load_machine("etel_xy")
@@ -231,6 +233,30 @@ def test_chain_is_its_sample_by_sample_twin_whatever_is_missing(
         for start, length in holes:
             channel[start : start + length] = np.inf if infinite else np.nan
     assert_same(signals_from_log(log, MACHINE), twin_chain(log, MACHINE))
+
+
+@pytest.mark.parametrize("cutoff", [100.0, 500.0, 2000.0])
+def test_time_of_signals_is_that_of_what_they_tell_of(cutoff: float) -> None:
+    machine = with_cutoff(cutoff)
+    position = smooth_motion(6000)[0]
+    log = a_log(position, 100.0 * position)
+    signals = signals_from_log(log, machine)
+    time = signal_array(signals, STEP)[:, 4]
+    assert time[0] == -chain_delay(machine)
+    settled = slice(settle_samples(machine) + 1, None)
+    then = np.interp(time, log.time_s, position)
+    clock = np.abs(signals.position - position)[settled].max()
+    assert np.abs(signals.position - then)[settled].max() < 0.02 * clock
+    assert np.abs(signals.force - 100.0 * then)[settled].max() < 2.0 * clock
+    # A part of them is as late, and counts its own samples; signals of a log of its own are not late.
+    part = signals.part(slice(100, 200))
+    assert part.late == signals.late and len(part) == 100
+    np.testing.assert_array_equal(part.friction, signals.friction[100:200])
+    zero = np.zeros(6000)
+    for bring, late in (({"velocity_m_s": zero}, chain_delay(machine)), ({"friction_N": zero}, chain_delay(machine))):
+        assert signals_from_log(replace(log, **bring), machine).late == late
+    bypassed = signals_from_log(replace(log, velocity_m_s=zero, friction_N=zero), machine)
+    assert bypassed.late == 0.0 and signal_array(bypassed, STEP)[0, 4] == 0.0
 
 
 # --- missing samples --------------------------------------------------------------------------------------------

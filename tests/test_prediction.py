@@ -172,6 +172,31 @@ def test_predict_refuses_what_it_cannot_compare(
     assert not list(tmp_path.iterdir())
 
 
+# --- time -------------------------------------------------------------------------------------------------------
+
+
+def test_forces_in_time_are_predicted_at_their_instant() -> None:
+    """The log's clock and the model's are one, though the signals leave the chain a millisecond late."""
+    machine = load_machine("etel_xy")
+    path = make_trajectory("mixed", machine.sampling.rate, duration_s=4.0)
+
+    def left(name: str, parameters: dict[str, float], start_s: float = 0.3, end_s: float = 4.0) -> tuple[float, float]:
+        """RMS of the residual with the effect in plant and model, and with none in both."""
+        found = []
+        for effects in ([], [(name, parameters)]):
+            axis = override_machine(machine, {"effects": [{"name": n, **p} for n, p in effects]})
+            log = simulate_axis(axis, path, AxisConfig(seed=2, force_noise_N=0.02), truth=False).log
+            found.append(force_error(predict_log(axis, log), start_s=start_s, end_s=end_s).residual_rms_N)
+        return found[1], found[0]
+
+    hum = {"amplitude_N": 0.8, "frequency_Hz": 40.0, "phase_rad": 0.7}
+    with_it, without = left("periodic_disturbance", hum)
+    assert with_it < 1.1 * without  # a millisecond would leave 0.14 N RMS
+    # The chain rounds a step off, on both sides of its instant alike: what is left of it is not a millisecond of it.
+    with_it, _ = left("step_disturbance", {"force_N": 1.5, "time_s": 2.0}, 1.98, 2.02)
+    assert with_it < 0.1
+
+
 # --- measured data ----------------------------------------------------------------------------------------------
 
 

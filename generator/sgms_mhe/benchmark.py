@@ -578,7 +578,7 @@ def emitted_errors(machine: Machine, package: Package, recording: Recording) -> 
         for k, x0 in enumerate(recording.windows.x[window, :-1]):
             start = (first + k) * samples
             part = slice(start, start + samples + 1)
-            signals = Signals(**{name: values[part] for name, values in vars(recording.signals).items()})
+            signals = recording.signals.part(part)
             x1, d_x1 = model.end(signals, x=x0, first=start)
             columns = [
                 model.end(signals, x=x0, first=start, d_x=seed)[1] - d_x1

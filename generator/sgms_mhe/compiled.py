@@ -40,6 +40,7 @@ class _Series(ctypes.Structure):
         ("acceleration", ctypes.c_void_p),
         ("friction", ctypes.c_void_p),
         ("valid", ctypes.c_void_p),
+        ("late", ctypes.c_double),
     )
 
 
@@ -143,7 +144,7 @@ class CompiledModel:
                 signals.velocity,
                 signals.acceleration,
                 signals.force,
-                np.arange(first, first + n) * self.machine.sampling.step,
+                np.arange(first, first + n) * self.machine.sampling.step - signals.late,
             ]
         )
         values = np.ones(n_p) if theta is None else np.ascontiguousarray(theta, dtype=np.float64)
@@ -212,7 +213,7 @@ class CompiledEstimator:
             "friction": signals.friction,
             "valid": signals.valid.astype(np.uint8),
         }
-        run = self._run(self.start(), arrays, len(signals), "tasks", progress)
+        run = self._run(self.start(), arrays, len(signals), "tasks", progress, late=signals.late)
         return self._estimates(run, signals.time)
 
     def estimate_log(
@@ -231,6 +232,7 @@ class CompiledEstimator:
         samples: int,
         mode: str,
         progress: Progress | None,
+        late: float = 0.0,
     ) -> _Run:
         total = max(0, (samples - 1) // self._samples)
         rows = np.zeros((total + 1, self._columns))
@@ -244,7 +246,7 @@ class CompiledEstimator:
         chunk = samples if progress is None else _CHUNK * self._samples
         for first in range(0, samples, chunk):
             count = min(chunk, samples - first)
-            series = _Series(samples=count)
+            series = _Series(samples=count, late=late)
             for name, array in held.items():
                 setattr(series, name, array.ctypes.data + first * array.itemsize)
             done += self._library.sgms_replay_run(

@@ -36,8 +36,9 @@ LARGEST_SIGNAL = 1e9
 class Signals:
     """What the observer sees, one entry per sample; all arrays (n,), all numbers finite.
 
-    time [s], position [m], velocity [m/s], acceleration [m/s^2], force [N], friction [N]; `valid`: friction may be used
-    as a measurement; `missing`: a recorded channel had no finite value.
+    time of the sample [s], position [m], velocity [m/s], acceleration [m/s^2], force [N], friction [N]; `valid`:
+    friction may be used as a measurement; `missing`: a recorded channel had no finite value. `late`: how far they are
+    behind the sample [s]; what they tell of was at time - late.
     """
 
     time: Array
@@ -48,9 +49,15 @@ class Signals:
     friction: Array
     valid: Mask
     missing: Mask
+    late: float = 0.0
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def part(self, which: slice | NDArray[np.int64]) -> Signals:
+        """Some of the samples, as late as all of them."""
+        parts: dict[str, Any] = {name: a[which] for name, a in vars(self).items() if isinstance(a, np.ndarray)}
+        return replace(self, **parts)
 
 
 def signals_from_log(log: Log, machine: Machine) -> Signals:
@@ -96,7 +103,8 @@ def signals_from_log(log: Log, machine: Machine) -> Signals:
         friction = at_rest(_delay(held, float(held[0])))
     valid = _samples_since(missing) > settle
     valid[:settle] = False
-    return Signals(log.time_s, position, velocity, acceleration, force, friction, valid, missing)
+    late = chain_delay(machine)
+    return Signals(log.time_s, position, velocity, acceleration, force, friction, valid, missing, late)
 
 
 def signals_of_record(log: Log, machine: Machine) -> Signals:

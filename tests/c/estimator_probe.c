@@ -56,7 +56,7 @@ double probe_sample(void *self, double position, double force)
 
 double probe_insert(void *self, const double *signals, int valid)
 {
-    CALL(signals) s;
+    CALL(signals) s = {0};
     s.position = (machine_real)signals[0];
     s.velocity = (machine_real)signals[1];
     s.acceleration = (machine_real)signals[2];

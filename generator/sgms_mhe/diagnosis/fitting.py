@@ -271,8 +271,9 @@ class Workshop:
             friction=mean(signals.friction),
             valid=np.asarray(signals.valid[:n].reshape(-1, factor).all(axis=1)),
             missing=np.asarray(signals.missing[:n].reshape(-1, factor).any(axis=1)),
+            late=signals.late,
         )
-        clock = np.ascontiguousarray(recording.clock[:n:factor])
+        clock = mean(recording.clock)
         less = replace(recording, machine=machine, signals=thin, clock=clock, factor=recording.factor // factor)
         other = Workshop(machine, less)
         other.noise, other.starts, other.fine = self.noise, self.starts, self

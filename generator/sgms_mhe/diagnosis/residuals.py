@@ -42,7 +42,8 @@ class Recording:
     Attributes:
         machine: whose chain it went through.
         signals: at the log's rate (n).
-        clock: the model's time (n) [s], from the log's first sample; a piece of a record keeps that of the record.
+        clock: the model's time (n) [s], from the log's first sample to what the signals tell of; a piece of a record
+            keeps that of the record.
         factor: samples of the log per row.
         time, position, velocity, acceleration, force, friction: means over `factor` samples (m).
         used: rows that count (m).
@@ -137,7 +138,7 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
         raise InputError(log.source or "log", "usable samples", int(good.sum()), f"at least {100 * factor}")
     block, count = _blocks(used, factor / rate)
     fold, held_out = _split(count)
-    clock = np.arange(n) / rate
+    clock = np.arange(n) / rate - signals.late
     recording = _reduced(machine, signals, clock, factor, np.where(used, block, -1), fold, held_out, tuple(warnings))
     if held_out_s is not None:
         time = recording.time
@@ -225,11 +226,9 @@ def excerpt(recording: Recording, seconds: float = FITTED_S) -> Recording:
     fine = _finest(recording.machine)
     finer = recording.factor // fine
     samples = np.flatnonzero(np.repeat(wanted, recording.factor))
-    signals = recording.signals
-    part = Signals(**{name: getattr(signals, name)[samples] for name in signals.__dataclass_fields__})
     fitted = _reduced(
         recording.machine,
-        part,
+        recording.signals.part(samples),
         recording.clock[samples],
         fine,
         np.repeat(block, finer).astype(np.int64),

@@ -130,10 +130,10 @@ class Structure:
 class Traces:
     """Signals at the rate of the fit, all (m,).
 
-    time [s] from the log's first sample, position [m], velocity [m/s], acceleration [m/s^2], force [N], friction
-    measured [N], simulated by the machine as it is, with refitted base parameters and no new effect, and by the
-    extended model (parameters of all data); `held_out_fit_N` is the extended model fitted without the held-out
-    segments.
+    time [s] from the log's first sample to what the row tells of, position [m], velocity [m/s], acceleration [m/s^2],
+    force [N], friction measured [N], simulated by the machine as it is, with refitted base parameters and no new
+    effect, and by the extended model (parameters of all data); `held_out_fit_N` is the extended model fitted without
+    the held-out segments.
     `used`: enters fits and numbers; `held_out`: not seen by the fit that the gains are computed from.
     """
 

@@ -652,8 +652,11 @@ class Integrator:
 
 
 def signal_array(signals: Signals, h: float) -> Array:
-    """Signals w = (position, velocity, acceleration, force, time) of every sample (n, 5); time counts from sample 0."""
-    time = np.arange(len(signals)) * h
+    """Signals w = (position, velocity, acceleration, force, time) of every sample (n, 5).
+
+    Time counts from sample 0 and is that of what the signals tell of.
+    """
+    time = np.arange(len(signals)) * h - signals.late
     return np.column_stack([signals.position, signals.velocity, signals.acceleration, signals.force, time])
 
 
