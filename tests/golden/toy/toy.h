@@ -49,6 +49,7 @@ typedef struct {
     toy_real force;        /* N, drive force */
     toy_real friction;     /* N, force - mass * acceleration */
     int valid;              /* 0: friction is not to be used */
+    toy_real late;         /* s, that all of them are behind the sample; 0 where the controller's chain has no lag */
 } toy_signals;
 
 /* What the observer knows after an update. */
@@ -75,7 +76,7 @@ typedef struct {
     toy_real chain_lowpass[16];
     toy_real chain_last[4];
     int32_t chain_counts[3];
-    toy_real signal[5]; /* position, velocity, acceleration, force, time of the last sample; zero what the model does not read */
+    toy_real signal[5]; /* position, velocity, acceleration, force, time of what they tell of; zero what the model does not read */
     toy_real merged[5];
     int32_t merged_count;
     /* slots of the window are used in turn, `filling` is the interval under way */
@@ -144,7 +145,8 @@ void toy_compensate(toy_t *self, int on);
 /* How much of it is on at the moment, 0 to 1. */
 toy_real toy_share(const toy_t *self);
 
-/* sample() for a controller with a signal chain of its own: signals without a lag behind the sample that they are from. */
+/* sample() for a controller with a signal chain of its own: signals of one instant, `late` behind the sample. What it returns is for the loop's
+ * delay after that instant: the lag of another chain is not made up for, so compensation wants one without. */
 toy_real toy_insert(toy_t *self, const toy_signals *signals);
 
 /* Whether an interval is complete and waits for feedback(). */
