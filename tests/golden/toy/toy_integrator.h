@@ -274,7 +274,6 @@ static void start_one(const toy_terms *of, const sgms_real *node, sgms_real *one
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
         element_start(of, block, node, one + block);
     }
-    one += 4 * WIDE;
 }
 
 /* Move them over one step of the series; its terms lie LANES numbers apart. */
@@ -285,7 +284,6 @@ static void integrate_one(const sgms_real *term, sgms_real *one)
         fill(wide_term + row * WIDE, term[row * LANES], (1 + VECTOR - 1) / VECTOR * VECTOR);
     }
     element_side_by_side(ELEMENT_BLOCKS, 0, wide_term, one);
-    one += 4 * WIDE;
 }
 
 /* Rows of x, A = dx/dx0 and B = dx/dtheta that belong to one block; its rows start at `row`, WIDE numbers apart. */
@@ -347,7 +345,6 @@ static void one_end(
         element_end(of, block, one + block, d_q, start, x, a, b);
         d_q += ELEMENT_Q * PARAMETERS;
     }
-    one += 4 * WIDE;
     (void)d_q;
 }
 
@@ -360,7 +357,6 @@ static inline void one_state(const toy_terms *of, const sgms_real *one, sgms_rea
             x[state] = of->scale[state] * one[i * WIDE + block];
         }
     }
-    one += 4 * WIDE;
 }
 
 #endif
