@@ -6,7 +6,7 @@
 #include "sgms_math.h"
 
 /* First column of a row to work on, where those before `c` hold zeros. */
-#if defined(__AVX__) || defined(__SSE2__) || defined(__ARM_NEON) || defined(_M_X64)
+#if SGMS_VECTORS
 #define SGMS_FROM(c) (0 * (c))
 #else
 #define SGMS_FROM(c) (c)

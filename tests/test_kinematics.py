@@ -18,12 +18,12 @@ from sgms_mhe.kinematics import (
     chain_delay,
     lowpass_coefficients,
     settle_samples,
+    signal_array,
     signals_from_log,
     signals_of_record,
 )
 from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine, load_machine, override_machine
-from sgms_mhe.reference.integrator import signal_array
 
 Array = NDArray[np.float64]
 MACHINE = load_machine("etel_xy")

@@ -27,7 +27,7 @@ from sgms_mhe.build import DEFAULT_FLAGS, program
 from sgms_mhe.compiled import CompiledModel, replay_definitions
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.errors import BuildError
-from sgms_mhe.kinematics import Signals, signals_from_log
+from sgms_mhe.kinematics import Signals, signal_array, signals_from_log
 from sgms_mhe.logs import Log, write_log
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.machine.schema import Estimator
@@ -35,7 +35,7 @@ from sgms_mhe.model import build_model
 from sgms_mhe.paths import runtime_dir
 from sgms_mhe.peers import KINDS, Kind, PeerExport, Windows
 from sgms_mhe.reference import Integrator
-from sgms_mhe.reference.integrator import Linearised, signal_array
+from sgms_mhe.reference.integrator import Linearised
 from sgms_mhe.simulation import AxisConfig, simulate_axis
 from sgms_mhe.trajectories import Motion, Trajectory, make_trajectory
 from sgms_mhe.work_precision import CANDIDATES, settings

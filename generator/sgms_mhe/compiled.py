@@ -16,7 +16,7 @@ from sgms_mhe.build import DEFAULT_FLAGS, shared_library
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.errors import InputError
 from sgms_mhe.estimates import Estimates
-from sgms_mhe.kinematics import Signals
+from sgms_mhe.kinematics import Signals, signal_array
 from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
@@ -138,15 +138,7 @@ class CompiledModel:
         slopes: Array | None,
     ) -> tuple[Array, Array]:
         n, n_x, n_p = len(signals), self.model.n_x, self.model.n_p
-        w = np.column_stack(
-            [
-                signals.position,
-                signals.velocity,
-                signals.acceleration,
-                signals.force,
-                np.arange(first, first + n) * self.machine.sampling.step - signals.late,
-            ]
-        )
+        w = signal_array(signals, self.machine.sampling.step, first)
         values = np.ones(n_p) if theta is None else np.ascontiguousarray(theta, dtype=np.float64)
         state = np.zeros(n_x) if x is None else np.array(x, dtype=np.float64)
         sensitivity = np.zeros((n_x, n_p)) if d_x is None else np.array(d_x, dtype=np.float64, order="C")

@@ -60,6 +60,16 @@ class Signals:
         return replace(self, **parts)
 
 
+def signal_array(signals: Signals, h: float, first: int = 0) -> Array:
+    """Signals w = (position, velocity, acceleration, force, time) of every sample (n, 5).
+
+    Time counts from a log's sample 0, the first one here being its sample `first`, and is that of what the signals tell
+    of.
+    """
+    time = np.arange(first, first + len(signals)) * h - signals.late
+    return np.column_stack([signals.position, signals.velocity, signals.acceleration, signals.force, time])
+
+
 def signals_from_log(log: Log, machine: Machine) -> Signals:
     """Send a log through the chain, or past it where the log brings velocity and friction of its own."""
     sampling = machine.sampling

@@ -21,11 +21,10 @@ from numpy.typing import NDArray
 from sgms_mhe.compiled import CompiledEstimator, CompiledModel
 from sgms_mhe.estimates import Estimates
 from sgms_mhe.experiment import PAPER_WEIGHTS, Record, simulate_record
-from sgms_mhe.kinematics import Signals, signals_from_log
+from sgms_mhe.kinematics import Signals, signal_array, signals_from_log
 from sgms_mhe.machine import Machine, load_machine, override_machine
 from sgms_mhe.model import build_model
 from sgms_mhe.reference import Integrator, estimate_smoother
-from sgms_mhe.reference.integrator import signal_array
 from sgms_mhe.simulation import AxisConfig, simulate_axis
 from sgms_mhe.tables import Table
 from sgms_mhe.trajectories import make_trajectory

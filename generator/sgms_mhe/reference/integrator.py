@@ -28,7 +28,7 @@ from scipy.sparse.csgraph import breadth_first_order
 
 from sgms_mhe.build import shared_library
 from sgms_mhe.errors import BuildError
-from sgms_mhe.kinematics import Signals
+from sgms_mhe.kinematics import Signals, signal_array
 from sgms_mhe.model import Model
 from sgms_mhe.reference.flow import DEGREE, NEAR, Flow, gate_ratio, relaxation, window
 
@@ -649,15 +649,6 @@ class Integrator:
         by_chi = slope * math.exp(-flow.curvature * lag / (level * flow.k))
         by_rho = direction * (level * g1 * xi + flow.r_star * delta * x * dphi) / rho
         return Moved(np.array([end]), np.array([[by_chi]]), by_rho * np.array(by_theta))
-
-
-def signal_array(signals: Signals, h: float) -> Array:
-    """Signals w = (position, velocity, acceleration, force, time) of every sample (n, 5).
-
-    Time counts from sample 0 and is that of what the signals tell of.
-    """
-    time = np.arange(len(signals)) * h - signals.late
-    return np.column_stack([signals.position, signals.velocity, signals.acceleration, signals.force, time])
 
 
 def _with_jacobians(name: str, arguments: list[ca.SX], value: ca.SX, wanted: tuple[int, ...]) -> ca.Function:

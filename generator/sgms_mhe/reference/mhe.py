@@ -170,11 +170,12 @@ def renew(record: Record, first: int, kept: Kept, x: Array, theta: Array) -> Kep
     moved = np.abs(kept.moves(x, theta)) / record.weights.move
     by_block = np.stack([np.max(moved[:, block.states], axis=1) for block in blocks], axis=1)
     most_first = np.argsort(-by_block, axis=None, kind="stable")[: max(2, len(blocks))]
-    for k, b in zip(*np.unravel_index(most_first, by_block.shape), strict=True):
-        if by_block[k, b] > 1.0:
-            start = x[k : k + 1]
-            fresh = Kept.of(start, theta, integrate(record, first + int(k), start, theta))
-            kept = kept.renewed(int(k), blocks[b].states, fresh)
+    chosen = [(int(i) // len(blocks), int(i) % len(blocks)) for i in most_first if by_block.flat[i] > 1.0]
+    for k in {k for k, _ in chosen}:
+        start = x[k : k + 1]
+        fresh = Kept.of(start, theta, integrate(record, first + k, start, theta))
+        states = sorted({state for interval, b in chosen if interval == k for state in blocks[b].states})
+        kept = kept.renewed(k, tuple(states), fresh)
     return kept
 
 

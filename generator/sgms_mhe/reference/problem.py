@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.estimates import Estimates
-from sgms_mhe.kinematics import Signals
+from sgms_mhe.kinematics import Signals, signal_array
 from sgms_mhe.model import Model
-from sgms_mhe.reference.integrator import Integrator, Plan, signal_array
+from sgms_mhe.reference.integrator import Integrator, Plan
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

@@ -192,6 +192,16 @@ static void element_step(
     }
 }
 
+/* Chi of a block at its node, and identity for its derivative; the lane's rows were zero. */
+static inline void element_at_node(const toy_terms *of, int block, const sgms_real *node, sgms_real *lane)
+{
+    for (int i = 0; i < ELEMENT_STATES; i++) {
+        const int state = block_states[ELEMENT_FIRST + block][i];
+        lane[i * WIDE] = node[state] / of->scale[state];
+        lane[(ELEMENT_STATES + i * ELEMENT_STATES + i) * WIDE] = 1.0;
+    }
+}
+
 /* The largest of |velocity|; the bits of numbers that are not negative are in the order of the numbers, and integers vectorise. */
 static inline sgms_real fastest_of(int lanes, const sgms_real *velocity)
 {
@@ -228,11 +238,7 @@ static inline void start_lanes(int lanes, const toy_terms *of, const sgms_real *
     for (int l = 0; l < lanes; l++) {
         sgms_real *row = lane + l;
         for (int block = 0; block < ELEMENT_BLOCKS; block++) {
-            for (int i = 0; i < ELEMENT_STATES; i++) {
-                const int state = block_states[ELEMENT_FIRST + block][i];
-                row[i * WIDE] = node[l * STATES + state] / of->scale[state];
-                row[(ELEMENT_STATES + i * ELEMENT_STATES + i) * WIDE] = 1.0;
-            }
+            element_at_node(of, block, node + l * STATES, row);
             row += ELEMENT_ROWS * WIDE;
         }
     }
@@ -242,14 +248,10 @@ static inline void start_lanes(int lanes, const toy_terms *of, const sgms_real *
  * parameter terms and data. */
 enum { ONE_SIZE = 4 * WIDE };
 
-/* Put a block at its node into a lane. */
+/* Put a block at its node into a lane, its parameter terms and data behind it. */
 static void element_start(const toy_terms *of, int block, const sgms_real *node, sgms_real *lane)
 {
-    for (int i = 0; i < ELEMENT_STATES; i++) {
-        const int state = block_states[ELEMENT_FIRST + block][i];
-        lane[i * WIDE] = node[state] / of->scale[state];
-        lane[(ELEMENT_STATES + i * ELEMENT_STATES + i) * WIDE] = 1.0;
-    }
+    element_at_node(of, block, node, lane);
     lane[(ELEMENT_ROWS + 0) * WIDE] = of->q[ELEMENT_FIRST_Q + block * ELEMENT_Q + 0];
 }
 
