@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.build import DEFAULT_FLAGS, shared_library
+from sgms_mhe.build import DEFAULT_FLAGS, load_library, shared_library
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.errors import InputError
 from sgms_mhe.estimates import Estimates
@@ -74,7 +74,7 @@ class CompiledModel:
     def __init__(self, machine: Machine, package: Package | None = None) -> None:
         self.machine = machine
         self.model = build_model(machine)
-        self._library = ctypes.CDLL(str(_compile(machine, package, DEFAULT_FLAGS, "predict.c")))
+        self._library = load_library(_compile(machine, package, DEFAULT_FLAGS, "predict.c"))
 
     def predict(
         self,
@@ -178,7 +178,7 @@ class CompiledEstimator:
     ) -> None:
         self.machine = machine
         self.model = model or build_model(machine)
-        self._library = ctypes.CDLL(str(_compile(machine, package, flags, f"{machine.name}.c", "replay.c", "loop.c")))
+        self._library = load_library(_compile(machine, package, flags, f"{machine.name}.c", "replay.c", "loop.c"))
         self._library.sgms_replay_memory.restype = ctypes.c_size_t
         self._library.sgms_replay_run.restype = ctypes.c_long
         self._columns = int(self._library.sgms_replay_columns())

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.build import shared_library
+from sgms_mhe.build import load_library, shared_library
 from sgms_mhe.errors import InputError
 from sgms_mhe.logs import Log
 from sgms_mhe.model.effects import effect_definition
@@ -349,7 +349,7 @@ class _Library:
 
 @lru_cache(maxsize=1)
 def _library() -> _Library:
-    c = ctypes.CDLL(str(shared_library([runtime_dir() / "axis.c"], libraries=("m",))))
+    c = load_library(shared_library([runtime_dir() / "axis.c"], libraries=("m",)))
     size, text, number, axis = ctypes.c_size_t, ctypes.c_char_p, ctypes.c_double, ctypes.c_void_p
     signatures: dict[str, tuple[Any, list[Any]]] = {
         "axis_size": (size, []),
