@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from sgms_mhe import cache
-from sgms_mhe.build import DEFAULT_FLAGS, WARNING_FLAGS, compiler, load_library, program, shared_library
-from sgms_mhe.cache import cache_dir
-from sgms_mhe.errors import BuildError
+from sgms_mhe.support import cache
+from sgms_mhe.support.cache import cache_dir
+from sgms_mhe.support.errors import BuildError
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS, WARNING_FLAGS, compiler, load_library, program, shared_library
 
 
 @pytest.fixture

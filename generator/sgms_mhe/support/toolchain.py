@@ -12,8 +12,8 @@ from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 
-from sgms_mhe import cache
-from sgms_mhe.errors import BuildError
+from sgms_mhe.support import cache
+from sgms_mhe.support.errors import BuildError
 
 # Neither -march=native nor relaxed arithmetic: results must not depend on the machine that compiles. A multiply and an
 # add stay two roundings for the same reason.
@@ -66,7 +66,8 @@ def shared_library(
     """Compile C sources to a shared library and return its path.
 
     The library is kept under a name that is a digest of everything it is made of: contents of the sources and of the
-    headers beside them and in `include_dirs`, flags, compiler and its version, `cache_key`; see `sgms_mhe.cache`.
+    headers beside them and in `include_dirs`, flags, compiler and its version, `cache_key`; see
+    `sgms_mhe.support.cache`.
 
     Args:
         sources: C files.

@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from sgms_mhe.errors import BuildError
+from sgms_mhe.support.errors import BuildError
 
 DIGITS: Final = 24
 """Of a SHA-256 in hexadecimal, in the names of files: 96 bits."""
