@@ -21,7 +21,8 @@ from sgms_mhe.build import cache_dir
 from sgms_mhe.compiled import CompiledModel
 from sgms_mhe.diagnosis.evidence import nuisance
 from sgms_mhe.diagnosis.residuals import Recording
-from sgms_mhe.emission.package import RUNTIME_HEADERS, Package, digest_of_sources, emit_package
+from sgms_mhe.emission.package import RUNTIME_HEADERS, Package, emit_package
+from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.files import write_text
 from sgms_mhe.kinematics import Signals
 from sgms_mhe.machine import Machine, override_machine
