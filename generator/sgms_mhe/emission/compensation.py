@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sgms_mhe.emission.flow_table import gate_ratio
-from sgms_mhe.kinematics import chain_delay
+from sgms_mhe.integration.flow_table import gate_ratio
 from sgms_mhe.machine import Machine
+from sgms_mhe.signals.chain import chain_delay
 
 AHEAD_DISPLACEMENT = 0.05
 """Largest move per Runge-Kutta step of the propagation ahead, in deflection scales: no sensitivity hangs on it."""

@@ -19,12 +19,12 @@ from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.emission.schedule import Schedule, schedule_of
 from sgms_mhe.emission.selftest import Vectors
 from sgms_mhe.emission.sizes import Sizes, couplings, sizes_of
+from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Variant, variant_of
-from sgms_mhe.kinematics import lowpass_coefficients, settle_samples
+from sgms_mhe.integration.schemes import SCHEMES, Scheme
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES, FreeParameter, Model
-from sgms_mhe.schemes import SCHEMES, Scheme
-from sgms_mhe.structure import Structure
+from sgms_mhe.signals.chain import lowpass_coefficients, settle_samples
 
 RUNTIME_VERSION = 1
 """Version of the runtime headers that the templates are written for."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sgms_mhe.emission.flow_table import FlowTable, flow_table, gate_ratio
+from sgms_mhe.integration.flow_table import FlowTable, flow_table, gate_ratio
 from sgms_mhe.machine import Machine
 
 LEVEL_CHANGE = 0.0175

@@ -10,8 +10,8 @@ import casadi as ca
 
 from sgms_mhe.emission.c_source import CPrinter
 from sgms_mhe.emission.graph import Graph, Node, operations, walk
+from sgms_mhe.emission.structure import Group, Structure
 from sgms_mhe.model import SIGNAL_NAMES, Model
-from sgms_mhe.structure import Group, Structure
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from functools import cached_property
 
 from sgms_mhe.emission.compensation import AHEAD_DISPLACEMENT, AHEAD_SLOW_DISPLACEMENT, ahead_elastic
 from sgms_mhe.emission.element_law import element_law
-from sgms_mhe.emission.flow_table import gate_ratio
 from sgms_mhe.emission.functions import Function, FunctionPrinter, Output, scalar
 from sgms_mhe.emission.sizes import GroupSizes, Sizes
-from sgms_mhe.structure import Block, Group, Structure
+from sgms_mhe.emission.structure import Block, Group, Structure
+from sgms_mhe.integration.flow_table import gate_ratio
 
 SLOW_LAMBDA = 35.0
 """Largest lambda up to which `slow_displacement` holds as it stands: the slip window is 1 / lambda wide."""

@@ -9,13 +9,13 @@ from pathlib import Path
 from sgms_mhe.emission.context import PackageView, package_view
 from sgms_mhe.emission.rendering import render
 from sgms_mhe.emission.selftest import selftest_vectors
+from sgms_mhe.emission.structure import analyse, report
 from sgms_mhe.emission.writing import write_folder
-from sgms_mhe.errors import InputError
+from sgms_mhe.integration.work_precision import table_text
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
-from sgms_mhe.paths import runtime_dir
-from sgms_mhe.structure import analyse, report
-from sgms_mhe.work_precision import table_text
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.paths import runtime_dir
 
 RUNTIME_HEADERS = ("sgms_real.h", "sgms_math.h", "sgms_linalg.h", "sgms_filter.h")
 FLOW_HEADER = "sgms_flow.h"

@@ -25,7 +25,7 @@ from jinja2.lexer import Token, TokenStream
 
 from sgms_mhe.emission.c_source import CPrinter
 from sgms_mhe.emission.context import PackageView
-from sgms_mhe.paths import templates_dir
+from sgms_mhe.support.paths import templates_dir
 
 _PIECE = re.compile(
     r"""(?P<open>/\*) | (?P<close>\*/) | "(?:[^"\\\n]|\\.)*"

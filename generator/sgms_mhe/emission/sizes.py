@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sgms_mhe.emission.structure import Group, Structure
 from sgms_mhe.emission.variant import Variant
 from sgms_mhe.model import SIGNAL_NAMES
-from sgms_mhe.structure import Group, Structure
 
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from sgms_mhe.errors import InputError
+from sgms_mhe.support.errors import InputError
 
 EMITTED_SUFFIXES = (".c", ".h", ".txt")
 
