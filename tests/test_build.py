@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from sgms_mhe.build import DEFAULT_FLAGS, WARNING_FLAGS, cache_dir, compiler, shared_library
-from sgms_mhe.errors import BuildError
+from sgms_mhe.support.errors import BuildError
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS, WARNING_FLAGS, cache_dir, compiler, shared_library
 
 
 @pytest.fixture

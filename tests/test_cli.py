@@ -18,9 +18,9 @@ import sgms_mhe
 from cli_cases import SMALL, done, files, refused, run
 from sgms_mhe.cli import COMMANDS
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.estimates import read_estimates
-from sgms_mhe.logs import read_columns, read_log
 from sgms_mhe.machine import load_machine
+from sgms_mhe.signals.estimates import read_estimates
+from sgms_mhe.signals.logs import read_columns, read_log
 
 
 @pytest.fixture(scope="session")
@@ -310,7 +310,7 @@ def test_compare_in_single_precision(small: Path, log: Path, tmp_path: Path) -> 
 
 
 def test_compare_says_no_with_exit_code_1(small: Path, log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from sgms_mhe import comparison
+    from sgms_mhe.evaluation import comparison
 
     monkeypatch.setitem(comparison.TOLERANCES, "double", comparison.Tolerance(0.0, 0.0, 0.0, 0.0, 0.0))
     result = run("compare", small, log)
@@ -465,7 +465,7 @@ def _forbid_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def forbidden(*arguments: object, **options: object) -> None:
         raise AssertionError("work began before the output was tried")
 
-    for name in ("simulation.simulate_axis", "logs.read_log", "emission.package.emit_package"):
+    for name in ("plant.simulation.simulate_axis", "signals.logs.read_log", "emission.package.emit_package"):
         monkeypatch.setattr(f"sgms_mhe.{name}", forbidden)
 
 
@@ -479,7 +479,7 @@ def test_no_compiler_is_bad_input(small: Path, log: Path, tmp_path: Path, monkey
 # --- interrupts --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("where", ["sgms_mhe.simulation.simulate_axis", "os.fsync"])
+@pytest.mark.parametrize("where", ["sgms_mhe.plant.simulation.simulate_axis", "os.fsync"])
 def test_an_interrupt_leaves_the_outputs_as_they_were(
     where: str, small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from sgms_mhe.errors import InputError
 from sgms_mhe.machine import BASE_PARAMETERS, Machine, json_schema, load_machine, override_machine
+from sgms_mhe.support.errors import InputError
 
 MINIMAL = """
 name = "axis"

@@ -12,12 +12,12 @@ import pytest
 from numpy.typing import NDArray
 
 from cli_cases import SMALL, done, refused
-from sgms_mhe.errors import InputError
-from sgms_mhe.logs import read_log, write_log
+from sgms_mhe.evaluation.prediction import ForceError, PredictedFriction, force_error, predict_log
 from sgms_mhe.machine import load_machine, override_machine
-from sgms_mhe.prediction import ForceError, PredictedFriction, force_error, predict_log
-from sgms_mhe.simulation import AxisConfig, simulate_axis
-from sgms_mhe.trajectories import Motion, make_trajectory
+from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.trajectories import Motion, make_trajectory
+from sgms_mhe.signals.logs import read_log, write_log
+from sgms_mhe.support.errors import InputError
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE + 7.0  # a record need not start at zero

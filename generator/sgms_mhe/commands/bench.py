@@ -22,7 +22,7 @@ from sgms_mhe.commands.common import (
 )
 
 if TYPE_CHECKING:
-    from sgms_mhe.benchmark import Benchmark, Peer, Variant
+    from sgms_mhe.evaluation.benchmark import Benchmark, Peer, Variant
 
 
 @click.command(
@@ -54,8 +54,8 @@ def command(
     if out is not None:
         check_output_folder(out)
 
-    from sgms_mhe.benchmark import run_benchmark
-    from sgms_mhe.build import DEFAULT_FLAGS
+    from sgms_mhe.evaluation.benchmark import run_benchmark
+    from sgms_mhe.support.toolchain import DEFAULT_FLAGS
 
     flags = DEFAULT_FLAGS if cflags is None else shlex.split(cflags)
     with progress_bar(f"bench {resolved.name}") as progress:
@@ -64,9 +64,9 @@ def command(
         )
     content = json_text(asdict(benchmark))
     if out is not None:
-        from sgms_mhe.benchmark_figures import benchmark_figures
-        from sgms_mhe.files import write_text
-        from sgms_mhe.plots import save_figure
+        from sgms_mhe.evaluation.benchmark_figures import benchmark_figures
+        from sgms_mhe.evaluation.plots import save_figure
+        from sgms_mhe.support.files import write_text
 
         make_folder(out)
         write_text(out / "benchmark.json", content + "\n")
@@ -77,7 +77,7 @@ def command(
 
 
 def _text(benchmark: Benchmark, machine: str, flags: str) -> str:
-    from sgms_mhe.tables import Table
+    from sgms_mhe.support.tables import Table
 
     rows = [_row(variant, benchmark.peer) for variant in benchmark.variants]
     rows += [_row(peer, benchmark.peer) for peer in benchmark.peers]

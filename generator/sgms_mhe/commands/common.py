@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import click
 
-from sgms_mhe.errors import InputError
+from sgms_mhe.support.errors import InputError
 
 Progress = Callable[[int, int], None]
 """Called with (steps done, steps in all)."""

@@ -76,7 +76,7 @@ def command(
     if out is not None:
         check_output_folder(out)
 
-    from sgms_mhe.compensation import SCENARIOS, compare_compensations
+    from sgms_mhe.evaluation.compensation import SCENARIOS, compare_compensations
 
     with progress_bar(f"compensate {resolved.name}") as progress:
         comparison = compare_compensations(

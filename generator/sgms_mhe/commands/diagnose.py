@@ -73,8 +73,8 @@ def command(
     check_output_folder(folder)
 
     from sgms_mhe.diagnosis import diagnose, write_diagnosis
-    from sgms_mhe.logs import read_log
     from sgms_mhe.report import closed_loop_gain, write_report
+    from sgms_mhe.signals.logs import read_log
 
     recorded = read_log(log, resolved).part(start_s, end_s)
     another = read_log(unseen, resolved) if unseen else None

@@ -65,8 +65,8 @@ def command(
     if lowpass is not None:
         resolved = override_machine(resolved, {"sampling": {"velocity_cutoff": lowpass}})
 
-    from sgms_mhe.logs import read_log
-    from sgms_mhe.prediction import force_error, predict_log, write_prediction
+    from sgms_mhe.evaluation.prediction import force_error, predict_log, write_prediction
+    from sgms_mhe.signals.logs import read_log
 
     recorded = read_log(log, resolved)
     with progress_bar(f"predict {resolved.name}"):

@@ -18,7 +18,7 @@ from sgms_mhe.commands.common import (
 )
 
 if TYPE_CHECKING:
-    from sgms_mhe.logs import Log
+    from sgms_mhe.signals.logs import Log
 
 
 def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:
@@ -88,9 +88,9 @@ def command(
     resolved = load_machine(machine)
     check_output_file(out, (".csv", ".npz"))
 
-    from sgms_mhe.logs import write_log
-    from sgms_mhe.simulation import AxisConfig, simulate_axis
-    from sgms_mhe.trajectories import make_trajectory
+    from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+    from sgms_mhe.plant.trajectories import make_trajectory
+    from sgms_mhe.signals.logs import write_log
 
     sampling = resolved.sampling
     reference = make_trajectory(trajectory, sampling.rate, duration_s=duration, max_velocity=sampling.max_velocity)

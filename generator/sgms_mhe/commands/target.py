@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from sgms_mhe.target import HostComparison, Trial
+    from sgms_mhe.evaluation.target import HostComparison, Trial
 
 
 @click.command(
@@ -68,10 +68,10 @@ def command(
 
     resolved = load_machine(machine)
 
-    from sgms_mhe.benchmark import simulated_log
     from sgms_mhe.emission.package import emit_package
-    from sgms_mhe.logs import read_log
-    from sgms_mhe.target import TARGET_FLAGS, TARGETS, compare_with_host, run_trial, single_precision
+    from sgms_mhe.evaluation.benchmark import simulated_log
+    from sgms_mhe.evaluation.target import TARGET_FLAGS, TARGETS, compare_with_host, run_trial, single_precision
+    from sgms_mhe.signals.logs import read_log
 
     if log is None:
         recorded = simulated_log(resolved, trajectory, updates)

@@ -17,16 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from sgms_mhe.build import cache_dir
-from sgms_mhe.compiled import CompiledModel
 from sgms_mhe.diagnosis.evidence import nuisance
 from sgms_mhe.diagnosis.residuals import Recording
 from sgms_mhe.emission.package import RUNTIME_HEADERS, Package, digest_of_sources, emit_package
-from sgms_mhe.files import write_text
-from sgms_mhe.kinematics import Signals
+from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.model.effects import effect_definition
-from sgms_mhe.paths import runtime_dir
+from sgms_mhe.signals.chain import Signals
+from sgms_mhe.support.files import write_text
+from sgms_mhe.support.paths import runtime_dir
+from sgms_mhe.support.toolchain import cache_dir
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

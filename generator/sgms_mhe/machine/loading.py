@@ -13,9 +13,9 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from sgms_mhe.errors import InputError
 from sgms_mhe.machine.schema import Machine, listing, merged
-from sgms_mhe.paths import machines_dir
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.paths import machines_dir
 
 
 class _Layer(NamedTuple):

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.emission.flow_table import flow_applies, gate_ratio
-from sgms_mhe.schemes import SCHEMES, Scheme
+from sgms_mhe.integration.flow_table import flow_applies, gate_ratio
+from sgms_mhe.integration.schemes import SCHEMES, Scheme
 
 if TYPE_CHECKING:
     from sgms_mhe.machine.schema import Friction, Machine, Sampling

@@ -12,9 +12,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sgms_mhe.estimates import Estimates
-from sgms_mhe.files import atomic_write
-from sgms_mhe.status import FLAGS, REFUSED, flagged, measured
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.signals.status import FLAGS, REFUSED, flagged, measured
+from sgms_mhe.support.files import atomic_write
 
 if TYPE_CHECKING:
     from sgms_mhe.model import FreeParameter

@@ -1,4 +1,4 @@
-"""Statistics of the estimator, from the command line: `python -m sgms_mhe.studies NAME`.
+"""Statistics of the estimator, from the command line: `python -m sgms_mhe.evaluation.studies NAME`.
 
 `coverage` draws data from the estimator's own noise model, `plant` asks the same of the axis in closed loop,
 `monte-carlo` compares MHE, EKF and batch smoother over random axes, `creep` follows the parameters over 10^5 updates,
@@ -18,16 +18,16 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.compiled import CompiledEstimator, CompiledModel
-from sgms_mhe.estimates import Estimates
-from sgms_mhe.experiment import PAPER_WEIGHTS, Record, simulate_record
-from sgms_mhe.kinematics import Signals, signal_array, signals_from_log
+from sgms_mhe.evaluation.experiment import PAPER_WEIGHTS, Record, simulate_record
+from sgms_mhe.host.compiled import CompiledEstimator, CompiledModel
 from sgms_mhe.machine import Machine, load_machine, override_machine
 from sgms_mhe.model import build_model
+from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.reference import Integrator, estimate_smoother
-from sgms_mhe.simulation import AxisConfig, simulate_axis
-from sgms_mhe.tables import Table
-from sgms_mhe.trajectories import make_trajectory
+from sgms_mhe.signals.chain import Signals, signal_array, signals_from_log
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.support.tables import Table
 
 Array = NDArray[np.float64]
 Kind = Literal["mhe", "ekf"]
@@ -566,7 +566,7 @@ STUDIES: Final[Mapping[str, tuple[Callable[[int, int], Table], int, int]]] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one study and print its table."""
-    parser = argparse.ArgumentParser(prog="python -m sgms_mhe.studies", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python -m sgms_mhe.evaluation.studies", description=__doc__.splitlines()[0])
     parser.add_argument("name", choices=[*STUDIES], help="which study")
     parser.add_argument("--runs", type=int, help="seeds or draws")
     parser.add_argument("--updates", type=int, help="updates per run (of 10 ms)")

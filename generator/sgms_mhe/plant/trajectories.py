@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.errors import InputError
+from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
 

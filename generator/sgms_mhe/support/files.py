@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from sgms_mhe.errors import InputError
+from sgms_mhe.support.errors import InputError
 
 
 @contextmanager

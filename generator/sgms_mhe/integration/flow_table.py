@@ -13,7 +13,7 @@ from functools import lru_cache
 
 from mpmath import mp, mpf
 
-from sgms_mhe.errors import InputError
+from sgms_mhe.support.errors import InputError
 
 TAIL = 1e-10
 """The gate counts as saturated where its tail changes g by less than this."""

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.errors import InputError
-from sgms_mhe.logs import read_columns, write_columns
+from sgms_mhe.signals.logs import read_columns, write_columns
+from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
 

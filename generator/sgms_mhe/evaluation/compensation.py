@@ -18,14 +18,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.compiled import CompiledEstimator, LoopCompensation
-from sgms_mhe.errors import InputError
-from sgms_mhe.estimates import Estimates
-from sgms_mhe.files import write_text
+from sgms_mhe.host.compiled import CompiledEstimator, LoopCompensation
 from sgms_mhe.machine import Machine, override_machine
-from sgms_mhe.simulation import AxisConfig, Controller, linear_drift, simulate_axis
-from sgms_mhe.tables import Table
-from sgms_mhe.trajectories import Trajectory, circle, make_trajectory
+from sgms_mhe.plant.simulation import AxisConfig, Controller, linear_drift, simulate_axis
+from sgms_mhe.plant.trajectories import Trajectory, circle, make_trajectory
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.files import write_text
+from sgms_mhe.support.tables import Table
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -376,7 +376,7 @@ def _table(
 
 
 def _written(comparison: Comparison, out_dir: Path) -> Comparison:
-    from sgms_mhe import compensation_figures as figures
+    from sgms_mhe.evaluation import compensation_figures as figures
 
     try:
         out_dir.mkdir(parents=True, exist_ok=True)

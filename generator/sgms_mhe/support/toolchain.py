@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 
-from sgms_mhe.errors import BuildError
+from sgms_mhe.support.errors import BuildError
 
 # Neither -march=native nor relaxed arithmetic: results must not depend on the machine that compiles. A multiply and an
 # add stay two roundings for the same reason.

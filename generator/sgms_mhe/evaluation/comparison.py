@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.estimates import Estimates
-from sgms_mhe.kinematics import Signals
 from sgms_mhe.machine import Machine
-from sgms_mhe.status import FLAGS
+from sgms_mhe.signals.chain import Signals
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.signals.status import FLAGS
 
 if TYPE_CHECKING:
     from sgms_mhe.model import FreeParameter
@@ -161,7 +161,7 @@ def compare_estimates(
 
 def compare_signals(machine: Machine, signals: Signals, *, progress: Progress | None = None) -> Comparison:
     """Run the emitted C and the reference on aligned signals and compare them."""
-    from sgms_mhe.compiled import CompiledEstimator
+    from sgms_mhe.host.compiled import CompiledEstimator
     from sgms_mhe.reference import estimate_reference
 
     estimator = CompiledEstimator(machine)

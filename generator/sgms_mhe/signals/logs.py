@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.errors import InputError
-from sgms_mhe.files import atomic_write
 from sgms_mhe.machine import LOG_UNITS, LogColumn
-from sgms_mhe.matfile import mat_variables
+from sgms_mhe.signals.matfile import mat_variables
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.files import atomic_write
 
 if TYPE_CHECKING:
     from sgms_mhe.machine import Machine

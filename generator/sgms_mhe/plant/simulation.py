@@ -20,15 +20,15 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.build import shared_library
-from sgms_mhe.errors import InputError
-from sgms_mhe.logs import Log
 from sgms_mhe.model.effects import effect_definition
-from sgms_mhe.paths import runtime_dir
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.paths import runtime_dir
+from sgms_mhe.support.toolchain import shared_library
 
 if TYPE_CHECKING:
     from sgms_mhe.machine import Machine
-    from sgms_mhe.trajectories import Trajectory
+    from sgms_mhe.plant.trajectories import Trajectory
 
 Array = NDArray[np.float64]
 Drift = Callable[[float], float]

@@ -21,16 +21,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.build import tool_output
-from sgms_mhe.comparison import Comparison, compare_estimates
-from sgms_mhe.compiled import CompiledEstimator, replay_definitions
 from sgms_mhe.emission.package import Package, emit_package, write_package
-from sgms_mhe.errors import BuildError
-from sgms_mhe.estimates import Estimates
-from sgms_mhe.logs import Log
+from sgms_mhe.evaluation.comparison import Comparison, compare_estimates
+from sgms_mhe.host.compiled import CompiledEstimator, replay_definitions
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.model import Model, build_model
-from sgms_mhe.paths import runtime_dir
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import BuildError
+from sgms_mhe.support.paths import runtime_dir
+from sgms_mhe.support.toolchain import tool_output
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]

@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from sgms_mhe.evaluation.plots import save_figure
 from sgms_mhe.machine import Machine, override_machine
-from sgms_mhe.plots import save_figure
-from sgms_mhe.simulation import AxisConfig, simulate_axis
-from sgms_mhe.trajectories import Motion
+from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.trajectories import Motion
 
 if TYPE_CHECKING:
-    from sgms_mhe.experiment import Outcome, Record
+    from sgms_mhe.evaluation.experiment import Outcome, Record
 
 Array = NDArray[np.float64]
 

@@ -16,16 +16,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.compiled import CompiledEstimator
-from sgms_mhe.errors import InputError
-from sgms_mhe.estimates import Estimates, write_estimates
-from sgms_mhe.files import write_text
-from sgms_mhe.kinematics import Signals, signals_from_log
+from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.plant.simulation import AxisConfig, SimulatedRun, simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.reference import estimate_reference, estimate_smoother
-from sgms_mhe.simulation import AxisConfig, SimulatedRun, simulate_axis
-from sgms_mhe.tables import Table
-from sgms_mhe.trajectories import make_trajectory
+from sgms_mhe.signals.chain import Signals, signals_from_log
+from sgms_mhe.signals.estimates import Estimates, write_estimates
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.files import write_text
+from sgms_mhe.support.tables import Table
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -178,7 +178,7 @@ def run_experiment(
         progress: called with (steps done, steps in all).
         duration_s: of the simulated run.
     """
-    from sgms_mhe import figures
+    from sgms_mhe.evaluation import figures
 
     if machine.estimator.parameters != ("stiffness",):
         raise InputError(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from sgms_mhe.logs import Log, check_rate
+from sgms_mhe.signals.logs import Log, check_rate
 
 if TYPE_CHECKING:
     from sgms_mhe.machine import Machine

@@ -23,22 +23,22 @@ from typing import Any, Final, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.build import DEFAULT_FLAGS, program
-from sgms_mhe.compiled import CompiledModel, replay_definitions
 from sgms_mhe.emission.package import Package, emit_package, write_package
-from sgms_mhe.errors import BuildError
-from sgms_mhe.kinematics import Signals, signal_array, signals_from_log
-from sgms_mhe.logs import Log, write_log
+from sgms_mhe.evaluation.peers import KINDS, Kind, PeerExport, Windows
+from sgms_mhe.host.compiled import CompiledModel, replay_definitions
+from sgms_mhe.integration.work_precision import CANDIDATES, settings
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.machine.schema import Estimator
 from sgms_mhe.model import build_model
-from sgms_mhe.paths import runtime_dir
-from sgms_mhe.peers import KINDS, Kind, PeerExport, Windows
+from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory
 from sgms_mhe.reference import Integrator
 from sgms_mhe.reference.integrator import Linearised
-from sgms_mhe.simulation import AxisConfig, simulate_axis
-from sgms_mhe.trajectories import Motion, Trajectory, make_trajectory
-from sgms_mhe.work_precision import CANDIDATES, settings
+from sgms_mhe.signals.chain import Signals, signal_array, signals_from_log
+from sgms_mhe.signals.logs import Log, write_log
+from sgms_mhe.support.errors import BuildError
+from sgms_mhe.support.paths import runtime_dir
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS, program
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

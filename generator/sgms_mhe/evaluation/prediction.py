@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import decimate
 
-from sgms_mhe.compiled import CompiledModel
-from sgms_mhe.errors import InputError
-from sgms_mhe.kinematics import Signals, signals_from_log
-from sgms_mhe.logs import Log, write_columns
+from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.signals.chain import Signals, signals_from_log
+from sgms_mhe.signals.logs import Log, write_columns
+from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
 

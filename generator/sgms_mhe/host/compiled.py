@@ -12,16 +12,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.build import DEFAULT_FLAGS, shared_library
 from sgms_mhe.emission.package import Package, emit_package, write_package
-from sgms_mhe.errors import InputError
-from sgms_mhe.estimates import Estimates
-from sgms_mhe.kinematics import Signals, signal_array
-from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
-from sgms_mhe.paths import runtime_dir
-from sgms_mhe.simulation import COMPENSATION, NativeCompensation
+from sgms_mhe.plant.simulation import COMPENSATION, NativeCompensation
+from sgms_mhe.signals.chain import Signals, signal_array
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.paths import runtime_dir
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS, shared_library
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
