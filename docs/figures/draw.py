@@ -242,8 +242,8 @@ def timing() -> Drawing:
     d.box(x[0] + 30, y + 64, x[7] - x[0] - 60, h, ["prepare", "older nodes, linearisation, sweep"])
     d.line((x[0], y + h + 20), (x[0], y + 64 + h / 2), (x[0] + 30, y + 64 + h / 2))
     d.text(x[7] - 18, y + 64 + 22, "done before the next feedback is due", "small")
-    d.text(20, 338, "Every tick does at most a fixed cost of units. The order of the work, and so every bit of the result, "
-           "is the same in both.", "small")  # fmt: skip
+    note = "Every tick does at most a fixed cost of units. The order of the work, and so every bit of the result, is"
+    d.text(20, 338, f"{note} the same in both.", "small")
     return d
 
 
