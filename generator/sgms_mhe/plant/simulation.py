@@ -24,7 +24,7 @@ from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import runtime_dir
-from sgms_mhe.support.toolchain import shared_library
+from sgms_mhe.support.toolchain import load_library, shared_library
 
 if TYPE_CHECKING:
     from sgms_mhe.machine import Machine
@@ -349,7 +349,7 @@ class _Library:
 
 @lru_cache(maxsize=1)
 def _library() -> _Library:
-    c = ctypes.CDLL(str(shared_library([runtime_dir() / "axis.c"], libraries=("m",))))
+    c = load_library(shared_library([runtime_dir() / "axis.c"], libraries=("m",)))
     size, text, number, axis = ctypes.c_size_t, ctypes.c_char_p, ctypes.c_double, ctypes.c_void_p
     signatures: dict[str, tuple[Any, list[Any]]] = {
         "axis_size": (size, []),
