@@ -14,6 +14,7 @@ from sgms_mhe.errors import InputError
 from sgms_mhe.kinematics import Signals, settle_samples, signals_of_record
 from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import Extents
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -78,6 +79,17 @@ class Recording:
     def blocks(self) -> int:
         """Number of blocks."""
         return len(self.fold)
+
+    @property
+    def extents(self) -> Extents:
+        """How far the rows reach that count."""
+        return Extents(
+            travel=float(np.ptp(self.position[self.used])),
+            speed=float(np.max(np.abs(self.velocity[self.used]))),
+            duration=float(np.ptp(self.time)),
+            end=float(self.time[-1]),
+            rate=self.rate,
+        )
 
     def reduce(self, series: Array) -> Array:
         """Mean over `factor` samples: (n, ...) to (m, ...)."""
