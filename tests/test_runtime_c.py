@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from c_packages import PRECISIONS, REAL, machine, pointer, runtime_probe
-from sgms_mhe.kinematics import Signals, lowpass_coefficients, settle_samples, signals_from_log
-from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine
-from sgms_mhe.trajectories import make_trajectory
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.signals.chain import Signals, lowpass_coefficients, settle_samples, signals_from_log
+from sgms_mhe.signals.logs import Log
 
 Array = NDArray[Any]
 
