@@ -189,6 +189,22 @@ def test_runtime_without_a_precision_is_refused(require_tool: Tool, tmp_path: Pa
         run(require_tool("gcc"), "-std=c99", "-fsyntax-only", f"-I{runtime_dir()}", source)
 
 
+@pytest.mark.parametrize(
+    ("compiler", "flags"),
+    [
+        *((c, [f]) for c in ("gcc", "clang") for f in ("-ffast-math", "-Ofast", "-ffinite-math-only")),
+        *(("gcc", [f]) for f in ("-funsafe-math-optimizations", "-freciprocal-math", "-fno-signed-zeros")),
+        ("gcc", ["-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"]),
+    ],
+)
+def test_relaxed_arithmetic_is_refused(compiler: str, flags: list[str], require_tool: Tool, tmp_path: Path) -> None:
+    folder = written(package_of(), tmp_path)
+    command = [require_tool(compiler), "-std=c99", "-O2", "-fsyntax-only", folder / "etel_xy.c"]
+    run(command, "-ffp-contract=fast", "-fno-math-errno")
+    with pytest.raises(AssertionError, match="wrong in silence"):
+        run(command, flags)
+
+
 # --- linking -----------------------------------------------------------------------------------------------------
 
 
