@@ -92,7 +92,7 @@ figures: experiment ## run the experiment and put its figures into docs/figures
 studies: $(STAMP) ## statistics: coverage, Monte Carlo against EKF and smoother, creep over 1e5 updates; half an hour
 	@mkdir -p $(BUILD)/studies
 	@for name in coverage monte-carlo plant creep; do \
-	    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_mhe.studies $$name > $(BUILD)/studies/$$name.txt && \
+	    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_mhe.evaluation.studies $$name > $(BUILD)/studies/$$name.txt && \
 	    cat $(BUILD)/studies/$$name.txt || exit; done
 
 benchmark: $(STAMP) ## time, instructions and errors of MACHINE's variants beside CasADi's export; figures in build/benchmark

@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.kinematics import Signals
 from sgms_mhe.machine import Machine, load_machine
 from sgms_mhe.model import FreeParameter, Model, StateSpec
 from sgms_mhe.reference.integrator import Integrator
+from sgms_mhe.signals.chain import Signals
 
 Array = NDArray[np.float64]
 

@@ -14,17 +14,24 @@ import numpy as np
 import pytest
 
 from cli_cases import SMALL, done, files
-from sgms_mhe.benchmark import Bench, Recording, build_harness, emitted_errors, fitted_exponents, with_elements
-from sgms_mhe.build import DEFAULT_FLAGS, WARNING_FLAGS
-from sgms_mhe.compiled import CompiledEstimator
 from sgms_mhe.emission.package import Package, emit_package
-from sgms_mhe.logs import read_log
+from sgms_mhe.evaluation.benchmark import (
+    Bench,
+    Recording,
+    build_harness,
+    emitted_errors,
+    fitted_exponents,
+    with_elements,
+)
+from sgms_mhe.evaluation.peers import KINDS, Evaluation, Kind, PeerExport
+from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine, load_machine, override_machine
 from sgms_mhe.model import build_model
-from sgms_mhe.peers import KINDS, Evaluation, Kind, PeerExport
+from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.reference import Integrator
 from sgms_mhe.reference.integrator import Linearised
-from sgms_mhe.trajectories import make_trajectory
+from sgms_mhe.signals.logs import read_log
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS, WARNING_FLAGS
 
 
 @pytest.fixture(scope="session")
@@ -211,13 +218,13 @@ def test_bench_in_full_compares_motions_integrators_and_sizes(
     small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Few sizes and two integrators take the same way as all of them.
-    monkeypatch.setattr("sgms_mhe.benchmark.HORIZONS", (3, 6, 12))
-    monkeypatch.setattr("sgms_mhe.benchmark.ELEMENTS", (1, 2, 3))
-    monkeypatch.setattr("sgms_mhe.benchmark.MOTIONS", ())
-    monkeypatch.setattr("sgms_mhe.benchmark.SPEEDS", (1.0,))
-    monkeypatch.setattr("sgms_mhe.benchmark.INTEGRATORS", (("flow", 0.02), ("rk4", 0.1)))
-    monkeypatch.setattr("sgms_mhe.benchmark.PRECISIONS", ("double",))
-    monkeypatch.setattr("sgms_mhe.benchmark.RUNS", 1)
+    monkeypatch.setattr("sgms_mhe.evaluation.benchmark.HORIZONS", (3, 6, 12))
+    monkeypatch.setattr("sgms_mhe.evaluation.benchmark.ELEMENTS", (1, 2, 3))
+    monkeypatch.setattr("sgms_mhe.evaluation.benchmark.MOTIONS", ())
+    monkeypatch.setattr("sgms_mhe.evaluation.benchmark.SPEEDS", (1.0,))
+    monkeypatch.setattr("sgms_mhe.evaluation.benchmark.INTEGRATORS", (("flow", 0.02), ("rk4", 0.1)))
+    monkeypatch.setattr("sgms_mhe.evaluation.benchmark.PRECISIONS", ("double",))
+    monkeypatch.setattr("sgms_mhe.evaluation.benchmark.RUNS", 1)
     folder = tmp_path / "out"
     printed = done("bench", small, "--updates", "20", "--out", folder).stdout
     assert "horizon^" in printed

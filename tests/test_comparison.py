@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sgms_mhe.comparison import TOLERANCES, Comparison, compare_estimates, undecided_flags
-from sgms_mhe.estimates import Estimates
-from sgms_mhe.kinematics import Signals
+from sgms_mhe.evaluation.comparison import TOLERANCES, Comparison, compare_estimates, undecided_flags
 from sgms_mhe.machine import Machine, load_machine, override_machine
 from sgms_mhe.model import build_model
+from sgms_mhe.signals.chain import Signals
+from sgms_mhe.signals.estimates import Estimates
 
 UPDATES = 40
 PRIOR = np.array([0.3, 0.3])

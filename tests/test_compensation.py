@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from c_packages import PROBES, machine, scheme, written
 from cli_cases import done, refused
-from sgms_mhe.build import shared_library
-from sgms_mhe.compensation import (
+from sgms_mhe.emission.package import emit_package
+from sgms_mhe.evaluation.compensation import (
     EKF,
     MHE,
     NONE,
@@ -38,15 +38,15 @@ from sgms_mhe.compensation import (
     settling_times,
     truth_of,
 )
-from sgms_mhe.compiled import CompiledEstimator, LoopCompensation, replay_definitions
-from sgms_mhe.emission.package import emit_package
-from sgms_mhe.errors import InputError
-from sgms_mhe.kinematics import chain_delay, settle_samples, signals_from_log
-from sgms_mhe.logs import Log
+from sgms_mhe.evaluation.plots import save_figure
+from sgms_mhe.host.compiled import CompiledEstimator, LoopCompensation, replay_definitions
 from sgms_mhe.machine import Machine, load_machine, override_machine
-from sgms_mhe.plots import save_figure
-from sgms_mhe.simulation import AxisConfig, Controller, simulate_axis
-from sgms_mhe.trajectories import Motion, Trajectory, circle, make_trajectory
+from sgms_mhe.plant.simulation import AxisConfig, Controller, simulate_axis
+from sgms_mhe.plant.trajectories import Motion, Trajectory, circle, make_trajectory
+from sgms_mhe.signals.chain import chain_delay, settle_samples, signals_from_log
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.toolchain import shared_library
 
 Array = NDArray[np.float64]
 RATE = 1e4
@@ -711,7 +711,7 @@ def test_contour_error_is_the_distance_from_the_circle(compensated: Machine) -> 
 
 
 def _run(trajectory: Trajectory, error: Array) -> Any:
-    from sgms_mhe.compensation import AxisRun
+    from sgms_mhe.evaluation.compensation import AxisRun
 
     return AxisRun(trajectory, error, np.zeros(len(error)), np.zeros(len(error)), None)
 

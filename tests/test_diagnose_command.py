@@ -12,10 +12,10 @@ import pytest
 
 from cli_cases import done, files, refused
 from sgms_mhe.diagnosis import diagnose
-from sgms_mhe.logs import write_log
 from sgms_mhe.machine import Machine, load_machine
-from sgms_mhe.simulation import AxisConfig, simulate_axis
-from sgms_mhe.trajectories import Trajectory, make_trajectory
+from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.trajectories import Trajectory, make_trajectory
+from sgms_mhe.signals.logs import write_log
 
 RIPPLE = {"amplitude_N": 0.5, "pitch_m": 0.0173, "phase_rad": 0.7}
 

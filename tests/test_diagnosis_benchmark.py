@@ -29,11 +29,11 @@ from sgms_mhe.diagnosis_benchmark.draws import KINDS, VISIBLE, foreign_force
 from sgms_mhe.diagnosis_benchmark.foreign import FOREIGN
 from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, deflection, draw_motion
 from sgms_mhe.diagnosis_benchmark.scoring import confusion_table, half_found, parameter_errors
-from sgms_mhe.errors import InputError
-from sgms_mhe.kinematics import signals_from_log
-from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine, load_machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, measures
+from sgms_mhe.signals.chain import signals_from_log
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
 
 SEED = 1
 

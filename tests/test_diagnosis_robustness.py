@@ -19,10 +19,10 @@ from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.fitting import SETTLED, CompiledFit, Workshop
 from sgms_mhe.diagnosis.residuals import FITTED_S, Recording, excerpt, noise_floor, prepare
 from sgms_mhe.diagnosis.verdict import SHARP
-from sgms_mhe.logs import Log, write_log
 from sgms_mhe.machine import Machine, load_machine, override_machine
-from sgms_mhe.simulation import AxisConfig, simulate_axis
-from sgms_mhe.trajectories import Motion, Trajectory, make_trajectory
+from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory
+from sgms_mhe.signals.logs import Log, write_log
 
 Hidden = Sequence[tuple[str, Mapping[str, float]]]
 
@@ -240,7 +240,7 @@ MEASURE = """
 import resource, sys
 from sgms_mhe.diagnosis.fitting import Workshop
 from sgms_mhe.diagnosis.residuals import prepare
-from sgms_mhe.logs import read_log
+from sgms_mhe.signals.logs import read_log
 from sgms_mhe.machine import load_machine
 machine = load_machine(sys.argv[1])
 recording = prepare(machine, read_log(sys.argv[2], machine))

@@ -12,16 +12,16 @@ import pytest
 
 from c_packages import Array, elements, machine, scheme
 from reference_cases import linear_model
-from sgms_mhe.compiled import CompiledEstimator
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.estimates import Estimates
-from sgms_mhe.kinematics import Signals, settle_samples, signals_from_log
-from sgms_mhe.logs import Log
+from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine, load_machine
 from sgms_mhe.model import Model
+from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.reference import Status, estimate_model, estimate_reference
-from sgms_mhe.simulation import AxisConfig, simulate_axis
-from sgms_mhe.trajectories import make_trajectory
+from sgms_mhe.signals.chain import Signals, settle_samples, signals_from_log
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.signals.logs import Log
 
 SEED = 1
 OFF = (1.2, 0.8, 1.1, 0.97)

@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sgms_mhe.build import WARNING_FLAGS
-from sgms_mhe.comparison import TOLERANCES
-from sgms_mhe.compiled import CompiledEstimator
-from sgms_mhe.errors import InputError
-from sgms_mhe.kinematics import Signals
+from sgms_mhe.emission.structure import analyse
+from sgms_mhe.evaluation.comparison import TOLERANCES
+from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine, load_machine, override_machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.model.effects import (
@@ -31,12 +29,14 @@ from sgms_mhe.model.effects import (
     separating_moves,
 )
 from sgms_mhe.model.effects.excitation import MEASURES
+from sgms_mhe.plant.simulation import AxisConfig, plant_effects, simulate_axis
+from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.reference.integrator import Integrator
 from sgms_mhe.reference.mhe import run_mhe
 from sgms_mhe.reference.problem import Record
-from sgms_mhe.simulation import AxisConfig, plant_effects, simulate_axis
-from sgms_mhe.structure import analyse
-from sgms_mhe.trajectories import Motion, Trajectory
+from sgms_mhe.signals.chain import Signals
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.toolchain import WARNING_FLAGS
 
 Array = NDArray[np.float64]
 

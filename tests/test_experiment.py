@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sgms_mhe import figures
-from sgms_mhe.errors import InputError
-from sgms_mhe.experiment import (
+from sgms_mhe.evaluation import figures
+from sgms_mhe.evaluation.experiment import (
     PAPER_WEIGHTS,
     PAPER_WEIGHTS_EKF,
     TRUE_STIFFNESS,
@@ -23,9 +22,10 @@ from sgms_mhe.experiment import (
     smoothness,
 )
 from sgms_mhe.machine import Machine, load_machine, override_machine
-from sgms_mhe.simulation import AxisConfig, simulate_axis
-from sgms_mhe.tables import Table
-from sgms_mhe.trajectories import Motion
+from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.trajectories import Motion
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.tables import Table
 
 
 @pytest.fixture(scope="module")

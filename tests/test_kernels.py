@@ -21,15 +21,15 @@ from scipy.integrate import solve_ivp
 
 from c_packages import PRECISIONS, Array, compile_probe, elements, machine, pointer, scheme, written
 from reference_cases import moving
-from sgms_mhe.build import shared_library
-from sgms_mhe.compiled import replay_definitions
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.kinematics import signal_array
+from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
-from sgms_mhe.paths import runtime_dir
 from sgms_mhe.reference.flow import Flow
 from sgms_mhe.reference.integrator import Integrator
+from sgms_mhe.signals.chain import signal_array
+from sgms_mhe.support.paths import runtime_dir
+from sgms_mhe.support.toolchain import shared_library
 
 # Many small builds: most of their time is the compiler's.
 QUICK = ("-std=c99", "-O1", "-ffp-contract=off")

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.signal import butter
 
-from sgms_mhe.errors import InputError
-from sgms_mhe.kinematics import (
+from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.signals.chain import (
     Signals,
     chain_delay,
     lowpass_coefficients,
@@ -22,8 +22,8 @@ from sgms_mhe.kinematics import (
     signals_from_log,
     signals_of_record,
 )
-from sgms_mhe.logs import Log
-from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
 MACHINE = load_machine("etel_xy")

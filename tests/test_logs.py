@@ -17,12 +17,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.io import savemat
 
-from sgms_mhe.errors import InputError
-from sgms_mhe.estimates import Estimates, read_estimates, write_estimates
-from sgms_mhe.files import atomic_write, write_text
-from sgms_mhe.kinematics import signals_from_log
-from sgms_mhe.logs import COLUMNS, Log, read_log, write_log
 from sgms_mhe.machine import load_machine, override_machine
+from sgms_mhe.signals.chain import signals_from_log
+from sgms_mhe.signals.estimates import Estimates, read_estimates, write_estimates
+from sgms_mhe.signals.logs import COLUMNS, Log, read_log, write_log
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.files import atomic_write, write_text
 
 Array = NDArray[Any]
 ETEL = load_machine("etel_xy")

@@ -19,15 +19,15 @@ import pytest
 
 from c_packages import PRECISIONS, PROBES, STRICT, Array, machine, pointer, run, scheme, symbols, written
 from reference_cases import linear_model
-from sgms_mhe.build import DEFAULT_FLAGS, shared_library
-from sgms_mhe.compiled import replay_definitions
 from sgms_mhe.emission.package import Package, emit_package, write_package
-from sgms_mhe.errors import InputError
-from sgms_mhe.logs import Log
+from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
-from sgms_mhe.paths import runtime_dir
-from sgms_mhe.simulation import AxisConfig, simulate_axis
-from sgms_mhe.trajectories import make_trajectory
+from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.paths import runtime_dir
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS, shared_library
 
 Tool = Callable[[str], str]
 

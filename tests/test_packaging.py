@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import sgms_mhe
-from sgms_mhe import paths
+from sgms_mhe.support import paths
 
 FOLDERS = {"templates": paths.templates_dir, "runtime_c": paths.runtime_dir, "machines": paths.machines_dir}
 

@@ -12,12 +12,12 @@ import pytest
 from numpy.typing import NDArray
 
 from cli_cases import SMALL, done, refused
-from sgms_mhe.errors import InputError
-from sgms_mhe.logs import read_log, write_log
+from sgms_mhe.evaluation.prediction import ForceError, PredictedFriction, force_error, predict_log
 from sgms_mhe.machine import load_machine, override_machine
-from sgms_mhe.prediction import ForceError, PredictedFriction, force_error, predict_log
-from sgms_mhe.simulation import AxisConfig, simulate_axis
-from sgms_mhe.trajectories import Motion, make_trajectory
+from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.trajectories import Motion, make_trajectory
+from sgms_mhe.signals.logs import read_log, write_log
+from sgms_mhe.support.errors import InputError
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE + 7.0  # a record need not start at zero
@@ -160,7 +160,7 @@ def test_predict_compares_a_part_and_writes_it_all(small: Path, log: Path, tmp_p
     ("options", "message"),
     [
         (("--lowpass", "500"), "velocity_cutoff = 500.0: >= 0.1 Hz and < rate / 2 = 500 Hz"),
-        (("--decimate", "0"), "decimation = 0: an integer from 1 to 100"),
+        (("--decimate", "0"), "0 is not in the range"),
         (("--from", "9"), "rows from 9 to 3.999 s = 0"),
         (("--from", "-1"), "-1.0 is not in the range"),
     ],

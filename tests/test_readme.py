@@ -6,7 +6,7 @@ import re
 import subprocess
 from pathlib import Path
 
-from sgms_mhe.build import WARNING_FLAGS, compiler
+from sgms_mhe.support.toolchain import WARNING_FLAGS, compiler
 
 
 def test_c_example_compiles(repo_root: Path, tmp_path: Path) -> None:

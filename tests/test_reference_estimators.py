@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from reference_cases import friction_at_samples, linear_model, moving, simulate, variant, with_integrator
-from sgms_mhe.kinematics import Signals
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.reference import Integrator, Record, Status, estimate_model, estimate_reference, run_mhe
 from sgms_mhe.reference.ekf import into_bounds
 from sgms_mhe.reference.least_squares import solve, solve_bounded
 from sgms_mhe.reference.mhe import Arrival, Kept, Window, dense_problem, integrate, linearise, renew
+from sgms_mhe.signals.chain import Signals
 
 Array = NDArray[np.float64]
 THETA = np.array([1.3, 0.8, 0.9])

@@ -12,13 +12,13 @@ import pytest
 from numpy.typing import NDArray
 
 from reference_cases import Array, along_lines, linear_model, lines, moving, simulate, variant, with_integrator
-from sgms_mhe.build import shared_library
-from sgms_mhe.errors import BuildError
-from sgms_mhe.kinematics import Signals, signal_array
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.model import build_model
 from sgms_mhe.reference import integrator as module
 from sgms_mhe.reference.integrator import Integrator, Plan
+from sgms_mhe.signals.chain import Signals, signal_array
+from sgms_mhe.support.errors import BuildError
+from sgms_mhe.support.toolchain import shared_library
 
 BoolArray = NDArray[np.bool_]
 ALL = ["stiffness", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity"]

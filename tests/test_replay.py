@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sgms_mhe.compiled import CompiledEstimator
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.estimates import Estimates
-from sgms_mhe.logs import Log
+from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import load_machine, override_machine
-from sgms_mhe.simulation import AxisConfig, simulate_axis
-from sgms_mhe.trajectories import Motion
+from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.trajectories import Motion
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.signals.logs import Log
 
 FOLDER = Path(__file__).parent / "replay"
 LOG, ESTIMATES = FOLDER / "log.npz", FOLDER / "estimates.csv"

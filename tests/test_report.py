@@ -18,13 +18,13 @@ import pytest
 
 import diagnosis_cases as cases
 from sgms_mhe.diagnosis import Alternative, Diagnosis
-from sgms_mhe.errors import InputError
 from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.report import closed_loop_gain, write_report
 from sgms_mhe.report.series import MISSING, pack, since_reversal, views
 from sgms_mhe.report.units import SPACE, force, probability, quantity, split_name
-from sgms_mhe.simulation import AxisConfig, simulate_axis
-from sgms_mhe.trajectories import make_trajectory
+from sgms_mhe.support.errors import InputError
 
 CASES: dict[str, Callable[[Machine], Diagnosis]] = {
     "explained": cases.explained,

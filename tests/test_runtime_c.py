@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from c_packages import PRECISIONS, PROBES, REAL, STRICT, machine, pointer, run, runtime_probe
-from sgms_mhe.kinematics import Signals, lowpass_coefficients, settle_samples, signals_from_log
-from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine
-from sgms_mhe.paths import runtime_dir
-from sgms_mhe.trajectories import make_trajectory
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.signals.chain import Signals, lowpass_coefficients, settle_samples, signals_from_log
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.paths import runtime_dir
 
 Array = NDArray[Any]
 

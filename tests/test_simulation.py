@@ -12,11 +12,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from sgms_mhe import simulation
-from sgms_mhe.errors import InputError
 from sgms_mhe.machine import Machine, load_machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
-from sgms_mhe.simulation import (
+from sgms_mhe.plant import simulation
+from sgms_mhe.plant.simulation import (
     AxisConfig,
     Controller,
     Truth,
@@ -25,7 +24,8 @@ from sgms_mhe.simulation import (
     simulate_axis,
     sinusoidal_drift,
 )
-from sgms_mhe.trajectories import Motion, Trajectory, hysteresis, make_trajectory
+from sgms_mhe.plant.trajectories import Motion, Trajectory, hysteresis, make_trajectory
+from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
 

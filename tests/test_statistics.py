@@ -1,12 +1,11 @@
-"""Statistics of the estimator, small and seeded; `python -m sgms_mhe.studies` runs the large versions."""
+"""Statistics of the estimator, small and seeded; `python -m sgms_mhe.evaluation.studies` runs the large versions."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from sgms_mhe.machine import load_machine, override_machine
-from sgms_mhe.studies import (
+from sgms_mhe.evaluation.studies import (
     CASES,
     CREEP_TRUTH,
     FORMULATIONS,
@@ -22,6 +21,7 @@ from sgms_mhe.studies import (
     relinearise_errors,
     statistics_machine,
 )
+from sgms_mhe.machine import load_machine, override_machine
 
 
 def case(name: str) -> Case:

@@ -13,19 +13,13 @@ import click
 import numpy as np
 import pytest
 
-import sgms_mhe.target
+import sgms_mhe.evaluation.target
 from c_packages import machine
 from cli_cases import SMALL, done, refused, run
-from sgms_mhe.benchmark import simulated_log
-from sgms_mhe.build import WARNING_FLAGS
 from sgms_mhe.commands.target import command
-from sgms_mhe.compiled import CompiledEstimator
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.errors import BuildError
-from sgms_mhe.logs import Log
-from sgms_mhe.machine import Machine, load_machine, override_machine
-from sgms_mhe.status import FLAGS
-from sgms_mhe.target import (
+from sgms_mhe.evaluation.benchmark import simulated_log
+from sgms_mhe.evaluation.target import (
     LOOPS,
     TARGET_FLAGS,
     TARGETS,
@@ -38,6 +32,12 @@ from sgms_mhe.target import (
     run_trial,
     single_precision,
 )
+from sgms_mhe.host.compiled import CompiledEstimator
+from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.status import FLAGS
+from sgms_mhe.support.errors import BuildError
+from sgms_mhe.support.toolchain import WARNING_FLAGS
 
 FLASH = 48_000
 """What a package may take, bytes."""
@@ -246,10 +246,10 @@ def test_double_arithmetic_is_found(
 def test_one_conversion_to_double_is_found(core: Target, tmp_path: Path) -> None:
     source = tmp_path / "package.c"
     source.write_text("float scaled(float x) { return x * 0.1; }\n")
-    sgms_mhe.target._tool(core, "gcc", *core.flags, "-O2", "-c", source, "-o", tmp_path / "package.o")
+    sgms_mhe.evaluation.target._tool(core, "gcc", *core.flags, "-O2", "-c", source, "-o", tmp_path / "package.o")
     assert double_arithmetic(core, tmp_path / "package.o")
     source.write_text("float scaled(float x) { return x * 0.1f; }\n")
-    sgms_mhe.target._tool(core, "gcc", *core.flags, "-O2", "-c", source, "-o", tmp_path / "package.o")
+    sgms_mhe.evaluation.target._tool(core, "gcc", *core.flags, "-O2", "-c", source, "-o", tmp_path / "package.o")
     assert double_arithmetic(core, tmp_path / "package.o") == ()
 
 
@@ -293,7 +293,7 @@ def test_fault_is_reported(small: Machine, small_log: Log) -> None:
 @pytest.mark.needs_arm
 def test_run_that_stalls_is_stopped(small: Machine, small_log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     # Before its first instruction: the emulator waits for a debugger.
-    monkeypatch.setattr(sgms_mhe.target, "_STALLED_S", 0.3)
+    monkeypatch.setattr(sgms_mhe.evaluation.target, "_STALLED_S", 0.3)
     with pytest.raises(BuildError, match=r"nothing came out of it for 0\.3 s"):
         run_trial(small, small_log, replace(M7, emulator=(*M7.emulator, "-S")))
 
@@ -306,9 +306,9 @@ def test_call_that_the_counter_cannot_hold_is_refused(
     shift = {"cortex_m7": ("shift=10", 25.6), "riscv32": ("shift=7", 128.0)}[core.name]
     coarse = replace(core, emulator=(*core.emulator[:-1], shift[0]), ticks=shift[1])
     room = int(2**32 / coarse.ticks)
-    monkeypatch.setattr(sgms_mhe.target, "LOOPS", (10, int(0.48 * room)))
+    monkeypatch.setattr(sgms_mhe.evaluation.target, "LOOPS", (10, int(0.48 * room)))
     assert run_trial(small, small_log, coarse).calibration[-1][1] > 0.9 * room
-    monkeypatch.setattr(sgms_mhe.target, "LOOPS", (10, int(0.51 * room)))
+    monkeypatch.setattr(sgms_mhe.evaluation.target, "LOOPS", (10, int(0.51 * room)))
     with pytest.raises(
         BuildError, match=rf"exit code 5, a call takes more than {room:.2g} instructions".replace("+", r"\+")
     ):
@@ -357,7 +357,7 @@ def test_command_says_so_where_the_host_disagrees(small_file: Path, monkeypatch:
         friction = trial.estimates.friction_N + 1.0
         return compare_with_host(replace(trial, estimates=replace(trial.estimates, friction_N=friction)), log)
 
-    monkeypatch.setattr(sgms_mhe.target, "compare_with_host", off)
+    monkeypatch.setattr(sgms_mhe.evaluation.target, "compare_with_host", off)
     result = run("target", small_file, "--updates", "5")
     assert result.exit_code == 1
     assert "0 updates the same" in result.stdout and "friction_N off by" in result.stdout

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sgms_mhe.errors import InputError
-from sgms_mhe.trajectories import TRAJECTORIES, Motion, Trajectory, circle, hysteresis, make_trajectory, paper
+from sgms_mhe.plant.trajectories import TRAJECTORIES, Motion, Trajectory, circle, hysteresis, make_trajectory, paper
+from sgms_mhe.support.errors import InputError
 
 LIMITS = {  # m/s, m/s^2
     "paper": (2e-3, 0.13),

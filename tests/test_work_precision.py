@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from cli_cases import SMALL, done, refused
-from sgms_mhe.benchmark import Bench, Recording, emitted_errors, there_and_back
-from sgms_mhe.build import DEFAULT_FLAGS
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.errors import InputError
+from sgms_mhe.evaluation.benchmark import Bench, Recording, emitted_errors, there_and_back
+from sgms_mhe.integration.schemes import SCHEMES
+from sgms_mhe.integration.work_precision import CANDIDATES, ROUNDING, candidates, element_errors
 from sgms_mhe.machine import Machine, load_machine, override_machine
-from sgms_mhe.schemes import SCHEMES
-from sgms_mhe.trajectories import make_trajectory
-from sgms_mhe.work_precision import CANDIDATES, ROUNDING, candidates, element_errors
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS
 
 PAPER = (0.9, 35.0, 35.0)
 

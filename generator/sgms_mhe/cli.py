@@ -18,7 +18,7 @@ from typing import Any, Final, NoReturn
 import click
 
 from sgms_mhe import __version__
-from sgms_mhe.errors import BuildError, InputError
+from sgms_mhe.support.errors import BuildError, InputError
 
 COMMANDS: Final = {
     "generate": "generate",

@@ -41,8 +41,8 @@ def _content(machine: Machine) -> dict[str, Any]:
 
 
 def _text(machine: Machine, package: Package) -> str:
-    from sgms_mhe.kinematics import settle_samples
     from sgms_mhe.model import build_model
+    from sgms_mhe.signals.chain import settle_samples
 
     friction, sampling, estimator = machine.friction, machine.sampling, machine.estimator
     integrator, noise, smoothing = sampling.integrator, estimator.noise, machine.friction.smoothing

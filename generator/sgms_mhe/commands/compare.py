@@ -21,7 +21,7 @@ from sgms_mhe.commands.common import (
 from sgms_mhe.commands.estimate import check_length
 
 if TYPE_CHECKING:
-    from sgms_mhe.comparison import Comparison
+    from sgms_mhe.evaluation.comparison import Comparison
 
 
 @click.command(short_help="Generated C against the reference solver.", epilog=example("compare etel_xy axis.csv"))
@@ -43,9 +43,9 @@ def command(machine: str, log: Path, as_json: bool) -> None:
 
     resolved = load_machine(machine)
 
-    from sgms_mhe.comparison import compare_signals
-    from sgms_mhe.kinematics import signals_from_log
-    from sgms_mhe.logs import read_log
+    from sgms_mhe.evaluation.comparison import compare_signals
+    from sgms_mhe.signals.chain import signals_from_log
+    from sgms_mhe.signals.logs import read_log
 
     recorded = read_log(log, resolved)
     check_length(recorded, resolved)

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from sgms_mhe.commands.common import (
+    LONGEST_RECORD,
+    Number,
     check_output_folder,
     example,
     json_option,
@@ -42,7 +44,7 @@ if TYPE_CHECKING:
 @part_options("Use the log from here on [s since its start] as a log of its own, whose time starts here.")
 @click.option(
     "--held-out",
-    type=(float, float),
+    type=(Number(0.0, LONGEST_RECORD), Number(0.0, LONGEST_RECORD)),
     multiple=True,
     metavar="FROM TO",
     help="Seconds since the start that the fit behind the gain does not see; default: a third of the record.",
@@ -73,8 +75,8 @@ def command(
     check_output_folder(folder)
 
     from sgms_mhe.diagnosis import diagnose, write_diagnosis
-    from sgms_mhe.logs import read_log
     from sgms_mhe.report import closed_loop_gain, write_report
+    from sgms_mhe.signals.logs import read_log
 
     recorded = read_log(log, resolved).part(start_s, end_s)
     another = read_log(unseen, resolved) if unseen else None

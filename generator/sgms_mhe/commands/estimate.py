@@ -23,12 +23,12 @@ from sgms_mhe.commands.common import (
     show,
     table_text,
 )
-from sgms_mhe.errors import InputError
+from sgms_mhe.support.errors import InputError
 
 if TYPE_CHECKING:
-    from sgms_mhe.estimates import Estimates
-    from sgms_mhe.logs import Log
     from sgms_mhe.machine import Machine
+    from sgms_mhe.signals.estimates import Estimates
+    from sgms_mhe.signals.logs import Log
 
 Solver = Literal["c", "reference", "ekf", "smoother"]
 SOLVERS: Final = ("c", "reference", "ekf", "smoother")
@@ -69,8 +69,8 @@ def command(machine: str, log: Path, out: Path, solver: Solver, plot: Path | Non
     if plot is not None:
         check_output_folder(plot)
 
-    from sgms_mhe.estimates import write_estimates
-    from sgms_mhe.logs import read_log
+    from sgms_mhe.signals.estimates import write_estimates
+    from sgms_mhe.signals.logs import read_log
 
     recorded = read_log(log, resolved)
     check_length(recorded, resolved)
@@ -96,11 +96,11 @@ def check_length(log: Log, machine: Machine) -> None:
 
 def run_solver(machine: Machine, log: Log, solver: Solver, progress: Progress) -> Estimates:
     """Estimate from a log with the solver named."""
-    from sgms_mhe.kinematics import signals_from_log
     from sgms_mhe.machine import override_machine
+    from sgms_mhe.signals.chain import signals_from_log
 
     if solver in ("c", "ekf"):
-        from sgms_mhe.compiled import CompiledEstimator
+        from sgms_mhe.host.compiled import CompiledEstimator
 
         chosen = override_machine(machine, {"estimator": {"kind": "ekf"}}) if solver == "ekf" else machine
         estimator = CompiledEstimator(chosen)
@@ -119,7 +119,7 @@ def summarise(machine: Machine, estimates: Estimates, solver: Solver) -> dict[st
     import numpy as np
 
     from sgms_mhe.model import build_model
-    from sgms_mhe.status import flagged, measured
+    from sgms_mhe.signals.status import flagged, measured
 
     counted = measured(estimates.status)
     residual = (estimates.friction_measured_N - estimates.friction_N)[counted]
@@ -164,8 +164,8 @@ def summary_text(summary: dict[str, Any]) -> str:
 
 
 def _draw(machine: Machine, estimates: Estimates, folder: Path) -> None:
+    from sgms_mhe.evaluation.plots import friction_figure, parameter_figure, save_figure
     from sgms_mhe.model import build_model
-    from sgms_mhe.plots import friction_figure, parameter_figure, save_figure
 
     make_folder(folder)
     figures = {

@@ -21,7 +21,7 @@ def command(machine: str, out: Path) -> None:
     resolved = load_machine(machine)
     check_output_folder(out)
 
-    from sgms_mhe.experiment import run_experiment
+    from sgms_mhe.evaluation.experiment import run_experiment
 
     with progress_bar(f"experiment {resolved.name}") as progress:
         table = run_experiment(resolved, out, progress)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sgms_mhe.machine import Machine, override_machine
-from sgms_mhe.paths import machines_dir
+from sgms_mhe.support.paths import machines_dir
 
 NAME_LENGTH = 48
 

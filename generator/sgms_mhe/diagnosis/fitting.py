@@ -17,16 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from sgms_mhe.build import cache_dir
-from sgms_mhe.compiled import CompiledModel
 from sgms_mhe.diagnosis.evidence import nuisance
 from sgms_mhe.diagnosis.residuals import Recording
 from sgms_mhe.emission.package import RUNTIME_HEADERS, Package, digest_of_sources, emit_package
-from sgms_mhe.files import write_text
-from sgms_mhe.kinematics import Signals
+from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.model.effects import effect_definition
-from sgms_mhe.paths import runtime_dir
+from sgms_mhe.signals.chain import Signals
+from sgms_mhe.support import cache
+from sgms_mhe.support.paths import runtime_dir
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -652,14 +651,12 @@ def cached_package(machine: Machine) -> Package:
 
     Every log of an axis asks for the same few dozen models; to derive and print one takes longer than to run it.
     """
-    key = hashlib.sha256(f"{machine.digest} {digest_of_sources()} {_runtime_digest()}".encode()).hexdigest()[:24]
-    path = cache_dir() / f"package-{key}.json"
-    try:
-        return Package(machine, json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError):
-        package = emit_package(machine, selftest=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, json.dumps(dict(package.files)))
+    key = hashlib.sha256(f"{machine.digest} {digest_of_sources()} {_runtime_digest()}".encode()).hexdigest()
+    kept = cache.read("package", key, ".json")
+    if kept is not None:
+        return Package(machine, json.loads(kept))
+    package = emit_package(machine, selftest=False)
+    cache.keep("package", key, ".json", json.dumps(dict(package.files)).encode())
     return package
 
 

@@ -10,12 +10,12 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.diagnosis.verdict import separating_move
-from sgms_mhe.errors import InputError
-from sgms_mhe.files import atomic_write
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 from sgms_mhe.model.effects.base import BASE_CAUSES
-from sgms_mhe.trajectories import Motion, Trajectory
+from sgms_mhe.plant.trajectories import Motion, Trajectory
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.files import atomic_write
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.errors import InputError
-from sgms_mhe.kinematics import Signals, settle_samples, signals_of_record
-from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine
+from sgms_mhe.signals.chain import Signals, settle_samples, signals_of_record
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.files import write_text
 from sgms_mhe.machine import Machine
+from sgms_mhe.support.files import write_text
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

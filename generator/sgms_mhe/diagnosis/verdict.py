@@ -27,11 +27,11 @@ from sgms_mhe.diagnosis.result import (
 )
 from sgms_mhe.diagnosis.selection import Selection, Selector, is_size
 from sgms_mhe.diagnosis.structure import structure_map
-from sgms_mhe.errors import InputError
-from sgms_mhe.logs import Log
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition, measures
 from sgms_mhe.model.effects.base import BASE_CAUSES
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]

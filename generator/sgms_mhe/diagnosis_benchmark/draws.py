@@ -17,16 +17,16 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from sgms_mhe.compiled import CompiledModel
 from sgms_mhe.diagnosis.fitting import cached_package
 from sgms_mhe.diagnosis_benchmark.foreign import FOREIGN
 from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, deflection, draw_motion
-from sgms_mhe.kinematics import Signals, settle_samples, signals_from_log
-from sgms_mhe.logs import Log
+from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import override_machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition, measures
-from sgms_mhe.simulation import AxisConfig, simulate_axis
-from sgms_mhe.trajectories import Trajectory
+from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.trajectories import Trajectory
+from sgms_mhe.signals.chain import Signals, settle_samples, signals_from_log
+from sgms_mhe.signals.logs import Log
 
 if TYPE_CHECKING:
     from sgms_mhe.machine import Machine

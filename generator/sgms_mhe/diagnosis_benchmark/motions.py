@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.random import Generator
 
-from sgms_mhe.trajectories import Motion, Trajectory
+from sgms_mhe.plant.trajectories import Motion, Trajectory
 
 if TYPE_CHECKING:
     from sgms_mhe.machine import Machine

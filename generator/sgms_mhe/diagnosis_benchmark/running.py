@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from sgms_mhe.diagnosis_benchmark.draws import Draw, machine_of, make_draw, simulate_draw
 from sgms_mhe.diagnosis_benchmark.scoring import Found, Summary, confusion_table, summarise, summary_json, summary_text
-from sgms_mhe.errors import InputError
-from sgms_mhe.files import write_text
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.files import write_text
 
 if TYPE_CHECKING:
     from sgms_mhe.diagnosis import Diagnosis
-    from sgms_mhe.logs import Log
     from sgms_mhe.machine import Machine
+    from sgms_mhe.signals.logs import Log
 
 Diagnose = Callable[["Machine", "Log"], "Diagnosis"]
 Progress = Callable[[int, int], None]

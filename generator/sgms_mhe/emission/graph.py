@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
-from sgms_mhe.errors import InputError
+from sgms_mhe.support.errors import InputError
 
 _BINARY = {
     ca.OP_ADD: "add",

@@ -20,18 +20,18 @@ import numpy as np
 
 from sgms_mhe import __version__
 from sgms_mhe.emission.c_source import CPrinter
-from sgms_mhe.emission.flow_table import flow_table, gate_ratio
 from sgms_mhe.emission.graph import Graph, Node, operations, walk
 from sgms_mhe.emission.selftest import selftest_vectors
-from sgms_mhe.errors import InputError
-from sgms_mhe.kinematics import chain_delay, lowpass_coefficients, settle_samples
+from sgms_mhe.emission.structure import Group, Structure, analyse, report
+from sgms_mhe.integration.flow_table import flow_table, gate_ratio
+from sgms_mhe.integration.schemes import SCHEMES
+from sgms_mhe.integration.work_precision import table_text
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES, Model, build_model
 from sgms_mhe.model.friction import SATURATED
-from sgms_mhe.paths import runtime_dir, templates_dir
-from sgms_mhe.schemes import SCHEMES
-from sgms_mhe.structure import Group, Structure, analyse, report
-from sgms_mhe.work_precision import table_text
+from sgms_mhe.signals.chain import chain_delay, lowpass_coefficients, settle_samples
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.paths import runtime_dir, templates_dir
 
 RUNTIME_VERSION = 1
 RUNTIME_HEADERS = ("sgms_real.h", "sgms_math.h", "sgms_linalg.h", "sgms_filter.h")
@@ -220,9 +220,9 @@ def digest_of_sources() -> str:
     """Digest of templates and generator, for the provenance line: the same sources give the same package."""
     digest = hashlib.sha256()
     package = Path(__file__).resolve().parents[1]
-    sources = [*sorted(templates_dir().glob("*.jinja")), *sorted((package / "emission").glob("*.py"))]
-    sources += [*sorted((package / "model").rglob("*.py")), package / "structure.py", package / "schemes.py"]
-    sources += [package / "work_precision.py"]
+    sources = sorted(templates_dir().glob("*.jinja"))
+    for room in ("emission", "integration", "model"):
+        sources += sorted((package / room).rglob("*.py"))
     for path in sources:
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:12]

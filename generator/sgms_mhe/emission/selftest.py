@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sgms_mhe.kinematics import settle_samples, signals_from_log
-from sgms_mhe.logs import Log
 from sgms_mhe.model import Model
 from sgms_mhe.reference import estimate_model
+from sgms_mhe.signals.chain import settle_samples, signals_from_log
+from sgms_mhe.signals.logs import Log
 
 _PERIODS = 2.5
 

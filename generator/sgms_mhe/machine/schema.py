@@ -565,7 +565,7 @@ def _with_chosen_integrator(machine: Machine) -> Machine:
     if tolerance is None:
         return machine
     # Imported here: few machines need it, and it brings numpy.
-    from sgms_mhe.work_precision import ROUNDING, candidates, choose
+    from sgms_mhe.integration.work_precision import ROUNDING, candidates, choose
 
     found = candidates(machine.friction, sampling, machine.code.precision)
     chosen = choose(found, tolerance, machine.code.precision)

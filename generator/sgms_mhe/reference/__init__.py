@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Literal
 
-from sgms_mhe.estimates import Estimates
-from sgms_mhe.kinematics import Signals
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.reference.ekf import run_ekf
@@ -14,6 +12,8 @@ from sgms_mhe.reference.integrator import Integrator
 from sgms_mhe.reference.mhe import run_mhe
 from sgms_mhe.reference.problem import Progress, Record, Status
 from sgms_mhe.reference.smoother import run_smoother
+from sgms_mhe.signals.chain import Signals
+from sgms_mhe.signals.estimates import Estimates
 
 Kind = Literal["mhe", "ekf", "smoother"]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.estimates import Estimates
 from sgms_mhe.reference.least_squares import solve_bounded
 from sgms_mhe.reference.mhe import linearise, measurement_update
 from sgms_mhe.reference.problem import NOT_FINITE, Progress, Record, Status, estimates
+from sgms_mhe.signals.estimates import Estimates
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from sgms_mhe.estimates import Estimates
 from sgms_mhe.reference.integrator import Linearised, Outputs
 from sgms_mhe.reference.least_squares import solve_bounded, triangular_factor
 from sgms_mhe.reference.problem import NOT_FINITE, Progress, Record, Status, estimates
+from sgms_mhe.signals.estimates import Estimates
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.estimates import Estimates
-from sgms_mhe.kinematics import Signals, signal_array
 from sgms_mhe.model import Model
 from sgms_mhe.reference.integrator import Integrator, Plan
+from sgms_mhe.signals.chain import Signals, signal_array
+from sgms_mhe.signals.estimates import Estimates
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.sparse import block_diag, csc_matrix, diags, vstack
 from scipy.sparse.linalg import splu
 
-from sgms_mhe.estimates import Estimates
 from sgms_mhe.reference.least_squares import solve_bounded
 from sgms_mhe.reference.problem import Progress, Record, Status, estimates
+from sgms_mhe.signals.estimates import Estimates
 
 Array = NDArray[np.float64]
 

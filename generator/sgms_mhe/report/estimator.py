@@ -10,13 +10,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.compiled import CompiledEstimator
-from sgms_mhe.errors import InputError
-from sgms_mhe.estimates import Estimates
-from sgms_mhe.kinematics import Signals, signals_from_log
-from sgms_mhe.logs import Log
+from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
-from sgms_mhe.status import FLAGS, measured
+from sgms_mhe.signals.chain import Signals, signals_from_log
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.status import FLAGS, measured
+from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -12,11 +12,11 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from sgms_mhe.diagnosis import Diagnosis
-from sgms_mhe.files import write_text
-from sgms_mhe.plots import save_figure
+from sgms_mhe.evaluation.plots import save_figure
 from sgms_mhe.report import content, figures
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.series import views
+from sgms_mhe.support.files import write_text
 
 Progress = Callable[[str, float], None]
 """Called with (what is being done, share of the work done)."""

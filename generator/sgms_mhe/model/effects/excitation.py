@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final, Literal
 import numpy as np
 
 if TYPE_CHECKING:
-    from sgms_mhe.kinematics import Signals
     from sgms_mhe.machine import Machine
+    from sgms_mhe.signals.chain import Signals
 
 Measure = Literal[
     "travel_m",

@@ -1,0 +1,132 @@
+"""The model alone along a measured motion: friction that it says against friction that was measured."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import decimate
+
+from sgms_mhe.host.compiled import CompiledModel
+from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.signals.chain import Signals, signals_from_log
+from sgms_mhe.signals.logs import Log, write_columns
+from sgms_mhe.support.errors import InputError
+
+Array = NDArray[np.float64]
+
+MOST_DECIMATION: Final = 100
+_FILTER_LENGTH: Final = 10  # rows behind the decimation: a stretch that is shorter says nothing there
+
+
+@dataclass(frozen=True)
+class PredictedFriction:
+    """Friction at the samples of a log, without any estimation; arrays (n).
+
+    time [s]; measured [N], NaN where it is no measurement; friction [N] of the model at the machine file's parameters,
+    which starts with all elements relaxed; drive force [N] behind the same filters; `source` names the log.
+    """
+
+    time_s: Array
+    friction_measured_N: Array
+    friction_N: Array
+    force_N: Array
+    source: str
+
+
+@dataclass(frozen=True)
+class ForceError:
+    """What the model leaves of the drive force, over `rows` compared rows of a log; all RMS [N].
+
+    Measured minus simulated friction is also measured minus simulated drive force: both hold the same mass times
+    acceleration. `relative` to the drive force it is the number by which inverse dynamic models are judged.
+    """
+
+    rows: int
+    residual_rms_N: float
+    friction_rms_N: float
+    force_rms_N: float
+
+    @property
+    def relative(self) -> float:
+        """RMS of the residual over RMS of the drive force."""
+        return self.residual_rms_N / self.force_rms_N if self.force_rms_N > 0.0 else math.nan
+
+
+def predict_log(machine: Machine, log: Log) -> PredictedFriction:
+    """Run the model along a log.
+
+    Raises:
+        InputError: no sample of the log is a valid measurement of friction.
+    """
+    return predict_signals(machine, signals_from_log(log, machine), log.source)
+
+
+def predict_signals(machine: Machine, signals: Signals, source: str = "log") -> PredictedFriction:
+    """Run the model along aligned signals; `source` names them in messages."""
+    if not signals.valid.any():
+        raise InputError(
+            source,
+            "rows",
+            len(signals),
+            "a row that is valid: the filters settle first, and after every missing sample",
+        )
+    samples = machine.sampling.samples_per_update
+    if machine.sampling.integrator.substeps < samples:
+        # Steps of several samples have no state at the samples between.
+        machine = override_machine(machine, {"sampling": {"integrator": {"substeps": samples}}})
+    friction = CompiledModel(machine).predict(signals).friction_N
+    measured = np.where(signals.valid, signals.friction, np.nan)
+    return PredictedFriction(signals.time, measured, friction, signals.force, source)
+
+
+def force_error(
+    prediction: PredictedFriction, *, start_s: float = 0.0, end_s: float = math.inf, factor: int = 1
+) -> ForceError:
+    """Compare measured and simulated force over the valid samples.
+
+    Args:
+        prediction: along a whole log.
+        start_s, end_s: seconds since the log's first sample; the model runs through all of it.
+        factor: compare every `factor`-th sample behind an anti-aliasing filter without delay (0.8 of the new Nyquist
+            frequency), applied apart to each stretch without a gap.
+
+    Raises:
+        InputError: nothing is left to compare.
+    """
+    if not 1 <= factor <= MOST_DECIMATION:
+        raise InputError("comparison", "decimation", factor, f"an integer from 1 to {MOST_DECIMATION}")
+    since = prediction.time_s - prediction.time_s[0]
+    difference = prediction.friction_measured_N - prediction.friction_N
+    counted = np.isfinite(difference) & (since >= start_s) & (since <= end_s)
+    edges = np.flatnonzero(np.diff(counted.astype(np.int8), prepend=0, append=0))
+    columns = np.column_stack((difference, prediction.friction_measured_N, prediction.force_N))
+    least = 1 if factor == 1 else _FILTER_LENGTH * factor
+    stretches = [columns[a:b] for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
+    if not stretches:
+        raise InputError(
+            prediction.source,
+            f"rows from {start_s:g} to {min(end_s, float(since[-1])):g} s",
+            int(counted.sum()),
+            f"{least} valid rows without a gap (the filters settle first, and after every missing sample)",
+        )
+    if factor > 1:
+        # Of odd order: the usual even one has a gain below 1 at frequency zero.
+        stretches = [decimate(stretch, factor, n=7, axis=0, zero_phase=True) for stretch in stretches]
+    rows = np.concatenate(stretches)
+    residual, friction, force = np.sqrt(np.mean(rows**2, axis=0)).tolist()
+    return ForceError(len(rows), residual, friction, force)
+
+
+def write_prediction(path: str | Path, prediction: PredictedFriction) -> None:
+    """Write time_s, friction_measured_N, friction_N as CSV, atomically."""
+    columns = {
+        "time_s": prediction.time_s,
+        "friction_measured_N": prediction.friction_measured_N,
+        "friction_N": prediction.friction_N,
+    }
+    write_columns(path, columns)

@@ -1,0 +1,499 @@
+"""The emitted package on an emulated microcontroller: its numbers, its instructions, its memory.
+
+A package in single precision is cross-compiled, linked with `runtime_c/target/` and run by QEMU over a log. The
+emulator advances its clock by a fixed time per instruction, so a timer of the board counts instructions: exactly, and
+the same on every host. They are instructions of the emulated core, not cycles of a real one, which also waits for its
+flash memory and its divider, and issues two at a time where it can.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_mhe.evaluation.comparison import Comparison, compare_estimates
+from sgms_mhe.host.compiled import CompiledEstimator, replay_definitions
+from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.model import Model, build_model
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import BuildError
+from sgms_mhe.support.paths import runtime_dir
+from sgms_mhe.support.toolchain import tool_output
+
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+Progress = Callable[[int, int], None]
+"""Called with (updates done, updates in all)."""
+
+TARGET_FLAGS: Final = ("-std=c99", "-O2", "-ffp-contract=off")
+"""A multiply and an add stay two roundings: what the target computes is then what a host computes."""
+
+LOOPS: Final = (1, 10, 1000, 100_000)
+"""Counts of the loops that calibrate the counter; one turn is two instructions, each loop two more."""
+
+CALLS: Final = ("init", "sample", "feedback", "prepare", "tick", "estimate")
+"""Functions of the package, each on a stack of its own, in the order of `trial.c`."""
+
+_SAMPLE: Final = np.dtype([("position", "<i8"), ("force", "<f4"), ("unused", "<f4")])
+_FAULT: Final = 100
+_STALLED_S: Final = 120.0
+"""A run that writes nothing for so long is stopped."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A microcontroller: how to compile for it and how to emulate it.
+
+    Attributes:
+        name: as in the names of its start code and linker script.
+        title: what it is.
+        prefix: of the compiler and its tools.
+        flags: of the compiler, for the core and its FPU.
+        emulator: command and arguments of the board, clock included.
+        ticks: of the counter per instruction.
+        packages: Debian packages that bring both.
+        double: mnemonics of double-precision instructions (regular expression).
+    """
+
+    name: str
+    title: str
+    prefix: str
+    flags: tuple[str, ...]
+    emulator: tuple[str, ...]
+    ticks: float
+    packages: str
+    double: str
+
+    @property
+    def tools(self) -> tuple[str, str]:
+        """Commands that it takes: compiler, emulator."""
+        return f"{self.prefix}gcc", self.emulator[0]
+
+    @property
+    def remedy(self) -> str:
+        """What to do where they are absent."""
+        return f"the Debian packages {self.packages} bring what the target takes"
+
+
+TARGETS: Final[Mapping[str, Target]] = MappingProxyType(
+    {
+        target.name: target
+        for target in (
+            Target(
+                name="cortex_m7",
+                title="Arm Cortex-M7 (QEMU mps2-an500)",
+                prefix="arm-none-eabi-",
+                # The emulated FPU has both precisions, as some parts have; code for the smaller one runs on all.
+                flags=("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16", "-mfloat-abi=hard"),
+                # 512 ns per instruction, and a timer of 25 MHz.
+                emulator=("qemu-system-arm", "-machine", "mps2-an500", "-icount", "shift=9"),
+                ticks=12.8,
+                packages="gcc-arm-none-eabi and qemu-system-arm",
+                double=r"v\w+\.(?:\w+\.)*f64\b.*",
+            ),
+            Target(
+                name="riscv32",
+                title="RISC-V RV32IMAFC (QEMU virt)",
+                prefix="riscv64-unknown-elf-",
+                flags=("-march=rv32imafc", "-mabi=ilp32f"),
+                # minstret counts nanoseconds of emulated time: here, instructions.
+                emulator=("qemu-system-riscv32", "-machine", "virt", "-bios", "none", "-icount", "shift=0"),
+                ticks=1.0,
+                packages="gcc-riscv64-unknown-elf and qemu-system-misc",
+                double=r"(?:c\.)?f(?:ld|sd|\w*(?:\.\w+)*\.d(?:\.\w+)*)(?:sp)?",
+            ),
+        )
+    }
+)
+"""Targets by name."""
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What the package takes on the target, in bytes.
+
+    Attributes:
+        package: its code and constants.
+        helpers: what it needs besides, from the compiler's own library and memcpy, memset.
+        axis: one estimator.
+        data: writable memory of its own, which it does not have.
+        stack: high-water mark of every function called, by name.
+    """
+
+    package: int
+    helpers: int
+    axis: int
+    data: int
+    stack: Mapping[str, int]
+
+    @property
+    def flash(self) -> int:
+        """Code, constants and helpers."""
+        return self.package + self.helpers
+
+    @property
+    def ram(self) -> int:
+        """One axis and the deepest stack."""
+        return self.axis + self.data + max(self.stack.values())
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One run of a package on a target: u updates of M samples.
+
+    Attributes:
+        target: the target.
+        machine: the machine in single precision.
+        estimates: of an estimator called as by two tasks.
+        tick_estimates: of one called by `tick` alone.
+        sample, tick: instructions of every call (u, M).
+        feedback, prepare, estimate: instructions of every call (u,).
+        calibration: loops of known length that checked the counter, (instructions, counted) each.
+        memory: flash, RAM, stack.
+        double_arithmetic: helpers and instructions of double precision that the package's code uses; there are none.
+    """
+
+    target: Target
+    machine: Machine
+    estimates: Estimates
+    tick_estimates: Estimates
+    sample: Counts
+    tick: Counts
+    feedback: Counts
+    prepare: Counts
+    estimate: Counts
+    calibration: tuple[tuple[int, int], ...]
+    memory: Memory
+    double_arithmetic: tuple[str, ...]
+
+    @property
+    def update(self) -> Counts:
+        """Instructions of an update in two tasks (u,): its samples, feedback, prepare."""
+        counts: Counts = self.sample.sum(axis=1) + self.feedback + self.prepare
+        return counts
+
+
+@dataclass(frozen=True)
+class Program:
+    """A linked trial and what is known without running it."""
+
+    path: Path
+    package: int
+    helpers: int
+    data: int
+    double_arithmetic: tuple[str, ...]
+
+
+def single_precision(machine: Machine) -> Machine:
+    """The machine with its numbers in single precision, which is what the FPU of a target has."""
+    return override_machine(machine, {"code": {"precision": "single"}})
+
+
+def build_program(target: Target, package: Package, folder: Path, flags: Sequence[str] = TARGET_FLAGS) -> Program:
+    """Cross-compile a package and link it with the trial.
+
+    Args:
+        target: the target.
+        package: the package, in any precision.
+        folder: receives the files.
+        flags: of the compiler, besides the target's.
+
+    Raises:
+        BuildError: the compiler is not there, or it refused.
+    """
+    source, name = runtime_dir() / "target", package.machine.name
+    headers = folder / name
+    write_package(package, headers)
+    options: list[str | Path] = [*flags, "-ffreestanding", *target.flags]
+    definitions = [*replay_definitions(name), f"-DSGMS_LOOPS={','.join(map(str, LOOPS))}"]
+    parts: dict[str, list[str | Path]] = {
+        "package.o": [*options, headers / f"{name}.c"],
+        # Otherwise a compiler recognises the loop in memcpy and calls memcpy for it.
+        "helpers.o": [*options, "-fno-tree-loop-distribute-patterns", source / "helpers.c"],
+        "trial.o": [*options, *definitions, f"-I{headers}", f"-I{source}", source / "trial.c"],
+        "start.o": [*target.flags, source / f"{target.name}.S"],
+    }
+    for part, arguments in parts.items():
+        _tool(target, "gcc", *arguments, "-c", "-o", folder / part)
+    linked = folder / "trial.elf"
+    objects = [folder / part for part in parts]
+    script = source / f"{target.name}.ld"
+    _tool(target, "gcc", *target.flags, "-nostdlib", f"-Wl,-T,{script}", *objects, "-lgcc", "-o", linked)
+    sizes = section_sizes(target, linked)
+    return Program(
+        path=linked,
+        package=sizes.get(".package", 0),
+        helpers=sizes.get(".helpers", 0),
+        data=sizes.get(".package_data", 0),
+        double_arithmetic=double_arithmetic(target, folder / "package.o"),
+    )
+
+
+def section_sizes(target: Target, path: Path) -> dict[str, int]:
+    """Bytes of every section of an object or a program."""
+    rows = re.findall(r"^(\.\S+)\s+(\d+)\s+\d+$", _tool(target, "size", "-A", path), re.MULTILINE)
+    return {name: int(size) for name, size in rows}
+
+
+def double_arithmetic(target: Target, path: Path) -> tuple[str, ...]:
+    """Library functions and instructions of double precision that an object uses, sorted."""
+    needed = [line.split()[-1] for line in _tool(target, "nm", "-u", path).splitlines() if line.split()]
+    # __aeabi_dadd, __aeabi_cdcmple, __aeabi_f2d; __adddf3, __floatdidf, __truncdfsf2
+    helpers = {name for name in needed if re.fullmatch(r"__aeabi_c?d\w+|__aeabi_\w+2d|__\w+df\w*", name)}
+    listing = _tool(target, "objdump", "-d", "--no-show-raw-insn", path)
+    mnemonics = set(re.findall(r"^ *[0-9a-f]+:\t(\S+)", listing, re.MULTILINE))
+    return tuple(sorted(helpers | {word for word in mnemonics if re.fullmatch(target.double, word)}))
+
+
+def _tool(target: Target, tool: str, *arguments: str | Path) -> str:
+    return tool_output([f"{target.prefix}{tool}", *map(str, arguments)], target.remedy)
+
+
+# --- run ---------------------------------------------------------------------------------------------------------
+
+
+def run_trial(
+    machine: Machine,
+    log: Log,
+    target: Target,
+    *,
+    package: Package | None = None,
+    flags: Sequence[str] = TARGET_FLAGS,
+    progress: Progress | None = None,
+) -> Trial:
+    """Run a machine's package on an emulated target over position and force of a log.
+
+    Args:
+        machine: in single precision.
+        log: at least one update long.
+        target: the target.
+        package: the machine's package, if it was generated already.
+        flags: of the compiler, besides the target's.
+        progress: called while it runs.
+
+    Raises:
+        BuildError: compiler or emulator is not there or refused, the program faulted, or the emulator's clock does not
+            count instructions.
+    """
+    if machine.code.precision != "single":
+        raise ValueError("a target runs single precision: single_precision(machine)")
+    package = package or emit_package(machine, selftest=False)
+    model, M = build_model(machine), machine.sampling.samples_per_update
+    updates = (len(log) - 1) // M
+    estimate = _estimate_type(model)
+    update_bytes = 4 * (2 * M + 3) + 2 * estimate.itemsize
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        program = build_program(target, package, folder, flags)
+        (folder / "samples.bin").write_bytes(_samples(log, updates * M + 1).tobytes())
+        results = folder / "results.bin"
+
+        def report(written: int) -> None:
+            if progress is not None:
+                progress(min(updates, written // update_bytes), updates)
+
+        _emulate(target, program.path, results, report)
+        content = results.read_bytes()
+    return _trial(target, machine, model, program, content, log.time_s[M : updates * M + 1 : M])
+
+
+def _samples(log: Log, count: int) -> NDArray[Any]:
+    """The first samples as the package takes them: position in whole picometres, force in N."""
+    metres = log.position_m[:count]
+    good = np.abs(metres) < 4e6
+    picometres = np.full(count, np.iinfo(np.int64).max)
+    picometres[good] = (metres[good] * 1e12 + np.where(metres[good] < 0.0, -0.5, 0.5)).astype(np.int64)
+    samples = np.zeros(count, dtype=_SAMPLE)
+    samples["position"] = picometres
+    samples["force"] = log.force_N[:count]
+    return samples
+
+
+def _estimate_type(model: Model) -> np.dtype[Any]:
+    """The package's estimate_t, as it lies in memory."""
+    n_z, n_p = model.n_z, model.n_p
+    return np.dtype(
+        [
+            ("friction", "<f4"),
+            ("friction_measured", "<f4"),
+            ("deflection", "<f4", (n_z,)),
+            ("parameter", "<f4", (n_p,)),
+            ("deviation", "<f4", (n_p,)),
+            ("status", "<i4"),
+        ]
+    )
+
+
+def _emulate(target: Target, program: Path, results: Path, report: Callable[[int], None]) -> None:
+    """Run a program to its end in the folder of its results; `report` gets the bytes that it has written so far."""
+    command = [
+        *target.emulator,
+        *("-nodefaults", "-display", "none", "-serial", "none", "-monitor", "none", "-no-reboot"),
+        *("-semihosting-config", "enable=on,target=native", "-kernel", str(program)),
+    ]
+    messages = results.with_name("emulator.txt")
+    with messages.open("w") as stream:
+        try:
+            process = subprocess.Popen(
+                command, cwd=results.parent, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT
+            )
+        except OSError as error:
+            raise BuildError(f"{command[0]}: {error.strerror}; {target.remedy}") from None
+        try:
+            code = _wait(process, results, report)
+        finally:
+            process.kill()  # of no consequence where it has ended
+            process.wait()
+    if code is None:
+        raise BuildError(f"{command[0]}: stopped, nothing came out of it for {_STALLED_S:g} s")
+    if code != 0:
+        meaning = {
+            2: "it found no samples",
+            3: "its results could not be written",
+            4: "a stack was too small",
+            5: f"a call takes more than {2**32 / target.ticks:.2g} instructions, which its counter cannot hold",
+        }
+        text = f"exception {code - _FAULT}" if code >= _FAULT else meaning.get(code, "the emulator failed")
+        raise BuildError(f"{command[0]}: exit code {code}, {text}\n{messages.read_text(errors='replace')}")
+
+
+def _wait(process: subprocess.Popen[bytes], results: Path, report: Callable[[int], None]) -> int | None:
+    """Exit code of a process; None where its results stopped growing."""
+    written, since = 0, time.monotonic()
+    while True:
+        try:
+            return process.wait(timeout=0.2)
+        except subprocess.TimeoutExpired:
+            size = results.stat().st_size if results.exists() else 0
+        if size > written:
+            written, since = size, time.monotonic()
+            report(size)
+        elif time.monotonic() - since > _STALLED_S:
+            return None
+
+
+def _trial(target: Target, machine: Machine, model: Model, program: Program, content: bytes, times: Array) -> Trial:
+    """Take the results apart; their layout stands in `trial.c`."""
+    M, updates, estimate = machine.sampling.samples_per_update, len(times), _estimate_type(model)
+    row = np.dtype(
+        [
+            ("samples", "<u4", (M, 2)),
+            ("feedback", "<u4"),
+            ("prepare", "<u4"),
+            ("estimate", "<u4"),
+            ("two_tasks", estimate),
+            ("one_task", estimate),
+        ]
+    )
+    head, first, tail = 3 + len(LOOPS), 2, len(CALLS)
+    expected = 4 * (head + first + tail) + updates * row.itemsize
+    words = np.frombuffer(content[: 4 * head], dtype="<u4").astype(np.int64)
+    if len(content) != expected or words[1] != estimate.itemsize:
+        raise BuildError(f"{target.name}: {len(content)} bytes of results where {expected} were expected")
+    rows = np.frombuffer(content[4 * (head + first) : -4 * tail], dtype=row)
+    stack = np.frombuffer(content[-4 * tail :], dtype="<u4")
+    nothing = int(words[2])
+
+    def counted(ticks: NDArray[Any]) -> Counts:
+        return np.rint((ticks.astype(np.int64) - nothing) / target.ticks).astype(np.int64)
+
+    calibration = tuple((2 + 2 * count, int(loop)) for count, loop in zip(LOOPS, counted(words[3:]), strict=True))
+    for instructions, found in calibration:
+        if found != instructions:
+            raise BuildError(f"{target.emulator[0]}: its clock counts {found} instructions where {instructions} ran")
+    samples = counted(rows["samples"])
+    return Trial(
+        target=target,
+        machine=machine,
+        estimates=_estimates(model, rows["two_tasks"], times),
+        tick_estimates=_estimates(model, rows["one_task"], times),
+        sample=samples[:, :, 0],
+        tick=samples[:, :, 1],
+        feedback=counted(rows["feedback"]),
+        prepare=counted(rows["prepare"]),
+        estimate=counted(rows["estimate"]),
+        calibration=calibration,
+        memory=Memory(
+            package=program.package,
+            helpers=program.helpers,
+            axis=int(words[0]),
+            data=program.data,
+            stack=MappingProxyType(dict(zip(CALLS, map(int, stack), strict=True))),
+        ),
+        double_arithmetic=program.double_arithmetic,
+    )
+
+
+def _estimates(model: Model, rows: NDArray[Any], times: Array) -> Estimates:
+    return Estimates(
+        time_s=times,
+        friction_measured_N=rows["friction_measured"].astype(np.float64),
+        friction_N=rows["friction"].astype(np.float64),
+        z_m=rows["deflection"].astype(np.float64),
+        parameters=rows["parameter"].astype(np.float64),
+        std=rows["deviation"].astype(np.float64),
+        status=rows["status"].astype(np.int64),
+        parameter_names=tuple(p.column for p in model.parameters),
+    )
+
+
+# --- host --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class HostComparison:
+    """The target's estimates beside those of the same package compiled for this host.
+
+    Attributes:
+        identical: whether every number and every status is the same to the last bit.
+        identical_updates: how many updates are.
+        comparison: differences, with the tolerances of single precision.
+    """
+
+    identical: bool
+    identical_updates: int
+    comparison: Comparison
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the differences are those of rounding."""
+        return self.comparison.agrees
+
+
+def compare_with_host(trial: Trial, log: Log, *, package: Package | None = None) -> HostComparison:
+    """Run the package on this host over the same log and compare with what the target made of it.
+
+    Raises:
+        BuildError: the host's compiler refused.
+    """
+    estimator = CompiledEstimator(trial.machine, package)
+    host = estimator.estimate_log(log, mode="tasks")
+    same = identical_updates(trial.estimates, host)
+    prior = trial.machine.estimator.noise.parameter * np.array([abs(p.scale) for p in estimator.model.parameters])
+    return HostComparison(
+        identical=bool(same.all()),
+        identical_updates=int(np.count_nonzero(same)),
+        comparison=compare_estimates(trial.machine, trial.estimates, host, prior),
+    )
+
+
+def identical_updates(ours: Estimates, theirs: Estimates) -> NDArray[np.bool_]:
+    """At which updates (u) every number and the status are the same."""
+    names = ("friction_measured_N", "friction_N", "z_m", "parameters", "std", "status")
+    same = np.ones(len(ours), dtype=np.bool_)
+    for name in names:
+        a, b = getattr(ours, name), getattr(theirs, name)
+        same &= (a == b).reshape(len(same), -1).all(axis=1)
+    return same

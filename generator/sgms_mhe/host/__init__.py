@@ -1,0 +1,1 @@
+"""Emitted packages compiled for this computer and called from Python."""

@@ -1,0 +1,362 @@
+"""The emitted C, compiled for this host and called from Python."""
+
+from __future__ import annotations
+
+import ctypes
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_mhe.machine import Machine
+from sgms_mhe.model import Model, build_model
+from sgms_mhe.plant.simulation import COMPENSATION, NativeCompensation
+from sgms_mhe.signals.chain import Signals, signal_array
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.paths import runtime_dir
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS, load_library, shared_library
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+"""Called with (updates done, updates in all)."""
+
+_MODES = {"tasks": 0, "tick": 1}
+_CHUNK = 20  # updates between two calls of progress
+
+
+class _Series(ctypes.Structure):
+    _fields_ = (
+        ("samples", ctypes.c_long),
+        ("position", ctypes.c_void_p),
+        ("force", ctypes.c_void_p),
+        ("velocity", ctypes.c_void_p),
+        ("acceleration", ctypes.c_void_p),
+        ("friction", ctypes.c_void_p),
+        ("valid", ctypes.c_void_p),
+        ("late", ctypes.c_double),
+    )
+
+
+@dataclass(frozen=True)
+class _Run:
+    rows: Array
+    status: NDArray[np.int64]
+    compensation: Array
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """The model alone along a motion.
+
+    Attributes:
+        friction_N: (n).
+        d_friction: derivatives in the scaled parameters theta (n, n_p), None where not asked for.
+        x: node state at the last sample (n_x).
+        d_x: its derivatives in theta (n_x, n_p).
+    """
+
+    friction_N: Array
+    d_friction: Array | None
+    x: Array
+    d_x: Array
+
+
+class CompiledModel:
+    """The emitted model of a machine without its estimator: integrator, sensitivities, output."""
+
+    def __init__(self, machine: Machine, package: Package | None = None) -> None:
+        self.machine = machine
+        self.model = build_model(machine)
+        self._library = load_library(_compile(machine, package, DEFAULT_FLAGS, "predict.c"))
+
+    def predict(
+        self,
+        signals: Signals,
+        theta: Array | None = None,
+        *,
+        derivatives: bool = False,
+        x: Array | None = None,
+        d_x: Array | None = None,
+        first: int = 0,
+    ) -> Prediction:
+        """Run the model along the signals.
+
+        Args:
+            signals: n samples.
+            theta: scaled parameters (n_p), 1 is nominal; None: nominal.
+            derivatives: also return d(friction)/d(theta).
+            x: node state at the first sample (n_x); None: zero.
+            d_x: its derivatives in theta (n_x, n_p); None: zero.
+            first: index of the first sample in its record, from which the model's time counts.
+
+        Raises:
+            InputError: the machine merges samples into steps.
+        """
+        if self.machine.sampling.merged > 1:
+            raise InputError(
+                self.machine.source,
+                "sampling.integrator.substeps",
+                self.machine.sampling.integrator.substeps,
+                "at least one per sample to run the model alone",
+            )
+        n, n_p = len(signals), self.model.n_p
+        force = np.empty(n)
+        slopes = np.empty((n, n_p)) if derivatives else None
+        state, sensitivity = self._run(signals, theta, x, d_x, first, force, slopes)
+        return Prediction(force, slopes, state, sensitivity)
+
+    def end(
+        self,
+        signals: Signals,
+        theta: Array | None = None,
+        *,
+        x: Array | None = None,
+        d_x: Array | None = None,
+        first: int = 0,
+    ) -> tuple[Array, Array]:
+        """Node state at the last sample (n_x) and its derivatives in theta (n_x, n_p); arguments as of `predict`.
+
+        From the first sample to the last there must be a whole number of integration steps.
+        """
+        return self._run(signals, theta, x, d_x, first, None, None)
+
+    def _run(
+        self,
+        signals: Signals,
+        theta: Array | None,
+        x: Array | None,
+        d_x: Array | None,
+        first: int,
+        force: Array | None,
+        slopes: Array | None,
+    ) -> tuple[Array, Array]:
+        n, n_x, n_p = len(signals), self.model.n_x, self.model.n_p
+        w = signal_array(signals, self.machine.sampling.step, first)
+        values = np.ones(n_p) if theta is None else np.ascontiguousarray(theta, dtype=np.float64)
+        state = np.zeros(n_x) if x is None else np.array(x, dtype=np.float64)
+        sensitivity = np.zeros((n_x, n_p)) if d_x is None else np.array(d_x, dtype=np.float64, order="C")
+        done = self._library.sgms_predict(
+            ctypes.c_long(n),
+            ctypes.c_void_p(w.ctypes.data),
+            ctypes.c_void_p(values.ctypes.data),
+            ctypes.c_void_p(state.ctypes.data),
+            ctypes.c_void_p(sensitivity.ctypes.data),
+            None if force is None else ctypes.c_void_p(force.ctypes.data),
+            None if slopes is None else ctypes.c_void_p(slopes.ctypes.data),
+        )
+        if done != 0:
+            raise ValueError(f"{n} samples are no whole number of steps of {self.machine.sampling.merged}")
+        return state, sensitivity
+
+
+class CompiledEstimator:
+    """One emitted package, compiled; every run starts an estimator of its own.
+
+    Args:
+        machine: the machine file.
+        package: its package, if it was generated already.
+        flags: compiler flags.
+        model: the model that the package was generated from, where that is not the machine's own.
+
+    Raises:
+        BuildError: the compiler refused.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        package: Package | None = None,
+        flags: Sequence[str] = DEFAULT_FLAGS,
+        model: Model | None = None,
+    ) -> None:
+        self.machine = machine
+        self.model = model or build_model(machine)
+        self._library = load_library(_compile(machine, package, flags, f"{machine.name}.c", "replay.c", "loop.c"))
+        self._library.sgms_replay_memory.restype = ctypes.c_size_t
+        self._library.sgms_replay_run.restype = ctypes.c_long
+        self._columns = int(self._library.sgms_replay_columns())
+        self._samples = machine.sampling.samples_per_update
+
+    @property
+    def memory_bytes(self) -> int:
+        """Size of one estimator."""
+        return int(self._library.sgms_replay_memory())
+
+    def start(self) -> ctypes.Array[ctypes.c_char]:
+        """Memory of a fresh estimator, for `run`."""
+        memory = ctypes.create_string_buffer(self.memory_bytes + 64)
+        self._library.sgms_replay_start(memory)
+        return memory
+
+    def estimate(self, signals: Signals, *, progress: Progress | None = None) -> Estimates:
+        """Estimate from aligned signals (the Python signal chain), prepare and feedback."""
+        arrays: dict[str, NDArray[Any]] = {
+            "position": signals.position,
+            "force": signals.force,
+            "velocity": signals.velocity,
+            "acceleration": signals.acceleration,
+            "friction": signals.friction,
+            "valid": signals.valid.astype(np.uint8),
+        }
+        run = self._run(self.start(), arrays, len(signals), "tasks", progress, late=signals.late)
+        return self._estimates(run, signals.time)
+
+    def estimate_log(
+        self, log: Log, *, mode: Literal["tasks", "tick"] = "tick", progress: Progress | None = None
+    ) -> Estimates:
+        """Estimate from position and force with the package's own signal chain; `extra` holds `compensation_N` (n)."""
+        run = self._run(
+            self.start(), {"position": log.position_m, "force": log.force_N}, len(log.time_s), mode, progress
+        )
+        return self._estimates(run, log.time_s)
+
+    def _run(
+        self,
+        memory: ctypes.Array[ctypes.c_char],
+        arrays: dict[str, NDArray[Any]],
+        samples: int,
+        mode: str,
+        progress: Progress | None,
+        late: float = 0.0,
+    ) -> _Run:
+        total = max(0, (samples - 1) // self._samples)
+        rows = np.zeros((total + 1, self._columns))
+        status = np.zeros(total + 1, dtype=np.int32)
+        compensation = np.zeros(samples)
+        held = {
+            name: np.ascontiguousarray(a, dtype=np.uint8 if name == "valid" else np.float64)
+            for name, a in arrays.items()
+        }
+        done = 0
+        chunk = samples if progress is None else _CHUNK * self._samples
+        for first in range(0, samples, chunk):
+            count = min(chunk, samples - first)
+            series = _Series(samples=count, late=late)
+            for name, array in held.items():
+                setattr(series, name, array.ctypes.data + first * array.itemsize)
+            done += self._library.sgms_replay_run(
+                memory,
+                ctypes.byref(series),
+                _MODES[mode],
+                ctypes.c_void_p(rows.ctypes.data + done * rows.itemsize * self._columns),
+                ctypes.c_void_p(status.ctypes.data + done * status.itemsize),
+                ctypes.c_void_p(compensation.ctypes.data + first * compensation.itemsize),
+            )
+            if progress is not None:
+                progress(done, total)
+        return _Run(rows[:done], status[:done].astype(np.int64), compensation)
+
+    def _estimates(self, run: _Run, time: Array) -> Estimates:
+        n_z, n_p = self.model.n_z, self.model.n_p
+        nodes = self._samples * np.arange(1, len(run.rows) + 1)
+        columns = np.split(run.rows, np.cumsum([1, 1, n_z, n_p]), axis=1)
+        return Estimates(
+            time_s=time[nodes],
+            friction_measured_N=columns[0][:, 0],
+            friction_N=columns[1][:, 0],
+            z_m=columns[2],
+            parameters=columns[3],
+            std=columns[4],
+            status=run.status,
+            parameter_names=tuple(p.column for p in self.model.parameters),
+            extra={"compensation_N": run.compensation},
+        )
+
+
+class _Loop(ctypes.Structure):
+    """sgms_loop."""
+
+    _fields_ = (
+        ("memory", ctypes.c_void_p),
+        ("velocity", ctypes.c_void_p),
+        ("acceleration", ctypes.c_void_p),
+        ("force", ctypes.c_void_p),
+        ("rows", ctypes.c_void_p),
+        ("statuses", ctypes.c_void_p),
+        ("samples", ctypes.c_long),
+        ("sample", ctypes.c_long),
+        ("updates", ctypes.c_long),
+    )
+
+
+class LoopCompensation:
+    """One estimator, a fresh one, in the loop of a simulated axis.
+
+    Args:
+        estimator: its package; serves any number of axes.
+        velocity: set-point ahead of each sample (n) [m/s], mean over the loop's delay; None: the drive does not tell.
+        acceleration: likewise (n) [m/s^2].
+        samples: n.
+        force: fed forward instead of what the estimator says (n) [N].
+    """
+
+    def __init__(
+        self,
+        estimator: CompiledEstimator,
+        samples: int,
+        *,
+        velocity: Array | None = None,
+        acceleration: Array | None = None,
+        force: Array | None = None,
+    ) -> None:
+        self._estimator = estimator
+        updates = samples // estimator._samples + 1
+        self._rows = np.zeros((updates, estimator._columns))
+        self._status = np.zeros(updates, dtype=np.int32)
+        self.force_N: Array = np.zeros(samples) if force is None else np.array(force, dtype=np.float64)
+        self._memory = estimator.start() if force is None else None
+        held = [None if a is None else np.ascontiguousarray(a, dtype=np.float64) for a in (velocity, acceleration)]
+        for array in (*held, self.force_N):
+            if array is not None and array.shape != (samples,):
+                raise ValueError(f"an array of shape {array.shape} for {samples} samples")
+        if velocity is not None and acceleration is None:
+            held[1] = np.zeros(samples)
+        self._held = held
+        self._loop = _Loop(
+            memory=None if self._memory is None else ctypes.addressof(self._memory),
+            velocity=None if held[0] is None else held[0].ctypes.data,
+            acceleration=None if held[1] is None else held[1].ctypes.data,
+            force=self.force_N.ctypes.data,
+            rows=self._rows.ctypes.data,
+            statuses=self._status.ctypes.data,
+            samples=samples,
+        )
+
+    @property
+    def native(self) -> NativeCompensation:
+        """For `simulate_axis`; `force_N` (n) then holds what was fed forward."""
+        function = ctypes.cast(self._estimator._library.sgms_loop_compensate, COMPENSATION)
+        return NativeCompensation(function, ctypes.addressof(self._loop))
+
+    def estimates(self, log: Log) -> Estimates:
+        """What the estimator said at its updates, once the run that left `log` is over."""
+        done = int(self._loop.updates)
+        run = _Run(self._rows[:done], self._status[:done].astype(np.int64), self.force_N)
+        return self._estimator._estimates(run, log.time_s)
+
+
+def _compile(machine: Machine, package: Package | None, flags: Sequence[str], *sources: str) -> Path:
+    """Compile sources of a package, or of the runtime, against the package's headers; return the shared library."""
+    package = package or emit_package(machine, selftest=False)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / machine.name
+        write_package(package, folder)
+        paths = [folder / name if name in package.files else runtime_dir() / name for name in sources]
+        return shared_library(paths, include_dirs=[folder], flags=[*flags, *replay_definitions(machine.name)])
+
+
+def replay_definitions(name: str) -> list[str]:
+    """Compiler definitions that bind the replay and the harness to a package."""
+    return [
+        f"-DSGMS_MACHINE={name}",
+        f"-DSGMS_MACHINE_UPPER={name.upper()}",
+        f'-DSGMS_MACHINE_HEADER="{name}.h"',
+        f'-DSGMS_INTEGRATOR_HEADER="{name}_integrator.h"',
+    ]

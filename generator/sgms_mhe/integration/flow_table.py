@@ -1,0 +1,277 @@
+"""Tables of the displacement flow: the linearising function psi of the slip law and its inverse.
+
+For dr/dxi = g(r) with the fixed point r*, d(ln|psi|)/dr = -k / g(r), k = -g'(r*), psi ~ r* - r. psi is analytic and
+monotone through r*, so one piecewise polynomial serves loading and relaxation. Computed with more digits than a double
+holds, so that every machine emits the same bytes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+from mpmath import mp, mpf
+
+from sgms_mhe.support.errors import InputError
+
+TAIL = 1e-10
+"""The gate counts as saturated where its tail changes g by less than this."""
+# The elastic range ends where slip changes g by this much: sensitivities are then right to 1e-10, or to rounding.
+_ELASTIC = {"double": 1e-12, "single": 1e-8}
+_DIGITS = 22
+_QUADRATURE = 12
+_SEGMENT = 0.5  # width over 1/lambda: the poles of g lie pi/2 away
+_DEGREE = {"double": 12, "single": 6}
+_CELLS = 128
+_NEAR = 0.14  # half-width over 1/lambda of the short polynomials about the fixed point
+_NEAR_DEGREE = {"double": 7, "single": 5}  # odd: no Chebyshev node falls on the fixed point
+
+
+@dataclass(frozen=True)
+class FlowTable:
+    """One universal curve; see sgms_flow.h for the meaning of the fields. `bend` is -g''(r*) / g'(r*)."""
+
+    start: float
+    end: float
+    k: float
+    r_star: float
+    segments: int
+    cells_per_s: float
+    degree: int
+    edge: tuple[float, ...]
+    forward: tuple[tuple[float, ...], ...]
+    inverse: tuple[tuple[float, ...], ...]
+    cell: tuple[int, ...]
+    near: float
+    near_degree: int
+    near_forward: tuple[float, ...]
+    near_inverse: tuple[float, ...]
+    bend: float
+
+
+@lru_cache(maxsize=16)
+def gate_ratio(zeta: float, lambda_: float, gamma: float, tail: float = TAIL) -> float:
+    """Smallest |v| / v_s, in steps of 0.01, at which the gate etaB is saturated.
+
+    Saturated: max over r of |r| etaA(r) (1 - etaB(|r|)) is below `tail`, so that leaving it out changes g by less.
+    """
+    for hundredths in range(1, 1000):
+        c = hundredths / 100.0
+        worst = max(
+            r
+            / (1.0 + math.exp(min(700.0, -2.0 * lambda_ * (r - zeta))))
+            / (1.0 + math.exp(min(700.0, 2.0 * gamma * c * r)))
+            for r in (k / 1000.0 for k in range(1, 3001))
+        )
+        if worst < tail:
+            return c
+    return math.inf
+
+
+def flow_applies(zeta: float, lambda_: float, precision: str) -> bool:
+    """Whether the smoothing is sharp enough for an elastic range to be left above r = 0."""
+    return _reach(lambda_, precision) < zeta
+
+
+def _reach(lambda_: float, precision: str) -> float:
+    """How far from r = zeta the slip range extends."""
+    return math.log(1.0 / _ELASTIC[precision]) / (2.0 * lambda_)
+
+
+@lru_cache(maxsize=16)
+def flow_table(zeta: float, lambda_: float, precision: str, source: str = "machine") -> FlowTable:
+    """Build the tables for one smoothing.
+
+    Raises:
+        InputError: the smoothing is too soft for the elastic range to end above r = 0.
+    """
+    reach = _reach(lambda_, precision)
+    start, end = zeta - reach, zeta + reach
+    if not flow_applies(zeta, lambda_, precision):
+        raise InputError(
+            source, "friction.smoothing", lambda_, f"scheme flow needs lambda * zeta > {reach * lambda_:.1f}; use rk4"
+        )
+    degree = _DEGREE[precision]
+    with mp.workdps(_DIGITS):
+        curve = _Curve(zeta, lambda_)
+        segments = math.ceil((end - start) / (_SEGMENT / lambda_))
+        width = (mpf(end) - mpf(start)) / segments
+        edges = [mpf(start) + width * j for j in range(segments + 1)]
+        integrals = curve.integrals(edges)
+        angles = [mp.cos(mp.pi * (2 * i + 1) / (2 * (degree + 1))) for i in range(degree + 1)]
+        to_monomials = _interpolation(angles)
+        forward, inverse = [], []
+        psi = [curve.psi(r, value) for r, value in zip(edges, integrals, strict=True)]
+        for j in range(segments):
+            low, half = edges[j], width / 2
+            values = [
+                curve.psi(low + half * (t + 1), integrals[j] + curve.integral(low, low + half * (t + 1)))
+                for t in angles
+            ]
+            forward.append(_times(to_monomials, values))
+            s_low, s_half = psi[j], (psi[j + 1] - psi[j]) / 2
+            roots = []
+            r = low
+            for t in reversed(angles):  # from the segment's low edge on, each root from the one before
+                target = s_low + s_half * (t + 1)
+                r = _polynomial_root(forward[-1], target, (r - low) / half - 1, low, half)
+                r = curve.root(target, r, low, integrals[j])
+                roots.append(r)
+            inverse.append(_times(to_monomials, roots[::-1]))
+        near = mpf(_NEAR / lambda_)
+        near_degree = _NEAR_DEGREE[precision]
+        near_angles = [mp.cos(mp.pi * (2 * i + 1) / (2 * (near_degree + 1))) for i in range(near_degree + 1)]
+        near_forward = _times(
+            _interpolation(near_angles),
+            [
+                curve.psi(curve.r_star + near * t, curve.integral(curve.r_star, curve.r_star + near * t)) / near
+                for t in near_angles
+            ],
+        )
+        near_roots = [
+            (curve.root(near * t, curve.r_star - near * t, curve.r_star, mpf(0)) - curve.r_star) / near
+            for t in near_angles
+        ]
+        cells_per_s = _CELLS / float(psi[0] - psi[-1])
+        cell = []
+        for c in range(_CELLS):
+            upper = psi[0] - mpf(c) / mpf(cells_per_s)
+            cell.append(next((j for j in range(segments) if upper > psi[j + 1]), segments - 1))
+        return FlowTable(
+            start=float(start),
+            end=float(end),
+            k=float(curve.k),
+            r_star=float(curve.r_star),
+            segments=segments,
+            cells_per_s=cells_per_s,
+            degree=degree,
+            edge=tuple(float(p) for p in psi),
+            forward=tuple(tuple(float(c) for c in row) for row in forward),
+            inverse=tuple(tuple(float(c) for c in row) for row in inverse),
+            cell=tuple(cell),
+            near=float(near),
+            near_degree=near_degree,
+            near_forward=tuple(float(c) for c in near_forward),
+            near_inverse=tuple(float(c) for c in _times(_interpolation(near_angles), near_roots)),
+            bend=float(curve.curvature(curve.r_star) / curve.k),
+        )
+
+
+class _Curve:
+    """g, its fixed point and the integral that defines psi, in extended precision."""
+
+    def __init__(self, zeta: float, lambda_: float) -> None:
+        self.zeta, self.lambda_ = mpf(zeta), mpf(lambda_)
+        r = mpf(1)
+        for _ in range(60):
+            step = self.g(r) / self.slope(r)
+            r -= step
+            if abs(step) < mpf(10) ** (2 - _DIGITS):
+                break
+        self.r_star = r
+        self.k = -self.slope(r)
+        self.rule = _gauss_legendre(_QUADRATURE)
+
+    def logistic(self, r: mpf) -> mpf:
+        return 1 / (1 + mp.exp(-2 * self.lambda_ * (r - self.zeta)))
+
+    def g(self, r: mpf) -> mpf:
+        return 1 - self.logistic(r) * r
+
+    def slope(self, r: mpf) -> mpf:
+        a = self.logistic(r)
+        return -(a + 2 * self.lambda_ * a * (1 - a) * r)
+
+    def curvature(self, r: mpf) -> mpf:
+        a = self.logistic(r)
+        slope = 2 * self.lambda_ * a * (1 - a)
+        return -2 * slope * (1 + self.lambda_ * (1 - 2 * a) * r)
+
+    def regular(self, r: mpf) -> mpf:
+        """-k / g(r) - 1 / (r - r*), the part of d ln|psi| / dr without the pole."""
+        return -self.k / self.g(r) - 1 / (r - self.r_star)
+
+    def integral(self, low: mpf, high: mpf) -> mpf:
+        half, middle = (high - low) / 2, (high + low) / 2
+        return half * sum(w * self.regular(middle + half * t) for t, w in self.rule)
+
+    def integrals(self, edges: list[mpf]) -> list[mpf]:
+        """Integral of the regular part from r* to every edge."""
+        below = max(j for j, r in enumerate(edges) if r < self.r_star)
+        values = [mpf(0)] * len(edges)
+        values[below] = -self.integral(edges[below], self.r_star)
+        for j in range(below, len(edges) - 1):
+            values[j + 1] = values[j] + self.integral(edges[j], edges[j + 1])
+        for j in range(below, 0, -1):
+            values[j - 1] = values[j] - self.integral(edges[j - 1], edges[j])
+        return values
+
+    def root(self, target: mpf, r: mpf, edge: mpf, integral: mpf) -> mpf:
+        """Solve psi(r) = target by Newton's method from r; `integral` is that from r* to `edge`."""
+        for _ in range(12):  # the caller's guess is good: mostly one step
+            value = self.psi(r, integral + self.integral(edge, r))
+            # psi' = -k psi / g, which tends to -1 at the fixed point
+            slope = -self.k * value / self.g(r) if abs(r - self.r_star) > mpf(10) ** (-_DIGITS // 2) else mpf(-1)
+            step = (target - value) / slope
+            r += step
+            if abs(step) < mpf(10) ** (-_DIGITS // 2 + 2):
+                break
+        return r
+
+    def psi(self, r: mpf, integral: mpf) -> mpf:
+        return (self.r_star - r) * mp.exp(integral)
+
+
+@lru_cache(maxsize=2)
+def _gauss_legendre(n: int) -> tuple[tuple[mpf, mpf], ...]:
+    rule = []
+    for i in range(n):
+        x = mp.cos(mp.pi * (i + mpf(3) / 4) / (n + mpf(1) / 2))
+        for _ in range(20):
+            p0, p1 = mpf(1), x
+            for m in range(2, n + 1):
+                p0, p1 = p1, ((2 * m - 1) * x * p1 - (m - 1) * p0) / m
+            derivative = n * (x * p1 - p0) / (x * x - 1)
+            step = p1 / derivative
+            x -= step
+            if abs(step) < mpf(10) ** (2 - _DIGITS):
+                break
+        rule.append((x, 2 / ((1 - x * x) * derivative**2)))
+    return tuple(rule)
+
+
+def _interpolation(nodes: list[mpf]) -> list[list[mpf]]:
+    """Matrix from values at Chebyshev nodes to monomial coefficients on [-1, 1]."""
+    n = len(nodes)
+    chebyshev = [[mpf(1)], [mpf(0), mpf(1)]]
+    for _ in range(2, n):
+        twice = [mpf(0), *(2 * c for c in chebyshev[-1])]
+        previous = [*chebyshev[-2], *[mpf(0)] * (len(twice) - len(chebyshev[-2]))]
+        chebyshev.append([a - b for a, b in zip(twice, previous, strict=True)])
+    matrix = [[mpf(0)] * n for _ in range(n)]
+    for m in range(n):
+        scale = mpf(1 if m == 0 else 2) / n
+        for i, x in enumerate(nodes):
+            weight = scale * mp.cos(m * mp.acos(x))
+            for power, c in enumerate(chebyshev[m]):
+                matrix[power][i] += weight * c
+    return matrix
+
+
+def _times(matrix: list[list[mpf]], values: list[mpf]) -> list[mpf]:
+    return [sum((a * v for a, v in zip(row, values, strict=True)), mpf(0)) for row in matrix]
+
+
+def _polynomial_root(coefficients: list[mpf], target: mpf, t: mpf, low: mpf, half: mpf) -> mpf:
+    """Solve p(t) = target by Newton's method and return r = low + half (t + 1); as good as p is."""
+    for _ in range(20):
+        value, slope = coefficients[-1], mpf(0)
+        for c in coefficients[-2::-1]:
+            slope = slope * t + value
+            value = value * t + c
+        step = (target - value) / slope
+        t += step
+        if abs(step) < mpf(10) ** (-_DIGITS // 2 + 2):
+            break
+    return low + half * (t + 1)

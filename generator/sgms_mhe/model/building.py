@@ -1,0 +1,300 @@
+"""Machine file to symbolic model: the three functions of DESIGN section 1 and what the estimator assumes of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.axis import SIGNAL_NAMES, StateSpec, SymbolicAxis
+from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.model.friction import FrictionSymbols, Smoothing, add_friction, declare_elements
+from sgms_mhe.support.errors import InputError
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A parameter that the estimator estimates: p = nominal + scale (theta - 1).
+
+    Attributes:
+        name: machine-file name of the group (`stiffness`, `force_ripple.amplitude_N`).
+        column: name in results (`stiffness_1`, `coulomb`, `force_ripple.amplitude_N`).
+        nominal: value of the machine file [unit].
+        scale: what theta - 1 = 1 means [unit].
+        lower: bound on theta, -inf if none.
+        upper: bound on theta, inf if none.
+    """
+
+    name: str
+    column: str
+    nominal: float
+    scale: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class Model:
+    """Symbolic model of one machine; w = (position, velocity, acceleration, force, time).
+
+    Attributes:
+        rhs: d(chi)/dt (n_x).
+        to_node: node state x (n_x) of (chi, theta).
+        from_node: chi (n_x) of (x, theta).
+        output: friction force [N] of (chi, w, theta).
+        feed_forward: what the drive has to give beyond mass * acceleration [N], of (chi, w, theta): `output` without
+            what makes the log late, and with states that acceleration or drive force move at rest where these hold.
+        deflection: z [m] (n_z) of (chi, theta).
+        level: s(v) / f_C times the effects' factors, of (w, theta), and of chi where an effect's state sets it.
+        rho: d(chi_i)/dt of an element that sticks over the measured velocity [1/m] (n_z), of (w, theta):
+            kappa_i / (nu_i f_C), times real over measured velocity where an effect tells them apart.
+        names: per state, names of intermediate values of its rate.
+    """
+
+    machine: Machine
+    states: tuple[StateSpec, ...]
+    parameters: tuple[FreeParameter, ...]
+    chi: ca.SX
+    x: ca.SX
+    theta: ca.SX
+    w: ca.SX
+    rhs: ca.SX
+    to_node: ca.SX
+    from_node: ca.SX
+    output: ca.SX
+    feed_forward: ca.SX
+    deflection: ca.SX
+    level: ca.SX
+    rho: ca.SX
+    names: tuple[dict[str, ca.SX], ...]
+
+    @property
+    def n_x(self) -> int:
+        """Number of states."""
+        return len(self.states)
+
+    @property
+    def n_z(self) -> int:
+        """Number of Maxwell-slip elements; they are the first states."""
+        return sum(state.element is not None for state in self.states)
+
+    @property
+    def n_p(self) -> int:
+        """Number of estimated parameters."""
+        return len(self.parameters)
+
+    @property
+    def state_noise(self) -> NDArray[np.float64]:
+        """Standard deviation of the state noise per update (n_x), node state units."""
+        return np.array([state.noise for state in self.states])
+
+    @property
+    def initial_state(self) -> NDArray[np.float64]:
+        """Standard deviation of the first node's state (n_x)."""
+        return np.array([state.initial_state for state in self.states])
+
+    @property
+    def output_is_affine(self) -> bool:
+        """Whether the output is affine in (node state, theta) jointly, whatever the signals are.
+
+        Its Jacobian is then the same at any two points, up to rounding. It is compared at random ones of all sizes:
+        what cancels on paper (the Coulomb level of a node state that is a force) still stands in the expression.
+        """
+        variables = ca.vertcat(self.x, self.theta)
+        output = ca.substitute(self.output, self.chi, self.from_node)
+        function = ca.Function("slopes", [variables, self.w], [ca.densify(ca.jacobian(output, variables))])
+        rng = np.random.default_rng(3)
+
+        def signed(count: int, low: float, high: float) -> NDArray[np.float64]:
+            return np.asarray(rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(low, high, count))
+
+        def slopes(w: NDArray[np.float64]) -> NDArray[np.float64]:
+            theta = [rng.uniform(max(p.lower, 0.9), min(p.upper, 1.1)) for p in self.parameters]
+            return np.array(function(np.concatenate([signed(self.n_x, -2.0, 1.0), theta]), w))
+
+        for _ in range(100):
+            w = signed(len(SIGNAL_NAMES), -6.0, 2.0)
+            here, there = slopes(w), slopes(w)
+            if not np.max(np.abs(there - here)) <= 1e-11 * np.max(np.abs(here)):
+                return False
+        return True
+
+    def to_si(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Parameters in SI units from scaled ones, shape (..., n_p)."""
+        nominal = np.array([p.nominal for p in self.parameters])
+        scale = np.array([p.scale for p in self.parameters])
+        return np.asarray(nominal + scale * (theta - 1.0))
+
+    def function(self, name: str) -> ca.Function:
+        """CasADi function of `rhs`, `to_node`, `from_node`, `output`, `deflection`, `level` or `rho`, by that name."""
+        arguments = {
+            "rhs": [self.chi, self.w, self.theta],
+            "to_node": [self.chi, self.theta],
+            "from_node": [self.x, self.theta],
+            "output": [self.chi, self.w, self.theta],
+            "deflection": [self.chi, self.theta],
+            "level": [self.chi, self.w, self.theta],
+            "rho": [self.w, self.theta],
+        }[name]
+        return ca.Function(name, arguments, [getattr(self, name)])
+
+
+class _Parameters:
+    """Hands out parameters by name: a free symbol's expression, or the machine file's number."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self._wanted = machine.estimator.parameters
+        self.free: list[FreeParameter] = []
+        self.symbols: list[ca.SX] = []
+
+    def take(self, name: str, column: str, nominal: float, scale: float, lower: float, upper: float) -> ca.SX:
+        """Return the expression for one parameter; `lower` and `upper` are absolute, used where no bound is given."""
+        if name not in self._wanted:
+            return ca.SX(nominal)
+        bounds = self._machine.estimator.bounds.get(name)
+        if bounds is not None:
+            if nominal == 0.0:
+                raise InputError(
+                    self._machine.source,
+                    f"estimator.bounds.{name}",
+                    list(bounds),
+                    "no bounds: they multiply a nominal of 0",
+                )
+            # Multiples of nominal; with scale = nominal they are theta itself.
+            low, high = sorted((nominal * bounds[0], nominal * bounds[1]))
+            lower, upper = max(lower, low), min(upper, high)
+        # With scale = nominal theta is p / nominal, and 0.2 times nominal is 0.2 to the last digit.
+        offset = 0.0 if scale == nominal else scale - nominal
+        edges = sorted(((lower + offset) / scale, (upper + offset) / scale))
+        theta = ca.SX.sym(f"theta_{column}")
+        self.free.append(FreeParameter(name, column, nominal, scale, edges[0], edges[1]))
+        self.symbols.append(theta)
+        return nominal + scale * (theta - 1.0) if scale != nominal else nominal * theta
+
+    def base(self, name: str, nominal: float) -> ca.SX:
+        return self.take(name, name, nominal, nominal, -np.inf, np.inf)
+
+    def array(self, name: str, nominal: tuple[float, ...]) -> list[ca.SX]:
+        return [self.take(name, f"{name}_{i + 1}", p, p, -np.inf, np.inf) for i, p in enumerate(nominal)]
+
+
+def build_model(machine: Machine) -> Model:
+    """Assemble the symbolic model of a machine: the S-GMS law and every effect of its machine file."""
+    friction, noise = machine.friction, machine.estimator.noise
+    parameters = _Parameters(machine)
+    integrator, sampling = machine.sampling.integrator, machine.sampling
+    axis = SymbolicAxis(
+        machine.plant.mass,
+        friction.coulomb,
+        step=sampling.step,
+        # Lines through merged samples have them in the middle of their times: half a sample ahead, as held ones are.
+        hold=0.0 if integrator.velocity == "linear" else sampling.step,
+        gate_per_velocity=friction.smoothing.gamma / friction.stribeck_velocity,
+    )
+    symbols = FrictionSymbols(
+        stiffness=parameters.array("stiffness", friction.stiffness),
+        micro_viscous=[ca.SX(s) for s in friction.micro_viscous],
+        coulomb=parameters.base("coulomb", friction.coulomb),
+        viscous=parameters.base("viscous", friction.viscous),
+        stribeck_ratio=parameters.base("stribeck_ratio", friction.stribeck_ratio),
+        stribeck_velocity=parameters.base("stribeck_velocity", friction.stribeck_velocity),
+    )
+    effects = []
+    for entry in machine.effects:
+        definition = effect_definition(entry.name)
+        nominal = {p.name: entry.parameters.get(p.name, p.default) for p in definition.parameters}
+        expressions = {
+            p.name: parameters.take(
+                f"{entry.label}.{p.name}",
+                f"{entry.label}.{p.name}",
+                nominal[p.name],
+                p.estimation_scale(machine, nominal[p.name]),
+                p.lower,
+                p.upper,
+            )
+            for p in definition.parameters
+        }
+        effects.append((definition, entry.label, nominal, expressions))
+
+    def contribute(stage: str) -> None:
+        for definition, label, nominal, expressions in effects:
+            if definition.stage == stage:
+                axis.scope = label
+                definition.contribute(axis, expressions, nominal)
+
+    def prompt_drive() -> ca.SX:
+        """The drive's force after the stages from "log" on, effects with states left out: these make the log late."""
+        logged = axis.drive
+        for definition, _, nominal, expressions in effects:
+            if definition.stage in ("log", "actuator") and not definition.states:
+                definition.contribute(axis, expressions, nominal)
+        prompt, axis.drive = axis.drive, logged
+        return prompt
+
+    contribute("signal")
+    declare_elements(
+        axis,
+        friction.fraction,
+        friction.stiffness,
+        symbols,
+        state_as=noise.state_as,
+        state_noise=noise.state,
+        initial_state=noise.initial_state,
+    )
+    contribute("level")
+    smoothing = Smoothing(friction.smoothing.zeta, friction.smoothing.lambda_, friction.smoothing.gamma)
+    elements = add_friction(axis, friction.fraction, symbols, smoothing)
+    for stage in ("force", "motor"):
+        contribute(stage)
+    prompt = prompt_drive()
+    for stage in ("log", "actuator"):
+        contribute(stage)
+    rates = [state.rate for state in axis.states if state.rate is not None]
+    if len(rates) != len(axis.states):
+        raise ValueError("an effect declared a state and gave it no rate")
+    chi, rhs = ca.vertcat(*(state.chi for state in axis.states)), ca.vertcat(*rates)
+    return Model(
+        machine=machine,
+        states=tuple(state.spec for state in axis.states),
+        parameters=tuple(parameters.free),
+        chi=chi,
+        x=ca.vertcat(*(state.node for state in axis.states)),
+        theta=ca.vertcat(*parameters.symbols),
+        w=axis.measured,
+        rhs=rhs,
+        to_node=ca.vertcat(*(state.to_node for state in axis.states)),
+        from_node=ca.vertcat(*(state.from_node for state in axis.states)),
+        output=axis.output,
+        feed_forward=_at_rest(prompt - axis.mass * axis.measured[2], rhs, chi, axis.measured),
+        deflection=elements.deflection,
+        level=elements.level,
+        rho=elements.rho,
+        names=tuple(state.names for state in axis.states),
+    )
+
+
+def _at_rest(force: ca.SX, rhs: ca.SX, chi: ca.SX, w: ca.SX) -> ca.SX:
+    """A force with the states that acceleration or drive force move where they come to rest while these hold.
+
+    A force that answers the drive's own force is no friction: fed forward it would feed back. Such states obey linear
+    equations; with them go the states that they read, J chi + c = 0 for all.
+    """
+    driven = {i for i in range(chi.numel()) if ca.depends_on(rhs[i], w[2:4])}
+    while more := [j for j in range(chi.numel()) if j not in driven and _reads(rhs, driven, chi[j])]:
+        driven |= set(more)
+    if not any(ca.depends_on(force, chi[i]) for i in driven):
+        return force
+    order = sorted(driven)
+    moved = ca.vertcat(*(chi[i] for i in order))
+    rate = ca.vertcat(*(rhs[i] for i in order))
+    slope = ca.jacobian(rate, moved)
+    rest = -ca.solve(slope, ca.substitute(rate, moved, ca.SX.zeros(len(order))))
+    return ca.substitute(force, moved, rest)
+
+
+def _reads(rhs: ca.SX, states: set[int], symbol: ca.SX) -> bool:
+    return any(ca.depends_on(rhs[i], symbol) for i in states)

@@ -1,0 +1,292 @@
+"""Signal chain: from position and force to velocity, acceleration and measured friction (DESIGN section 2).
+
+Every signal leaves the chain with the delay of the acceleration, two low-passes and one sample, so that friction =
+force - mass * acceleration carries no transient that is not friction.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from sgms_mhe.signals.logs import Log, check_rate
+
+if TYPE_CHECKING:
+    from sgms_mhe.machine import Machine
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SETTLE_TOLERANCE = 0.01
+"""The chain has settled when the step response of both low-passes stays within this fraction."""
+
+
+FARTHEST_m = 4e6
+LARGEST_SIGNAL = 1e9
+"""A position, or any other channel [N, m/s, m/s^2], at or beyond these is no reading: it counts as missing."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What the observer sees, one entry per sample; all arrays (n,), all numbers finite.
+
+    time of the sample [s], position [m], velocity [m/s], acceleration [m/s^2], force [N], friction [N]; `valid`:
+    friction may be used as a measurement; `missing`: a recorded channel had no finite value. `late`: how far they are
+    behind the sample [s]; what they tell of was at time - late.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    force: Array
+    friction: Array
+    valid: Mask
+    missing: Mask
+    late: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def part(self, which: slice | NDArray[np.int64]) -> Signals:
+        """Some of the samples, as late as all of them."""
+        parts: dict[str, Any] = {name: a[which] for name, a in vars(self).items() if isinstance(a, np.ndarray)}
+        return replace(self, **parts)
+
+
+def signal_array(signals: Signals, h: float, first: int = 0) -> Array:
+    """Signals w = (position, velocity, acceleration, force, time) of every sample (n, 5).
+
+    Time counts from a log's sample 0, the first one here being its sample `first`, and is that of what the signals tell
+    of.
+    """
+    time = np.arange(first, first + len(signals)) * h - signals.late
+    return np.column_stack([signals.position, signals.velocity, signals.acceleration, signals.force, time])
+
+
+def signals_from_log(log: Log, machine: Machine) -> Signals:
+    """Send a log through the chain, or past it where the log brings velocity and friction of its own."""
+    sampling = machine.sampling
+    check_rate(log, machine)
+    rate, settle = sampling.rate, settle_samples(machine)
+    log = _readings(log)
+    missing = _missing(log)
+    force = _hold(log.force_N)
+    position, delayed_position, difference = _continue(log.position_m, settle)
+
+    if log.velocity_m_s is not None and log.friction_N is not None:
+        velocity = _hold(log.velocity_m_s, before=0.0)
+        if log.acceleration_m_s2 is None:
+            acceleration = (velocity - _delay(velocity, float(velocity[0]))) * rate
+        else:
+            acceleration = _hold(log.acceleration_m_s2, before=0.0)
+        friction = _hold(log.friction_N, before=0.0)
+        return Signals(log.time_s, position, velocity, acceleration, force, friction, ~missing, missing)
+
+    coefficients = lowpass_coefficients(machine)
+
+    def lowpass(signal: Array) -> Array:
+        return _lowpass(coefficients, signal)
+
+    def at_rest(delayed: Array) -> Array:
+        # Both filters are linear: about the first value they start at zero, which is at rest to the last bit.
+        return float(delayed[0]) + lowpass(lowpass(delayed - delayed[0]))
+
+    raw_velocity = difference * rate if log.velocity_m_s is None else _hold(log.velocity_m_s, before=0.0)
+    once = lowpass(raw_velocity)
+    velocity = lowpass(_delay(once, 0.0))
+    if log.acceleration_m_s2 is None:
+        acceleration = lowpass((once - _delay(once, 0.0)) * rate)
+    else:
+        acceleration = lowpass(lowpass(_delay(_hold(log.acceleration_m_s2, before=0.0), 0.0)))
+    position, force = at_rest(delayed_position), at_rest(_delay(force, float(force[0])))
+    if log.friction_N is None:
+        friction = force - machine.plant.mass * acceleration
+    else:
+        held = _hold(log.friction_N)
+        friction = at_rest(_delay(held, float(held[0])))
+    valid = _samples_since(missing) > settle
+    valid[:settle] = False
+    late = chain_delay(machine)
+    return Signals(log.time_s, position, velocity, acceleration, force, friction, valid, missing, late)
+
+
+def signals_of_record(log: Log, machine: Machine) -> Signals:
+    """Send a whole record through the chain, its gaps bridged from both sides.
+
+    A controller meets a gap without knowing what comes after it, and the step back to the measurement leaves a
+    transient as large as what it missed. A record is known to its end: position goes through a gap with the speeds on
+    both sides of it, everything else in a line. Friction stays invalid in a gap, and behind the filters twice as long
+    after it as they settle.
+    """
+    log = _readings(log)
+    missing = _missing(log)
+    if not missing.any() or missing.all():
+        return signals_from_log(log, machine)
+    bypassed = log.velocity_m_s is not None and log.friction_N is not None
+    signals = signals_from_log(_bridged(log), machine)
+    after = 0 if bypassed else 2 * settle_samples(machine)
+    return replace(signals, valid=signals.valid & (_samples_since(missing) > after), missing=missing)
+
+
+def lowpass_coefficients(machine: Machine) -> tuple[float, float, float, float, float]:
+    """(b0, b1, b2, a1, a2) of the low-pass: y[k] = b0 u[k] + b1 u[k-1] + b2 u[k-2] - a1 y[k-1] - a2 y[k-2].
+
+    Second-order Butterworth by the bilinear transform, prewarped to `velocity_cutoff`.
+    """
+    return _coefficients(machine.sampling.velocity_cutoff / machine.sampling.rate)
+
+
+def chain_delay(machine: Machine) -> float:
+    """How late a slow signal leaves the chain [s]: the mean of its impulse response, two low-passes and one sample.
+
+    A Butterworth's impulse response has no variance, |H|^2 being flat: parabolas are late by this too, not only lines.
+    """
+    b0, b1, b2, a1, a2 = lowpass_coefficients(machine)
+    # Means add under multiplication of polynomials in 1/z and are subtracted under division.
+    mean = (b1 + 2.0 * b2) / (b0 + b1 + b2) - (a1 + 2.0 * a2) / (1.0 + a1 + a2)
+    return (1.0 + 2.0 * mean) * machine.sampling.step
+
+
+def settle_samples(machine: Machine) -> int:
+    """Samples until the step response of two low-passes in series stays within 1 % of its final value."""
+    return _settle(machine.sampling.velocity_cutoff / machine.sampling.rate)
+
+
+def _readings(log: Log) -> Log:
+    """The log with NaN for whatever is no reading."""
+    limits = {"position_m": FARTHEST_m}
+    limits |= dict.fromkeys(("force_N", "velocity_m_s", "acceleration_m_s2", "friction_N"), LARGEST_SIGNAL)
+    spoilt: dict[str, Any] = {}
+    for name, limit in limits.items():
+        channel = getattr(log, name)
+        if channel is not None and np.any(np.abs(channel) >= limit):
+            spoilt[name] = np.where(np.abs(channel) < limit, channel, np.nan)
+    return replace(log, **spoilt) if spoilt else log
+
+
+def _missing(log: Log) -> Mask:
+    """Samples at which a channel has no reading."""
+    given = (log.position_m, log.force_N, log.velocity_m_s, log.acceleration_m_s2, log.friction_N)
+    finite: Mask = np.logical_and.reduce([np.isfinite(channel) for channel in given if channel is not None])
+    return ~finite
+
+
+def _bridged(log: Log) -> Log:
+    """The log with every gap between two readings filled."""
+    filled: dict[str, Any] = {}
+    for name in ("position_m", "force_N", "velocity_m_s", "acceleration_m_s2", "friction_N"):
+        channel = getattr(log, name)
+        if channel is None:
+            continue
+        good = np.flatnonzero(np.isfinite(channel))
+        absent = np.flatnonzero(~np.isfinite(channel))
+        if len(good):
+            absent = absent[(absent > good[0]) & (absent < good[-1])]
+        if not len(good) or not len(absent):
+            continue
+        bridged, readings = channel.copy(), channel[good]
+        bridged[absent] = _cubic(absent, good, readings) if name == "position_m" else np.interp(absent, good, readings)
+        filled[name] = bridged
+    return replace(log, **filled)
+
+
+def _cubic(at: NDArray[np.int64], good: NDArray[np.int64], values: Array) -> Array:
+    """Values between readings that keep the speeds on both sides, each over the two readings next to the gap."""
+    left = np.searchsorted(good, at) - 1
+    right = left + 1
+    width = (good[right] - good[left]).astype(np.float64)
+
+    def slope(first: NDArray[np.int64]) -> Array:
+        first = np.clip(first, 0, len(good) - 2)
+        return np.asarray((values[first + 1] - values[first]) / (good[first + 1] - good[first]))
+
+    start, end = slope(left - 1) * width, slope(right) * width
+    rise, t = values[right] - values[left], (at - good[left]) / width
+    second, third = 3.0 * rise - 2.0 * start - end, start + end - 2.0 * rise
+    return np.asarray(values[left] + t * (start + t * (second + t * third)))
+
+
+def _coefficients(cutoff: float) -> tuple[float, float, float, float, float]:
+    warped = math.tan(math.pi * cutoff)
+    scale = 1.0 / (1.0 + math.sqrt(2.0) * warped + warped * warped)
+    b0 = warped * warped * scale
+    a1 = 2.0 * (warped * warped - 1.0) * scale
+    a2 = (1.0 - math.sqrt(2.0) * warped + warped * warped) * scale
+    return b0, 2.0 * b0, b0, a1, a2
+
+
+@lru_cache(maxsize=64)
+def _settle(cutoff: float) -> int:
+    coefficients = _coefficients(cutoff)
+    # sqrt(a2) is the poles' radius: after this many samples the response has decayed far below the tolerance.
+    length = 64 + math.ceil(math.log(1e-6) / (0.5 * math.log(coefficients[4])))
+    step = _lowpass(coefficients, _lowpass(coefficients, np.ones(length)))
+    outside = np.flatnonzero(np.abs(step - 1.0) > SETTLE_TOLERANCE)
+    return int(outside[-1]) + 1 if len(outside) else 0  # none outside: a cutoff close to rate / 2
+
+
+def _lowpass(coefficients: tuple[float, float, float, float, float], signal: Array) -> Array:
+    b0, b1, b2, a1, a2 = coefficients
+    filtered: Array = lfilter([b0, b1, b2], [1.0, a1, a2], signal)
+    return filtered
+
+
+def _delay(signal: Array, first: float) -> Array:
+    """One sample later, `first` standing before the first sample."""
+    return np.concatenate(([first], signal[:-1]))
+
+
+def _samples_since(mask: Mask) -> NDArray[np.int64]:
+    """Samples since the last true entry of mask: 0 at a true entry, the largest integer before the first one."""
+    index = np.arange(len(mask))
+    last = np.maximum.accumulate(np.where(mask, index, -1))
+    return np.where(last < 0, np.iinfo(np.int64).max, index - last)
+
+
+def _hold(signal: Array, before: float | None = None) -> Array:
+    """Hold the last finite value over missing samples; `before` the first one, or that one itself."""
+    good = np.isfinite(signal)
+    if good.all():
+        return signal
+    if not good.any():
+        return np.full_like(signal, 0.0 if before is None else before)
+    last = np.maximum.accumulate(np.where(good, np.arange(len(signal)), -1))
+    start = signal[np.argmax(good)] if before is None else before
+    return np.where(last >= 0, signal[last], start)
+
+
+def _continue(position: Array, settle: int) -> tuple[Array, Array, Array]:
+    """Position with its missing samples continued by the last raw difference.
+
+    Returns the position at k, the position one sample earlier as the chain sees it at k, and their difference [m]. They
+    are stated apart because after a gap of more than `settle` samples the earlier position is replaced by the new one:
+    the difference restarts at zero and what was travelled unseen does not appear as a velocity.
+    """
+    good = np.isfinite(position)
+    filled = np.where(good, position, np.nan)  # not inf: its differences would warn
+    if not good.any():
+        filled[:] = 0.0
+    elif not good.all():
+        first = int(np.argmax(good))
+        filled[:first] = position[first]
+    earlier = _delay(filled, filled[0])
+    difference = filled - earlier
+    if not good.all() and good.any():
+        edges = np.flatnonzero(np.diff(good[first:].astype(np.int8)))
+        starts, ends = edges[::2] + 1 + first, edges[1::2] + 1 + first
+        for start, end in zip(starts, [*ends, len(position)], strict=False):
+            difference[start:end] = difference[start - 1]
+            # accumulate adds in order, as a controller does sample by sample
+            filled[start:end] = np.add.accumulate(np.r_[filled[start - 1], difference[start:end]])[1:]
+            earlier[start + 1 : end] = filled[start : end - 1]
+            if end < len(position):
+                earlier[end] = filled[end - 1] if end - start <= settle else filled[end]
+                difference[end] = filled[end] - earlier[end]
+    return filled, earlier, difference

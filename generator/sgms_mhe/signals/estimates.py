@@ -1,0 +1,84 @@
+"""Estimates: what an observer, of whatever kind, says at every update; and their file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.signals.logs import read_columns, write_columns
+from sgms_mhe.support.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """One row per update; u updates, n_z elements, n_p estimated parameters, all in SI units.
+
+    time_s, friction_measured_N, friction_N (u,); z_m (u, n_z); parameters, std (u, n_p); status (u,) int;
+    parameter_names (n_p) as in the file's header (`stiffness_1`, ..., `coulomb`). `extra` holds what a solver wants to
+    hand on besides (arrays by name); it is not written.
+    """
+
+    time_s: Array
+    friction_measured_N: Array
+    friction_N: Array
+    z_m: Array
+    parameters: Array
+    std: Array
+    status: NDArray[np.int64]
+    parameter_names: tuple[str, ...]
+    extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+def write_estimates(path: str | Path, estimates: Estimates) -> None:
+    """Write the estimates' CSV atomically: time, friction, deflections, parameters, their std, status."""
+    names = estimates.parameter_names
+    columns: dict[str, NDArray[Any]] = {
+        "time_s": estimates.time_s,
+        "friction_measured_N": estimates.friction_measured_N,
+        "friction_N": estimates.friction_N,
+    }
+    columns |= {f"z_{i + 1}_m": z for i, z in enumerate(estimates.z_m.T)}
+    columns |= dict(zip(names, estimates.parameters.T, strict=True))
+    columns |= {f"std_{name}": std for name, std in zip(names, estimates.std.T, strict=True)}
+    columns["status"] = estimates.status.astype(np.int64)
+    write_columns(path, columns)
+
+
+def read_estimates(path: str | Path) -> Estimates:
+    """Read an estimates' CSV."""
+    columns = read_columns(path)
+    for name in ("time_s", "friction_measured_N", "friction_N", "z_1_m", "status"):
+        if name not in columns:
+            raise InputError(path, f"column {name}", None, "missing: an estimates file has it")
+    n_z = 1
+    while f"z_{n_z + 1}_m" in columns:
+        n_z += 1
+    names = tuple(name.removeprefix("std_") for name in columns if name.startswith("std_"))
+    for name in names:
+        if name not in columns:
+            raise InputError(path, f"column {name}", None, f"missing: std_{name} is there")
+    length = len(columns["time_s"])
+
+    def matrix(selected: list[str]) -> Array:
+        return np.column_stack([columns[name] for name in selected]) if selected else np.empty((length, 0))
+
+    return Estimates(
+        time_s=columns["time_s"],
+        friction_measured_N=columns["friction_measured_N"],
+        friction_N=columns["friction_N"],
+        z_m=matrix([f"z_{i + 1}_m" for i in range(n_z)]),
+        parameters=matrix(list(names)),
+        std=matrix([f"std_{name}" for name in names]),
+        status=columns["status"].astype(np.int64),
+        parameter_names=names,
+    )

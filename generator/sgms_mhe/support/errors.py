@@ -1,0 +1,32 @@
+"""Errors a user can act on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+LONGEST_VALUE: Final = 200
+"""Characters of a wrong value, or of a wrong key, that a message repeats."""
+
+
+class InputError(Exception):
+    """Bad input: names the file, the key or row, the value found and what is allowed.
+
+    The command line prints the message and exits with code 2.
+    """
+
+    def __init__(self, source: str | Path, where: str, value: object, allowed: str) -> None:
+        self.source = str(source)
+        self.where = where
+        self.value = value
+        self.allowed = allowed
+        shown = "" if value is None else f" = {_shortened(repr(value))}"
+        super().__init__(f"{self.source}: {_shortened(where)}{shown}: {allowed}")
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
+
+
+class BuildError(Exception):
+    """The C compiler refused an emitted package; the message carries its output."""

@@ -1,0 +1,168 @@
+"""C sources to a shared library that ctypes loads, compiled once and kept in the user's cache."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import shlex
+import subprocess
+import tempfile
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from pathlib import Path
+
+from sgms_mhe.support import cache
+from sgms_mhe.support.errors import BuildError
+
+# Neither -march=native nor relaxed arithmetic: results must not depend on the machine that compiles. A multiply and an
+# add stay two roundings for the same reason.
+DEFAULT_FLAGS = ("-std=c99", "-O3", "-ffp-contract=off")
+WARNING_FLAGS = (
+    "-pedantic",
+    "-Wall",
+    "-Wextra",
+    "-Wconversion",
+    "-Wdouble-promotion",
+    "-Wshadow",
+    "-Wmissing-prototypes",
+    "-Werror",
+)
+
+
+def compiler() -> tuple[str, ...]:
+    """The C compiler's command: $CC with its arguments, or gcc.
+
+    Raises:
+        BuildError: $CC is no command line.
+    """
+    stated = os.environ.get("CC", "")
+    try:
+        return tuple(shlex.split(stated)) or ("gcc",)
+    except ValueError as error:
+        raise BuildError(f"CC = {stated!r}: {str(error).lower()}; CC names the C compiler to use") from None
+
+
+def load_library(path: Path) -> ctypes.CDLL:
+    """Load a shared library.
+
+    Raises:
+        BuildError: it is none for this host.
+    """
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        remedy = "CC and the flags must make code for this host"
+        raise BuildError(f"{shlex.join(compiler())}: what it made cannot be loaded ({error}); {remedy}") from None
+
+
+def shared_library(
+    sources: Sequence[Path],
+    include_dirs: Sequence[Path] = (),
+    flags: Sequence[str] = DEFAULT_FLAGS,
+    cache_key: str = "",
+    libraries: Sequence[str] = (),
+) -> Path:
+    """Compile C sources to a shared library and return its path.
+
+    The library is kept under a name that is a digest of everything it is made of: contents of the sources and of the
+    headers beside them and in `include_dirs`, flags, compiler and its version, `cache_key`; see
+    `sgms_mhe.support.cache`.
+
+    Args:
+        sources: C files.
+        include_dirs: folders of headers.
+        flags: compiler flags, `-fPIC -shared` excluded.
+        cache_key: anything else the result depends on.
+        libraries: system libraries to link, as `m`.
+
+    Raises:
+        BuildError: no compiler, or it refused; the message carries its output.
+    """
+    return _cached(sources, include_dirs, (*flags, "-fPIC", "-shared"), cache_key, libraries, suffix=".so")
+
+
+def program(
+    sources: Sequence[Path],
+    include_dirs: Sequence[Path] = (),
+    flags: Sequence[str] = DEFAULT_FLAGS,
+    cache_key: str = "",
+    libraries: Sequence[str] = (),
+) -> Path:
+    """Compile C sources to a program and return its path; arguments, cache and errors as for `shared_library`."""
+    return _cached(sources, include_dirs, tuple(flags), cache_key, libraries, suffix="")
+
+
+def _cached(
+    sources: Sequence[Path],
+    include_dirs: Sequence[Path],
+    flags: tuple[str, ...],
+    cache_key: str,
+    libraries: Sequence[str],
+    *,
+    suffix: str,
+) -> Path:
+    command = compiler()
+    digest = _digest(sources, include_dirs, (*command, _version(command), *flags, *libraries, cache_key))
+    stem = sources[0].stem
+    kept = cache.find(stem, digest, suffix)
+    if kept is not None:
+        return kept
+    with tempfile.TemporaryDirectory() as folder:
+        built = Path(folder) / f"{stem}{suffix}"
+        arguments = [
+            *flags,
+            *(f"-I{folder}" for folder in include_dirs),
+            *(str(source) for source in sources),
+            "-o",
+            str(built),
+            *(f"-l{library}" for library in libraries),
+        ]
+        tool_output([*command, *arguments])
+        try:
+            content = built.read_bytes()
+        except OSError as error:
+            raise BuildError(
+                f"{shlex.join([*command, *arguments])}\nmade no file ({error.strerror}); CC names the C compiler to use"
+            ) from None
+    return cache.keep(stem, digest, suffix, content)
+
+
+def tool_output(command: Sequence[str], remedy: str = "CC names the C compiler to use") -> str:
+    """What a compiler or one of its tools prints on stdout.
+
+    Raises:
+        BuildError: it is not there, which `remedy` mends, or it refused; the message carries its output.
+    """
+    try:
+        # A tool that waits for input, or prints what is no text, is still a tool that refused.
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", check=False
+        )
+    except OSError as error:
+        raise BuildError(f"{command[0]}: {error.strerror}; {remedy}") from None
+    if done.returncode != 0:
+        raise BuildError(f"{shlex.join(command)}\nexit code {done.returncode}\n{done.stderr}{done.stdout}")
+    return done.stdout
+
+
+@lru_cache
+def _version(command: tuple[str, ...]) -> str:
+    return tool_output([*command, "--version"])
+
+
+def _digest(sources: Sequence[Path], include_dirs: Sequence[Path], rest: Iterable[str]) -> str:
+    folders = dict.fromkeys([*(source.parent for source in sources), *include_dirs])
+    headers = [header for folder in folders for header in sorted(folder.glob("*.h"))]
+    digest = hashlib.sha256()
+    for path in [*sources, *headers]:
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise BuildError(f"{path}: {error.strerror}") from None
+        # Names count, places do not: a checkout that moved finds what it built.
+        digest.update(f"{path.name}\0{len(content)}\0".encode())
+        digest.update(content)
+    for word in rest:
+        digest.update(f"{word}\0".encode())
+    return digest.hexdigest()
