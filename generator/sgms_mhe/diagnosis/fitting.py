@@ -19,13 +19,13 @@ from scipy.optimize import lsq_linear
 
 from sgms_mhe.diagnosis.evidence import nuisance
 from sgms_mhe.diagnosis.residuals import Recording
-from sgms_mhe.emission.package import RUNTIME_HEADERS, Package, digest_of_sources, emit_package
+from sgms_mhe.emission.package import Package, emit_package
+from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine, override_machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.support import cache
-from sgms_mhe.support.paths import runtime_dir
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -640,18 +640,12 @@ class _Key:
         object.__setattr__(self, "digest", self.machine.digest)
 
 
-@lru_cache(maxsize=1)
-def _runtime_digest() -> str:
-    headers = [(runtime_dir() / name).read_bytes() for name in (*RUNTIME_HEADERS, "sgms_flow.h")]
-    return hashlib.sha256(b"".join(headers)).hexdigest()
-
-
 def cached_package(machine: Machine) -> Package:
     """The machine's package, from the cache of compiled libraries where it was emitted before.
 
     Every log of an axis asks for the same few dozen models; to derive and print one takes longer than to run it.
     """
-    key = hashlib.sha256(f"{machine.digest} {digest_of_sources()} {_runtime_digest()}".encode()).hexdigest()
+    key = hashlib.sha256(f"{machine.digest} {digest_of_sources()}".encode()).hexdigest()
     kept = cache.read("package", key, ".json")
     if kept is not None:
         return Package(machine, json.loads(kept))
