@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import ctypes
+import os
+import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
+from sgms_mhe.support import cache
+from sgms_mhe.support.cache import cache_dir
 from sgms_mhe.support.errors import BuildError
-from sgms_mhe.support.toolchain import DEFAULT_FLAGS, WARNING_FLAGS, cache_dir, compiler, shared_library
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS, WARNING_FLAGS, compiler, load_library, program, shared_library
 
 
 @pytest.fixture
@@ -95,6 +99,103 @@ def test_missing_source_and_unwritable_cache(source: Path, tmp_path: Path, monke
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     with pytest.raises(BuildError, match="XDG_CACHE_HOME"):
         shared_library([source])
+
+
+@pytest.mark.parametrize("words", ["'x", "gcc '", 'gcc "', "gcc \\"])
+def test_a_compiler_that_is_no_command_line_is_refused(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", words)
+    with pytest.raises(BuildError, match=r"CC = .*(quotation|escaped).*CC names"):
+        compiler()
+
+
+@pytest.mark.parametrize(
+    "words", ["true", "echo", "gcc -fsyntax-only", "cat", "/", "sh -c exit", "sh -c 'printf \\\\377; exit 1'"]
+)
+def test_a_compiler_that_compiles_nothing_is_refused(words: str, source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", words)
+    with pytest.raises(BuildError):
+        shared_library([source])
+
+
+@pytest.mark.parametrize("flag", ["-c", "-E"])
+def test_a_library_that_this_host_cannot_load_is_refused(flag: str, source: Path) -> None:
+    with pytest.raises(BuildError, match="cannot be loaded"):
+        load_library(shared_library([source], flags=(*DEFAULT_FLAGS, flag)))
+
+
+# --- what is kept is what was written, and the user's own ---------------------------------------------------------
+
+
+@pytest.mark.parametrize("damage", [b"", b"no library", None], ids=["empty", "garbage", "cut off"])
+def test_a_damaged_file_is_made_again(source: Path, damage: bytes | None) -> None:
+    library = shared_library([source])
+    whole = library.read_bytes()
+    library.write_bytes(whole[:-200] if damage is None else damage)
+    assert answer(shared_library([source])) == 42
+    assert [path.read_bytes() for path in cache_dir().iterdir()] == [whole]
+
+
+def test_another_library_under_the_name_is_not_loaded(source: Path) -> None:
+    library = shared_library([source])
+    (source.parent / "answer.h").write_text("#define ANSWER 43\n")
+    other = shared_library([source])
+    other.replace(library)
+    (source.parent / "answer.h").write_text("#define ANSWER 42\n")
+    assert answer(shared_library([source])) == 42
+
+
+def test_links_and_what_others_may_write_are_not_followed(source: Path, tmp_path: Path) -> None:
+    library = shared_library([source])
+    moved = library.rename(tmp_path / "elsewhere.so")
+    library.symlink_to(moved)
+    assert not shared_library([source]).is_symlink()
+    library.chmod(0o722)
+    assert shared_library([source]).stat().st_mode & 0o777 == 0o700
+    library.unlink()
+    os.mkfifo(library)
+    assert answer(shared_library([source])) == 42
+
+
+def test_the_folder_is_the_user_s_alone(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache_dir().mkdir(parents=True, mode=0o755)
+    shared_library([source])
+    assert cache_dir().stat().st_mode & 0o777 == 0o700
+    elsewhere = cache_dir().rename(tmp_path / "elsewhere")
+    cache_dir().symlink_to(elsewhere)
+    with pytest.raises(BuildError, match="XDG_CACHE_HOME"):
+        shared_library([source])
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "other"))
+    owner = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
+    with pytest.raises(BuildError, match=f"belongs to user {owner}"):
+        shared_library([source])
+
+
+def test_programs_are_kept_ready_to_run(source: Path) -> None:
+    source.write_text("int main(void) { return 3; }\n")
+    assert subprocess.run([program([source])], check=False).returncode == 3
+    assert subprocess.run([program([source])], check=False).returncode == 3
+
+
+def test_content_is_found_as_it_was_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    key = "0123456789abcdef" * 4
+    assert cache.read("thing", key, ".json") is None
+    path = cache.keep("thing", key, ".json", b"{}")
+    assert cache.read("thing", key, ".json") == b"{}"
+    path.write_bytes(b"{]")
+    assert cache.read("thing", key, ".json") is None
+    assert not path.exists()
+
+
+def test_without_a_home_the_way_out_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    with pytest.raises(BuildError, match="XDG_CACHE_HOME"):
+        cache_dir()
 
 
 def test_relative_cache_home_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,12 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 
 import sgms_mhe
 from cli_cases import SMALL, done, files, refused, run
-from sgms_mhe.cli import COMMANDS
+from sgms_mhe.cli import COMMANDS, cli
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.signals.estimates import read_estimates
@@ -168,12 +169,14 @@ def test_simulate_writes_the_log_that_its_options_ask_for(small: Path, tmp_path:
     ("options", "message"),
     [
         (["--trajectory", "spiral"], "trajectory: name = 'spiral': one of paper, mixed"),
-        (["--duration", "-1"], "trajectory: duration = -1.0: a positive number"),
+        (["--duration", "-1"], "-1.0 is not in the range"),
+        (["--duration", "86400"], "at most 50000 s at 1000 Hz"),
         (["--scale", "stiffness"], "'stiffness' is not NAME=FACTOR"),
         (["--scale", "stiffness=nan"], "'stiffness=nan' is not NAME=FACTOR"),
         (["--scale", "wobble=2"], "wobble"),
-        (["--force-noise", "-1"], "force_noise_N = -1.0"),
-        (["--seed", "-1"], "seed = -1"),
+        (["--scale", "stiffness=1e300"], "'stiffness=1e300' is not NAME=FACTOR"),
+        (["--force-noise", "-1"], "-1.0 is not in the range"),
+        (["--seed", "-1"], "-1 is not in the range"),
         (["--law", "lugre"], "'lugre' is not one of"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -185,6 +188,41 @@ def test_simulate_refuses_options(small: Path, tmp_path: Path, options: list[str
 
 def test_simulate_refuses_a_suffix_that_no_log_has(small: Path, tmp_path: Path) -> None:
     assert "a name that ends in .csv or .npz" in refused("simulate", small, "--out", tmp_path / "x.mat")
+
+
+def float_options() -> list[tuple[str, str, int]]:
+    """(command, option, number of values) of every option that takes numbers with a fraction."""
+    found = []
+    for name in COMMANDS:
+        for parameter in cli.get_command(click.Context(cli), name).params:
+            kind = parameter.type
+            kinds = kind.types if isinstance(kind, click.Tuple) else [kind]
+            if any(isinstance(kind, click.types.FloatParamType) for kind in kinds):
+                found.append((name, parameter.opts[0], len(kinds)))
+    return found
+
+
+@pytest.mark.parametrize(("name", "option", "count"), float_options())
+@pytest.mark.parametrize("value", ["nan", "-nan", "inf", "-inf", "1e308", "-1", "1e400", "one"])
+def test_numbers_out_of_range_are_refused(name: str, option: str, count: int, value: str) -> None:
+    files = ["etel_xy", "log.csv", "--out", "x.csv"]
+    message = refused(name, *files, option, *[value] * count)
+    assert f"Invalid value for '{option}'" in message
+    assert "is not in the range" in message or "is not a valid float" in message
+
+
+@pytest.mark.parametrize("name", ["bench", "target"])
+def test_flags_that_are_no_words_are_refused(name: str) -> None:
+    assert "no closing quotation" in refused(name, "etel_xy", "--cflags", "-O2 '-DX")
+
+
+def test_numbers_are_given_with_their_range_in_every_help() -> None:
+    options = float_options()
+    assert {option for _, option, _ in options} >= {"--duration", "--lowpass", "--from", "--window", "--held-out"}
+    for name, option, count in options:
+        if count == 1:
+            text = done(name, "--help").stdout.split(f" {option} ", 1)[1]
+            assert "<=x<=" in text.split(" --", 1)[0], option
 
 
 # --- predict -----------------------------------------------------------------------------------------------------

@@ -13,8 +13,7 @@ import pytest
 from pydantic import BaseModel, ValidationError
 
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.machine import BASE_PARAMETERS, json_schema
-from sgms_mhe.machine.file import Tables
+from sgms_mhe.machine import BASE_PARAMETERS, Tables, json_schema
 from sgms_mhe.support.errors import InputError
 
 MINIMAL = """
@@ -443,6 +442,22 @@ def test_toml_syntax_error_names_the_line(tmp_path: Path, text: str, where: str)
     error = refused(write(tmp_path, text))
     assert error.where == where
     assert error.allowed.startswith("TOML syntax")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a" + ".a" * 20_000 + " = 1\n", "[a" + ".a" * 20_000 + "]\n", "[code]\na" + ".a" * 900 + " = 1\n"],
+    ids=["keys", "table", "below the limit of recursion"],
+)
+def test_deep_nesting_is_refused_in_few_words(tmp_path: Path, text: str) -> None:
+    error = refused(write(tmp_path, text))
+    assert "nested at most" in error.allowed
+    assert len(str(error)) < 400
+
+
+@pytest.mark.parametrize("text", [f"x = {[0] * 5000}\n", "x" * 5000 + " = 1\n"], ids=["value", "key"])
+def test_long_values_are_repeated_in_part(tmp_path: Path, text: str) -> None:
+    assert len(str(refused(write(tmp_path, text)))) < 1000
 
 
 def test_unreadable_files_are_refused(tmp_path: Path) -> None:

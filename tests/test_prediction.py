@@ -160,7 +160,7 @@ def test_predict_compares_a_part_and_writes_it_all(small: Path, log: Path, tmp_p
     ("options", "message"),
     [
         (("--lowpass", "500"), "velocity_cutoff = 500.0: >= 0.1 Hz and < rate / 2 = 500 Hz"),
-        (("--decimate", "0"), "decimation = 0: an integer from 1 to 100"),
+        (("--decimate", "0"), "0 is not in the range"),
         (("--from", "9"), "rows from 9 to 3.999 s = 0"),
         (("--from", "-1"), "-1.0 is not in the range"),
     ],

@@ -12,6 +12,7 @@ import click
 from sgms_mhe.commands.common import (
     check_output_folder,
     example,
+    flags_option,
     json_option,
     json_text,
     machine_argument,
@@ -34,12 +35,18 @@ if TYPE_CHECKING:
 @click.option(
     "--updates", type=click.IntRange(1, 100_000), metavar="N", default=500, show_default=True, help="Updates to time."
 )
-@click.option("--cflags", metavar="FLAGS", help="Compiler flags; default -std=c99 -O3 -ffp-contract=off.")
+@flags_option("-std=c99 -O3 -ffp-contract=off")
 @click.option("--quick", is_flag=True, help="Only the machine's variants and the peers, on one motion.")
 @out_option("Folder for the figures, as PNG and SVG, and the numbers, as JSON.", metavar="DIR", required=False)
 @json_option
 def command(
-    machine: str, trajectory: str, updates: int, cflags: str | None, quick: bool, out: Path | None, as_json: bool
+    machine: str,
+    trajectory: str,
+    updates: int,
+    cflags: tuple[str, ...] | None,
+    quick: bool,
+    out: Path | None,
+    as_json: bool,
 ) -> None:
     """Measure what an update of MACHINE's estimator costs on this host, beside the same problem exported by CasADi.
 
@@ -57,7 +64,7 @@ def command(
     from sgms_mhe.evaluation.benchmark import run_benchmark
     from sgms_mhe.support.toolchain import DEFAULT_FLAGS
 
-    flags = DEFAULT_FLAGS if cflags is None else shlex.split(cflags)
+    flags = DEFAULT_FLAGS if cflags is None else cflags
     with progress_bar(f"bench {resolved.name}") as progress:
         benchmark = run_benchmark(
             resolved, trajectory=trajectory, updates=updates, quick=quick, flags=flags, progress=progress

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import click
 
@@ -25,6 +26,24 @@ log_argument = click.argument("log", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 
 
+class Number(click.FloatRange):
+    """A finite number within a stated range, its ends included."""
+
+    def __init__(self, low: float, high: float) -> None:
+        super().__init__(low, high)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number of a text; refuses what is none, and NaN, which lies outside no range."""
+        number = super().convert(value, param, ctx)
+        if math.isnan(number):
+            self.fail(f"{value} is not in the range {self._describe_range()}.", param, ctx)
+        return number
+
+
+LONGEST_RECORD: Final = 1e8
+"""Seconds, three years: beyond what any log holds."""
+
+
 def out_option(meaning: str, *, metavar: str = "FILE", required: bool = True) -> Callable[[F], F]:
     """The option --out."""
     return click.option(
@@ -32,11 +51,23 @@ def out_option(meaning: str, *, metavar: str = "FILE", required: bool = True) ->
     )
 
 
+def flags_option(default: str) -> Callable[[F], F]:
+    """The option --cflags: words as a shell splits them, None where it is not given."""
+    return click.option("--cflags", callback=_words, metavar="FLAGS", help=f"Compiler flags; default {default}.")
+
+
+def _words(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[str, ...] | None:
+    try:
+        return None if text is None else tuple(shlex.split(text))
+    except ValueError as error:
+        raise click.BadParameter(f"{text!r}: {str(error).lower()}.", ctx, param) from None
+
+
 def part_options(meaning: str) -> Callable[[F], F]:
     """The options --from and --to, in seconds since the log's first sample."""
-    seconds = click.FloatRange(min=0.0)
+    seconds = Number(0.0, LONGEST_RECORD)
     start = click.option("--from", "start_s", type=seconds, metavar="S", default=0.0, help=meaning)
-    end = click.option("--to", "end_s", type=seconds, metavar="S", default=math.inf, help="And until here [s].")
+    end = click.option("--to", "end_s", type=seconds, metavar="S", default=LONGEST_RECORD, help="And until here [s].")
     return lambda function: start(end(function))
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from sgms_mhe.commands.common import (
+    Number,
     check_output_folder,
     example,
     json_option,
@@ -37,7 +38,7 @@ from sgms_mhe.commands.common import (
 )
 @click.option(
     "--duration",
-    type=click.FloatRange(0.0, 3600.0, min_open=True),
+    type=Number(1e-3, 3600.0),
     metavar="S",
     default=12.0,
     show_default=True,
@@ -45,7 +46,7 @@ from sgms_mhe.commands.common import (
 )
 @click.option(
     "--window",
-    type=click.FloatRange(0.0, 1e9, min_open=True),
+    type=Number(1e-3, 1e9),
     metavar="NM",
     default=50.0,
     show_default=True,

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from sgms_mhe.commands.common import (
+    Number,
     check_output_file,
     example,
     json_option,
@@ -31,11 +32,11 @@ from sgms_mhe.commands.common import (
 @log_argument
 @out_option("CSV to write: time_s, friction_measured_N, friction_N at every sample.")
 @part_options("Compare from here on [s since the log's start]; the model runs through the whole log.")
-@click.option("--lowpass", type=float, metavar="HZ", help="In place of the machine's velocity_cutoff.")
+@click.option("--lowpass", type=Number(1e-3, 1e7), metavar="HZ", help="In place of the machine's velocity_cutoff.")
 @click.option(
     "--decimate",
     "factor",
-    type=int,
+    type=click.IntRange(1),
     metavar="N",
     default=1,
     show_default=True,

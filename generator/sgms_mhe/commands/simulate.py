@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import click
 
 from sgms_mhe.commands.common import (
+    Number,
     check_output_file,
     example,
     machine_argument,
@@ -21,8 +22,12 @@ if TYPE_CHECKING:
     from sgms_mhe.signals.logs import Log
 
 
+LARGEST_SCALE: Final = 1e6
+"""Of a true parameter over its nominal value, whatever its sign."""
+
+
 def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) -> dict[str, float]:
-    """The option --scale: name and finite factor of each `name=factor`."""
+    """The option --scale: name and factor of each `name=factor`."""
     scales: dict[str, float] = {}
     for text in texts:
         name, _, number = text.partition("=")
@@ -30,9 +35,9 @@ def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
             factor = float(number)
         except ValueError:
             factor = math.nan
-        if not (name.strip() and math.isfinite(factor)):
+        if not (name.strip() and abs(factor) <= LARGEST_SCALE):
             raise click.BadParameter(
-                f"{text!r} is not NAME=FACTOR with a finite number, as in stiffness=1.2", ctx, param
+                f"{text!r} is not NAME=FACTOR with a number up to {LARGEST_SCALE:g}, as in stiffness=1.2", ctx, param
             )
         scales[name.strip()] = scales.get(name.strip(), 1.0) * factor
     return scales
@@ -48,8 +53,10 @@ def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
 @machine_argument
 @out_option("The log to write: .csv or .npz.")
 @click.option("--trajectory", metavar="NAME", default="paper", show_default=True, help="Reference motion.")
-@click.option("--duration", type=float, metavar="S", help="Repeat or cut the motion to this long; default once.")
-@click.option("--seed", type=int, metavar="N", default=0, show_default=True, help="Seed of the noise.")
+@click.option(
+    "--duration", type=Number(1e-3, 86400.0), metavar="S", help="Repeat or cut the motion to this long; default once."
+)
+@click.option("--seed", type=click.IntRange(0), metavar="N", default=0, show_default=True, help="Seed of the noise.")
 @click.option(
     "--law",
     type=click.Choice(["sgms", "maxwell_slip"]),
@@ -57,8 +64,10 @@ def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
     show_default=True,
     help="Friction law of the plant; maxwell_slip switches instead of smoothing.",
 )
-@click.option("--force-noise", type=float, metavar="N", default=0.1, show_default=True, help="1 sigma [N].")
-@click.option("--encoder-resolution", type=float, metavar="M", default=1e-9, show_default=True, help="Step [m].")
+@click.option("--force-noise", type=Number(0.0, 1e6), metavar="N", default=0.1, show_default=True, help="1 sigma [N].")
+@click.option(
+    "--encoder-resolution", type=Number(0.0, 1.0), metavar="M", default=1e-9, show_default=True, help="Step [m]."
+)
 @click.option(
     "--scale",
     "scales",

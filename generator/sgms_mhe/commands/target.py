@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +9,7 @@ import click
 
 from sgms_mhe.commands.common import (
     example,
+    flags_option,
     json_option,
     json_text,
     machine_argument,
@@ -46,10 +46,16 @@ if TYPE_CHECKING:
 @click.option(
     "--updates", type=click.IntRange(1, 100_000), metavar="N", default=500, show_default=True, help="Their number."
 )
-@click.option("--cflags", metavar="FLAGS", help="Compiler flags; default -std=c99 -O2 -ffp-contract=off.")
+@flags_option("-std=c99 -O2 -ffp-contract=off")
 @json_option
 def command(
-    machine: str, log: Path | None, core: str, trajectory: str, updates: int, cflags: str | None, as_json: bool
+    machine: str,
+    log: Path | None,
+    core: str,
+    trajectory: str,
+    updates: int,
+    cflags: tuple[str, ...] | None,
+    as_json: bool,
 ) -> None:
     """Run MACHINE's package on an emulated microcontroller over LOG, or over a simulated motion.
 
@@ -82,7 +88,7 @@ def command(
         note(f"{resolved.name}: {resolved.code.precision} precision, taken as single for this core")
     variant = single_precision(resolved)
     package = emit_package(variant, selftest=False)
-    flags = TARGET_FLAGS if cflags is None else shlex.split(cflags)
+    flags = TARGET_FLAGS if cflags is None else cflags
     with progress_bar(f"target {resolved.name}") as progress:
         trial = run_trial(variant, recorded, TARGETS[core], package=package, flags=flags, progress=progress)
     host = compare_with_host(trial, recorded, package=package)

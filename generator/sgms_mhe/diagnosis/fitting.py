@@ -20,14 +20,13 @@ from scipy.optimize import lsq_linear
 from sgms_mhe.configuration import make_machine, override_machine
 from sgms_mhe.diagnosis.evidence import nuisance
 from sgms_mhe.diagnosis.residuals import Recording
-from sgms_mhe.emission.package import RUNTIME_HEADERS, Package, digest_of_sources, emit_package
+from sgms_mhe.emission.package import Package, emit_package
+from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.signals.chain import Signals
-from sgms_mhe.support.files import write_text
-from sgms_mhe.support.paths import runtime_dir
-from sgms_mhe.support.toolchain import cache_dir
+from sgms_mhe.support import cache
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -642,25 +641,17 @@ class _Key:
         object.__setattr__(self, "digest", self.machine.digest)
 
 
-@lru_cache(maxsize=1)
-def _runtime_digest() -> str:
-    headers = [(runtime_dir() / name).read_bytes() for name in (*RUNTIME_HEADERS, "sgms_flow.h")]
-    return hashlib.sha256(b"".join(headers)).hexdigest()
-
-
 def cached_package(machine: Machine) -> Package:
     """The machine's package, from the cache of compiled libraries where it was emitted before.
 
     Every log of an axis asks for the same few dozen models; to derive and print one takes longer than to run it.
     """
-    key = hashlib.sha256(f"{machine.digest} {digest_of_sources()} {_runtime_digest()}".encode()).hexdigest()[:24]
-    path = cache_dir() / f"package-{key}.json"
-    try:
-        return Package(machine, json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError):
-        package = emit_package(machine, selftest=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, json.dumps(dict(package.files)))
+    key = hashlib.sha256(f"{machine.digest} {digest_of_sources()}".encode()).hexdigest()
+    kept = cache.read("package", key, ".json")
+    if kept is not None:
+        return Package(machine, json.loads(kept))
+    package = emit_package(machine, selftest=False)
+    cache.keep("package", key, ".json", json.dumps(dict(package.files)).encode())
     return package
 
 

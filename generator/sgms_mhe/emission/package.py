@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bisect
-import hashlib
 import math
 import shutil
 import tempfile
@@ -21,6 +20,7 @@ import numpy as np
 from sgms_mhe import __version__
 from sgms_mhe.emission.c_source import CPrinter
 from sgms_mhe.emission.graph import Graph, Node, operations, walk
+from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.emission.selftest import selftest_vectors
 from sgms_mhe.emission.structure import Group, Structure, analyse, report
 from sgms_mhe.integration.flow_table import flow_table, gate_ratio
@@ -213,19 +213,6 @@ def _environment(precision: Literal["double", "single"]) -> jinja2.Environment:
 
 def _body(function: Function) -> str:
     return "\n".join("    " + line for line in function.lines)
-
-
-@lru_cache(maxsize=1)
-def digest_of_sources() -> str:
-    """Digest of templates and generator, for the provenance line: the same sources give the same package."""
-    digest = hashlib.sha256()
-    package = Path(__file__).resolve().parents[1]
-    sources = sorted(templates_dir().glob("*.jinja"))
-    for room in ("emission", "integration", "model"):
-        sources += sorted((package / room).rglob("*.py"))
-    for path in sources:
-        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()[:12]
 
 
 def _context(machine: Machine, model: Model, structure: Structure, emitter: _Emitter) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import runtime_dir
-from sgms_mhe.support.toolchain import DEFAULT_FLAGS, shared_library
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS, load_library, shared_library
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -74,7 +74,7 @@ class CompiledModel:
     def __init__(self, machine: Machine, package: Package | None = None) -> None:
         self.machine = machine
         self.model = build_model(machine)
-        self._library = ctypes.CDLL(str(_compile(machine, package, DEFAULT_FLAGS, "predict.c")))
+        self._library = load_library(_compile(machine, package, DEFAULT_FLAGS, "predict.c"))
 
     def predict(
         self,
@@ -178,7 +178,7 @@ class CompiledEstimator:
     ) -> None:
         self.machine = machine
         self.model = model or build_model(machine)
-        self._library = ctypes.CDLL(str(_compile(machine, package, flags, f"{machine.name}.c", "replay.c", "loop.c")))
+        self._library = load_library(_compile(machine, package, flags, f"{machine.name}.c", "replay.c", "loop.c"))
         self._library.sgms_replay_memory.restype = ctypes.c_size_t
         self._library.sgms_replay_run.restype = ctypes.c_long
         self._columns = int(self._library.sgms_replay_columns())

@@ -5,10 +5,10 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, Final, NamedTuple, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -21,6 +21,9 @@ from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import machines_dir
 
 Key = str | int
+
+DEEPEST: Final = 16
+"""Nesting of tables and arrays that a machine file may have; its schema needs four."""
 
 
 class Layer(NamedTuple):
@@ -128,7 +131,7 @@ def _read_layers(path: Path) -> list[Layer]:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        content = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
     except OSError as error:
         raise InputError(path, "file", None, f"a readable machine file ({error.strerror})") from None
     except UnicodeDecodeError as error:
@@ -137,6 +140,25 @@ def _read_toml(path: Path) -> dict[str, Any]:
         place = re.search(r"\(at line (\d+), column \d+\)", str(error))
         where = f"line {place.group(1)}" if place else "last line" if "end of document" in str(error) else "file"
         raise InputError(path, where, None, f"TOML syntax: {error}") from None
+    if key := _too_deep(content):
+        raise InputError(path, key, None, f"tables and arrays nested at most {DEEPEST} deep")
+    return content
+
+
+def _too_deep(content: dict[str, Any]) -> str:
+    """The outermost key below which tables and arrays are nested deeper than DEEPEST; empty where there is none."""
+    # Without recursion: dotted keys nest tables to depths that neither validation nor repr can follow.
+    for key, entry in content.items():
+        level = [entry]
+        for _ in range(DEEPEST):
+            level = [inner for outer in level for inner in _inside(outer)]
+        if level:
+            return key
+    return ""
+
+
+def _inside(value: object) -> Iterable[Any]:
+    return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
 
 
 _MISSING = object()

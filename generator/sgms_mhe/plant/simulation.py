@@ -26,7 +26,7 @@ from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import runtime_dir
-from sgms_mhe.support.toolchain import shared_library
+from sgms_mhe.support.toolchain import load_library, shared_library
 
 Array = NDArray[np.float64]
 Drift = Callable[[float], float]
@@ -347,7 +347,7 @@ class _Library:
 
 @lru_cache(maxsize=1)
 def _library() -> _Library:
-    c = ctypes.CDLL(str(shared_library([runtime_dir() / "axis.c"], libraries=("m",))))
+    c = load_library(shared_library([runtime_dir() / "axis.c"], libraries=("m",)))
     size, text, number, axis = ctypes.c_size_t, ctypes.c_char_p, ctypes.c_double, ctypes.c_void_p
     signatures: dict[str, tuple[Any, list[Any]]] = {
         "axis_size": (size, []),

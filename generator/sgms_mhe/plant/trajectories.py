@@ -66,6 +66,10 @@ class Trajectory:
         return Trajectory(self.name, self.rate, position)
 
 
+MOST_SAMPLES: Final = 50_000_000
+"""Of a trajectory: an hour and a half at 10 kHz, a log of some two gigabytes in memory."""
+
+
 class Motion:
     """A position series under construction: moves, waits and waves one after the other, all at rest at both ends."""
 
@@ -296,5 +300,7 @@ def make_trajectory(
     for where, value in (("rate", rate), ("max_velocity", max_velocity), ("duration", duration_s)):
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise InputError("trajectory", where, value, "a positive number")
+    if duration_s is not None and duration_s * rate > MOST_SAMPLES:
+        raise InputError("trajectory", "duration", duration_s, f"at most {MOST_SAMPLES / rate:g} s at {rate:g} Hz")
     trajectory = TRAJECTORIES[name](rate, max_velocity)
     return trajectory if duration_s is None else trajectory.repeated(duration_s)

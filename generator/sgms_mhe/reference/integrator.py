@@ -30,7 +30,7 @@ from sgms_mhe.model import Model
 from sgms_mhe.reference.flow import DEGREE, NEAR, Flow, gate_ratio, relaxation, window
 from sgms_mhe.signals.chain import Signals, signal_array
 from sgms_mhe.support.errors import BuildError
-from sgms_mhe.support.toolchain import shared_library
+from sgms_mhe.support.toolchain import load_library, shared_library
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -514,7 +514,7 @@ class Integrator:
             source = Path(folder) / "sgms_mhe_reference.c"
             source.write_text(generator.dump() + self._constants() + driver)
             path = shared_library([source], libraries=["m"])
-        library = ctypes.CDLL(str(path))
+        library = load_library(path)
         library.sgms_reference_intervals.restype = None
         library.sgms_reference_outputs.restype = None
         return library

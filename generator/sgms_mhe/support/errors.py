@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
+
+LONGEST_VALUE: Final = 200
+"""Characters of a wrong value, or of a wrong key, that a message repeats."""
 
 
 class InputError(Exception):
@@ -16,8 +20,12 @@ class InputError(Exception):
         self.where = where
         self.value = value
         self.allowed = allowed
-        shown = "" if value is None else f" = {value!r}"
-        super().__init__(f"{self.source}: {where}{shown}: {allowed}")
+        shown = "" if value is None else f" = {_shortened(repr(value))}"
+        super().__init__(f"{self.source}: {_shortened(where)}{shown}: {allowed}")
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
 
 
 class BuildError(Exception):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
 import shlex
@@ -11,6 +12,7 @@ from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 
+from sgms_mhe.support import cache
 from sgms_mhe.support.errors import BuildError
 
 # Neither -march=native nor relaxed arithmetic: results must not depend on the machine that compiles. A multiply and an
@@ -29,15 +31,29 @@ WARNING_FLAGS = (
 
 
 def compiler() -> tuple[str, ...]:
-    """The C compiler's command: $CC with its arguments, or gcc."""
-    return tuple(shlex.split(os.environ.get("CC", ""))) or ("gcc",)
+    """The C compiler's command: $CC with its arguments, or gcc.
+
+    Raises:
+        BuildError: $CC is no command line.
+    """
+    stated = os.environ.get("CC", "")
+    try:
+        return tuple(shlex.split(stated)) or ("gcc",)
+    except ValueError as error:
+        raise BuildError(f"CC = {stated!r}: {str(error).lower()}; CC names the C compiler to use") from None
 
 
-def cache_dir() -> Path:
-    """Folder of compiled libraries: $XDG_CACHE_HOME/sgms-mhe, or ~/.cache/sgms-mhe."""
-    # The specification says to ignore a relative path.
-    stated = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    return (stated if stated.is_absolute() else Path.home() / ".cache") / "sgms-mhe"
+def load_library(path: Path) -> ctypes.CDLL:
+    """Load a shared library.
+
+    Raises:
+        BuildError: it is none for this host.
+    """
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        remedy = "CC and the flags must make code for this host"
+        raise BuildError(f"{shlex.join(compiler())}: what it made cannot be loaded ({error}); {remedy}") from None
 
 
 def shared_library(
@@ -50,8 +66,8 @@ def shared_library(
     """Compile C sources to a shared library and return its path.
 
     The library is kept under a name that is a digest of everything it is made of: contents of the sources and of the
-    headers beside them and in `include_dirs`, flags, compiler and its version, `cache_key`. It appears in the cache
-    whole or not at all, so processes may ask for the same one at the same time.
+    headers beside them and in `include_dirs`, flags, compiler and its version, `cache_key`; see
+    `sgms_mhe.support.cache`.
 
     Args:
         sources: C files.
@@ -88,31 +104,28 @@ def _cached(
 ) -> Path:
     command = compiler()
     digest = _digest(sources, include_dirs, (*command, _version(command), *flags, *libraries, cache_key))
-    target = cache_dir() / f"{sources[0].stem}-{digest[:24]}{suffix}"
-    if target.is_file():
-        return target
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        scratch = tempfile.TemporaryDirectory(dir=target.parent, prefix="build-")
-    except OSError as error:
-        raise BuildError(
-            f"{target.parent}: cannot be written ({error.strerror}); XDG_CACHE_HOME names another"
-        ) from None
-    with scratch as folder:
-        built = Path(folder) / target.name
-        tool_output(
-            [
-                *command,
-                *flags,
-                *(f"-I{folder}" for folder in include_dirs),
-                *(str(source) for source in sources),
-                "-o",
-                str(built),
-                *(f"-l{library}" for library in libraries),
-            ]
-        )
-        built.replace(target)
-    return target
+    stem = sources[0].stem
+    kept = cache.find(stem, digest, suffix)
+    if kept is not None:
+        return kept
+    with tempfile.TemporaryDirectory() as folder:
+        built = Path(folder) / f"{stem}{suffix}"
+        arguments = [
+            *flags,
+            *(f"-I{folder}" for folder in include_dirs),
+            *(str(source) for source in sources),
+            "-o",
+            str(built),
+            *(f"-l{library}" for library in libraries),
+        ]
+        tool_output([*command, *arguments])
+        try:
+            content = built.read_bytes()
+        except OSError as error:
+            raise BuildError(
+                f"{shlex.join([*command, *arguments])}\nmade no file ({error.strerror}); CC names the C compiler to use"
+            ) from None
+    return cache.keep(stem, digest, suffix, content)
 
 
 def tool_output(command: Sequence[str], remedy: str = "CC names the C compiler to use") -> str:
@@ -122,7 +135,10 @@ def tool_output(command: Sequence[str], remedy: str = "CC names the C compiler t
         BuildError: it is not there, which `remedy` mends, or it refused; the message carries its output.
     """
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        # A tool that waits for input, or prints what is no text, is still a tool that refused.
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", check=False
+        )
     except OSError as error:
         raise BuildError(f"{command[0]}: {error.strerror}; {remedy}") from None
     if done.returncode != 0:

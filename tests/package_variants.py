@@ -1,0 +1,317 @@
+"""Machines whose packages, together, take every way through the generator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from c_packages import elements, scheme
+from reference_cases import linear_model
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.emission.package import Package, emit_package
+from sgms_mhe.model import Model
+
+TOY = str(Path(__file__).parent / "golden" / "toy.toml")
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A package: a machine file and what is changed in it, or a model of its own; with self-test vectors or without."""
+
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    machine: str = "etel_xy"
+    selftest: bool = False
+    model: Callable[[], Model] | None = None
+
+    def emit(self) -> Package:
+        """The package as the generator makes it now."""
+        if self.model is not None:
+            model = self.model()
+            return emit_package(model.machine, model, selftest=self.selftest)
+        return emit_package(override_machine(load_machine(self.machine), self.changes), selftest=self.selftest)
+
+
+EFFECTS: dict[str, dict[str, float]] = {
+    "force_ripple": {"amplitude_N": 0.6, "pitch_m": 0.004, "phase_rad": 0.7},
+    "force_constant_ripple": {"ratio": 0.05, "pitch_m": 0.004, "phase_rad": 0.7},
+    "constant_offset": {"force_N": 0.5},
+    "position_spring": {"stiffness_N_m": 60.0, "centre_m": 0.002},
+    "hose_hysteresis": {"stiffness_N_m": 800.0, "force_N": 0.8},
+    "asymmetric_coulomb": {"ratio": 0.15},
+    "asymmetric_viscous": {"difference_N_s_m": 12.0},
+    "position_dependent_friction": {"ratio": 0.2, "pitch_m": 0.004, "phase_rad": 0.7},
+    "friction_drift": {"ratio": 0.3, "time_constant_s": 1.0},
+    "viscous_drift": {"ratio": 0.5, "time_constant_s": 1.0},
+    "mass_mismatch": {"mass_kg": 1.5},
+    "force_gain": {"gain": 1.07},
+    "force_delay": {"delay_s": 4e-4},
+    "actuator_lag": {"time_constant_s": 5e-4},
+    "quadratic_drag": {"coefficient_N_s2_m2": 300.0},
+    "eddy_current_damping": {"damping_N_s_m": 15.0, "corner_velocity_m_s": 0.03},
+    "encoder_periodic_error": {"amplitude_m": 5e-7, "pitch_m": 1e-3, "phase_rad": 0.7},
+    "structural_resonance": {"frequency_Hz": 60.0, "damping_ratio": 0.03, "mass_kg": 3.0},
+    "periodic_disturbance": {"amplitude_N": 0.4, "frequency_Hz": 13.0, "phase_rad": 0.7},
+    "step_disturbance": {"force_N": 0.5, "time_s": 1.2043},
+    "backlash": {"gap_m": 2e-5},
+    "frictional_lag": {"time_constant_s": 0.02},
+    "dwell_dependence": {"ratio": 0.3, "time_constant_s": 0.3, "length_m": 1e-4},
+    "micro_viscous": {"damping_N_s_m": 30.0},
+}
+"""Every effect of the catalogue, of a size that matters."""
+
+BASE_PARAMETERS = ("stiffness", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity")
+FORCES = ("force_ripple", "constant_offset", "position_spring", "quadratic_drag")
+UPSTREAM = ("dwell_dependence", "frictional_lag", "backlash")
+
+INTEGRATORS: dict[str, dict[str, Any]] = {
+    "flow": scheme("flow"),
+    "flow, 2 merged": scheme("flow", substeps=50),
+    "flow, 5 merged": scheme("flow", substeps=20),
+    "flow, 10 merged": scheme("flow", substeps=10, slow_displacement=0.03),
+    "flow, all merged": scheme("flow", substeps=1),
+    "rk4": scheme("rk4"),
+    "rk4, two substeps": scheme("rk4", substeps=200),
+    "rk4, fine": scheme("rk4", displacement=0.01),
+    "rk4, 4 merged": scheme("rk4", substeps=25),
+    "rk4, linear": scheme("rk4", velocity="linear"),
+    "rk4, two substeps, linear": scheme("rk4", substeps=200, velocity="linear"),
+    "rk2": scheme("rk2"),
+    "rk2, 5 merged": scheme("rk2", substeps=20),
+    "rk2, linear": scheme("rk2", velocity="linear"),
+    "bs23": scheme("bs23"),
+    "bs23, 5 merged": scheme("bs23", substeps=20),
+    "bs23, linear": scheme("bs23", velocity="linear"),
+    "euler": scheme("euler"),
+    "euler, 5 merged": scheme("euler", substeps=20),
+    "euler, linear": scheme("euler", velocity="linear"),
+}
+"""Tables `sampling`."""
+
+ESTIMATORS: dict[str, dict[str, Any]] = {
+    "auto": {"relinearise": "auto"},
+    "newest": {"relinearise": "newest"},
+    "ekf": {"kind": "ekf"},
+    "fixed": {"arrival_cost": {"update": "fixed"}},
+}
+"""Tables `estimator`, beside that of the mhe that linearises everything anew, with the Riccati equation."""
+
+
+def _entries(*names: str) -> list[dict[str, Any]]:
+    return [{"name": name, **EFFECTS[name]} for name in names]
+
+
+def _estimating(*parameters: str, **more: Any) -> dict[str, Any]:
+    return {"parameters": list(parameters), **more}
+
+
+def _integration() -> dict[str, Variant]:
+    variants = {name: Variant({"sampling": sampling}) for name, sampling in INTEGRATORS.items()}
+    for name in ("flow", "flow, 5 merged", "flow, all merged", "rk4", "rk4, 4 merged", "rk4, linear", "bs23", "euler"):
+        for kind, estimator in ESTIMATORS.items():
+            variants[f"{name}, {kind}"] = Variant({"sampling": INTEGRATORS[name], "estimator": estimator})
+    for tolerance in (1e-2, 1e-4, 1e-6):
+        chosen = {"sampling": {"integrator": {"tolerance": tolerance}}}
+        variants[f"tolerance {tolerance:.0e}"] = Variant(chosen)
+    variants |= {
+        "sample an update": Variant({"sampling": {"update_rate": 10000.0, **scheme("flow")}}),
+        "five samples an update": Variant({"sampling": {"update_rate": 2000.0, **scheme("rk4")}}),
+        "flow, two substeps, with states": Variant(
+            {"sampling": scheme("flow", substeps=200), "effects": _entries("hose_hysteresis")}
+        ),
+        "flow, coarse, with states": Variant(
+            {"sampling": scheme("flow", displacement=0.2), "effects": _entries("hose_hysteresis")}
+        ),
+        "slow": Variant({"sampling": {"max_velocity": 0.01}}),
+        "gentle smoothing": Variant(
+            {"friction": {"smoothing": {"zeta": 0.8, "lambda": 15.0, "gamma": 20.0}}, "sampling": scheme("rk4")}
+        ),
+        "sharp smoothing": Variant({"friction": {"smoothing": {"lambda": 60.0}}}),
+        "no rise towards low speed": Variant({"friction": {"stribeck_ratio": 0.0}}),
+        "no viscous friction": Variant({"friction": {"viscous": 0.0}}),
+    }
+    return variants
+
+
+def _elements() -> dict[str, Variant]:
+    variants = {}
+    for n in (1, 2, 10):
+        friction = {"friction": elements(n)}
+        variants |= {
+            f"n_z {n}": Variant(friction),
+            f"n_z {n}, auto": Variant({**friction, "estimator": {"relinearise": "auto"}}),
+            f"n_z {n}, newest, 5 merged": Variant(
+                {**friction, "sampling": INTEGRATORS["flow, 5 merged"], "estimator": {"relinearise": "newest"}}
+            ),
+            f"n_z {n}, ekf": Variant({**friction, "estimator": {"kind": "ekf"}}),
+        }
+    damped = {"micro_viscous": [50.0, 20.0, 10.0, 5.0]}
+    partly = {"micro_viscous": [50.0, 0.0, 10.0, 0.0]}
+    return variants | {
+        "micro-viscous": Variant({"friction": damped}),
+        "micro-viscous, fixed": Variant({"friction": damped, "estimator": ESTIMATORS["fixed"]}),
+        "micro-viscous, auto": Variant({"friction": damped, "estimator": {"relinearise": "auto"}}),
+        "micro-viscous, ekf, 5 merged": Variant(
+            {"friction": damped, "estimator": {"kind": "ekf"}, "sampling": INTEGRATORS["flow, 5 merged"]}
+        ),
+        "two elements micro-viscous": Variant({"friction": partly}),
+        "two elements micro-viscous, rk4": Variant({"friction": partly, "sampling": scheme("rk4")}),
+    }
+
+
+def _estimation() -> dict[str, Variant]:
+    variants = {f"estimates {name}": Variant({"estimator": _estimating(name)}) for name in BASE_PARAMETERS[1:]}
+    bounds = {"stiffness": [0.9, 1.05], "coulomb": [0.5, 2.0]}
+    for n in (1, 2, 5, 40):
+        variants[f"horizon {n}"] = Variant({"estimator": {"horizon": n}})
+    for name, kind in ESTIMATORS.items():
+        variants[f"{name}, horizon 2"] = Variant({"estimator": {"horizon": 2, **kind}})
+        variants[f"{name}, deflection"] = Variant({"estimator": {"noise": {"state_as": "deflection"}, **kind}})
+        variants[f"{name}, all parameters"] = Variant({"estimator": _estimating(*BASE_PARAMETERS, **kind)})
+    return variants | {
+        "all parameters": Variant({"estimator": _estimating(*BASE_PARAMETERS)}),
+        "coulomb, viscous": Variant({"estimator": _estimating("coulomb", "viscous")}),
+        "bounds of two": Variant({"estimator": {"parameters": ["stiffness", "coulomb"], "bounds": bounds}}),
+        "bounds of two, auto, 5 merged": Variant(
+            {
+                "estimator": {"parameters": ["stiffness", "coulomb"], "bounds": bounds, "relinearise": "auto"},
+                "sampling": INTEGRATORS["flow, 5 merged"],
+            }
+        ),
+        "deflection": Variant({"estimator": {"noise": {"state_as": "deflection"}}}),
+        "no drift": Variant({"estimator": {"noise": {"parameter_drift": 0.0}}}),
+        "auto, fixed": Variant({"estimator": {"relinearise": "auto", **ESTIMATORS["fixed"]}}),
+        "newest, fixed, horizon 1": Variant(
+            {"estimator": {"relinearise": "newest", "horizon": 1, **ESTIMATORS["fixed"]}}
+        ),
+        "linear model": Variant(model=linear_model, selftest=True),
+        "linear model, fixed, bounds": Variant(
+            model=lambda: linear_model(bounds={"stiffness": (0.5, 2.0)}, arrival_cost={"update": "fixed"})
+        ),
+        "linear model, auto": Variant(model=lambda: linear_model(relinearise="auto")),
+    }
+
+
+def _effects() -> dict[str, Variant]:
+    variants = {}
+    for name, parameters in EFFECTS.items():
+        freed = _estimating("stiffness", *(f"{name}.{parameter}" for parameter in parameters))
+        variants[name] = Variant({"effects": _entries(name), "estimator": freed})
+    combined: dict[str, tuple[str, ...]] = {
+        "states": ("hose_hysteresis", "structural_resonance"),
+        "upstream": UPSTREAM,
+        "time": ("periodic_disturbance", "step_disturbance", "friction_drift", "viscous_drift"),
+        "lags": ("force_delay", "actuator_lag", "encoder_periodic_error"),
+        "levels": ("asymmetric_coulomb", "position_dependent_friction", "micro_viscous", "force_gain"),
+    }
+    for title, names in combined.items():
+        effects = {"effects": _entries(*names)}
+        variants |= {
+            f"effects: {title}": Variant(effects),
+            f"effects: {title}, auto, 5 merged": Variant(
+                {**effects, "estimator": {"relinearise": "auto"}, "sampling": INTEGRATORS["flow, 5 merged"]}
+            ),
+            f"effects: {title}, newest, linear": Variant(
+                {**effects, "estimator": {"relinearise": "newest"}, "sampling": INTEGRATORS["rk4, linear"]}
+            ),
+            f"effects: {title}, ekf": Variant({**effects, "estimator": {"kind": "ekf"}}),
+        }
+    ripples = [{**EFFECTS["force_ripple"], "name": "force_ripple", "pitch_m": pitch} for pitch in (0.032, 0.001)]
+    all_main = ["stiffness", "constant_offset.force_N", "backlash.gap_m", "dwell_dependence.ratio", "force_gain.gain"]
+    return variants | {
+        "two ripples": Variant(
+            {
+                "effects": ripples,
+                "estimator": {
+                    "parameters": ["stiffness", "force_ripple.amplitude_N", "force_ripple_2.amplitude_N"],
+                    "bounds": {"force_ripple_2.amplitude_N": [0.1, 3.0]},
+                },
+            }
+        ),
+        "two hoses": Variant({"effects": _entries("hose_hysteresis", "hose_hysteresis")}),
+        "forces": Variant({"effects": _entries(*FORCES), "estimator": {"relinearise": "auto"}}),
+        "every effect": Variant({"effects": _entries(*EFFECTS), "estimator": _estimating(*all_main)}),
+        "every effect, fixed, rk4, 4 merged": Variant(
+            {
+                "effects": _entries(*EFFECTS),
+                "estimator": _estimating(*all_main, **ESTIMATORS["fixed"]),
+                "sampling": INTEGRATORS["rk4, 4 merged"],
+            }
+        ),
+        "dwell dependence, n_z 10": Variant({"effects": _entries("dwell_dependence"), "friction": elements(10)}),
+        "frictional lag, n_z 1": Variant({"effects": _entries("frictional_lag"), "friction": elements(1)}),
+    }
+
+
+def _compensation() -> dict[str, Variant]:
+    late = {"delay": 210e-6, "ramp": 0.05, "limit": 20.0, "hold": 5e-6}
+    effects = {"effects": _entries("force_ripple", "force_delay", "asymmetric_coulomb")}
+    kept: dict[str, dict[str, Any]] = {
+        "": {},
+        ", rk4": {"sampling": scheme("rk4")},
+        ", rk4, linear": {"sampling": INTEGRATORS["rk4, linear"]},
+        ", flow, 5 merged": {"sampling": INTEGRATORS["flow, 5 merged"]},
+        ", ekf": {"estimator": {"kind": "ekf"}},
+        ", n_z 10": {"friction": elements(10)},
+        ", micro-viscous": {"friction": {"micro_viscous": [50.0, 20.0, 10.0, 5.0]}},
+        ", effects": effects,
+        ", upstream": {"effects": _entries(*UPSTREAM)},
+        ", states": {"effects": _entries("hose_hysteresis", "structural_resonance", "actuator_lag")},
+    }
+    variants = {f"compensation{name}": Variant({"compensation": late, **changes}) for name, changes in kept.items()}
+    return variants | {
+        "compensation off": Variant({"compensation": {**late, "enabled": False}}),
+        "compensation, longest delay": Variant({"compensation": {"delay": 0.1}}),
+        "compensation, limit alone": Variant({"compensation": {"limit": 5.0}}),
+        "compensation, hold alone": Variant({"compensation": {"hold": 1e-5}}),
+        "compensation, ramp alone": Variant({"compensation": {"ramp": 1.0}}),
+    }
+
+
+def _single(variants: Mapping[str, Variant]) -> dict[str, Variant]:
+    """What a precision may change, in single precision: one of each kind of code."""
+    names = """
+        flow; flow, 2 merged; flow, 5 merged; flow, all merged; rk4; rk4, linear; rk4, 4 merged; rk2; euler;
+        bs23, 5 merged; flow, ekf; flow, auto; flow, newest; flow, fixed; flow, 5 merged, auto; flow, 5 merged, ekf;
+        rk4, linear, newest; tolerance 1e-02; sample an update; sharp smoothing; n_z 1; n_z 2, auto; n_z 10;
+        n_z 10, newest, 5 merged; micro-viscous; two elements micro-viscous, rk4; horizon 1; horizon 40; all parameters;
+        bounds of two, auto, 5 merged; deflection; every effect; every effect, fixed, rk4, 4 merged;
+        effects: states, auto, 5 merged; effects: upstream, auto, 5 merged; effects: upstream, newest, linear;
+        effects: time, ekf; effects: lags; compensation; compensation, flow, 5 merged; compensation, ekf;
+        compensation, upstream; compensation off
+    """
+    chosen = [" ".join(name.split()) for name in names.split(";")]
+    return {
+        f"{name}, single": Variant(
+            {**variants[name].changes, "code": {"precision": "single"}}, variants[name].machine, variants[name].selftest
+        )
+        for name in chosen
+    }
+
+
+def _machines() -> dict[str, Variant]:
+    """Whole packages, self-test vectors included, of the committed machines and of small variants."""
+    committed = ("emps", "etel_xy", "etel_xy_compensation", "etel_xy_controller", "etel_xy_paper")
+    variants = {f"machine {name}": Variant(machine=name, selftest=name != "etel_xy_paper") for name in committed}
+    small: dict[str, dict[str, Any]] = {
+        "": {},
+        ", single": {"code": {"precision": "single"}},
+        ", ekf": {"estimator": {"kind": "ekf"}},
+        ", auto": {"estimator": {"relinearise": "auto", "horizon": 4}},
+        ", newest": {"estimator": {"relinearise": "newest", "horizon": 4}},
+        ", fixed": {"estimator": {"arrival_cost": {"update": "fixed"}, "noise": {"state_as": "deflection"}}},
+        ", flow": {"sampling": {"integrator": {"scheme": "flow", "substeps": 1}}},
+        ", states": {"effects": _entries("hose_hysteresis", "dwell_dependence")},
+        ", time": {"effects": _entries("periodic_disturbance", "friction_drift")},
+    }
+    return variants | {f"toy{name}": Variant(changes, TOY, selftest=True) for name, changes in small.items()}
+
+
+def _all() -> dict[str, Variant]:
+    double = _integration() | _elements() | _estimation() | _effects() | _compensation()
+    return double | _single(double) | _machines()
+
+
+VARIANTS: Mapping[str, Variant] = _all()
+"""Every variant by its title."""
