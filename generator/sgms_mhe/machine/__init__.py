@@ -4,7 +4,7 @@ from sgms_mhe.machine.axis import BASE_PARAMETERS, Friction, Plant, Smoothing
 from sgms_mhe.machine.code import Code, Compensation
 from sgms_mhe.machine.estimator import ArrivalCost, Estimator, Noise
 from sgms_mhe.machine.fields import listing
-from sgms_mhe.machine.file import json_schema
+from sgms_mhe.machine.file import Tables, json_schema
 from sgms_mhe.machine.log_mapping import LOG_UNITS, LogColumn, LogMapping
 from sgms_mhe.machine.reading import Layer, MachineFile, machine_file, merged, read_machine_file
 from sgms_mhe.machine.resolved import Machine, ResolvedEffect, estimable_names
@@ -30,6 +30,7 @@ __all__ = [
     "ResolvedEffect",
     "Sampling",
     "Smoothing",
+    "Tables",
     "estimable_names",
     "json_schema",
     "listing",
