@@ -1,0 +1,236 @@
+"""The documents: no line too long, no link that leads nowhere, no command, option, path or word that does not exist."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+
+from sgms_mhe.cli import COMMANDS, Commands
+from sgms_mhe.machine import load_machine
+from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES, cause, effect_definition
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = tuple(sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]))
+COLUMNS = 100
+
+READERS_OWN = frozenset({"my_axis.c", "my_axis.toml", "plots/parameters.png", "diagnosis/report.html"})
+"""What looks like a path and stands for a file that the reader will have."""
+
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
+LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+CALL = re.compile(r"sgms-mhe ([a-z-]+)((?:[^`\n]|\\\n)*)")
+ONE_COMMAND = Commands().get_command
+
+
+def page_id(page: Path) -> str:
+    """A page as tests name it."""
+    return page.relative_to(ROOT).as_posix()
+
+
+each_page = pytest.mark.parametrize("page", PAGES, ids=page_id)
+
+
+def read(page: Path) -> str:
+    """Text of a page."""
+    return page.read_text(encoding="utf-8")
+
+
+def without_code(text: str) -> str:
+    """A page's text with blocks of code and code within lines left out."""
+    return re.sub(r"`[^`\n]*`", "``", FENCE.sub("", text))
+
+
+def anchors(page: Path) -> set[str]:
+    """Fragments that the headings of a page can be linked by, as GitHub makes them."""
+    headings = re.findall(r"^#+ +(.+)$", FENCE.sub("", read(page)), flags=re.MULTILINE)
+    plain = [re.sub(r"[^\w\- ]", "", heading.strip().lower()) for heading in headings]
+    return {heading.replace(" ", "-") for heading in plain}
+
+
+def rows(text: str) -> list[list[str]]:
+    """Cells of all rows of all tables of a page, heads and rules left out."""
+    lines = [line for line in text.splitlines() if line.startswith("|")]
+    cells = [[cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in lines]
+    rules = {i for i, row in enumerate(cells) if all(re.fullmatch(r":?-+:?", cell) for cell in row)}
+    return [row for i, row in enumerate(cells) if i not in rules and i + 1 not in rules]
+
+
+def section(text: str, heading: str) -> str:
+    """What stands under a heading of the second level."""
+    found = re.search(rf"^## {re.escape(heading)}\n(.*?)(?=^## |\Z)", text, flags=re.DOTALL | re.MULTILINE)
+    assert found, f"no section {heading}"
+    return found[1]
+
+
+def test_pages_are_found() -> None:
+    assert {page.name for page in PAGES} >= {"README.md", "DESIGN.md", "CHANGELOG.md", "model.md", "glossary.md"}
+
+
+@each_page
+def test_lines_are_short(page: Path) -> None:
+    long = [f"line {i}: {len(line)}" for i, line in enumerate(read(page).splitlines(), 1) if len(line) > COLUMNS]
+    assert not long, f"more than {COLUMNS} columns: {', '.join(long)}"
+
+
+@each_page
+def test_links_lead_somewhere(page: Path) -> None:
+    dead = []
+    for target in LINK.findall(without_code(read(page))):
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, fragment = target.partition("#")
+        place = (page.parent / path).resolve() if path else page
+        if not place.exists() or (fragment and fragment not in anchors(place)):
+            dead.append(target)
+    assert not dead
+
+
+def test_every_page_is_in_the_index() -> None:
+    index = ROOT / "docs" / "README.md"
+    linked = {(index.parent / target.partition("#")[0]).resolve() for target in LINK.findall(read(index))}
+    assert {page for page in PAGES if page.parent == index.parent and page != index} <= linked
+
+
+# --- commands ---------------------------------------------------------------------------------------------------
+
+
+def options(name: str) -> set[str]:
+    """Options of a command, --help included."""
+    command = ONE_COMMAND(click.Context(Commands()), name)
+    assert command is not None
+    own = {option for p in command.params if isinstance(p, click.Option) for option in p.opts}
+    return own | {"--help", "-h"}
+
+
+def calls(text: str) -> Iterator[tuple[str, set[str]]]:
+    """Commands that the code of a page calls, each with the options that it gives."""
+    code = [block for _, block in FENCE.findall(text)] + re.findall(r"`([^`\n]+)`", FENCE.sub("", text))
+    for block in code:
+        for name, rest in CALL.findall(block.replace("\\\n", " ")):
+            yield name, set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", re.sub(r'"[^"]*"', "", rest)))
+
+
+@each_page
+def test_commands_and_options_exist(page: Path) -> None:
+    for name, given in calls(read(page)):
+        assert name in COMMANDS, f"sgms-mhe {name}"
+        assert given <= options(name), f"sgms-mhe {name}: {given - options(name)}"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_is_described_with_all_its_options(name: str) -> None:
+    synopsis = FENCE.findall(section(read(ROOT / "docs" / "commands.md"), name))[0][1]
+    assert synopsis.startswith(f"sgms-mhe {name}")
+    assert set(re.findall(r"--[a-z-]+", synopsis)) == {o for o in options(name) if o.startswith("--")} - {"--help"}
+
+
+@each_page
+def test_modules_exist(page: Path) -> None:
+    for module, argument in re.findall(r"python -m (sgms_mhe[\w.]*) ?([a-z-]*)", re.sub(r"\s+", " ", read(page))):
+        found = importlib.import_module(module)
+        assert hasattr(found, "main"), module
+        assert not argument or argument in found.STUDIES, argument
+
+
+# --- paths ------------------------------------------------------------------------------------------------------
+
+
+def places(path: str) -> Iterator[Path]:
+    """What a path on a page may stand for: it is in the repository, in the Python package, or in one of its rooms.
+
+    Or in an emitted package, whose machine is called NAME.
+    """
+    package = ROOT / "generator" / "sgms_mhe"
+    yield from ROOT.glob(path)
+    for pattern in (path, f"*/{path}", f"*/*/{path}"):
+        yield from package.glob(pattern)
+    for machine in (ROOT / "generated").iterdir():
+        yield from machine.glob(path.replace("NAME", machine.name))
+
+
+@each_page
+def test_paths_exist(page: Path) -> None:
+    for code in re.findall(r"`([^`\n]+)`", FENCE.sub("", read(page))):
+        is_path = re.fullmatch(r"[\w.-]+(/[\w.*-]*)+|[\w*-]+\.(py|c|h|md|jinja|toml)", code)
+        if is_path and code not in READERS_OWN:
+            assert any(places(code)), code
+
+
+def test_every_room_is_on_the_map() -> None:
+    rooms = {row[0].strip("`") for row in rows(section(read(ROOT / "CONTRIBUTING.md"), "The map of rooms"))}
+    package = ROOT / "generator" / "sgms_mhe"
+    assert rooms == {f"{folder.parent.name}/" for folder in package.glob("*/__init__.py")} | {"cli.py"}
+
+
+# --- code on the pages ------------------------------------------------------------------------------------------
+
+
+@each_page
+def test_machine_files_on_the_pages_are_right(page: Path, tmp_path: Path) -> None:
+    for i, (language, block) in enumerate(FENCE.findall(read(page))):
+        if language != "toml":
+            continue
+        content = tomllib.loads(block)
+        if "extends" not in content:  # a few tables: laid over a whole machine
+            block = f'name = "some_axis"\nextends = "etel_xy"\n\n{block}'
+        path = tmp_path / f"machine_{i}.toml"
+        path.write_text(block, encoding="utf-8")
+        load_machine(path)
+
+
+# --- catalogue of effects ---------------------------------------------------------------------------------------
+
+
+def test_effects_are_described_as_they_define_themselves() -> None:
+    text = re.sub(r"\s+", " ", read(ROOT / "docs" / "effects.md"))
+    for name in CAUSE_NAMES:
+        definition = cause(name)
+        lines = [f"**`{name}`**: {definition.summary}."]
+        if name in EFFECT_NAMES:
+            lines += [f"- `{p.name}`: {p.description}" for p in effect_definition(name).parameters]
+        lines.append(f"- To be seen: {definition.excitation.text}.")
+        assert " ".join(lines) in text, "docs/effects.md wants:\n" + "\n".join(lines)
+    assert Counter(re.findall(r"\*\*`(\w+)`\*\*", text)) == Counter(CAUSE_NAMES)
+
+
+# --- glossary ---------------------------------------------------------------------------------------------------
+
+
+def test_terms_of_the_glossary_are_unique() -> None:
+    text = read(ROOT / "docs" / "glossary.md")
+    terms = [row[0].lower() for row in rows(text.partition("## Words not used")[0])]
+    assert len(terms) > 50
+    assert [term for term, count in Counter(terms).items() if count > 1] == []
+
+
+@each_page
+def test_words_that_are_not_used(page: Path) -> None:
+    if page.name == "glossary.md":
+        return
+    retired = [word for row in rows(section(read(ROOT / "docs" / "glossary.md"), "Words not used"))
+               for word in row[0].split(", ")]  # fmt: skip
+    assert len(retired) > 5
+    found = [word for word in retired if re.search(rf"\b{re.escape(word)}(s|d|ed)?\b", read(page))]
+    assert not found
+
+
+# --- drawings ---------------------------------------------------------------------------------------------------
+
+
+def test_drawings_are_what_their_script_draws() -> None:
+    folder = ROOT / "docs" / "figures"
+    spec = importlib.util.spec_from_file_location("draw", folder / "draw.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for name, draw in module.DRAWINGS.items():
+        stored = (folder / f"{name}.svg").read_text(encoding="utf-8")
+        assert stored == str(draw()), f"{name}.svg: python docs/figures/draw.py"
