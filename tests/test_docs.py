@@ -14,7 +14,7 @@ import click
 import pytest
 
 from sgms_mhe.cli import COMMANDS, Commands
-from sgms_mhe.machine import load_machine
+from sgms_mhe.configuration import load_machine
 from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES, cause, effect_definition
 
 ROOT = Path(__file__).resolve().parents[1]

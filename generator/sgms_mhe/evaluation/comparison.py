@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.emission.package import hold_path
+from sgms_mhe.emission.context import hold_path
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import FreeParameter
