@@ -21,14 +21,20 @@ from sgms_mhe.model.effects import (
     BASE_CAUSES,
     CAUSE_NAMES,
     EFFECT_NAMES,
+    MOVES,
     STAGES,
+    Extents,
+    MotionRecord,
+    base_number,
     cause,
     effect_definition,
     machine_unit,
     measures,
+    reported_name,
     separating_moves,
 )
 from sgms_mhe.model.effects.excitation import MEASURES
+from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Step, Trials
 from sgms_mhe.plant.simulation import AxisConfig, plant_effects, simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.reference.integrator import Integrator
@@ -197,9 +203,6 @@ def test_description_is_complete(name: str) -> None:
     parameters = {p.name: p for p in definition.parameters}
     assert definition.main and definition.stage in STAGES
     assert all(p.lower <= p.default <= p.upper and p.scale > 0.0 for p in definition.parameters)
-    assert set(definition.start.values) <= set(parameters)
-    for search in definition.start.searches:
-        assert {search.parameter, *(search.harmonic or ())} <= set(parameters)
     assert all(need.times in (None, *parameters) for need in definition.excitation.needs)
     states = build_model(machine_of(name)).states
     assert [s.name for s in states[4:]] == [f"{name}_{state}" for state in definition.states]
@@ -210,7 +213,126 @@ def test_description_is_complete(name: str) -> None:
 def test_wrong_numbers_free_base_parameters(name: str) -> None:
     freed = override_machine(base(), {"estimator": {"parameters": list(BASE_CAUSES[name].frees)}})
     assert {p.name for p in build_model(freed).parameters} == set(BASE_CAUSES[name].frees)
-    assert set(BASE_CAUSES[name].reported) == set(BASE_CAUSES[name].frees)
+    columns = [p.column for p in build_model(freed).parameters]
+    assert all(base_number(column) in BASE_CAUSES[name].numbers for column in columns)
+    reported = [reported_name(column) for column in columns]
+    assert len(set(reported)) == len(columns) and all(r.startswith(c) for r, c in zip(reported, columns, strict=True))
+
+
+# --- what the diagnosis reads of a definition --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CAUSE_NAMES)
+def test_causes_refer_to_causes(name: str) -> None:
+    described = cause(name)
+    others = set(CAUSE_NAMES) - {name}
+    assert described.moves and set(described.moves) <= set(MOVES)
+    assert set(described.excludes) <= others and all(name in cause(other).excludes for other in described.excludes)
+    # A limit of an effect looks like it, and is not the effect again by way of its own limits.
+    limits, reached = set(described.simpler.causes), set[str]()
+    assert limits <= others
+    while limits - reached:
+        reached |= limits
+        limits = {limit for other in limits for limit in cause(other).simpler.causes}
+    assert name not in reached
+
+
+@pytest.mark.parametrize("name", EFFECT_NAMES)
+def test_declared_parameters_are_consistent(name: str) -> None:
+    definition = effect_definition(name)
+    parameters = {p.name: p for p in definition.parameters}
+    sizes = [p for p in definition.parameters if p.is_size]
+    assert sizes and all(p.lower <= p.none <= p.upper or p.none == 0.0 for p in sizes)
+    # Some size is none by default, so that the default effect is none.
+    assert any(p.none == p.default for p in sizes)
+    assert all(p.role == "place" for p in definition.parameters if p.frozen)
+    assert all(p.name.endswith("_s") and definition.full_rate for p in definition.parameters if p.timing)
+    assert not (definition.linear and (definition.states or definition.costly))
+    extents = Extents(travel=0.2, speed=0.5, duration=10.0, end=12.0, rate=1000.0)
+    for p in definition.parameters:
+        nominal = p.default or p.scale
+        assert p.step(nominal, p.scale, extents) > 0.0
+        assert p.least is None or p.lower <= p.least(extents) <= p.upper
+        assert p.most is None or p.lower <= p.most(extents) <= p.upper
+    assert not definition.simpler.reached({key: p.default for key, p in parameters.items()}, extents) or (
+        definition.simpler.causes
+    )
+
+
+def record_of(machine: Machine) -> MotionRecord:
+    """Signals along the trajectory, with a friction that is Coulomb's alone."""
+    moves = trajectory(machine.sampling.rate)
+    direction = np.sign(moves.velocity_m_s)
+    return MotionRecord(
+        time=moves.time_s,
+        position=moves.position_m,
+        velocity=moves.velocity_m_s,
+        acceleration=moves.acceleration_m_s2,
+        force=machine.plant.mass * moves.acceleration_m_s2 + machine.friction.coulomb * direction,
+        friction=machine.friction.coulomb * direction,
+        level=machine.friction.coulomb * direction,
+        damping=20.0,
+        mass=machine.plant.mass,
+        deflection=4e-4,
+        extents=Extents(
+            float(np.ptp(moves.position_m)),
+            float(np.abs(moves.velocity_m_s).max()),
+            moves.duration_s,
+            moves.duration_s,
+            machine.sampling.rate,
+        ),
+    )
+
+
+@pytest.mark.parametrize("name", EFFECT_NAMES)
+def test_search_speaks_of_the_effects_own_parameters(name: str) -> None:
+    definition, motion = effect_definition(name), record_of(base())
+    known, size = {p.name for p in definition.parameters}, np.array([0.3, 0.1])
+    match definition.search:
+        case Columns() as kind:
+            for given in kind.grid(motion):
+                columns = kind.columns(motion, given)
+                assert columns.shape[0] == len(motion.time) and np.isfinite(columns).all() and np.ptp(columns) >= 0.0
+                assert set(kind.parameters(given, size)) <= known
+            assert kind.exact is None or definition.parameter(kind.exact).is_proportional
+            assert kind.own_size is None or kind.own_size in known
+        case Harmonic() as kind:
+            assert definition.parameter(kind.size).is_proportional and definition.sine is kind
+            assert definition.parameter(kind.period).role == "period"
+            assert definition.parameter(kind.phase).role == "place"
+            k = np.array([30.0, 300.0])
+            factors, weights = kind.factors(motion, k), kind.weights(motion)
+            assert len(factors) == len(weights)
+            assert all(f.shape == k.shape for f in factors) and all(w.shape == motion.time.shape for w in weights)
+        case Step() as kind:
+            assert definition.parameter(kind.size).is_proportional and definition.parameter(kind.time).frozen
+        case Derivative() as kind:
+            assert kind.size is None or definition.parameter(kind.size).is_proportional
+            assert all(set(given) <= known for given in kind.grid(motion))
+        case Trials() as kind:
+            assert all(len(given) == 1 and set(given) <= known for given in kind.grid(motion))
+
+
+def test_harmonic_columns_are_the_effects_force() -> None:
+    """A ripple's own force is the columns of its search, at any phase: size and phase come out again."""
+    definition, motion = effect_definition("force_ripple"), record_of(base())
+    kind = definition.sine
+    assert kind is not None
+    k = np.array([2.0 * math.pi / 0.002])
+    wave = np.exp(1j * k[0] * motion.position) * sum(
+        c[0] * w for c, w in zip(kind.factors(motion, k), kind.weights(motion), strict=True)
+    )
+    force = 0.7 * np.sin(k[0] * motion.position + 0.4)
+    a, b = np.linalg.lstsq(np.column_stack((wave.imag, wave.real)), force, rcond=None)[0]
+    assert math.hypot(a, b) == pytest.approx(0.7) and math.atan2(b, a) == pytest.approx(0.4)
+
+
+def test_sines_are_reported_with_positive_size_and_a_phase_within_one_turn() -> None:
+    tidy = effect_definition("force_ripple").tidy({"amplitude_N": -2.0, "pitch_m": 0.03, "phase_rad": 7.0})
+    assert tidy["amplitude_N"] == 2.0 and tidy["pitch_m"] == 0.03
+    assert tidy["phase_rad"] == pytest.approx(7.0 + math.pi - 4.0 * math.pi)
+    spring = {"stiffness_N_m": -3.0, "centre_m": 9.0}
+    assert effect_definition("position_spring").tidy(spring) == spring
 
 
 def test_excitation_is_measured() -> None:

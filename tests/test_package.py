@@ -189,6 +189,22 @@ def test_runtime_without_a_precision_is_refused(require_tool: Tool, tmp_path: Pa
         run(require_tool("gcc"), "-std=c99", "-fsyntax-only", f"-I{runtime_dir()}", source)
 
 
+@pytest.mark.parametrize(
+    ("compiler", "flags"),
+    [
+        *((c, [f]) for c in ("gcc", "clang") for f in ("-ffast-math", "-Ofast", "-ffinite-math-only")),
+        *(("gcc", [f]) for f in ("-funsafe-math-optimizations", "-freciprocal-math", "-fno-signed-zeros")),
+        ("gcc", ["-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"]),
+    ],
+)
+def test_relaxed_arithmetic_is_refused(compiler: str, flags: list[str], require_tool: Tool, tmp_path: Path) -> None:
+    folder = written(package_of(), tmp_path)
+    command = [require_tool(compiler), "-std=c99", "-O2", "-fsyntax-only", folder / "etel_xy.c"]
+    run(command, "-ffp-contract=fast", "-fno-math-errno")
+    with pytest.raises(AssertionError, match="wrong in silence"):
+        run(command, flags)
+
+
 # --- linking -----------------------------------------------------------------------------------------------------
 
 
@@ -289,9 +305,10 @@ class Axis:
         self.status = dict(zip(STATUSES, (self.c.probe_status(k) for k in range(len(STATUSES))), strict=True))
         self.numbers = int(self.c.probe_numbers())
 
-    def new(self) -> ctypes.Array[ctypes.c_char]:
+    def new(self, byte: int = 0xA5) -> ctypes.Array[ctypes.c_char]:
+        """A fresh estimator in memory that was full of `byte`."""
         memory = ctypes.create_string_buffer(self.c.probe_size())
-        self.c.probe_init(memory)
+        self.c.probe_init_on(memory, byte)
         return memory
 
     def estimate(self, memory: Any) -> tuple[Array, int]:
@@ -450,6 +467,56 @@ def test_init_relies_on_nothing_and_instances_on_nothing_of_each_other(axis: Any
             found[i] += estimator.run(memories[i], x.position_m[k : k + 1], x.force_N[k : k + 1])
     for i in range(2):
         assert same(found[i], alone[i][: len(found[i])])
+
+
+ESTIMATORS: dict[str, dict[str, Any]] = {
+    "all": {"estimator": {"relinearise": "all"}},
+    "auto": {"estimator": {"relinearise": "auto"}},
+    "newest": {"estimator": {"relinearise": "newest"}},
+    "auto, merged": {"estimator": {"relinearise": "auto"}, "sampling": scheme("flow", substeps=20)},
+    "all, merged": {"sampling": scheme("flow", substeps=50)},
+    "fixed": {"estimator": {"arrival_cost": {"update": "fixed"}, "horizon": 5}},
+    "rk4, linear": {"sampling": scheme("rk4", velocity="linear")},
+    "ekf": {"estimator": {"kind": "ekf"}},
+}
+"""What an estimator remembers differs between these."""
+
+ORDERS = [("double", kind) for kind in ESTIMATORS] + [("single", kind) for kind in ("all", "auto, merged", "ekf")]
+
+
+@pytest.mark.parametrize(("precision", "kind"), ORDERS)
+def test_slower_task_may_start_first(precision: str, kind: str, axis: Any) -> None:
+    """prepare() before the first sample, after init() and after reset(), on memory of any content, changes nothing."""
+    estimator: Axis = axis(code={"precision": precision}, **ESTIMATORS[kind])
+    log = log_of()
+    q, u = log.position_m[:2501], log.force_N[:2501]
+
+    def updates(byte: int, *, first: bool) -> list[tuple[Array, int]]:
+        memory, found = estimator.new(byte), []
+        for restart in (False, True):
+            if restart:
+                estimator.c.probe_reset(memory)
+            if first:
+                estimator.c.probe_prepare(memory)
+            found += estimator.run(memory, q, u)
+        return found
+
+    clean = updates(0, first=False)
+    for byte in (0, 0xAA, 0xFF):  # all bits set: every number is NaN
+        for first in (False, True):
+            assert same(updates(byte, first=first), clean), f"memory of {byte:#x}, prepare first: {first}"
+
+
+@pytest.mark.parametrize(("precision", "kind"), ORDERS)
+def test_no_memory_is_read_that_was_not_written(precision: str, kind: str, require_tool: Tool, tmp_path: Path) -> None:
+    """valgrind knows which memory was never written, over calls in several orders."""
+    valgrind, changes = require_tool("valgrind"), ESTIMATORS[kind]
+    estimator = {"horizon": 4, **changes.get("estimator", {})}
+    folder = written(package_of(**{**changes, "estimator": estimator}, code={"precision": precision}), tmp_path)
+    files = [PROBES / "uninitialised.c", folder / "etel_xy.c", "-o", tmp_path / "program"]
+    run(require_tool("gcc"), STRICT[0], "-O1", "-g", replay_definitions("etel_xy"), f"-I{folder}", files)
+    lines = run(valgrind, "-q", "--error-exitcode=9", tmp_path / "program").splitlines()
+    assert len(lines) > 4 * 12 and not any("nan" in line for line in lines)
 
 
 def test_memory_may_be_moved(axis: Any) -> None:
@@ -683,6 +750,7 @@ def test_sanitizers_find_nothing(precision: str, kind: str, require_tool: Tool, 
     run(require_tool("gcc"), STRICT[0], "-O1", "-g", checks, replay_definitions("etel_xy"), f"-I{folder}", files)
     for seed in range(2):
         q, u, _ = hostile_log(seed)
+        q[2000:2400:3], q[2001:2400:3] = 3.9999999e6, -3.9999999e6  # the ends of what counts as a position
         samples = tmp_path / "samples.bin"
         np.column_stack([q, u]).tofile(samples)
         count, friction = run(program, samples).split()

@@ -6,6 +6,7 @@ import ctypes
 import dataclasses
 import itertools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import mpmath
@@ -15,11 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from c_packages import PRECISIONS, REAL, machine, pointer, runtime_probe
+from c_packages import PRECISIONS, PROBES, REAL, STRICT, machine, pointer, run, runtime_probe
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.chain import Signals, lowpass_coefficients, settle_samples, signals_from_log
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.paths import runtime_dir
 
 Array = NDArray[Any]
 
@@ -581,3 +583,22 @@ def test_single_precision_takes_positions_that_a_float_cannot_hold() -> None:
     got = chain(log, machine(), "single")
     np.testing.assert_allclose(got.velocity[500:].mean(), 1e-9 / 3.0 * 1e4, rtol=1e-4)
     compare_chains(log, machine(), "single")
+
+
+def test_positions_at_the_ends_of_their_range_overflow_nothing(
+    require_tool: Callable[[str], str], tmp_path: Path
+) -> None:
+    """Jumps from end to end, and motion that goes on from there while the position is missing."""
+    checks = ["-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all", "-DSGMS_SINGLE=1"]
+    files = [f"-I{runtime_dir()}", PROBES / "far_positions.c", "-o", tmp_path / "program"]
+    run(require_tool("gcc"), STRICT, "-O1", "-g", checks, files)
+    assert run(tmp_path / "program") == "0\n"
+
+
+def test_motion_does_not_continue_out_of_the_range() -> None:
+    """What is missing is continued up to 4e6 m in single precision; the speed is what it was."""
+    q = np.concatenate([[3.9999e6, 3.99995e6], np.full(100, np.nan)])
+    log = Log(np.arange(len(q)) / 1e4, q, np.zeros(len(q)), rate=1e4)
+    single, double = chain(log, machine(), "single"), chain(log, machine(), "double")
+    np.testing.assert_allclose(single.velocity, double.velocity, rtol=1e-5)
+    assert np.abs(single.position).max() < 4e6 < np.abs(double.position).max()

@@ -9,6 +9,15 @@
 
 #define SGMS_RUNTIME_VERSION 1
 
+/* The code reads bits, adds and subtracts numbers to round, and asks whether numbers are finite: arithmetic that
+ * compilers may rearrange gives other results, and none of it says so. Not every compiler tells of each single flag
+ * (clang tells of -ffast-math and -ffinite-math-only alone), so -fassociative-math, -freciprocal-math and
+ * -funsafe-math-optimizations are not to be given either. Contraction (-ffp-contract) is fine. */
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__) ||                               \
+    defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__NO_SIGNED_ZEROS__) || defined(_M_FP_FAST)
+#error "compile without -ffast-math, -Ofast and what they consist of: results would be wrong in silence"
+#endif
+
 #ifndef SGMS_SINGLE
 #error "define SGMS_SINGLE (0 or 1) before including the runtime"
 #endif

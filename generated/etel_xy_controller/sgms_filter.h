@@ -46,9 +46,25 @@ static inline sgms_real sgms_metres(sgms_position p)
     return picometres * SGMS_R(1e-12);
 }
 
+#define SGMS_FARTHEST_PICOMETRES INT64_C(4000000000000000000)
+
 static inline int sgms_position_is_good(sgms_position p)
 {
-    return p > -INT64_C(4000000000000000000) && p < INT64_C(4000000000000000000);
+    return p > -SGMS_FARTHEST_PICOMETRES && p < SGMS_FARTHEST_PICOMETRES;
+}
+
+/* p + d for a good p, which a continued motion does not take out of the range: it stays there. */
+static inline sgms_position sgms_position_ahead(sgms_position p, sgms_position d)
+{
+    const int is_within = d < 0 ? p > -SGMS_FARTHEST_PICOMETRES - d : p < SGMS_FARTHEST_PICOMETRES - d;
+    return is_within ? p + d : p;
+}
+
+/* a - b of two differences of good positions, exact but where a 64-bit integer cannot hold it. */
+static inline sgms_real sgms_metres_between(sgms_position a, sgms_position b)
+{
+    const int may_overflow = (a ^ b) < 0 && !(sgms_position_is_good(a) && sgms_position_is_good(b));
+    return may_overflow ? sgms_metres(a) - sgms_metres(b) : sgms_metres(a - b);
 }
 #else
 typedef double sgms_position; /* m */
@@ -60,6 +76,16 @@ static inline sgms_real sgms_metres(sgms_position p)
 static inline int sgms_position_is_good(sgms_position p)
 {
     return sgms_fabs(p) < SGMS_FARTHEST;
+}
+
+static inline sgms_position sgms_position_ahead(sgms_position p, sgms_position d)
+{
+    return p + d;
+}
+
+static inline sgms_real sgms_metres_between(sgms_position a, sgms_position b)
+{
+    return a - b;
 }
 #endif
 
@@ -99,7 +125,7 @@ static inline sgms_aligned sgms_filter_step(
     sgms_real *const f = m->lowpass;
     sgms_real *const of_force = apart ? f + 8 : f + 4;
     sgms_aligned out = {.position = SGMS_R(0.0), .acceleration = SGMS_R(0.0), .force = SGMS_R(0.0)};
-    sgms_position difference = m->position[1];
+    const sgms_position earlier = m->position[1]; /* difference */
     sgms_real velocity, acceleration;
 
     if ((m->counts[0] & 1) == 0 && force_good) { /* first good force */
@@ -123,7 +149,7 @@ static inline sgms_aligned sgms_filter_step(
         m->counts[2] = 0;
     }
     if (!position_good) {
-        position = m->position[0] + m->position[1];
+        position = sgms_position_ahead(m->position[0], m->position[1]);
         if (m->counts[1] <= settle) {
             m->counts[1]++;
         }
@@ -143,9 +169,8 @@ static inline sgms_aligned sgms_filter_step(
 
     /* The filters are linear, so the difference of two filtered velocities is the filtered second difference of the
      * position, which is exact: at 1 m/s the other order costs single precision 0.03 N. */
-    difference = m->position[1] - difference;
     velocity = sgms_lowpass_step(filter, f, sgms_metres(m->position[1]) * rate);
-    acceleration = sgms_metres(difference) * rate * rate;
+    acceleration = sgms_metres_between(m->position[1], earlier) * rate * rate;
     out.velocity = sgms_lowpass_step(filter, f + 2, m->last[1]);
     if (apart) {
         out.acceleration = sgms_lowpass_step(filter, f + 6, sgms_lowpass_step(filter, f + 4, acceleration));

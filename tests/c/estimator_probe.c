@@ -20,10 +20,16 @@ size_t probe_size(void)
     return sizeof(machine);
 }
 
+/* init is to rely on nothing that was there: memory full of one byte. */
+void probe_init_on(void *self, int byte)
+{
+    memset(self, byte, sizeof(machine));
+    CALL(init)((machine *)self);
+}
+
 void probe_init(void *self)
 {
-    memset(self, 0xA5, sizeof(machine)); /* init is to rely on nothing that was there */
-    CALL(init)((machine *)self);
+    probe_init_on(self, 0xA5);
 }
 
 void probe_reset(void *self)

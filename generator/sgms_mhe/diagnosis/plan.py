@@ -9,10 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from sgms_mhe.diagnosis.verdict import separating_move
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
-from sgms_mhe.model.effects.base import BASE_CAUSES
+from sgms_mhe.model.effects import CAUSE_NAMES, MOVES, Move, cause, machine_unit, separating_moves
 from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
@@ -104,39 +102,15 @@ def _again(path: Motion, axis: _Axis) -> None:
     _speeds(path, axis)
 
 
-_MOVES: Final[Mapping[str, Callable[[Motion, _Axis], None]]] = {
-    "presliding loops at two speeds": _loops,
-    "constant speeds in both directions": _speeds,
-    "the whole travel at two speeds": _travel,
-    "hard accelerations and sines": _jerks,
-    "rests of different length": _rests,
-    "loops at places far apart": _places,
-    "the same moves once more, later": _again,
+_MAKERS: Final[Mapping[Move, Callable[[Motion, _Axis], None]]] = {
+    "loops": _loops,
+    "speeds": _speeds,
+    "travel": _travel,
+    "jerks": _jerks,
+    "rests": _rests,
+    "places": _places,
+    "again": _again,
 }
-
-_NEEDED: Final[Mapping[str, tuple[str, ...]]] = {
-    "constant speeds in both directions": (
-        "asymmetric_viscous", "asymmetric_coulomb", "viscous", "quadratic_drag", "eddy_current_damping", "stribeck",
-        "coulomb", "constant_offset",
-    ),
-    "presliding loops at two speeds": (
-        "stiffness", "constant_offset", "asymmetric_coulomb", "backlash", "micro_viscous", "frictional_lag",
-        "hose_hysteresis",
-    ),
-    "the whole travel at two speeds": (
-        "force_ripple", "force_constant_ripple", "position_dependent_friction", "encoder_periodic_error",
-        "position_spring", "hose_hysteresis", "periodic_disturbance",
-    ),
-    "hard accelerations and sines": (
-        "mass_mismatch", "force_gain", "force_delay", "actuator_lag", "structural_resonance", "force_constant_ripple",
-        "frictional_lag",
-    ),
-    "rests of different length": ("dwell_dependence", "stribeck", "frictional_lag"),
-    "loops at places far apart": ("position_spring", "hose_hysteresis", "stiffness"),
-    "the same moves once more, later": (
-        "friction_drift", "viscous_drift", "step_disturbance", "periodic_disturbance", "viscous", "coulomb",
-    ),
-}  # fmt: skip
 
 
 def make_plan(machine: Machine, separate: tuple[str, str] | None = None) -> Plan:
@@ -145,31 +119,26 @@ def make_plan(machine: Machine, separate: tuple[str, str] | None = None) -> Plan
     Raises:
         InputError: a cause that does not exist.
     """
-    known = (*EFFECT_NAMES, *BASE_CAUSES)
     for name in separate or ():
-        if name not in known:
-            raise InputError("plan", "separate", name, f"two of {', '.join(known)}")
-    friction, top = machine.friction, machine.sampling.max_velocity
-    breakaway = max(nu * friction.coulomb / k for nu, k in zip(friction.fraction, friction.stiffness, strict=True))
-    speed = 0.9 * top
+        if name not in CAUSE_NAMES:
+            raise InputError("plan", "separate", name, f"two of {', '.join(CAUSE_NAMES)}")
+    speed = 0.9 * machine.sampling.max_velocity
     # Half a second at full speed, reached within a tenth of a second.
-    axis = _Axis(speed, 10.0 * speed, 400.0 * speed, breakaway, 0.5 * speed)
-    moves = [name for name in _MOVES if separate is None or set(separate) & set(_NEEDED[name])]
+    axis = _Axis(speed, 10.0 * speed, 400.0 * speed, machine_unit(machine, "deflection"), 0.5 * speed)
+    wanted = set(MOVES) if separate is None else {move for name in separate for move in cause(name).moves}
+    moves = [move for move in MOVES if move in wanted]
     path = Motion(machine.sampling.rate)
     path.wait(0.3)
-    for name in moves:
-        _MOVES[name](path, axis)
+    for move in moves:
+        _MAKERS[move](path, axis)
         path.wait(0.2)
     path.move_to(0.0, *axis.limits(0.4))
     path.wait(0.3)
     reason = "excites every effect of the catalogue"
     if separate is not None:
-        move = separating_move(*separate)
-        needs = [
-            (effect_definition(n).excitation if n in EFFECT_NAMES else BASE_CAUSES[n].excitation).text for n in separate
-        ]
-        reason = f"{' or '.join(separate)}: {move or '; '.join(dict.fromkeys(needs))}"
-    return Plan(path.trajectory(f"{machine.name}_plan"), reason, tuple(moves))
+        said = separating_moves(*separate)[:1] or dict.fromkeys(cause(name).excitation.text for name in separate)
+        reason = f"{' or '.join(separate)}: {'; '.join(said)}"
+    return Plan(path.trajectory(f"{machine.name}_plan"), reason, tuple(MOVES[move] for move in moves))
 
 
 def write_plan(path: str | Path, plan: Plan) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import Extents
 from sgms_mhe.signals.chain import Signals, settle_samples, signals_of_record
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -78,6 +79,17 @@ class Recording:
     def blocks(self) -> int:
         """Number of blocks."""
         return len(self.fold)
+
+    @property
+    def extents(self) -> Extents:
+        """How far the rows reach that count."""
+        return Extents(
+            travel=float(np.ptp(self.position[self.used])),
+            speed=float(np.max(np.abs(self.velocity[self.used]))),
+            duration=float(np.ptp(self.time)),
+            end=float(self.time[-1]),
+            rate=self.rate,
+        )
 
     def reduce(self, series: Array) -> Array:
         """Mean over `factor` samples: (n, ...) to (m, ...)."""

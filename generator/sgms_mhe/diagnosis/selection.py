@@ -11,9 +11,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.candidates import Proposal, degenerate, motion_of, search, stiffness_start, stribeck_start
+from sgms_mhe.diagnosis.candidates import degenerate, motion_of, search, stiffness_start, stribeck_start
 from sgms_mhe.diagnosis.evidence import difference_statistic, gain_force, nuisance, score_test
 from sgms_mhe.diagnosis.fitting import BASE_GROUPS, Extra, Fit, FitError, Workshop, cross_loss
+from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.result import Score
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 from sgms_mhe.model.effects.excitation import Measure

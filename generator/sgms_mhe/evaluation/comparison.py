@@ -177,7 +177,7 @@ def undecided_flags(
     machine: Machine, signals: Signals, estimates: Estimates, parameters: Sequence[FreeParameter]
 ) -> NDArray[np.int64]:
     """Flags that at each update (u) depend on a number which lies on its limit, within the tolerance `status`."""
-    from sgms_mhe.emission.package import hold_path
+    from sgms_mhe.emission.context import hold_path
 
     tolerance = TOLERANCES[machine.code.precision].status
     samples, updates = machine.sampling.samples_per_update, len(estimates)

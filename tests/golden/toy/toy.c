@@ -315,7 +315,7 @@ static void work(toy_t *self)
 
 void toy_prepare(toy_t *self)
 {
-    while (next_cost(self) > 0) {
+    while (self->started && next_cost(self) > 0) { /* before the first sample there is no first node */
         work(self);
     }
 }

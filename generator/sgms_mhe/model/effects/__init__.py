@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from sgms_mhe.model.effects.base import BASE_CAUSES, BaseCause, base_cause
+from sgms_mhe.model.effects.base import (
+    BASE_CAUSES,
+    BaseCause,
+    BaseNumber,
+    base_cause,
+    base_number,
+    reported_name,
+)
+from sgms_mhe.model.effects.causes import MOVES, CauseDefinition, Move, Simpler
 from sgms_mhe.model.effects.definition import (
     STAGES,
     EffectDefinition,
     EffectParameter,
     EffectState,
-    Search,
-    Start,
     machine_unit,
 )
 from sgms_mhe.model.effects.excitation import Excitation, Measure, Need, measures
+from sgms_mhe.model.effects.motion import Extents, MotionRecord
 
 EFFECT_NAMES: tuple[str, ...] = (
     "force_ripple",
@@ -62,8 +69,8 @@ def effect_definition(name: str) -> EffectDefinition:
     return definition
 
 
-def cause(name: str) -> EffectDefinition | BaseCause:
-    """The description of an effect or of a wrong number; both have name, summary, excitation, confused_with, start."""
+def cause(name: str) -> CauseDefinition:
+    """What a diagnosis must know of anything that it may name; KeyError if there is no such cause."""
     return base_cause(name) if name in BASE_CAUSES else effect_definition(name)
 
 
@@ -77,20 +84,27 @@ __all__ = [
     "BASE_CAUSES",
     "CAUSE_NAMES",
     "EFFECT_NAMES",
+    "MOVES",
     "STAGES",
     "BaseCause",
+    "BaseNumber",
+    "CauseDefinition",
     "EffectDefinition",
     "EffectParameter",
     "EffectState",
     "Excitation",
+    "Extents",
     "Measure",
+    "MotionRecord",
+    "Move",
     "Need",
-    "Search",
-    "Start",
+    "Simpler",
     "base_cause",
+    "base_number",
     "cause",
     "effect_definition",
     "machine_unit",
     "measures",
+    "reported_name",
     "separating_moves",
 ]

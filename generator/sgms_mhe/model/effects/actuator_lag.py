@@ -6,18 +6,23 @@ import math
 from collections.abc import Mapping
 
 import casadi as ca
+import numpy as np
+from scipy.signal import lfilter
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.definition import (
+    LAG_DISPLACEMENT,
     EffectDefinition,
     EffectParameter,
-    Search,
-    Start,
     add_lag,
+    longest_lag,
     no_shorter,
     shortest_lag,
+    step_by_factor,
 )
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.motion import MotionRecord
+from sgms_mhe.model.effects.search import Array, Columns
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -32,10 +37,31 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
     axis.drive = axis.drive + p["time_constant_s"] / lag * (axis.force - lagged)
 
 
+def _lagged(motion: MotionRecord, time_constant: float) -> Array:
+    """The logged force behind a first-order lag (m) [N], bilinear."""
+    k = 2.0 * time_constant * motion.extents.rate
+    b, a = np.array([1.0, 1.0]) / (1.0 + k), np.array([1.0, (1.0 - k) / (1.0 + k)])
+    return np.asarray(lfilter(b, a, motion.force - motion.force[0]) + motion.force[0])
+
+
 DEFINITION = EffectDefinition(
     name="actuator_lag",
     summary="force on the mass lags the logged one",
-    parameters=(EffectParameter("time_constant_s", 0.0, 1.0, "first-order lag", lower=0.0, upper=1.0, unit="sample"),),
+    parameters=(
+        EffectParameter(
+            "time_constant_s",
+            0.0,
+            1.0,
+            "first-order lag",
+            lower=0.0,
+            upper=1.0,
+            unit="sample",
+            proportional=False,
+            timing=True,
+            step=step_by_factor,
+            most=longest_lag,
+        ),
+    ),
     contribute=_contribute,
     excitation=Excitation(
         "jerk: short acceleration times, many of them", (Need("inertial_ratio", 1.0), Need("reversals", 2.0))
@@ -45,10 +71,19 @@ DEFINITION = EffectDefinition(
         "mass_mismatch": "moves of constant acceleration: a lag is over after a few time constants",
         "structural_resonance": "wide-band force, such as noise on the command: a resonance has a peak",
     },
-    start=Start(
-        values={"time_constant_s": 2.0},
-        searches=(Search("time_constant_s", low=0.5, high=30.0, low_of="sample", high_of="sample", points=6),),
+    moves=("jerks",),
+    inertial=True,
+    # One makes the log late, the other the force.
+    excludes=("force_delay",),
+    search=Columns(
+        lambda m, p: ((m.force - _lagged(m, p["time_constant_s"])) / p["time_constant_s"])[:, None],
+        lambda _, size: {"time_constant_s": float(size[0])},
+        lambda m: [{"time_constant_s": x / m.extents.rate} for x in (0.1, 1.0, 3.0, 10.0, 30.0)],
+        tests=2.0,
+        own_size="time_constant_s",
     ),
+    full_rate=True,
+    fit_displacement=LAG_DISPLACEMENT,
     stage="actuator",
     states=("lagged_force",),
 )

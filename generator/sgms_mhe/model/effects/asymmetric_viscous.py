@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
+import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Columns, one_size
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -29,5 +31,7 @@ DEFINITION = EffectDefinition(
         "constant_offset": "both directions at two constant speeds",
         "quadratic_drag": "both directions: drag is the same in both",
     },
-    start=Start(note="linear"),
+    moves=("speeds",),
+    search=Columns(lambda m, _: np.abs(m.velocity)[:, None], one_size("difference_N_s_m")),
+    linear=True,
 )

@@ -6,17 +6,19 @@ import math
 from collections.abc import Mapping
 
 import casadi as ca
+import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.definition import (
     EffectDefinition,
     EffectParameter,
     EffectState,
-    Search,
-    Start,
     add_effect_state,
+    step_by_factor,
 )
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.motion import MotionRecord
+from sgms_mhe.model.effects.search import Array, Trials, Values
 
 _EDGE, _SHARPNESS = 0.9, 35.0
 # b settles a little beyond 1, by a logarithm of the way; so much that a gap is as long as its parameter says.
@@ -47,10 +49,47 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
     axis.engagement = axis.engagement * (1.0 - share * (1.0 - contact))
 
 
+def _gaps(motion: MotionRecord) -> list[Values]:
+    return [{"gap_m": x} for x in (1e-6, 3e-6, 1e-5, 3e-5, 1e-4) if x < 0.3 * motion.extents.travel]
+
+
+def _behind_gap(moved: Array, push: Array, values: Values) -> Array:
+    """The mass's moves without what crosses the gap (n) [m]; the gap opens where it turns from elements at rest."""
+    gap = values["gap_m"]
+    engaged = np.empty(len(moved))
+    side, left = 1, 0.0  # way left to the side that the mass moves towards
+    for k, (step, force) in enumerate(zip(moved.tolist(), push.tolist(), strict=True)):
+        if side > 0 and step < 0.0 and force <= 0.0:
+            side, left = 0, gap  # measured from the minus side
+        elif side < 0 and step > 0.0 and force >= 0.0:
+            side, left = 0, 0.0
+        if side == 0:
+            left += step
+            if left > gap:
+                side, step = 1, left - gap
+            elif left < 0.0:
+                side, step = -1, left
+            else:
+                step = 0.0
+        engaged[k] = step
+    return engaged
+
+
 DEFINITION = EffectDefinition(
     name="backlash",
     summary="gap between the mass and what rubs",
-    parameters=(EffectParameter("gap_m", 0.0, 0.5, "width of the gap", lower=0.0, unit="deflection"),),
+    parameters=(
+        EffectParameter(
+            "gap_m",
+            0.0,
+            0.5,
+            "width of the gap",
+            lower=0.0,
+            unit="deflection",
+            proportional=False,
+            step=step_by_factor,
+        ),
+    ),
     contribute=_contribute,
     excitation=Excitation("slow reversals after sliding, several of them", (Need("reversals", 4.0),)),
     confused_with={
@@ -58,11 +97,11 @@ DEFINITION = EffectDefinition(
         "frictional_lag": "reversals at two speeds: a gap is a way, a lag is a time",
         "hose_hysteresis": "one slow reversal: behind a gap the force is zero, behind a hose it changes slowly",
     },
-    start=Start(
-        values={"gap_m": 0.2},
-        searches=(Search("gap_m", low=1e-6, high=1e-3, points=8),),
-        note="its derivative is zero at zero: start from a gap",
-    ),
+    moves=("loops",),
+    # Its derivative is zero at zero: every trial is a gap.
+    search=Trials(_gaps, _behind_gap),
+    # The place in the gap moves within micrometres: shorter steps would be hundreds per sample.
+    fit_displacement=2.0,
     stage="level",
     states=("place",),
 )

@@ -7,30 +7,80 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
-from sgms_mhe.model.effects.definition import Start
+import numpy as np
+
+from sgms_mhe.model.effects.causes import CauseDefinition
+from sgms_mhe.model.effects.definition import RecordLimit, Unit
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.motion import MotionRecord
+from sgms_mhe.model.effects.search import Columns, Values
+
+FASTEST_STRIBECK: Final = 0.1
+"""Largest Stribeck velocity, over the largest speed: a rise of friction over the whole range of speed is a curve that
+effects have names for."""
+SLOWEST_STRIBECK: Final = 3e-4  # the least that is tried
 
 
 @dataclass(frozen=True)
-class BaseCause:
-    """A wrong number: which parameters of the base model it frees, and their names in a report.
+class BaseNumber:
+    """One number of the base model that may be wrong.
 
     Attributes:
-        name: as in diagnosis.json.
-        summary: one line for reports.
-        frees: names for `[estimator] parameters`.
-        reported: name in reports, with its unit, per freed parameter; of an array, the stem of `stiffness_1_N_m`.
-        excitation, confused_with, start: as of an effect.
+        name: as in `[estimator] parameters`.
+        suffix: its unit at the end of its name in reports (`_N` of `coulomb_N`, `_N_m` of `stiffness_1_N_m`).
+        array: whether each element has one (`stiffness_1`, `stiffness_2`, ...).
+        lower, upper: limits of a fit, over the nominal value.
+        typical: size, in `unit`s of the machine, that a fit counts in where the machine file says 0; None: it may not.
+        most: what a record can tell of it [SI]. The machine file's own value stays allowed.
     """
 
     name: str
-    summary: str
-    frees: tuple[str, ...]
-    reported: Mapping[str, str]
-    excitation: Excitation
-    confused_with: Mapping[str, str]
-    start: Start
+    suffix: str = ""
+    array: bool = False
+    lower: float = 0.05
+    upper: float = 20.0
+    typical: float | None = None
+    unit: Unit = "one"
+    most: RecordLimit | None = None
 
+    def holds(self, column: str) -> bool:
+        """Whether a column of results is this number, or one of its elements."""
+        return column == self.name or (self.array and column.rpartition("_")[0] == self.name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaseCause(CauseDefinition):
+    """A wrong number: which numbers of the base model it means, and how their fit starts.
+
+    Attributes:
+        numbers: of the base model.
+        start_factors: factors, common to all elements, that a fit may start from: where elements turn round all the
+            time the sum of squares is rough in them, and a fit that starts far away stops short. Empty: the file's.
+        start_search: columns to start from where the machine file says 0 of a number and so nothing of the others;
+            sizes that are not positive are none.
+    """
+
+    numbers: tuple[BaseNumber, ...]
+    start_factors: tuple[float, ...] = ()
+    start_search: Columns | None = None
+
+    @property
+    def frees(self) -> tuple[str, ...]:
+        """Names for `[estimator] parameters`."""
+        return tuple(number.name for number in self.numbers)
+
+
+def _velocities(motion: MotionRecord) -> list[Values]:
+    shares = np.geomspace(SLOWEST_STRIBECK, FASTEST_STRIBECK, 12)
+    return [{"stribeck_velocity": float(v)} for v in shares * motion.extents.speed]
+
+
+_RISE = Columns(
+    lambda m, p: (m.level * np.exp(-((np.abs(m.velocity) / p["stribeck_velocity"]) ** 2)))[:, None],
+    lambda given, size: {"stribeck_ratio": float(size[0]), **given},
+    _velocities,
+    tests=12.0,
+)
 
 BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
     {
@@ -39,8 +89,9 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
             BaseCause(
                 name="stiffness",
                 summary="presliding stiffness differs from the machine file",
-                frees=("stiffness",),
-                reported={"stiffness": "stiffness_N_m"},
+                numbers=(BaseNumber("stiffness", "_N_m", array=True),),
+                start_factors=(0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8),
+                moves=("loops", "places"),
                 excitation=Excitation(
                     "reversals, and loops that stay below break-away; an element shows only where it turns round",
                     (Need("reversals", 4.0),),
@@ -51,13 +102,12 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                     "micro_viscous": "the same presliding loop at two speeds: a spring does not know speed",
                     "backlash": "one slow reversal: a gap has no force at all, a soft element a low slope",
                 },
-                start=Start(note="from the machine file's values"),
             ),
             BaseCause(
                 name="coulomb",
                 summary="Coulomb level differs from the machine file",
-                frees=("coulomb",),
-                reported={"coulomb": "coulomb_N"},
+                numbers=(BaseNumber("coulomb", "_N"),),
+                moves=("speeds", "again"),
                 excitation=Excitation(
                     "sliding in both directions", (Need("both_directions", 0.1), Need("reversals", 1.0))
                 ),
@@ -66,13 +116,12 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                     "friction_drift": "the same move at the beginning and at the end of the log",
                     "constant_offset": "move in both directions: an offset does not change sign",
                 },
-                start=Start(note="from the machine file's value; linear"),
             ),
             BaseCause(
                 name="viscous",
                 summary="viscous friction differs from the machine file",
-                frees=("viscous",),
-                reported={"viscous": "viscous_N_s_m"},
+                numbers=(BaseNumber("viscous", "_N_s_m", lower=0.0, typical=0.1, unit="damping"),),
+                moves=("speeds", "again"),
                 excitation=Excitation(
                     "constant speeds that differ by a factor of three",
                     (Need("speed_ratio", 2.0), Need("moving_s", 0.5)),
@@ -82,13 +131,18 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                     "quadratic_drag": "three constant speeds or more: is the force over speed a line or a parabola",
                     "force_delay": "constant speed: a delay has no effect there",
                 },
-                start=Start(note="from the machine file's value; linear"),
             ),
             BaseCause(
                 name="stribeck",
                 summary="rise of friction towards low speed differs from the machine file",
-                frees=("stribeck_ratio", "stribeck_velocity"),
-                reported={"stribeck_ratio": "stribeck_ratio", "stribeck_velocity": "stribeck_velocity_m_s"},
+                numbers=(
+                    BaseNumber("stribeck_ratio", lower=0.0, typical=0.1),
+                    BaseNumber(
+                        "stribeck_velocity", "_m_s", upper=1e4, most=lambda extents: FASTEST_STRIBECK * extents.speed
+                    ),
+                ),
+                start_search=_RISE,
+                moves=("speeds", "rests"),
                 excitation=Excitation(
                     "constant speeds from well below to well above the Stribeck velocity", (Need("speed_ratio", 10.0),)
                 ),
@@ -97,12 +151,25 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                     "frictional_lag": "pass through the Stribeck velocity with different accelerations",
                     "eddy_current_damping": "speeds below the Stribeck velocity",
                 },
-                start=Start(note="from the machine file's values; try half and twice the velocity"),
             ),
         )
     }
 )
 """Wrong-number causes by name."""
+
+
+def base_number(column: str) -> BaseNumber:
+    """The number that a column of results (`coulomb`, `stiffness_2`) is of; KeyError if there is none."""
+    for cause in BASE_CAUSES.values():
+        for number in cause.numbers:
+            if number.holds(column):
+                return number
+    raise KeyError(column)
+
+
+def reported_name(column: str) -> str:
+    """A column's name in reports, with its unit at the end: `coulomb_N`, `stiffness_2_N_m`."""
+    return column + base_number(column).suffix
 
 
 def base_cause(name: str) -> BaseCause:

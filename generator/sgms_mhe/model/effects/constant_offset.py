@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
+import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Columns, one_size
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -30,5 +32,7 @@ DEFINITION = EffectDefinition(
         "step_disturbance": "the same move at the beginning and at the end of the log",
         "coulomb": "move in both directions: an offset does not change sign",
     },
-    start=Start(note="linear"),
+    moves=("speeds", "loops"),
+    search=Columns(lambda m, _: np.ones((len(m.time), 1)), one_size("force_N")),
+    linear=True,
 )

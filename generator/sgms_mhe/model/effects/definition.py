@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Final, Literal
 import casadi as ca
 
 from sgms_mhe.model.axis import AxisState, StateSpec, SymbolicAxis
-from sgms_mhe.model.effects.excitation import Excitation
+from sgms_mhe.model.effects.causes import CauseDefinition
+from sgms_mhe.model.effects.motion import SHORTEST_TRAVEL, Extents
+from sgms_mhe.model.effects.search import Derivative, Harmonic, Search
 
 if TYPE_CHECKING:
     from sgms_mhe.machine import Machine
@@ -21,24 +23,11 @@ STAGES: Final[tuple[Stage, ...]] = ("signal", "level", "force", "motor", "log", 
 factors on friction; forces; from force to motor current; from current to the log; the current loop behind the log."""
 
 Unit = Literal["one", "coulomb", "damping", "stiffness", "mass", "sample", "deflection"]
-Role = Literal["size", "place", "period"]
-Extent = Literal[
-    "one",
-    "travel",
-    "sample_travel",
-    "duration",
-    "per_duration",
-    "sample",
-    "rate",
-    "speed",
-    "deflection",
-    "level_over_travel",
-]
-"""What the limits of a search count in. one: SI; travel: range of position; sample_travel: largest speed times the time
-between samples; duration of the log; per_duration: its inverse; sample: time between samples; rate: its inverse;
-speed: the largest; deflection: of the element that breaks away last; level_over_travel: f_C over the range of
-position."""
+Role = Literal["size", "shape", "place", "period"]
 
+LAG_DISPLACEMENT: Final = 0.2
+"""`fit_displacement` of delays and lags: the states behind them are the derivatives of the force."""
+_LONGEST_LAG = 0.05  # s; a current loop that is later does not hold an axis
 _LAG_PER_SUBSTEP = 0.2
 """A lag decays by exp(-0.5) in a substep of rk4: it is linear, so the error is 3e-4 of what is left of a transient."""
 _SHORTEST_LAG = 0.25  # of a sample
@@ -66,6 +55,42 @@ def machine_unit(machine: Machine, unit: Unit) -> float:
     return sizes[unit]
 
 
+StepLimit = Callable[[float, float, Extents], float]
+"""(value, scale, extents) -> how far a parameter may move in one step of a fit, all SI but the extents."""
+RecordLimit = Callable[[Extents], float]
+"""The farthest value [SI] that a record of these extents can tell from something simpler."""
+
+
+def any_step(_: float, __: float, ___: Extents) -> float:
+    """What the force is linear in may move as far as the step says."""
+    return math.inf
+
+
+def step_by_factor(value: float, scale: float, _: Extents) -> float:
+    """Up to a factor of two, or off zero by a tenth of the scale: derivatives of times and widths hold no farther."""
+    return max(abs(value), 0.1 * scale)
+
+
+def step_of_share(value: float, _: float, __: Extents) -> float:
+    """A fifth: about the width of a resonance."""
+    return 0.2 * value
+
+
+def step_of_angle(_: float, __: float, ___: Extents) -> float:
+    """Half a radian, within which a sine is nearly a line."""
+    return 0.5
+
+
+def step_of_pitch(value: float, _: float, extents: Extents) -> float:
+    """A fifth of a period over the whole travel: beyond half of one the next minimum begins."""
+    return min(0.3 * abs(value), 0.2 * value**2 / max(extents.travel, SHORTEST_TRAVEL))
+
+
+def step_of_frequency(_: float, __: float, extents: Extents) -> float:
+    """The same over the whole duration."""
+    return 0.2 / extents.duration
+
+
 @dataclass(frozen=True)
 class EffectParameter:
     """One parameter of an effect; its unit stands at the end of its name (`amplitude_N`, `pitch_m`).
@@ -77,9 +102,18 @@ class EffectParameter:
         description: one line.
         lower, upper: absolute limits [SI].
         unit: what `scale` counts in.
-        role: `size`: scaled by its nominal value for estimation, by `scale` where that is 0; `place`: of arbitrary zero
-            (phase, position, time), always scaled by `scale`; `period`: known to a few percent, scaled by 3 % of it.
+        role: `size`: the effect is none where it is `none`; `shape`: how it looks (a time constant, a corner); `place`:
+            of arbitrary zero (phase, position, time); `period`: known to a few percent. For estimation sizes and
+            shapes are scaled by their nominal value (by `scale` where that is 0), places always by `scale`, periods by
+            3 % of their nominal value.
+        none: value [SI] of a size at which the effect is none.
+        proportional: whether the force is proportional to a size (from `none` on, to first order); that of a lag or a
+            gap is not.
         main: whether a fit of the effect frees it.
+        frozen: whether its search decides it: the force jumps in it, so that no fit moves it.
+        timing: whether it is a time that force and position are apart; no log is surer of that than of its sampling.
+        step: how far one step of a fit may move it.
+        least, most: what a record can tell of it, beyond `lower` and `upper`.
     """
 
     name: str
@@ -90,7 +124,24 @@ class EffectParameter:
     upper: float = math.inf
     unit: Unit = "one"
     role: Role = "size"
+    none: float = 0.0
+    proportional: bool = True
     main: bool = True
+    frozen: bool = False
+    timing: bool = False
+    step: StepLimit = any_step
+    least: RecordLimit | None = None
+    most: RecordLimit | None = None
+
+    @property
+    def is_size(self) -> bool:
+        """Whether the effect is none where the parameter is `none`."""
+        return self.role == "size"
+
+    @property
+    def is_proportional(self) -> bool:
+        """Whether the force is proportional to it."""
+        return self.is_size and self.proportional
 
     @property
     def allowed(self) -> str:
@@ -110,48 +161,28 @@ class EffectParameter:
         return 0.03 * nominal if self.role == "period" else nominal
 
 
-@dataclass(frozen=True)
-class Search:
-    """A parameter whose fit needs trial values: the residual has many minima over it.
-
-    Attributes:
-        parameter: its name.
-        low, high: first and last trial value, in `low_of` and `high_of` (see `Extent`).
-        spacing: of the trial values; `reciprocal`: equal steps of 1 / value.
-        points: how many; 0: as many as resolve the data, half a period over the travel or the duration from one to the
-            next.
-        harmonic: (amplitude, phase) of a sine. It is linear in its two quadratures, so that a trial value of the period
-            or frequency costs one linear fit.
-    """
-
-    parameter: str
-    low: float
-    high: float
-    low_of: Extent = "one"
-    high_of: Extent = "one"
-    spacing: Literal["linear", "log", "reciprocal"] = "log"
-    points: int = 8
-    harmonic: tuple[str, str] | None = None
+def longest_lag(_: Extents) -> float:
+    """The longest delay or lag of a force that an axis is held with [s]."""
+    return _LONGEST_LAG
 
 
-def pitch_search(amplitude: str) -> Search:
-    """Search of `pitch_m` from ten samples' way at the largest speed up to twice the travel."""
-    return Search("pitch_m", 10.0, 2.0, "sample_travel", "travel", "reciprocal", 0, (amplitude, "phase_rad"))
+def pitch(default: float, scale: float) -> EffectParameter:
+    """`pitch_m`, a period in position."""
+    return EffectParameter(
+        "pitch_m",
+        default,
+        scale,
+        "period in position",
+        lower=1e-6,
+        role="period",
+        step=step_of_pitch,
+        most=lambda extents: extents.longest_pitch,
+    )
 
 
-@dataclass(frozen=True)
-class Start:
-    """How a fit starts.
-
-    Attributes:
-        values: first trial of parameters, in multiples of their `size`; the others start at their defaults.
-        searches: parameters to try on a grid.
-        note: what else there is to know.
-    """
-
-    values: Mapping[str, float] = field(default_factory=dict)
-    searches: tuple[Search, ...] = ()
-    note: str = ""
+def phase(zero: str) -> EffectParameter:
+    """`phase_rad`, the angle of a sine at a `zero` of its coordinate."""
+    return EffectParameter("phase_rad", 0.0, 0.1, f"phase at {zero} zero", role="place", step=step_of_angle)
 
 
 @dataclass(frozen=True)
@@ -173,31 +204,35 @@ class EffectState:
 Contribution = Callable[[SymbolicAxis, Mapping[str, ca.SX], Mapping[str, float]], None]
 
 
-@dataclass(frozen=True)
-class EffectDefinition:
+@dataclass(frozen=True, kw_only=True)
+class EffectDefinition(CauseDefinition):
     """The one definition of an effect that reference, generator and diagnosis read.
 
     Attributes:
-        name: as in the machine file; the module's name.
-        summary: one line for reports.
         parameters: in the order of reports.
         contribute: adds the effect to the axis, given its parameters as expressions and their nominal values.
         stage: see STAGES.
-        excitation: what a log must hold for the effect to be identified.
-        confused_with: names of effects and wrong-number causes that look alike, and the move that tells them apart.
-        start: how its fit starts.
         states: names of its own states.
+        search: how a diagnosis looks for it; by its derivative in its first size unless something says more.
+        linear: whether the search's columns times its sizes are all of its force: what it would gain is then known
+            without a refit.
+        repeatable: whether an axis may have two of it.
+        full_rate: whether it is about as fast as a sample of the record, or jumps: fitted at the record's full rate,
+            never on means.
+        fit_displacement: largest step of a fit of it where the elements are integrated exactly, in deflection scales of
+            its states; None: 1, they settle within it. Below 1: its states are derivatives of the force, and a long
+            step makes a jerk half as large again. Above 1: its states are so fast that shorter steps cost too many.
     """
 
-    name: str
-    summary: str
     parameters: tuple[EffectParameter, ...]
     contribute: Contribution
-    excitation: Excitation
-    confused_with: Mapping[str, str]
-    start: Start
     stage: Stage = "force"
     states: tuple[str, ...] = ()
+    search: Search = field(default_factory=Derivative)
+    linear: bool = False
+    repeatable: bool = False
+    full_rate: bool = False
+    fit_displacement: float | None = None
 
     def parameter(self, name: str) -> EffectParameter:
         """Return the parameter called `name`; KeyError if there is none."""
@@ -210,6 +245,31 @@ class EffectDefinition:
     def main(self) -> tuple[str, ...]:
         """Names of the parameters that a fit frees."""
         return tuple(parameter.name for parameter in self.parameters if parameter.main)
+
+    @property
+    def timed(self) -> bool:
+        """Whether it moves force against position in time: sampling alone looks like a little of it."""
+        return any(parameter.timing for parameter in self.parameters)
+
+    @property
+    def costly(self) -> bool:
+        """Whether its search runs models many times: made only where something speaks for the effect."""
+        return self.search.costly
+
+    @property
+    def sine(self) -> Harmonic | None:
+        """Names of size, period and phase where the effect is a sine."""
+        return self.search if isinstance(self.search, Harmonic) else None
+
+    def tidy(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Parameters as a report states them: of a sine the size positive, the phase within one turn."""
+        tidy = dict(values)
+        if self.sine is not None and self.sine.phase in tidy:
+            size, angle = self.sine.size, self.sine.phase
+            if tidy.get(size, 0.0) < 0.0:
+                tidy[size], tidy[angle] = -tidy[size], tidy[angle] + math.pi
+            tidy[angle] = math.remainder(tidy[angle], 2.0 * math.pi)
+        return tidy
 
 
 def sine(position: ca.SX, pitch: ca.SX, phase: ca.SX) -> ca.SX:

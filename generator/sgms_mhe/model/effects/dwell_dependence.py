@@ -11,11 +11,12 @@ from sgms_mhe.model.effects.definition import (
     EffectDefinition,
     EffectParameter,
     EffectState,
-    Search,
-    Start,
     add_effect_state,
+    step_by_factor,
 )
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.motion import MotionRecord
+from sgms_mhe.model.effects.search import Derivative, Values
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -35,13 +36,29 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
     axis.coulomb_factor = axis.coulomb_factor * (1.0 + p["ratio"] * age)
 
 
+def _trials(motion: MotionRecord) -> list[Values]:
+    lengths = [share * motion.deflection for share in (0.1, 0.4, 1.6)]
+    return [{"time_constant_s": time, "length_m": length} for length in lengths for time in (0.04, 0.12, 0.4, 1.2)]
+
+
 DEFINITION = EffectDefinition(
     name="dwell_dependence",
     summary="break-away rises with the time at rest",
     parameters=(
         EffectParameter("ratio", 0.0, 0.1, "rise after a long rest over the level", lower=-0.95),
-        EffectParameter("time_constant_s", 1.0, 0.3, "time to 63 % of the rise", lower=1e-3),
-        EffectParameter("length_m", 1e-4, 1e-5, "way that renews the contact", lower=1e-8, main=False),
+        EffectParameter(
+            "time_constant_s", 1.0, 0.3, "time to 63 % of the rise", lower=1e-3, role="shape", step=step_by_factor
+        ),
+        EffectParameter(
+            "length_m",
+            1e-4,
+            1e-5,
+            "way that renews the contact",
+            lower=1e-8,
+            role="shape",
+            main=False,
+            step=step_by_factor,
+        ),
     ),
     contribute=_contribute,
     excitation=Excitation(
@@ -53,14 +70,10 @@ DEFINITION = EffectDefinition(
         "friction_drift": "rests of different length in the middle of the log",
         "frictional_lag": "break away after rests of different length",
     },
-    start=Start(
-        values={"ratio": 1.0},
-        searches=(
-            Search("time_constant_s", low=0.05, high=20.0, points=5),
-            Search("length_m", low=0.1, high=10.0, low_of="deflection", high_of="deflection", points=4),
-        ),
-        note="linear in ratio while sliding",
-    ),
+    moves=("rests",),
+    # The level's rise dies away within the way over which the elements come up to it: nothing short of the model itself
+    # says what is left.
+    search=Derivative("ratio", _trials, tests=6.0, costly=True),
     stage="level",
     states=("age",),
 )

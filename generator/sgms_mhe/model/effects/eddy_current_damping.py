@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
+import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Search, Start
+from sgms_mhe.model.effects.causes import Simpler
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, step_by_factor
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.motion import Extents
+from sgms_mhe.model.effects.search import Columns, Values, one_size
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -16,12 +20,24 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, floa
     axis.add_force(p["damping_N_s_m"] * axis.velocity / (1.0 + ratio * ratio))
 
 
+def _is_viscous(p: Values, extents: Extents) -> bool:
+    return p["corner_velocity_m_s"] > 2.0 * extents.speed
+
+
 DEFINITION = EffectDefinition(
     name="eddy_current_damping",
     summary="damping by eddy currents, falling off with speed",
     parameters=(
         EffectParameter("damping_N_s_m", 0.0, 0.5, "damping at low speed", unit="damping"),
-        EffectParameter("corner_velocity_m_s", 0.5, 0.1, "speed of the largest force", lower=1e-6),
+        EffectParameter(
+            "corner_velocity_m_s",
+            0.5,
+            0.1,
+            "speed of the largest force",
+            lower=1e-6,
+            role="shape",
+            step=step_by_factor,
+        ),
     ),
     contribute=_contribute,
     excitation=Excitation(
@@ -33,9 +49,13 @@ DEFINITION = EffectDefinition(
         "quadratic_drag": "speeds up to the fastest: drag bends up, eddy currents bend down",
         "stribeck": "speeds below the Stribeck velocity",
     },
-    start=Start(
-        values={"damping_N_s_m": 1.0},
-        searches=(Search("corner_velocity_m_s", low=0.1, high=2.0, low_of="speed", high_of="speed", points=5),),
-        note="linear in damping where the corner is given; with viscous free only the bend is left",
+    moves=("speeds",),
+    simpler=Simpler(("viscous",), _is_viscous),
+    search=Columns(
+        lambda m, p: (m.velocity / (1.0 + (m.velocity / p["corner_velocity_m_s"]) ** 2))[:, None],
+        one_size("damping_N_s_m"),
+        lambda m: [{"corner_velocity_m_s": float(x)} for x in m.extents.speed * np.geomspace(0.02, 1.0, 8)],
+        tests=3.0,
     ),
+    linear=True,
 )

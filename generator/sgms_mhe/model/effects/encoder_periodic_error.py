@@ -8,8 +8,9 @@ from collections.abc import Mapping
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start, pitch_search
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, pitch
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Harmonic, ones
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -38,8 +39,8 @@ DEFINITION = EffectDefinition(
     summary="encoder error periodic in position",
     parameters=(
         EffectParameter("amplitude_m", 0.0, 1e-7, "amplitude of the error"),
-        EffectParameter("pitch_m", 0.001, 1e-5, "period in position", lower=1e-6, role="period"),
-        EffectParameter("phase_rad", 0.0, 0.1, "phase at position zero", role="place"),
+        pitch(0.001, 1e-5),
+        phase("position"),
     ),
     contribute=_contribute,
     excitation=Excitation(
@@ -51,6 +52,15 @@ DEFINITION = EffectDefinition(
         "structural_resonance": "the same stroke at another speed: the frequency follows speed or stays",
         "periodic_disturbance": "the same stroke at another speed: the frequency follows speed or stays",
     },
-    start=Start(values={"amplitude_m": 1.0}, searches=(pitch_search("amplitude_m"),)),
+    moves=("travel",),
+    search=Harmonic(
+        "position",
+        "amplitude_m",
+        "pitch_m",
+        # The encoder reads d too much: u - m a changes by -m d2d/dt2, the model's viscous force by sigma_v dd/dt.
+        weights=lambda m: [m.velocity**2, m.mass * m.acceleration + m.damping * m.velocity],
+        factors=lambda m, k: [m.mass * k**2 * ones(k), -1j * k * ones(k)],
+    ),
+    linear=True,
     stage="signal",
 )

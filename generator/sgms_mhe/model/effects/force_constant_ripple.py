@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start, pitch_search, sine
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, pitch, sine
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Harmonic, ones
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -20,8 +21,8 @@ DEFINITION = EffectDefinition(
     summary="force constant periodic in position",
     parameters=(
         EffectParameter("ratio", 0.0, 0.01, "amplitude over the mean force constant", lower=-0.9, upper=0.9),
-        EffectParameter("pitch_m", 0.032, 0.001, "period in position", lower=1e-6, role="period"),
-        EffectParameter("phase_rad", 0.0, 0.1, "phase at position zero", role="place"),
+        pitch(0.032, 0.001),
+        phase("position"),
     ),
     contribute=_contribute,
     excitation=Excitation(
@@ -32,6 +33,14 @@ DEFINITION = EffectDefinition(
         "force_ripple": "the same stroke with another acceleration: cogging does not grow with force",
         "position_dependent_friction": "the same stroke with high acceleration: friction does not know inertia",
     },
-    start=Start(values={"ratio": 1.0}, searches=(pitch_search("ratio"),)),
+    moves=("travel", "jerks"),
+    search=Harmonic(
+        "position",
+        "ratio",
+        "pitch_m",
+        weights=lambda m: [-m.force],
+        factors=lambda _, k: [ones(k)],
+    ),
+    linear=True,
     stage="motor",
 )

@@ -5,10 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
+import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Search, Start, add_lag, shortest_lag
+from sgms_mhe.model.effects.definition import (
+    LAG_DISPLACEMENT,
+    EffectDefinition,
+    EffectParameter,
+    add_lag,
+    longest_lag,
+    shortest_lag,
+    step_by_factor,
+)
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Columns, one_size
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -43,7 +53,20 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
 DEFINITION = EffectDefinition(
     name="force_delay",
     summary="logged force is later than the motion",
-    parameters=(EffectParameter("delay_s", 0.0, 0.5, "how late the force is", lower=0.0, upper=0.1, unit="sample"),),
+    parameters=(
+        EffectParameter(
+            "delay_s",
+            0.0,
+            0.5,
+            "how late the force is",
+            lower=0.0,
+            upper=0.1,
+            unit="sample",
+            timing=True,
+            step=step_by_factor,
+            most=longest_lag,
+        ),
+    ),
     contribute=_contribute,
     excitation=Excitation(
         "jerk: short acceleration times, many of them", (Need("inertial_ratio", 1.0), Need("reversals", 2.0))
@@ -54,11 +77,13 @@ DEFINITION = EffectDefinition(
         "structural_resonance": "wide-band force, such as noise on the command: a resonance has a peak",
         "frictional_lag": "high acceleration while sliding: a delayed force is late with the inertial force too",
     },
-    start=Start(
-        values={"delay_s": 1.0},
-        searches=(Search("delay_s", low=0.25, high=8.0, low_of="sample", high_of="sample", points=6),),
-        note="linear near zero; beyond two samples restart with the fitted value as nominal",
-    ),
+    moves=("jerks",),
+    inertial=True,
+    # One makes the log late, the other the force.
+    excludes=("actuator_lag",),
+    search=Columns(lambda m, _: -np.gradient(m.force)[:, None] * m.extents.rate, one_size("delay_s")),
+    full_rate=True,
+    fit_displacement=LAG_DISPLACEMENT,
     stage="log",
     states=("inertial_force",),
 )

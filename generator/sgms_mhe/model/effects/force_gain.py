@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Columns
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -18,7 +19,7 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, floa
 DEFINITION = EffectDefinition(
     name="force_gain",
     summary="logged force is a multiple of the real one",
-    parameters=(EffectParameter("gain", 1.0, 0.05, "logged over real force", lower=0.01, upper=100.0),),
+    parameters=(EffectParameter("gain", 1.0, 0.05, "logged over real force", lower=0.01, upper=100.0, none=1.0),),
     contribute=_contribute,
     excitation=Excitation(
         "accelerations whose inertial force is seen: the mass is the only known force", (Need("inertial_ratio", 0.5),)
@@ -28,6 +29,13 @@ DEFINITION = EffectDefinition(
         "coulomb": "one move with high acceleration: a gain scales the inertial force too",
         "viscous": "one move with high acceleration: a gain scales the inertial force too",
     },
-    start=Start(note="linear; with Coulomb, viscous and stiffness free it is the mass alone that fixes it"),
+    moves=("jerks",),
+    inertial=True,
+    # logged = gain real: the column is the logged force, its size 1 - 1 / gain
+    search=Columns(
+        lambda m, _: m.force[:, None],
+        lambda _, size: {"gain": 1.0 / (1.0 - min(0.9, float(size[0])))},
+    ),
+    linear=True,
     stage="log",
 )

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
+import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start, pitch_search, sine
+from sgms_mhe.model.effects.causes import Simpler
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, pitch, sine
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Harmonic, ones
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -20,8 +23,8 @@ DEFINITION = EffectDefinition(
     summary="force periodic in position",
     parameters=(
         EffectParameter("amplitude_N", 0.0, 0.1, "amplitude of the sine", unit="coulomb"),
-        EffectParameter("pitch_m", 0.032, 0.001, "period in position", lower=1e-6, role="period"),
-        EffectParameter("phase_rad", 0.0, 0.1, "phase at position zero", role="place"),
+        pitch(0.032, 0.001),
+        phase("position"),
     ),
     contribute=_contribute,
     excitation=Excitation(
@@ -35,5 +38,14 @@ DEFINITION = EffectDefinition(
         "encoder_periodic_error": "the same stroke at twice the speed: an encoder's error makes four times the force",
         "position_spring": "travel over several pitches",
     },
-    start=Start(values={"amplitude_N": 0.5}, searches=(pitch_search("amplitude_N"),)),
+    moves=("travel",),
+    simpler=Simpler(("constant_offset", "position_spring")),
+    search=Harmonic(
+        "position",
+        "amplitude_N",
+        "pitch_m",
+        weights=lambda m: [np.ones(len(m.time))],
+        factors=lambda _, k: [ones(k)],
+    ),
+    repeatable=True,
 )

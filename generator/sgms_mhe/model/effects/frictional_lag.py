@@ -12,13 +12,13 @@ from sgms_mhe.model.effects.definition import (
     EffectDefinition,
     EffectParameter,
     EffectState,
-    Search,
-    Start,
     add_effect_state,
     no_shorter,
     shortest_lag,
+    step_by_factor,
 )
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Trials
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -37,7 +37,18 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
 DEFINITION = EffectDefinition(
     name="frictional_lag",
     summary="friction level follows speed with a lag",
-    parameters=(EffectParameter("time_constant_s", 0.0, 0.005, "first-order lag", lower=0.0, upper=100.0),),
+    parameters=(
+        EffectParameter(
+            "time_constant_s",
+            0.0,
+            0.005,
+            "first-order lag",
+            lower=0.0,
+            upper=100.0,
+            proportional=False,
+            step=step_by_factor,
+        ),
+    ),
     contribute=_contribute,
     excitation=Excitation(
         "speed that swings about the Stribeck velocity while sliding on, at several frequencies",
@@ -48,11 +59,9 @@ DEFINITION = EffectDefinition(
         "dwell_dependence": "break away after rests of different length",
         "force_delay": "high acceleration while sliding: a delayed force is late with the inertial force too",
     },
-    start=Start(
-        values={"time_constant_s": 1.0},
-        searches=(Search("time_constant_s", low=5e-4, high=0.1, points=6),),
-        note="nothing to see where stribeck_ratio is 0",
-    ),
+    moves=("loops", "jerks", "rests"),
+    # Nothing to see where stribeck_ratio is 0.
+    search=Trials(lambda _: [{"time_constant_s": x} for x in (1e-3, 4e-3, 16e-3, 64e-3)]),
     stage="level",
     states=("level",),
 )

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
+import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import (
-    EffectDefinition,
-    EffectParameter,
-    EffectState,
-    Search,
-    Start,
-    add_effect_state,
-)
+from sgms_mhe.model.effects.causes import Simpler
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, EffectState, add_effect_state
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.motion import Extents, MotionRecord
+from sgms_mhe.model.effects.search import Array, Columns, Values
 
 # Below this level [N] the state's rate would be infinite.
 _LEAST_LEVEL = 1e-6
@@ -38,6 +35,22 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
     axis.add_force(p["force_N"] * state.chi)
 
 
+def _is_spring(p: Values, extents: Extents) -> bool:
+    return p["force_N"] > 0.7 * extents.travel * abs(p["stiffness_N_m"])
+
+
+def _dahl(motion: MotionRecord, length: float) -> Array:
+    """Force of a unit Dahl element along the motion (m): dF/dq = (1 - F sign(v)) / length."""
+    moved = np.diff(motion.position, prepend=motion.position[:1])
+    keep = np.exp(-np.abs(moved) / length)
+    add = np.sign(moved) * (1.0 - keep)
+    force, result = 0.0, np.empty(len(moved))
+    for k, (a, b) in enumerate(zip(keep.tolist(), add.tolist(), strict=True)):
+        force = a * force + b
+        result[k] = force
+    return result
+
+
 DEFINITION = EffectDefinition(
     name="hose_hysteresis",
     summary="soft hysteresis of a hose or cable chain",
@@ -56,12 +69,13 @@ DEFINITION = EffectDefinition(
         "asymmetric_coulomb": "reversals within the travel: a hose needs a way to build up",
         "coulomb": "short and long strokes: Coulomb friction is there after micrometres",
     },
-    start=Start(
-        values={"stiffness_N_m": 1.0, "force_N": 2.0},
-        searches=(
-            Search("stiffness_N_m", low=3.0, high=300.0, low_of="level_over_travel", high_of="level_over_travel"),
-        ),
-        note="linear in force_N where stiffness_N_m / force_N is given",
+    moves=("loops", "travel", "places"),
+    simpler=Simpler(("position_spring",), _is_spring),
+    search=Columns(
+        lambda m, p: _dahl(m, p["length"])[:, None],
+        lambda p, size: {"force_N": float(size[0]), "stiffness_N_m": float(size[0]) / p["length"]},
+        lambda m: [{"length": float(x)} for x in m.extents.travel * np.geomspace(0.003, 1.0, 9)],
+        tests=4.0,
     ),
     states=("force",),
 )

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Columns, one_size
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -26,5 +27,8 @@ DEFINITION = EffectDefinition(
         "structural_resonance": "moves with little jerk, and jerk at the resonance: a mass alone does not ring",
         "force_constant_ripple": "the same acceleration at several places",
     },
-    start=Start(note="linear"),
+    moves=("jerks",),
+    inertial=True,
+    search=Columns(lambda m, _: m.acceleration[:, None], one_size("mass_kg")),
+    linear=True,
 )

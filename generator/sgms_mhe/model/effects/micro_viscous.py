@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
+import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Columns, one_size
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -30,6 +32,9 @@ DEFINITION = EffectDefinition(
         "viscous": "constant speed: the elements rest there, and their damping has no force",
         "mass_mismatch": "loops below break-away: an inertial force is in phase with the spring",
     },
-    start=Start(note="linear"),
+    moves=("loops",),
+    search=Columns(
+        lambda m, _: np.gradient(m.level)[:, None] * m.extents.rate, one_size("damping_N_s_m"), exact="damping_N_s_m"
+    ),
     stage="level",
 )

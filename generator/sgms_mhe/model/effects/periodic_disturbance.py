@@ -6,10 +6,13 @@ import math
 from collections.abc import Mapping
 
 import casadi as ca
+import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Search, Start
+from sgms_mhe.model.effects.causes import Simpler
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, step_of_frequency
 from sgms_mhe.model.effects.excitation import Excitation
+from sgms_mhe.model.effects.search import Harmonic, ones
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -21,8 +24,17 @@ DEFINITION = EffectDefinition(
     summary="force periodic in time",
     parameters=(
         EffectParameter("amplitude_N", 0.0, 0.1, "amplitude of the sine", unit="coulomb"),
-        EffectParameter("frequency_Hz", 50.0, 0.1, "frequency", lower=1e-4, role="period"),
-        EffectParameter("phase_rad", 0.0, 0.1, "phase at time zero", role="place"),
+        EffectParameter(
+            "frequency_Hz",
+            50.0,
+            0.1,
+            "frequency",
+            lower=1e-4,
+            role="period",
+            step=step_of_frequency,
+            least=lambda extents: extents.lowest_frequency,
+        ),
+        phase("time"),
     ),
     contribute=_contribute,
     excitation=Excitation("a log over several periods; motion is not needed", ()),
@@ -31,20 +43,16 @@ DEFINITION = EffectDefinition(
         "structural_resonance": "a standstill long after the last move: a resonance has died away",
         "encoder_periodic_error": "the same stroke at another speed: the frequency follows speed or stays",
     },
-    start=Start(
-        values={"amplitude_N": 0.5},
-        searches=(
-            Search(
-                "frequency_Hz",
-                low=1.5,
-                high=0.4,
-                low_of="per_duration",
-                high_of="rate",
-                spacing="linear",
-                points=0,
-                harmonic=("amplitude_N", "phase_rad"),
-            ),
-        ),
-        note="the phase is that of the signals, which leave the signal chain with its delay",
+    moves=("travel", "again"),
+    simpler=Simpler(("constant_offset", "step_disturbance")),
+    # The phase found is that of the signals, which leave the signal chain with its delay.
+    search=Harmonic(
+        "time",
+        "amplitude_N",
+        "frequency_Hz",
+        weights=lambda m: [np.ones(len(m.time))],
+        factors=lambda _, k: [ones(k)],
     ),
+    linear=True,
+    repeatable=True,
 )

@@ -7,8 +7,10 @@ from collections.abc import Mapping
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start, pitch_search, sine
+from sgms_mhe.model.effects.causes import Simpler
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, pitch, sine
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Harmonic, ones
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -20,8 +22,8 @@ DEFINITION = EffectDefinition(
     summary="Coulomb level periodic in position",
     parameters=(
         EffectParameter("ratio", 0.0, 0.1, "amplitude over the Coulomb level", lower=-0.95, upper=0.95),
-        EffectParameter("pitch_m", 0.02, 0.001, "period in position", lower=1e-6, role="period"),
-        EffectParameter("phase_rad", 0.0, 0.1, "phase at position zero", role="place"),
+        pitch(0.02, 0.001),
+        phase("position"),
     ),
     contribute=_contribute,
     excitation=Excitation(
@@ -33,6 +35,15 @@ DEFINITION = EffectDefinition(
         "force_constant_ripple": "the same stroke with high acceleration: friction does not grow with inertial force",
         "friction_drift": "the same stroke twice: what belongs to the place comes back",
     },
-    start=Start(values={"ratio": 0.5}, searches=(pitch_search("ratio"),)),
+    moves=("travel",),
+    simpler=Simpler(("coulomb",)),
+    search=Harmonic(
+        "position",
+        "ratio",
+        "pitch_m",
+        weights=lambda m: [m.level],
+        factors=lambda _, k: [ones(k)],
+    ),
+    linear=True,
     stage="level",
 )

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
+import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start
+from sgms_mhe.model.effects.causes import Simpler
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, step_by_factor
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Columns
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -20,7 +23,7 @@ DEFINITION = EffectDefinition(
     summary="force proportional to position",
     parameters=(
         EffectParameter("stiffness_N_m", 0.0, 1e-4, "force over position", unit="stiffness"),
-        EffectParameter("centre_m", 0.0, 0.01, "position without force", role="place", main=False),
+        EffectParameter("centre_m", 0.0, 0.01, "position without force", role="place", main=False, step=step_by_factor),
     ),
     contribute=_contribute,
     excitation=Excitation(
@@ -33,7 +36,15 @@ DEFINITION = EffectDefinition(
         "hose_hysteresis": "the same long stroke forth and back: a spring has no loop",
         "friction_drift": "return to the start: a spring's force comes back with the position",
     },
-    start=Start(
-        note="linear in stiffness and stiffness * centre; the centre is a constant_offset where it is not zero"
+    moves=("travel", "places"),
+    simpler=Simpler(("constant_offset",)),
+    # Linear in stiffness and stiffness * centre.
+    search=Columns(
+        lambda m, _: np.column_stack((m.position, np.ones(len(m.time)))),
+        lambda _, size: {
+            "stiffness_N_m": float(size[0]),
+            "centre_m": float(-size[1] / size[0]) if size[0] != 0.0 else 0.0,
+        },
     ),
+    linear=True,
 )

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
+import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Start
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Columns, one_size
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -27,5 +29,7 @@ DEFINITION = EffectDefinition(
         "viscous": "three constant speeds or more: is the force over speed a line or a parabola",
         "eddy_current_damping": "speeds up to the fastest: drag bends up, eddy currents bend down",
     },
-    start=Start(note="linear"),
+    moves=("speeds",),
+    search=Columns(lambda m, _: (m.velocity * np.abs(m.velocity))[:, None], one_size("coefficient_N_s2_m2")),
+    linear=True,
 )

@@ -7,8 +7,10 @@ from collections.abc import Mapping
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, Search, Start
+from sgms_mhe.model.effects.causes import Simpler
+from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.search import Step
 
 # The step as the signal chain passes it on; a sharp one would have no derivative in its time.
 _RISE_S = 1e-3
@@ -23,7 +25,7 @@ DEFINITION = EffectDefinition(
     summary="constant force from some time on",
     parameters=(
         EffectParameter("force_N", 0.0, 0.1, "force from then on", unit="coulomb"),
-        EffectParameter("time_s", 0.0, 1e-3, "when it sets in", role="place"),
+        EffectParameter("time_s", 0.0, 1e-3, "when it sets in", role="place", frozen=True),
     ),
     contribute=_contribute,
     excitation=Excitation("motion in both directions before and after", (Need("both_directions", 0.1),)),
@@ -32,11 +34,8 @@ DEFINITION = EffectDefinition(
         "friction_drift": "move in both directions afterwards: a force does not change sign",
         "position_spring": "return to the start: a spring's force comes back with the position",
     },
-    start=Start(
-        values={"force_N": 1.0},
-        searches=(
-            Search("time_s", low=0.02, high=0.98, low_of="duration", high_of="duration", spacing="linear", points=0),
-        ),
-        note="linear in force; the time is the change point of the residual's mean",
-    ),
+    moves=("again",),
+    simpler=Simpler(("constant_offset",)),
+    search=Step("force_N", "time_s"),
+    linear=True,
 )

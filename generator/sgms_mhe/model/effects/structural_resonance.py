@@ -6,17 +6,21 @@ import math
 from collections.abc import Mapping
 
 import casadi as ca
+import numpy as np
+from scipy.signal import lfilter
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.definition import (
     EffectDefinition,
     EffectParameter,
     EffectState,
-    Search,
-    Start,
     add_effect_state,
+    step_by_factor,
+    step_of_share,
 )
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.motion import MotionRecord
+from sgms_mhe.model.effects.search import Array, Columns, Values, one_size
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -40,12 +44,45 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
     axis.add_force(p["mass_kg"] * (pull / scale - axis.acceleration))
 
 
+def _hanging(motion: MotionRecord, values: Values) -> Array:
+    """Acceleration of a hanging mass minus that of the axis (m), -s^2 / (s^2 + 2 d w s + w^2) of it, bilinear."""
+    d, f = values["damping_ratio"], values["frequency_Hz"]
+    w = 2.0 * math.pi * f
+    c = w / math.tan(min(0.49 * math.pi, w / (2.0 * motion.extents.rate)))  # prewarped at the frequency itself
+    a0, a1, a2 = c * c + 2 * d * w * c + w * w, 2 * (w * w - c * c), c * c - 2 * d * w * c + w * w
+    b = -np.array([c * c, -2 * c * c, c * c]) / a0
+    return np.asarray(lfilter(b, [1.0, a1 / a0, a2 / a0], motion.acceleration))
+
+
+def _frequencies(motion: MotionRecord) -> list[Values]:
+    top = 0.35 * motion.extents.rate
+    count = 1 + max(8, round(math.log(top / 4.0) / math.log(1.07)))
+    return [{"frequency_Hz": float(f), "damping_ratio": d} for f in np.geomspace(4.0, top, count) for d in (0.02, 0.08)]
+
+
 DEFINITION = EffectDefinition(
     name="structural_resonance",
     summary="part of the mass on a spring",
     parameters=(
-        EffectParameter("frequency_Hz", 100.0, 1.0, "natural frequency with the rest held", lower=0.1, role="period"),
-        EffectParameter("damping_ratio", 0.02, 0.01, "damping ratio with the rest held", lower=0.0, upper=2.0),
+        EffectParameter(
+            "frequency_Hz",
+            100.0,
+            1.0,
+            "natural frequency with the rest held",
+            lower=0.1,
+            role="period",
+            step=step_of_share,
+        ),
+        EffectParameter(
+            "damping_ratio",
+            0.02,
+            0.01,
+            "damping ratio with the rest held",
+            lower=0.0,
+            upper=2.0,
+            role="shape",
+            step=step_by_factor,
+        ),
         EffectParameter("mass_kg", 0.0, 0.1, "hanging part of the mass", lower=0.0, unit="mass"),
     ),
     contribute=_contribute,
@@ -59,10 +96,9 @@ DEFINITION = EffectDefinition(
         "force_delay": "wide-band force, such as noise on the command: a resonance has a peak",
         "encoder_periodic_error": "the same stroke at another speed: the frequency follows speed or stays",
     },
-    start=Start(
-        values={"mass_kg": 1.0},
-        searches=(Search("frequency_Hz", low=10.0, high=0.2, low_of="one", high_of="rate", points=16),),
-        note="linear in mass where frequency and damping are given",
-    ),
+    moves=("jerks",),
+    inertial=True,
+    search=Columns(lambda m, p: _hanging(m, p)[:, None], one_size("mass_kg"), _frequencies, tests=40.0),
+    full_rate=True,
     states=("stretch", "stretch_rate"),
 )

@@ -1,0 +1,167 @@
+"""The search for effects that are sines: every period at once, by Fourier transforms over position or time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len, rfft
+
+from sgms_mhe.diagnosis.evidence import Nuisance
+from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
+from sgms_mhe.model.effects import EffectDefinition
+from sgms_mhe.model.effects.search import Harmonic
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+TWO_PI: Final = 2.0 * math.pi
+FINEST_PITCH: Final = 1500.0  # of the travel
+PITCH_BAND: Final = 0.3  # of the rate of the fit: faster ripples are not in the signals any more
+CUTOFF_BAND: Final = 0.7  # of the velocity's cutoff: the same for the chain's filters
+FREQUENCY_BAND: Final = 0.45  # of the rate of the fit
+BINS_PER_PERIOD: Final = 6.0
+FINE: Final = 4.0  # of the lowest wavenumber: from there on periods are short
+LEAST_SEEN: Final = 0.2  # share of rows slow enough for a band's periods
+REFINED: Final = (1.0, 0.25, 0.06)  # of the grid's step: half widths of the scans about its best
+
+
+@dataclass(frozen=True)
+class _Sine:
+    """A sine along one coordinate of a record.
+
+    Attributes:
+        kind: names and factors.
+        x: the coordinate on used rows.
+        weights: w_j on used rows, 0 where the sine is too fast to be seen.
+    """
+
+    kind: Harmonic
+    seen: Residual
+    x: Array
+    weights: tuple[Array, ...]
+
+    def factors(self, kappa: Array) -> list[Complex]:
+        """c_j of wavenumbers (n) in periods per unit of x."""
+        return list(self.kind.factors(self.seen.motion, TWO_PI * kappa))
+
+    def columns(self, kappa: float) -> Array:
+        """Sine and cosine of a wavenumber (rows used, 2), the free directions projected out."""
+        k = np.array([kappa])
+        g = sum(c[0] * w for c, w in zip(self.factors(k), self.weights, strict=True))
+        E = g * np.exp(1j * (TWO_PI * k)[0] * self.x)
+        return self.seen.free.project(np.column_stack((E.imag, E.real)))
+
+
+def search_harmonic(definition: EffectDefinition, kind: Harmonic, seen: Residual) -> list[Proposal]:
+    """Proposals of the best long period and of the best short one.
+
+    Slow trends have more energy than they deserve: a short period gets a proposal of its own.
+    """
+    return [p for fine in (False, True) if (p := _search(definition, kind, seen, fine)) is not None]
+
+
+def _search(definition: EffectDefinition, kind: Harmonic, seen: Residual, fine: bool) -> Proposal | None:
+    """The best period: of those that the record covers six times or more (`fine`), or of the longer ones."""
+    motion, extents, used = seen.motion, seen.motion.extents, seen.recording.used
+    in_time = kind.coordinate == "time"
+    x = (motion.time if in_time else motion.position)[used]
+    span = float(np.ptp(x))
+    if span <= 0.0:
+        return None
+    weights = [w[used] for w in kind.weights(motion)]
+    speed = np.abs(motion.velocity[used])
+    if in_time:
+        bands = [(extents.lowest_frequency, FREQUENCY_BAND * extents.rate)]
+    else:
+        edges = 1.0 / extents.longest_pitch * 2.0 ** np.arange(0, math.ceil(math.log2(FINEST_PITCH)) + 1)
+        bands = [(float(low), float(high)) for low, high in pairwise(edges)]
+    split = FINE * bands[0][0]
+    bands = [(max(low, split), high) for low, high in bands if high > split] if fine else [(bands[0][0], split)]
+    best: tuple[float, float, _Sine] | None = None
+    tests = 0.0
+    limit = min(PITCH_BAND * extents.rate, CUTOFF_BAND * seen.recording.machine.sampling.velocity_cutoff)
+    for low, high in bands:
+        visible = np.ones(len(x)) if in_time else (speed * high < limit).astype(np.float64)
+        if visible.mean() < LEAST_SEEN or (not in_time and float((speed * visible).sum()) / extents.rate * low < 1.0):
+            continue
+        sine = _Sine(kind, seen, x, tuple(w * visible for w in weights))
+        kappa, found = _energies(sine, (low, high), seen.free, seen.e)
+        tests += (high - low) * span
+        peak = int(np.argmax(found))
+        if best is None or found[peak] > best[0]:
+            best = float(found[peak]), float(kappa[peak]), sine
+    if best is None:
+        return None
+    _, kappa_best, sine = best
+    step = 1.0 / (4.0 * span)
+    for width in REFINED:
+        trial = np.maximum(kappa_best + width * step * np.linspace(-1.0, 1.0, 9), bands[0][0])
+        kappa_best = float(trial[int(np.argmax([energy(sine.columns(t), seen.e) for t in trial]))])
+
+    def parameters(size: Array) -> Mapping[str, float]:
+        return {
+            kind.size: float(np.hypot(size[0], size[1])),
+            kind.period: kappa_best if in_time else 1.0 / kappa_best,
+            kind.phase: float(np.arctan2(size[1], size[0])),
+        }
+
+    return propose(definition, seen, sine.columns(kappa_best), max(1.0, tests), parameters)
+
+
+def _energies(sine: _Sine, band: tuple[float, float], free: Nuisance, e: Array) -> tuple[Array, Array]:
+    """Wavenumbers of a band, four over the span of x apart or closer, and the energy that each one's columns explain.
+
+    Nuisance projected out; FFTs over bins of x, six to the shortest period: what binning loses of a sine (5 %) it loses
+    of what is projected out too.
+    """
+    x, weights = sine.x, sine.weights
+    bin_width = 1.0 / (BINS_PER_PERIOD * band[1])
+    index = ((x - x.min()) / bin_width).astype(np.int64)
+    count = int(index.max()) + 1
+    length = int(next_fast_len(4 * count, real=True))
+    grid = 1.0 / (length * bin_width)
+    first, last = math.ceil(band[0] / grid), max(math.ceil(band[0] / grid) + 1, math.ceil(band[1] / grid))
+    wanted = np.arange(first, last)
+    kappa: Array = np.asarray(wanted * grid, dtype=np.float64)
+    factors = sine.factors(kappa)
+
+    def transform(series: Array, at: NDArray[np.int64]) -> Complex:
+        """sum over rows of series exp(2 pi i kappa x) up to the phase of the first bin, which cancels in energies."""
+        sums = np.bincount(index, weights=series, minlength=count)
+        return np.asarray(np.conj(rfft(sums, length)[at]))
+
+    def along(series: Array) -> Complex:
+        return np.asarray(sum(c * transform(w * series, wanted) for c, w in zip(factors, weights, strict=True)))
+
+    target = along(e)
+    square = np.zeros(len(kappa))
+    double = np.zeros(len(kappa), dtype=np.complex128)
+    for i, (ci, wi) in enumerate(zip(factors, weights, strict=True)):
+        for cj, wj in zip(factors[i:], weights[i:], strict=True):
+            both = 1.0 if wi is wj else 2.0
+            square += both * float(wi @ wj) * np.real(ci * np.conj(cj))
+            double += both * ci * cj * transform(wi * wj, 2 * wanted)
+    basis = (along(free.basis[:, j]) for j in range(free.basis.shape[1]))
+    return kappa, _explained(target, square, double, basis)
+
+
+def _explained(target: Complex, square: Array, double: Complex, basis: Iterable[Complex]) -> Array:
+    """Energy (n) from transforms: of the residual, of the columns' squares and products, of the nuisance."""
+    ss, cc, sc = 0.5 * (square - double.real), 0.5 * (square + double.real), 0.5 * double.imag
+    s, c = target.imag.copy(), target.real.copy()
+    for b in basis:
+        # e has no part along the basis, so only the Gram matrix changes.
+        ss -= b.imag**2
+        cc -= b.real**2
+        sc -= b.imag * b.real
+    determinant = ss * cc - sc**2
+    floor = 1e-3 * np.maximum(square, 1e-300) ** 2
+    found = (cc * s**2 - 2.0 * sc * s * c + ss * c**2) / np.maximum(determinant, floor * 0.01)
+    good = (ss > 0.0) & (cc > 0.0) & (determinant > 0.01 * floor)
+    return np.asarray(np.where(good, found, 0.0), dtype=np.float64)

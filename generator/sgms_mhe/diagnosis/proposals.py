@@ -1,0 +1,96 @@
+"""What a search proposes: where the refit of an effect starts, and how much it would explain to first order."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.diagnosis.evidence import Nuisance, score_test
+from sgms_mhe.diagnosis.fitting import Extra
+from sgms_mhe.diagnosis.residuals import Recording
+from sgms_mhe.model.effects import EffectDefinition, MotionRecord
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Where the search for one effect ended.
+
+    Attributes:
+        name: effect.
+        parameters: to start its refit from.
+        columns: force per unit of its linear sizes on used rows, nuisance projected out (rows used, k).
+        coefficients: the sizes (k).
+        energy: sum of squares that it explains [N^2].
+        tests: how many independent trials the search amounts to.
+        p_value: robust score test, times `tests`.
+        feasible: whether the sizes are physically possible.
+    """
+
+    name: str
+    parameters: Mapping[str, float]
+    columns: Array
+    coefficients: Array
+    energy: float
+    tests: float
+    p_value: float
+    feasible: bool
+
+    @property
+    def extra(self) -> Extra:
+        """The effect for a refit."""
+        return Extra(self.name, self.parameters)
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What a search looks at.
+
+    Attributes:
+        recording: the record.
+        motion: its signals and the model's friction.
+        free: directions of the fit's parameters on used rows.
+        e: the fit's residual there, these directions projected out (rows used) [N].
+    """
+
+    recording: Recording
+    motion: MotionRecord
+    free: Nuisance
+    e: Array
+
+    def columns(self, whole: Array) -> Array:
+        """Columns (m, k) on used rows, the free directions projected out."""
+        return self.free.project(whole[self.recording.used])
+
+
+def energy(Z: Array, e: Array) -> float:
+    """Sum of squares of e (rows used) that columns Z (rows used, k) explain."""
+    b = Z.T @ e
+    H = Z.T @ Z
+    if not np.all(np.isfinite(H)) or float(np.trace(H)) <= 0.0:
+        return 0.0
+    return float(b @ np.linalg.lstsq(H, b, rcond=1e-10)[0])
+
+
+def propose(
+    definition: EffectDefinition,
+    seen: Residual,
+    Z: Array,
+    tests: float,
+    parameters: Callable[[Array], Mapping[str, float]],
+) -> Proposal:
+    """The proposal that projected columns Z (rows used, k) amount to; `parameters`: of the sizes found (k)."""
+    p, size = score_test(seen.recording, Z, seen.e)
+    values = parameters(size)
+    feasible = True
+    known = {}
+    for parameter in definition.parameters:
+        value = values.get(parameter.name, parameter.default)
+        feasible &= bool(parameter.lower <= value <= parameter.upper) and math.isfinite(value)
+        known[parameter.name] = value
+    return Proposal(definition.name, known, Z, size, energy(Z, seen.e), tests, min(1.0, p * tests), feasible)

@@ -1,0 +1,65 @@
+"""What a diagnosis must know of anything that it may name, effect or wrong number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from sgms_mhe.model.effects.excitation import Excitation
+from sgms_mhe.model.effects.motion import Extents
+
+Move = Literal["loops", "speeds", "travel", "jerks", "rests", "places", "again"]
+MOVES: Final[Mapping[Move, str]] = {
+    "loops": "presliding loops at two speeds",
+    "speeds": "constant speeds in both directions",
+    "travel": "the whole travel at two speeds",
+    "jerks": "hard accelerations and sines",
+    "rests": "rests of different length",
+    "places": "loops at places far apart",
+    "again": "the same moves once more, later",
+}
+"""Parts of an experiment, in the order in which it makes them."""
+
+
+def _never(_: Mapping[str, float], __: Extents) -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class Simpler:
+    """Simpler causes that an effect has as a limit.
+
+    Attributes:
+        causes: their names. One of them is meant unless the effect explains something more that matters.
+        reached: whether these parameters (by name, SI) make the effect one of them over a record.
+    """
+
+    causes: tuple[str, ...] = ()
+    reached: Callable[[Mapping[str, float], Extents], bool] = _never
+
+
+@dataclass(frozen=True, kw_only=True)
+class CauseDefinition:
+    """What effects and wrong numbers have in common.
+
+    Attributes:
+        name: as in diagnosis.json, and of an effect in the machine file.
+        summary: one line for reports.
+        excitation: what a log must hold for the cause to be identified.
+        confused_with: its rivals: names of the causes that look alike, and the move that tells them apart.
+        moves: parts of an experiment that show it.
+        inertial: it acts where the axis accelerates. There the model's errors at break-away are mixed with it, and its
+            constancy over a record is judged by time alone.
+        excludes: causes that never stand beside it, because together they cancel.
+        simpler: limits in which it is another cause.
+    """
+
+    name: str
+    summary: str
+    excitation: Excitation
+    confused_with: Mapping[str, str]
+    moves: tuple[Move, ...]
+    inertial: bool = False
+    excludes: tuple[str, ...] = ()
+    simpler: Simpler = Simpler()
