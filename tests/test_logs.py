@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import struct
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.io import savemat
 
-from sgms_mhe.machine import load_machine, override_machine
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.estimates import Estimates, read_estimates, write_estimates
 from sgms_mhe.signals.logs import COLUMNS, Log, read_log, write_log
@@ -359,6 +360,17 @@ def test_csv_without_header_is_refused(tmp_path: Path) -> None:
 def test_column_named_twice_is_refused(tmp_path: Path) -> None:
     path = write_rows(tmp_path / "log.csv", ["0,1,2,3", "1,1,2,3"], "time_s,position_m,force_N,force_N")
     assert refused(path).value == "force_N"
+    path = write_rows(tmp_path / "log.csv", ["0,1,2,3,4", "1,1,2,3,4"], "time_s,position_m,force_N,,")
+    assert refused(path).value == ""
+
+
+def test_a_header_of_many_names_is_read_in_no_time(tmp_path: Path) -> None:
+    names = ["time_s", "position_m", "force_N", *(f"channel_{k}" for k in range(20_000))]
+    rows = [",".join([str(k)] * len(names)) for k in range(2)]
+    path = write_rows(tmp_path / "log.csv", rows, ",".join(names))
+    started = time.process_time()
+    assert len(read_log(path)) == 2
+    assert time.process_time() - started < 10.0  # it took half a minute
 
 
 @pytest.mark.parametrize("content", [b"time_s,position_m,force_N\n0,\xff,1\n1,2,3\n", b"\x00\x01\x02\xff" * 99])

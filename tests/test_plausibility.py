@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +12,8 @@ import numpy as np
 import pytest
 
 from cli_cases import SMALL, files, refused
-from sgms_mhe.machine import Machine, load_machine
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log, write_log
@@ -82,6 +85,16 @@ def test_every_command_refuses(
     options = [] if command == "compare" else ["--out", out]
     assert str(path) in refused(command, machine.source, path, *options)
     assert files(tmp_path) == {"log.npz"}
+
+
+@pytest.mark.parametrize("column", ["position_m", "force_N"])
+@pytest.mark.parametrize("value", [math.inf, 1e308, -1e308, math.nan])
+def test_what_is_no_reading_is_no_evidence(column: str, value: float, machine: Machine, log: Log) -> None:
+    spoilt = log.columns[column].copy()
+    spoilt[::9] = value
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_plausible(replace(log, **{column: spoilt}), machine)  # type: ignore[arg-type]
 
 
 def test_a_part_that_stands_still_is_refused(machine: Machine, log: Log, tmp_path: Path) -> None:

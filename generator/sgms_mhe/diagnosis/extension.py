@@ -6,7 +6,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.support.paths import machines_dir
 

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.machine import LOG_UNITS, LogColumn
+from sgms_mhe.machine import LOG_UNITS, LogColumn, Machine
 from sgms_mhe.signals.matfile import mat_variables
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
-
-if TYPE_CHECKING:
-    from sgms_mhe.machine import Machine
 
 Array = NDArray[np.float64]
 
@@ -256,9 +254,9 @@ def _csv_header(path: Path) -> tuple[int, list[str], str]:
         else:
             what = "header but no row" if names else "nothing"
             raise InputError(path, "file", what, "a header line with the columns' names and at least 2 rows")
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(path, f"line {number}", name, "each column's name once in the header")
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise InputError(path, f"line {number}", twice[0], "each column's name once in the header")
     return number, names, delimiter
 
 

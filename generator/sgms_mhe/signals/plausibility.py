@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.signals.chain import readings
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -42,6 +43,7 @@ def check_plausible(log: Log, machine: Machine) -> None:
     """
     if len(log) <= machine.sampling.samples_per_update:
         return  # too short to tell, and for most else
+    log = readings(log)
     _check_constant(log)
     _check_copies(log)
     _check_motion(log, machine)
@@ -51,7 +53,7 @@ def _check_constant(log: Log) -> None:
     for name, what in _CHANGING.items():
         values = log.columns[name]
         finite = values[np.isfinite(values)]
-        if len(finite) > 1 and finite.min() == finite.max():
+        if len(finite) and finite.min() == finite.max():
             raise InputError(log.source or "log", f"column {name}, every row", float(finite[0]), f"{what}; {_MAPPING}")
 
 
