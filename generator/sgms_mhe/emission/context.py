@@ -77,7 +77,7 @@ class SignalView:
         read: names of the signals that the estimator depends on, in the order of w.
         of_chain: those of them that are asked for of the chain, beside velocity and friction.
         names: of all signals, in the order of w.
-        raw: (place in w, sample term) of the signals that are sample terms themselves.
+        raw: (name, sample term) of the signals that are sample terms themselves.
     """
 
     rate: float
@@ -93,7 +93,7 @@ class SignalView:
     read: tuple[str, ...]
     of_chain: tuple[str, ...]
     names: tuple[str, ...]
-    raw: tuple[tuple[int, int], ...]
+    raw: tuple[tuple[str, int], ...]
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class Weights:
         hold_path: path of an interval below which it says nothing of the parameters [m].
         implausible: first node's standard deviations beyond which a state is no solution.
         lower, upper: bounds on theta, finite numbers.
-        inverse_state_noise, inverse_initial_state, inverse_arrival_state: per state.
+        inverse_state_noise, inverse_initial_state: per state.
         inverse_move: of an interval's end before it is linearised anew, over the state noise, per state.
     """
 
@@ -121,7 +121,6 @@ class Weights:
     upper: tuple[float, ...]
     inverse_state_noise: tuple[float, ...]
     inverse_initial_state: tuple[float, ...]
-    inverse_arrival_state: tuple[float, ...]
     inverse_move: tuple[float, ...]
 
 
@@ -260,9 +259,7 @@ def _signals(structure: Structure) -> SignalView:
         read=read,
         of_chain=tuple(name for name in ("position", "force", "acceleration") if name in read),
         names=SIGNAL_NAMES,
-        raw=tuple(
-            (SIGNAL_NAMES.index(t.name), k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES
-        ),
+        raw=tuple((t.name, k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES),
     )
 
 
@@ -288,7 +285,6 @@ def _weights(model: Model, variant: Variant) -> Weights:
         upper=tuple(min(p.upper, largest) for p in model.parameters),
         inverse_state_noise=tuple(1.0 / model.state_noise),
         inverse_initial_state=tuple(1.0 / model.initial_state),
-        inverse_arrival_state=tuple(1.0 / model.state_noise),
         inverse_move=tuple(np.sqrt(model.state_noise * machine.friction.smoothing.lambda_) / MOVE),
     )
 
@@ -305,7 +301,7 @@ def _couplings(structure: Structure, sizes: Sizes) -> Couplings:
 def _model_view(structure: Structure, functions: FunctionPrinter) -> ModelView:
     model = structure.model
     output = _of_node(model, model.output)
-    all_of = ("x", "w", "theta")
+    point = {"x": "at->x", "w": "at->w", "theta": "at->theta"}
     outputs = [
         scalar("y", output),
         Output("c", entries(ca.gradient(output, model.x))),
@@ -313,15 +309,15 @@ def _model_view(structure: Structure, functions: FunctionPrinter) -> ModelView:
     ]
     terms = [Output("term", [t.expression for t in structure.sample_terms], stride="stride")]
     return ModelView(
-        sample_terms=functions.of_model(("w",), terms),
+        sample_terms=functions.of_model({"w": "w"}, terms),
         term_names=tuple(t.name for t in structure.sample_terms),
         parameter_terms=_parameter_terms(structure, functions),
-        output=functions.of_model(all_of, outputs),
-        deflection=functions.of_model(("x", "theta"), [Output("z", ca.vertsplit(_of_node(model, model.deflection)))]),
+        output=functions.of_model(point, outputs),
+        deflection=functions.of_model(point, [Output("z", ca.vertsplit(_of_node(model, model.deflection)))]),
         si=functions.of_model(
-            ("theta",), [Output("p", [_si(p, model.theta[k]) for k, p in enumerate(model.parameters)])]
+            {"theta": "theta"}, [Output("si", [_si(p, model.theta[k]) for k, p in enumerate(model.parameters)])]
         ),
-        feed_forward=functions.of_model(all_of, [scalar("y", _of_node(model, model.feed_forward))]),
+        feed_forward=functions.of_model(point, [scalar("y", _of_node(model, model.feed_forward))]),
         parameter_columns=tuple(p.column for p in model.parameters),
         parameter_units=tuple(abs(p.scale) for p in model.parameters),
     )
@@ -332,12 +328,12 @@ def _parameter_terms(structure: Structure, functions: FunctionPrinter) -> Functi
     q = [e for g in structure.groups for b in g.blocks for e in b.parameter_terms]
     scale = [_node_scale(model, i) for i in range(model.n_x)]
     outputs = [
-        Output("q", q),
-        Output("d_q", _gradients(q, model.theta), sparse=True),
-        Output("scale", scale),
-        Output("d_scale", _gradients(scale, model.theta), sparse=True),
+        Output("p->q", q),
+        Output("p->d_q", _gradients(q, model.theta), sparse=True),
+        Output("p->scale", scale),
+        Output("p->d_scale", _gradients(scale, model.theta), sparse=True),
     ]
-    return functions.of_model(("theta",), outputs)
+    return functions.of_model({"theta": "p->theta"}, outputs)
 
 
 def _gradients(expressions: Sequence[ca.SX], variables: ca.SX) -> list[ca.SX]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -21,13 +21,11 @@ class Function:
     Attributes:
         statements: C statements, in order.
         operations: (operation, how many), by name.
-        unused: arguments that no statement reads.
         cleared: (array, length) of those that are mostly zero: they are cleared first.
     """
 
     statements: tuple[str, ...]
     operations: tuple[tuple[str, int], ...]
-    unused: tuple[str, ...] = ()
     cleared: tuple[tuple[str, int], ...] = ()
 
 
@@ -39,7 +37,7 @@ class Output(Generic[Value]):
     """What a function computes: values, and the C array or scalar that receives them.
 
     Attributes:
-        name: of the array; of a scalar, the place itself (`y`, `*rho`).
+        name: of the array; of a scalar, the place itself.
         values: expressions of the model, or nodes of a graph.
         stride: name of the distance between entries, where it is not 1.
         sparse: mostly zero: cleared, then set where it is not.
@@ -81,8 +79,8 @@ class FunctionPrinter:
             "theta": [f"theta_{p.column}" for p in self._model.parameters],
         }
 
-    def of_model(self, inputs: Sequence[str], outputs: Sequence[Output[ca.SX]]) -> Function:
-        """Function of the model's vectors `inputs` (of x, w, theta), which are C arrays of the same names."""
+    def of_model(self, inputs: Mapping[str, str], outputs: Sequence[Output[ca.SX]]) -> Function:
+        """Function of the model's vectors x, w, theta; `inputs` gives the C array of each that it has."""
         graph = Graph()
         vectors = {"x": self._model.x, "w": self._model.w, "theta": self._model.theta}
         nodes = graph.read(ca.vertcat(*(e for o in outputs for e in o.values)), vectors, self._labels)
@@ -94,38 +92,28 @@ class FunctionPrinter:
             if not (node is zero and output.sparse)
         ]
         names = {
-            graph.input(vector, label): f"{vector}[{k}]"
-            for vector in inputs
+            graph.input(vector, label): f"{array}[{f'W_{label.upper()}' if vector == 'w' else k}]"
+            for vector, array in inputs.items()
             for k, label in enumerate(self._labels[vector])
         }
-        used = frozenset[str]().union(*(node.inputs for node in walk(nodes) if node.op == "input"))
         return Function(
             statements=tuple(self._printer.statements(targets, names, {})),
             operations=_counts(nodes),
-            unused=tuple(vector for vector in inputs if vector not in used),
-            cleared=tuple((o.name, len(o.values)) for o in outputs if o.sparse),
+            cleared=tuple((o.name, len(o.values)) for o in outputs if o.sparse and o.values),
         )
 
-    def of_group(self, group: Group, outputs: Sequence[Output[Node]], *, first_state: int = 0) -> Function:
-        """Function of a block's chi from `first_state` on, its sample terms, parameter terms q and data."""
+    def of_group(self, group: Group, outputs: Sequence[Output[Node]]) -> Function:
+        """Function of a point `at` at which a block stands: its chi, sample terms, parameter terms q and data."""
         targets = [(o.place(k), node) for o in outputs for k, node in enumerate(o.values)]
         nodes = [node for _, node in targets]
-        names = {node: self._group_input(node) for node in walk(nodes) if node.op == "input"}
-        used = {name.split("[")[0] for name in names.values()}
-        arguments = [f"chi{i}" for i in range(first_state, group.m)] + [*self._terms, "q", "data"]
-        return Function(
-            statements=tuple(self._printer.statements(targets, names, group.names)),
-            operations=_counts(nodes),
-            unused=tuple(name for name in arguments if name not in used),
-        )
+        names = {node: f"at->{self._group_input(node)}" for node in walk(nodes) if node.op == "input"}
+        return Function(tuple(self._printer.statements(targets, names, group.names)), _counts(nodes))
 
     def _group_input(self, node: Node) -> str:
-        """C name of a block's input: chi0 -> chi0, term0 -> velocity, q0 -> q[0], data0 -> data[0]."""
+        """Field of a block's input: chi0 -> chi[0], term0 -> velocity, q0 -> q[0], data0 -> data[0]."""
         vector = next(iter(node.inputs))
         index = int(node.label.removeprefix("term" if vector == "terms" else vector))
-        return {"chi": f"chi{index}", "terms": self._terms[index] if vector == "terms" else ""}.get(
-            vector, f"{vector}[{index}]"
-        )
+        return self._terms[index] if vector == "terms" else f"{vector}[{index}]"
 
 
 def _counts(nodes: Sequence[Node]) -> tuple[tuple[str, int], ...]:

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from functools import cached_property
 
 from sgms_mhe.emission.compensation import AHEAD_DISPLACEMENT, AHEAD_SLOW_DISPLACEMENT, ahead_elastic
 from sgms_mhe.emission.element_law import element_law
 from sgms_mhe.emission.functions import Function, FunctionPrinter, Output, scalar
 from sgms_mhe.emission.sizes import GroupSizes, Sizes
+from sgms_mhe.emission.stepping import common_slow_steps, follows_flow, step_rates
 from sgms_mhe.emission.structure import Block, Group, Structure
-from sgms_mhe.integration.flow_table import gate_ratio
-
-SLOW_LAMBDA = 35.0
-"""Largest lambda up to which `slow_displacement` holds as it stands: the slip window is 1 / lambda wide."""
 
 
 @dataclass(frozen=True)
@@ -23,18 +18,12 @@ class BlockView:
 
     Attributes:
         states: its states among those of the model.
-        data: numbers in which it differs from the others of its group.
-        substeps: Runge-Kutta substeps of a step of the series: per speed [s/m], at standstill, and at most.
-        slow_steps: Runge-Kutta steps of constant signals below the flow's gate.
-        line_substeps: substeps of merged samples, per speed [s/m] and at standstill, where the flow would apply.
+        constants: numbers in which it differs from the others of its group, and those of its substeps.
         ahead_steps: steps of the propagation ahead, per metre and per second.
     """
 
     states: tuple[int, ...]
-    data: tuple[float, ...]
-    substeps: tuple[float, float, float]
-    slow_steps: int
-    line_substeps: tuple[float, float]
+    constants: tuple[float, ...]
     ahead_steps: tuple[float, float]
 
 
@@ -47,6 +36,8 @@ class GroupView:
         sizes: of the group.
         terms: names of the sample terms, which its functions take.
         blocks: in the order of their states.
+        rates: (name, meaning) of the numbers of a block's substeps.
+        slow_steps: Runge-Kutta steps of constant signals below the flow's gate, where all blocks take as many.
         rhs: d(chi)/dt and its derivatives in chi and q.
         level: of Maxwell-slip elements, rho and f_C / s(v) with their derivatives; None where nothing asks for them.
         upstream: of elements that follow the flow, the states that set their level, over one step.
@@ -62,6 +53,8 @@ class GroupView:
     sizes: GroupSizes
     terms: tuple[str, ...]
     blocks: tuple[BlockView, ...]
+    rates: tuple[tuple[str, str], ...]
+    slow_steps: int | None
     rhs: Function
     level: Function | None
     upstream: Function | None
@@ -97,11 +90,12 @@ class GroupView:
         """Whether the propagation ahead moves elastic elements with the axis."""
         return self.is_slider and self.level is not None and self.has_elastic_range
 
-    @cached_property
-    def slow_steps(self) -> int | None:
-        """Steps below the gate, where they are the same for all blocks."""
-        steps = {block.slow_steps for block in self.blocks}
-        return steps.pop() if len(steps) == 1 else None
+    @property
+    def step(self) -> str:
+        """How a step is taken: by the flow, by the flow at a level with states of its own, by Runge-Kutta substeps."""
+        if not self.follows_flow:
+            return "substeps"
+        return "upstream" if self.n_upstream else "flow"
 
 
 def group_views(structure: Structure, sizes: Sizes, printer: FunctionPrinter) -> tuple[GroupView, ...]:
@@ -111,17 +105,26 @@ def group_views(structure: Structure, sizes: Sizes, printer: FunctionPrinter) ->
 
 def _view(group: Group, sizes: GroupSizes, structure: Structure, printer: FunctionPrinter) -> GroupView:
     machine = structure.model.machine
-    flow = machine.sampling.integrator.scheme == "flow" and group.is_elements
+    flow = follows_flow(group, structure)
     law = group.obeys_law and element_law(machine) is not None
-    slow_ahead = flow and group.m == 1
+    rates = step_rates(group, structure)
     level_in_q = any(node.op != "const" for node in group.d_inverse_level)
     return GroupView(
         name=group.name,
         sizes=sizes,
         terms=tuple(term.name for term in structure.sample_terms),
-        blocks=tuple(_block(b, structure, flow=flow, slow_ahead=slow_ahead) for b in group.blocks),
+        blocks=tuple(
+            BlockView(
+                states=block.states,
+                constants=block.data + tuple(rate.values[k] for rate in rates),
+                ahead_steps=_ahead_steps(block, structure, implicit=flow and group.m == 1),
+            )
+            for k, block in enumerate(group.blocks)
+        ),
+        rates=tuple((rate.name, rate.meaning) for rate in rates),
+        slow_steps=common_slow_steps(group, structure) if flow else None,
         rhs=_rhs(group, printer),
-        level=_level(group, printer) if flow or law else None,
+        level=_level(group, printer, in_q=level_in_q) if flow or law else None,
         upstream=_upstream(group, printer) if flow else None,
         follows_flow=flow,
         obeys_law=law,
@@ -133,60 +136,31 @@ def _view(group: Group, sizes: GroupSizes, structure: Structure, printer: Functi
 
 
 def _rhs(group: Group, printer: FunctionPrinter) -> Function:
-    return printer.of_group(group, [Output("rate", group.rhs), Output("d_chi", group.d_chi), Output("d_q", group.d_q)])
+    outputs = [Output("rhs.rate", group.rhs), Output("rhs.d_chi", group.d_chi), Output("rhs.d_q", group.d_q)]
+    return printer.of_group(group, outputs)
 
 
-def _level(group: Group, printer: FunctionPrinter) -> Function:
+def _level(group: Group, printer: FunctionPrinter, *, in_q: bool) -> Function:
     outputs = [
-        scalar("*rho", group.rate[0]),
-        scalar("*over_level", group.inverse_level[0]),
-        Output("d_rho", group.d_rate),
-        Output("d_over_level", group.d_inverse_level),
-        Output("level_by_state", group.level_by_state),
+        scalar("level.rho", group.rate[0]),
+        scalar("level.over_level", group.inverse_level[0]),
+        Output("level.d_rho", group.d_rate),
+        Output("level.d_over_level", group.d_inverse_level if in_q else ()),
+        Output("level.by_state", group.level_by_state),
     ]
-    return printer.of_group(group, outputs, first_state=1)
+    return printer.of_group(group, outputs)
 
 
 def _upstream(group: Group, printer: FunctionPrinter) -> Function:
     outputs = [
-        Output("end", group.upstream),
-        Output("by_state", group.upstream_by_state),
-        Output("by_q", group.upstream_by_q),
+        Output("upstream.end", group.upstream),
+        Output("upstream.by_state", group.upstream_by_state),
+        Output("upstream.by_q", group.upstream_by_q),
     ]
-    return printer.of_group(group, outputs, first_state=1)
+    return printer.of_group(group, outputs)
 
 
-def _block(block: Block, structure: Structure, *, flow: bool, slow_ahead: bool) -> BlockView:
-    machine = structure.model.machine
-    sampling, smoothing = machine.sampling, machine.friction.smoothing
-    integrator = sampling.integrator
-    metre, second = block.rate_per_metre, block.rate_per_second
-    step_time = sampling.merged * sampling.step
-    per_step = step_time / integrator.displacement
-    # At most slow_displacement per RK4 step below the gate, where r moves slowly; the slip window, 1 / lambda wide in
-    # r, bounds a step even there.
-    slow = integrator.slow_displacement * min(1.0, SLOW_LAMBDA / smoothing.lambda_)
-    per_move = 1.0 / (AHEAD_SLOW_DISPLACEMENT if slow_ahead else AHEAD_DISPLACEMENT)
-    return BlockView(
-        states=block.states,
-        data=block.data,
-        substeps=(
-            metre * per_step,
-            second * per_step,
-            (sampling.max_velocity * metre + second) * per_step,
-        ),
-        slow_steps=_slow_steps(block, structure, slow) if flow else 0,
-        line_substeps=(step_time * metre / slow, step_time * second / integrator.displacement),
-        ahead_steps=(metre * per_move, second / integrator.displacement),
-    )
-
-
-def _slow_steps(block: Block, structure: Structure, displacement: float) -> int:
-    """Runge-Kutta steps of constant signals at the gate, the highest speed at which they are taken."""
-    machine = structure.model.machine
-    sampling, friction = machine.sampling, machine.friction
-    smoothing = friction.smoothing
-    gate = gate_ratio(smoothing.zeta, smoothing.lambda_, smoothing.gamma) * friction.stribeck_velocity
-    moved = gate * sampling.step * block.rate_per_metre / displacement
-    aged = sampling.step * block.rate_per_second / sampling.integrator.displacement
-    return max(1, math.ceil(moved + aged))
+def _ahead_steps(block: Block, structure: Structure, *, implicit: bool) -> tuple[float, float]:
+    per_move = 1.0 / (AHEAD_SLOW_DISPLACEMENT if implicit else AHEAD_DISPLACEMENT)
+    displacement = structure.model.machine.sampling.integrator.displacement
+    return block.rate_per_metre * per_move, block.rate_per_second / displacement

@@ -18,15 +18,15 @@ class Costs:
     """Work in multiplications or so: of one unit of each kind, and of the units that one sample does at most.
 
     Attributes:
-        recover: the node of an older interval from its successor's.
+        expand: the node of an older interval from its successor's.
         step: a step of the series of what is linearised anew.
-        node: the elimination of a node.
+        condense: a node out of the sweep's factor.
         per_sample: of the units in one sample.
     """
 
-    recover: int
+    expand: int
     step: int
-    node: int
+    condense: int
     per_sample: int
 
 
@@ -41,7 +41,7 @@ class Schedule:
 def schedule_of(sizes: Sizes, variant: Variant) -> Schedule:
     """Share the work of an update out over the samples of an interval but its last."""
     return Schedule(
-        vector=_costs(sizes, variant, sizes.state_rows, batches=1),
+        vector=_costs(sizes, variant, sizes.moving_rows, batches=1),
         scalar=_costs(sizes, variant, sizes.largest_rows, batches=sizes.chosen),
     )
 
@@ -52,13 +52,13 @@ def _costs(sizes: Sizes, variant: Variant, rows: int, *, batches: int) -> Costs:
     At worst a step is taken as the samples that it merges.
     """
     n_x, n_p, slots = sizes.states, sizes.parameters, sizes.slots
-    recover = (1 + (variant.relinearise == "auto")) * n_x * (n_x + n_p)
-    node = 2 * n_x * (n_x + 2) * sizes.kept_width + 2 * (n_x + n_p) * (n_x + n_p + 1)
+    expand = (1 + (variant.relinearise == "auto")) * n_x * (n_x + n_p)
+    condense = 2 * n_x * (n_x + 2) * sizes.kept_width + 2 * (n_x + n_p) * (n_x + n_p + 1)
     step = STEP_COST_PER_ROW * sizes.merged * rows * (slots if variant.relinearise == "all" else 1)
     steps = {"all": 1, "auto": batches, "newest": 0}[variant.relinearise] * sizes.steps
-    # In the order in which they are done: nodes of the last solution, the start of the sweep, steps, eliminations.
-    units = [(recover, slots - 1), (node, 1), (step, steps), (node, slots - 1)]
-    return Costs(recover, step, node, _least_per_sample(units, sizes.samples - 1))
+    # In the order in which they are done: nodes of the last solution, the start of the sweep, steps, condensing.
+    units = [(expand, slots - 1), (condense, 1), (step, steps), (condense, slots - 1)]
+    return Costs(expand, step, condense, _least_per_sample(units, sizes.samples - 1))
 
 
 def _least_per_sample(units: Sequence[tuple[int, int]], samples: int) -> int:

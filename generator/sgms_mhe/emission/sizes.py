@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sgms_mhe.emission.structure import Group, Structure
+from sgms_mhe.emission.stepping import step_rates
+from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Variant
 from sgms_mhe.model import SIGNAL_NAMES
 
@@ -20,16 +21,22 @@ class GroupSizes:
         m: states of a block.
         n_q: numbers through which parameters enter a block.
         n_data: numbers in which a block differs from the others.
+        n_rates: numbers that say how many substeps a block takes.
         n_blocks: blocks of the group.
         first, first_q: the group's first block, and its first parameter term, among those of all groups.
+        first_row: its first row where blocks stand side by side.
+        first_lane_row: its first row where they stand one behind the other.
     """
 
     m: int
     n_q: int
     n_data: int
+    n_rates: int
     n_blocks: int
     first: int
     first_q: int
+    first_row: int
+    first_lane_row: int
 
     @property
     def rows(self) -> int:
@@ -37,9 +44,14 @@ class GroupSizes:
         return self.m * (1 + self.m + self.n_q)
 
     @property
-    def rows_with_inputs(self) -> int:
-        """Rows of blocks side by side, with each block's own parameter terms and data behind them."""
-        return self.rows + self.n_q + self.n_data
+    def n_constants(self) -> int:
+        """Numbers of a block that never change: its data, and those of its substeps."""
+        return self.n_data + self.n_rates
+
+    @property
+    def all_rows(self) -> int:
+        """Rows of a block with what is constant over an interval behind those that move."""
+        return self.rows + self.n_q + self.n_constants
 
 
 @dataclass(frozen=True)
@@ -51,8 +63,8 @@ class Sizes:
         horizon: intervals of the window; 0 for the filter.
         slots: intervals kept, the one that is filling included.
         vector: scalars in the widest vector register that is made use of.
-        wide: scalars side by side: intervals of one block, or blocks of one interval, padded to whole vectors.
-        lanes: intervals in a row of the series.
+        lane_stride: scalars side by side: intervals of one block, or blocks of one interval, padded to whole vectors.
+        series_stride: intervals in a row of the series.
         samples: per interval. merged: samples per step of the series. steps: of the series, per interval.
         nodes: of a step of the series, at which its signals are given. terms: sample terms stored per node.
         chosen: blocks of older intervals linearised anew per update, at most, where those that moved most are chosen.
@@ -70,8 +82,8 @@ class Sizes:
     horizon: int
     slots: int
     vector: int
-    wide: int
-    lanes: int
+    lane_stride: int
+    series_stride: int
     samples: int
     merged: int
     steps: int
@@ -100,24 +112,29 @@ class Sizes:
         return max(len(states) for states in self.block_states)
 
     @property
-    def state_rows(self) -> int:
-        """Rows of all blocks."""
+    def moving_rows(self) -> int:
+        """Rows of all blocks that an integration step moves."""
         return sum(g.rows * g.n_blocks for g in self.groups)
 
     @property
     def largest_rows(self) -> int:
-        """Rows of the largest block."""
+        """The same of the largest block."""
         return max(g.rows for g in self.groups)
+
+    @property
+    def blocks_rows(self) -> int:
+        """Rows of blocks side by side, group behind group."""
+        return sum(g.all_rows for g in self.groups)
+
+    @property
+    def lanes_rows(self) -> int:
+        """Rows of all blocks of an interval, one behind the other."""
+        return sum(g.all_rows * g.n_blocks for g in self.groups)
 
     @property
     def parameter_terms(self) -> int:
         """Parameter terms of all blocks."""
         return sum(g.n_q * g.n_blocks for g in self.groups)
-
-    @property
-    def interval_size(self) -> int:
-        """Numbers of an interval whose blocks lie side by side."""
-        return sum(g.rows_with_inputs for g in self.groups) * self.wide
 
     @property
     def series_nodes(self) -> int:
@@ -153,17 +170,13 @@ def sizes_of(structure: Structure, variant: Variant) -> Sizes:
     """Sizes of the package of a model."""
     model = structure.model
     sampling = model.machine.sampling
-    groups: list[GroupSizes] = []
-    first = first_q = 0
-    for g in structure.groups:
-        groups.append(_group_sizes(g, first, first_q))
-        first += len(g.blocks)
-        first_q += g.n_q * len(g.blocks)
+    groups = _groups(structure)
+    n_blocks = sum(g.n_blocks for g in groups)
     slots = max(1, variant.horizon)
-    chosen = max(2, first)  # DESIGN section 4
+    chosen = max(2, n_blocks)  # DESIGN section 4
     vector = VECTOR_BYTES // (4 if variant.single else 8)
     side_by_side = {"all": slots, "auto": chosen, "newest": 1}[variant.relinearise]
-    wide = -(-max(side_by_side, *(g.n_blocks for g in groups)) // vector) * vector
+    lane_stride = -(-max(side_by_side, *(g.n_blocks for g in groups)) // vector) * vector
     steps = sampling.samples_per_update // sampling.merged
     return Sizes(
         states=model.n_x,
@@ -173,8 +186,8 @@ def sizes_of(structure: Structure, variant: Variant) -> Sizes:
         horizon=variant.horizon,
         slots=slots,
         vector=vector,
-        wide=wide,
-        lanes={"all": wide, "auto": slots, "newest": 1}[variant.relinearise],
+        lane_stride=lane_stride,
+        series_stride={"all": lane_stride, "auto": slots, "newest": 1}[variant.relinearise],
         samples=sampling.samples_per_update,
         merged=sampling.merged,
         steps=steps,
@@ -183,21 +196,34 @@ def sizes_of(structure: Structure, variant: Variant) -> Sizes:
         chosen=chosen,
         coupled=max(len(row) for row in couplings(structure)),
         block_states=tuple(b.states for g in structure.groups for b in g.blocks),
-        groups=tuple(groups),
+        groups=groups,
         kept_steps=steps if variant.has_series else 1,
         least_substeps=max(1, sampling.integrator.substeps // sampling.samples_per_update),
     )
 
 
-def _group_sizes(group: Group, first: int, first_q: int) -> GroupSizes:
-    return GroupSizes(
-        m=group.m,
-        n_q=group.n_q,
-        n_data=group.n_data,
-        n_blocks=len(group.blocks),
-        first=first,
-        first_q=first_q,
-    )
+def _groups(structure: Structure) -> tuple[GroupSizes, ...]:
+    """Sizes of the groups, one behind the other."""
+    groups: list[GroupSizes] = []
+    first = first_q = first_row = first_lane_row = 0
+    for group in structure.groups:
+        sizes = GroupSizes(
+            m=group.m,
+            n_q=group.n_q,
+            n_data=group.n_data,
+            n_rates=len(step_rates(group, structure)),
+            n_blocks=len(group.blocks),
+            first=first,
+            first_q=first_q,
+            first_row=first_row,
+            first_lane_row=first_lane_row,
+        )
+        groups.append(sizes)
+        first += sizes.n_blocks
+        first_q += sizes.n_q * sizes.n_blocks
+        first_row += sizes.all_rows
+        first_lane_row += sizes.all_rows * sizes.n_blocks
+    return tuple(groups)
 
 
 def couplings(structure: Structure) -> tuple[tuple[int, ...], ...]:
