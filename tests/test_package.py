@@ -22,6 +22,7 @@ from reference_cases import linear_model
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
+from sgms_mhe.machine.schema import RESERVED_NAMES
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log
@@ -119,6 +120,22 @@ def test_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"notes\.md"):
         write_package(package_of(), folder)
     assert (folder / "notes.md").exists() and (folder / "etel_xy.c").exists()
+
+
+def test_names_that_would_collide_are_refused() -> None:
+    """Whatever else in a package, or in the runtime, ends like a public symbol: its beginning is no machine's name."""
+    variants = ["flow", "linear", "merged", "auto", "ekf", "level of its own"]
+    changes = [VARIANTS[v] for v in variants] + [{"effects": [{"name": "backlash"}, {"name": "actuator_lag"}]}]
+    for package in (package_of(**c, code={"precision": p}) for c in changes for p in PRECISIONS):
+        public = set(re.findall(r"\b(?:etel_xy|ETEL_XY)_(\w+)\b(?!\.h)", "".join(package.files.values())))
+        ending = re.compile(rf"\b(?!etel_xy|ETEL_XY)([A-Za-z]\w*?)_(?:{'|'.join(sorted(public))})\b")
+        code = "".join(text for file, text in package.files.items() if file.endswith((".c", ".h")))
+        code = re.sub(r"/\*.*?\*/", "", code, flags=re.DOTALL)
+        begins = {match.group(1) for match in ending.finditer(code)}
+        assert {"take", "int32"} <= {name.lower() for name in begins}
+        assert not [name for name in begins if not RESERVED_NAMES.fullmatch(name)]
+        files = {file.removesuffix(".h").lower() for file in package.files if not file.startswith("etel_xy")}
+        assert all(RESERVED_NAMES.fullmatch(file) for file in files - {"structure.txt"})
 
 
 # --- compilers ---------------------------------------------------------------------------------------------------
