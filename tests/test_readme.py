@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package, write_package
-from sgms_mhe.machine import load_machine, override_machine
 from sgms_mhe.support.toolchain import WARNING_FLAGS, compiler
 
 # The examples' functions are called by a firmware; a prototype is all they lack here.

@@ -86,7 +86,7 @@ class Tables(Table):
             raise refusal("name", self.name, "a C identifier that is not a keyword of C or C++")
         if RESERVED_NAMES.fullmatch(self.name):
             raise refusal(
-                "name", self.name, "a name that neither the runtime (sgms...), a package nor C has for itself"
+                "name", self.name, "a name that neither the runtime (sgms...) nor a package nor C has for itself"
             )
         if not self.description.isprintable() or re.search(r"/\*|\*/|\\", self.description):
             raise refusal("description", self.description, "one printable line without comment marks or backslashes")
