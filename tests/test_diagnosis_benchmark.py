@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.diagnosis_benchmark import (
     Draw,
     Found,
@@ -30,7 +31,7 @@ from sgms_mhe.diagnosis_benchmark.foreign import FOREIGN
 from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, deflection, draw_motion
 from sgms_mhe.diagnosis_benchmark.scoring import confusion_table, half_found, parameter_errors
 from sgms_mhe.machine import Machine, load_machine
-from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, measures
+from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError

@@ -17,12 +17,13 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.diagnosis.fitting import cached_package
 from sgms_mhe.diagnosis_benchmark.foreign import FOREIGN
 from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, deflection, draw_motion
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import override_machine
-from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition, measures
+from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.signals.chain import Signals, settle_samples, signals_from_log

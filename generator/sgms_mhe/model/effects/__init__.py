@@ -18,10 +18,10 @@ from sgms_mhe.model.effects.definition import (
     EffectDefinition,
     EffectParameter,
     EffectState,
-    machine_unit,
 )
-from sgms_mhe.model.effects.excitation import Excitation, Measure, Need, measures
+from sgms_mhe.model.effects.excitation import Excitation, Measure, Need
 from sgms_mhe.model.effects.motion import Extents, MotionRecord
+from sgms_mhe.model.effects.scales import Scales
 
 EFFECT_NAMES: tuple[str, ...] = (
     "force_ripple",
@@ -98,13 +98,12 @@ __all__ = [
     "MotionRecord",
     "Move",
     "Need",
+    "Scales",
     "Simpler",
     "base_cause",
     "base_number",
     "cause",
     "effect_definition",
-    "machine_unit",
-    "measures",
     "reported_name",
     "separating_moves",
 ]

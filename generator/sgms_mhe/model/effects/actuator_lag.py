@@ -55,7 +55,7 @@ DEFINITION = EffectDefinition(
             "first-order lag",
             lower=0.0,
             upper=1.0,
-            unit="sample",
+            unit="step",
             proportional=False,
             timing=True,
             step=step_by_factor,

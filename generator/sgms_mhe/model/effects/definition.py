@@ -5,24 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 import casadi as ca
 
 from sgms_mhe.model.axis import AxisState, StateSpec, SymbolicAxis
 from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.model.effects.motion import SHORTEST_TRAVEL, Extents
+from sgms_mhe.model.effects.scales import Scales, Unit
 from sgms_mhe.model.effects.search import Derivative, Harmonic, Search
-
-if TYPE_CHECKING:
-    from sgms_mhe.machine import Machine
 
 Stage = Literal["signal", "level", "force", "motor", "log", "actuator"]
 STAGES: Final[tuple[Stage, ...]] = ("signal", "level", "force", "motor", "log", "actuator")
 """The order in which effects contribute, whatever their order in the machine file: what the sensors see of the motion;
 factors on friction; forces; from force to motor current; from current to the log; the current loop behind the log."""
 
-Unit = Literal["one", "coulomb", "damping", "stiffness", "mass", "sample", "deflection"]
 Role = Literal["size", "shape", "place", "period"]
 
 LAG_DISPLACEMENT: Final = 0.2
@@ -31,28 +28,6 @@ _LONGEST_LAG = 0.05  # s; a current loop that is later does not hold an axis
 _LAG_PER_SUBSTEP = 0.2
 """A lag decays by exp(-0.5) in a substep of rk4: it is linear, so the error is 3e-4 of what is left of a transient."""
 _SHORTEST_LAG = 0.25  # of a sample
-
-
-def machine_unit(machine: Machine, unit: Unit) -> float:
-    """Size of a unit that the machine itself sets, in SI.
-
-    one: 1; coulomb: f_C [N]; damping: sigma_v, or f_C over the maximum speed where there is none [N s/m];
-    stiffness: sum of kappa_i [N/m]; mass [kg]; sample: time between samples [s]; deflection: that of the element which
-    breaks away last, nu_i f_C / kappa_i [m].
-    """
-    friction = machine.friction
-    sizes: dict[Unit, float] = {
-        "one": 1.0,
-        "coulomb": friction.coulomb,
-        "damping": friction.viscous or friction.coulomb / machine.sampling.max_velocity,
-        "stiffness": math.fsum(friction.stiffness),
-        "mass": machine.plant.mass,
-        "sample": machine.sampling.step,
-        "deflection": max(
-            nu * friction.coulomb / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True)
-        ),
-    }
-    return sizes[unit]
 
 
 StepLimit = Callable[[float, float, Extents], float]
@@ -150,14 +125,14 @@ class EffectParameter:
             return "a finite number" if math.isinf(self.lower) else f"a number from {self.lower:g} on"
         return f"a number from {self.lower:g} to {self.upper:g}"
 
-    def size(self, machine: Machine) -> float:
-        """Typical size [SI] on this machine."""
-        return self.scale * machine_unit(machine, self.unit)
+    def size(self, scales: Scales) -> float:
+        """Typical size [SI] on a machine of these scales."""
+        return self.scale * scales.of(self.unit)
 
-    def estimation_scale(self, machine: Machine, nominal: float) -> float:
+    def estimation_scale(self, scales: Scales, nominal: float) -> float:
         """What theta - 1 = 1 means [SI]."""
         if self.role == "place" or nominal == 0.0:
-            return self.size(machine)
+            return self.size(scales)
         return 0.03 * nominal if self.role == "period" else nominal
 
 

@@ -61,7 +61,7 @@ DEFINITION = EffectDefinition(
             "how late the force is",
             lower=0.0,
             upper=0.1,
-            unit="sample",
+            unit="step",
             timing=True,
             step=step_by_factor,
             most=longest_lag,
