@@ -27,6 +27,7 @@ from sgms_mhe.model.effects import (
     MotionRecord,
     effect_definition,
 )
+from sgms_mhe.model.effects.base import DAMPING, LEVEL
 from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Step, Trials
 from sgms_mhe.model.scales import scales_of
 
@@ -41,8 +42,8 @@ UNTRIED: Final = 1e-3  # of the rows after a step: less left of its column is no
 def motion_of(recording: Recording, fit: Fit) -> MotionRecord:
     """Signals and the model's sensitivities at a fit."""
     columns, scales = fit.model.columns, scales_of(recording.machine)
-    coulomb = next(i for i, c in enumerate(columns) if c.group == "coulomb")
-    viscous = next(i for i, c in enumerate(columns) if c.group == "viscous")
+    coulomb = next(i for i, c in enumerate(columns) if c.name == LEVEL)
+    viscous = next(i for i, c in enumerate(columns) if c.name == DAMPING)
     return MotionRecord(
         time=recording.time,
         position=recording.position,

@@ -22,4 +22,5 @@ def scales_of(machine: Machine) -> Scales:
         step=machine.sampling.step,
         deflection=max(deflections),
         least_deflection=min(deflections),
+        speed=machine.sampling.max_velocity,
     )

@@ -23,6 +23,7 @@ from sgms_mhe.model.effects.definition import (
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import MotionRecord
 from sgms_mhe.model.effects.search import Array, Columns
+from sgms_mhe.model.effects.specimen import Specimen
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -86,4 +87,7 @@ DEFINITION = EffectDefinition(
     fit_displacement=LAG_DISPLACEMENT,
     stage="actuator",
     states=("lagged_force",),
+    specimen=Specimen(
+        lambda scene, _, x: {"time_constant_s": x * scene.scales.step}, signed=False, leads="time_constant_s"
+    ),
 )

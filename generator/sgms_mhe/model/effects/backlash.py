@@ -19,6 +19,7 @@ from sgms_mhe.model.effects.definition import (
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import MotionRecord
 from sgms_mhe.model.effects.search import Array, Trials, Values
+from sgms_mhe.model.effects.specimen import one_number
 
 _EDGE, _SHARPNESS = 0.9, 35.0
 # b settles a little beyond 1, by a logarithm of the way; so much that a gap is as long as its parameter says.
@@ -104,4 +105,5 @@ DEFINITION = EffectDefinition(
     fit_displacement=2.0,
     stage="level",
     states=("place",),
+    specimen=one_number("gap_m", lambda scene: 0.1 * scene.scales.deflection, signed=False),
 )

@@ -14,6 +14,7 @@ from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.model.effects.motion import SHORTEST_TRAVEL, Extents
 from sgms_mhe.model.effects.scales import Scales, Unit
 from sgms_mhe.model.effects.search import Derivative, Harmonic, Search
+from sgms_mhe.model.effects.specimen import Specimen
 
 Stage = Literal["signal", "level", "force", "motor", "log", "actuator"]
 STAGES: Final[tuple[Stage, ...]] = ("signal", "level", "force", "motor", "log", "actuator")
@@ -194,6 +195,7 @@ class EffectDefinition(CauseDefinition):
         repeatable: whether an axis may have two of it.
         full_rate: whether it is about as fast as a sample of the record, or jumps: fitted at the record's full rate,
             never on means.
+        specimen: how a benchmark hides it; None: not at all.
         fit_displacement: largest step of a fit of it where the elements are integrated exactly, in deflection scales of
             its states; None: 1, they settle within it. Below 1: its states are derivatives of the force, and a long
             step makes a jerk half as large again. Above 1: its states are so fast that shorter steps cost too many.
@@ -208,6 +210,7 @@ class EffectDefinition(CauseDefinition):
     repeatable: bool = False
     full_rate: bool = False
     fit_displacement: float | None = None
+    specimen: Specimen | None = None
 
     def parameter(self, name: str) -> EffectParameter:
         """Return the parameter called `name`; KeyError if there is none."""

@@ -17,6 +17,7 @@ from sgms_mhe.model.effects.definition import (
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import MotionRecord
 from sgms_mhe.model.effects.search import Derivative, Values
+from sgms_mhe.model.effects.specimen import Range, Specimen
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -76,4 +77,12 @@ DEFINITION = EffectDefinition(
     search=Derivative("ratio", _trials, tests=6.0, costly=True),
     stage="level",
     states=("age",),
+    specimen=Specimen(
+        lambda _, p, x: {"ratio": min(x, 3.0), **p},
+        (
+            Range("time_constant_s", 0.05, 0.3),
+            Range("length_m", 0.3, 2.0, lambda scene: scene.scales.deflection),
+        ),
+        signed=False,
+    ),
 )

@@ -11,6 +11,7 @@ from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, pitch
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.search import Harmonic, ones
+from sgms_mhe.model.effects.specimen import ripple
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -63,4 +64,5 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     stage="signal",
+    specimen=ripple("amplitude_m", lambda _: 1e-7),
 )

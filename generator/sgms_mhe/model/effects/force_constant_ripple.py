@@ -10,6 +10,7 @@ from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, pitch, sine
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.search import Harmonic, ones
+from sgms_mhe.model.effects.specimen import ripple
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -43,4 +44,5 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     stage="motor",
+    specimen=ripple("ratio", lambda _: 0.1),
 )

@@ -19,6 +19,7 @@ from sgms_mhe.model.effects.definition import (
 )
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.search import Columns, one_size
+from sgms_mhe.model.effects.specimen import one_number
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -86,4 +87,5 @@ DEFINITION = EffectDefinition(
     fit_displacement=LAG_DISPLACEMENT,
     stage="log",
     states=("inertial_force",),
+    specimen=one_number("delay_s", lambda scene: scene.scales.step, signed=False),
 )

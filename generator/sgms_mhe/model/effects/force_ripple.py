@@ -12,6 +12,7 @@ from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, pitch, sine
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.search import Harmonic, ones
+from sgms_mhe.model.effects.specimen import ripple
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -48,4 +49,5 @@ DEFINITION = EffectDefinition(
         factors=lambda _, k: [ones(k)],
     ),
     repeatable=True,
+    specimen=ripple("amplitude_N", lambda scene: scene.scales.coulomb),
 )

@@ -19,6 +19,7 @@ from sgms_mhe.model.effects.definition import (
 )
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.search import Trials
+from sgms_mhe.model.effects.specimen import Specimen
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -64,4 +65,9 @@ DEFINITION = EffectDefinition(
     search=Trials(lambda _: [{"time_constant_s": x} for x in (1e-3, 4e-3, 16e-3, 64e-3)]),
     stage="level",
     states=("level",),
+    specimen=Specimen(
+        lambda _, __, x: {"time_constant_s": x * 0.01},
+        signed=False,
+        least={"stribeck_ratio": 0.4},  # with little Stribeck effect there is little to lag
+    ),
 )

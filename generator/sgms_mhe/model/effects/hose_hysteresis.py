@@ -13,6 +13,7 @@ from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter,
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import Extents, MotionRecord
 from sgms_mhe.model.effects.search import Array, Columns, Values
+from sgms_mhe.model.effects.specimen import Range, Specimen
 
 # Below this level [N] the state's rate would be infinite.
 _LEAST_LEVEL = 1e-6
@@ -78,4 +79,12 @@ DEFINITION = EffectDefinition(
         tests=4.0,
     ),
     states=("force",),
+    specimen=Specimen(
+        lambda scene, p, x: {
+            "stiffness_N_m": x * scene.scales.coulomb / p["length"],
+            "force_N": x * scene.scales.coulomb,
+        },
+        (Range("length", 0.03, 0.2, lambda scene: scene.travel),),
+        signed=False,
+    ),
 )

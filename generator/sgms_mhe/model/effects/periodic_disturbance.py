@@ -13,6 +13,7 @@ from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, step_of_frequency
 from sgms_mhe.model.effects.excitation import Excitation
 from sgms_mhe.model.effects.search import Harmonic, ones
+from sgms_mhe.model.effects.specimen import PHASE, Range, Specimen
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -55,4 +56,9 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     repeatable=True,
+    specimen=Specimen(
+        lambda scene, p, x: {"amplitude_N": x * scene.scales.coulomb, **p},
+        (Range("frequency_Hz", 0.5, 80.0), PHASE),
+        signed=False,
+    ),
 )

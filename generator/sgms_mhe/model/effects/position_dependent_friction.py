@@ -11,6 +11,7 @@ from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, pitch, sine
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.search import Harmonic, ones
+from sgms_mhe.model.effects.specimen import ripple
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -46,4 +47,5 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     stage="level",
+    specimen=ripple("ratio", lambda _: 1.0),
 )

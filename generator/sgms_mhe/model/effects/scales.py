@@ -20,6 +20,7 @@ class Scales:
         step: time between samples [s].
         deflection: of the element that breaks away last, nu_i f_C / kappa_i [m].
         least_deflection: of the one that breaks away first [m].
+        speed: the machine's largest [m/s].
     """
 
     coulomb: float
@@ -29,6 +30,12 @@ class Scales:
     step: float
     deflection: float
     least_deflection: float
+    speed: float
+
+    @property
+    def coulomb_over_speed(self) -> float:
+        """Damping that makes f_C at the largest speed [N s/m]."""
+        return self.coulomb / self.speed
 
     def of(self, unit: Unit) -> float:
         """Size of a unit [SI]; `one` is 1."""

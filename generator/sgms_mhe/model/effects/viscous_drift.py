@@ -13,6 +13,7 @@ from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter,
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import Extents, MotionRecord
 from sgms_mhe.model.effects.search import Array, Columns, Values, one_size
+from sgms_mhe.model.effects.specimen import TIME_CONSTANT, Specimen
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -60,4 +61,5 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     stage="level",
+    specimen=Specimen(lambda _, p, x: {"ratio": min(max(x, -0.9), 5.0), **p}, (TIME_CONSTANT,)),
 )
