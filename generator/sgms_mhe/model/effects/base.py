@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.model.effects.causes import CauseDefinition
-from sgms_mhe.model.effects.definition import RecordLimit
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import MotionRecord
+from sgms_mhe.model.effects.parameters import RecordLimit
 from sgms_mhe.model.effects.scales import Unit
 from sgms_mhe.model.effects.search import Columns, Values
 from sgms_mhe.model.effects.specimen import Scene

@@ -10,9 +10,11 @@ import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, step_of_frequency
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation
+from sgms_mhe.model.effects.parameters import EffectParameter, step_of_frequency
 from sgms_mhe.model.effects.search import Harmonic, ones
+from sgms_mhe.model.effects.sines import phase
 from sgms_mhe.model.effects.specimen import PHASE, Range, Specimen
 
 

@@ -10,18 +10,13 @@ import numpy as np
 from scipy.signal import lfilter
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import (
-    EffectDefinition,
-    EffectParameter,
-    EffectState,
-    add_effect_state,
-    step_by_factor,
-    step_of_share,
-)
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import MotionRecord
+from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor, step_of_share
 from sgms_mhe.model.effects.search import Array, Columns, Values, one_size
 from sgms_mhe.model.effects.specimen import Range, Specimen
+from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
