@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package, write_package
-from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.support.paths import runtime_dir
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS, WARNING_FLAGS, shared_library
 

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis import Alternative, BaseParameter, Cause, Diagnosis, Rms, Score, Structure, Traces
-from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.machine import Machine
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from c_packages import elements, scheme
 from reference_cases import linear_model
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package
-from sgms_mhe.machine import load_machine, override_machine
 from sgms_mhe.model import Model
 
 TOY = str(Path(__file__).parent / "golden" / "toy.toml")

@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.machine import Machine, load_machine
+from sgms_mhe.configuration import load_machine, make_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import FreeParameter, Model, StateSpec
 from sgms_mhe.reference.integrator import Integrator
 from sgms_mhe.signals.chain import Signals
@@ -18,21 +19,19 @@ Array = NDArray[np.float64]
 
 def variant(machine: str = "etel_xy", **tables: dict[str, Any]) -> Machine:
     """A shipped machine with some keys of its tables replaced."""
-    content = load_machine(machine).model_dump()
-    smoothing = content["friction"]["smoothing"]
-    smoothing["lambda"] = smoothing.pop("lambda_")
+    shipped = load_machine(machine)
+    content = shipped.as_dict(by_alias=True)
     for table, keys in tables.items():
         content[table] |= keys
-    return Machine.model_validate(content)
+    return make_machine(content, shipped.source)
 
 
 def with_integrator(machine: Machine | None = None, **integrator: Any) -> Machine:
     """A machine with another integrator; its defaults as in a machine file."""
-    content = (machine or load_machine("etel_xy")).model_dump()
-    smoothing = content["friction"]["smoothing"]
-    smoothing["lambda"] = smoothing.pop("lambda_")
+    machine = machine or load_machine("etel_xy")
+    content = machine.as_dict(by_alias=True)
     content["sampling"]["integrator"] = integrator
-    return Machine.model_validate(content)
+    return make_machine(content, machine.source)
 
 
 def moving(velocity: Array, rate: float = 10000.0, friction: Array | None = None) -> Signals:

@@ -18,8 +18,8 @@ import pytest
 import sgms_mhe
 from cli_cases import SMALL, done, files, refused, run
 from sgms_mhe.cli import COMMANDS, cli
+from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.machine import load_machine
 from sgms_mhe.signals.estimates import read_estimates
 from sgms_mhe.signals.logs import read_columns, read_log
 

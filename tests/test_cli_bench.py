@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from cli_cases import SMALL, done, files
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.evaluation.benchmark import (
     Bench,
@@ -25,7 +26,7 @@ from sgms_mhe.evaluation.benchmark import (
 )
 from sgms_mhe.evaluation.peers import KINDS, Evaluation, Kind, PeerExport
 from sgms_mhe.host.compiled import CompiledEstimator
-from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.reference import Integrator

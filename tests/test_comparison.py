@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.evaluation.comparison import TOLERANCES, Comparison, compare_estimates, undecided_flags
-from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.signals.estimates import Estimates

@@ -16,31 +16,34 @@ from numpy.typing import NDArray
 
 from c_packages import PROBES, machine, scheme, written
 from cli_cases import done, refused
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.evaluation.compensation import (
+    actuation_delay,
+    axis_config,
+    compare_compensations,
+    make_scenario,
+    run_axis,
+    set_point_ahead,
+    truth_of,
+)
+from sgms_mhe.evaluation.plots import save_figure
+from sgms_mhe.evaluation.tracking import (
     EKF,
     MHE,
     NONE,
     STATIC,
     TRUE,
-    actuation_delay,
-    axis_config,
-    compare_compensations,
     contour_error,
-    make_scenario,
     measure,
     measure_contour,
     peaks_after,
     rests,
     reversals,
-    run_axis,
-    set_point_ahead,
     settling_times,
-    truth_of,
 )
-from sgms_mhe.evaluation.plots import save_figure
 from sgms_mhe.host.compiled import CompiledEstimator, LoopCompensation, replay_definitions
-from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.plant.simulation import AxisConfig, Controller, simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, circle, make_trajectory
 from sgms_mhe.signals.chain import chain_delay, settle_samples, signals_from_log
@@ -711,7 +714,7 @@ def test_contour_error_is_the_distance_from_the_circle(compensated: Machine) -> 
 
 
 def _run(trajectory: Trajectory, error: Array) -> Any:
-    from sgms_mhe.evaluation.compensation import AxisRun
+    from sgms_mhe.evaluation.tracking import AxisRun
 
     return AxisRun(trajectory, error, np.zeros(len(error)), np.zeros(len(error)), None)
 

@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
 from sgms_mhe.diagnosis.evidence import inconstancy, nuisance, score_test
 from sgms_mhe.diagnosis.fitting import Extra, Workshop, compiled_fit
 from sgms_mhe.diagnosis.plan import make_plan, write_plan
 from sgms_mhe.diagnosis.residuals import Recording, noise_floor, prepare
 from sgms_mhe.evaluation.prediction import force_error, predict_log
-from sgms_mhe.machine import Machine, load_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log, read_log

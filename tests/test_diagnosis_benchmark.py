@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.diagnosis_benchmark import (
     Draw,
@@ -30,7 +31,7 @@ from sgms_mhe.diagnosis_benchmark.draws import KINDS, VISIBLE, foreign_force
 from sgms_mhe.diagnosis_benchmark.foreign import FOREIGN
 from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, draw_motion
 from sgms_mhe.diagnosis_benchmark.scoring import confusion_table, half_found, parameter_errors
-from sgms_mhe.machine import Machine, load_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.signals.chain import signals_from_log

@@ -15,11 +15,12 @@ import pytest
 from numpy.typing import NDArray
 
 from cli_cases import done
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.fitting import SETTLED, CompiledFit, Workshop
 from sgms_mhe.diagnosis.residuals import FITTED_S, Recording, excerpt, noise_floor, prepare
 from sgms_mhe.diagnosis.verdict import SHARP
-from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory
 from sgms_mhe.signals.logs import Log, write_log
@@ -241,7 +242,7 @@ import resource, sys
 from sgms_mhe.diagnosis.fitting import Workshop
 from sgms_mhe.diagnosis.residuals import prepare
 from sgms_mhe.signals.logs import read_log
-from sgms_mhe.machine import load_machine
+from sgms_mhe.configuration import load_machine
 machine = load_machine(sys.argv[1])
 recording = prepare(machine, read_log(sys.argv[2], machine))
 Workshop(machine, recording).fit((), base=())

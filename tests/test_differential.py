@@ -12,9 +12,10 @@ import pytest
 
 from c_packages import Array, elements, machine, scheme
 from reference_cases import linear_model
+from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
-from sgms_mhe.machine import Machine, load_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory

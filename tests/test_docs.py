@@ -14,7 +14,7 @@ import click
 import pytest
 
 from sgms_mhe.cli import COMMANDS, Commands
-from sgms_mhe.machine import load_machine
+from sgms_mhe.configuration import load_machine
 from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES, cause, effect_definition
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -144,12 +144,13 @@ def test_modules_exist(page: Path) -> None:
 
 
 def places(path: str) -> Iterator[Path]:
-    """What a path on a page may stand for: it is in the repository, in the Python package, or in one of its rooms.
+    """What a path on a page may stand for: in the repository, in tests/, in the Python package, or in one of its rooms.
 
     Or in an emitted package, whose machine is called NAME.
     """
     package = ROOT / "generator" / "sgms_mhe"
     yield from ROOT.glob(path)
+    yield from (ROOT / "tests").glob(path)
     for pattern in (path, f"*/{path}", f"*/*/{path}"):
         yield from package.glob(pattern)
     for machine in (ROOT / "generated").iterdir():

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.emission.structure import analyse
 from sgms_mhe.evaluation.comparison import TOLERANCES
 from sgms_mhe.host.compiled import CompiledEstimator
-from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.model.effects import (
     BASE_CAUSES,

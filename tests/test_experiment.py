@@ -8,20 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.evaluation import figures
-from sgms_mhe.evaluation.experiment import (
-    PAPER_WEIGHTS,
-    PAPER_WEIGHTS_EKF,
-    TRUE_STIFFNESS,
-    Record,
-    coverage,
-    friction_rms,
-    run_estimator,
-    run_experiment,
-    simulate_record,
-    smoothness,
-)
-from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.evaluation.experiment import PAPER_WEIGHTS, PAPER_WEIGHTS_EKF, TRUE_STIFFNESS, run_experiment
+from sgms_mhe.evaluation.records import Record, coverage, friction_rms, run_estimator, simulate_record, smoothness
+from sgms_mhe.machine import Machine
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import Motion
 from sgms_mhe.support.errors import InputError

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
+from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.machine import load_machine
 
 GOLDEN = Path(__file__).parent / "golden"
 UPDATE = "python tests/test_golden.py --update"

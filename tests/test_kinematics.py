@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.signal import butter
 
-from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import (
     Signals,
     chain_delay,

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.io import savemat
 
-from sgms_mhe.machine import load_machine, override_machine
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.estimates import Estimates, read_estimates, write_estimates
 from sgms_mhe.signals.logs import COLUMNS, Log, read_log, write_log

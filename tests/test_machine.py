@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from sgms_mhe.machine import BASE_PARAMETERS, Machine, json_schema, load_machine, override_machine
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.machine import BASE_PARAMETERS, Tables, json_schema
 from sgms_mhe.support.errors import InputError
 
 MINIMAL = """
@@ -503,7 +504,7 @@ def _tables(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
 
 
 def test_every_field_states_its_default_and_every_number_its_unit() -> None:
-    for table in _tables(Machine):
+    for table in _tables(Tables):
         for name, field in table.model_fields.items():
             assert field.description, (table, name)
             assert re.search("default|required", field.description), (table, name)
@@ -513,7 +514,7 @@ def test_every_field_states_its_default_and_every_number_its_unit() -> None:
 
 def test_described_defaults_are_the_defaults() -> None:
     checked = 0
-    for table in _tables(Machine):
+    for table in _tables(Tables):
         for field in table.model_fields.values():
             stated = re.search(r"; default ([-\d.e]+)$", field.description or "")
             if stated and isinstance(field.default, int | float):
@@ -524,7 +525,7 @@ def test_described_defaults_are_the_defaults() -> None:
 
 def test_schema_is_json_and_knows_the_file_s_keys() -> None:
     schema: dict[str, Any] = json.loads(json.dumps(json_schema()))
-    assert set(schema["properties"]) == {*Machine.model_fields, "extends"}
+    assert set(schema["properties"]) == {*Tables.model_fields, "extends"}
     assert schema["additionalProperties"] is False
     smoothing = schema["$defs"]["Smoothing"]["properties"]
     assert set(smoothing) == {"zeta", "lambda", "gamma"}

@@ -77,7 +77,7 @@ def package_of(**changes: Any) -> Package:
 def test_same_machine_same_bytes(tmp_path: Path) -> None:
     """In this process twice, and in another with other hashes, another folder, another language."""
     script = (
-        "import sys; from pathlib import Path; from sgms_mhe.machine import load_machine, override_machine\n"
+        "import sys; from pathlib import Path; from sgms_mhe.configuration import load_machine, override_machine\n"
         "from sgms_mhe.emission.package import emit_package, write_package\n"
         "for single in (False, True):\n"
         "    m = override_machine(load_machine('etel_xy'), {'code': {'precision': 'single' if single else 'double'}})\n"

@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 
 from package_variants import EFFECTS, VARIANTS
-from sgms_mhe.machine import load_machine
+from sgms_mhe.configuration import load_machine
 from sgms_mhe.model.effects import EFFECT_NAMES
 
 RECORDED = Path(__file__).parent / "recorded" / "packages.json"

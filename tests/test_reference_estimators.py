@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from reference_cases import friction_at_samples, linear_model, moving, simulate, variant, with_integrator
-from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.reference import Integrator, Record, Status, estimate_model, estimate_reference, run_mhe
 from sgms_mhe.reference.ekf import into_bounds

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from reference_cases import linear_model, moving, simulate, variant, with_integrator
-from sgms_mhe.machine import Machine, Smoothing, load_machine, override_machine
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.machine import Machine, Smoothing
 from sgms_mhe.model import build_model
 from sgms_mhe.reference.flow import window
 from sgms_mhe.reference.integrator import Integrator

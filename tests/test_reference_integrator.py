@@ -12,7 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from reference_cases import Array, along_lines, linear_model, lines, moving, simulate, variant, with_integrator
-from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.reference import integrator as module
 from sgms_mhe.reference.integrator import Integrator, Plan

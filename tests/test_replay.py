@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
-from sgms_mhe.machine import load_machine, override_machine
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import Motion
 from sgms_mhe.signals.estimates import Estimates

@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 
 import diagnosis_cases as cases
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Alternative, Diagnosis
-from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.report import closed_loop_gain, write_report

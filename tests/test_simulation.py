@@ -12,7 +12,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from sgms_mhe.machine import Machine, load_machine
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 from sgms_mhe.plant import simulation
 from sgms_mhe.plant.simulation import (
@@ -146,7 +147,7 @@ def test_smoothed_law_solves_its_equation(machine: Machine, velocity: float) -> 
 
 
 def replace_rate(machine: Machine, rate: float) -> Machine:
-    return machine.model_copy(update={"sampling": machine.sampling.model_copy(update={"rate": rate})})
+    return replace(machine, sampling=machine.sampling.model_copy(update={"rate": rate}))
 
 
 @pytest.mark.parametrize("name", ["paper", "mixed"])

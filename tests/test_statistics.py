@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.evaluation.studies import (
     CASES,
     CREEP_TRUTH,
@@ -21,7 +22,6 @@ from sgms_mhe.evaluation.studies import (
     relinearise_errors,
     statistics_machine,
 )
-from sgms_mhe.machine import load_machine, override_machine
 
 
 def case(name: str) -> Case:

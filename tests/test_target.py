@@ -17,6 +17,7 @@ import sgms_mhe.evaluation.target
 from c_packages import machine
 from cli_cases import SMALL, done, refused, run
 from sgms_mhe.commands.target import command
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.evaluation.benchmark import simulated_log
 from sgms_mhe.evaluation.target import (
@@ -33,7 +34,7 @@ from sgms_mhe.evaluation.target import (
     single_precision,
 )
 from sgms_mhe.host.compiled import CompiledEstimator
-from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.status import FLAGS
 from sgms_mhe.support.errors import BuildError

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from cli_cases import SMALL, done, refused
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.evaluation.benchmark import Bench, Recording, emitted_errors, there_and_back
 from sgms_mhe.integration.schemes import SCHEMES
 from sgms_mhe.integration.work_precision import CANDIDATES, ROUNDING, candidates, element_errors
-from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS

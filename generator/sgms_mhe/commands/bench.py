@@ -55,7 +55,7 @@ def command(
     residual and Jacobian of one window alone. state_error and sensitivity_error are the largest errors of one
     interval's integration, in scaled units, against a converged one.
     """
-    from sgms_mhe.machine import load_machine
+    from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
     if out is not None:

@@ -35,7 +35,7 @@ def command(machine: str, out: Path, draws: int, seed: int, jobs: int, as_json: 
     Hidden are single effects, wrong numbers, pairs of effects, forces that no effect can represent, and nothing; with
     two friction laws, several motions and noise levels. An interrupted run goes on when it is called again.
     """
-    from sgms_mhe.machine import load_machine
+    from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
     check_output_folder(out)

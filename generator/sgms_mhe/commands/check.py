@@ -21,7 +21,7 @@ def command(machine: str, as_json: bool) -> None:
 
     A machine that passes can be generated.
     """
-    from sgms_mhe.machine import load_machine
+    from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
 
@@ -36,7 +36,7 @@ def _content(machine: Machine) -> dict[str, Any]:
     return {
         "source": str(machine.source),
         "digest": machine.digest,
-        "machine": machine.model_dump(mode="json", by_alias=True),
+        "machine": machine.as_dict(by_alias=True),
     }
 
 

@@ -39,7 +39,7 @@ def command(machine: str, log: Path, as_json: bool) -> None:
 
     Exit code 1 where the two are further apart.
     """
-    from sgms_mhe.machine import load_machine
+    from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
 

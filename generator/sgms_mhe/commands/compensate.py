@@ -71,7 +71,7 @@ def command(
     No compensation, static Coulomb and viscous feed-forward with nominal parameters, EKF and MHE are compared with the
     true friction fed forward: tracking error, peaks after reversals, settling.
     """
-    from sgms_mhe.machine import load_machine
+    from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
     if out is not None:

@@ -68,7 +68,7 @@ def command(
 
     Exit code 1: unexplained.
     """
-    from sgms_mhe.machine import load_machine
+    from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
     folder = out or Path(f"{resolved.name}_diagnosis")

@@ -62,7 +62,7 @@ def command(machine: str, log: Path, out: Path, solver: Solver, plot: Path | Non
     The generated C takes position and force through its own signal chain; a log that brings velocity_m_s,
     acceleration_m_s2 or friction_N goes through the Python one, which uses those columns.
     """
-    from sgms_mhe.machine import load_machine
+    from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
     check_output_file(out)
@@ -96,7 +96,7 @@ def check_length(log: Log, machine: Machine) -> None:
 
 def run_solver(machine: Machine, log: Log, solver: Solver, progress: Progress) -> Estimates:
     """Estimate from a log with the solver named."""
-    from sgms_mhe.machine import override_machine
+    from sgms_mhe.configuration import override_machine
     from sgms_mhe.signals.chain import signals_from_log
 
     if solver in ("c", "ekf"):

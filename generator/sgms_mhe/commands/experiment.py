@@ -16,7 +16,7 @@ from sgms_mhe.commands.common import check_output_folder, example, machine_argum
 @out_option("Folder of figures and data.", metavar="DIR")
 def command(machine: str, out: Path) -> None:
     """Run the paper's experiment on MACHINE: print its table, write figures and data."""
-    from sgms_mhe.machine import load_machine
+    from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
     check_output_folder(out)

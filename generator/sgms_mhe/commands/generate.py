@@ -31,7 +31,7 @@ def command(machine: str, out: Path | None, as_json: bool) -> None:
 
     The folder is replaced as a whole, and only if nothing but an earlier package is in it.
     """
-    from sgms_mhe.machine import load_machine
+    from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
     folder = out or Path("generated") / resolved.name

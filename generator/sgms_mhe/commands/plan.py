@@ -18,7 +18,7 @@ from sgms_mhe.commands.common import check_output_file, example, machine_argumen
 @out_option("Columns time_s and position_m; default: MACHINE's name and _plan.csv.", required=False)
 def command(machine: str, separate: tuple[str, str] | None, out: Path | None) -> None:
     """Write the reference trajectory that separates two causes on MACHINE, or that excites every effect."""
-    from sgms_mhe.machine import load_machine
+    from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
     path = out or Path(f"{resolved.name}_plan.csv")

@@ -59,7 +59,7 @@ def command(
     nothing is missing. Elsewhere friction_measured_N is NaN. The force error is that RMS over the RMS of the drive
     force, as inverse dynamic models are judged.
     """
-    from sgms_mhe.machine import load_machine, override_machine
+    from sgms_mhe.configuration import load_machine, override_machine
 
     resolved = load_machine(machine)
     check_output_file(out)

@@ -92,7 +92,7 @@ def command(
 
     The plant is integrated apart from the model that estimators are generated from.
     """
-    from sgms_mhe.machine import load_machine
+    from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
     check_output_file(out, (".csv", ".npz"))

@@ -70,7 +70,7 @@ def command(
     Exit code 1 where the target's estimates are further from the host's than rounding explains, or the package holds
     double-precision arithmetic.
     """
-    from sgms_mhe.machine import load_machine
+    from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
 

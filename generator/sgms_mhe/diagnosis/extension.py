@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.support.paths import machines_dir
 
 NAME_LENGTH = 48

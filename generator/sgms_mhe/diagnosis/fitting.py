@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from sgms_mhe.configuration import make_machine, override_machine
 from sgms_mhe.diagnosis.evidence import nuisance
 from sgms_mhe.diagnosis.residuals import Recording
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.host.compiled import CompiledModel
-from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.signals.chain import Signals
@@ -713,9 +714,7 @@ def _without_bounds(machine: Machine) -> Machine:
     content = dict(machine.content)
     estimator = {k: v for k, v in dict(content.get("estimator", {})).items() if k not in ("bounds", "parameters")}
     content["estimator"] = {**estimator, "parameters": ["stiffness"]}
-    bare = Machine.model_validate(content)
-    bare._source = machine.source
-    return bare
+    return make_machine(content, machine.source)
 
 
 def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:

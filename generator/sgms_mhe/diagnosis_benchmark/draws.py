@@ -11,18 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.diagnosis.fitting import cached_package
 from sgms_mhe.diagnosis_benchmark.foreign import FOREIGN
 from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, draw_motion
 from sgms_mhe.host.compiled import CompiledModel
-from sgms_mhe.machine import override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition
 from sgms_mhe.model.effects.specimen import Scene, log_uniform
 from sgms_mhe.model.scales import scales_of
@@ -30,9 +31,6 @@ from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.signals.chain import Signals, settle_samples, signals_from_log
 from sgms_mhe.signals.logs import Log
-
-if TYPE_CHECKING:
-    from sgms_mhe.machine import Machine
 
 Array = NDArray[np.float64]
 Values = dict[str, float]

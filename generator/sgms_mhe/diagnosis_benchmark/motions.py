@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.random import Generator
 
+from sgms_mhe.machine import Machine
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.trajectories import Motion, Trajectory
-
-if TYPE_CHECKING:
-    from sgms_mhe.machine import Machine
 
 STYLES: Final = ("workout", "strokes", "dies", "loops")
 """Motions that excite most effects: everything; long strokes; short moves and rests; much presliding."""

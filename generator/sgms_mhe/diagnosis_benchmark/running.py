@@ -11,19 +11,18 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from sgms_mhe import diagnosis
+from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.diagnosis_benchmark.draws import Draw, machine_of, make_draw, simulate_draw
 from sgms_mhe.diagnosis_benchmark.scoring import Found, Summary, confusion_table, summarise, summary_json, summary_text
+from sgms_mhe.machine import Machine
+from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import write_text
 
-if TYPE_CHECKING:
-    from sgms_mhe.diagnosis import Diagnosis
-    from sgms_mhe.machine import Machine
-    from sgms_mhe.signals.logs import Log
-
-Diagnose = Callable[["Machine", "Log"], "Diagnosis"]
+Diagnose = Callable[[Machine, Log], Diagnosis]
 Progress = Callable[[int, int], None]
 """Called with (logs done, logs in all)."""
 
@@ -39,7 +38,7 @@ def run_diagnosis_benchmark(
     draws: int = 600,
     seed: int = 1,
     jobs: int = 2,
-    diagnose: Diagnose | None = None,
+    diagnose: Diagnose = diagnosis.diagnose,
     progress: Progress | None = None,
 ) -> Summary:
     """Hide causes in simulated logs, diagnose each, score.
@@ -83,26 +82,20 @@ def run_diagnosis_benchmark(
     return summary
 
 
-def run_draw(machine: Machine, seed: int, index: int, diagnose: Diagnose | None = None) -> tuple[Draw, Found]:
+def run_draw(machine: Machine, seed: int, index: int, diagnose: Diagnose = diagnosis.diagnose) -> tuple[Draw, Found]:
     """One log: drawn, simulated, diagnosed. What goes wrong in a diagnosis is a result too."""
     draw = make_draw(machine, seed, index)
     log, noise = simulate_draw(machine, draw)
     started = time.monotonic()
     try:
-        found = Found.of((diagnose or _diagnose)(machine_of(machine, draw), log), noise, time.monotonic() - started)
+        found = Found.of(diagnose(machine_of(machine, draw), log), noise, time.monotonic() - started)
     except Exception as error:
         found = Found("", seconds=time.monotonic() - started, error=f"{type(error).__name__}: {error}")
     return draw, found
 
 
-def _diagnose(machine: Machine, log: Log) -> Diagnosis:
-    from sgms_mhe import diagnosis
-
-    return diagnosis.diagnose(machine, log)
-
-
 def _results(
-    machine: Machine, seed: int, wanted: list[int], jobs: int, diagnose: Diagnose | None
+    machine: Machine, seed: int, wanted: list[int], jobs: int, diagnose: Diagnose
 ) -> Iterator[tuple[int, Draw, Found]]:
     if jobs <= 1 or len(wanted) <= 1:
         for index in wanted:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -30,9 +30,20 @@ class CPrinter:
             text += ".0"
         return text + ("f" if self.single else "")
 
-    def array(self, values: Sequence[float]) -> str:
+    def numbers(self, values: Iterable[float]) -> str:
+        """Literals, separated by commas."""
+        return ", ".join(self.number(v) for v in values)
+
+    def array(self, values: Iterable[float]) -> str:
         """Brace-enclosed initialiser."""
-        return "{" + ", ".join(self.number(v) for v in values) + "}"
+        return "{" + self.numbers(values) + "}"
+
+    def series(self, coefficients: Sequence[float], x: str) -> str:
+        """x^2 (c_0 - c_1 x + c_2 x^2 - ...), by Horner's scheme."""
+        text = self.number(coefficients[-1])
+        for c in reversed(coefficients[:-1]):
+            text = f"({self.number(c)} - {x} * {text})"
+        return f"{x} * {x} * {text}"
 
     def statements(
         self, outputs: Sequence[tuple[str, Node]], names: Mapping[Node, str], hints: Mapping[Node, str]

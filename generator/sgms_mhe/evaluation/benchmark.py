@@ -23,12 +23,12 @@ from typing import Any, Final, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.configuration import override_machine
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.evaluation.peers import KINDS, Kind, PeerExport, Windows
 from sgms_mhe.host.compiled import CompiledModel, replay_definitions
 from sgms_mhe.integration.work_precision import CANDIDATES, settings
-from sgms_mhe.machine import Machine, override_machine
-from sgms_mhe.machine.schema import Estimator
+from sgms_mhe.machine import Estimator, Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory

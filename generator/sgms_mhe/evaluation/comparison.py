@@ -13,18 +13,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.emission.context import hold_path
+from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
+from sgms_mhe.model import FreeParameter
+from sgms_mhe.reference import estimate_reference
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.status import FLAGS
-
-if TYPE_CHECKING:
-    from sgms_mhe.model import FreeParameter
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -161,9 +162,6 @@ def compare_estimates(
 
 def compare_signals(machine: Machine, signals: Signals, *, progress: Progress | None = None) -> Comparison:
     """Run the emitted C and the reference on aligned signals and compare them."""
-    from sgms_mhe.host.compiled import CompiledEstimator
-    from sgms_mhe.reference import estimate_reference
-
     estimator = CompiledEstimator(machine)
     generated = estimator.estimate(signals, progress=progress)  # reports too, so that it can be interrupted
     reference = estimate_reference(machine, signals, progress=progress)
@@ -177,8 +175,6 @@ def undecided_flags(
     machine: Machine, signals: Signals, estimates: Estimates, parameters: Sequence[FreeParameter]
 ) -> NDArray[np.int64]:
     """Flags that at each update (u) depend on a number which lies on its limit, within the tolerance `status`."""
-    from sgms_mhe.emission.package import hold_path
-
     tolerance = TOLERANCES[machine.code.precision].status
     samples, updates = machine.sampling.samples_per_update, len(estimates)
     speed = np.abs(signals.velocity[1 : 1 + updates * samples]).reshape(updates, samples)

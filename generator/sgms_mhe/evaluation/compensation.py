@@ -11,18 +11,34 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.evaluation.compensation_figures import write_figures
+from sgms_mhe.evaluation.tracking import (
+    EKF,
+    METHODS,
+    MHE,
+    NONE,
+    STATIC,
+    TRUE,
+    AxisRun,
+    Comparison,
+    Measures,
+    Scenario,
+    Truth,
+    measure,
+    measure_contour,
+)
 from sgms_mhe.host.compiled import CompiledEstimator, LoopCompensation
-from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.plant.simulation import AxisConfig, Controller, linear_drift, simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory, circle, make_trajectory
-from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import write_text
 from sgms_mhe.support.tables import Table
@@ -35,27 +51,8 @@ OFF: Final = 0.3
 DRIFT: Final = 0.25
 CURRENT_LOOP_Hz: Final = 1000.0
 SCENARIOS: Final = ("paper", "step_and_settle", "circle")
-PEAK_WINDOW_S: Final = 0.15
-"""After a reversal the largest error is looked for until the next one, but no longer than this."""
-LEAST_WAIT_S: Final = 0.02
-"""Shorter rests of the reference are no place to settle."""
 STATIC_SMOOTHING: Final = 10.0
 """Of static feed-forward's sign, over v_s: of 0, 1, 3 and 10 the one that serves it best."""
-
-NONE, STATIC, EKF, MHE, TRUE = "none", "static", "EKF", "MHE", "true friction"
-METHODS: Final = (NONE, STATIC, EKF, MHE, TRUE)
-
-
-@dataclass(frozen=True)
-class Truth:
-    """True over nominal parameters: at the start, and by which part of that they change until the end of the run."""
-
-    scale: Mapping[str, float]
-    drift: Mapping[str, float]
-
-    def mirrored(self) -> Truth:
-        """Off, and drifting, the other way round."""
-        return Truth({k: 2.0 - v for k, v in self.scale.items()}, {k: -v for k, v in self.drift.items()})
 
 
 def truth_of(machine: Machine, off: float = OFF, drift: float = DRIFT) -> Truth:
@@ -64,77 +61,6 @@ def truth_of(machine: Machine, off: float = OFF, drift: float = DRIFT) -> Truth:
     if machine.friction.viscous == 0.0:
         del signs["viscous"]
     return Truth({k: 1.0 + s * off for k, s in signs.items()}, {k: s * drift for k, s in signs.items()})
-
-
-@dataclass(frozen=True)
-class Scenario:
-    """A motion of one axis, or of two: their trajectories and what is true of each."""
-
-    name: str
-    axes: tuple[tuple[Trajectory, Truth], ...]
-
-
-@dataclass(frozen=True)
-class AxisRun:
-    """One axis with one compensation.
-
-    Attributes:
-        trajectory: the reference.
-        error_m: true minus reference position (n).
-        compensation_N: fed forward (n).
-        friction_N: of the plant (n).
-        estimates: of the estimator in the loop, None without one.
-    """
-
-    trajectory: Trajectory
-    error_m: Array
-    compensation_N: Array
-    friction_N: Array
-    estimates: Estimates | None
-
-
-@dataclass(frozen=True)
-class Measures:
-    """How well a reference was followed: RMS error [m], largest error after each reversal [m], settling times [s]."""
-
-    rms_m: float
-    peaks_m: Array
-    settling_s: Array
-
-    @property
-    def peak_m(self) -> float:
-        """Mean of the peaks after reversals [m]; NaN without one."""
-        return float(self.peaks_m.mean()) if len(self.peaks_m) else math.nan
-
-    @property
-    def worst_m(self) -> float:
-        """The largest of them [m]."""
-        return float(self.peaks_m.max(initial=0.0)) if len(self.peaks_m) else math.nan
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Everything that was run.
-
-    Attributes:
-        table: results.
-        runs: by scenario and method, one per axis.
-        measures: by row name (a scenario, or an axis or the contour of one) and method.
-        scenarios: by name.
-        nominal: value of every estimated parameter in the machine file.
-        figures: files written.
-    """
-
-    table: Table
-    runs: Mapping[tuple[str, str], tuple[AxisRun, ...]]
-    measures: Mapping[tuple[str, str], Measures]
-    scenarios: Mapping[str, Scenario]
-    nominal: Mapping[str, float]
-    figures: tuple[Path, ...] = ()
-
-    def remaining(self, row: str, method: str, against: str) -> float:
-        """Mean peak after reversals over that with another method."""
-        return self.measures[row, method].peak_m / self.measures[row, against].peak_m
 
 
 def make_scenario(machine: Machine, name: str, duration_s: float, truth: Truth) -> Scenario:
@@ -221,70 +147,6 @@ def _true_friction(machine: Machine, trajectory: Trajectory, plant: Mapping[str,
         raise ValueError("the run was simulated without truth")
     total = truth.friction_N + truth.effect_force_N
     return np.interp(truth.time_s + actuation_delay(machine), truth.time_s, total)
-
-
-# --- measures -----------------------------------------------------------------------------------------------------
-
-
-def reversals(trajectory: Trajectory) -> NDArray[np.int64]:
-    """Samples at which the reference first moves in the other direction; a rest in between counts as none."""
-    velocity = trajectory.velocity_m_s
-    moving = np.flatnonzero(np.abs(velocity) > 1e-9 * np.abs(velocity).max(initial=0.0))
-    sign = np.sign(velocity[moving])
-    return np.asarray(moving[1:][sign[1:] != sign[:-1]])
-
-
-def peaks_after(samples: NDArray[np.int64], error_m: Array, rate: float) -> Array:
-    """Largest |error| after each of these samples, until the next one or the end of PEAK_WINDOW_S."""
-    ends = np.minimum(np.append(samples[1:], len(error_m)), samples + round(PEAK_WINDOW_S * rate))
-    return np.array([np.abs(error_m[a:b]).max() for a, b in zip(samples, ends, strict=True)])
-
-
-def rests(trajectory: Trajectory) -> list[tuple[int, int]]:
-    """(first, after the last) sample of every wait of the reference after a move."""
-    still = np.append(np.diff(trajectory.position_m) == 0.0, True)
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(np.int8)))
-    least = LEAST_WAIT_S * trajectory.rate
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if a > 0 and b - a >= least]
-
-
-def settling_times(trajectory: Trajectory, error_m: Array, window_m: float) -> Array:
-    """Time from every arrival until the error stays within the window [s]; the whole wait where it does not."""
-    times = []
-    for first, end in rests(trajectory):
-        outside = np.flatnonzero(np.abs(error_m[first:end]) > window_m)
-        times.append((int(outside[-1]) + 1 if len(outside) else 0) / trajectory.rate)
-    return np.array(times)
-
-
-def measure(run: AxisRun, window_m: float) -> Measures:
-    """Measures of one axis."""
-    return Measures(
-        float(np.sqrt(np.mean(run.error_m**2))),
-        peaks_after(reversals(run.trajectory), run.error_m, run.trajectory.rate),
-        settling_times(run.trajectory, run.error_m, window_m),
-    )
-
-
-def contour_error(x: AxisRun, y: AxisRun) -> Array:
-    """Distance of the true position from the circle, outside positive (n) [m]."""
-    centre, radius = _circle_of(x.trajectory, y.trajectory)
-    px = x.trajectory.position_m + x.error_m - centre[0]
-    py = y.trajectory.position_m + y.error_m - centre[1]
-    return np.asarray(np.hypot(px, py) - radius)
-
-
-def _circle_of(x: Trajectory, y: Trajectory) -> tuple[tuple[float, float], float]:
-    """Centre and radius [m] of two trajectories that describe a circle."""
-    radius = 0.5 * float(np.ptp(y.position_m))
-    return (0.5 * float(x.position_m.max() + x.position_m.min()), float(y.position_m.min()) + radius), radius
-
-
-def measure_contour(x: AxisRun, y: AxisRun) -> Measures:
-    """Measures of the contour error; reversals are those of either axis."""
-    error = contour_error(x, y)
-    turns = np.union1d(reversals(x.trajectory), reversals(y.trajectory))
-    return Measures(float(np.sqrt(np.mean(error**2))), peaks_after(turns, error, x.trajectory.rate), np.zeros(0))
 
 
 # --- the comparison -----------------------------------------------------------------------------------------------
@@ -376,13 +238,11 @@ def _table(
 
 
 def _written(comparison: Comparison, out_dir: Path) -> Comparison:
-    from sgms_mhe.evaluation import compensation_figures as figures
-
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(out_dir, "output folder", None, f"a folder that can be made ({error.strerror})") from None
-    written = figures.write_figures(comparison, out_dir)
+    written = write_figures(comparison, out_dir)
     write_text(out_dir / "compensation.txt", f"{comparison.table}\n")
     write_text(out_dir / "compensation.json", json.dumps(comparison.table.as_dict(), indent=2) + "\n")
     return replace(comparison, figures=written)

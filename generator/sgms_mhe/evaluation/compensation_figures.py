@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sgms_mhe.evaluation.compensation import (
+from sgms_mhe.evaluation.plots import save_figure
+from sgms_mhe.evaluation.tracking import (
     EKF,
     METHODS,
     MHE,
@@ -24,7 +25,6 @@ from sgms_mhe.evaluation.compensation import (
     rests,
     reversals,
 )
-from sgms_mhe.evaluation.plots import save_figure
 
 Array = NDArray[np.float64]
 

@@ -7,34 +7,39 @@ one. Truth is compared where the estimator stands: behind the same filters and d
 from __future__ import annotations
 
 import json
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.host.compiled import CompiledEstimator
-from sgms_mhe.machine import Machine, override_machine
-from sgms_mhe.plant.simulation import AxisConfig, SimulatedRun, simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.evaluation.figures import friction_figure, hysteresis_figure, signals_figure, stiffness_figure
+from sgms_mhe.evaluation.plots import save_figure
+from sgms_mhe.evaluation.records import (
+    DURATION_S,
+    Outcome,
+    Record,
+    coverage,
+    friction_rms,
+    run_estimator,
+    simulate_record,
+    smoothness,
+    timed,
+)
+from sgms_mhe.machine import Machine
 from sgms_mhe.reference import estimate_reference, estimate_smoother
-from sgms_mhe.signals.chain import Signals, signals_from_log
-from sgms_mhe.signals.estimates import Estimates, write_estimates
+from sgms_mhe.signals.estimates import write_estimates
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import write_text
 from sgms_mhe.support.tables import Table
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
-
-DURATION_S: Final = 20.0
 # True over nominal stiffness, repeated over the elements.
 TRUE_STIFFNESS: Final = (1.25, 0.8, 1.15, 0.9)
-# The window fills and the filters settle: not counted.
-SKIPPED_UPDATES: Final = 25
 # Simulation, four estimators, the paper's weights, figures, files.
 _STEPS: Final = 8
 
@@ -61,45 +66,6 @@ PAPER_WEIGHTS_EKF: Final[dict[str, Any]] = PAPER_WEIGHTS | {
 
 
 @dataclass(frozen=True)
-class Record:
-    """A simulated run as estimators see it, and the truth at their updates.
-
-    Attributes:
-        run: log and truth.
-        signals: behind the signal chain.
-        nodes: samples of the updates (u).
-        friction: true friction behind the chain's filters and delay (u) [N].
-        theta: true over nominal value of the estimated parameters (n_p).
-    """
-
-    run: SimulatedRun
-    signals: Signals
-    nodes: NDArray[np.int64]
-    friction: Array
-    theta: Array
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """One estimator on one record."""
-
-    name: str
-    estimates: Estimates
-    nominal: Array
-    seconds: float
-
-    @property
-    def theta(self) -> Array:
-        """Estimated over nominal parameters (u, n_p)."""
-        return self.estimates.parameters / self.nominal
-
-    @property
-    def std(self) -> Array:
-        """Standard deviation over nominal parameters (u, n_p)."""
-        return self.estimates.std / np.abs(self.nominal)
-
-
-@dataclass(frozen=True)
 class Experiment:
     """Results of the experiment: tables (their text is str()), outcomes by estimator, figures written."""
 
@@ -110,61 +76,6 @@ class Experiment:
 
     def __str__(self) -> str:
         return "\n\n".join(map(str, self.tables))
-
-
-def simulate_record(
-    machine: Machine,
-    stiffness: Sequence[float],
-    *,
-    trajectory: str = "paper",
-    duration_s: float = DURATION_S,
-    config: AxisConfig | None = None,
-) -> Record:
-    """Move an axis whose true stiffness is `stiffness` (n_z) times the machine's; other parameters are nominal."""
-    path = make_trajectory(
-        trajectory,
-        machine.sampling.rate,
-        duration_s=duration_s,
-        max_velocity=machine.sampling.max_velocity,
-    )
-    run = simulate_axis(machine, path, config, scale={"stiffness": list(stiffness)})
-    return record_of(machine, run, stiffness)
-
-
-def record_of(machine: Machine, run: SimulatedRun, stiffness: Sequence[float]) -> Record:
-    """A run as the machine's estimators see it; `stiffness` is its true over nominal one."""
-    if run.truth is None:
-        raise ValueError("the run was simulated without truth")
-    samples = machine.sampling.samples_per_update
-    signals = signals_from_log(run.log, machine)
-    nodes = np.arange(samples, len(signals), samples)
-    # The chain filters and delays a force as it does the measured one.
-    behind = signals_from_log(replace(run.log, force_N=run.truth.friction_N), machine)
-    theta = [value for name in machine.estimator.parameters for value in (stiffness if name == "stiffness" else (1.0,))]
-    return Record(run, signals, nodes, behind.force[nodes], np.array(theta))
-
-
-def run_estimator(name: str, machine: Machine, record: Record) -> Outcome:
-    """Run the emitted C of a machine over a record."""
-    estimator = CompiledEstimator(machine)
-    return _timed(name, machine, lambda: estimator.estimate(record.signals))
-
-
-def friction_rms(outcome: Outcome, record: Record) -> float:
-    """RMS of estimated minus true friction, the first updates left out [N]."""
-    error = outcome.estimates.friction_N - record.friction
-    return float(np.sqrt(np.mean(error[SKIPPED_UPDATES:] ** 2)))
-
-
-def smoothness(outcome: Outcome) -> Array:
-    """Mean absolute change per update of each parameter, over its nominal value (n_p)."""
-    return np.asarray(np.mean(np.abs(np.diff(outcome.theta[SKIPPED_UPDATES:], axis=0)), axis=0))
-
-
-def coverage(outcome: Outcome, record: Record) -> Array:
-    """Part of the updates at which the truth lies within two standard deviations (n_p)."""
-    inside = np.abs(outcome.theta - record.theta) <= 2.0 * outcome.std
-    return np.asarray(inside[SKIPPED_UPDATES:].mean(axis=0))
 
 
 def run_experiment(
@@ -178,8 +89,6 @@ def run_experiment(
         progress: called with (steps done, steps in all).
         duration_s: of the simulated run.
     """
-    from sgms_mhe.evaluation import figures
-
     if machine.estimator.parameters != ("stiffness",):
         raise InputError(
             machine.source, "estimator.parameters", list(machine.estimator.parameters), '["stiffness"] (experiment)'
@@ -226,21 +135,9 @@ def run_experiment(
                list(outcomes.values()), record, notes),
         _table("the same record with the paper's weights", list(paper.values()), record, _finding(paper)),
     )  # fmt: skip
-    default, filtered = outcomes["MHE, C"], outcomes["EKF, C"]
-    drawn = {
-        "fig3_hysteresis": figures.hysteresis_figure(machine),
-        "fig6_signals": figures.signals_figure(record),
-        "fig7_friction": figures.friction_figure(record, default, filtered),
-        "fig8_stiffness": figures.stiffness_figure(record, default, filtered, f"weights of {machine.name}"),
-        "fig8_stiffness_paper": figures.stiffness_figure(
-            record, paper["MHE, C"], paper["EKF, C"], "the paper's weights"
-        ),
-    }
-    names = [out_dir / f"{name}.png" for name in drawn]
-    for path, figure in zip(names, drawn.values(), strict=True):
-        figures.save_figure(path, figure)
+    drawn = _drawn(machine, record, outcomes, paper, out_dir)
     step()
-    experiment = Experiment(tables, record, outcomes, tuple(names))
+    experiment = Experiment(tables, record, outcomes, drawn)
     for name, outcome in (("mhe", outcomes["MHE, C"]), ("ekf", outcomes["EKF, C"])):
         write_estimates(out_dir / f"estimates_{name}.csv", outcome.estimates)
     write_text(out_dir / "experiment.txt", f"{experiment}\n")
@@ -251,19 +148,30 @@ def run_experiment(
     return experiment
 
 
-def _timed(name: str, machine: Machine, run: Callable[[], Estimates]) -> Outcome:
-    start = time.perf_counter()
-    estimates = run()
-    seconds = (time.perf_counter() - start) / max(1, len(estimates))
-    return Outcome(name, estimates, np.array(machine.friction.stiffness), seconds)
+def _drawn(
+    machine: Machine, record: Record, outcomes: Mapping[str, Outcome], paper: Mapping[str, Outcome], out_dir: Path
+) -> tuple[Path, ...]:
+    """Draw the paper's figures into a folder; returns the files."""
+    default, filtered = outcomes["MHE, C"], outcomes["EKF, C"]
+    figures = {
+        "fig3_hysteresis": hysteresis_figure(machine),
+        "fig6_signals": signals_figure(record),
+        "fig7_friction": friction_figure(record, default, filtered),
+        "fig8_stiffness": stiffness_figure(record, default, filtered, f"weights of {machine.name}"),
+        "fig8_stiffness_paper": stiffness_figure(record, paper["MHE, C"], paper["EKF, C"], "the paper's weights"),
+    }
+    names = tuple(out_dir / f"{name}.png" for name in figures)
+    for path, figure in zip(names, figures.values(), strict=True):
+        save_figure(path, figure)
+    return names
 
 
 def _reference(name: str, machine: Machine, record: Record) -> Outcome:
-    return _timed(name, machine, lambda: estimate_reference(machine, record.signals, "mhe"))
+    return timed(name, machine, lambda: estimate_reference(machine, record.signals, "mhe"))
 
 
 def _smoother(name: str, machine: Machine, record: Record) -> Outcome:
-    return _timed(name, machine, lambda: estimate_smoother(machine, record.signals))
+    return timed(name, machine, lambda: estimate_smoother(machine, record.signals))
 
 
 def _table(title: str, outcomes: Sequence[Outcome], record: Record, notes: tuple[str, ...]) -> Table:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sgms_mhe.evaluation.plots import save_figure
-from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.evaluation.records import Outcome, Record
+from sgms_mhe.machine import Machine
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import Motion
-
-if TYPE_CHECKING:
-    from sgms_mhe.evaluation.experiment import Outcome, Record
 
 Array = NDArray[np.float64]
 
@@ -174,6 +172,3 @@ def _open(*axes: Any) -> None:
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(color="0.93", linewidth=0.6)
         axis.set_axisbelow(True)
-
-
-__all__ = ["friction_figure", "hysteresis_figure", "save_figure", "signals_figure", "stiffness_figure"]

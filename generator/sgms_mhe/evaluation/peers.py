@@ -21,7 +21,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.support.paths import runtime_dir
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS, program

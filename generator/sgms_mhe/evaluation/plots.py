@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -12,14 +12,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from sgms_mhe.model import FreeParameter
 from sgms_mhe.model.effects import base_number
 from sgms_mhe.model.effects.units import UNITS
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.status import FLAGS, REFUSED, flagged, measured
 from sgms_mhe.support.files import atomic_write
-
-if TYPE_CHECKING:
-    from sgms_mhe.model import FreeParameter
 
 # Dark enough on white, and apart for the colour-blind.
 MEASURED, ESTIMATED, BAND, NOMINAL = "0.6", "#0b5394", "#9fc5e8", "#b45f06"

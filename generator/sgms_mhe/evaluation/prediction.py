@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import decimate
 
+from sgms_mhe.configuration import override_machine
 from sgms_mhe.host.compiled import CompiledModel
-from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import Signals, signals_from_log
 from sgms_mhe.signals.logs import Log, write_columns
 from sgms_mhe.support.errors import InputError

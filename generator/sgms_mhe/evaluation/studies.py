@@ -18,9 +18,11 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.evaluation.experiment import PAPER_WEIGHTS, Record, simulate_record
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.evaluation.experiment import PAPER_WEIGHTS
+from sgms_mhe.evaluation.records import Record, simulate_record
 from sgms_mhe.host.compiled import CompiledEstimator, CompiledModel
-from sgms_mhe.machine import Machine, load_machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory

@@ -21,10 +21,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.configuration import override_machine
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.evaluation.comparison import Comparison, compare_estimates
 from sgms_mhe.host.compiled import CompiledEstimator, replay_definitions
-from sgms_mhe.machine import Machine, override_machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log

@@ -17,16 +17,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.integration.flow_table import flow_applies, gate_ratio
 from sgms_mhe.integration.schemes import SCHEMES, Scheme
-
-if TYPE_CHECKING:
-    from sgms_mhe.machine.schema import Friction, Machine, Sampling
+from sgms_mhe.machine import Friction, Machine, Sampling
 
 Array = NDArray[np.float64]
 

@@ -1,25 +1,14 @@
-"""The machine file: what a user writes, read into frozen, checked, resolved numbers."""
+"""The machine file: what a user writes, checked table by table, and the resolved machine that comes of it."""
 
-from .loading import json_schema, load_machine, override_machine
-from .schema import (
-    BASE_PARAMETERS,
-    DISPLACEMENT,
-    LOG_UNITS,
-    ArrivalCost,
-    Code,
-    Compensation,
-    Effect,
-    Estimator,
-    Friction,
-    Integrator,
-    LogColumn,
-    LogMapping,
-    Machine,
-    Noise,
-    Plant,
-    Sampling,
-    Smoothing,
-)
+from sgms_mhe.machine.axis import BASE_PARAMETERS, Friction, Plant, Smoothing
+from sgms_mhe.machine.code import Code, Compensation
+from sgms_mhe.machine.estimator import ArrivalCost, Estimator, Noise
+from sgms_mhe.machine.fields import listing
+from sgms_mhe.machine.file import Tables, json_schema
+from sgms_mhe.machine.log_mapping import LOG_UNITS, LogColumn, LogMapping
+from sgms_mhe.machine.reading import Layer, MachineFile, machine_file, merged, read_machine_file
+from sgms_mhe.machine.resolved import Machine, ResolvedEffect, estimable_names
+from sgms_mhe.machine.sampling import DISPLACEMENT, Integrator, Sampling
 
 __all__ = [
     "BASE_PARAMETERS",
@@ -28,18 +17,24 @@ __all__ = [
     "ArrivalCost",
     "Code",
     "Compensation",
-    "Effect",
     "Estimator",
     "Friction",
     "Integrator",
+    "Layer",
     "LogColumn",
     "LogMapping",
     "Machine",
+    "MachineFile",
     "Noise",
     "Plant",
+    "ResolvedEffect",
     "Sampling",
     "Smoothing",
+    "Tables",
+    "estimable_names",
     "json_schema",
-    "load_machine",
-    "override_machine",
+    "listing",
+    "machine_file",
+    "merged",
+    "read_machine_file",
 ]

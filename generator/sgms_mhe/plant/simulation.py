@@ -15,20 +15,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, Literal, Self
+from typing import Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.machine import Friction, Machine, Plant, Smoothing
 from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import runtime_dir
 from sgms_mhe.support.toolchain import load_library, shared_library
-
-if TYPE_CHECKING:
-    from sgms_mhe.machine import Machine
-    from sgms_mhe.plant.trajectories import Trajectory
 
 Array = NDArray[np.float64]
 Drift = Callable[[float], float]
@@ -402,8 +400,6 @@ class _Limits:
 @lru_cache(maxsize=1)
 def _base_limits() -> Mapping[str, _Limits]:
     """Limits of mass and friction parameters by their key in the machine file, an array's for each entry."""
-    from sgms_mhe.machine.schema import Friction, Plant, Smoothing
-
     limits = {}
     for table in (Plant, Friction, Smoothing):
         for name, key in table.model_json_schema()["properties"].items():

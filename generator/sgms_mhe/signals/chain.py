@@ -9,16 +9,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log, check_rate
-
-if TYPE_CHECKING:
-    from sgms_mhe.machine import Machine
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

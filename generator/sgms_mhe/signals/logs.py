@@ -7,18 +7,15 @@ import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.machine import LOG_UNITS, LogColumn
+from sgms_mhe.machine import LOG_UNITS, LogColumn, Machine
 from sgms_mhe.signals.matfile import mat_variables
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
-
-if TYPE_CHECKING:
-    from sgms_mhe.machine import Machine
 
 Array = NDArray[np.float64]
 

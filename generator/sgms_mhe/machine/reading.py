@@ -1,4 +1,4 @@
-"""Machine files: find, merge `extends`, validate, and say what is wrong in the user's own terms."""
+"""Machine files: find, merge `extends`, check each table, and say what is wrong in the user's own terms."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import difflib
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple, get_args
 
@@ -13,62 +14,88 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from sgms_mhe.machine.schema import Machine, listing, merged
+from sgms_mhe.machine.fields import listing
+from sgms_mhe.machine.file import Tables
+from sgms_mhe.machine.sampling import CHOSEN_BY_TOLERANCE
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import machines_dir
+
+Key = str | int
 
 DEEPEST: Final = 16
 """Nesting of tables and arrays that a machine file may have; its schema needs four."""
 
 
-class _Layer(NamedTuple):
+class Layer(NamedTuple):
     """One file of an `extends` chain, as written."""
 
     path: Path
-    content: dict[str, Any]
+    content: Mapping[str, Any]
 
 
-def load_machine(machine: str | Path) -> Machine:
+@dataclass(frozen=True)
+class MachineFile:
+    """A machine file as it is written: each table sound, nothing resolved that needs more than the file.
+
+    Attributes:
+        tables: what it says.
+        content: the same as it stands there, `extends` merged, defaults not filled in.
+        layers: the file and everything it extends, the most specific first.
+    """
+
+    tables: Tables
+    content: Mapping[str, Any]
+    layers: tuple[Layer, ...]
+
+    @property
+    def source(self) -> Path:
+        """The file itself."""
+        return self.layers[0].path
+
+    def refused(self, loc: Sequence[Key], value: object, allowed: str) -> InputError:
+        """The error of a key, entries of arrays counted from 0, in the terms of the layer that holds it."""
+        return _refused(self.layers, loc, value, allowed)
+
+    def invalid(self, error: ValidationError, table: Sequence[Key]) -> InputError:
+        """The error of what pydantic refused in a table."""
+        return _input_error(error, self.layers, table)
+
+
+def read_machine_file(machine: str | Path) -> MachineFile:
     """Read a machine file, given by path or by its bare name in a `machines` folder.
 
-    Raises InputError (file, dotted key, value, what is allowed) for everything that is wrong with it.
+    Raises InputError (file, dotted key, value, what is allowed) for everything that is wrong with its tables.
     """
     layers = _read_layers(_find(machine, Path(), str(machine), "machine"))
     content: dict[str, Any] = {}
     for layer in reversed(layers):
         content = merged(content, layer.content)
-    return _validated(content, layers)
+    return machine_file(content, layers)
 
 
-def override_machine(machine: Machine, changes: Mapping[str, Any]) -> Machine:
-    """The machine that a file with `extends` and these changes would describe: tables merge, arrays are replaced.
-
-    Defaults that depend on other keys follow the changes. Raises InputError as load_machine does.
-    """
-    return _validated(merged(machine.content, changes), [_Layer(machine.source, dict(changes))])
-
-
-def _validated(content: dict[str, Any], layers: list[_Layer]) -> Machine:
+def machine_file(content: Mapping[str, Any], layers: Sequence[Layer]) -> MachineFile:
+    """Check merged content as read_machine_file does; errors name the layer that holds the value, or the first."""
     try:
-        machine = Machine.model_validate(content)
+        return MachineFile(Tables.model_validate(content), content, tuple(layers))
     except ValidationError as error:
         raise _input_error(error, layers) from None
-    machine._source = layers[0].path
-    return machine
 
 
-def json_schema() -> dict[str, Any]:
-    """JSON Schema of a machine file, `extends` included."""
-    schema = Machine.model_json_schema(by_alias=True)
-    schema["title"] = "sgms-mhe machine file"
-    schema["properties"]["extends"] = {
-        "type": "string",
-        "description": "another machine file (same folder or machines/) whose keys this file overrides; "
-        "tables merge, arrays are replaced; default none",
-    }
-    # A file that extends another one may leave everything to it.
-    schema["if"], schema["else"] = {"required": ["extends"]}, {"required": schema.pop("required")}
-    return schema
+def merged(base: Any, over: Any) -> Any:
+    """Content `over` laid over `base`: tables merge key by key; everything else, arrays included, is replaced.
+
+    A tolerance takes the place of the integrator that it would exclude, and the other way round.
+    """
+    if isinstance(base, Mapping) and isinstance(over, Mapping):
+        kept = dict(base)
+        for given, excluded in (
+            ("tolerance", CHOSEN_BY_TOLERANCE),
+            *((key, ("tolerance",)) for key in CHOSEN_BY_TOLERANCE),
+        ):
+            if given in over:
+                kept = {key: value for key, value in kept.items() if key not in excluded}
+        return {**kept, **{key: merged(kept.get(key), value) for key, value in over.items()}}
+    return over
 
 
 def _find(machine: str | Path, folder: Path, source: str | Path, where: str) -> Path:
@@ -86,15 +113,15 @@ def _find(machine: str | Path, folder: Path, source: str | Path, where: str) -> 
     raise InputError(source, where, str(machine), f"a machine file that exists{hint}")
 
 
-def _read_layers(path: Path) -> list[_Layer]:
+def _read_layers(path: Path) -> list[Layer]:
     """The file and everything it extends, the most specific first."""
-    layers: list[_Layer] = []
+    layers: list[Layer] = []
     while True:
         if any(layer.path.resolve() == path.resolve() for layer in layers):
             raise InputError(layers[-1].path, "extends", path.name, "a file that does not lead back to this one")
         content = _read_toml(path)
         parent = content.pop("extends", None)
-        layers.append(_Layer(path, content))
+        layers.append(Layer(path, content))
         if parent is None:
             return layers
         if not isinstance(parent, str) or not parent:
@@ -137,7 +164,7 @@ def _inside(value: object) -> Iterable[Any]:
 _MISSING = object()
 
 
-def _look_up(content: Any, keys: Sequence[str | int]) -> Any:
+def _look_up(content: Any, keys: Sequence[Key]) -> Any:
     for key in keys:
         try:
             content = content[key]
@@ -146,7 +173,7 @@ def _look_up(content: Any, keys: Sequence[str | int]) -> Any:
     return content
 
 
-def _spelled(loc: Sequence[str | int]) -> str:
+def _spelled(loc: Sequence[Key]) -> str:
     """Dotted key as in the file; array entries count from 1 as everything a user sees does."""
     spelled = ""
     for key in loc:
@@ -154,12 +181,12 @@ def _spelled(loc: Sequence[str | int]) -> str:
     return spelled or "file"
 
 
-def _fields(table: type[BaseModel] | None) -> dict[str | int, FieldInfo]:
+def _fields(table: type[BaseModel] | None) -> dict[Key, FieldInfo]:
     """Fields of a table by their keys in the file."""
     return {field.alias or name: field for name, field in table.model_fields.items()} if table else {}
 
 
-def _field(model: type[BaseModel], keys: Sequence[str | int]) -> tuple[type[BaseModel] | None, str]:
+def _field(model: type[BaseModel], keys: Sequence[Key]) -> tuple[type[BaseModel] | None, str]:
     """The innermost table on the way to a key, and the description of the innermost field."""
     table: type[BaseModel] | None = model
     description = ""
@@ -174,22 +201,22 @@ def _field(model: type[BaseModel], keys: Sequence[str | int]) -> tuple[type[Base
     return table, description
 
 
-def _input_error(error: ValidationError, layers: list[_Layer]) -> InputError:
+def _input_error(error: ValidationError, layers: Sequence[Layer], table: Sequence[Key] = ()) -> InputError:
     """The first violation, unknown keys before others, in the terms of the file that holds it."""
     details = [entry for entry in error.errors() if entry["type"] != "default_factory_not_called"]
     # A misspelt key is unknown and, where it is required, missing too: the first says more.
     detail: ErrorDetails = next((entry for entry in details if entry["type"] == "extra_forbidden"), details[0])
-    loc: list[str | int] = list(detail["loc"])
+    loc: list[Key] = [*table, *detail["loc"]]
     context = detail.get("ctx", {})
     value: object = detail["input"]
-    described = _field(Machine, loc)[1]
+    described = _field(Tables, loc)[1]
     if detail["type"] == "rule":
         loc += [int(key) if key.isdigit() else key for key in _split(context["where"])]
         value, allowed = context["value"], context["allowed"]
     elif detail["type"] == "missing":
         value, allowed = None, f"required key is missing; {described}"
     elif detail["type"] == "extra_forbidden":
-        known = [str(key) for key in _fields(_field(Machine, loc[:-1])[0])]
+        known = [str(key) for key in _fields(_field(Tables, loc[:-1])[0])]
         if len(loc) == 1:
             known.append("extends")
         close = difflib.get_close_matches(str(loc[-1]), known, n=1)
@@ -200,6 +227,10 @@ def _input_error(error: ValidationError, layers: list[_Layer]) -> InputError:
     else:
         message = detail["msg"].removeprefix("Input should be ")
         allowed = f"{message}; {described}" if described else message
+    return _refused(layers, loc, value, allowed)
+
+
+def _refused(layers: Sequence[Layer], loc: Sequence[Key], value: object, allowed: str) -> InputError:
     holder = next((layer.path for layer in layers if _look_up(layer.content, loc) is not _MISSING), layers[0].path)
     if holder != layers[0].path:
         allowed += f" (in {layers[0].path}, which extends it)"

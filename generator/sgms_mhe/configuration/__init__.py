@@ -1,0 +1,5 @@
+"""From a machine file to the machine it describes: effects from their catalogue, the integrator by its tolerance."""
+
+from sgms_mhe.configuration.resolution import load_machine, make_machine, override_machine
+
+__all__ = ["load_machine", "make_machine", "override_machine"]

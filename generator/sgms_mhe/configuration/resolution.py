@@ -1,0 +1,134 @@
+"""What a machine file leaves to the catalogue of effects and to the schemes of integration, checked and filled in.
+
+Every default that depends on something else is filled in by the file's tables or here, so that no reader of a `Machine`
+repeats one.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from sgms_mhe.integration.work_precision import ROUNDING, candidates, choose
+from sgms_mhe.machine import (
+    BASE_PARAMETERS,
+    Layer,
+    Machine,
+    MachineFile,
+    ResolvedEffect,
+    Sampling,
+    estimable_names,
+    listing,
+    machine_file,
+    merged,
+    read_machine_file,
+)
+from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
+
+_PARAMETERS: Final = TypeAdapter(dict[str, Annotated[float, Field(strict=True, allow_inf_nan=False)]])
+
+
+def load_machine(machine: str | Path) -> Machine:
+    """Read a machine file, given by path or by its bare name in a `machines` folder.
+
+    Raises InputError (file, dotted key, value, what is allowed) for everything that is wrong with it.
+    """
+    return _resolved(read_machine_file(machine))
+
+
+def override_machine(machine: Machine, changes: Mapping[str, Any]) -> Machine:
+    """The machine that a file with `extends` and these changes would describe: tables merge, arrays are replaced.
+
+    Defaults that depend on other keys follow the changes. Raises InputError as load_machine does.
+    """
+    return _resolved(machine_file(merged(machine.content, changes), [Layer(machine.source, changes)]))
+
+
+def make_machine(content: Mapping[str, Any], source: Path) -> Machine:
+    """The machine that a file `source` of this content would describe. Raises InputError as load_machine does."""
+    return _resolved(machine_file(content, [Layer(source, content)]))
+
+
+def _resolved(file: MachineFile) -> Machine:
+    tables = file.tables
+    effects = _effects(file)
+    _check_names(file, estimable_names(effects))
+    return Machine(
+        name=tables.name,
+        description=tables.description,
+        plant=tables.plant,
+        friction=tables.friction,
+        sampling=_sampling(file),
+        estimator=tables.estimator,
+        compensation=tables.compensation,
+        code=tables.code,
+        effects=effects,
+        log=tables.log,
+        source=file.source,
+        content=file.content,
+    )
+
+
+def _effects(file: MachineFile) -> tuple[ResolvedEffect, ...]:
+    """Every effect with all of its parameters, in the order of the catalogue's."""
+    counts: Counter[str] = Counter()
+    effects = []
+    for index, entry in enumerate(file.tables.effects):
+        if entry.name not in EFFECT_NAMES:
+            raise file.refused(("effects", index, "name"), entry.name, f"one of {listing(EFFECT_NAMES)}")
+        counts[entry.name] += 1
+        label = entry.name if counts[entry.name] == 1 else f"{entry.name}_{counts[entry.name]}"
+        effects.append(ResolvedEffect(entry.name, label, _effect_parameters(file, index)))
+    return tuple(effects)
+
+
+def _effect_parameters(file: MachineFile, index: int) -> dict[str, float]:
+    entry = file.tables.effects[index]
+    definitions = {parameter.name: parameter for parameter in effect_definition(entry.name).parameters}
+    for key, value in entry.written.items():
+        if key not in definitions:
+            allowed = f"unknown key; {entry.name} has {listing(definitions)}"
+            raise file.refused(("effects", index, key), value, allowed)
+    filled = {}
+    for key, parameter in definitions.items():
+        value = filled[key] = entry.written.get(key, parameter.default)
+        if type(value) in (int, float) and not parameter.lower <= value <= parameter.upper:
+            raise file.refused(("effects", index, key), value, parameter.allowed)
+    try:
+        return _PARAMETERS.validate_python(filled)
+    except ValidationError as error:
+        raise file.invalid(error, ("effects", index)) from None
+
+
+def _check_names(file: MachineFile, names: tuple[str, ...]) -> None:
+    """Refuse parameters and bounds of what cannot be estimated."""
+    estimator = file.tables.estimator
+    for index, name in enumerate(estimator.parameters):
+        where = ("estimator", "parameters", index)
+        if name not in names:
+            raise file.refused(where, name, f"one of {listing(names)}")
+        if name in BASE_PARAMETERS and getattr(file.tables.friction, name) == 0.0:
+            raise file.refused(where, name, f"a parameter that is not 0 (friction.{name} is its scale)")
+    for name, bounds in estimator.bounds.items():
+        if name not in names:
+            raise file.refused(("estimator", "bounds", name), list(bounds), f"a key out of {listing(names)}")
+
+
+def _sampling(file: MachineFile) -> Sampling:
+    """The rates, with the integrator that its tolerance asks for, if it has one."""
+    sampling, precision = file.tables.sampling, file.tables.code.precision
+    tolerance = sampling.integrator.tolerance
+    if tolerance is None:
+        return sampling
+    found = candidates(file.tables.friction, sampling, precision)
+    chosen = choose(found, tolerance, precision)
+    if chosen is None:
+        best = max(min(candidate.errors.largest for candidate in found), ROUNDING[precision])
+        allowed = f">= {best:.1e}, the least that the schemes reach in {precision} precision"
+        raise file.refused(("sampling", "integrator", "tolerance"), tolerance, allowed)
+    integrator = sampling.integrator.model_copy(update=chosen.settings)
+    return sampling.model_copy(update={"integrator": integrator})

@@ -1,0 +1,136 @@
+"""Compensation as templates see it: times, limits, and the constants of the propagation ahead."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sgms_mhe.integration.flow_table import gate_ratio
+from sgms_mhe.machine import Machine
+from sgms_mhe.signals.chain import chain_delay
+
+AHEAD_DISPLACEMENT = 0.05
+"""Largest move per Runge-Kutta step of the propagation ahead, in deflection scales: no sensitivity hangs on it."""
+AHEAD_SLOW_DISPLACEMENT = 0.01
+"""The same per linearly implicit midpoint step, which an element takes below the gate of the propagation ahead."""
+AHEAD_EQUAL = 4e-6
+"""Slip, and relative deflections, that the propagation ahead may neglect."""
+FARTHEST_MOVE = 10.0
+"""An element that has moved on by so many deflection scales slides, wherever it was."""
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """Constants of the propagation ahead.
+
+    Attributes:
+        displacement: largest move per Runge-Kutta step, in deflection scales.
+        farthest: move in deflection scales after which an element slides, wherever it was.
+        equal: relative deflections that need not be told apart.
+        elastic: relative deflection below which slip is less than `equal` of the motion; not positive: there is none.
+        gate_velocity: speed above which the gate counts as saturated [m/s].
+        longest: duration of the longest move [s].
+        curve: a / k of du/dxi = -k u + a u^2 about the fixed point.
+        powers: k / ln 2 of the same.
+        forgotten: powers of two after which what was before makes no difference.
+    """
+
+    displacement: float
+    farthest: float
+    equal: float
+    elastic: float
+    gate_velocity: float
+    longest: float
+    curve: float
+    powers: float
+    forgotten: float
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """What an axis feeds forward, and when.
+
+    Attributes:
+        moves: of the propagation ahead: over the lag, over the delay.
+        lag: of the signal chain [s].
+        delay: of the loop [s].
+        over_delay: extrapolation of the velocity to the middle of the delay, per difference between the mean velocity
+            over the lag and the filtered one.
+        at_end: the same to the end of the delay.
+        ramp: from off to fully on [s].
+        gain_step: share that a ramp adds per sample.
+        hold: speed below which the force holds [m/s]; 0: it follows.
+        carry: kept of a held difference from one sample to the next.
+        limit: largest force [N], or None.
+        enabled: on from init on.
+        ahead: constants of the propagation.
+    """
+
+    moves: int
+    lag: float
+    delay: float
+    over_delay: float
+    at_end: float
+    ramp: float
+    gain_step: float
+    hold: float
+    carry: float
+    limit: float | None
+    enabled: bool
+    ahead: Ahead
+
+
+def compensation_of(machine: Machine) -> Compensation:
+    """What the machine file says of compensation, as the emitted code takes it."""
+    compensation, rate = machine.compensation, machine.sampling.rate
+    lag, h = chain_delay(machine), machine.sampling.step
+    # At constant acceleration the filtered velocity is that of lag + h/2 ago (a difference is the velocity of half a
+    # sample ago). The mean velocity since, the displacement beyond the filtered position over the lag, is later by:
+    later = 0.5 * (lag + h)
+    return Compensation(
+        moves=2 if compensation.delay else 1,
+        lag=lag,
+        delay=compensation.delay,
+        over_delay=(lag + 0.5 * h + 0.5 * compensation.delay) / later,
+        at_end=(lag + 0.5 * h + compensation.delay) / later,
+        ramp=compensation.ramp,
+        gain_step=min(1.0, 1.0 / (rate * compensation.ramp)) if compensation.ramp else 1.0,
+        hold=compensation.hold,
+        carry=math.exp(-1.0 / machine.sampling.samples_per_update),
+        limit=compensation.limit,
+        enabled=compensation.enabled,
+        ahead=_ahead(machine),
+    )
+
+
+def ahead_elastic(machine: Machine) -> float:
+    """Relative deflection below which slip is less than AHEAD_EQUAL of the motion; not positive: there is none."""
+    smoothing = machine.friction.smoothing
+    return smoothing.zeta + math.log(AHEAD_EQUAL) / (2.0 * smoothing.lambda_)
+
+
+def _ahead(machine: Machine) -> Ahead:
+    friction, smoothing, sampling = machine.friction, machine.friction.smoothing, machine.sampling
+    zeta, lambda_, gamma = smoothing.zeta, smoothing.lambda_, smoothing.gamma
+    longest = chain_delay(machine) + machine.compensation.delay + sampling.merged * sampling.step
+    # Taken as saturated, a gate whose tail is left out moves an element's force by kappa |v| T tail at most.
+    saturated = gate_ratio(zeta, lambda_, gamma)
+    stroke = saturated * friction.stribeck_velocity * longest * sum(friction.stiffness) / friction.coulomb
+    gate = min(saturated, gate_ratio(zeta, lambda_, gamma, AHEAD_EQUAL / stroke))
+    r = 1.0
+    for _ in range(60):  # 1 - etaA(r) r = 0
+        window = 1.0 / (1.0 + math.exp(-2.0 * lambda_ * (r - zeta)))
+        first = 2.0 * lambda_ * window * (1.0 - window)
+        r += (1.0 - window * r) / (window + first * r)
+    second = 2.0 * lambda_ * first * (1.0 - 2.0 * window)
+    return Ahead(
+        displacement=AHEAD_DISPLACEMENT,
+        farthest=FARTHEST_MOVE,
+        equal=AHEAD_EQUAL,
+        elastic=ahead_elastic(machine),
+        gate_velocity=gate * friction.stribeck_velocity,
+        longest=longest,
+        curve=-0.5 * (2.0 * first + second * r) / (window + first * r),
+        powers=(window + first * r) / math.log(2.0),
+        forgotten=-math.log2(AHEAD_EQUAL),
+    )

@@ -1,0 +1,362 @@
+"""What templates read: one typed object per subject, assembled from a machine, its model and the structure analysis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from sgms_mhe import __version__
+from sgms_mhe.emission.c_source import CPrinter
+from sgms_mhe.emission.compensation import Compensation, compensation_of
+from sgms_mhe.emission.element_law import ElementLaw, element_law
+from sgms_mhe.emission.flow import Flow, flow_of
+from sgms_mhe.emission.functions import Function, FunctionPrinter, Output, entries, scalar
+from sgms_mhe.emission.groups import GroupView, group_views
+from sgms_mhe.emission.provenance import digest_of_sources
+from sgms_mhe.emission.schedule import Schedule, schedule_of
+from sgms_mhe.emission.selftest import Vectors
+from sgms_mhe.emission.sizes import Sizes, couplings, sizes_of
+from sgms_mhe.emission.structure import Structure
+from sgms_mhe.emission.variant import Variant, variant_of
+from sgms_mhe.integration.schemes import SCHEMES, Scheme
+from sgms_mhe.machine import Machine
+from sgms_mhe.model import SIGNAL_NAMES, FreeParameter, Model
+from sgms_mhe.signals.chain import lowpass_coefficients, settle_samples
+
+RUNTIME_VERSION = 1
+"""Version of the runtime headers that the templates are written for."""
+IMPLAUSIBLE = 1e4
+"""A state so many standard deviations of the first node's away from zero is no solution (DESIGN section 4)."""
+MOVE = 0.3
+"""How far the end of an interval may move before that, over sqrt(sigma_x / lambda)."""
+HOLD_PART = 0.1
+"""Path of an interval below which it says nothing of the parameters, over the smallest deflection scale."""
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Who the package is.
+
+    Attributes:
+        name: prefix of every symbol and file. NAME: the same of constants.
+        description: one line about the axis.
+        machine_digest, sources_digest: what it was generated from.
+        version: of the generator. runtime_version: of the runtime headers.
+        real: C type of its numbers.
+    """
+
+    name: str
+    description: str
+    machine_digest: str
+    sources_digest: str
+    version: str
+    runtime_version: int
+    real: str
+
+    @property
+    def NAME(self) -> str:
+        """Prefix of the machine's constants."""
+        return self.name.upper()
+
+
+@dataclass(frozen=True)
+class SignalView:
+    """Signals and their chain.
+
+    Attributes:
+        rate, update_rate: [Hz].
+        sample_time, step_time: [s], step_time of a step of the series.
+        piece_time: of constant signals [s].
+        mass: [kg]. max_velocity: [m/s].
+        settle: samples that a disturbance of the filters lasts.
+        lowpass: (b0, b1, b2, a1, a2).
+        slope_weights: of each of the merged samples in the slope of the line through them.
+        read: names of the signals that the estimator depends on, in the order of w.
+        of_chain: those of them that are asked for of the chain, beside velocity and friction.
+        names: of all signals, in the order of w.
+        raw: (place in w, sample term) of the signals that are sample terms themselves.
+    """
+
+    rate: float
+    update_rate: float
+    sample_time: float
+    step_time: float
+    piece_time: float
+    mass: float
+    max_velocity: float
+    settle: int
+    lowpass: tuple[float, ...]
+    slope_weights: tuple[float, ...]
+    read: tuple[str, ...]
+    of_chain: tuple[str, ...]
+    names: tuple[str, ...]
+    raw: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the least squares, and limits of what is a solution.
+
+    Attributes:
+        inverse_measurement: [1/N].
+        prior_sd, drift_sd: of theta, drift per update.
+        drift_interval: shifts of the window after which drift enters.
+        hold_path: path of an interval below which it says nothing of the parameters [m].
+        implausible: first node's standard deviations beyond which a state is no solution.
+        lower, upper: bounds on theta, finite numbers.
+        inverse_state_noise, inverse_initial_state, inverse_arrival_state: per state.
+        inverse_move: of an interval's end before it is linearised anew, over the state noise, per state.
+    """
+
+    inverse_measurement: float
+    prior_sd: float
+    drift_sd: float
+    drift_interval: int
+    hold_path: float
+    implausible: float
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    inverse_state_noise: tuple[float, ...]
+    inverse_initial_state: tuple[float, ...]
+    inverse_arrival_state: tuple[float, ...]
+    inverse_move: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Couplings:
+    """Which states depend on which over an interval.
+
+    Attributes:
+        counts: per state, how many states it depends on, itself included.
+        columns: which they are, in rows of one length; the last one repeats.
+        reach: per state, how many rows its column of the elimination spans.
+    """
+
+    counts: tuple[int, ...]
+    columns: tuple[tuple[int, ...], ...]
+    reach: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class ModelView:
+    """The symbolic model as functions, and its parameters.
+
+    Attributes:
+        sample_terms: term of w. term_names: what they are.
+        parameter_terms: q, d_q, scale, d_scale of theta.
+        output: y, c, d of (x, w, theta).
+        deflection: z of (x, theta).
+        si: p of theta, in SI units.
+        feed_forward: y of (x, w, theta).
+        parameter_columns: names of the parameters. parameter_units: what one unit of theta is.
+    """
+
+    sample_terms: Function
+    term_names: tuple[str, ...]
+    parameter_terms: Function
+    output: Function
+    deflection: Function
+    si: Function
+    feed_forward: Function
+    parameter_columns: tuple[str, ...]
+    parameter_units: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class PackageView:
+    """All that the templates of a package read, by subject.
+
+    Attributes:
+        law: constants of the law, where a group is emitted as it.
+        flow: constants of the displacement flow, where a group follows it.
+        vectors: self-test vectors, where the package has them.
+    """
+
+    package: Identity
+    variant: Variant
+    sizes: Sizes
+    schedule: Schedule
+    signals: SignalView
+    weights: Weights
+    couplings: Couplings
+    model: ModelView
+    groups: tuple[GroupView, ...]
+    scheme: Scheme
+    law: ElementLaw | None
+    flow: Flow | None
+    compensation: Compensation
+    vectors: Vectors | None
+
+
+def package_view(structure: Structure, vectors: Vectors | None) -> PackageView:
+    """Assemble what the templates of a model's package read."""
+    model = structure.model
+    machine = model.machine
+    printer = CPrinter(machine.code.precision)
+    functions = FunctionPrinter(structure, printer)
+    variant = variant_of(model)
+    sizes = sizes_of(structure, variant)
+    groups = group_views(structure, sizes, functions)
+    integrator = machine.sampling.integrator
+    return PackageView(
+        package=_identity(machine, printer),
+        variant=variant,
+        sizes=sizes,
+        schedule=schedule_of(sizes, variant),
+        signals=_signals(structure),
+        weights=_weights(model, variant),
+        couplings=_couplings(structure, sizes),
+        model=_model_view(structure, functions),
+        groups=groups,
+        scheme=SCHEMES["rk4" if integrator.scheme == "flow" else integrator.scheme],
+        law=element_law(machine) if any(g.obeys_law for g in groups) else None,
+        flow=flow_of(machine) if any(g.follows_flow for g in groups) else None,
+        compensation=compensation_of(machine),
+        vectors=vectors,
+    )
+
+
+def hold_path(machine: Machine) -> float:
+    """Path [m] of an interval below which it says nothing of the parameters."""
+    friction = machine.friction
+    return HOLD_PART * min(
+        nu * friction.coulomb / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True)
+    )
+
+
+def _identity(machine: Machine, printer: CPrinter) -> Identity:
+    return Identity(
+        name=machine.name,
+        description=machine.description,
+        machine_digest=machine.digest[:12],
+        sources_digest=digest_of_sources(),
+        version=__version__,
+        runtime_version=RUNTIME_VERSION,
+        real=printer.real,
+    )
+
+
+def _signals(structure: Structure) -> SignalView:
+    machine = structure.model.machine
+    sampling = machine.sampling
+    merged = sampling.merged
+    read = _signals_read(structure)
+    step_time = merged * sampling.step
+    places = np.arange(merged)
+    return SignalView(
+        rate=sampling.rate,
+        update_rate=sampling.update_rate,
+        sample_time=1.0 / sampling.rate,
+        step_time=step_time,
+        piece_time=sampling.step if merged > 1 else step_time,
+        mass=machine.plant.mass,
+        max_velocity=sampling.max_velocity,
+        settle=settle_samples(machine),
+        lowpass=lowpass_coefficients(machine),
+        slope_weights=tuple(3.0 / (merged * merged - 1.0) * (2.0 * places + 1.0 - merged)) if merged > 1 else (),
+        read=read,
+        of_chain=tuple(name for name in ("position", "force", "acceleration") if name in read),
+        names=SIGNAL_NAMES,
+        raw=tuple(
+            (SIGNAL_NAMES.index(t.name), k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES
+        ),
+    )
+
+
+def _signals_read(structure: Structure) -> tuple[str, ...]:
+    """Names of the signals that the estimator's functions depend on; velocity it needs itself."""
+    model = structure.model
+    functions = ca.vertcat(*(t.expression for t in structure.sample_terms), model.output, model.feed_forward)
+    depends = ca.which_depends(functions, model.w)
+    return tuple(name for name, does in zip(SIGNAL_NAMES, depends, strict=True) if does or name == "velocity")
+
+
+def _weights(model: Model, variant: Variant) -> Weights:
+    machine = model.machine
+    noise, largest = machine.estimator.noise, 1e30 if variant.single else 1e300
+    return Weights(
+        inverse_measurement=1.0 / noise.measurement,
+        prior_sd=noise.parameter,
+        drift_sd=noise.parameter_drift if variant.drifts else 0.0,
+        drift_interval=machine.estimator.drift_interval,
+        hold_path=hold_path(machine),
+        implausible=IMPLAUSIBLE,
+        lower=tuple(max(p.lower, -largest) for p in model.parameters),
+        upper=tuple(min(p.upper, largest) for p in model.parameters),
+        inverse_state_noise=tuple(1.0 / model.state_noise),
+        inverse_initial_state=tuple(1.0 / model.initial_state),
+        inverse_arrival_state=tuple(1.0 / model.state_noise),
+        inverse_move=tuple(np.sqrt(model.state_noise * machine.friction.smoothing.lambda_) / MOVE),
+    )
+
+
+def _couplings(structure: Structure, sizes: Sizes) -> Couplings:
+    rows = couplings(structure)
+    return Couplings(
+        counts=tuple(len(row) for row in rows),
+        columns=tuple(row + (row[-1],) * (sizes.coupled - len(row)) for row in rows),
+        reach=tuple(max(max(row) for row in rows[: c + 1]) + 1 for c in range(sizes.states)),
+    )
+
+
+def _model_view(structure: Structure, functions: FunctionPrinter) -> ModelView:
+    model = structure.model
+    output = _of_node(model, model.output)
+    all_of = ("x", "w", "theta")
+    outputs = [
+        scalar("y", output),
+        Output("c", entries(ca.gradient(output, model.x))),
+        Output("d", entries(ca.gradient(output, model.theta))),
+    ]
+    terms = [Output("term", [t.expression for t in structure.sample_terms], stride="stride")]
+    return ModelView(
+        sample_terms=functions.of_model(("w",), terms),
+        term_names=tuple(t.name for t in structure.sample_terms),
+        parameter_terms=_parameter_terms(structure, functions),
+        output=functions.of_model(all_of, outputs),
+        deflection=functions.of_model(("x", "theta"), [Output("z", ca.vertsplit(_of_node(model, model.deflection)))]),
+        si=functions.of_model(
+            ("theta",), [Output("p", [_si(p, model.theta[k]) for k, p in enumerate(model.parameters)])]
+        ),
+        feed_forward=functions.of_model(all_of, [scalar("y", _of_node(model, model.feed_forward))]),
+        parameter_columns=tuple(p.column for p in model.parameters),
+        parameter_units=tuple(abs(p.scale) for p in model.parameters),
+    )
+
+
+def _parameter_terms(structure: Structure, functions: FunctionPrinter) -> Function:
+    model = structure.model
+    q = [e for g in structure.groups for b in g.blocks for e in b.parameter_terms]
+    scale = [_node_scale(model, i) for i in range(model.n_x)]
+    outputs = [
+        Output("q", q),
+        Output("d_q", _gradients(q, model.theta), sparse=True),
+        Output("scale", scale),
+        Output("d_scale", _gradients(scale, model.theta), sparse=True),
+    ]
+    return functions.of_model(("theta",), outputs)
+
+
+def _gradients(expressions: Sequence[ca.SX], variables: ca.SX) -> list[ca.SX]:
+    """Derivatives of every expression in every variable, expression by expression."""
+    return [d for e in expressions for d in entries(ca.gradient(e, variables))]
+
+
+def _of_node(model: Model, expression: ca.SX) -> ca.SX:
+    """An expression of chi as one of the node state."""
+    return ca.substitute(expression, model.chi, model.from_node)
+
+
+def _node_scale(model: Model, i: int) -> ca.SX:
+    """x_i / chi_i, a function of the parameters."""
+    return ca.substitute(ca.gradient(model.to_node[i], model.chi)[i], model.chi, ca.SX.zeros(model.n_x))
+
+
+def _si(parameter: FreeParameter, theta: ca.SX) -> ca.SX:
+    """A parameter in SI units."""
+    if parameter.scale == parameter.nominal:
+        return parameter.nominal * theta
+    return parameter.nominal + parameter.scale * (theta - 1.0)

@@ -1,0 +1,103 @@
+"""Templates to text: one strict environment, in which a template reads like the C that it makes.
+
+A literal of the C text stands in a template as it is, `0.5`; outside of comments and strings it gets the suffix of the
+package's precision. Numbers that Python computed are printed by a filter:
+
+    real    0.1 -> 0.1, or 0.1f
+    reals   numbers, separated by commas
+    array   the same in braces: an initialiser
+    series  coefficients c_0, c_1, ... -> x^2 (c_0 - c_1 x + c_2 x^2 - ...), by Horner's scheme, of the given x
+    braced  anything in braces, separated by commas
+    each    values put into a pattern: [0, 1] | each("at{}") -> at0, at1
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import fields
+from functools import lru_cache
+from typing import Literal
+
+import jinja2
+from jinja2.ext import Extension
+from jinja2.lexer import Token, TokenStream
+
+from sgms_mhe.emission.c_source import CPrinter
+from sgms_mhe.emission.context import PackageView
+from sgms_mhe.support.paths import templates_dir
+
+_PIECE = re.compile(
+    r"""(?P<open>/\*) | (?P<close>\*/) | "(?:[^"\\\n]|\\.)*"
+    | (?<![\w.])(?P<literal>\d+\.\d*(?:e[+-]?\d+)?|\d+e[+-]?\d+)(?![\w.])""",
+    re.VERBOSE,
+)
+
+
+class _Literals(Extension):
+    """Floating-point literals in the text of templates get the suffix of single precision."""
+
+    def filter_stream(self, stream: TokenStream) -> Iterator[Token]:
+        in_comment = False
+
+        def replaced(match: re.Match[str]) -> str:
+            nonlocal in_comment
+            if match["open"] or match["close"]:
+                in_comment = bool(match["open"])
+            return match[0] + ("f" if match["literal"] and not in_comment else "")
+
+        for token in stream:
+            yield Token(token.lineno, token.type, _PIECE.sub(replaced, token.value)) if token.type == "data" else token
+
+
+def render(view: PackageView) -> dict[str, str]:
+    """The emitted C of a package, by file name."""
+    name = view.package.name
+    files = {
+        f"{name}.h": "machine.h",
+        f"{name}.c": "machine.c",
+        f"{name}_config.h": "config.h",
+        f"{name}_model.h": "model.h",
+        f"{name}_integrator.h": "integrator.h",
+        f"{name}_compensation.h": "compensation.h",
+    }
+    if view.flow is not None:
+        files[f"{name}_flow.h"] = "flow.h"
+    if view.vectors is not None:
+        files[f"{name}_selftest.h"] = "selftest.h"
+    environment = _environment("single" if view.variant.single else "double")
+    subjects = {field.name: getattr(view, field.name) for field in fields(view)}
+    subjects |= {"name": name, "NAME": name.upper()}
+    return {file: environment.get_template(f"{template}.jinja").render(subjects) for file, template in files.items()}
+
+
+@lru_cache(maxsize=2)
+def _environment(precision: Literal["double", "single"]) -> jinja2.Environment:
+    """Templates and what they call; compiled templates stay with it."""
+    printer = CPrinter(precision)
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(templates_dir()),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
+        extensions=[_Literals] if precision == "single" else [],
+    )
+    environment.filters.update(
+        real=printer.number,
+        reals=printer.numbers,
+        array=printer.array,
+        series=printer.series,
+        each=_each,
+        braced=_braced,
+    )
+    return environment
+
+
+def _braced(values: Iterable[object]) -> str:
+    return "{" + ", ".join(map(str, values)) + "}"
+
+
+def _each(values: Iterable[object], pattern: str) -> list[str]:
+    return [pattern.format(value) for value in values]

@@ -1,0 +1,207 @@
+"""Sizes of a package: what there is to count, and how the arrays of an axis's memory are laid out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sgms_mhe.emission.structure import Group, Structure
+from sgms_mhe.emission.variant import Variant
+from sgms_mhe.model import SIGNAL_NAMES
+
+VECTOR_BYTES = 32
+"""Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
+
+
+@dataclass(frozen=True)
+class GroupSizes:
+    """Sizes of one group of blocks.
+
+    Attributes:
+        m: states of a block.
+        n_q: numbers through which parameters enter a block.
+        n_data: numbers in which a block differs from the others.
+        n_blocks: blocks of the group.
+        first, first_q: the group's first block, and its first parameter term, among those of all groups.
+    """
+
+    m: int
+    n_q: int
+    n_data: int
+    n_blocks: int
+    first: int
+    first_q: int
+
+    @property
+    def rows(self) -> int:
+        """Rows of a block: chi, d(chi)/d(chi at the start) and d(chi)/dq."""
+        return self.m * (1 + self.m + self.n_q)
+
+    @property
+    def rows_with_inputs(self) -> int:
+        """Rows of blocks side by side, with each block's own parameter terms and data behind them."""
+        return self.rows + self.n_q + self.n_data
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of a package.
+
+    Attributes:
+        states, elements, parameters, signals: n_x, n_z, n_p, and entries of w.
+        horizon: intervals of the window; 0 for the filter.
+        slots: intervals kept, the one that is filling included.
+        vector: scalars in the widest vector register that is made use of.
+        wide: scalars side by side: intervals of one block, or blocks of one interval, padded to whole vectors.
+        lanes: intervals in a row of the series.
+        samples: per interval. merged: samples per step of the series. steps: of the series, per interval.
+        nodes: of a step of the series, at which its signals are given. terms: sample terms stored per node.
+        chosen: blocks of older intervals linearised anew per update, at most, where those that moved most are chosen.
+        coupled: states that a state depends on over an interval, at most.
+        block_states: states of each block, group by group.
+        groups: sizes of each group.
+        kept_steps: steps of the series that are kept, of each interval.
+        least_substeps: Runge-Kutta substeps of a step of the series, at least.
+    """
+
+    states: int
+    elements: int
+    parameters: int
+    signals: int
+    horizon: int
+    slots: int
+    vector: int
+    wide: int
+    lanes: int
+    samples: int
+    merged: int
+    steps: int
+    nodes: int
+    terms: int
+    chosen: int
+    coupled: int
+    block_states: tuple[tuple[int, ...], ...]
+    groups: tuple[GroupSizes, ...]
+    kept_steps: int
+    least_substeps: int
+
+    @property
+    def blocks(self) -> int:
+        """Blocks of all groups."""
+        return len(self.block_states)
+
+    @property
+    def most_blocks(self) -> int:
+        """Blocks of the largest group: what is side by side in one interval."""
+        return max(g.n_blocks for g in self.groups)
+
+    @property
+    def largest_block(self) -> int:
+        """States of the largest block."""
+        return max(len(states) for states in self.block_states)
+
+    @property
+    def state_rows(self) -> int:
+        """Rows of all blocks."""
+        return sum(g.rows * g.n_blocks for g in self.groups)
+
+    @property
+    def largest_rows(self) -> int:
+        """Rows of the largest block."""
+        return max(g.rows for g in self.groups)
+
+    @property
+    def parameter_terms(self) -> int:
+        """Parameter terms of all blocks."""
+        return sum(g.n_q * g.n_blocks for g in self.groups)
+
+    @property
+    def interval_size(self) -> int:
+        """Numbers of an interval whose blocks lie side by side."""
+        return sum(g.rows_with_inputs for g in self.groups) * self.wide
+
+    @property
+    def series_nodes(self) -> int:
+        """Nodes of the series that are kept, of each interval."""
+        return self.nodes * self.kept_steps
+
+    @property
+    def factor_rows(self) -> int:
+        """Unknowns at a node: its state and theta."""
+        return self.states + self.parameters
+
+    @property
+    def defect_width(self) -> int:
+        """Numbers of a defect's row: states it depends on, theta, right side."""
+        return self.coupled + self.parameters + 1
+
+    @property
+    def kept_width(self) -> int:
+        """Numbers of a row that gives a node back: its state, the next node's, theta, right side."""
+        return 2 * self.states + self.parameters + 1
+
+    @property
+    def triangle(self) -> int:
+        """Numbers of the upper triangle of a factor with its right side."""
+        return self.triangle_row(self.factor_rows)
+
+    def triangle_row(self, row: int) -> int:
+        """Where a row of that triangle begins."""
+        return row * (2 * self.factor_rows + 3 - row) // 2
+
+
+def sizes_of(structure: Structure, variant: Variant) -> Sizes:
+    """Sizes of the package of a model."""
+    model = structure.model
+    sampling = model.machine.sampling
+    groups: list[GroupSizes] = []
+    first = first_q = 0
+    for g in structure.groups:
+        groups.append(_group_sizes(g, first, first_q))
+        first += len(g.blocks)
+        first_q += g.n_q * len(g.blocks)
+    slots = max(1, variant.horizon)
+    chosen = max(2, first)  # DESIGN section 4
+    vector = VECTOR_BYTES // (4 if variant.single else 8)
+    side_by_side = {"all": slots, "auto": chosen, "newest": 1}[variant.relinearise]
+    wide = -(-max(side_by_side, *(g.n_blocks for g in groups)) // vector) * vector
+    steps = sampling.samples_per_update // sampling.merged
+    return Sizes(
+        states=model.n_x,
+        elements=model.n_z,
+        parameters=model.n_p,
+        signals=len(SIGNAL_NAMES),
+        horizon=variant.horizon,
+        slots=slots,
+        vector=vector,
+        wide=wide,
+        lanes={"all": wide, "auto": slots, "newest": 1}[variant.relinearise],
+        samples=sampling.samples_per_update,
+        merged=sampling.merged,
+        steps=steps,
+        nodes=3 if variant.varies else 1,
+        terms=len(structure.sample_terms),
+        chosen=chosen,
+        coupled=max(len(row) for row in couplings(structure)),
+        block_states=tuple(b.states for g in structure.groups for b in g.blocks),
+        groups=tuple(groups),
+        kept_steps=steps if variant.has_series else 1,
+        least_substeps=max(1, sampling.integrator.substeps // sampling.samples_per_update),
+    )
+
+
+def _group_sizes(group: Group, first: int, first_q: int) -> GroupSizes:
+    return GroupSizes(
+        m=group.m,
+        n_q=group.n_q,
+        n_data=group.n_data,
+        n_blocks=len(group.blocks),
+        first=first,
+        first_q=first_q,
+    )
+
+
+def couplings(structure: Structure) -> tuple[tuple[int, ...], ...]:
+    """Per state the states that share a block with it, itself included: the columns of A that may not be zero."""
+    blocks = [block.states for group in structure.groups for block in group.blocks]
+    states = range(structure.model.n_x)
+    return tuple(tuple(sorted({state for block in blocks if i in block for state in block})) for i in states)

@@ -1,0 +1,71 @@
+"""Tables [plant] and [friction]: what moves, and the S-GMS parameters of its friction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final, Self
+
+from pydantic import Field, model_validator
+
+from sgms_mhe.machine.fields import NonNegatives, Positives, Table, quantity, refusal, text
+
+BASE_PARAMETERS: Final = ("stiffness", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity")
+"""Parameters of the base model that can be estimated."""
+
+SUM_TOLERANCE: Final = 1e-6
+
+
+class Plant(Table):
+    """What moves."""
+
+    mass: float = quantity("moved mass", "kg", gt=0, le=1e6)
+
+
+class Smoothing(Table):
+    """Smoothing of the slip switches, equation (3); lambda (1 - zeta) = 3.5 leaves 1e-3 of the level."""
+
+    zeta: float = quantity("deflection ratio at which slip sets in", "1", 0.9, gt=0, lt=1)
+    lambda_: float = quantity("sharpness of the slip window", "1", 35.0, gt=0, le=1e3, alias="lambda")
+    gamma: float = quantity("sharpness of the direction gate", "1", 35.0, gt=0, le=1e3)
+
+
+class Friction(Table):
+    """S-GMS parameters, one entry per Maxwell-slip element in the arrays."""
+
+    stiffness: Positives = text("kappa_i, element stiffness [N/m]", "1 to 10 numbers > 0", min_length=1, max_length=10)
+    fraction: Positives = text("nu_i, share of the Coulomb level [1]", "as many as stiffness, > 0, sum 1")
+    micro_viscous: NonNegatives = Field(
+        (), description="sigma_i, element damping [N s/m]; as many as stiffness, >= 0; default 0 each"
+    )
+    viscous: float = quantity("sigma_v, viscous damping", "N s/m", 0.0, ge=0, le=1e9)
+    coulomb: float = quantity("f_C, Coulomb level", "N", gt=0, le=1e7)
+    stribeck_ratio: float = quantity("beta, static over Coulomb level minus one", "1", 0.0, ge=0, le=100)
+    stribeck_velocity: float = quantity("v_s, Stribeck velocity", "m/s", 1e-3, gt=0, le=10)
+    smoothing: Smoothing = Field(Smoothing(), description="smoothing of the slip switches; default zeta 0.9, 35, 35")
+
+    @property
+    def n_z(self) -> int:
+        """Number of Maxwell-slip elements."""
+        return len(self.stiffness)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill(cls, data: Any) -> Any:
+        if (
+            isinstance(data, Mapping)
+            and "micro_viscous" not in data
+            and isinstance(data.get("stiffness"), list | tuple)
+        ):
+            return {**data, "micro_viscous": [0.0] * len(data["stiffness"])}
+        return data
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for key in ("fraction", "micro_viscous"):
+            values = getattr(self, key)
+            if len(values) != self.n_z:
+                raise refusal(key, list(values), f"{self.n_z} numbers, as many as stiffness has (here {len(values)})")
+        total = sum(self.fraction)
+        if abs(total - 1.0) > SUM_TOLERANCE:
+            raise refusal("fraction", list(self.fraction), f"fractions that sum to 1 (here {total:.9g})")
+        return self

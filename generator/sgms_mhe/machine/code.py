@@ -1,0 +1,29 @@
+"""Tables [compensation] and [code]: what the emitted C feeds forward, and the numbers that it computes with."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from sgms_mhe.machine.fields import Table, quantity, text
+
+
+class Compensation(Table):
+    """The friction that tick feeds forward to the drive."""
+
+    delay: float = quantity("from a sample until the force that answers it acts, mean", "s", 0.0, ge=0, le=0.1)
+    ramp: float = quantity("from off to fully on, and back", "s", 0.0, ge=0, le=100)
+    limit: float | None = quantity("largest force fed forward; absent: none", "N", None, gt=0, le=1e9)
+    hold: float = quantity(
+        "speed below which the force fed forward holds; two encoder steps over the filters' delay end hunting at rest",
+        "m/s",
+        0.0,
+        ge=0,
+        le=10,
+    )
+    enabled: bool = text("on from init on; otherwise the compensate call turns it on", "true or false", True)
+
+
+class Code(Table):
+    """The emitted C."""
+
+    precision: Literal["double", "single"] = text("floating-point type", "double or single", "double")

@@ -1,0 +1,85 @@
+"""Table [estimator]: kind, horizon, parameters and their bounds, and the weights."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from sgms_mhe.machine.axis import BASE_PARAMETERS
+from sgms_mhe.machine.fields import Names, Pair, Table, listing, quantity, refusal, text
+
+
+class Noise(Table):
+    """Weights of the estimator, all one standard deviation."""
+
+    measurement: float = quantity("sigma_y, friction measurement", "N", 0.5, gt=0, le=1e6)
+    state: float = quantity("sigma_x per interval, as a fraction of nu_i f_C", "1", 0.02, gt=0, le=1e3)
+    parameter: float = quantity("prior of a parameter, relative", "1", 0.3, gt=0, le=1e3)
+    parameter_drift: float = quantity("random walk of a parameter per update, relative", "1", 0.002, ge=0, le=1e3)
+    initial_state: float = quantity("prior of the first node's state, fraction of nu_i f_C", "1", 1.0, gt=0, le=1e3)
+    state_as: Literal["force", "deflection"] = text(
+        "node state that the noise acts on", "force (element force) or deflection (the paper)", "force"
+    )
+
+
+class ArrivalCost(Table):
+    """Summary of what lies before the horizon."""
+
+    update: Literal["riccati", "fixed"] = text("update of the arrival cost", "riccati or fixed", "riccati")
+
+
+def _flatten(data: Any) -> Any:
+    # TOML reads a bare key `effect.param` as a nested table: both spellings mean the same.
+    if not isinstance(data, Mapping):
+        return data
+    flat: dict[str, Any] = {}
+    for key, value in data.items():
+        nested = (
+            {f"{key}.{inner}": entry for inner, entry in value.items()} if isinstance(value, Mapping) else {key: value}
+        )
+        for name, entry in nested.items():
+            if name in flat:
+                raise refusal(name, entry, "one entry per parameter; this one is given twice")
+            flat[name] = entry
+    return flat
+
+
+class Estimator(Table):
+    """The observer."""
+
+    kind: Literal["mhe", "ekf"] = text("estimator", "mhe or ekf", "mhe")
+    horizon: int = quantity("N, shooting intervals", "1", 20, ge=1, le=1000)
+    relinearise: Literal["all", "auto", "newest"] = text(
+        "what of the older intervals an update linearises anew about the last solution",
+        "all, auto (the blocks that have moved most) or newest (none: each but once, as the newest); of the mhe alone",
+        "all",
+    )
+    parameters: Names = text(
+        "parameters to estimate",
+        f"any of {listing(BASE_PARAMETERS)} and effect.parameter of the effects, each once, at least one",
+        ("stiffness",),
+        min_length=1,
+    )
+    noise: Noise = Field(Noise(), description="standard deviations; default as in its keys")
+    arrival_cost: ArrivalCost = Field(ArrivalCost(), description="arrival cost; default riccati")
+    bounds: Annotated[dict[str, Pair], BeforeValidator(_flatten)] = Field(
+        {}, description="[low, high] of a parameter over its nominal value [1]; 0 <= low < 1 < high; default unbounded"
+    )
+
+    @property
+    def drift_interval(self) -> int:
+        """Shifts of the window between two growths of the arrival cost by the drift: one window long, 20 at most."""
+        return min(self.horizon, 20)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for name, (low, high) in self.bounds.items():
+            if not low < 1.0 < high:
+                raise refusal(f"bounds.{name}", [low, high], "[low, high] times nominal with 0 <= low < 1 < high")
+        for name, count in Counter(self.parameters).items():
+            if count > 1:
+                raise refusal("parameters", list(self.parameters), f"each parameter once ({name} stands {count} times)")
+        return self

@@ -1,0 +1,88 @@
+"""The machine that a file describes, with nothing left open: what every later stage works on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sgms_mhe.machine.axis import BASE_PARAMETERS, Friction, Plant
+from sgms_mhe.machine.code import Code, Compensation
+from sgms_mhe.machine.estimator import Estimator
+from sgms_mhe.machine.log_mapping import LogMapping
+from sgms_mhe.machine.sampling import Sampling
+
+
+@dataclass(frozen=True)
+class ResolvedEffect:
+    """One effect of a machine.
+
+    Attributes:
+        name: of the effect.
+        label: unique within the machine: the name; of the second effect of that name, `name_2`.
+        parameters: value of every parameter, in the catalogue's order and in the units of their names.
+    """
+
+    name: str
+    label: str
+    parameters: Mapping[str, float]
+
+
+def estimable_names(effects: Sequence[ResolvedEffect]) -> tuple[str, ...]:
+    """Names that [estimator] parameters and bounds may use, on an axis with these effects."""
+    return BASE_PARAMETERS + tuple(f"{effect.label}.{key}" for effect in effects for key in effect.parameters)
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A machine file, resolved and checked; made by `sgms_mhe.configuration` alone.
+
+    Attributes:
+        source: the file that this machine was read from.
+        content: what the file says, `extends` merged, defaults not filled in.
+    """
+
+    name: str
+    description: str
+    plant: Plant
+    friction: Friction
+    sampling: Sampling
+    estimator: Estimator
+    compensation: Compensation
+    code: Code
+    effects: tuple[ResolvedEffect, ...]
+    log: LogMapping | None
+    source: Path
+    content: Mapping[str, Any]
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 (hex) of the resolved content: the same wherever the file lies and however it is written."""
+        content = json.dumps(self.as_dict(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(content.encode()).hexdigest()
+
+    @property
+    def estimable(self) -> tuple[str, ...]:
+        """Names that [estimator] parameters and bounds may use."""
+        return estimable_names(self.effects)
+
+    def as_dict(self, *, by_alias: bool = False) -> dict[str, Any]:
+        """The resolved content as plain data; `by_alias`: keys as a machine file spells them (`lambda`)."""
+        tables = {
+            "plant": self.plant,
+            "friction": self.friction,
+            "sampling": self.sampling,
+            "estimator": self.estimator,
+            "compensation": self.compensation,
+            "code": self.code,
+        }
+        return {
+            "name": self.name,
+            "description": self.description,
+            **{key: table.model_dump(mode="json", by_alias=by_alias) for key, table in tables.items()},
+            "effects": [{"name": effect.name, **effect.parameters} for effect in self.effects],
+            "log": None if self.log is None else self.log.model_dump(mode="json", by_alias=by_alias),
+        }

@@ -1,0 +1,135 @@
+"""Table [sampling]: rates, the velocity filter, the maximum speed, and the integrator."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final, Literal, Self
+
+from pydantic import Field, model_validator
+
+from sgms_mhe.machine.fields import Table, listing, quantity, refusal, text
+
+DISPLACEMENT: Final = {"rk4": 0.03, "rk2": 0.05, "bs23": 0.02, "euler": 0.01, "flow": 0.1}
+"""Default largest move per substep in deflection scales (`flow`: for the blocks that it leaves to rk4).
+
+rk4 and bs23 then keep the force of Table I within 1e-4 N at every speed; rk2 and euler are off by up to 6e-3 N."""
+
+CHOSEN_BY_TOLERANCE: Final = ("scheme", "substeps", "displacement", "slow_displacement")
+"""Keys of the integrator that a tolerance excludes: it chooses them."""
+
+RATIO_TOLERANCE: Final = 1e-9
+SMALLEST_CUTOFF: Final = 1e-4  # of rate: below it the low-pass coefficients lose their digits
+
+
+class Integrator(Table):
+    """How one shooting interval is integrated."""
+
+    scheme: Literal["rk4", "rk2", "bs23", "euler", "flow"] = text(
+        "integration scheme", "rk4, rk2, bs23, euler or flow", "rk4"
+    )
+    substeps: int = Field(
+        1,
+        ge=1,
+        le=1_000_000,
+        description="least number of steps per shooting interval [1]; a multiple or a divisor of rate / update_rate; "
+        "default: rate / update_rate",
+    )
+    velocity: Literal["constant", "linear"] = text(
+        "velocity between two samples",
+        "constant or linear (linear: at least one substep per sample, not flow)",
+        "constant",
+    )
+    displacement: float = Field(
+        default_factory=lambda data: DISPLACEMENT[data["scheme"]],
+        gt=0,
+        le=10,
+        description="largest move per substep over the deflection scale [1]; > 0 and <= 10; "
+        "default 0.03 (rk4), 0.1 (flow), 0.05 (rk2), 0.02 (bs23), 0.01 (euler)",
+    )
+    slow_displacement: float = quantity(
+        "of the flow: the same below the speed at which the gate saturates", "1", 0.02, gt=0, le=1
+    )
+    tolerance: float | None = Field(
+        None,
+        gt=0,
+        le=0.1,
+        description="largest error of an element's end state and of both its sensitivities over one interval, over the "
+        "deflection scale [1]; > 0 and <= 0.1; chooses the scheme and its steps, so it stands without "
+        f"{listing(CHOSEN_BY_TOLERANCE)}; default none",
+    )
+
+
+class Sampling(Table):
+    """Rates, the velocity filter, the stated maximum speed."""
+
+    rate: float = quantity("sample rate of position and force", "Hz", 10000.0, gt=0, le=1e7)
+    update_rate: float = quantity("estimator updates; divides rate", "Hz", 100.0, gt=0, le=1e6)
+    velocity_cutoff: float = quantity("second-order low-pass; < rate / 2", "Hz", 500.0, gt=0)
+    max_velocity: float = quantity("speed up to which the estimate is right", "m/s", 1.0, gt=0, le=1e3)
+    integrator: Integrator = Field(Integrator(), description="integration scheme; default rk4, one substep per sample")
+
+    @property
+    def samples_per_update(self) -> int:
+        """M, samples per shooting interval."""
+        return round(self.rate / self.update_rate)
+
+    @property
+    def step(self) -> float:
+        """h [s], time between samples."""
+        return 1.0 / self.rate
+
+    @property
+    def merged(self) -> int:
+        """K, samples that make one integration step."""
+        return max(1, self.samples_per_update // self.integrator.substeps)
+
+    @property
+    def varies_in_step(self) -> bool:
+        """Whether signals are lines within a step, not constant."""
+        return self.merged > 1 or self.integrator.velocity == "linear"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill(cls, data: Any) -> Any:
+        # The default of substeps needs both rates; wrong types are left for the fields to refuse.
+        if not isinstance(data, Mapping):
+            return data
+        integrator = data.get("integrator", {})
+        if isinstance(integrator, Mapping) and integrator.get("tolerance") is not None:
+            given = [key for key in CHOSEN_BY_TOLERANCE if key in integrator]
+            if given:
+                allowed = f"no {given[0]} beside a tolerance, which chooses {listing(CHOSEN_BY_TOLERANCE)}"
+                raise refusal(f"integrator.{given[0]}", integrator[given[0]], allowed)
+        rate, update_rate = (data.get(key, cls.model_fields[key].default) for key in ("rate", "update_rate"))
+        sound = all(type(value) in (int, float) and 0 < value < math.inf for value in (rate, update_rate))
+        if sound and rate >= update_rate and isinstance(integrator, Mapping) and "substeps" not in integrator:
+            return {**data, "integrator": {**integrator, "substeps": round(rate / update_rate)}}
+        return data
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        ratio = self.rate / self.update_rate
+        samples = self.samples_per_update
+        if samples < 1 or abs(ratio - samples) > RATIO_TOLERANCE * ratio:
+            raise refusal(
+                "update_rate", self.update_rate, f"a rate that divides rate = {self.rate:g} Hz (ratio {ratio:g})"
+            )
+        if not SMALLEST_CUTOFF * self.rate <= self.velocity_cutoff < self.rate / 2:
+            allowed = f">= {SMALLEST_CUTOFF * self.rate:g} Hz and < rate / 2 = {self.rate / 2:g} Hz"
+            raise refusal("velocity_cutoff", self.velocity_cutoff, allowed)
+        steps = self.integrator.substeps
+        if steps % samples and samples % steps:
+            raise refusal("integrator.substeps", steps, f"a multiple or a divisor of rate / update_rate = {samples}")
+        if self.integrator.velocity == "linear":
+            if self.integrator.tolerance is not None:
+                raise refusal("integrator.velocity", "linear", "constant, where a tolerance is given")
+            if self.integrator.scheme == "flow":
+                raise refusal("integrator.velocity", "linear", "constant, where scheme is flow")
+            if steps < samples:
+                raise refusal(
+                    "integrator.velocity",
+                    "linear",
+                    f"constant, where substeps < {samples}: merged samples are lines already",
+                )
+        return self
