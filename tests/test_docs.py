@@ -165,12 +165,6 @@ def test_paths_exist(page: Path) -> None:
             assert any(places(code)), code
 
 
-def test_every_room_is_on_the_map() -> None:
-    rooms = {row[0].strip("`") for row in rows(section(read(ROOT / "CONTRIBUTING.md"), "The map of rooms"))}
-    package = ROOT / "generator" / "sgms_mhe"
-    assert rooms == {f"{folder.parent.name}/" for folder in package.glob("*/__init__.py")} | {"cli.py"}
-
-
 # --- code on the pages ------------------------------------------------------------------------------------------
 
 

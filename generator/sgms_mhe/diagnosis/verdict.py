@@ -328,6 +328,13 @@ class _Verdict:
                 "elements slip more sharply than [friction.smoothing] says: "
                 f"{', '.join(f'{key} = {value:g}' for key, value in SHARP.items())} alone leave {better:.3g} N",
             )
+        if extended is not None:
+            now = extended.estimator.parameters
+            warnings += tuple(
+                f"{name}: 0 in the extended machine, which does not estimate it: there is no scale for it"
+                for name in self.machine.estimator.parameters
+                if name not in now
+            )
         held = self.record.held_out
         interval = gain_interval(nominal.loss[held], unseen.loss[held], unseen.rows[held]) if named else (0.0, 0.0)
         final, start = self._left(fit), self._left(self.start)

@@ -1,0 +1,64 @@
+"""The rooms of the package: all on the map in CONTRIBUTING, and each imports from rooms below its own alone."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "generator" / "sgms_mhe"
+MOST_ROOMS, MOST_ARROWS = 20, 100
+
+
+def rooms_on_the_map() -> list[str]:
+    """Rooms in the order of the map, the uppermost first."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    table = text.partition("| room | holds |")[2].partition("\n\n")[0]
+    return re.findall(r"^\| `([\w.]+?)(?:/|\.py)` \|", table, flags=re.MULTILINE)
+
+
+def room_of(module: str) -> str:
+    """Room of a module `sgms_mhe.room.name`; of one in the package's root its own name."""
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 else "__init__"
+
+
+def imported_by(path: Path) -> Iterator[str]:
+    """Modules of the package that a file imports, wherever in it: in functions and under TYPE_CHECKING too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name.partition(".")[0] == "sgms_mhe")
+        elif isinstance(node, ast.ImportFrom) and node.module == "sgms_mhe":
+            yield from (f"sgms_mhe.{alias.name}" for alias in node.names if not alias.name.startswith("__"))
+        elif isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("sgms_mhe."):
+            yield node.module
+
+
+def arrows() -> dict[tuple[str, str], list[str]]:
+    """(room, room that it imports from) and the files that do."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        own = path.relative_to(PACKAGE)
+        for module in imported_by(path):
+            arrow = (own.parts[0].removesuffix(".py"), room_of(module))
+            if arrow[0] != arrow[1]:
+                found.setdefault(arrow, []).append(own.as_posix())
+    return found
+
+
+def test_every_room_is_on_the_map() -> None:
+    folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    modules = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__"}
+    assert sorted(rooms_on_the_map()) == sorted(folders | modules)
+    assert len(rooms_on_the_map()) <= MOST_ROOMS
+
+
+def test_arrows_point_downwards() -> None:
+    """So there is no circle either."""
+    order = {room: place for place, room in enumerate(rooms_on_the_map())}
+    found = arrows()
+    assert len(order) < len(found) <= MOST_ARROWS
+    upwards = [f"{a} -> {b}: {', '.join(files)}" for (a, b), files in found.items() if order[a] > order[b]]
+    assert not upwards
