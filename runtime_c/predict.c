@@ -24,11 +24,12 @@ static void put_force(
     double *force,
     double *d_force)
 {
-    sgms_real w[5], c[STATES], d[PARAMETERS];
-    for (int i = 0; i < 5; i++) {
+    sgms_real w[SIGNALS], c[STATES], d[PARAMETERS];
+    const model_point at = {.x = x, .w = w, .theta = theta};
+    for (int i = 0; i < SIGNALS; i++) {
         w[i] = (sgms_real)signals[i];
     }
-    *force = (double)output_force(x, w, theta, c, d);
+    *force = (double)output_force(&at, c, d);
     for (int p = 0; d_force && p < PARAMETERS; p++) {
         sgms_real sum = d[p];
         for (int i = 0; i < STATES; i++) {
@@ -38,31 +39,31 @@ static void put_force(
     }
 }
 
-/* Terms of the step that ends at `last`, of signals that are constant through it or lines; samples lie five numbers
- * apart. */
+/* Terms of the step that ends at `last`, of signals that are constant through it or lines; samples lie one behind the
+ * other. */
 static void put_terms(const double *last, sgms_real *term)
 {
     for (int node = 0; node < NODES; node++) {
-        sgms_real w[5];
-        for (int i = 0; i < 5; i++) {
+        sgms_real w[SIGNALS];
+        for (int i = 0; i < SIGNALS; i++) {
             double mean = last[i], slope = 0.0;
             if (MERGED > 1) { /* the least-squares line through samples at the middles of their times */
                 double squares = 0.0;
                 mean = 0.0;
                 for (int k = 0; k < MERGED; k++) {
-                    const double tau = (2.0 * k + 1.0) / MERGED - 1.0, value = last[5 * (k - MERGED + 1) + i];
+                    const double tau = (2.0 * k + 1.0) / MERGED - 1.0, value = last[SIGNALS * (k - MERGED + 1) + i];
                     mean += value / MERGED;
                     slope += tau * value;
                     squares += tau * tau;
                 }
                 slope /= squares;
             } else if (NODES > 1) { /* from one sample to the next */
-                mean = 0.5 * (last[i] + last[i - 5]);
-                slope = 0.5 * (last[i] - last[i - 5]);
+                mean = 0.5 * (last[i] + last[i - SIGNALS]);
+                slope = 0.5 * (last[i] - last[i - SIGNALS]);
             }
             w[i] = (sgms_real)(mean + (node - NODES / 2) * slope);
         }
-        sample_terms(w, term + node * TERMS * LANES, LANES);
+        sample_terms(w, term + node * TERMS * SERIES_STRIDE, SERIES_STRIDE);
     }
 }
 
@@ -75,8 +76,8 @@ int sgms_predict(
     double *force,
     double *d_force)
 {
-    SGMS_JOIN(SGMS_MACHINE, terms) of;
-    sgms_real state[STATES], sensitivity[STATES * PARAMETERS], at[PARAMETERS];
+    SGMS_JOIN(SGMS_MACHINE, parameters) at;
+    sgms_real state[STATES], sensitivity[STATES * PARAMETERS];
     if (MERGED > 1 && (force || (samples - 1) % MERGED != 0)) { /* the state is known at the ends of steps alone */
         return -1;
     }
@@ -87,24 +88,23 @@ int sgms_predict(
         sensitivity[i] = (sgms_real)d_x[i];
     }
     for (int p = 0; p < PARAMETERS; p++) {
-        at[p] = (sgms_real)theta[p];
+        at.theta[p] = (sgms_real)theta[p];
     }
-    parameter_terms(at, of.q, of.d_q, of.scale, of.d_scale);
+    parameter_terms(&at);
     for (long k = 0; k < samples; k++) {
         if (k > 0 && k % MERGED == 0) {
             /* One step: x1 = f(x0, theta), d_x1 = A d_x0 + B. */
-            sgms_real one[ONE_SIZE], next[STATES], a[STATES * STATES], b[STATES * PARAMETERS],
-                moved[STATES * PARAMETERS];
-            sgms_real term[NODES * TERMS * LANES];
-            put_terms(signals + 5 * k, term);
-            start_one(&of, state, one);
-            integrate_one(term, one);
-            one_end(&of, one, state, next, a, b);
+            sgms_real blocks[BLOCKS_SIZE], moved[STATES * PARAMETERS], term[NODES * TERMS * SERIES_STRIDE];
+            interval_map map;
+            put_terms(signals + SIGNALS * k, term);
+            start_blocks(&at, state, blocks);
+            integrate_blocks(term, blocks);
+            blocks_end(&at, blocks, state, &map);
             for (int i = 0; i < STATES; i++) {
                 for (int p = 0; p < PARAMETERS; p++) {
-                    sgms_real sum = b[i * PARAMETERS + p];
+                    sgms_real sum = map.b[i * PARAMETERS + p];
                     for (int j = 0; j < STATES; j++) {
-                        sum += a[i * STATES + j] * sensitivity[j * PARAMETERS + p];
+                        sum += map.a[i * STATES + j] * sensitivity[j * PARAMETERS + p];
                     }
                     moved[i * PARAMETERS + p] = sum;
                 }
@@ -113,11 +113,11 @@ int sgms_predict(
                 sensitivity[i] = moved[i];
             }
             for (int i = 0; i < STATES; i++) {
-                state[i] = next[i];
+                state[i] = map.x[i];
             }
         }
         if (force) {
-            put_force(state, sensitivity, signals + 5 * k, at, force + k, d_force ? d_force + k * PARAMETERS : 0);
+            put_force(state, sensitivity, signals + SIGNALS * k, at.theta, force + k, d_force ? d_force + k * PARAMETERS : 0);
         }
     }
     for (int i = 0; i < STATES; i++) {

@@ -16,7 +16,7 @@ typedef struct {
     const double *acceleration; /* m/s^2, aligned */
     const double *friction;     /* N, aligned */
     const unsigned char *valid; /* whether friction is a measurement */
-    double late;                /* s, that aligned signals are behind their samples */
+    double delay;               /* s, that aligned signals are behind their samples */
 } sgms_series;
 
 enum { SGMS_REPLAY_TASKS = 0, SGMS_REPLAY_TICK = 1 };

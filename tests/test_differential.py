@@ -362,8 +362,8 @@ def test_time_is_that_of_the_signals_through_either_chain(changes: Mapping[str, 
     # The phase is the plant's; by the samples' clock it would be 0.26 rad less, of which the prior admits a part.
     phase = reference.parameter_names.index("periodic_disturbance.phase_rad")
     assert np.abs(reference.parameters[:, phase] - 0.7).max() < 0.04
-    prompt = estimators.estimate(dataclasses.replace(signals, late=0.0))
-    compare(prompt, estimate_reference(settings, dataclasses.replace(signals, late=0.0)))
+    prompt = estimators.estimate(dataclasses.replace(signals, delay=0.0))
+    compare(prompt, estimate_reference(settings, dataclasses.replace(signals, delay=0.0)))
     assert prompt.parameters[-1, phase] < 0.55
 
 

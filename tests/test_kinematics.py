@@ -251,13 +251,13 @@ def test_time_of_signals_is_that_of_what_they_tell_of(cutoff: float) -> None:
     assert np.abs(signals.force - 100.0 * then)[settled].max() < 2.0 * clock
     # A part of them is as late, and counts its own samples; signals of a log of its own are not late.
     part = signals.part(slice(100, 200))
-    assert part.late == signals.late and len(part) == 100
+    assert part.delay == signals.delay and len(part) == 100
     np.testing.assert_array_equal(part.friction, signals.friction[100:200])
     zero = np.zeros(6000)
     for bring, late in (({"velocity_m_s": zero}, chain_delay(machine)), ({"friction_N": zero}, chain_delay(machine))):
-        assert signals_from_log(replace(log, **bring), machine).late == late
+        assert signals_from_log(replace(log, **bring), machine).delay == late
     bypassed = signals_from_log(replace(log, velocity_m_s=zero, friction_N=zero), machine)
-    assert bypassed.late == 0.0 and signal_array(bypassed, STEP)[0, 4] == 0.0
+    assert bypassed.delay == 0.0 and signal_array(bypassed, STEP)[0, 4] == 0.0
 
 
 # --- missing samples --------------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 /* The runtime's static functions under exported names, over arrays. Compiled with -DSGMS_SINGLE=0 or 1.
  * Relies on: sgms_exp, sgms_exp2_core, sgms_tanh, sgms_sin, sgms_cos, sgms_log, sgms_sqrt, sgms_inverse_sqrt,
- * sgms_is_finite; sgms_qr, sgms_qr_add_row, sgms_qr_grow, sgms_back_substitute, sgms_variances, sgms_box_least_squares;
- * sgms_lowpass, sgms_filter_step, sgms_filter_memory. */
+ * sgms_is_finite; sgms_qr, sgms_qr_add_row, sgms_qr_grow, sgms_back_substitute, sgms_variances, sgms_box, sgms_box_least_squares;
+ * sgms_chain, sgms_filter_step, sgms_filter_memory. */
 #include "sgms_filter.h"
 #include "sgms_linalg.h"
 
@@ -73,8 +73,9 @@ void probe_box(
 {
     sgms_real work[64 * 65];
     for (long k = 0; k < problems; k++) {
-        active[k] = sgms_box_least_squares(
-            r + k * n * n, n, n, b + k * n, lower + k * n, upper + k * n, x + k * n, pinned + k * n, work);
+        const sgms_box box = {
+            .r = r + k * n * n, .n = n, .width = n, .b = b + k * n, .lower = lower + k * n, .upper = upper + k * n};
+        active[k] = sgms_box_least_squares(&box, x + k * n, pinned + k * n, work);
     }
 }
 
@@ -91,19 +92,23 @@ void probe_chain(
     sgms_real *out,
     int *valid)
 {
-    const sgms_lowpass filter = {
-        .b0 = (sgms_real)coefficients[0],
-        .b1 = (sgms_real)coefficients[1],
-        .b2 = (sgms_real)coefficients[2],
-        .a1 = (sgms_real)coefficients[3],
-        .a2 = (sgms_real)coefficients[4]};
+    const sgms_chain chain = {
+        .lowpass =
+            {.b0 = (sgms_real)coefficients[0],
+             .b1 = (sgms_real)coefficients[1],
+             .b2 = (sgms_real)coefficients[2],
+             .a1 = (sgms_real)coefficients[3],
+             .a2 = (sgms_real)coefficients[4]},
+        .rate = (sgms_real)rate,
+        .mass = (sgms_real)mass,
+        .settle = settle,
+        .wanted = wanted};
     sgms_position positions[2] = {0, 0};
-    sgms_real states[SGMS_FILTER_STATES] = {0}, last[4] = {0};
-    int32_t counts[3] = {0, 0, 0};
+    sgms_real states[SGMS_FILTER_STATES] = {0}, last[SGMS_FILTER_LAST] = {0};
+    int32_t counts[SGMS_FILTER_COUNTS] = {0, 0, 0};
     const sgms_filter_memory memory = {.position = positions, .lowpass = states, .last = last, .counts = counts};
     for (long k = 0; k < n; k++) {
-        const sgms_aligned s = sgms_filter_step(
-            &filter, (sgms_real)rate, (sgms_real)mass, settle, wanted, &memory, position[k], force[k]);
+        const sgms_aligned s = sgms_filter_step(&chain, &memory, position[k], force[k]);
         out[k] = s.position;
         out[n + k] = s.velocity;
         out[2 * n + k] = s.acceleration;

@@ -6,13 +6,13 @@
 #define JOIN(a, b) JOIN2(a, b)
 typedef JOIN(SGMS_MACHINE, t) machine;
 
-/* Older intervals whose elimination was done again; -1: none, and the factor was left as it was. */
+/* Older intervals that were condensed again; -1: none, and the factor was left as it was. */
 int probe_sweep(const void *self)
 {
     return (int)((const machine *)self)->sweep;
 }
 
-/* Have all older intervals eliminated by the next prepare. */
+/* Have all older intervals condensed by the next prepare. */
 void probe_forget_sweep(void *self)
 {
     machine *const axis = self;

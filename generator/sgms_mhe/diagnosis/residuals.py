@@ -150,7 +150,7 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
         raise InputError(log.source or "log", "usable samples", int(good.sum()), f"at least {100 * factor}")
     block, count = _blocks(used, factor / rate)
     fold, held_out = _split(count)
-    clock = np.arange(n) / rate - signals.late
+    clock = np.arange(n) / rate - signals.delay
     recording = _reduced(machine, signals, clock, factor, np.where(used, block, -1), fold, held_out, tuple(warnings))
     if held_out_s is not None:
         time = recording.time

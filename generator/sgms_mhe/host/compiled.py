@@ -40,7 +40,7 @@ class _Series(ctypes.Structure):
         ("acceleration", ctypes.c_void_p),
         ("friction", ctypes.c_void_p),
         ("valid", ctypes.c_void_p),
-        ("late", ctypes.c_double),
+        ("delay", ctypes.c_double),
     )
 
 
@@ -205,7 +205,7 @@ class CompiledEstimator:
             "friction": signals.friction,
             "valid": signals.valid.astype(np.uint8),
         }
-        run = self._run(self.start(), arrays, len(signals), "tasks", progress, late=signals.late)
+        run = self._run(self.start(), arrays, len(signals), "tasks", progress, delay=signals.delay)
         return self._estimates(run, signals.time)
 
     def estimate_log(
@@ -224,7 +224,7 @@ class CompiledEstimator:
         samples: int,
         mode: str,
         progress: Progress | None,
-        late: float = 0.0,
+        delay: float = 0.0,
     ) -> _Run:
         total = max(0, (samples - 1) // self._samples)
         rows = np.zeros((total + 1, self._columns))
@@ -238,7 +238,7 @@ class CompiledEstimator:
         chunk = samples if progress is None else _CHUNK * self._samples
         for first in range(0, samples, chunk):
             count = min(chunk, samples - first)
-            series = _Series(samples=count, late=late)
+            series = _Series(samples=count, delay=delay)
             for name, array in held.items():
                 setattr(series, name, array.ctypes.data + first * array.itemsize)
             done += self._library.sgms_replay_run(

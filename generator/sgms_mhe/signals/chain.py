@@ -35,8 +35,8 @@ class Signals:
     """What the observer sees, one entry per sample; all arrays (n,), all numbers finite.
 
     time of the sample [s], position [m], velocity [m/s], acceleration [m/s^2], force [N], friction [N]; `valid`:
-    friction may be used as a measurement; `missing`: a recorded channel had no finite value. `late`: how far they are
-    behind the sample [s]; what they tell of was at time - late.
+    friction may be used as a measurement; `missing`: a recorded channel had no finite value. `delay`: how far they are
+    behind the sample [s]; what they tell of was at time - delay.
     """
 
     time: Array
@@ -47,13 +47,13 @@ class Signals:
     friction: Array
     valid: Mask
     missing: Mask
-    late: float = 0.0
+    delay: float = 0.0
 
     def __len__(self) -> int:
         return len(self.time)
 
     def part(self, which: slice | NDArray[np.int64]) -> Signals:
-        """Some of the samples, as late as all of them."""
+        """Some of the samples, with the delay of all of them."""
         parts: dict[str, Any] = {name: a[which] for name, a in vars(self).items() if isinstance(a, np.ndarray)}
         return replace(self, **parts)
 
@@ -64,7 +64,7 @@ def signal_array(signals: Signals, h: float, first: int = 0) -> Array:
     Time counts from a log's sample 0, the first one here being its sample `first`, and is that of what the signals tell
     of.
     """
-    time = np.arange(first, first + len(signals)) * h - signals.late
+    time = np.arange(first, first + len(signals)) * h - signals.delay
     return np.column_stack([signals.position, signals.velocity, signals.acceleration, signals.force, time])
 
 
@@ -111,8 +111,8 @@ def signals_from_log(log: Log, machine: Machine) -> Signals:
         friction = at_rest(_delay(held, float(held[0])))
     valid = _samples_since(missing) > settle
     valid[:settle] = False
-    late = chain_delay(machine)
-    return Signals(log.time_s, position, velocity, acceleration, force, friction, valid, missing, late)
+    delay = chain_delay(machine)
+    return Signals(log.time_s, position, velocity, acceleration, force, friction, valid, missing, delay)
 
 
 def signals_of_record(log: Log, machine: Machine) -> Signals:
