@@ -13,11 +13,13 @@ import pytest
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
 from sgms_mhe.diagnosis.evidence import inconstancy, nuisance, score_test
+from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.fitting import Extra, Workshop, compiled_fit
 from sgms_mhe.diagnosis.plan import make_plan, write_plan
 from sgms_mhe.diagnosis.residuals import Recording, noise_floor, prepare
 from sgms_mhe.evaluation.prediction import force_error, predict_log
 from sgms_mhe.machine import Machine
+from sgms_mhe.model import build_model
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log, read_log
@@ -219,6 +221,51 @@ def test_writes_the_contract_and_a_machine_that_loads(machine: Machine, tmp_path
     extended = load_machine(tmp_path / content["extended_machine"])
     assert diagnosis.extended is not None
     assert extended.digest == diagnosis.extended.digest
+
+
+@pytest.mark.parametrize(
+    ("estimated", "bounds", "effect", "left"),
+    [
+        (["stiffness", "viscous"], {}, {}, ("stiffness",)),
+        (["viscous", "stribeck_ratio"], {"viscous": [0.5, 2.0]}, {}, ("stiffness",)),
+        (["viscous", "position_spring.stiffness_N_m"], {}, {"stiffness_N_m": 0.0}, ("position_spring.stiffness_N_m",)),
+        (
+            ["coulomb", "position_spring.stiffness_N_m"],
+            {"position_spring.stiffness_N_m": [0.5, 2.0]},
+            {"stiffness_N_m": 0.0},
+            ("coulomb",),
+        ),
+    ],
+)
+def test_a_number_that_is_0_is_not_the_scale_of_its_estimate(
+    estimated: list[str],
+    bounds: dict[str, list[float]],
+    effect: dict[str, float],
+    left: tuple[str, ...],
+    tmp_path: Path,
+) -> None:
+    spring = {"name": "position_spring", "stiffness_N_m": 50.0}
+    # What the file of the base is called does not matter: the extended file names it.
+    base = tmp_path / 'base "one".toml'
+    base.write_text(
+        'extends = "etel_xy"\ndescription = \'the "base"\'\n'
+        f'effects = [{{ name = "position_spring", stiffness_N_m = 50.0 }}]\nestimator.parameters = {estimated}\n'
+        + "".join(f'estimator.bounds."{key}" = {value}\n' for key, value in bounds.items())
+    )
+    machine = load_machine(base)
+    friction = {"viscous": 0.0, "stribeck_ratio": 0.0}
+    extended, text = extend_machine(machine, ["viscous"], friction, [spring | effect])
+    assert extended.estimator.parameters == left
+    path = tmp_path / "extended.toml"
+    path.write_text(text)
+    assert load_machine(path).digest == extended.digest
+    build_model(extended)
+
+
+def test_a_number_that_a_bound_holds_is_not_rounded_beyond_it() -> None:
+    lag = {"name": "actuator_lag", "time_constant_s": -1e-20}
+    extended, _ = extend_machine(load_machine("etel_xy"), ["actuator_lag"], {}, [lag])
+    assert extended.effects[0].parameters == {"time_constant_s": 0.0}
 
 
 def test_held_out_intervals_are_not_seen(machine: Machine) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from sgms_mhe.configuration import load_machine
+from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.diagnosis_benchmark import (
     Draw,
     Found,
@@ -28,10 +29,11 @@ from sgms_mhe.diagnosis_benchmark import (
 )
 from sgms_mhe.diagnosis_benchmark.draws import KINDS, VISIBLE, foreign_force
 from sgms_mhe.diagnosis_benchmark.foreign import FOREIGN
-from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, deflection, draw_motion
+from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, draw_motion
 from sgms_mhe.diagnosis_benchmark.scoring import confusion_table, half_found, parameter_errors
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, measures
+from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause
+from sgms_mhe.model.scales import scales_of
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -103,7 +105,7 @@ def test_motions_do_what_their_style_says(machine: Machine, style: str) -> None:
     if style == "still":
         assert forward == back == 0.0
     elif style == "presliding":
-        assert np.ptp(motion.position_m) < 0.5 * deflection(machine)
+        assert np.ptp(motion.position_m) < 0.5 * scales_of(machine).deflection
     elif style == "one_way":
         assert forward > 0.01
         assert back < 1e-9

@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.emission.structure import analyse
 from sgms_mhe.evaluation.comparison import TOLERANCES
 from sgms_mhe.host.compiled import CompiledEstimator
@@ -29,13 +30,12 @@ from sgms_mhe.model.effects import (
     base_number,
     cause,
     effect_definition,
-    machine_unit,
-    measures,
     reported_name,
     separating_moves,
 )
 from sgms_mhe.model.effects.excitation import MEASURES
 from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Step, Trials
+from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.simulation import AxisConfig, plant_effects, simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.reference.integrator import Integrator
@@ -203,7 +203,7 @@ def test_description_is_complete(name: str) -> None:
     definition = effect_definition(name)
     parameters = {p.name: p for p in definition.parameters}
     assert definition.main and definition.stage in STAGES
-    assert all(p.lower <= p.default <= p.upper and p.scale > 0.0 for p in definition.parameters)
+    assert all(p.lower <= p.default <= p.upper and p.size(scales_of(base())) > 0.0 for p in definition.parameters)
     assert all(need.times in (None, *parameters) for need in definition.excitation.needs)
     states = build_model(machine_of(name)).states
     assert [s.name for s in states[4:]] == [f"{name}_{state}" for state in definition.states]
@@ -274,7 +274,7 @@ def record_of(machine: Machine) -> MotionRecord:
         level=machine.friction.coulomb * direction,
         damping=20.0,
         mass=machine.plant.mass,
-        deflection=4e-4,
+        deflection=scales_of(machine).deflection,
         extents=Extents(
             float(np.ptp(moves.position_m)),
             float(np.abs(moves.velocity_m_s).max()),
@@ -548,9 +548,10 @@ def test_bounds_need_a_nominal_value_to_multiply(tmp_path: Path) -> None:
 
 
 def test_sizes_follow_the_machine() -> None:
-    emps, etel = load_machine("emps"), load_machine("etel_xy")
+    machines = load_machine("emps"), load_machine("etel_xy")
+    emps, etel = (scales_of(machine) for machine in machines)
     amplitude = effect_definition("force_ripple").parameter("amplitude_N")
-    assert amplitude.size(emps) / amplitude.size(etel) == pytest.approx(emps.friction.coulomb / etel.friction.coulomb)
-    assert machine_unit(etel, "deflection") == pytest.approx(0.83 * 4.0 / 7.9e3)
+    assert amplitude.size(emps) / amplitude.size(etel) == pytest.approx(emps.coulomb / etel.coulomb)
+    assert etel.of("deflection") == pytest.approx(0.83 * 4.0 / 7.9e3)
     phase = effect_definition("force_ripple").parameter("phase_rad")
     assert phase.estimation_scale(etel, 3.0) == phase.estimation_scale(etel, 0.0) == 0.1

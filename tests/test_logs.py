@@ -8,6 +8,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -359,6 +360,17 @@ def test_csv_without_header_is_refused(tmp_path: Path) -> None:
 def test_column_named_twice_is_refused(tmp_path: Path) -> None:
     path = write_rows(tmp_path / "log.csv", ["0,1,2,3", "1,1,2,3"], "time_s,position_m,force_N,force_N")
     assert refused(path).value == "force_N"
+    path = write_rows(tmp_path / "log.csv", ["0,1,2,3,4", "1,1,2,3,4"], "time_s,position_m,force_N,,")
+    assert refused(path).value == ""
+
+
+def test_a_header_of_many_names_is_read_in_no_time(tmp_path: Path) -> None:
+    names = ["time_s", "position_m", "force_N", *(f"channel_{k}" for k in range(20_000))]
+    rows = [",".join([str(k)] * len(names)) for k in range(2)]
+    path = write_rows(tmp_path / "log.csv", rows, ",".join(names))
+    started = process_time()
+    assert len(read_log(path)) == 2
+    assert process_time() - started < 10.0  # it took half a minute
 
 
 @pytest.mark.parametrize("content", [b"time_s,position_m,force_N\n0,\xff,1\n1,2,3\n", b"\x00\x01\x02\xff" * 99])

@@ -10,11 +10,15 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
 from sgms_mhe.support.errors import InputError
+
+if TYPE_CHECKING:
+    from sgms_mhe.machine import Machine
+    from sgms_mhe.signals.logs import Log
 
 Progress = Callable[[int, int], None]
 """Called with (steps done, steps in all)."""
@@ -74,6 +78,23 @@ def part_options(meaning: str) -> Callable[[F], F]:
 def example(*lines: str) -> str:
     """Epilog of a command's help."""
     return "\b\nExample:\n" + "\n".join(f"  sgms-mhe {line}" for line in lines)
+
+
+# --- inputs ----------------------------------------------------------------------------------------------------------
+
+
+def recorded_log(path: Path, machine: Machine, start_s: float = 0.0, end_s: float = math.inf) -> Log:
+    """Read a log that an axis of this machine can have left, or the part of it from `start_s` to `end_s`.
+
+    Raises:
+        InputError: it cannot be read, or its columns cannot be what they are called.
+    """
+    from sgms_mhe.signals.logs import read_log
+    from sgms_mhe.signals.plausibility import check_plausible
+
+    log = read_log(path, machine).part(start_s, end_s)
+    check_plausible(log, machine)
+    return log
 
 
 # --- outputs, checked before the work that they are to receive -------------------------------------------------------

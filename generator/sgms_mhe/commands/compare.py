@@ -15,6 +15,7 @@ from sgms_mhe.commands.common import (
     log_argument,
     machine_argument,
     progress_bar,
+    recorded_log,
     show,
     table_text,
 )
@@ -45,9 +46,8 @@ def command(machine: str, log: Path, as_json: bool) -> None:
 
     from sgms_mhe.evaluation.comparison import compare_signals
     from sgms_mhe.signals.chain import signals_from_log
-    from sgms_mhe.signals.logs import read_log
 
-    recorded = read_log(log, resolved)
+    recorded = recorded_log(log, resolved)
     check_length(recorded, resolved)
     with progress_bar(f"compare {resolved.name}") as progress:
         comparison = compare_signals(resolved, signals_from_log(recorded, resolved), progress=progress)

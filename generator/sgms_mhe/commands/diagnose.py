@@ -20,6 +20,7 @@ from sgms_mhe.commands.common import (
     note,
     out_option,
     part_options,
+    recorded_log,
     show,
 )
 
@@ -76,10 +77,9 @@ def command(
 
     from sgms_mhe.diagnosis import diagnose, write_diagnosis
     from sgms_mhe.report import closed_loop_gain, write_report
-    from sgms_mhe.signals.logs import read_log
 
-    recorded = read_log(log, resolved).part(start_s, end_s)
-    another = read_log(unseen, resolved) if unseen else None
+    recorded = recorded_log(log, resolved, start_s, end_s)
+    another = recorded_log(unseen, resolved) if unseen else None
     found = diagnose(resolved, recorded, progress=note, held_out_s=held_out or None)
     write_diagnosis(found, folder)
     gain = None

@@ -20,6 +20,7 @@ from sgms_mhe.commands.common import (
     note,
     out_option,
     progress_bar,
+    recorded_log,
     show,
     table_text,
 )
@@ -70,9 +71,8 @@ def command(machine: str, log: Path, out: Path, solver: Solver, plot: Path | Non
         check_output_folder(plot)
 
     from sgms_mhe.signals.estimates import write_estimates
-    from sgms_mhe.signals.logs import read_log
 
-    recorded = read_log(log, resolved)
+    recorded = recorded_log(log, resolved)
     check_length(recorded, resolved)
     with progress_bar(f"estimate {resolved.name}") as progress:
         estimates = run_solver(resolved, recorded, solver, progress)

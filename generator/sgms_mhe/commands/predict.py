@@ -17,6 +17,7 @@ from sgms_mhe.commands.common import (
     out_option,
     part_options,
     progress_bar,
+    recorded_log,
     show,
 )
 
@@ -67,9 +68,8 @@ def command(
         resolved = override_machine(resolved, {"sampling": {"velocity_cutoff": lowpass}})
 
     from sgms_mhe.evaluation.prediction import force_error, predict_log, write_prediction
-    from sgms_mhe.signals.logs import read_log
 
-    recorded = read_log(log, resolved)
+    recorded = recorded_log(log, resolved)
     with progress_bar(f"predict {resolved.name}"):
         prediction = predict_log(resolved, recorded)
     error = force_error(prediction, start_s=start_s, end_s=end_s, factor=factor)

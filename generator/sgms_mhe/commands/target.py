@@ -15,6 +15,7 @@ from sgms_mhe.commands.common import (
     machine_argument,
     note,
     progress_bar,
+    recorded_log,
     show,
     table_text,
 )
@@ -77,12 +78,11 @@ def command(
     from sgms_mhe.emission.package import emit_package
     from sgms_mhe.evaluation.benchmark import simulated_log
     from sgms_mhe.evaluation.target import TARGET_FLAGS, TARGETS, compare_with_host, run_trial, single_precision
-    from sgms_mhe.signals.logs import read_log
 
     if log is None:
         recorded = simulated_log(resolved, trajectory, updates)
     else:
-        recorded = read_log(log, resolved)
+        recorded = recorded_log(log, resolved)
         check_length(recorded, resolved)
     if resolved.code.precision != "single":
         note(f"{resolved.name}: {resolved.code.precision} precision, taken as single for this core")

@@ -26,9 +26,10 @@ from sgms_mhe.model.effects import (
     EffectDefinition,
     MotionRecord,
     effect_definition,
-    machine_unit,
 )
+from sgms_mhe.model.effects.base import DAMPING, LEVEL
 from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Step, Trials
+from sgms_mhe.model.scales import scales_of
 
 Array = NDArray[np.float64]
 
@@ -40,9 +41,9 @@ UNTRIED: Final = 1e-3  # of the rows after a step: less left of its column is no
 
 def motion_of(recording: Recording, fit: Fit) -> MotionRecord:
     """Signals and the model's sensitivities at a fit."""
-    columns = fit.model.columns
-    coulomb = next(i for i, c in enumerate(columns) if c.group == "coulomb")
-    viscous = next(i for i, c in enumerate(columns) if c.group == "viscous")
+    columns, scales = fit.model.columns, scales_of(recording.machine)
+    coulomb = next(i for i, c in enumerate(columns) if c.name == LEVEL)
+    viscous = next(i for i, c in enumerate(columns) if c.name == DAMPING)
     return MotionRecord(
         time=recording.time,
         position=recording.position,
@@ -52,8 +53,8 @@ def motion_of(recording: Recording, fit: Fit) -> MotionRecord:
         friction=recording.friction - fit.residual,
         level=fit.slopes[:, coulomb] * fit.theta[coulomb],
         damping=columns[viscous].si(fit.theta[viscous]) or columns[viscous].nominal,
-        mass=recording.machine.plant.mass,
-        deflection=machine_unit(recording.machine, "deflection"),
+        mass=scales.mass,
+        deflection=scales.deflection,
         extents=recording.extents,
     )
 

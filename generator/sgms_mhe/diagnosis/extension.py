@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.support.paths import machines_dir
 
 NAME_LENGTH = 48
@@ -19,6 +21,9 @@ def extend_machine(
     effects: Sequence[Mapping[str, Any]] | None,
 ) -> tuple[Machine, str]:
     """The machine with numbers corrected and effects added, and its file.
+
+    A number that the record says is 0 is no scale for its own estimate: what the base estimates, and the extended
+    machine cannot, is left out of its `estimator.parameters` (where nothing is left, stiffness takes the place).
 
     Args:
         machine: the base.
@@ -41,22 +46,49 @@ def extend_machine(
     if friction:
         changes["friction"] = dict(friction)
     if effects is not None:
-        changes["effects"] = [dict(effect) for effect in effects]
+        changes["effects"] = [_within(effect) for effect in effects]
         # Bounds are multiples of nominal values: those of an effect that the base has stay.
+    estimated = _estimable(machine, changes)
+    if estimated != machine.estimator.parameters:
+        changes["estimator"] = {"parameters": list(estimated or ("stiffness",))}
     extended = override_machine(machine, changes)
     return extended, _toml(machine, changes)
+
+
+def _within(effect: Mapping[str, Any]) -> dict[str, Any]:
+    """An effect's entry with its numbers within their limits, beyond which rounding takes one that a bound holds."""
+    definitions = {parameter.name: parameter for parameter in effect_definition(effect["name"]).parameters}
+    return {
+        key: value if key == "name" else min(max(value, definitions[key].lower), definitions[key].upper)
+        for key, value in effect.items()
+    }
+
+
+def _estimable(machine: Machine, changes: Mapping[str, Any]) -> tuple[str, ...]:
+    """What the machine estimates, without the base numbers and the bounded ones of effects that are 0 now."""
+    zero = {key for key, value in changes.get("friction", {}).items() if value == 0.0}
+    for effect, entry in zip(machine.effects, changes.get("effects", ()), strict=False):  # new ones come behind
+        zero |= {f"{effect.label}.{key}" for key, value in entry.items() if value == 0.0}
+    bounded = machine.estimator.bounds
+    return tuple(
+        name for name in machine.estimator.parameters if name not in zero or ("." in name and name not in bounded)
+    )
 
 
 def _toml(machine: Machine, changes: Mapping[str, Any]) -> str:
     lines = [
         f"# Written by sgms-mhe diagnose over {machine.source.name or machine.name}.",
-        f'extends = "{_reference(machine)}"',
-        f'name = "{changes["name"]}"',
-        f'description = "{changes["description"]}"'.replace("\\\\", "/"),
+        f"extends = {_value(_reference(machine))}",
+        f"name = {_value(changes['name'])}",
+        f"description = {_value(changes['description'])}",
     ]
     if "friction" in changes:
         lines += ["", "[friction]"]
         lines += [f"{key} = {_value(value)}" for key, value in changes["friction"].items()]
+    if "estimator" in changes:
+        left_out = [name for name in machine.estimator.parameters if name not in changes["estimator"]["parameters"]]
+        lines += ["", "[estimator]", f"# Without {', '.join(left_out)}: 0 is no scale for an estimate."]
+        lines += [f"{key} = {_value(value)}" for key, value in changes["estimator"].items()]
     for effect in changes.get("effects", ()):
         lines += ["", "[[effects]]"]
         lines += [f"{key} = {_value(value)}" for key, value in effect.items()]
@@ -73,7 +105,7 @@ def _reference(machine: Machine) -> str:
 
 def _value(value: Any) -> str:
     if isinstance(value, str):
-        return f'"{value}"'
+        return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {_value(entry)}" for key, entry in value.items()) + " }"
     if isinstance(value, list | tuple):

@@ -25,6 +25,7 @@ from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.model.scales import scales_of
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.support import cache
 
@@ -734,10 +735,10 @@ def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
 
 def _snapped(machine: Machine, extra: Extra) -> tuple[tuple[str, float], ...]:
     """Nominal values of an effect's compiled model: coarse, so that few are compiled, near where rates matter."""
-    definition = effect_definition(extra.name)
+    definition, scales = effect_definition(extra.name), scales_of(machine)
     values = []
     for parameter in definition.parameters:
-        size = parameter.default if parameter.default != 0.0 else abs(parameter.size(machine))
+        size = parameter.default if parameter.default != 0.0 else abs(parameter.size(scales))
         wanted = extra.parameters.get(parameter.name, size)
         if definition.states and wanted > 0.0 and size > 0.0:
             size *= 4.0 ** round(math.log(wanted / size, 4.0))

@@ -10,7 +10,8 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import CAUSE_NAMES, MOVES, Move, cause, machine_unit, separating_moves
+from sgms_mhe.model.effects import CAUSE_NAMES, MOVES, Move, cause, separating_moves
+from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
@@ -124,7 +125,7 @@ def make_plan(machine: Machine, separate: tuple[str, str] | None = None) -> Plan
             raise InputError("plan", "separate", name, f"two of {', '.join(CAUSE_NAMES)}")
     speed = 0.9 * machine.sampling.max_velocity
     # Half a second at full speed, reached within a tenth of a second.
-    axis = _Axis(speed, 10.0 * speed, 400.0 * speed, machine_unit(machine, "deflection"), 0.5 * speed)
+    axis = _Axis(speed, 10.0 * speed, 400.0 * speed, scales_of(machine).deflection, 0.5 * speed)
     wanted = set(MOVES) if separate is None else {move for name in separate for move in cause(name).moves}
     moves = [move for move in MOVES if move in wanted]
     path = Motion(machine.sampling.rate)

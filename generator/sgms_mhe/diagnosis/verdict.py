@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.evidence import gain_force, gain_interval, inconstancy
+from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.fitting import ITERATIONS, SETTLED, Extra, Fit, FitError, Workshop
 from sgms_mhe.diagnosis.residuals import Recording, excerpt, noise_floor, prepare
@@ -29,7 +30,7 @@ from sgms_mhe.diagnosis.result import (
 from sgms_mhe.diagnosis.selection import Selection, Selector, is_size
 from sgms_mhe.diagnosis.structure import structure_map
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition, measures
+from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 from sgms_mhe.model.effects.base import BASE_CAUSES
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -326,6 +327,13 @@ class _Verdict:
             warnings += (
                 "elements slip more sharply than [friction.smoothing] says: "
                 f"{', '.join(f'{key} = {value:g}' for key, value in SHARP.items())} alone leave {better:.3g} N",
+            )
+        if extended is not None:
+            now = extended.estimator.parameters
+            warnings += tuple(
+                f"{name}: 0 in the extended machine, which does not estimate it: there is no scale for it"
+                for name in self.machine.estimator.parameters
+                if name not in now
             )
         held = self.record.held_out
         interval = gain_interval(nominal.loss[held], unseen.loss[held], unseen.rows[held]) if named else (0.0, 0.0)

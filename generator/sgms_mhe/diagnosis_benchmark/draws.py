@@ -9,7 +9,7 @@ numbers at least `VISIBLE` of its force is left to be seen.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final
 
@@ -18,12 +18,15 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
+from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.diagnosis.fitting import cached_package
 from sgms_mhe.diagnosis_benchmark.foreign import FOREIGN
-from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, deflection, draw_motion
+from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, draw_motion
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition, measures
+from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition
+from sgms_mhe.model.effects.specimen import Scene, log_uniform
+from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.signals.chain import Signals, settle_samples, signals_from_log
@@ -204,9 +207,9 @@ def _frame(machine: Machine, kind: str, index: int, random: Generator, style: st
         seconds=float(random.uniform(*SECONDS)),
         motion_seed=int(random.integers(2**31)),
         law=str(random.choice(["sgms", "maxwell_slip"])),
-        force_noise_N=coulomb * _log_uniform(random, 0.004, 0.06),
-        encoder_noise_m=coulomb * _log_uniform(random, 0.001, 0.02) / gain,
-        encoder_resolution_m=coulomb * _log_uniform(random, 0.001, 0.03) / gain,
+        force_noise_N=coulomb * log_uniform(random, 0.004, 0.06),
+        encoder_noise_m=coulomb * log_uniform(random, 0.001, 0.02) / gain,
+        encoder_resolution_m=coulomb * log_uniform(random, 0.001, 0.03) / gain,
         noise_seed=int(random.integers(2**31)),
     )
 
@@ -216,10 +219,10 @@ def _style(random: Generator) -> str:
 
 
 def _with_causes(machine: Machine, draw: Draw, names: tuple[str, ...], random: Generator) -> Draw | None:
-    if "frictional_lag" in names:
-        # With little Stribeck effect there is little to lag.
-        ratio = max(0.4, machine.friction.stribeck_ratio)
-        draw = replace(draw, machine_changes={"name": "lagging", "friction": {"stribeck_ratio": ratio}})
+    least = {key: value for name in names for key, value in _least(name).items()}
+    if least:
+        friction = {key: max(value, getattr(machine.friction, key)) for key, value in least.items()}
+        draw = replace(draw, machine_changes={"name": "specimen", "friction": friction})
     axis = machine_of(machine, draw)
     motion = _motion(axis, draw)
     plain = _prescribed(axis, motion, Hidden(""))
@@ -246,167 +249,23 @@ def _weak(machine: Machine, index: int, number: int, random: Generator) -> Draw 
     draw = replace(_frame(machine, "weak", index, random, style), law="sgms")
     if style == "still":
         return draw
-    names = {
-        "presliding": ("quadratic_drag", "eddy_current_damping", "asymmetric_viscous"),
-        "one_way": ("constant_offset", "asymmetric_coulomb"),
-    }[style]
-    name = str(random.choice(names))
-    damping = machine.friction.coulomb / machine.sampling.max_velocity
-    sizes = {
-        "quadratic_drag": {"coefficient_N_s2_m2": damping / machine.sampling.max_velocity},
-        "eddy_current_damping": {
-            "damping_N_s_m": damping,
-            "corner_velocity_m_s": 0.3 * machine.sampling.max_velocity,
-        },
-        "asymmetric_viscous": {"difference_N_s_m": 0.5 * damping},
-        "constant_offset": {"force_N": 0.2 * machine.friction.coulomb},
-        "asymmetric_coulomb": {"ratio": 0.2},
+    concealed = {
+        name: found
+        for name in sorted(EFFECT_NAMES, reverse=True)
+        if (specimen := effect_definition(name).specimen) and (found := specimen.concealed) and found.motion == style
     }
-    return replace(draw, hidden=(Hidden(name, sizes[name]),))
+    name = str(random.choice(list(concealed)))
+    return replace(draw, hidden=(Hidden(name, dict(concealed[name].values(scales_of(machine)))),))
+
+
+def _least(name: str) -> Mapping[str, float]:
+    """What the machine's numbers must at least be for a cause to have something to act on."""
+    specimen = effect_definition(name).specimen if name in EFFECT_NAMES else None
+    return specimen.least or {} if specimen is not None else {}
 
 
 # --- parameters and sizes ---------------------------------------------------------------------------------------
 
-
-@dataclass(frozen=True)
-class _Scene:
-    """What parameters are drawn from."""
-
-    machine: Machine
-    travel: float
-    speed: float
-    seconds: float
-    random: Generator
-
-    def sign(self) -> float:
-        return float(self.random.choice([-1.0, 1.0]))
-
-    def phase(self) -> float:
-        return float(self.random.uniform(-math.pi, math.pi))
-
-    def pitch(self) -> float:
-        return self.travel / _log_uniform(self.random, 2.2, 30.0)
-
-    def time(self) -> float:
-        return self.seconds * _log_uniform(self.random, 0.1, 0.6)
-
-
-Shape = Callable[[_Scene, float], Values]
-"""(scene, size x) -> parameters; x counts in the unit that `_SHAPES` states and is found by trial."""
-
-
-def _periodic(amplitude: str, *, unit: Callable[[Machine], float]) -> Callable[[_Scene], tuple[Shape, float]]:
-    def start(scene: _Scene) -> tuple[Shape, float]:
-        pitch, phase = scene.pitch(), scene.phase()
-        return (
-            lambda s, x: {amplitude: x * unit(s.machine), "pitch_m": pitch, "phase_rad": phase},
-            1.0,
-        )
-
-    return start
-
-
-def _one(parameter: str, unit: Callable[[_Scene], float], *, signed: bool = True, offset: float = 0.0) -> Any:
-    def start(scene: _Scene) -> tuple[Shape, float]:
-        sign = scene.sign() if signed else 1.0
-        return lambda s, x: {parameter: offset + sign * x * unit(s)}, 1.0
-
-    return start
-
-
-def _settling(scene: _Scene) -> tuple[Shape, float]:
-    tau, sign = scene.time(), scene.sign()
-    return lambda _, x: {"ratio": sign * min(x, 0.9 if sign < 0 else 5.0), "time_constant_s": tau}, 1.0
-
-
-def _spring(scene: _Scene) -> tuple[Shape, float]:
-    sign = scene.sign()
-    return lambda s, x: {"stiffness_N_m": sign * x * s.machine.friction.coulomb / s.travel, "centre_m": 0.0}, 1.0
-
-
-def _hose(scene: _Scene) -> tuple[Shape, float]:
-    length = scene.travel * _log_uniform(scene.random, 0.03, 0.2)
-    return (
-        lambda s, x: {
-            "stiffness_N_m": x * s.machine.friction.coulomb / length,
-            "force_N": x * s.machine.friction.coulomb,
-        },
-        1.0,
-    )
-
-
-def _eddy(scene: _Scene) -> tuple[Shape, float]:
-    corner = scene.speed * _log_uniform(scene.random, 0.08, 0.35)
-    return (
-        lambda s, x: {"damping_N_s_m": 2.0 * x * s.machine.friction.coulomb / corner, "corner_velocity_m_s": corner},
-        1.0,
-    )
-
-
-def _resonance(scene: _Scene) -> tuple[Shape, float]:
-    top = min(150.0, 0.25 * scene.machine.sampling.velocity_cutoff)
-    frequency, damping = _log_uniform(scene.random, 12.0, max(20.0, top)), _log_uniform(scene.random, 0.01, 0.06)
-    return (
-        lambda s, x: {
-            "frequency_Hz": frequency,
-            "damping_ratio": damping,
-            "mass_kg": min(x, 4.0) * 0.1 * s.machine.plant.mass,
-        },
-        1.0,
-    )
-
-
-def _pulse(scene: _Scene) -> tuple[Shape, float]:
-    frequency, phase = _log_uniform(scene.random, 0.5, 80.0), scene.phase()
-    return (
-        lambda s, x: {"amplitude_N": x * s.machine.friction.coulomb, "frequency_Hz": frequency, "phase_rad": phase},
-        1.0,
-    )
-
-
-def _step(scene: _Scene) -> tuple[Shape, float]:
-    at, sign = scene.seconds * float(scene.random.uniform(0.25, 0.75)), scene.sign()
-    return lambda s, x: {"force_N": sign * x * s.machine.friction.coulomb, "time_s": at}, 1.0
-
-
-def _ageing(scene: _Scene) -> tuple[Shape, float]:
-    tau, length = (
-        _log_uniform(scene.random, 0.05, 0.3),
-        _log_uniform(scene.random, 0.3, 2.0) * deflection(scene.machine),
-    )
-    return lambda _, x: {"ratio": min(x, 3.0), "time_constant_s": tau, "length_m": length}, 1.0
-
-
-def _coulomb(scene: _Scene) -> float:
-    return scene.machine.friction.coulomb
-
-
-_SHAPES: Final[Mapping[str, Callable[[_Scene], tuple[Shape, float]]]] = {
-    "force_ripple": _periodic("amplitude_N", unit=lambda m: m.friction.coulomb),
-    "force_constant_ripple": _periodic("ratio", unit=lambda _: 0.1),
-    "constant_offset": _one("force_N", _coulomb),
-    "position_spring": _spring,
-    "hose_hysteresis": _hose,
-    "asymmetric_coulomb": _one("ratio", lambda _: 1.0),
-    "asymmetric_viscous": _one("difference_N_s_m", lambda s: _coulomb(s) / s.speed),
-    "position_dependent_friction": _periodic("ratio", unit=lambda _: 1.0),
-    "friction_drift": _settling,
-    "viscous_drift": _settling,
-    "mass_mismatch": _one("mass_kg", lambda s: 0.1 * s.machine.plant.mass),
-    "force_gain": _one("gain", lambda _: 0.1, offset=1.0),
-    "force_delay": _one("delay_s", lambda s: s.machine.sampling.step, signed=False),
-    "actuator_lag": _one("time_constant_s", lambda s: s.machine.sampling.step, signed=False),
-    "quadratic_drag": _one("coefficient_N_s2_m2", lambda s: _coulomb(s) / s.speed**2),
-    "eddy_current_damping": _eddy,
-    "encoder_periodic_error": _periodic("amplitude_m", unit=lambda _: 1e-7),
-    "structural_resonance": _resonance,
-    "periodic_disturbance": _pulse,
-    "step_disturbance": _step,
-    "backlash": _one("gap_m", lambda s: 0.1 * deflection(s.machine), signed=False),
-    "frictional_lag": _one("time_constant_s", lambda _: 0.01, signed=False),
-    "dwell_dependence": _ageing,
-    "micro_viscous": _one("damping_N_s_m", lambda s: _coulomb(s) / s.speed, signed=False),
-}
 _SATURATION: Final = 40.0  # how far x may go from its start
 
 
@@ -414,20 +273,27 @@ def _sized(
     machine: Machine, motion: Trajectory, plain: Signals, name: str, size: float, random: Generator
 ) -> tuple[Hidden, Array] | None:
     """A cause whose force has that size, and the force; None where it cannot be had."""
-    if name in BASE_CAUSES:
-        return _wrong_number(machine, motion, plain, name, size, random)
-    scene = _Scene(
-        machine,
-        float(np.ptp(motion.position_m)),
-        float(np.abs(motion.velocity_m_s).max()),
-        motion.duration_s,
-        random,
+    friction = machine.friction
+    numbers = (number.name for base in BASE_CAUSES.values() for number in base.numbers if not number.array)
+    scene = Scene(
+        scales=scales_of(machine),
+        numbers={number: getattr(friction, number) for number in numbers},
+        cutoff=machine.sampling.velocity_cutoff,
+        travel=float(np.ptp(motion.position_m)),
+        speed=float(np.abs(motion.velocity_m_s).max()),
+        seconds=motion.duration_s,
+        random=random,
     )
-    shape, x = _SHAPES[name](scene)
-    goal = size * machine.friction.coulomb
+    if name in BASE_CAUSES:
+        return _wrong_number(machine, motion, plain, name, scene, size)
+    specimen = effect_definition(name).specimen
+    if specimen is None:
+        return None
+    parameters, x = specimen.draw(scene), 1.0
+    goal = size * friction.coulomb
     hidden, force, peak = Hidden(name), plain.friction, 0.0
     for _ in range(5):
-        hidden = Hidden(name, _within_limits(name, shape(scene, x)))
+        hidden = Hidden(name, _within_limits(name, parameters(x)))
         force = _prescribed(machine, motion, hidden).friction - plain.friction
         peak = _peak(force)
         if peak > 0.0 and abs(peak / goal - 1.0) < 0.1:
@@ -438,30 +304,22 @@ def _sized(
     return replace(hidden, size=peak / machine.friction.coulomb), force
 
 
-def _within_limits(name: str, values: Values) -> Values:
+def _within_limits(name: str, values: Mapping[str, float]) -> Values:
     limits = {p.name: (p.lower, p.upper) for p in effect_definition(name).parameters}
     return {key: min(max(value, limits[key][0]), limits[key][1]) for key, value in values.items()}
 
 
 def _wrong_number(
-    machine: Machine, motion: Trajectory, plain: Signals, name: str, size: float, random: Generator
+    machine: Machine, motion: Trajectory, plain: Signals, name: str, scene: Scene, size: float
 ) -> tuple[Hidden, Array] | None:
-    factors: Values = {}
-    if name == "stiffness":
-        factor = float(np.exp(random.choice([-1.0, 1.0]) * random.uniform(0.3, 0.8)))
-        factors = {f"stiffness_{k + 1}": factor for k in range(len(machine.friction.stiffness))}
-    elif name == "stribeck":
-        if machine.friction.stribeck_ratio == 0.0:
-            return None
-        factors = {"stribeck_ratio": 1.0 + size / machine.friction.stribeck_ratio}
-    elif name == "viscous":
-        if machine.friction.viscous == 0.0:
-            return None
-        speed = float(np.abs(motion.velocity_m_s).max())
-        change = size * machine.friction.coulomb / (machine.friction.viscous * speed)
-        factors = {"viscous": 1.0 + max(-0.8, change * float(random.choice([-1.0, 1.0])))}
-    else:
-        factors = {"coulomb": 1.0 + size * float(random.choice([-1.0, 1.0]))}
+    """A wrong number that changes the force by that size, and the change; None where the machine has none."""
+    drawn = BASE_CAUSES[name].factors(scene, size)
+    if drawn is None:
+        return None
+    factors, elements = Values(), len(machine.friction.stiffness)
+    for number in BASE_CAUSES[name].numbers:
+        if number.name in drawn:
+            factors |= dict.fromkeys(number.columns(elements), drawn[number.name])
     hidden = Hidden(name, factors=factors)
     force = _prescribed(machine, motion, hidden).friction - plain.friction
     return replace(hidden, size=_peak(force) / machine.friction.coulomb), force
@@ -469,16 +327,15 @@ def _wrong_number(
 
 def _prescribed(machine: Machine, motion: Trajectory, hidden: Hidden) -> Signals:
     """Signals of an axis that follows the motion exactly, without noise."""
-    lag = hidden.name == "actuator_lag"  # no force makes a prescribed motion: its log is worked out here
-    effects = [(hidden.name, hidden.parameters)] if hidden.parameters and not lag else []
+    specimen = effect_definition(hidden.name).specimen if hidden.name in EFFECT_NAMES else None
+    lead = specimen.leads if specimen is not None else None
+    effects = [(hidden.name, hidden.parameters)] if hidden.parameters and lead is None else []
     config = AxisConfig(control="prescribed", encoder_resolution_m=0.0, force_noise_N=0.0, substeps=2)
     log = simulate_axis(machine, motion, config, hidden_effects=effects, scale=hidden.factors, truth=False).log
-    if lag:
+    if lead is not None:
         # The logged force leads: u = lagged + T d(lagged)/dt makes the motion.
         force = log.force_N
-        log = replace(
-            log, force_N=force + hidden.parameters["time_constant_s"] * np.gradient(force, 1.0 / machine.sampling.rate)
-        )
+        log = replace(log, force_N=force + hidden.parameters[lead] * np.gradient(force, 1.0 / machine.sampling.rate))
     return signals_from_log(log, machine)
 
 
@@ -490,12 +347,8 @@ def _peak(force: Array) -> float:
 def _size(random: Generator, least: float = 0.02) -> float:
     """Over the Coulomb level: a quarter of the draws below `LEAST_SIZE`, unless all have to be larger."""
     if least < LEAST_SIZE and random.uniform() < 0.2:
-        return _log_uniform(random, least, LEAST_SIZE)
-    return _log_uniform(random, max(least, 1.15 * LEAST_SIZE), 0.5)
-
-
-def _log_uniform(random: Generator, low: float, high: float) -> float:
-    return float(math.exp(random.uniform(math.log(low), math.log(high))))
+        return log_uniform(random, least, LEAST_SIZE)
+    return log_uniform(random, max(least, 1.15 * LEAST_SIZE), 0.5)
 
 
 # --- what is left to be seen ------------------------------------------------------------------------------------
@@ -535,8 +388,9 @@ def _sensitivities(machine: Machine, plain: Signals) -> Array:
 def _model(machine: Machine) -> CompiledModel:
     if machine.digest not in _models:
         friction, sampling = machine.friction, machine.sampling
-        names = ["stiffness", "coulomb"]
-        names += [n for n in ("viscous", "stribeck_ratio") if getattr(friction, n) != 0.0]
+        # Those that the friction is linear in, or nearly; of a number that is 0 there is no multiple.
+        linear = [number.name for base in BASE_CAUSES.values() for number in base.numbers[:1]]
+        names = [name for name in linear if getattr(friction, name) != 0.0]
         substeps = max(sampling.integrator.substeps, sampling.samples_per_update)
         changes = {
             "name": "base_numbers",

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.random import Generator
 
 from sgms_mhe.machine import Machine
+from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.trajectories import Motion, Trajectory
 
 STYLES: Final = ("workout", "strokes", "dies", "loops")
@@ -17,12 +18,6 @@ WEAK_STYLES: Final = ("still", "presliding", "one_way")
 """Motions that leave causes undistinguished: no motion; loops below break-away; sliding in one direction only."""
 
 _TRAVEL_M: Final = 0.12  # to either side
-
-
-def deflection(machine: Machine) -> float:
-    """Deflection of the element that breaks away last [m]."""
-    friction = machine.friction
-    return max(nu * friction.coulomb / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True))
 
 
 def draw_motion(style: str, machine: Machine, seconds: float, random: Generator) -> Trajectory:
@@ -60,7 +55,7 @@ class _Builder:
         self.path = Motion(machine.sampling.rate)
         self.fastest = 0.9 * machine.sampling.max_velocity
         self.slowest = 2.0 * machine.friction.stribeck_velocity
-        self.deflection = deflection(machine)
+        self.deflection = scales_of(machine).deflection
 
     def strokes(self) -> None:
         """Out and back over the same places, at speeds from the slowest to the fastest in turn."""

@@ -13,7 +13,7 @@ import numpy as np
 from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.diagnosis_benchmark.draws import LEAST_SIZE, Draw
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES, base_number, effect_definition, reported_name
 
 NOTHING, UNEXPLAINED, ERROR = "(nothing)", "(unexplained)", "(error)"
 SIGMAS: Final = 1.96
@@ -263,8 +263,9 @@ def parameter_errors(machine: Machine, draw: Draw, found: Found) -> list[Paramet
             value = values[key]
             if _has_sign_of_phase(hidden.name, key):
                 value, true = abs(value), abs(true)
-            # A gain's error counts against what it differs from one by.
-            scale = true - 1.0 if (hidden.name, key) == ("force_gain", "gain") else true
+            # A size counts from where the effect is none: a gain's by what it differs from one.
+            none = effect_definition(hidden.name).parameter(key).none if hidden.name in EFFECT_NAMES else 0.0
+            scale = true - none
             error = value - true
             errors.append(ParameterError(f"{hidden.name}.{key}", error, error / scale, _number(std.get(key, math.nan))))
     return errors
@@ -278,19 +279,17 @@ def _true_values(
         return {k: v for k, v in parameters.items() if definition.parameter(k).role != "place" and k in definition.main}
     friction, values = machine.friction, {}
     for key, factor in factors.items():
-        if key.startswith("stiffness_"):
-            values[f"{key}_N_m"] = factor * friction.stiffness[int(key[10:]) - 1]
-        else:
-            unit = {"coulomb": "_N", "viscous": "_N_s_m", "stribeck_velocity": "_m_s"}.get(key, "")
-            values[f"{key}{unit}"] = factor * float(getattr(friction, key))
+        number = base_number(key)
+        if number is not None:
+            nominal = getattr(friction, number.name)
+            values[reported_name(key)] = factor * float(nominal[number.element(key)] if number.array else nominal)
     return values
 
 
 def _has_sign_of_phase(name: str, key: str) -> bool:
     """An amplitude whose sign half a turn of the phase makes up for."""
-    return "phase_rad" in (p.name for p in effect_definition(name).parameters) and key in (
-        "amplitude_N", "ratio", "amplitude_m",
-    ) if name in EFFECT_NAMES else False  # fmt: skip
+    sine = effect_definition(name).sine if name in EFFECT_NAMES else None
+    return sine is not None and key == sine.size
 
 
 def _number(value: float | None) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sgms_mhe.model import FreeParameter
+from sgms_mhe.model.effects import base_number
+from sgms_mhe.model.effects.units import UNITS
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.status import FLAGS, REFUSED, flagged, measured
 from sgms_mhe.support.files import atomic_write
@@ -20,15 +22,6 @@ from sgms_mhe.support.files import atomic_write
 # Dark enough on white, and apart for the colour-blind.
 MEASURED, ESTIMATED, BAND, NOMINAL = "0.6", "#0b5394", "#9fc5e8", "#b45f06"
 WIDTH_IN = 9.0
-
-UNITS: Final = {
-    "stiffness": "N/m",
-    "coulomb": "N",
-    "viscous": "N s/m",
-    "stribeck_ratio": "1",
-    "stribeck_velocity": "m/s",
-}
-"""Of the base parameters; an effect's parameter has its unit in its name."""
 
 
 def friction_figure(estimates: Estimates, title: str) -> Figure:
@@ -63,8 +56,10 @@ def parameter_figure(estimates: Estimates, parameters: Sequence[FreeParameter], 
         )
         axis.plot(estimates.time_s, value, color=ESTIMATED, linewidth=1.2, label="estimate")
         axis.axhline(parameter.nominal, color=NOMINAL, linewidth=1.0, linestyle="--", label="nominal")
-        unit = UNITS.get(parameter.name)
-        axis.set_ylabel(parameter.column.replace(".", "\n") + (f"\n[{unit}]" if unit else ""))
+        # An effect's parameter has its unit in its name.
+        number = base_number(parameter.name)
+        unit = "" if number is None else f"\n[{UNITS[number.suffix] if number.suffix else 1}]"
+        axis.set_ylabel(parameter.column.replace(".", "\n") + unit)
     _head(axes[0], title, columns=3)
     axes[-1].set_xlabel("time [s]")
     return figure

@@ -12,6 +12,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.axis import SIGNAL_NAMES, StateSpec, SymbolicAxis
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.friction import FrictionSymbols, Smoothing, add_friction, declare_elements
+from sgms_mhe.model.scales import scales_of
 from sgms_mhe.support.errors import InputError
 
 
@@ -184,7 +185,7 @@ class _Parameters:
 
 def build_model(machine: Machine) -> Model:
     """Assemble the symbolic model of a machine: the S-GMS law and every effect of its machine file."""
-    friction, noise = machine.friction, machine.estimator.noise
+    friction, noise, scales = machine.friction, machine.estimator.noise, scales_of(machine)
     parameters = _Parameters(machine)
     integrator, sampling = machine.sampling.integrator, machine.sampling
     axis = SymbolicAxis(
@@ -212,7 +213,7 @@ def build_model(machine: Machine) -> Model:
                 f"{entry.label}.{p.name}",
                 f"{entry.label}.{p.name}",
                 nominal[p.name],
-                p.estimation_scale(machine, nominal[p.name]),
+                p.estimation_scale(scales, nominal[p.name]),
                 p.lower,
                 p.upper,
             )

@@ -10,7 +10,7 @@ import numpy as np
 
 from sgms_mhe import __version__
 from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, Score, Structure, Traces, separating_move
-from sgms_mhe.model.effects import BASE_CAUSES, CAUSE_NAMES, cause
+from sgms_mhe.model.effects import BASE_CAUSES, CAUSE_NAMES, base_number, cause
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.series import View, numbers, pack, runs
 from sgms_mhe.report.units import SPACE, force, percent, plain, probability, quantity, split_name
@@ -528,9 +528,10 @@ def _about(d: Diagnosis, t: Traces) -> list[tuple[str, str]]:
 
 
 def _base_words(name: str) -> str:
-    if name.startswith("stiffness_") and name[10:].isdigit():
-        return f"stiffness of element {name[10:]}"
-    return name.replace("_", " ").replace("coulomb", "Coulomb friction").replace("viscous", "viscous friction")
+    number = base_number(name)
+    if number is None:
+        return name.replace("_", " ")
+    return f"{number.words} of element {number.element(name) + 1}" if number.array else number.words
 
 
 def _change(before: float, after: float) -> str:

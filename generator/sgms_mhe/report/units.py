@@ -6,33 +6,15 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-# End of a parameter's name -> unit; the longest that fits counts.
-_SUFFIXES: Final = {
-    "N_s2_m2": "N s²/m²",
-    "N_s_m": "N s/m",
-    "N_m": "N/m",
-    "m_s": "m/s",
-    "kg": "kg",
-    "Hz": "Hz",
-    "rad": "rad",
-    "N": "N",
-    "m": "m",
-    "s": "s",
-}
-_RATIOS: Final = ("ratio", "stribeck_ratio", "damping_ratio")
+from sgms_mhe.model.effects import base_number
+from sgms_mhe.model.effects.units import UNITS, suffix_of
+
 _PREFIXES: Final = {
     "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm")),
     "s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")),
     "m/s": ((1.0, "m/s"), (1e-3, "mm/s"), (1e-6, "µm/s")),
     "N": ((1.0, "N"), (1e-3, "mN"), (1e-6, "µN")),
     "N/m": ((1e6, "N/µm"), (1e3, "N/mm"), (1.0, "N/m")),
-}
-_BASE_UNITS: Final = {
-    "stiffness": "N_m",
-    "coulomb": "N",
-    "viscous": "N_s_m",
-    "micro_viscous": "N_s_m",
-    "stribeck_velocity": "m_s",
 }
 COVERAGE: Final = 1.96
 """Standard deviations on either side that 95 % lie within."""
@@ -57,13 +39,11 @@ class Reading:
 
 def split_name(name: str) -> tuple[str, str]:
     """(words, unit) of a parameter's name: `amplitude_N` -> ("amplitude", "N")."""
-    for suffix, unit in _SUFFIXES.items():
-        if name.endswith("_" + suffix):
-            return name[: -len(suffix) - 1].replace("_", " "), unit
-    stem = name.rstrip("0123456789").rstrip("_")
-    if stem in _BASE_UNITS:
-        return name.replace("_", " "), _SUFFIXES[_BASE_UNITS[stem]]
-    return name.replace("_", " "), "%" if name in _RATIOS or stem.endswith("ratio") else ""
+    number = base_number(name)
+    suffix = number.suffix if number is not None else suffix_of(name)
+    stem = name if number is not None else name.removesuffix(suffix)
+    percent = not suffix and name.endswith("ratio")
+    return stem.replace("_", " "), UNITS[suffix] if suffix else "%" if percent else ""
 
 
 def quantity(name: str, value: float, std: float = math.nan) -> Reading:

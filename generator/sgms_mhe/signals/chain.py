@@ -73,7 +73,7 @@ def signals_from_log(log: Log, machine: Machine) -> Signals:
     sampling = machine.sampling
     check_rate(log, machine)
     rate, settle = sampling.rate, settle_samples(machine)
-    log = _readings(log)
+    log = readings(log)
     missing = _missing(log)
     force = _hold(log.force_N)
     position, delayed_position, difference = _continue(log.position_m, settle)
@@ -123,7 +123,7 @@ def signals_of_record(log: Log, machine: Machine) -> Signals:
     both sides of it, everything else in a line. Friction stays invalid in a gap, and behind the filters twice as long
     after it as they settle.
     """
-    log = _readings(log)
+    log = readings(log)
     missing = _missing(log)
     if not missing.any() or missing.all():
         return signals_from_log(log, machine)
@@ -157,7 +157,7 @@ def settle_samples(machine: Machine) -> int:
     return _settle(machine.sampling.velocity_cutoff / machine.sampling.rate)
 
 
-def _readings(log: Log) -> Log:
+def readings(log: Log) -> Log:
     """The log with NaN for whatever is no reading."""
     limits = {"position_m": FARTHEST_m}
     limits |= dict.fromkeys(("force_N", "velocity_m_s", "acceleration_m_s2", "friction_N"), LARGEST_SIGNAL)

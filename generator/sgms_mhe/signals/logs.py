@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -253,9 +254,9 @@ def _csv_header(path: Path) -> tuple[int, list[str], str]:
         else:
             what = "header but no row" if names else "nothing"
             raise InputError(path, "file", what, "a header line with the columns' names and at least 2 rows")
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(path, f"line {number}", name, "each column's name once in the header")
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise InputError(path, f"line {number}", twice[0], "each column's name once in the header")
     return number, names, delimiter
 
 

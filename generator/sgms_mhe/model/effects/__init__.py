@@ -13,15 +13,12 @@ from sgms_mhe.model.effects.base import (
     reported_name,
 )
 from sgms_mhe.model.effects.causes import MOVES, CauseDefinition, Move, Simpler
-from sgms_mhe.model.effects.definition import (
-    STAGES,
-    EffectDefinition,
-    EffectParameter,
-    EffectState,
-    machine_unit,
-)
-from sgms_mhe.model.effects.excitation import Excitation, Measure, Need, measures
+from sgms_mhe.model.effects.definition import STAGES, EffectDefinition
+from sgms_mhe.model.effects.excitation import Excitation, Measure, Need
 from sgms_mhe.model.effects.motion import Extents, MotionRecord
+from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects.scales import Scales
+from sgms_mhe.model.effects.states import EffectState
 
 EFFECT_NAMES: tuple[str, ...] = (
     "force_ripple",
@@ -98,13 +95,12 @@ __all__ = [
     "MotionRecord",
     "Move",
     "Need",
+    "Scales",
     "Simpler",
     "base_cause",
     "base_number",
     "cause",
     "effect_definition",
-    "machine_unit",
-    "measures",
     "reported_name",
     "separating_moves",
 ]

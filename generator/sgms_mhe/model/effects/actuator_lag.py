@@ -10,19 +10,11 @@ import numpy as np
 from scipy.signal import lfilter
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import (
-    LAG_DISPLACEMENT,
-    EffectDefinition,
-    EffectParameter,
-    add_lag,
-    longest_lag,
-    no_shorter,
-    shortest_lag,
-    step_by_factor,
-)
-from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.definition import EffectDefinition
+from sgms_mhe.model.effects.lag import JERK, LAG_DISPLACEMENT, add_lag, no_shorter, shortest_lag, time_apart
 from sgms_mhe.model.effects.motion import MotionRecord
 from sgms_mhe.model.effects.search import Array, Columns
+from sgms_mhe.model.effects.specimen import Specimen
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -47,25 +39,9 @@ def _lagged(motion: MotionRecord, time_constant: float) -> Array:
 DEFINITION = EffectDefinition(
     name="actuator_lag",
     summary="force on the mass lags the logged one",
-    parameters=(
-        EffectParameter(
-            "time_constant_s",
-            0.0,
-            1.0,
-            "first-order lag",
-            lower=0.0,
-            upper=1.0,
-            unit="sample",
-            proportional=False,
-            timing=True,
-            step=step_by_factor,
-            most=longest_lag,
-        ),
-    ),
+    parameters=(time_apart("time_constant_s", 1.0, "first-order lag", upper=1.0, proportional=False),),
     contribute=_contribute,
-    excitation=Excitation(
-        "jerk: short acceleration times, many of them", (Need("inertial_ratio", 1.0), Need("reversals", 2.0))
-    ),
+    excitation=JERK,
     confused_with={
         "force_delay": "force with frequencies beyond 1 / (4 time constants): a lag loses amplitude, a delay does not",
         "mass_mismatch": "moves of constant acceleration: a lag is over after a few time constants",
@@ -86,4 +62,7 @@ DEFINITION = EffectDefinition(
     fit_displacement=LAG_DISPLACEMENT,
     stage="actuator",
     states=("lagged_force",),
+    specimen=Specimen(
+        lambda scene, _, x: {"time_constant_s": x * scene.scales.step}, signed=False, leads="time_constant_s"
+    ),
 )

@@ -8,9 +8,11 @@ import casadi as ca
 import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Array, Columns, one_size
+from sgms_mhe.model.effects.specimen import Concealed, one_number
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -41,4 +43,5 @@ DEFINITION = EffectDefinition(
     linear=True,
     full_rate=True,
     stage="level",
+    specimen=one_number("ratio", lambda _: 1.0, concealed=Concealed("one_way", lambda _: {"ratio": 0.2})),
 )

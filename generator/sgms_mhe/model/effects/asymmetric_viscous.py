@@ -8,9 +8,11 @@ import casadi as ca
 import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Columns, one_size
+from sgms_mhe.model.effects.specimen import Concealed, one_number
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -34,4 +36,9 @@ DEFINITION = EffectDefinition(
     moves=("speeds",),
     search=Columns(lambda m, _: np.abs(m.velocity)[:, None], one_size("difference_N_s_m")),
     linear=True,
+    specimen=one_number(
+        "difference_N_s_m",
+        lambda scene: scene.scales.coulomb / scene.speed,
+        concealed=Concealed("presliding", lambda scales: {"difference_N_s_m": 0.5 * scales.coulomb_over_speed}),
+    ),
 )

@@ -9,16 +9,13 @@ import casadi as ca
 import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import (
-    EffectDefinition,
-    EffectParameter,
-    EffectState,
-    add_effect_state,
-    step_by_factor,
-)
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import MotionRecord
+from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
 from sgms_mhe.model.effects.search import Array, Trials, Values
+from sgms_mhe.model.effects.specimen import one_number
+from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
 _EDGE, _SHARPNESS = 0.9, 35.0
 # b settles a little beyond 1, by a logarithm of the way; so much that a gap is as long as its parameter says.
@@ -104,4 +101,5 @@ DEFINITION = EffectDefinition(
     fit_displacement=2.0,
     stage="level",
     states=("place",),
+    specimen=one_number("gap_m", lambda scene: 0.1 * scene.scales.deflection, signed=False),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
@@ -10,14 +10,19 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.model.effects.causes import CauseDefinition
-from sgms_mhe.model.effects.definition import RecordLimit, Unit
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import MotionRecord
+from sgms_mhe.model.effects.parameters import RecordLimit
+from sgms_mhe.model.effects.scales import Unit
 from sgms_mhe.model.effects.search import Columns, Values
+from sgms_mhe.model.effects.specimen import Scene
 
 FASTEST_STRIBECK: Final = 0.1
 """Largest Stribeck velocity, over the largest speed: a rise of friction over the whole range of speed is a curve that
 effects have names for."""
+LEVEL: Final = "coulomb"
+DAMPING: Final = "viscous"
+"""The numbers that level and damping of a `MotionRecord` are the model's derivatives in."""
 SLOWEST_STRIBECK: Final = 3e-4  # the least that is tried
 
 
@@ -27,6 +32,7 @@ class BaseNumber:
 
     Attributes:
         name: as in `[estimator] parameters`.
+        words: what a person calls it.
         suffix: its unit at the end of its name in reports (`_N` of `coulomb_N`, `_N_m` of `stiffness_1_N_m`).
         array: whether each element has one (`stiffness_1`, `stiffness_2`, ...).
         lower, upper: limits of a fit, over the nominal value.
@@ -35,6 +41,7 @@ class BaseNumber:
     """
 
     name: str
+    words: str
     suffix: str = ""
     array: bool = False
     lower: float = 0.05
@@ -45,7 +52,19 @@ class BaseNumber:
 
     def holds(self, column: str) -> bool:
         """Whether a column of results is this number, or one of its elements."""
-        return column == self.name or (self.array and column.rpartition("_")[0] == self.name)
+        return column == self.name or (self.array and self._of_element(column))
+
+    def _of_element(self, column: str) -> bool:
+        stem, _, index = column.rpartition("_")
+        return stem == self.name and index.isdigit()
+
+    def columns(self, elements: int) -> tuple[str, ...]:
+        """Its columns of results for a machine of so many elements."""
+        return tuple(f"{self.name}_{i + 1}" for i in range(elements)) if self.array else (self.name,)
+
+    def element(self, column: str) -> int:
+        """Index of the element that a column of an array is of, from 0."""
+        return int(column.rpartition("_")[2]) - 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,11 +75,14 @@ class BaseCause(CauseDefinition):
         numbers: of the base model.
         start_factors: factors, common to all elements, that a fit may start from: where elements turn round all the
             time the sum of squares is rough in them, and a fit that starts far away stops short. Empty: the file's.
+        factors: how a benchmark makes the numbers wrong: factors on them for a size, the largest change of the force
+            over f_C; None where the machine has nothing to make wrong.
         start_search: columns to start from where the machine file says 0 of a number and so nothing of the others;
             sizes that are not positive are none.
     """
 
     numbers: tuple[BaseNumber, ...]
+    factors: Callable[[Scene, float], Mapping[str, float] | None]
     start_factors: tuple[float, ...] = ()
     start_search: Columns | None = None
 
@@ -82,6 +104,29 @@ _RISE = Columns(
     tests=12.0,
 )
 
+
+def _stiffness(scene: Scene, _: float) -> Mapping[str, float]:
+    """A factor of its own: what it does to the force hangs on the reversals alone."""
+    return {"stiffness": float(np.exp(scene.sign() * scene.random.uniform(0.3, 0.8)))}
+
+
+def _coulomb(scene: Scene, size: float) -> Mapping[str, float]:
+    return {"coulomb": 1.0 + size * scene.sign()}
+
+
+def _viscous(scene: Scene, size: float) -> Mapping[str, float] | None:
+    if scene.numbers["viscous"] == 0.0:
+        return None
+    change = size * scene.scales.coulomb / (scene.numbers["viscous"] * scene.speed)
+    return {"viscous": 1.0 + max(-0.8, change * scene.sign())}
+
+
+def _stribeck(scene: Scene, size: float) -> Mapping[str, float] | None:
+    if scene.numbers["stribeck_ratio"] == 0.0:
+        return None
+    return {"stribeck_ratio": 1.0 + size / scene.numbers["stribeck_ratio"]}
+
+
 BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
     {
         cause.name: cause
@@ -89,8 +134,9 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
             BaseCause(
                 name="stiffness",
                 summary="presliding stiffness differs from the machine file",
-                numbers=(BaseNumber("stiffness", "_N_m", array=True),),
+                numbers=(BaseNumber("stiffness", "stiffness", "_N_m", array=True),),
                 start_factors=(0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8),
+                factors=_stiffness,
                 moves=("loops", "places"),
                 excitation=Excitation(
                     "reversals, and loops that stay below break-away; an element shows only where it turns round",
@@ -106,7 +152,8 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
             BaseCause(
                 name="coulomb",
                 summary="Coulomb level differs from the machine file",
-                numbers=(BaseNumber("coulomb", "_N"),),
+                numbers=(BaseNumber("coulomb", "Coulomb friction", "_N"),),
+                factors=_coulomb,
                 moves=("speeds", "again"),
                 excitation=Excitation(
                     "sliding in both directions", (Need("both_directions", 0.1), Need("reversals", 1.0))
@@ -120,7 +167,8 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
             BaseCause(
                 name="viscous",
                 summary="viscous friction differs from the machine file",
-                numbers=(BaseNumber("viscous", "_N_s_m", lower=0.0, typical=0.1, unit="damping"),),
+                numbers=(BaseNumber("viscous", "viscous friction", "_N_s_m", lower=0.0, typical=0.1, unit="damping"),),
+                factors=_viscous,
                 moves=("speeds", "again"),
                 excitation=Excitation(
                     "constant speeds that differ by a factor of three",
@@ -136,12 +184,17 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                 name="stribeck",
                 summary="rise of friction towards low speed differs from the machine file",
                 numbers=(
-                    BaseNumber("stribeck_ratio", lower=0.0, typical=0.1),
+                    BaseNumber("stribeck_ratio", "stribeck ratio", lower=0.0, typical=0.1),
                     BaseNumber(
-                        "stribeck_velocity", "_m_s", upper=1e4, most=lambda extents: FASTEST_STRIBECK * extents.speed
+                        "stribeck_velocity",
+                        "stribeck velocity",
+                        "_m_s",
+                        upper=1e4,
+                        most=lambda extents: FASTEST_STRIBECK * extents.speed,
                     ),
                 ),
                 start_search=_RISE,
+                factors=_stribeck,
                 moves=("speeds", "rests"),
                 excitation=Excitation(
                     "constant speeds from well below to well above the Stribeck velocity", (Need("speed_ratio", 10.0),)
@@ -158,18 +211,16 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
 """Wrong-number causes by name."""
 
 
-def base_number(column: str) -> BaseNumber:
-    """The number that a column of results (`coulomb`, `stiffness_2`) is of; KeyError if there is none."""
-    for cause in BASE_CAUSES.values():
-        for number in cause.numbers:
-            if number.holds(column):
-                return number
-    raise KeyError(column)
+def base_number(column: str) -> BaseNumber | None:
+    """The number of the base model that a column of results (`coulomb`, `stiffness_2`) is of; None if it is of none."""
+    numbers = (number for cause in BASE_CAUSES.values() for number in cause.numbers)
+    return next((number for number in numbers if number.holds(column)), None)
 
 
 def reported_name(column: str) -> str:
     """A column's name in reports, with its unit at the end: `coulomb_N`, `stiffness_2_N_m`."""
-    return column + base_number(column).suffix
+    number = base_number(column)
+    return column if number is None else column + number.suffix
 
 
 def base_cause(name: str) -> BaseCause:

@@ -8,9 +8,11 @@ import casadi as ca
 import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Columns, one_size
+from sgms_mhe.model.effects.specimen import Concealed, one_number
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -35,4 +37,9 @@ DEFINITION = EffectDefinition(
     moves=("speeds", "loops"),
     search=Columns(lambda m, _: np.ones((len(m.time), 1)), one_size("force_N")),
     linear=True,
+    specimen=one_number(
+        "force_N",
+        lambda scene: scene.scales.coulomb,
+        concealed=Concealed("one_way", lambda scales: {"force_N": 0.2 * scales.coulomb}),
+    ),
 )

@@ -7,16 +7,13 @@ from collections.abc import Mapping
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import (
-    EffectDefinition,
-    EffectParameter,
-    EffectState,
-    add_effect_state,
-    step_by_factor,
-)
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import MotionRecord
+from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
 from sgms_mhe.model.effects.search import Derivative, Values
+from sgms_mhe.model.effects.specimen import Range, Specimen
+from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -76,4 +73,12 @@ DEFINITION = EffectDefinition(
     search=Derivative("ratio", _trials, tests=6.0, costly=True),
     stage="level",
     states=("age",),
+    specimen=Specimen(
+        lambda _, p, x: {"ratio": min(x, 3.0), **p},
+        (
+            Range("time_constant_s", 0.05, 0.3),
+            Range("length_m", 0.3, 2.0, lambda scene: scene.scales.deflection),
+        ),
+        signed=False,
+    ),
 )

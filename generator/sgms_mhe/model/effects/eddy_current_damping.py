@@ -9,10 +9,12 @@ import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, step_by_factor
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import Extents
+from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
 from sgms_mhe.model.effects.search import Columns, Values, one_size
+from sgms_mhe.model.effects.specimen import Concealed, Range, Specimen
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -58,4 +60,16 @@ DEFINITION = EffectDefinition(
         tests=3.0,
     ),
     linear=True,
+    specimen=Specimen(
+        lambda scene, p, x: {"damping_N_s_m": 2.0 * x * scene.scales.coulomb / p["corner_velocity_m_s"], **p},
+        (Range("corner_velocity_m_s", 0.08, 0.35, lambda scene: scene.speed),),
+        signed=False,
+        concealed=Concealed(
+            "presliding",
+            lambda scales: {
+                "damping_N_s_m": scales.coulomb_over_speed,
+                "corner_velocity_m_s": 0.3 * scales.speed,
+            },
+        ),
+    ),
 )

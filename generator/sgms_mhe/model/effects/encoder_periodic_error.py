@@ -8,9 +8,12 @@ from collections.abc import Mapping
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, pitch
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Harmonic, ones
+from sgms_mhe.model.effects.sines import phase, pitch
+from sgms_mhe.model.effects.specimen import ripple
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -63,4 +66,5 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     stage="signal",
+    specimen=ripple("amplitude_m", lambda _: 1e-7),
 )

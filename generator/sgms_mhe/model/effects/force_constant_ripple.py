@@ -7,9 +7,11 @@ from collections.abc import Mapping
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, pitch, sine
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.search import Harmonic, ones
+from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects.sines import phase, pitch, ripple_search, sine
+from sgms_mhe.model.effects.specimen import ripple
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -34,13 +36,8 @@ DEFINITION = EffectDefinition(
         "position_dependent_friction": "the same stroke with high acceleration: friction does not know inertia",
     },
     moves=("travel", "jerks"),
-    search=Harmonic(
-        "position",
-        "ratio",
-        "pitch_m",
-        weights=lambda m: [-m.force],
-        factors=lambda _, k: [ones(k)],
-    ),
+    search=ripple_search("ratio", lambda m: -m.force),
     linear=True,
     stage="motor",
+    specimen=ripple("ratio", lambda _: 0.1),
 )

@@ -8,17 +8,10 @@ import casadi as ca
 import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import (
-    LAG_DISPLACEMENT,
-    EffectDefinition,
-    EffectParameter,
-    add_lag,
-    longest_lag,
-    shortest_lag,
-    step_by_factor,
-)
-from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.definition import EffectDefinition
+from sgms_mhe.model.effects.lag import JERK, LAG_DISPLACEMENT, add_lag, shortest_lag, time_apart
 from sgms_mhe.model.effects.search import Columns, one_size
+from sgms_mhe.model.effects.specimen import one_number
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -53,24 +46,9 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
 DEFINITION = EffectDefinition(
     name="force_delay",
     summary="logged force is later than the motion",
-    parameters=(
-        EffectParameter(
-            "delay_s",
-            0.0,
-            0.5,
-            "how late the force is",
-            lower=0.0,
-            upper=0.1,
-            unit="sample",
-            timing=True,
-            step=step_by_factor,
-            most=longest_lag,
-        ),
-    ),
+    parameters=(time_apart("delay_s", 0.5, "how late the force is", upper=0.1),),
     contribute=_contribute,
-    excitation=Excitation(
-        "jerk: short acceleration times, many of them", (Need("inertial_ratio", 1.0), Need("reversals", 2.0))
-    ),
+    excitation=JERK,
     confused_with={
         "actuator_lag": "force with frequencies up to a quarter of 1 / delay: a lag loses amplitude, a delay does not",
         "viscous": "constant speed: a delay has no effect there",
@@ -86,4 +64,5 @@ DEFINITION = EffectDefinition(
     fit_displacement=LAG_DISPLACEMENT,
     stage="log",
     states=("inertial_force",),
+    specimen=one_number("delay_s", lambda scene: scene.scales.step, signed=False),
 )

@@ -7,9 +7,11 @@ from collections.abc import Mapping
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Columns
+from sgms_mhe.model.effects.specimen import one_number
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -38,4 +40,5 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     stage="log",
+    specimen=one_number("gain", lambda _: 0.1, none=1.0),
 )

@@ -9,9 +9,11 @@ import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, pitch, sine
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.search import Harmonic, ones
+from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects.sines import phase, pitch, ripple_search, sine
+from sgms_mhe.model.effects.specimen import ripple
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -40,12 +42,7 @@ DEFINITION = EffectDefinition(
     },
     moves=("travel",),
     simpler=Simpler(("constant_offset", "position_spring")),
-    search=Harmonic(
-        "position",
-        "amplitude_N",
-        "pitch_m",
-        weights=lambda m: [np.ones(len(m.time))],
-        factors=lambda _, k: [ones(k)],
-    ),
+    search=ripple_search("amplitude_N", lambda m: np.ones(len(m.time))),
     repeatable=True,
+    specimen=ripple("amplitude_N", lambda scene: scene.scales.coulomb),
 )

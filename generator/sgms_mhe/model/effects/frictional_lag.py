@@ -8,17 +8,13 @@ from collections.abc import Mapping
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import (
-    EffectDefinition,
-    EffectParameter,
-    EffectState,
-    add_effect_state,
-    no_shorter,
-    shortest_lag,
-    step_by_factor,
-)
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.lag import no_shorter, shortest_lag
+from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
 from sgms_mhe.model.effects.search import Trials
+from sgms_mhe.model.effects.specimen import Specimen
+from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -64,4 +60,9 @@ DEFINITION = EffectDefinition(
     search=Trials(lambda _: [{"time_constant_s": x} for x in (1e-3, 4e-3, 16e-3, 64e-3)]),
     stage="level",
     states=("level",),
+    specimen=Specimen(
+        lambda _, __, x: {"time_constant_s": x * 0.01},
+        signed=False,
+        least={"stribeck_ratio": 0.4},  # with little Stribeck effect there is little to lag
+    ),
 )

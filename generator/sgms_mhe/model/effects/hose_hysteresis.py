@@ -9,10 +9,13 @@ import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, EffectState, add_effect_state
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import Extents, MotionRecord
+from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Array, Columns, Values
+from sgms_mhe.model.effects.specimen import Range, Specimen
+from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
 # Below this level [N] the state's rate would be infinite.
 _LEAST_LEVEL = 1e-6
@@ -78,4 +81,12 @@ DEFINITION = EffectDefinition(
         tests=4.0,
     ),
     states=("force",),
+    specimen=Specimen(
+        lambda scene, p, x: {
+            "stiffness_N_m": x * scene.scales.coulomb / p["length"],
+            "force_N": x * scene.scales.coulomb,
+        },
+        (Range("length", 0.03, 0.2, lambda scene: scene.travel),),
+        signed=False,
+    ),
 )

@@ -7,9 +7,11 @@ from collections.abc import Mapping
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Columns, one_size
+from sgms_mhe.model.effects.specimen import one_number
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -31,4 +33,5 @@ DEFINITION = EffectDefinition(
     inertial=True,
     search=Columns(lambda m, _: m.acceleration[:, None], one_size("mass_kg")),
     linear=True,
+    specimen=one_number("mass_kg", lambda scene: 0.1 * scene.scales.mass),
 )

@@ -8,9 +8,11 @@ import casadi as ca
 import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Columns, one_size
+from sgms_mhe.model.effects.specimen import one_number
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -37,4 +39,5 @@ DEFINITION = EffectDefinition(
         lambda m, _: np.gradient(m.level)[:, None] * m.extents.rate, one_size("damping_N_s_m"), exact="damping_N_s_m"
     ),
     stage="level",
+    specimen=one_number("damping_N_s_m", lambda scene: scene.scales.coulomb / scene.speed, signed=False),
 )

@@ -10,9 +10,12 @@ import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, step_of_frequency
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation
+from sgms_mhe.model.effects.parameters import EffectParameter, step_of_frequency
 from sgms_mhe.model.effects.search import Harmonic, ones
+from sgms_mhe.model.effects.sines import phase
+from sgms_mhe.model.effects.specimen import PHASE, Range, Specimen
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -55,4 +58,9 @@ DEFINITION = EffectDefinition(
     ),
     linear=True,
     repeatable=True,
+    specimen=Specimen(
+        lambda scene, p, x: {"amplitude_N": x * scene.scales.coulomb, **p},
+        (Range("frequency_Hz", 0.5, 80.0), PHASE),
+        signed=False,
+    ),
 )

@@ -8,9 +8,11 @@ import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, phase, pitch, sine
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.search import Harmonic, ones
+from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects.sines import phase, pitch, ripple_search, sine
+from sgms_mhe.model.effects.specimen import ripple
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -37,13 +39,8 @@ DEFINITION = EffectDefinition(
     },
     moves=("travel",),
     simpler=Simpler(("coulomb",)),
-    search=Harmonic(
-        "position",
-        "ratio",
-        "pitch_m",
-        weights=lambda m: [m.level],
-        factors=lambda _, k: [ones(k)],
-    ),
+    search=ripple_search("ratio", lambda m: m.level),
     linear=True,
     stage="level",
+    specimen=ripple("ratio", lambda _: 1.0),
 )

@@ -9,9 +9,11 @@ import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, step_by_factor
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
 from sgms_mhe.model.effects.search import Columns
+from sgms_mhe.model.effects.specimen import Specimen
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -47,4 +49,5 @@ DEFINITION = EffectDefinition(
         },
     ),
     linear=True,
+    specimen=Specimen(lambda scene, _, x: {"stiffness_N_m": x * scene.scales.coulomb / scene.travel, "centre_m": 0.0}),
 )

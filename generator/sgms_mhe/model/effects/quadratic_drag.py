@@ -8,9 +8,11 @@ import casadi as ca
 import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Columns, one_size
+from sgms_mhe.model.effects.specimen import Concealed, one_number
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -32,4 +34,12 @@ DEFINITION = EffectDefinition(
     moves=("speeds",),
     search=Columns(lambda m, _: (m.velocity * np.abs(m.velocity))[:, None], one_size("coefficient_N_s2_m2")),
     linear=True,
+    specimen=one_number(
+        "coefficient_N_s2_m2",
+        lambda scene: scene.scales.coulomb / scene.speed**2,
+        concealed=Concealed(
+            "presliding",
+            lambda scales: {"coefficient_N_s2_m2": scales.coulomb_over_speed / scales.speed},
+        ),
+    ),
 )

@@ -8,9 +8,11 @@ import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Step
+from sgms_mhe.model.effects.specimen import Range, Specimen
 
 # The step as the signal chain passes it on; a sharp one would have no derivative in its time.
 _RISE_S = 1e-3
@@ -38,4 +40,8 @@ DEFINITION = EffectDefinition(
     simpler=Simpler(("constant_offset",)),
     search=Step("force_N", "time_s"),
     linear=True,
+    specimen=Specimen(
+        lambda scene, p, x: {"force_N": x * scene.scales.coulomb, **p},
+        (Range("time_s", 0.25, 0.75, lambda scene: scene.seconds, "linear"),),
+    ),
 )

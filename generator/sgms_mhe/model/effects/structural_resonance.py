@@ -10,17 +10,13 @@ import numpy as np
 from scipy.signal import lfilter
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.definition import (
-    EffectDefinition,
-    EffectParameter,
-    EffectState,
-    add_effect_state,
-    step_by_factor,
-    step_of_share,
-)
+from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.motion import MotionRecord
+from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor, step_of_share
 from sgms_mhe.model.effects.search import Array, Columns, Values, one_size
+from sgms_mhe.model.effects.specimen import Range, Specimen
+from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
@@ -101,4 +97,12 @@ DEFINITION = EffectDefinition(
     search=Columns(lambda m, p: _hanging(m, p)[:, None], one_size("mass_kg"), _frequencies, tests=40.0),
     full_rate=True,
     states=("stretch", "stretch_rate"),
+    specimen=Specimen(
+        lambda scene, p, x: {**p, "mass_kg": min(x, 4.0) * 0.1 * scene.scales.mass},
+        (
+            Range("frequency_Hz", 12.0, lambda scene: max(20.0, min(150.0, 0.25 * scene.cutoff))),
+            Range("damping_ratio", 0.01, 0.06),
+        ),
+        signed=False,
+    ),
 )

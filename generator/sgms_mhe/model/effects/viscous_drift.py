@@ -5,41 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
-import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
-from sgms_mhe.model.effects.causes import Simpler
-from sgms_mhe.model.effects.definition import EffectDefinition, EffectParameter, step_by_factor
+from sgms_mhe.model.effects.definition import EffectDefinition
+from sgms_mhe.model.effects.drift import drift_factor, drift_limit, drift_parameters, drift_search, drift_specimen
 from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.motion import Extents, MotionRecord
-from sgms_mhe.model.effects.search import Array, Columns, Values, one_size
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
-    axis.viscous_factor = axis.viscous_factor * (1.0 + p["ratio"] * (1.0 - ca.exp(-axis.time / p["time_constant_s"])))
-
-
-def _settling(motion: MotionRecord, values: Values) -> Array:
-    return np.asarray(1.0 - np.exp(-motion.time / values["time_constant_s"]))
-
-
-def _time_constants(motion: MotionRecord) -> list[Values]:
-    return [{"time_constant_s": share * motion.extents.end} for share in (0.03, 0.08, 0.2, 0.4, 0.8, 2.0)]
-
-
-def _is_level(p: Values, extents: Extents) -> bool:
-    return p["time_constant_s"] < 0.01 * extents.end
+    axis.viscous_factor = axis.viscous_factor * drift_factor(axis, p)
 
 
 DEFINITION = EffectDefinition(
     name="viscous_drift",
     summary="viscous friction that settles at another value over time",
-    parameters=(
-        EffectParameter("ratio", 0.0, 0.1, "final change over the initial viscous friction", lower=-0.95),
-        EffectParameter(
-            "time_constant_s", 10.0, 1.0, "time to 63 % of the change", lower=1e-3, role="shape", step=step_by_factor
-        ),
-    ),
+    parameters=drift_parameters("viscous friction"),
     contribute=_contribute,
     excitation=Excitation(
         "the same fast move again and again, over more than a time constant",
@@ -51,13 +31,9 @@ DEFINITION = EffectDefinition(
         "eddy_current_damping": "the same fast move at the beginning and at the end of the log",
     },
     moves=("again",),
-    simpler=Simpler(("viscous",), _is_level),
-    search=Columns(
-        lambda m, p: (m.damping * m.velocity * _settling(m, p))[:, None],
-        one_size("ratio"),
-        _time_constants,
-        tests=3.0,
-    ),
+    simpler=drift_limit("viscous"),
+    search=drift_search(lambda m: m.damping * m.velocity),
     linear=True,
     stage="level",
+    specimen=drift_specimen(),
 )

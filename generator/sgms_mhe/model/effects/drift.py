@@ -1,0 +1,58 @@
+"""A level of friction that settles at another value over time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import casadi as ca
+import numpy as np
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.causes import Simpler
+from sgms_mhe.model.effects.motion import Extents, MotionRecord
+from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
+from sgms_mhe.model.effects.search import Array, Columns, Values, one_size
+from sgms_mhe.model.effects.specimen import TIME_CONSTANT, Specimen
+
+
+def drift_parameters(level: str) -> tuple[EffectParameter, ...]:
+    """Parameters of a drift of `level`."""
+    return (
+        EffectParameter("ratio", 0.0, 0.1, f"final change over the initial {level}", lower=-0.95),
+        EffectParameter(
+            "time_constant_s", 10.0, 1.0, "time to 63 % of the change", lower=1e-3, role="shape", step=step_by_factor
+        ),
+    )
+
+
+def drift_factor(axis: SymbolicAxis, p: Mapping[str, ca.SX]) -> ca.SX:
+    """1 + ratio (1 - exp(-t / time constant))."""
+    return 1.0 + p["ratio"] * (1.0 - ca.exp(-axis.time / p["time_constant_s"]))
+
+
+def drift_search(force: Callable[[MotionRecord], Array]) -> Columns:
+    """Search of a drift of what makes `force` (m) [N]: linear in ratio at a given time constant."""
+
+    def columns(motion: MotionRecord, given: Values) -> Array:
+        settled = 1.0 - np.exp(-motion.time / given["time_constant_s"])
+        return np.asarray((force(motion) * settled)[:, None])
+
+    return Columns(columns, one_size("ratio"), _time_constants, tests=3.0)
+
+
+def drift_limit(base: str) -> Simpler:
+    """A drift that is over at once is a wrong number, `base`."""
+    return Simpler((base,), _is_over)
+
+
+def drift_specimen() -> Specimen:
+    """A drift over a share of the log."""
+    return Specimen(lambda _, p, x: {"ratio": min(max(x, -0.9), 5.0), **p}, (TIME_CONSTANT,))
+
+
+def _is_over(p: Values, extents: Extents) -> bool:
+    return p["time_constant_s"] < 0.01 * extents.end
+
+
+def _time_constants(motion: MotionRecord) -> list[Values]:
+    return [{"time_constant_s": share * motion.extents.end} for share in (0.03, 0.08, 0.2, 0.4, 0.8, 2.0)]

@@ -1,0 +1,133 @@
+"""Logs that no axis can have left: refused by every command that reads one, with what was seen and what to write."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cli_cases import SMALL, files, refused
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.machine import Machine
+from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.signals.logs import Log, write_log
+from sgms_mhe.signals.plausibility import check_plausible
+from sgms_mhe.support.errors import InputError
+
+COMMANDS = ("estimate", "predict", "compare", "diagnose")
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    path = tmp_path_factory.mktemp("machine") / "small.toml"
+    path.write_text(SMALL)
+    return load_machine(path)
+
+
+def simulated(machine: Machine, trajectory: str = "paper", config: AxisConfig | None = None) -> Log:
+    reference = make_trajectory(trajectory, machine.sampling.rate, max_velocity=machine.sampling.max_velocity)
+    return simulate_axis(machine, reference, config, truth=False).log
+
+
+@pytest.fixture(scope="module")
+def log(machine: Machine) -> Log:
+    return simulated(machine)
+
+
+def swapped(log: Log) -> Log:
+    return replace(log, position_m=log.force_N, force_N=log.position_m)
+
+
+def with_gap(log: Log) -> Log:
+    position = np.full(len(log), 0.2)
+    position[100:300] = np.nan
+    return replace(log, position_m=position)
+
+
+REFUSED: list[tuple[str, Callable[[Log], Log], str]] = [
+    ("swapped", swapped, r"position_m = 'beyond .* m/s.*': a position in metres.*swapped with force_N"),
+    ("constant position", lambda log: replace(log, position_m=np.full(len(log), 0.2)), "position_m, every row = 0.2"),
+    ("constant but for a gap", with_gap, "position_m, every row = 0.2"),
+    ("constant force", lambda log: replace(log, force_N=np.zeros(len(log))), "force_N, every row = 0.0"),
+    ("time for position", lambda log: replace(log, position_m=log.time_s + 7.0), "grows by 1 every second"),
+    ("milliseconds", lambda log: replace(log, position_m=1e3 * log.time_s), "grows by 1000 every second"),
+    ("row for force", lambda log: replace(log, force_N=np.arange(float(len(log)))), "grows by 1000 every second"),
+    ("position twice", lambda log: replace(log, force_N=log.position_m), "the same signal"),
+    ("position twice, scaled", lambda log: replace(log, force_N=3.0 - 7.0 * log.position_m), "the same signal"),
+    ("micrometres", lambda log: replace(log, position_m=1e6 * log.position_m), "another column or unit"),
+    ("millimetres", lambda log: replace(log, position_m=1e3 * log.position_m), "rms for plant.mass = 20 kg"),
+    ("micronewtons", lambda log: replace(log, force_N=1e6 * log.force_N), "N rms measured"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), [case[1:] for case in REFUSED], ids=[case[0] for case in REFUSED])
+def test_what_no_axis_can_have_measured_is_refused(
+    change: Callable[[Log], Log], message: str, machine: Machine, log: Log
+) -> None:
+    with pytest.raises(InputError, match=message) as refusal:
+        check_plausible(change(log), machine)
+    assert "column" in refusal.value.where
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("case", [REFUSED[0], REFUSED[1], REFUSED[3], REFUSED[6]], ids=lambda case: str(case[0]))
+def test_every_command_refuses(
+    command: str, case: tuple[str, Callable[[Log], Log], str], machine: Machine, log: Log, tmp_path: Path
+) -> None:
+    path, out = tmp_path / "log.npz", tmp_path / "out"
+    write_log(path, case[1](log))
+    options = [] if command == "compare" else ["--out", out]
+    assert str(path) in refused(command, machine.source, path, *options)
+    assert files(tmp_path) == {"log.npz"}
+
+
+@pytest.mark.parametrize("column", ["position_m", "force_N"])
+@pytest.mark.parametrize("value", [math.inf, 1e308, -1e308, math.nan])
+def test_what_is_no_reading_is_no_evidence(column: str, value: float, machine: Machine, log: Log) -> None:
+    spoilt = log.columns[column].copy()
+    spoilt[::9] = value
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_plausible(replace(log, **{column: spoilt}), machine)  # type: ignore[arg-type]
+
+
+def test_a_part_that_stands_still_is_refused(machine: Machine, log: Log, tmp_path: Path) -> None:
+    still = replace(log, position_m=np.where(log.time_s < 0.5, log.position_m[500], log.position_m))
+    check_plausible(still, machine)
+    path = tmp_path / "log.npz"
+    write_log(path, still)
+    assert "every row" in refused("diagnose", machine.source, path, "--to", "0.4", "--out", tmp_path / "out")
+
+
+@pytest.mark.parametrize("trajectory", ["paper", "mixed", "step_and_settle", "circle_x"])
+@pytest.mark.parametrize("name", ["etel_xy", "small"])
+def test_what_an_axis_leaves_is_taken(name: str, trajectory: str, machine: Machine) -> None:
+    chosen = machine if name == "small" else load_machine(name)
+    coarse = AxisConfig(encoder_resolution_m=5e-6, force_noise_N=2.0, encoder_noise_m=1e-7)
+    for config in (None, coarse):
+        log = simulated(chosen, trajectory, config)
+        check_plausible(log, chosen)
+        wrong = replace(log, position_m=-log.position_m, force_N=3.0 * log.force_N + 200.0)
+        check_plausible(wrong, chosen)  # that is for a diagnosis to find
+
+
+def test_logs_too_short_for_an_interval_are_taken(machine: Machine, log: Log) -> None:
+    check_plausible(log.part(0.5, 0.512), machine)
+
+
+def test_gaps_are_passed_over(machine: Machine, log: Log) -> None:
+    rng = np.random.default_rng(1)
+    gaps = rng.random((2, len(log))) < 0.2
+    position, force = (
+        np.where(gap, np.nan, column) for gap, column in zip(gaps, (log.position_m, log.force_N), strict=True)
+    )
+    check_plausible(replace(log, position_m=position, force_N=force), machine)
+    empty = np.full(len(log), np.nan)
+    empty[::7] = log.position_m[::7]
+    check_plausible(replace(log, position_m=empty), machine)
