@@ -39,7 +39,7 @@ enum { BAD_INPUT = 2, LINE_LENGTH = 4096 };
 typedef struct {
     long n;
     double *time;               /* s */
-    machine_position *position; /* m, or pm */
+    machine_position *position;           
     machine_real *force;        /* N */
 } series;
 
@@ -59,15 +59,6 @@ static void fail(const char *subject, const char *text)
 
 /* --- series ---------------------------------------------------------------------------------------------------- */
 
-static machine_position to_position(double metres)
-{
-#if SGMS_SINGLE
-    return fabs(metres) < 4e6 ? (machine_position)(metres * 1e12 + (metres < 0.0 ? -0.5 : 0.5)) : INT64_MAX;
-#else
-    return metres;
-#endif
-}
-
 static void reserve(series *s, long n)
 {
     s->time = realloc(s->time, (size_t)n * sizeof *s->time);
@@ -81,7 +72,7 @@ static void reserve(series *s, long n)
 static void put(series *s, long k, double time, double position, double force)
 {
     s->time[k] = time;
-    s->position[k] = to_position(position);
+    s->position[k] = CALL(position_from_metres)(position);
     s->force[k] = (machine_real)force;
 }
 
@@ -286,14 +277,14 @@ static int selftest(void)
     double worst = 0.0, range = 0.0;
     long k = 1;
     CALL(init)(&axis);
-    (void)CALL(sample)(&axis, to_position((double)selftest_position[0]), (machine_real)selftest_force[0]);
+    (void)CALL(sample)(&axis, CALL(position_from_metres)((double)selftest_position[0]), (machine_real)selftest_force[0]);
     for (int u = 0; u < SELFTEST_UPDATES; u++) {
         range = fmax(range, fabs((double)selftest_friction[u]));
     }
     for (int u = 0; u < SELFTEST_UPDATES; u++) {
         machine_estimate estimate;
         for (int i = 0; i < SAMPLES; i++, k++) {
-            (void)CALL(sample)(&axis, to_position((double)selftest_position[k]), (machine_real)selftest_force[k]);
+            (void)CALL(sample)(&axis, CALL(position_from_metres)((double)selftest_position[k]), (machine_real)selftest_force[k]);
         }
         (void)CALL(feedback)(&axis);
         CALL(prepare)(&axis);

@@ -1,7 +1,5 @@
 #include "replay.h"
 
-#include <math.h>
-
 #ifndef SGMS_MACHINE
 #error "compile with -DSGMS_MACHINE=<machine> -DSGMS_MACHINE_HEADER='\"<machine>.h\"'"
 #endif
@@ -13,7 +11,6 @@
 
 typedef CALL(t) machine;
 typedef CALL(real) machine_real;
-typedef CALL(position) machine_position;
 typedef CALL(signals) machine_signals;
 typedef CALL(estimate_t) machine_estimate;
 
@@ -23,17 +20,6 @@ enum {
     N_PARAMETERS = sizeof(((machine_estimate *)0)->parameter) / sizeof(machine_real),
     COLUMNS = 2 + N_DEFLECTIONS + 2 * N_PARAMETERS
 };
-
-/* The package takes metres as double, or picometres as an integer (single precision). */
-static machine_position to_position(double metres)
-{
-    const machine_position half = (machine_position)0.5;
-    if (half > (machine_position)0) {
-        return (machine_position)metres;
-    }
-    return fabs(metres) < 4e6 ? (machine_position)(metres * 1e12 + (metres < 0.0 ? -0.5 : 0.5))
-                              : (machine_position)INT64_MAX;
-}
 
 size_t sgms_replay_memory(void)
 {
@@ -90,7 +76,7 @@ static machine_real one_sample(machine *self, const sgms_series *series, long k)
             .late = (machine_real)series->late};
         return CALL(insert)(self, &signals);
     }
-    return CALL(sample)(self, to_position(series->position[k]), (machine_real)series->force[k]);
+    return CALL(sample)(self, CALL(position_from_metres)(series->position[k]), (machine_real)series->force[k]);
 }
 
 long sgms_replay_run(
@@ -108,7 +94,7 @@ long sgms_replay_run(
         int updated;
         if (mode == SGMS_REPLAY_TICK) {
             const int before = self->started ? (int)self->step : -1;
-            friction = CALL(tick)(self, to_position(series->position[k]), (machine_real)series->force[k]);
+            friction = CALL(tick)(self, CALL(position_from_metres)(series->position[k]), (machine_real)series->force[k]);
             updated = before >= 0 && self->step == 0 && self->merged_count == 0;
         } else {
             friction = one_sample(self, series, k);

@@ -10,6 +10,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
+from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from reference_cases import linear_model
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
+from sgms_mhe.machine.file import RESERVED_NAMES
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log
@@ -119,6 +121,22 @@ def test_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"notes\.md"):
         write_package(package_of(), folder)
     assert (folder / "notes.md").exists() and (folder / "etel_xy.c").exists()
+
+
+def test_names_that_would_collide_are_refused() -> None:
+    """Whatever else in a package, or in the runtime, ends like a public symbol: its beginning is no machine's name."""
+    variants = ["flow", "linear", "merged", "auto", "ekf", "level of its own"]
+    changes = [VARIANTS[v] for v in variants] + [{"effects": [{"name": "backlash"}, {"name": "actuator_lag"}]}]
+    for package in (package_of(**c, code={"precision": p}) for c in changes for p in PRECISIONS):
+        public = set(re.findall(r"\b(?:etel_xy|ETEL_XY)_(\w+)\b(?!\.h)", "".join(package.files.values())))
+        ending = re.compile(rf"\b(?!etel_xy|ETEL_XY)([A-Za-z]\w*?)_(?:{'|'.join(sorted(public))})\b")
+        code = "".join(text for file, text in package.files.items() if file.endswith((".c", ".h")))
+        code = re.sub(r"/\*.*?\*/", "", code, flags=re.DOTALL)
+        begins = {match.group(1) for match in ending.finditer(code)}
+        assert {"take", "int32"} <= {name.lower() for name in begins}
+        assert not [name for name in begins if not RESERVED_NAMES.fullmatch(name)]
+        files = {file.removesuffix(".h").lower() for file in package.files if not file.startswith("etel_xy")}
+        assert all(RESERVED_NAMES.fullmatch(file) for file in files - {"structure.txt"})
 
 
 # --- compilers ---------------------------------------------------------------------------------------------------
@@ -267,8 +285,8 @@ def test_two_machines_in_one_program(language: str, require_tool: Tool, tmp_path
     tool = require_tool("g++" if language == "c++" else "gcc")
     dialect = ["-std=c++11", "-Wpedantic"] if language == "c++" else ["-std=c99", "-pedantic"]
     names = [
-        *("-DFIRST=etel_xy", '-DFIRST_HEADER="etel_xy.h"', "-DFIRST_METRE=1.0"),
-        *("-DSECOND=lower", '-DSECOND_HEADER="lower.h"', "-DSECOND_METRE=1e12"),
+        *("-DFIRST=etel_xy", '-DFIRST_HEADER="etel_xy.h"'),
+        *("-DSECOND=lower", '-DSECOND_HEADER="lower.h"'),
     ]
     program = tmp_path / "program"
     files = [*(f"-I{p}" for p in packages), "-x", language, PROBES / "side_by_side.c", "-x", "none", *made]
@@ -517,6 +535,52 @@ def test_no_memory_is_read_that_was_not_written(precision: str, kind: str, requi
     run(require_tool("gcc"), STRICT[0], "-O1", "-g", replay_definitions("etel_xy"), f"-I{folder}", files)
     lines = run(valgrind, "-q", "--error-exitcode=9", tmp_path / "program").splitlines()
     assert len(lines) > 4 * 12 and not any("nan" in line for line in lines)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_positions_from_counts_and_from_metres(precision: str, axis: Any) -> None:
+    """Whole picometres in single precision, for any encoder; what no integer holds is missing."""
+    estimator: Axis = axis(code={"precision": precision})
+    single = precision == "single"
+    largest = 2**63 - 1
+
+    def from_counts(counts: int, per: int, picometres: int) -> float:
+        made = np.empty(1, np.int64 if single else np.float64)
+        whole = ctypes.c_int64
+        estimator.c.probe_position_from_counts(whole(counts), ctypes.c_int32(per), whole(picometres), pointer(made))
+        return int(made[0]) if single else float(made[0])
+
+    def from_metres(metres: float) -> float:
+        made = np.empty(1, np.int64 if single else np.float64)
+        estimator.c.probe_position_from_metres(ctypes.c_double(metres), pointer(made))
+        return int(made[0]) if single else float(made[0])
+
+    rng = np.random.default_rng(0)
+    encoders = [(1, 1000), (1, 1), (16384, 20_000_000), (4000, 10**10), (2**20, -(10**10)), (3, 2_000_001)]
+    for per, picometres in encoders:
+        for counts in [0, 1, -1, *(int(c) for c in rng.integers(-(10**9), 10**9, 200))]:
+            exact = counts * picometres / per  # picometres
+            found = from_counts(counts, per, picometres)
+            if abs(exact) >= 4e18:
+                assert abs(found) >= (4e18 if single else 4e6)
+            elif single:
+                assert abs(found - Fraction(counts * picometres, per)) < 1
+            else:
+                assert found == pytest.approx(1e-12 * exact, rel=1e-15)
+    assert from_metres(0.3) == (300_000_000_000 if single else 0.3)
+    assert from_metres(-1e-9) == (-1000 if single else -1e-9)
+    for counts, per, picometres in [
+        (largest, 1, 2),
+        (-largest - 1, 1, 10**6),
+        (1, 1, largest),
+        (1, 0, 1000),
+        (1, -1, 1000),
+        (largest, 2**31 - 1, 4 * 10**18 - 1),
+    ]:
+        assert abs(from_counts(counts, per, picometres)) >= (4e18 if single else 4e6)
+    for metres in (np.nan, np.inf, -np.inf, 4e6, -4e6, 1e300):
+        found = from_metres(metres)
+        assert found == largest if single else found == metres or np.isnan(found)
 
 
 def test_memory_may_be_moved(axis: Any) -> None:

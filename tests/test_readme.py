@@ -6,8 +6,11 @@ import re
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.emission.package import emit_package, write_package
 from sgms_mhe.support.toolchain import WARNING_FLAGS, compiler
 
 # The examples' functions are called by a firmware; a prototype is all they lack here.
@@ -15,6 +18,70 @@ PROTOTYPES = {
     "README.md": "void start(void);\ndouble control_tick(double, double);\nint first_stiffness(double *, double *);\n",
     "docs/own_axis.md": "double fast_task(double, double);\nvoid slow_task(void);\n",
 }
+
+
+# What a firmware would do with each: a motion through the examples' functions, prints what they say.
+FIRMWARE = {
+    "README.md": """
+        start();
+        for (long k = 0; k <= 3000; k++) {
+            printf("%.9g\\n", control_tick(POSITION(k), FORCE(k)));
+        }
+        status = first_stiffness(&value, &deviation);
+        printf("%.9g %.9g %d\\n", value, deviation, status);""",
+    "docs/own_axis.md": """
+        etel_xy_init(&axis);
+        for (long k = 0; k <= 3000; k++) {
+            printf("%.9g\\n", fast_task(POSITION(k), FORCE(k)));
+            slow_task();
+        }""",
+}
+MOTION = """
+#include <stdio.h>
+#define POSITION(k) (0.3 + 1e-3 * (double)((k) < 1500 ? (k) : 3000 - (k)) / 1500.0)
+#define FORCE(k) ((k) < 1500 ? 4.0 : -4.0)
+"""
+
+
+@pytest.mark.parametrize("page", PROTOTYPES)
+def test_c_example_says_the_same_in_both_precisions(page: str, repo_root: Path, tmp_path: Path) -> None:
+    """Word for word, every warning an error, linked to the package in double and in single precision, and run."""
+    blocks = re.findall(r"```c\n(.*?)```", (repo_root / page).read_text(encoding="utf-8"), flags=re.DOTALL)
+    program = f"int main(void)\n{{\ndouble value = 0.0, deviation = 0.0; int status = 0;{FIRMWARE[page]}\n"
+    program += "(void)value; (void)deviation; (void)status; return 0;\n}\n"
+    said = []
+    for precision in ("double", "single"):
+        changes = {"code": {"precision": precision}, "compensation": {"enabled": True}}
+        settings = override_machine(load_machine("etel_xy"), changes)
+        folder = tmp_path / precision / "etel_xy"
+        write_package(emit_package(settings, selftest=False), folder)
+        source = tmp_path / f"{precision}.c"
+        source.write_text(PROTOTYPES[page] + "\n".join(blocks) + MOTION + program, encoding="utf-8")
+        files = [f"-I{folder}", str(source), str(folder / "etel_xy.c"), "-o", str(tmp_path / precision / "program")]
+        subprocess.run([*compiler(), "-std=c99", *WARNING_FLAGS, "-O1", *files], check=True)
+        done = subprocess.run([files[-1]], capture_output=True, text=True, check=True)
+        said.append([[float(word) for word in line.split()] for line in done.stdout.splitlines()])
+    double, single = (np.array([row[0] for row in rows[:3001]]) for rows in said)
+    assert np.abs(double).max() > 1.0
+    np.testing.assert_allclose(single, double, atol=2e-3 * np.abs(double).max())
+    for a, b in zip(said[0][3001:], said[1][3001:], strict=True):
+        assert a == pytest.approx(b, rel=1e-2)
+
+
+def test_metres_do_not_become_a_position_by_themselves(repo_root: Path, tmp_path: Path) -> None:
+    """In single precision: the call that is right in double precision does not compile."""
+    source = tmp_path / "example.c"
+    source.write_text(
+        '#include "etel_xy_controller.h"\n'
+        "float call(etel_xy_controller_t *axis, double metres);\n"
+        "float call(etel_xy_controller_t *axis, double metres)\n"
+        "{\n    return etel_xy_controller_tick(axis, metres, 1.0f);\n}\n",
+        encoding="utf-8",
+    )
+    package = repo_root / "generated" / "etel_xy_controller"
+    command = [*compiler(), "-std=c99", f"-I{package}", "-fsyntax-only", str(source)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode != 0 and "etel_xy_controller_position" in done.stderr
 
 
 @pytest.mark.parametrize("page", PROTOTYPES)

@@ -13,7 +13,6 @@
 
 typedef CALL(t) machine;
 typedef CALL(real) machine_real;
-typedef CALL(position) machine_position;
 
 size_t probe_size(void)
 {
@@ -37,27 +36,27 @@ void probe_reset(void *self)
     CALL(reset)((machine *)self);
 }
 
-/* NaN, infinite and unrepresentable positions count as missing in both precisions. */
-static machine_position to_position(double metres)
+/* The position as it lies in memory, 64 bits. */
+void probe_position_from_counts(int64_t counts, int32_t per, int64_t picometres, void *position)
 {
-    const machine_position half = (machine_position)0.5;
-    if (half > (machine_position)0) {
-        return (machine_position)metres;
-    }
-    if (!(metres * 1e12 > -9e18 && metres * 1e12 < 9e18)) {
-        return (machine_position)INT64_MAX;
-    }
-    return (machine_position)(metres * 1e12 + (metres < 0.0 ? -0.5 : 0.5));
+    const CALL(position) made = CALL(position_from_counts)(counts, per, picometres);
+    memcpy(position, &made, sizeof made);
+}
+
+void probe_position_from_metres(double metres, void *position)
+{
+    const CALL(position) made = CALL(position_from_metres)(metres);
+    memcpy(position, &made, sizeof made);
 }
 
 double probe_tick(void *self, double position, double force)
 {
-    return (double)CALL(tick)((machine *)self, to_position(position), (machine_real)force);
+    return (double)CALL(tick)((machine *)self, CALL(position_from_metres)(position), (machine_real)force);
 }
 
 double probe_sample(void *self, double position, double force)
 {
-    return (double)CALL(sample)((machine *)self, to_position(position), (machine_real)force);
+    return (double)CALL(sample)((machine *)self, CALL(position_from_metres)(position), (machine_real)force);
 }
 
 double probe_insert(void *self, const double *signals, int valid)

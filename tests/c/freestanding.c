@@ -15,7 +15,7 @@ void _start(void)
     CALL(estimate_t) estimate;
     CALL(init)(&axis);
     for (int k = 0; k < 350; k++) {
-        (void)CALL(tick)(&axis, (CALL(position))(k * 1000), (CALL(real))1);
+        (void)CALL(tick)(&axis, CALL(position_from_counts)(k, 1, 1000), (CALL(real))1);
     }
     CALL(prepare)(&axis);
     CALL(estimate)(&axis, &estimate);

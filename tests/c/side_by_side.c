@@ -1,8 +1,8 @@
 /* Two packages in one program, C and C++: alone, then interleaved sample by sample, must give the same bytes.
  * Compiled with two packages' headers:
- *     -DFIRST=etel_xy -DFIRST_HEADER='"etel_xy.h"' -DFIRST_METRE=1.0
- *     -DSECOND=lower -DSECOND_HEADER='"lower.h"' -DSECOND_METRE=1e12
- * METRE is how many units of position a metre has. FIRST runs twice at the same time, on two logs. */
+ *     -DFIRST=etel_xy -DFIRST_HEADER='"etel_xy.h"'
+ *     -DSECOND=lower -DSECOND_HEADER='"lower.h"'
+ * FIRST runs twice at the same time, on two logs. */
 #include FIRST_HEADER
 #include SECOND_HEADER
 
@@ -50,7 +50,7 @@ static void step(int axis, long k, char (*lines)[200])
         JOIN(FIRST, t) *self = axis == 0 ? &first : &twin;
         JOIN(FIRST, estimate_t) e;
         const double back = (double)JOIN(FIRST, tick)(
-            self, (JOIN(FIRST, position))(q * FIRST_METRE), (JOIN(FIRST, real))u);
+            self, JOIN(FIRST, position_from_metres)(q), (JOIN(FIRST, real))u);
         JOIN(FIRST, estimate)(self, &e);
         sprintf(
             line, "%.17g %.17g %.17g %.17g %d", back, (double)e.friction, (double)e.parameter[0],
@@ -58,7 +58,7 @@ static void step(int axis, long k, char (*lines)[200])
     } else {
         JOIN(SECOND, estimate_t) e;
         const double back = (double)JOIN(SECOND, tick)(
-            &second, (JOIN(SECOND, position))(q * SECOND_METRE), (JOIN(SECOND, real))u);
+            &second, JOIN(SECOND, position_from_metres)(q), (JOIN(SECOND, real))u);
         JOIN(SECOND, estimate)(&second, &e);
         sprintf(
             line, "%.17g %.17g %.17g %.17g %d", back, (double)e.friction, (double)e.parameter[0],

@@ -28,6 +28,16 @@ C_KEYWORDS: Final = frozenset(
     """.split()
 )
 
+RESERVED_NAMES: Final = re.compile(
+    r"sgms(_.*)?"  # the runtime's files and symbols
+    r"|(element|block)[0-9]*|chain|course|flow|friction|hold|parameter|sample|selftest|start|take"  # a package's own
+    r"|u?int((_least|_fast)?[0-9]+|ptr|max)|size|ptrdiff|wchar|wint|clock|time|fpos|va_list"  # types of the C library
+    r"|assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|std[a-z]+|string|tgmath"
+    r"|threads|uchar|wctype",  # its headers
+    re.IGNORECASE,
+)
+"""Machine names whose files or symbols would take the place of others, also where file names ignore case."""
+
 
 class Effect(Table):
     """One entry of [[effects]]: a name and that effect's parameters; units stand in the parameters' names."""
@@ -74,6 +84,10 @@ class Tables(Table):
     def _check(self) -> Self:
         if self.name in C_KEYWORDS:
             raise refusal("name", self.name, "a C identifier that is not a keyword of C or C++")
+        if RESERVED_NAMES.fullmatch(self.name):
+            raise refusal(
+                "name", self.name, "a name that neither the runtime (sgms...) nor a package nor C has for itself"
+            )
         if not self.description.isprintable() or re.search(r"/\*|\*/|\\", self.description):
             raise refusal("description", self.description, "one printable line without comment marks or backslashes")
         return self

@@ -21,7 +21,7 @@ extern "C" {
 #endif
 
 typedef double toy_real;
-typedef double toy_position; /* m */
+typedef double toy_position; /* m; the functions below make it too, and are the same in every package */
 
 #define TOY_STATES 1
 #define TOY_ELEMENTS 1
@@ -72,7 +72,7 @@ typedef struct {
  * comes first, within reach of short addresses. */
 typedef struct {
     /* signal chain */
-    toy_position chain_position[2];
+    double chain_position[2]; /* m */
     toy_real chain_lowpass[16];
     toy_real chain_last[4];
     int32_t chain_counts[3];
@@ -110,6 +110,19 @@ typedef struct {
     toy_real good_state[1], good_theta[2], good_variance[2];
     toy_real friction, friction_measured;
 } toy_t;
+
+/* A position from metres; NaN, infinite and beyond 4e6 m is none, and counts as missing. */
+static inline toy_position toy_position_from_metres(double metres)
+{
+    return metres;
+}
+
+/* A position from counts of an encoder, `per` counts (above zero) being so many picometres: 1 and 1000 for 1 nm, 16384 and 20000000 for a
+ * period of 20 um in 16384 steps. Exact but for rounding. */
+static inline toy_position toy_position_from_counts(int64_t counts, int32_t per, int64_t picometres)
+{
+    return per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
+}
 
 /* Start: nominal parameters, empty window. */
 void toy_init(toy_t *self);
