@@ -299,7 +299,7 @@ def test_two_machines_in_one_program(language: str, require_tool: Tool, tmp_path
 
 # --- calls -------------------------------------------------------------------------------------------------------
 
-STATUSES = ("OK", "FILLING", "MISSING", "HOLD", "BOUND", "SPEED", "OVERRUN", "EARLY", "NUMERIC")
+STATUSES = ("OK", "FILLING", "MISSING", "HOLD", "BOUND", "SPEED", "OVERRUN", "EARLY", "NUMERIC", "OVERLAP")
 
 
 class Axis:
@@ -699,6 +699,7 @@ def test_status_texts(axis: Any) -> None:
         ("OVERRUN", "lost"),
         ("EARLY", "not complete"),
         ("NUMERIC", "not finite"),
+        ("OVERLAP", "overlapped"),
     ):
         assert word in texts[name]
     # Sums say their gravest part, and every number has a text.

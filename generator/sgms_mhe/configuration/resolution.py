@@ -13,6 +13,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field, TypeAdapter, ValidationError
 
+from sgms_mhe.integration.flow_table import gate_saturates
 from sgms_mhe.integration.work_precision import ROUNDING, candidates, choose
 from sgms_mhe.machine import (
     BASE_PARAMETERS,
@@ -123,6 +124,8 @@ def _sampling(file: MachineFile) -> Sampling:
     sampling, precision = file.tables.sampling, file.tables.code.precision
     tolerance = sampling.integrator.tolerance
     if tolerance is None:
+        if sampling.integrator.scheme == "flow":
+            _check_gate(file)
         return sampling
     found = candidates(file.tables.friction, sampling, precision)
     chosen = choose(found, tolerance, precision)
@@ -132,3 +135,11 @@ def _sampling(file: MachineFile) -> Sampling:
         raise file.refused(("sampling", "integrator", "tolerance"), tolerance, allowed)
     integrator = sampling.integrator.model_copy(update=chosen.settings)
     return sampling.model_copy(update={"integrator": integrator})
+
+
+def _check_gate(file: MachineFile) -> None:
+    """Refuse the displacement flow where the direction gate saturates at no speed: it would never be taken."""
+    smoothing = file.tables.friction.smoothing
+    if not gate_saturates(smoothing.zeta, smoothing.lambda_, smoothing.gamma):
+        allowed = "rk4: with a smoothing as soft as [friction] smoothing has, the flow holds at no speed"
+        raise file.refused(("sampling", "integrator", "scheme"), "flow", allowed)

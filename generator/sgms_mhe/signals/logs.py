@@ -287,6 +287,8 @@ def _csv_slowly(path: Path, header_line: int, delimiter: str, names: Sequence[st
         for index in indices:
             field = fields[index].strip().strip('"').strip()
             try:
+                if "_" in field or not field.isascii():
+                    raise ValueError("digits of a programming language, or of another script")
                 entries.append(float(field) if field else np.nan)
             except ValueError:
                 raise InputError(path, f"{where}, column {names[index]}", field, "a number, or NaN") from None
