@@ -28,7 +28,8 @@ from sgms_mhe.machine import (
     merged,
     read_machine_file,
 )
-from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects import effect_definition, effect_names
+from sgms_mhe.support.errors import InputError
 
 _PARAMETERS: Final = TypeAdapter(dict[str, Annotated[float, Field(strict=True, allow_inf_nan=False)]])
 
@@ -79,12 +80,22 @@ def _effects(file: MachineFile) -> tuple[ResolvedEffect, ...]:
     counts: Counter[str] = Counter()
     effects = []
     for index, entry in enumerate(file.tables.effects):
-        if entry.name not in EFFECT_NAMES:
-            raise file.refused(("effects", index, "name"), entry.name, f"one of {listing(EFFECT_NAMES)}")
+        _check_effect(file, index)
         counts[entry.name] += 1
         label = entry.name if counts[entry.name] == 1 else f"{entry.name}_{counts[entry.name]}"
         effects.append(ResolvedEffect(entry.name, label, _effect_parameters(file, index)))
     return tuple(effects)
+
+
+def _check_effect(file: MachineFile, index: int) -> None:
+    """Refuse an effect that the catalogue does not have, or that another distribution brings and that is broken."""
+    where, name = ("effects", index, "name"), file.tables.effects[index].name
+    try:
+        effect_definition(name)
+    except KeyError:
+        raise file.refused(where, name, f"one of {listing(effect_names())}") from None
+    except InputError as error:
+        raise file.refused(where, name, f"an effect that works; {error}") from None
 
 
 def _effect_parameters(file: MachineFile, index: int) -> dict[str, float]:

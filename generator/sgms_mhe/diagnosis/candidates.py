@@ -22,9 +22,9 @@ from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
 from sgms_mhe.diagnosis.residuals import Recording
 from sgms_mhe.model.effects import (
     BASE_CAUSES,
-    EFFECT_NAMES,
     EffectDefinition,
     MotionRecord,
+    cause,
     effect_definition,
 )
 from sgms_mhe.model.effects.base import DAMPING, LEVEL
@@ -71,7 +71,7 @@ def search(
     seen = Residual(recording, motion_of(recording, fit), free, e)
     found: list[Proposal] = []
     for name in names:
-        if name not in EFFECT_NAMES:
+        if name in BASE_CAUSES:
             continue
         definition = effect_definition(name)
         kind = definition.search
@@ -97,7 +97,7 @@ def search(
 
 def degenerate(name: str, parameters: Mapping[str, float], motion: MotionRecord) -> bool:
     """Whether an effect's parameters make it another, simpler one over this motion."""
-    return name in EFFECT_NAMES and effect_definition(name).simpler.reached(parameters, motion.extents)
+    return cause(name).simpler.reached(parameters, motion.extents)
 
 
 # --- effects that are linear given a few numbers ----------------------------------------------------------------
@@ -280,8 +280,8 @@ def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> dict[str, 
     motion = motion_of(recording, fit)
     e = free.project(fit.residual[recording.used])
     best: tuple[float, dict[str, float]] = (0.0, {})
-    for cause in BASE_CAUSES.values():
-        kind = cause.start_search
+    for base in BASE_CAUSES.values():
+        kind = base.start_search
         if kind is None:
             continue
         for given in kind.grid(motion):
@@ -302,12 +302,12 @@ def stiffness_start(workshop: Workshop, extras: Sequence[Extra], material: float
     recording, model = workshop.recording, workshop.model(extras)
     theta = workshop.start(model, extras)
     start: dict[str, float] = {}
-    for cause in BASE_CAUSES.values():
-        if not cause.start_factors:
+    for base in BASE_CAUSES.values():
+        if not base.start_factors:
             continue
-        common = np.array([c.group == cause.name for c in model.columns])
+        common = np.array([c.group == base.name for c in model.columns])
         left: dict[float, float] = {}
-        for factor in cause.start_factors:
+        for factor in base.start_factors:
             friction, _ = model.run(recording, np.where(common, factor * theta, theta), derivatives=False)
             left[factor] = float(np.mean((recording.friction - friction)[recording.used] ** 2))
         best = min(left, key=lambda factor: left[factor])

@@ -647,7 +647,7 @@ def cached_package(machine: Machine) -> Package:
 
     Every log of an axis asks for the same few dozen models; to derive and print one takes longer than to run it.
     """
-    key = hashlib.sha256(f"{machine.digest} {digest_of_sources()}".encode()).hexdigest()
+    key = hashlib.sha256(f"{machine.digest} {digest_of_sources(e.name for e in machine.effects)}".encode()).hexdigest()
     kept = cache.read("package", key, ".json")
     if kept is not None:
         return Package(machine, json.loads(kept))

@@ -16,7 +16,7 @@ from sgms_mhe.diagnosis.evidence import difference_statistic, gain_force, nuisan
 from sgms_mhe.diagnosis.fitting import BASE_GROUPS, Extra, Fit, FitError, Workshop, cross_loss
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.result import Score
-from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects import effect_definition, effect_names
 from sgms_mhe.model.effects.excitation import Measure
 
 Array = NDArray[np.float64]
@@ -139,7 +139,7 @@ class Selector:
         # What a record does not excite cannot be found in it; what only imitates it can.
         self.excited = tuple(
             name
-            for name in EFFECT_NAMES
+            for name in effect_names()
             if not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
         )
         self.scores: list[Score] = []
@@ -548,7 +548,9 @@ def _distinct(ranked: list[tuple[float, Proposal]]) -> list[Proposal]:
 
 def _is_linear(name: str) -> bool:
     """Whether an effect's force is its columns times its sizes: then its linear gain is what a refit would find."""
-    return name in EFFECT_NAMES and not effect_definition(name).states and name not in ("micro_viscous", "force_ripple")
+    return (
+        name in effect_names() and not effect_definition(name).states and name not in ("micro_viscous", "force_ripple")
+    )
 
 
 def _numbers(proposal: Proposal) -> int:

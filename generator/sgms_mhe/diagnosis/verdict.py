@@ -30,7 +30,7 @@ from sgms_mhe.diagnosis.result import (
 from sgms_mhe.diagnosis.selection import Selection, Selector, is_size
 from sgms_mhe.diagnosis.structure import structure_map
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects import effect_definition, effect_names
 from sgms_mhe.model.effects.base import BASE_CAUSES
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -648,7 +648,7 @@ def separating_move(first: str, second: str) -> str | None:
     """The move that tells two causes apart, from their definitions."""
     for one, other in ((first, second), (second, first)):
         table: Mapping[str, str] = {}
-        if one in EFFECT_NAMES:
+        if one in effect_names():
             table = effect_definition(one).confused_with
         elif one in BASE_CAUSES:
             table = BASE_CAUSES[one].confused_with
@@ -658,7 +658,7 @@ def separating_move(first: str, second: str) -> str | None:
 
 
 def _excitation(name: str) -> str | None:
-    if name in EFFECT_NAMES:
+    if name in effect_names():
         return effect_definition(name).excitation.text
     return BASE_CAUSES[name].excitation.text if name in BASE_CAUSES else None
 

@@ -232,7 +232,7 @@ def _identity(machine: Machine, printer: CPrinter) -> Identity:
         name=machine.name,
         description=machine.description,
         machine_digest=machine.digest[:12],
-        sources_digest=digest_of_sources(),
+        sources_digest=digest_of_sources(effect.name for effect in machine.effects),
         version=__version__,
         runtime_version=RUNTIME_VERSION,
         real=printer.real,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.axis import SIGNAL_NAMES, StateSpec, SymbolicAxis
-from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.model.effects import EFFECT_NAMES, EffectDefinition, effect_definition
 from sgms_mhe.model.friction import FrictionSymbols, Smoothing, add_friction, declare_elements
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.support.errors import InputError
@@ -225,7 +226,7 @@ def build_model(machine: Machine) -> Model:
         for definition, label, nominal, expressions in effects:
             if definition.stage == stage:
                 axis.scope = label
-                definition.contribute(axis, expressions, nominal)
+                _contribute(machine, definition, axis, expressions, nominal)
 
     def prompt_drive() -> ca.SX:
         """The drive's force after the stages from "log" on, effects with states left out: these make the log late."""
@@ -276,6 +277,23 @@ def build_model(machine: Machine) -> Model:
         rho=elements.rho,
         names=tuple(state.names for state in axis.states),
     )
+
+
+def _contribute(
+    machine: Machine,
+    definition: EffectDefinition,
+    axis: SymbolicAxis,
+    expressions: Mapping[str, ca.SX],
+    nominal: Mapping[str, float],
+) -> None:
+    """Add an effect to the axis; refuses parameters that the code of another distribution fails at."""
+    try:
+        definition.contribute(axis, expressions, nominal)
+    except Exception as error:
+        if definition.name in EFFECT_NAMES:
+            raise
+        allowed = f"parameters that the effect can be built with; {type(error).__name__}: {error}"
+        raise InputError(machine.source, f"effect {axis.scope}", dict(nominal), allowed) from None
 
 
 def _at_rest(force: ca.SX, rhs: ca.SX, chi: ca.SX, w: ca.SX) -> ca.SX:

@@ -13,7 +13,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import Any, Final, Literal, Self
 
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import Friction, Machine, Plant, Smoothing
-from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.model.effects import EffectParameter, effect_definition, effect_names
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -45,6 +45,10 @@ _NO_MASS, _LONG_DELAY, _FAST_RESONANCE = -2, -3, -4
 
 COMPENSATION = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_double, ctypes.c_double)
 """C signature of a compensation: (context, measured position [m], measured force [N]) -> force to add [N]."""
+
+
+OUTSIDE_FORCE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_double)
+"""C signature of a force that the plant does not know: (context, position [m], velocity [m/s], time [s]) -> [N]."""
 
 
 @dataclass(frozen=True)
@@ -357,6 +361,7 @@ def _library() -> _Library:
         "axis_init": (None, [axis, ctypes.c_uint64]),
         "axis_set": (None, [axis, size, number]),
         "axis_add_effect": (ctypes.c_int, [axis, size, _DOUBLES]),
+        "axis_add_force": (ctypes.c_int, [axis, OUTSIDE_FORCE, ctypes.c_void_p]),
         "axis_set_effect": (None, [axis, size, size, number]),
         "axis_set_compensation": (None, [axis, COMPENSATION, ctypes.c_void_p]),
         "axis_apply": (ctypes.c_int, [axis]),
@@ -395,6 +400,10 @@ class _Limits:
         above = value >= self.low if self.with_low else value > self.low
         below = value <= self.high if self.with_high else value < self.high
         return above and below and math.isfinite(value)
+
+
+def _effect_limits(parameter: EffectParameter) -> _Limits:
+    return _Limits(parameter.lower, parameter.upper, parameter.allowed)
 
 
 @lru_cache(maxsize=1)
@@ -443,6 +452,8 @@ class _Axis:
         self._numbers: dict[str, _Parameter] = {}
         self._arrays: dict[str, int] = {}
         self._compensation: Any = None
+        self._kept: list[Any] = []  # functions that the C side holds
+        self._failures: list[str] = []  # of forces in Python, which cannot pass through it
         self._prescribed = config.control == "prescribed"
 
         friction, limits = machine.friction, _base_limits()
@@ -539,6 +550,8 @@ class _Axis:
         rows = {name: column.ctypes.data + start * (column.nbytes // n) for name, column in columns.items()}
         done = self._c.axis_run(self._memory, reference.ctypes.data, n, start, count, ctypes.byref(_Record(**rows)))
         if done < count:
+            if self._failures:
+                raise InputError("simulation", f"sample {start + done}", None, f"a `plant_force`; {self._failures[0]}")
             raise InputError(
                 "simulation",
                 f"sample {start + done}",
@@ -570,7 +583,8 @@ class _Axis:
     def _add_effect(self, effect: str, label: str, values: Mapping[str, float]) -> None:
         names = self._library.effects.get(effect)
         if names is None:
-            raise InputError("simulation", "effect", effect, f"one of {', '.join(self._library.effects)}")
+            self._add_outside_force(effect, label, values)
+            return
         if effect == "actuator_lag" and self._prescribed:
             raise InputError("simulation", "effect", effect, 'control "position": no force makes a prescribed motion')
         if set(values) != set(names):
@@ -582,9 +596,35 @@ class _Axis:
             raise InputError("simulation", "effect", effect, "no more effects than the plant has room for")
         definition = effect_definition(effect)
         for j, name in enumerate(names):
-            known = definition.parameter(name)
-            limits = _Limits(known.lower, known.upper, known.allowed)
+            limits = _effect_limits(definition.parameter(name))
             self._declare(f"{label}.{name}", numbers[j], self._effect_parameter(index, j), limits)
+
+    def _add_outside_force(self, effect: str, label: str, values: Mapping[str, float]) -> None:
+        """An effect that the plant does not know, by the force that its definition brings for it."""
+        definition = effect_definition(effect) if effect in effect_names() else None
+        force = definition.plant_force if definition is not None else None
+        if definition is None or force is None:
+            known = f"one of {', '.join(self._library.effects)}, or one that brings a `plant_force`"
+            raise InputError("simulation", "effect", effect, known)
+        names = [parameter.name for parameter in definition.parameters]
+        if set(values) != set(names):
+            raise InputError("simulation", f"parameters of {effect}", sorted(values), f"exactly {', '.join(names)}")
+        numbers = {name: float(values[name]) for name in names}
+
+        def at(_: int | None, position: float, velocity: float, time: float) -> float:
+            try:
+                return float(force(position, velocity, time, numbers))
+            except Exception as error:  # no exception passes through C; the run ends as with an unstable loop
+                self._failures.append(f"{effect}: {type(error).__name__}: {error}")
+                return math.nan
+
+        native = OUTSIDE_FORCE(at)
+        self._kept.append(native)
+        if self._c.axis_add_force(self._memory, native, None) < 0:
+            raise InputError("simulation", "effect", effect, "no more effects than the plant has room for")
+        for parameter in definition.parameters:
+            send = partial(numbers.__setitem__, parameter.name)
+            self._declare(f"{label}.{parameter.name}", numbers[parameter.name], send, _effect_limits(parameter))
 
     def _effect_parameter(self, index: int, j: int) -> Callable[[float], None]:
         return lambda value: self._c.axis_set_effect(self._memory, index, j, value)

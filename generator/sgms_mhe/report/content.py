@@ -10,7 +10,7 @@ import numpy as np
 
 from sgms_mhe import __version__
 from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, Score, Structure, Traces, separating_move
-from sgms_mhe.model.effects import BASE_CAUSES, CAUSE_NAMES, base_number, cause
+from sgms_mhe.model.effects import BASE_CAUSES, base_number, cause, cause_names
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.series import View, numbers, pack, runs
 from sgms_mhe.report.units import SPACE, force, percent, plain, probability, quantity, split_name
@@ -161,7 +161,7 @@ def plots(diagnosis: Diagnosis, views: Sequence[View]) -> dict[str, Any]:
 def title(name: str) -> str:
     """What a cause is, in words; a number of one of the machine file's own effects included."""
     name, own = _plain_name(name), name.startswith(_OWN)
-    words = cause(name).summary if name in CAUSE_NAMES else name.replace("_", " ")
+    words = cause(name).summary if name in cause_names() else name.replace("_", " ")
     return f"{words}: another value than the machine file's" if own else words
 
 
@@ -571,6 +571,6 @@ def _capital(text: str) -> str:
 def _sentence(text: str) -> str:
     text = text.strip()
     first = text.partition(" ")[0].rstrip(",:;")
-    if first not in CAUSE_NAMES and "_" not in first:  # names stay as they are written
+    if first not in cause_names() and "_" not in first:  # names stay as they are written
         text = _capital(text)
     return text if text.endswith((".", "!", "?", ":")) else text + "."
