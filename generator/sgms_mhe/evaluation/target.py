@@ -78,11 +78,6 @@ class Target:
     double: str
 
     @property
-    def tools(self) -> tuple[str, str]:
-        """Commands that it takes: compiler, emulator."""
-        return f"{self.prefix}gcc", self.emulator[0]
-
-    @property
     def remedy(self) -> str:
         """What to do where they are absent."""
         return f"the Debian packages {self.packages} bring what the target takes"
