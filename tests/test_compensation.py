@@ -44,7 +44,8 @@ from sgms_mhe.evaluation.tracking import (
 )
 from sgms_mhe.host.compiled import CompiledEstimator, LoopCompensation, replay_definitions
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.simulation import AxisConfig, Controller, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig, Controller
+from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, circle, make_trajectory
 from sgms_mhe.signals.chain import chain_delay, settle_samples, signals_from_log
 from sgms_mhe.signals.logs import Log

@@ -20,7 +20,8 @@ from sgms_mhe.diagnosis.residuals import Recording, noise_floor, prepare
 from sgms_mhe.evaluation.prediction import force_error, predict_log
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
-from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log, read_log
 from sgms_mhe.support.errors import InputError

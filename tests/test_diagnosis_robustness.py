@@ -21,7 +21,8 @@ from sgms_mhe.diagnosis.fitting import SETTLED, CompiledFit, Workshop
 from sgms_mhe.diagnosis.residuals import FITTED_S, Recording, excerpt, noise_floor, prepare
 from sgms_mhe.diagnosis.verdict import SHARP
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory
 from sgms_mhe.signals.logs import Log, write_log
 

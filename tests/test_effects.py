@@ -36,7 +36,8 @@ from sgms_mhe.model.effects.checks import faults_of
 from sgms_mhe.model.effects.excitation import MEASURES
 from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Step, Trials
 from sgms_mhe.model.scales import scales_of
-from sgms_mhe.plant.simulation import AxisConfig, plant_effects, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import plant_effects, simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.reference.integrator import Integrator
 from sgms_mhe.reference.mhe import run_mhe

@@ -13,7 +13,7 @@ import pytest
 from pydantic import BaseModel, ValidationError
 
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.machine import BASE_PARAMETERS, Tables, json_schema
+from sgms_mhe.machine import BASE_PARAMETERS, Tables, estimable_names, json_schema
 from sgms_mhe.support.errors import InputError
 
 MINIMAL = """
@@ -241,8 +241,8 @@ def test_second_effect_of_a_name_is_numbered(tmp_path: Path) -> None:
     text = f'extends = "etel_xy"\n{wanted}{RIPPLE}{RIPPLE}pitch_m = 0.016\n'
     machine = load_machine(write(tmp_path, text))
     assert [effect.label for effect in machine.effects] == ["force_ripple", "force_ripple_2"]
-    assert machine.estimable[: len(BASE_PARAMETERS)] == BASE_PARAMETERS
-    assert machine.estimable[-1] == "force_ripple_2.phase_rad"
+    names = estimable_names(machine.effects)
+    assert names[: len(BASE_PARAMETERS)] == BASE_PARAMETERS and names[-1] == "force_ripple_2.phase_rad"
     assert "force_ripple_3" in refused(write(tmp_path, text.replace("ripple_2.", "ripple_3."))).value  # type: ignore[operator]
 
 

@@ -28,11 +28,13 @@ SEED = 1
 DRAWS = (1, 3, 8, 11, 14, 19, 20, 22)
 """Nothing, a wrong stiffness, a force outside the catalogue, two effects of which one has states, a wrong level, an
 axis at rest, an effect that the log cannot tell from another, one that it can."""
+# With vector instructions switched off, an older processor's BLAS and another compiler, the differences are 0.003, 0.01
+# and 0.003: the simulated encoder rounds, so that a last digit may become a whole step.
 OF_STD = 0.02
 """Difference of a parameter, over its standard deviation."""
 OF_A_STD = 0.03
 """Relative difference of a standard deviation, which hangs on the residual's spectrum."""
-RELATIVE = 5e-3
+RELATIVE = 0.01
 """Relative difference of everything else."""
 
 

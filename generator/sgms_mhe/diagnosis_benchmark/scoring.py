@@ -11,7 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from sgms_mhe.diagnosis import Diagnosis
-from sgms_mhe.diagnosis_benchmark.draws import LEAST_SIZE, Draw
+from sgms_mhe.diagnosis_benchmark.causes import LEAST_SIZE
+from sgms_mhe.diagnosis_benchmark.draws import Draw
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES, base_number, effect_definition, reported_name
 

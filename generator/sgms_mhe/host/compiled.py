@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
-from sgms_mhe.plant.simulation import COMPENSATION, NativeCompensation
+from sgms_mhe.plant.native import COMPENSATION, NativeCompensation
 from sgms_mhe.signals.chain import Signals, signal_array
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log

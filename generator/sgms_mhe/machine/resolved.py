@@ -64,11 +64,6 @@ class Machine:
         content = json.dumps(self.as_dict(), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(content.encode()).hexdigest()
 
-    @property
-    def estimable(self) -> tuple[str, ...]:
-        """Names that [estimator] parameters and bounds may use."""
-        return estimable_names(self.effects)
-
     def as_dict(self, *, by_alias: bool = False) -> dict[str, Any]:
         """The resolved content as plain data; `by_alias`: keys as a machine file spells them (`lambda`)."""
         tables = {

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.model import Model
-from sgms_mhe.reference.integrator import Integrator, Plan
+from sgms_mhe.reference.integrator import Integrator
+from sgms_mhe.reference.plan import Plan
 from sgms_mhe.signals.chain import Signals, signal_array
 from sgms_mhe.signals.estimates import Estimates
 
