@@ -387,6 +387,9 @@ static double effect_force(const struct axis *axis, double v)
             force += p[2] * omega * (omega * (axis->position - effect->state[0]) + 2.0 * p[1] * (v - effect->state[1]));
             break;
         }
+        case EFFECT_KINDS:
+            force += effect->force(effect->context, axis->position, v, now(axis));
+            break;
         default:
             break;
         }
@@ -631,6 +634,15 @@ int axis_add_effect(struct axis *axis, size_t kind, const double *parameter)
     for (size_t j = 0; j < AXIS_MAX_EFFECT_PARAMETERS && effect_table[kind].parameter[j] != NULL; ++j) {
         effect->parameter[j] = parameter[j];
     }
+    return (int)axis->effects++;
+}
+
+int axis_add_force(struct axis *axis, axis_force *force, void *context)
+{
+    if (axis->effects >= AXIS_MAX_EFFECTS) {
+        return -1;
+    }
+    axis->effect[axis->effects] = (struct axis_effect){.kind = EFFECT_KINDS, .force = force, .context = context};
     return (int)axis->effects++;
 }
 

@@ -66,10 +66,15 @@ struct axis_settings {
 #undef AXIS_ARRAY
 };
 
+/* A force of the caller's own, friction-like in sign [N], at a position [m], a velocity [m/s] and a time [s]. */
+typedef double axis_force(void *context, double position, double velocity, double time);
+
 struct axis_effect {
-    int kind; /* index into the table of effects */
+    int kind; /* index into the table of effects, or one beyond it: a force of the caller's own */
     double parameter[AXIS_MAX_EFFECT_PARAMETERS];
     double state[2];
+    axis_force *force;
+    void *context;
 };
 
 /* Columns to fill, one value per sample from the caller's arrays; a null pointer skips the column. */
@@ -132,6 +137,9 @@ void axis_set(struct axis *axis, size_t offset, double value);
 
 /* Add an effect with its parameters in the table's order; its index, or -1 if there is no room or no such kind. */
 int axis_add_effect(struct axis *axis, size_t kind, const double *parameter);
+
+/* Add a force of the caller's own as an effect, evaluated at every substep; its index, or -1 if there is no room. */
+int axis_add_force(struct axis *axis, axis_force *force, void *context);
 
 void axis_set_effect(struct axis *axis, size_t effect, size_t j, double value);
 

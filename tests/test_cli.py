@@ -21,7 +21,8 @@ from sgms_mhe.cli import COMMANDS, cli
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.signals.estimates import read_estimates
-from sgms_mhe.signals.logs import read_columns, read_log
+from sgms_mhe.signals.formats import read_columns
+from sgms_mhe.signals.logs import read_log
 
 
 @pytest.fixture(scope="session")

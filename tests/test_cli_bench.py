@@ -16,21 +16,16 @@ import pytest
 from cli_cases import SMALL, done, files
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package
-from sgms_mhe.evaluation.benchmark import (
-    Bench,
-    Recording,
-    build_harness,
-    emitted_errors,
-    fitted_exponents,
-    with_elements,
-)
+from sgms_mhe.evaluation.benchmark import Bench, fitted_exponents, with_elements
+from sgms_mhe.evaluation.harness import build_harness
+from sgms_mhe.evaluation.integration_errors import Recording, emitted_errors
 from sgms_mhe.evaluation.peers import KINDS, Evaluation, Kind, PeerExport
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.reference import Integrator
-from sgms_mhe.reference.integrator import Linearised
+from sgms_mhe.reference.linearised import Linearised
 from sgms_mhe.signals.logs import read_log
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS, WARNING_FLAGS
 

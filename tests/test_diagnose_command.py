@@ -14,7 +14,8 @@ from cli_cases import done, files, refused
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory, make_trajectory
 from sgms_mhe.signals.logs import write_log
 

@@ -1,4 +1,4 @@
-"""Emitted C against the reference solver over simulated closed-loop logs: two implementations of DESIGN.md."""
+"""Emitted C against the reference solver over simulated closed-loop logs: two implementations of docs/."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
-from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.reference import Status, estimate_model, estimate_reference
 from sgms_mhe.signals.chain import Signals, settle_samples, signals_from_log

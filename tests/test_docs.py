@@ -136,6 +136,8 @@ def test_every_command_is_described_with_all_its_options(name: str) -> None:
 def test_modules_exist(page: Path) -> None:
     for module, argument in re.findall(r"python -m (sgms_mhe[\w.]*) ?([a-z-]*)", re.sub(r"\s+", " ", read(page))):
         found = importlib.import_module(module)
+        if hasattr(found, "__path__"):
+            found = importlib.import_module(f"{module}.__main__")
         assert hasattr(found, "main"), module
         assert not argument or argument in found.STUDIES, argument
 

@@ -13,7 +13,8 @@ from sgms_mhe.evaluation import figures
 from sgms_mhe.evaluation.experiment import PAPER_WEIGHTS, PAPER_WEIGHTS_EKF, TRUE_STIFFNESS, run_experiment
 from sgms_mhe.evaluation.records import Record, coverage, friction_rms, run_estimator, simulate_record, smoothness
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.tables import Table

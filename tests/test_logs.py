@@ -296,6 +296,8 @@ def test_line_number_counts_blank_lines(tmp_path: Path) -> None:
         ("0.0003,1.0,text", "row 4 (line 5), column force_N"),
         ("0.0003,1.0 m,2.0", "row 4 (line 5), column position_m"),
         ("0.0003,1.0,2.0 # late", "row 4 (line 5), column force_N"),
+        ("0.0003,1_0,2.0", "row 4 (line 5), column position_m"),
+        ("0.0003,1.0,\u0661", "row 4 (line 5), column force_N"),
         ("later,1.0,2.0", "row 4 (line 5), column time_s"),
         (",1.0,2.0", "row 4 (line 5), column time_s"),
     ],

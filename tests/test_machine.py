@@ -13,7 +13,7 @@ import pytest
 from pydantic import BaseModel, ValidationError
 
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.machine import BASE_PARAMETERS, Tables, json_schema
+from sgms_mhe.machine import BASE_PARAMETERS, Tables, estimable_names, json_schema
 from sgms_mhe.support.errors import InputError
 
 MINIMAL = """
@@ -241,8 +241,8 @@ def test_second_effect_of_a_name_is_numbered(tmp_path: Path) -> None:
     text = f'extends = "etel_xy"\n{wanted}{RIPPLE}{RIPPLE}pitch_m = 0.016\n'
     machine = load_machine(write(tmp_path, text))
     assert [effect.label for effect in machine.effects] == ["force_ripple", "force_ripple_2"]
-    assert machine.estimable[: len(BASE_PARAMETERS)] == BASE_PARAMETERS
-    assert machine.estimable[-1] == "force_ripple_2.phase_rad"
+    names = estimable_names(machine.effects)
+    assert names[: len(BASE_PARAMETERS)] == BASE_PARAMETERS and names[-1] == "force_ripple_2.phase_rad"
     assert "force_ripple_3" in refused(write(tmp_path, text.replace("ripple_2.", "ripple_3."))).value  # type: ignore[operator]
 
 
@@ -321,6 +321,10 @@ BAD_VALUES = [
     ("friction.fraction = [0.067, 0.056, 0.047, 0.84]", "friction.fraction", "sum to 1 (here 1.01)"),
     ("friction.fraction = [0.1, 0.2, 0.7]", "friction.fraction", "4 numbers"),
     ("friction.micro_viscous = [0.0]", "friction.micro_viscous", "4 numbers"),
+    ("sampling.update_rate = 1e-308", "sampling.update_rate", "at most 100000 samples per update"),
+    ("sampling.update_rate = 0.01", "sampling.update_rate", "at most 100000 samples per update"),
+    ("sampling.integrator.scheme = 'flow'\nfriction.smoothing.gamma = 0.5", "sampling.integrator.scheme", "rk4"),
+    ("sampling.integrator.scheme = 'flow'\nfriction.smoothing.zeta = 1e-9", "sampling.integrator.scheme", "rk4"),
     ("sampling.update_rate = 300.0", "sampling.update_rate", "divides rate = 10000 Hz"),
     ("sampling.update_rate = 20000.0", "sampling.update_rate", "divides rate"),
     ("sampling.velocity_cutoff = 5000.0", "sampling.velocity_cutoff", "< rate / 2 = 5000 Hz"),

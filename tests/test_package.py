@@ -24,7 +24,8 @@ from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
 from sgms_mhe.machine.file import RESERVED_NAMES
-from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -299,7 +300,7 @@ def test_two_machines_in_one_program(language: str, require_tool: Tool, tmp_path
 
 # --- calls -------------------------------------------------------------------------------------------------------
 
-STATUSES = ("OK", "FILLING", "MISSING", "HOLD", "BOUND", "SPEED", "OVERRUN", "EARLY", "NUMERIC")
+STATUSES = ("OK", "FILLING", "MISSING", "HOLD", "BOUND", "SPEED", "OVERRUN", "EARLY", "NUMERIC", "OVERLAP")
 
 
 class Axis:
@@ -701,6 +702,7 @@ def test_status_texts(axis: Any) -> None:
         ("OVERRUN", "lost"),
         ("EARLY", "not complete"),
         ("NUMERIC", "not finite"),
+        ("OVERLAP", "overlapped"),
     ):
         assert word in texts[name]
     # Sums say their gravest part, and every number has a text.

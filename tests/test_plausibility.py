@@ -14,7 +14,8 @@ import pytest
 from cli_cases import SMALL, files, refused
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.signals.plausibility import check_plausible

@@ -169,6 +169,6 @@ def test_banner_and_cache_of_candidate_models_have_the_same_digest(
     monkeypatch.setattr(fitting, "emit_package", None)
     assert fitting.cached_package(settings).files == emitted.files
     monkeypatch.setattr(fitting, "emit_package", emit_package)
-    monkeypatch.setattr(fitting, "digest_of_sources", lambda: "0123456789ab")
+    monkeypatch.setattr(fitting, "digest_of_sources", lambda _: "0123456789ab")
     assert fitting.cached_package(settings).files == emitted.files
     assert len(set(tmp_path.rglob("package-*.json"))) == 2

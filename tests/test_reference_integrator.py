@@ -15,8 +15,9 @@ from reference_cases import Array, along_lines, linear_model, lines, moving, sim
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
-from sgms_mhe.reference import integrator as module
-from sgms_mhe.reference.integrator import Integrator, Plan
+from sgms_mhe.reference import compiled_loops as module
+from sgms_mhe.reference.integrator import Integrator
+from sgms_mhe.reference.plan import Plan
 from sgms_mhe.signals.chain import Signals, signal_array
 from sgms_mhe.support.errors import BuildError
 from sgms_mhe.support.toolchain import shared_library

@@ -18,7 +18,8 @@ import pytest
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
-from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log

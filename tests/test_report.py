@@ -20,7 +20,8 @@ import diagnosis_cases as cases
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Alternative, Diagnosis
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.report import closed_loop_gain, write_report
 from sgms_mhe.report.series import MISSING, pack, since_reversal, views
@@ -131,7 +132,7 @@ def test_failure_leaves_the_old_report(machine: Machine, tmp_path: Path, monkeyp
     def fail(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sgms_mhe.report.page.content.plots", fail)
+    monkeypatch.setattr("sgms_mhe.report.page.plots", fail)
     with pytest.raises(KeyboardInterrupt):
         write_report(cases.explained(machine), tmp_path)
     assert path.read_bytes() == before

@@ -15,16 +15,9 @@ from scipy.integrate import solve_ivp
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
-from sgms_mhe.plant import simulation
-from sgms_mhe.plant.simulation import (
-    AxisConfig,
-    Controller,
-    Truth,
-    linear_drift,
-    plant_effects,
-    simulate_axis,
-    sinusoidal_drift,
-)
+from sgms_mhe.plant.axis_config import AxisConfig, Controller
+from sgms_mhe.plant.native import COMPENSATION
+from sgms_mhe.plant.simulation import Truth, linear_drift, plant_effects, simulate_axis, sinusoidal_drift
 from sgms_mhe.plant.trajectories import Motion, Trajectory, hysteresis, make_trajectory
 from sgms_mhe.support.errors import InputError
 
@@ -408,7 +401,7 @@ def test_compensation_is_in_the_loop(machine: Machine) -> None:
         return float(np.sqrt(np.mean((truth.position_m - trajectory.position_m) ** 2)))
 
     assert rms(better.truth) < 0.35 * rms(plain.truth)
-    compiled = simulation.COMPENSATION(lambda _, position, force: 3.0)
+    compiled = COMPENSATION(lambda _, position, force: 3.0)
     again = simulate_axis(machine, trajectory, AxisConfig(), compensation=compiled)
     np.testing.assert_array_equal(again.log.force_N, run.log.force_N)
 

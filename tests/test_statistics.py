@@ -6,22 +6,12 @@ import numpy as np
 import pytest
 
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.evaluation.studies import (
-    CASES,
-    CREEP_TRUTH,
-    FORMULATIONS,
-    RELINEARISE_CASES,
-    Case,
-    Formulation,
-    compare_case,
-    creep_signals,
-    draw,
-    follow,
-    main,
-    normalised_errors,
-    relinearise_errors,
-    statistics_machine,
-)
+from sgms_mhe.evaluation.studies.__main__ import main
+from sgms_mhe.evaluation.studies.cases import Case
+from sgms_mhe.evaluation.studies.coverage import draw, normalised_errors, statistics_machine
+from sgms_mhe.evaluation.studies.creep import CREEP_TRUTH, FORMULATIONS, Formulation, creep_signals, follow
+from sgms_mhe.evaluation.studies.monte_carlo import CASES, compare_case
+from sgms_mhe.evaluation.studies.relinearise import RELINEARISE_CASES, relinearise_errors
 
 
 def case(name: str) -> Case:

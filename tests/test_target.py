@@ -19,20 +19,18 @@ from cli_cases import SMALL, done, refused, run
 from sgms_mhe.commands.target import command
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.evaluation.benchmark import simulated_log
-from sgms_mhe.evaluation.target import (
+from sgms_mhe.evaluation import firmware
+from sgms_mhe.evaluation.firmware import (
     LOOPS,
     TARGET_FLAGS,
     TARGETS,
     Target,
-    Trial,
     build_program,
-    compare_with_host,
     double_arithmetic,
-    identical_updates,
-    run_trial,
-    single_precision,
+    run_tool,
 )
+from sgms_mhe.evaluation.motions import simulated_log
+from sgms_mhe.evaluation.target import Trial, compare_with_host, identical_updates, run_trial, single_precision
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log
@@ -247,10 +245,10 @@ def test_double_arithmetic_is_found(
 def test_one_conversion_to_double_is_found(core: Target, tmp_path: Path) -> None:
     source = tmp_path / "package.c"
     source.write_text("float scaled(float x) { return x * 0.1; }\n")
-    sgms_mhe.evaluation.target._tool(core, "gcc", *core.flags, "-O2", "-c", source, "-o", tmp_path / "package.o")
+    run_tool(core, "gcc", *core.flags, "-O2", "-c", source, "-o", tmp_path / "package.o")
     assert double_arithmetic(core, tmp_path / "package.o")
     source.write_text("float scaled(float x) { return x * 0.1f; }\n")
-    sgms_mhe.evaluation.target._tool(core, "gcc", *core.flags, "-O2", "-c", source, "-o", tmp_path / "package.o")
+    run_tool(core, "gcc", *core.flags, "-O2", "-c", source, "-o", tmp_path / "package.o")
     assert double_arithmetic(core, tmp_path / "package.o") == ()
 
 
@@ -307,9 +305,9 @@ def test_call_that_the_counter_cannot_hold_is_refused(
     shift = {"cortex_m7": ("shift=10", 25.6), "riscv32": ("shift=7", 128.0)}[core.name]
     coarse = replace(core, emulator=(*core.emulator[:-1], shift[0]), ticks=shift[1])
     room = int(2**32 / coarse.ticks)
-    monkeypatch.setattr(sgms_mhe.evaluation.target, "LOOPS", (10, int(0.48 * room)))
+    monkeypatch.setattr(firmware, "LOOPS", (10, int(0.48 * room)))
     assert run_trial(small, small_log, coarse).calibration[-1][1] > 0.9 * room
-    monkeypatch.setattr(sgms_mhe.evaluation.target, "LOOPS", (10, int(0.51 * room)))
+    monkeypatch.setattr(firmware, "LOOPS", (10, int(0.51 * room)))
     with pytest.raises(
         BuildError, match=rf"exit code 5, a call takes more than {room:.2g} instructions".replace("+", r"\+")
     ):

@@ -34,6 +34,14 @@ typedef uint64_t sgms_unsigned;
 #define SGMS_R(x) x
 #endif
 
+/* Stands between what a task writes and the word that tells another task of it: the compiler moves no access to memory
+ * across. Where tasks run on different cores, or with a compiler that is not one of these, define it as a barrier. */
+#if !defined(SGMS_FENCE) && defined(__GNUC__)
+#define SGMS_FENCE() __asm__ volatile("" ::: "memory")
+#elif !defined(SGMS_FENCE)
+#define SGMS_FENCE() ((void)0)
+#endif
+
 /* Whether compilers find vector registers. */
 #if defined(__AVX__) || defined(__SSE2__) || defined(__ARM_NEON) || defined(_M_X64)
 #define SGMS_VECTORS 1

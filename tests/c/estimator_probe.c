@@ -115,7 +115,7 @@ int probe_numbers(void)
 int probe_status(int which)
 {
     const int values[] = {CONSTANT(OK),    CONSTANT(FILLING), CONSTANT(MISSING), CONSTANT(HOLD),   CONSTANT(BOUND),
-                          CONSTANT(SPEED), CONSTANT(OVERRUN), CONSTANT(EARLY),   CONSTANT(NUMERIC)};
+                          CONSTANT(SPEED), CONSTANT(OVERRUN), CONSTANT(EARLY),   CONSTANT(NUMERIC), CONSTANT(OVERLAP)};
     return values[which];
 }
 

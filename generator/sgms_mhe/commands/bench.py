@@ -23,7 +23,7 @@ from sgms_mhe.commands.common import (
 )
 
 if TYPE_CHECKING:
-    from sgms_mhe.evaluation.benchmark import Benchmark, Peer, Variant
+    from sgms_mhe.evaluation.benchmark_results import Benchmark, Peer, Variant
 
 
 @click.command(

@@ -166,6 +166,14 @@ def note(text: str) -> None:
     click.echo(text, err=True)
 
 
+def note_broken_effects() -> None:
+    """Say which effects of other distributions are left out where all effects are asked for."""
+    from sgms_mhe.model.effects import broken_effects
+
+    for error in broken_effects():
+        note(f"left out: {error}")
+
+
 def json_text(content: Any) -> str:
     """JSON with every number that is not finite as null."""
     return json.dumps(_finite(content), indent=2, allow_nan=False)

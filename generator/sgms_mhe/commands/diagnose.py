@@ -18,6 +18,7 @@ from sgms_mhe.commands.common import (
     log_argument,
     machine_argument,
     note,
+    note_broken_effects,
     out_option,
     part_options,
     recorded_log,
@@ -72,6 +73,7 @@ def command(
     from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
+    note_broken_effects()
     folder = out or Path(f"{resolved.name}_diagnosis")
     check_output_folder(folder)
 

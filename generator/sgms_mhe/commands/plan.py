@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from sgms_mhe.commands.common import check_output_file, example, machine_argument, out_option, show
+from sgms_mhe.commands.common import check_output_file, example, machine_argument, note_broken_effects, out_option, show
 
 
 @click.command(
@@ -21,6 +21,7 @@ def command(machine: str, separate: tuple[str, str] | None, out: Path | None) ->
     from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
+    note_broken_effects()
     path = out or Path(f"{resolved.name}_plan.csv")
     check_output_file(path, (".csv",))
 

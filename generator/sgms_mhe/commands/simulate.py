@@ -97,7 +97,8 @@ def command(
     resolved = load_machine(machine)
     check_output_file(out, (".csv", ".npz"))
 
-    from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+    from sgms_mhe.plant.axis_config import AxisConfig
+    from sgms_mhe.plant.simulation import simulate_axis
     from sgms_mhe.plant.trajectories import make_trajectory
     from sgms_mhe.signals.logs import write_log
 

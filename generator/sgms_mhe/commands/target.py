@@ -76,8 +76,9 @@ def command(
     resolved = load_machine(machine)
 
     from sgms_mhe.emission.package import emit_package
-    from sgms_mhe.evaluation.benchmark import simulated_log
-    from sgms_mhe.evaluation.target import TARGET_FLAGS, TARGETS, compare_with_host, run_trial, single_precision
+    from sgms_mhe.evaluation.firmware import TARGET_FLAGS, TARGETS
+    from sgms_mhe.evaluation.motions import simulated_log
+    from sgms_mhe.evaluation.target import compare_with_host, run_trial, single_precision
 
     if log is None:
         recorded = simulated_log(resolved, trajectory, updates)

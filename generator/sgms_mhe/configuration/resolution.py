@@ -13,6 +13,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field, TypeAdapter, ValidationError
 
+from sgms_mhe.integration.flow_table import gate_saturates
 from sgms_mhe.integration.work_precision import ROUNDING, candidates, choose
 from sgms_mhe.machine import (
     BASE_PARAMETERS,
@@ -27,7 +28,8 @@ from sgms_mhe.machine import (
     merged,
     read_machine_file,
 )
-from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects import effect_definition, effect_names
+from sgms_mhe.support.errors import InputError
 
 _PARAMETERS: Final = TypeAdapter(dict[str, Annotated[float, Field(strict=True, allow_inf_nan=False)]])
 
@@ -67,6 +69,7 @@ def _resolved(file: MachineFile) -> Machine:
         compensation=tables.compensation,
         code=tables.code,
         effects=effects,
+        diagnosis=tables.diagnosis,
         log=tables.log,
         source=file.source,
         content=file.content,
@@ -78,12 +81,22 @@ def _effects(file: MachineFile) -> tuple[ResolvedEffect, ...]:
     counts: Counter[str] = Counter()
     effects = []
     for index, entry in enumerate(file.tables.effects):
-        if entry.name not in EFFECT_NAMES:
-            raise file.refused(("effects", index, "name"), entry.name, f"one of {listing(EFFECT_NAMES)}")
+        _check_effect(file, index)
         counts[entry.name] += 1
         label = entry.name if counts[entry.name] == 1 else f"{entry.name}_{counts[entry.name]}"
         effects.append(ResolvedEffect(entry.name, label, _effect_parameters(file, index)))
     return tuple(effects)
+
+
+def _check_effect(file: MachineFile, index: int) -> None:
+    """Refuse an effect that the catalogue does not have, or that another distribution brings and that is broken."""
+    where, name = ("effects", index, "name"), file.tables.effects[index].name
+    try:
+        effect_definition(name)
+    except KeyError:
+        raise file.refused(where, name, f"one of {listing(effect_names())}") from None
+    except InputError as error:
+        raise file.refused(where, name, f"an effect that works; {error}") from None
 
 
 def _effect_parameters(file: MachineFile, index: int) -> dict[str, float]:
@@ -123,6 +136,8 @@ def _sampling(file: MachineFile) -> Sampling:
     sampling, precision = file.tables.sampling, file.tables.code.precision
     tolerance = sampling.integrator.tolerance
     if tolerance is None:
+        if sampling.integrator.scheme == "flow":
+            _check_gate(file)
         return sampling
     found = candidates(file.tables.friction, sampling, precision)
     chosen = choose(found, tolerance, precision)
@@ -132,3 +147,11 @@ def _sampling(file: MachineFile) -> Sampling:
         raise file.refused(("sampling", "integrator", "tolerance"), tolerance, allowed)
     integrator = sampling.integrator.model_copy(update=chosen.settings)
     return sampling.model_copy(update={"integrator": integrator})
+
+
+def _check_gate(file: MachineFile) -> None:
+    """Refuse the displacement flow where the direction gate saturates at no speed: it would never be taken."""
+    smoothing = file.tables.friction.smoothing
+    if not gate_saturates(smoothing.zeta, smoothing.lambda_, smoothing.gamma):
+        allowed = "rk4: with a smoothing as soft as [friction] smoothing has, the flow holds at no speed"
+        raise file.refused(("sampling", "integrator", "scheme"), "flow", allowed)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import CAUSE_NAMES, MOVES, Move, cause, separating_moves
+from sgms_mhe.model.effects import MOVES, Move, cause, cause_names, separating_moves
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.support.errors import InputError
@@ -121,8 +121,8 @@ def make_plan(machine: Machine, separate: tuple[str, str] | None = None) -> Plan
         InputError: a cause that does not exist.
     """
     for name in separate or ():
-        if name not in CAUSE_NAMES:
-            raise InputError("plan", "separate", name, f"two of {', '.join(CAUSE_NAMES)}")
+        if name not in cause_names():
+            raise InputError("plan", "separate", name, f"two of {', '.join(cause_names())}")
     speed = 0.9 * machine.sampling.max_velocity
     # Half a second at full speed, reached within a tenth of a second.
     axis = _Axis(speed, 10.0 * speed, 400.0 * speed, scales_of(machine).deflection, 0.5 * speed)

@@ -8,12 +8,13 @@ from __future__ import annotations
 import hashlib
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.metadata import version
+from importlib.metadata import packages_distributions, version
 from pathlib import Path
 
+from sgms_mhe.model.effects import outside_sources
 from sgms_mhe.support.paths import runtime_dir, templates_dir
 
 DIGITS = 12
@@ -92,8 +93,31 @@ def _imports(content: bytes) -> set[str]:
     return {name for name in names if not name.startswith(".")}
 
 
+def digest_of_sources(effects: Iterable[str] = ()) -> str:
+    """Digest of what a package is made of, for the banner and for caches: the same sources, the same package.
+
+    Args:
+        effects: of the machine; those that other distributions bring count with their files and libraries.
+    """
+    return _with_outside(_own_sources(), outside_sources(effects)).digest[:DIGITS]
+
+
 @lru_cache(maxsize=1)
-def digest_of_sources() -> str:
-    """Digest of what this generator is made of, for the banner and for caches: the same sources, the same package."""
+def _own_sources() -> Sources:
     package = Path(__file__).resolve().parents[1]
-    return read_sources(package, templates_dir(), runtime_dir()).digest[:DIGITS]
+    return read_sources(package, templates_dir(), runtime_dir())
+
+
+def _with_outside(own: Sources, outside: Mapping[str, bytes]) -> Sources:
+    """The sources with files of other distributions and the libraries that these import."""
+    if not outside:
+        return own
+    modules = {name for path, content in outside.items() if path.endswith(".py") for name in _imports(content)}
+    known = packages_distributions()
+    versions = {
+        f"{library}/{name}": version(name)
+        for library in {module.partition(".")[0] for module in modules} - own.libraries.keys()
+        for name in known.get(library, ())
+    }
+    files = {f"outside/{path}": content for path, content in outside.items()}
+    return Sources({**own.files, **files}, {**own.libraries, **versions})

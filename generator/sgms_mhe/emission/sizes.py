@@ -173,7 +173,7 @@ def sizes_of(structure: Structure, variant: Variant) -> Sizes:
     groups = _groups(structure)
     n_blocks = sum(g.n_blocks for g in groups)
     slots = max(1, variant.horizon)
-    chosen = max(2, n_blocks)  # DESIGN section 4
+    chosen = max(2, n_blocks)  # docs/estimation.md
     vector = VECTOR_BYTES // (4 if variant.single else 8)
     side_by_side = {"all": slots, "auto": chosen, "newest": 1}[variant.relinearise]
     lane_stride = -(-max(side_by_side, *(g.n_blocks for g in groups)) // vector) * vector

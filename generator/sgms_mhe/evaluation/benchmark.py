@@ -9,12 +9,8 @@ compare between machines; time is that of this host, and says something as a rat
 
 from __future__ import annotations
 
-import re
-import shutil
-import subprocess
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -24,21 +20,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_mhe.emission.package import Package, emit_package
+from sgms_mhe.evaluation.benchmark_results import Benchmark, Peer, Point, Sweep, Variant
+from sgms_mhe.evaluation.harness import build_harness, fastest_runs, instructions_of
+from sgms_mhe.evaluation.integration_errors import Recording, emitted_errors, largest_magnitude
+from sgms_mhe.evaluation.motions import SWEEP_PERIOD, swing, there_and_back, timed_motion
 from sgms_mhe.evaluation.peers import KINDS, Kind, PeerExport, Windows
-from sgms_mhe.host.compiled import CompiledModel, replay_definitions
 from sgms_mhe.integration.work_precision import CANDIDATES, settings
 from sgms_mhe.machine import Estimator, Machine
 from sgms_mhe.model import build_model
-from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
-from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.reference import Integrator
-from sgms_mhe.reference.integrator import Linearised
-from sgms_mhe.signals.chain import Signals, signal_array, signals_from_log
+from sgms_mhe.reference.linearised import Linearised
+from sgms_mhe.signals.chain import signal_array, signals_from_log
 from sgms_mhe.signals.logs import Log, write_log
-from sgms_mhe.support.errors import BuildError
-from sgms_mhe.support.paths import runtime_dir
-from sgms_mhe.support.toolchain import DEFAULT_FLAGS, program
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -67,121 +65,10 @@ FEW_UPDATES: Final = 100
 
 HORIZONS: Final = (10, 20, 50, 100, 200)
 ELEMENTS: Final = (1, 2, 4, 6, 8, 10)
-SWEEP_PERIOD: Final = 10
-"""Intervals in one period of the motion that the sweeps run: windows of every length above hold the same motion."""
 SWEEP_UPDATES: Final = 2 * SWEEP_PERIOD
-SWEEP_VELOCITY: Final = 2e-3  # m/s, the paper's
 
 _HARNESS_UPDATE: Final = "harness_update"
 _PEER_UPDATE: Final = "peer_update"
-
-
-@dataclass(frozen=True)
-class Variant:
-    """One variant of the emitted estimator on one motion.
-
-    Attributes:
-        name: of the variant.
-        precision: double or single.
-        relinearise: which intervals are linearised anew in an update.
-        update_us: mean time of an update and its samples [us].
-        feedback_us: mean time from the newest sample to the estimate [us].
-        instructions_mean, instructions_max: of an update of a full window and its samples; None without valgrind.
-        state_error: largest error of a node state after one interval, in units of its scale, with what a line leaves of
-            the velocities of merged samples; None where the integration diverged.
-        sensitivity_error: largest error of its derivatives in the node before and in the scaled parameters.
-        integrator: scheme and largest displacement of a step; of the flow, below its gate's speed.
-        trajectory: the motion.
-    """
-
-    name: str
-    precision: str
-    relinearise: str
-    update_us: float
-    feedback_us: float
-    instructions_mean: float | None
-    instructions_max: int | None
-    state_error: float | None
-    sensitivity_error: float | None
-    integrator: str
-    trajectory: str
-
-
-@dataclass(frozen=True)
-class Peer:
-    """Residual and Jacobian of the same problem by another tool's exported code, double precision.
-
-    Attributes:
-        name: tool, way and steps.
-        update_us: mean time of one window [us].
-        instructions_mean: of one window; None without valgrind.
-        state_error, sensitivity_error: as of a variant; None where the integration diverged.
-        steps: Runge-Kutta steps per interval.
-        trajectory: the motion.
-    """
-
-    name: str
-    update_us: float
-    instructions_mean: float | None
-    state_error: float | None
-    sensitivity_error: float | None
-    steps: int
-    trajectory: str
-
-
-@dataclass(frozen=True)
-class Point:
-    """Cost at one size: time [us] and instructions of an update of a full window."""
-
-    size: int
-    update_us: float
-    instructions_mean: float | None
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """Cost over one size of the problem, everything else the same.
-
-    Attributes:
-        over: "horizon" or "elements".
-        precision: double or single.
-        points: cost at each size.
-        unit: "instructions", or "us" without valgrind: what the exponents are of.
-        exponent: e of cost = c size^e, fitted to all points; a constant part of the cost makes it small.
-        marginal_exponent: the same without a constant part: 1 + exponent of the slope between neighbouring points.
-    """
-
-    over: str
-    precision: str
-    points: tuple[Point, ...]
-    unit: str
-    exponent: float
-    marginal_exponent: float
-
-
-@dataclass(frozen=True)
-class Benchmark:
-    """All that was measured.
-
-    Attributes:
-        variants: of the machine's estimator, on the chosen motion.
-        peers: on the same motion; empty where velocity is linear between samples, which they do not do.
-        motions: the machine's own variant and the peer on other motions.
-        integrators: the machine with other integrators, on the chosen motion.
-        sweeps: cost over horizon and elements.
-    """
-
-    variants: tuple[Variant, ...]
-    peers: tuple[Peer, ...] = ()
-    motions: tuple[Variant | Peer, ...] = ()
-    integrators: tuple[Variant, ...] = ()
-    sweeps: tuple[Sweep, ...] = ()
-
-    @property
-    def peer(self) -> Peer | None:
-        """The faster of the peers that take one step per sample."""
-        most = max((peer.steps for peer in self.peers), default=0)
-        return min((peer for peer in self.peers if peer.steps == most), key=lambda peer: peer.update_us, default=None)
 
 
 def relinearisations(machine: Machine) -> list[tuple[str, Machine]]:
@@ -230,7 +117,7 @@ def run_benchmark(
     bench = Bench(machine, flags)
 
     def recorded(name: str, updates: int = updates) -> Recording:
-        return bench.record(_motion(machine, name, updates))
+        return bench.record(timed_motion(machine, name, updates))
 
     motion = recorded(trajectory)
     tasks: list[tuple[str, Callable[[], Any]]] = []
@@ -274,56 +161,6 @@ def run_benchmark(
         if progress is not None:
             progress(done, len(tasks))
     return Benchmark(**{section: tuple(found) for section, found in results.items()})
-
-
-# --- motions ---------------------------------------------------------------------------------------------------------
-
-
-def _motion(machine: Machine, name: str, updates: int) -> Trajectory:
-    sampling = machine.sampling
-    duration = (updates * sampling.samples_per_update + 1) / sampling.rate
-    speed = 0.95 * sampling.max_velocity  # the controller overshoots
-    return make_trajectory(name, sampling.rate, duration_s=duration, max_velocity=speed)
-
-
-def simulated_log(machine: Machine, trajectory: str, updates: int) -> Log:
-    """Log of the machine's axis in closed loop, as long as so many updates take.
-
-    Raises:
-        InputError: no trajectory of that name.
-    """
-    return simulate_axis(machine, _motion(machine, trajectory, updates), AxisConfig(seed=1), truth=False).log
-
-
-@dataclass(frozen=True)
-class Recording:
-    """A simulated log of U updates, windows of it, and what a converged integration makes of their intervals.
-
-    Attributes:
-        name: of the motion.
-        log: of the axis.
-        signals: after the signal chain.
-        windows: as the peers take them; their nodes lie on the way of the nominal model.
-        first: node at which each window begins.
-        exact: end, A and B of the windows' intervals, windows x intervals first.
-    """
-
-    name: str
-    log: Log
-    signals: Signals
-    windows: Windows
-    first: tuple[int, ...]
-    exact: Linearised
-
-
-def there_and_back(rate: float, velocity: float) -> Trajectory:
-    """A move there and one back at a velocity [m/s] that each keeps for 0.1 s."""
-    motion = Motion(rate)
-    motion.wait(0.05)
-    for target in (0.225 * velocity, 0.0):
-        motion.move_to(target, velocity, 10.0 * velocity, 400.0 * velocity)
-        motion.wait(0.05)
-    return motion.trajectory(f"{velocity:g} m/s")
 
 
 def with_horizon(machine: Machine, intervals: int) -> Machine:
@@ -424,10 +261,13 @@ class Bench:
             problems, results = Path(folder) / "problems", Path(folder) / "results"
             problems.write_bytes(export.problems(windows))
             command = [str(export.program), str(problems), str(results)]
-            times = _fastest(command, PEER_RUNS)
+            times = fastest_runs(command, PEER_RUNS)
             found = export.evaluation(windows, results.read_bytes())
-            instructions = _instructions(command, _PEER_UPDATE)
-        state, sensitivity = _largest(found.x1 - exact.x1), _largest(found.A - exact.A, found.B - exact.B)
+            instructions = instructions_of(command, _PEER_UPDATE)
+        state, sensitivity = (
+            largest_magnitude(found.x1 - exact.x1),
+            largest_magnitude(found.A - exact.A, found.B - exact.B),
+        )
         return Peer(
             name=f"CasADi {kind}, rk4 x {steps}",
             update_us=float(times.mean()),
@@ -449,7 +289,7 @@ class Bench:
             times, instructions = self._update_cost(
                 variant,
                 emit_package(variant, selftest=False),
-                simulate_axis(variant, _swing(variant, filling + SWEEP_UPDATES), _PRESCRIBED, truth=False).log,
+                simulate_axis(variant, swing(variant, filling + SWEEP_UPDATES), _PRESCRIBED, truth=False).log,
             )
             points.append(
                 Point(
@@ -471,27 +311,14 @@ class Bench:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "log.csv"
             write_log(path, log)
-            times = _fastest([str(harness), "--log", str(path), "--time"], RUNS, header=1)
-            instructions = _instructions([str(harness), "--log", str(path)], _HARNESS_UPDATE)
+            times = fastest_runs([str(harness), "--log", str(path), "--time"], RUNS, header=1)
+            instructions = instructions_of([str(harness), "--log", str(path)], _HARNESS_UPDATE)
         filling = machine.estimator.horizon if machine.estimator.kind == "mhe" else 0
         full = slice(filling if filling < len(times) else 0, None)
         return times[full], None if instructions is None else instructions[full]
 
 
 _PRESCRIBED: Final = AxisConfig(control="prescribed", encoder_resolution_m=0.0, force_noise_N=0.0)
-
-
-def _swing(machine: Machine, updates: int) -> Trajectory:
-    """A sine of `SWEEP_PERIOD` intervals with the paper's top speed over so many updates."""
-    sampling = machine.sampling
-    phase = (
-        2.0
-        * np.pi
-        * np.arange(updates * sampling.samples_per_update + 1)
-        / (SWEEP_PERIOD * sampling.samples_per_update)
-    )
-    amplitude = min(SWEEP_VELOCITY, sampling.max_velocity) * SWEEP_PERIOD / (2.0 * np.pi * sampling.update_rate)
-    return Trajectory("swing", sampling.rate, amplitude * np.sin(phase))
 
 
 def fitted_exponents(sizes: Sequence[int], costs: Sequence[float]) -> tuple[float, float]:
@@ -505,93 +332,3 @@ def fitted_exponents(sizes: Sequence[int], costs: Sequence[float]) -> tuple[floa
     exponent = np.polyfit(np.log(size), np.log(cost), 1)[0]
     marginal = 1.0 + np.polyfit(np.log(middle), np.log(slope), 1)[0] if np.all(slope > 0.0) else np.nan
     return float(exponent), float(marginal)
-
-
-def build_harness(machine: Machine, package: Package, flags: Sequence[str] = DEFAULT_FLAGS) -> Path:
-    """Compile `runtime_c/harness.c` with a package; with its self-test vectors where it brings them.
-
-    Raises:
-        BuildError: the compiler refused.
-    """
-    name = machine.name
-    definitions = [*replay_definitions(name), f'-DSGMS_CONFIG_HEADER="{name}_config.h"']
-    if f"{name}_selftest.h" in package.files:
-        definitions.append(f'-DSGMS_SELFTEST_HEADER="{name}_selftest.h"')
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch) / name
-        write_package(package, folder)
-        sources = [runtime_dir() / "harness.c", folder / f"{name}.c"]
-        return program(sources, include_dirs=[folder], flags=[*flags, *definitions], libraries=["m"])
-
-
-def _fastest(command: Sequence[str], count: int, header: int = 0) -> Array:
-    """Numbers that a program prints, a row per update, without `header` lines: the smallest of `count` runs each."""
-    runs = []
-    for _ in range(count):
-        lines = _output(command).splitlines()[header:]
-        runs.append([[float(field) for field in line.split(",")] for line in lines])
-    fastest: Array = np.min(np.array(runs), axis=0)
-    return fastest
-
-
-def _instructions(command: Sequence[str], function: str) -> Array | None:
-    """Instructions of every call of a function (u); None without valgrind or where it cannot run the program."""
-    valgrind = shutil.which("valgrind")
-    if valgrind is None:
-        return None
-    with tempfile.TemporaryDirectory() as folder:
-        dump = Path(folder) / "callgrind"
-        counted = [valgrind, "--tool=callgrind", f"--toggle-collect={function}", f"--dump-after={function}"]
-        try:
-            _output([*counted, f"--callgrind-out-file={dump}", *command])
-        except BuildError:  # an instruction that valgrind does not know
-            return None
-        totals = {}
-        for part in Path(folder).glob("callgrind.*"):
-            total = re.search(r"^totals: (\d+)", part.read_text(errors="replace"), re.MULTILINE)
-            if total is not None and int(total[1]) > 0:  # not the rest after the last update
-                totals[int(part.suffix[1:])] = float(total[1])
-    return np.array([totals[k] for k in sorted(totals)]) if totals else None
-
-
-def _output(command: Sequence[str]) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise BuildError(f"{command[0]}: exit code {done.returncode}\n{done.stderr}")
-    return done.stdout
-
-
-# --- errors of the integration ---------------------------------------------------------------------------------------
-
-
-def emitted_errors(machine: Machine, package: Package, recording: Recording) -> tuple[float | None, float | None]:
-    """Largest errors of the emitted state and of its derivatives over all intervals of the windows."""
-    sampling = machine.sampling
-    samples = sampling.samples_per_update
-    model = CompiledModel(machine, package)
-    n_x, n_p = model.model.n_x, model.model.n_p
-    # d_x1 = A d_x0 + B: columns of the identity for d_x0, as many at a time as there are parameters.
-    seeds = np.zeros((n_x, -(-n_x // n_p) * n_p))
-    seeds[:, :n_x] = np.eye(n_x)
-    state, sensitivity = [], []
-    for window, first in enumerate(recording.first):
-        for k, x0 in enumerate(recording.windows.x[window, :-1]):
-            start = (first + k) * samples
-            part = slice(start, start + samples + 1)
-            signals = recording.signals.part(part)
-            x1, d_x1 = model.end(signals, x=x0, first=start)
-            columns = [
-                model.end(signals, x=x0, first=start, d_x=seed)[1] - d_x1
-                for seed in np.split(seeds, seeds.shape[1] // n_p, axis=1)
-            ]
-            by_x = np.hstack(columns)[:, :n_x]
-            exact = recording.exact
-            state.append(x1 - exact.x1[window, k])
-            sensitivity += [d_x1 - exact.B[window, k], by_x - exact.A[window, k]]
-    return _largest(*state), _largest(*sensitivity)
-
-
-def _largest(*differences: Array) -> float | None:
-    """Largest magnitude; None where there is a number that is not finite."""
-    largest = max(float(np.abs(difference).max()) for difference in differences)
-    return largest if all(np.isfinite(difference).all() for difference in differences) else None

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from sgms_mhe.evaluation.benchmark import Benchmark, Peer, Sweep, Variant
+from sgms_mhe.evaluation.benchmark_results import Benchmark, Peer, Sweep, Variant
 
 WIDTH_IN = 9.0
 # Apart for the colour-blind, and by marker in print without colour.

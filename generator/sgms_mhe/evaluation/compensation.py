@@ -37,7 +37,8 @@ from sgms_mhe.evaluation.tracking import (
 )
 from sgms_mhe.host.compiled import CompiledEstimator, LoopCompensation
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.simulation import AxisConfig, Controller, linear_drift, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig, Controller
+from sgms_mhe.plant.simulation import linear_drift, simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory, circle, make_trajectory
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import write_text

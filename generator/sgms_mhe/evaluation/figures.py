@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.evaluation.records import Outcome, Record
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion
 
 Array = NDArray[np.float64]

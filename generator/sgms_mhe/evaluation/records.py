@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
-from sgms_mhe.plant.simulation import AxisConfig, SimulatedRun, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import SimulatedRun, simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.chain import Signals, signals_from_log
 from sgms_mhe.signals.estimates import Estimates

@@ -8,7 +8,6 @@ flash memory and its divider, and issues two at a time where it can.
 
 from __future__ import annotations
 
-import re
 import subprocess
 import tempfile
 import time
@@ -22,27 +21,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.evaluation.comparison import Comparison, compare_estimates
-from sgms_mhe.host.compiled import CompiledEstimator, replay_definitions
+from sgms_mhe.evaluation.firmware import TARGET_FLAGS, Program, Target, build_program
+from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import BuildError
-from sgms_mhe.support.paths import runtime_dir
-from sgms_mhe.support.toolchain import tool_output
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Progress = Callable[[int, int], None]
 """Called with (updates done, updates in all)."""
-
-TARGET_FLAGS: Final = ("-std=c99", "-O2", "-ffp-contract=off")
-"""A multiply and an add stay two roundings: what the target computes is then what a host computes."""
-
-LOOPS: Final = (1, 10, 1000, 100_000)
-"""Counts of the loops that calibrate the counter; one turn is two instructions, each loop two more."""
 
 CALLS: Final = ("init", "sample", "feedback", "prepare", "tick", "estimate")
 """Functions of the package, each on a stack of its own, in the order of `trial.c`."""
@@ -51,74 +43,6 @@ _SAMPLE: Final = np.dtype([("position", "<i8"), ("force", "<f4"), ("unused", "<f
 _FAULT: Final = 100
 _STALLED_S: Final = 120.0
 """A run that writes nothing for so long is stopped."""
-
-
-@dataclass(frozen=True)
-class Target:
-    """A microcontroller: how to compile for it and how to emulate it.
-
-    Attributes:
-        name: as in the names of its start code and linker script.
-        title: what it is.
-        prefix: of the compiler and its tools.
-        flags: of the compiler, for the core and its FPU.
-        emulator: command and arguments of the board, clock included.
-        ticks: of the counter per instruction.
-        packages: Debian packages that bring both.
-        double: mnemonics of double-precision instructions (regular expression).
-    """
-
-    name: str
-    title: str
-    prefix: str
-    flags: tuple[str, ...]
-    emulator: tuple[str, ...]
-    ticks: float
-    packages: str
-    double: str
-
-    @property
-    def tools(self) -> tuple[str, str]:
-        """Commands that it takes: compiler, emulator."""
-        return f"{self.prefix}gcc", self.emulator[0]
-
-    @property
-    def remedy(self) -> str:
-        """What to do where they are absent."""
-        return f"the Debian packages {self.packages} bring what the target takes"
-
-
-TARGETS: Final[Mapping[str, Target]] = MappingProxyType(
-    {
-        target.name: target
-        for target in (
-            Target(
-                name="cortex_m7",
-                title="Arm Cortex-M7 (QEMU mps2-an500)",
-                prefix="arm-none-eabi-",
-                # The emulated FPU has both precisions, as some parts have; code for the smaller one runs on all.
-                flags=("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16", "-mfloat-abi=hard"),
-                # 512 ns per instruction, and a timer of 25 MHz.
-                emulator=("qemu-system-arm", "-machine", "mps2-an500", "-icount", "shift=9"),
-                ticks=12.8,
-                packages="gcc-arm-none-eabi and qemu-system-arm",
-                double=r"v\w+\.(?:\w+\.)*f64\b.*",
-            ),
-            Target(
-                name="riscv32",
-                title="RISC-V RV32IMAFC (QEMU virt)",
-                prefix="riscv64-unknown-elf-",
-                flags=("-march=rv32imafc", "-mabi=ilp32f"),
-                # minstret counts nanoseconds of emulated time: here, instructions.
-                emulator=("qemu-system-riscv32", "-machine", "virt", "-bios", "none", "-icount", "shift=0"),
-                ticks=1.0,
-                packages="gcc-riscv64-unknown-elf and qemu-system-misc",
-                double=r"(?:c\.)?f(?:ld|sd|\w*(?:\.\w+)*\.d(?:\.\w+)*)(?:sp)?",
-            ),
-        )
-    }
-)
-"""Targets by name."""
 
 
 @dataclass(frozen=True)
@@ -186,80 +110,9 @@ class Trial:
         return counts
 
 
-@dataclass(frozen=True)
-class Program:
-    """A linked trial and what is known without running it."""
-
-    path: Path
-    package: int
-    helpers: int
-    data: int
-    double_arithmetic: tuple[str, ...]
-
-
 def single_precision(machine: Machine) -> Machine:
     """The machine with its numbers in single precision, which is what the FPU of a target has."""
     return override_machine(machine, {"code": {"precision": "single"}})
-
-
-def build_program(target: Target, package: Package, folder: Path, flags: Sequence[str] = TARGET_FLAGS) -> Program:
-    """Cross-compile a package and link it with the trial.
-
-    Args:
-        target: the target.
-        package: the package, in any precision.
-        folder: receives the files.
-        flags: of the compiler, besides the target's.
-
-    Raises:
-        BuildError: the compiler is not there, or it refused.
-    """
-    source, name = runtime_dir() / "target", package.machine.name
-    headers = folder / name
-    write_package(package, headers)
-    options: list[str | Path] = [*flags, "-ffreestanding", *target.flags]
-    definitions = [*replay_definitions(name), f"-DSGMS_LOOPS={','.join(map(str, LOOPS))}"]
-    parts: dict[str, list[str | Path]] = {
-        "package.o": [*options, headers / f"{name}.c"],
-        # Otherwise a compiler recognises the loop in memcpy and calls memcpy for it.
-        "helpers.o": [*options, "-fno-tree-loop-distribute-patterns", source / "helpers.c"],
-        "trial.o": [*options, *definitions, f"-I{headers}", f"-I{source}", source / "trial.c"],
-        "start.o": [*target.flags, source / f"{target.name}.S"],
-    }
-    for part, arguments in parts.items():
-        _tool(target, "gcc", *arguments, "-c", "-o", folder / part)
-    linked = folder / "trial.elf"
-    objects = [folder / part for part in parts]
-    script = source / f"{target.name}.ld"
-    _tool(target, "gcc", *target.flags, "-nostdlib", f"-Wl,-T,{script}", *objects, "-lgcc", "-o", linked)
-    sizes = section_sizes(target, linked)
-    return Program(
-        path=linked,
-        package=sizes.get(".package", 0),
-        helpers=sizes.get(".helpers", 0),
-        data=sizes.get(".package_data", 0),
-        double_arithmetic=double_arithmetic(target, folder / "package.o"),
-    )
-
-
-def section_sizes(target: Target, path: Path) -> dict[str, int]:
-    """Bytes of every section of an object or a program."""
-    rows = re.findall(r"^(\.\S+)\s+(\d+)\s+\d+$", _tool(target, "size", "-A", path), re.MULTILINE)
-    return {name: int(size) for name, size in rows}
-
-
-def double_arithmetic(target: Target, path: Path) -> tuple[str, ...]:
-    """Library functions and instructions of double precision that an object uses, sorted."""
-    needed = [line.split()[-1] for line in _tool(target, "nm", "-u", path).splitlines() if line.split()]
-    # __aeabi_dadd, __aeabi_cdcmple, __aeabi_f2d; __adddf3, __floatdidf, __truncdfsf2
-    helpers = {name for name in needed if re.fullmatch(r"__aeabi_c?d\w+|__aeabi_\w+2d|__\w+df\w*", name)}
-    listing = _tool(target, "objdump", "-d", "--no-show-raw-insn", path)
-    mnemonics = set(re.findall(r"^ *[0-9a-f]+:\t(\S+)", listing, re.MULTILINE))
-    return tuple(sorted(helpers | {word for word in mnemonics if re.fullmatch(target.double, word)}))
-
-
-def _tool(target: Target, tool: str, *arguments: str | Path) -> str:
-    return tool_output([f"{target.prefix}{tool}", *map(str, arguments)], target.remedy)
 
 
 # --- run ---------------------------------------------------------------------------------------------------------
@@ -398,7 +251,7 @@ def _trial(target: Target, machine: Machine, model: Model, program: Program, con
             ("one_task", estimate),
         ]
     )
-    head, first, tail = 3 + len(LOOPS), 2, len(CALLS)
+    head, first, tail = 3 + len(program.loops), 2, len(CALLS)
     expected = 4 * (head + first + tail) + updates * row.itemsize
     words = np.frombuffer(content[: 4 * head], dtype="<u4").astype(np.int64)
     if len(content) != expected or words[1] != estimate.itemsize:
@@ -410,7 +263,9 @@ def _trial(target: Target, machine: Machine, model: Model, program: Program, con
     def counted(ticks: NDArray[Any]) -> Counts:
         return np.rint((ticks.astype(np.int64) - nothing) / target.ticks).astype(np.int64)
 
-    calibration = tuple((2 + 2 * count, int(loop)) for count, loop in zip(LOOPS, counted(words[3:]), strict=True))
+    calibration = tuple(
+        (2 + 2 * count, int(loop)) for count, loop in zip(program.loops, counted(words[3:]), strict=True)
+    )
     for instructions, found in calibration:
         if found != instructions:
             raise BuildError(f"{target.emulator[0]}: its clock counts {found} instructions where {instructions} ran")

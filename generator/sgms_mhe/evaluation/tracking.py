@@ -104,10 +104,6 @@ class Comparison:
     nominal: Mapping[str, float]
     figures: tuple[Path, ...] = ()
 
-    def remaining(self, row: str, method: str, against: str) -> float:
-        """Mean peak after reversals over that with another method."""
-        return self.measures[row, method].peak_m / self.measures[row, against].peak_m
-
 
 # --- measures -----------------------------------------------------------------------------------------------------
 

@@ -27,6 +27,8 @@ _CELLS = 128
 _NEAR = 0.14  # half-width over 1/lambda of the short polynomials about the fixed point
 _NEAR_DEGREE = {"double": 7, "single": 5}  # odd: no Chebyshev node falls on the fixed point
 
+_LARGEST = 999  # hundredths of v_s: the highest speed looked at
+
 
 @dataclass(frozen=True)
 class FlowTable:
@@ -56,17 +58,23 @@ def gate_ratio(zeta: float, lambda_: float, gamma: float, tail: float = TAIL) ->
 
     Saturated: max over r of |r| etaA(r) (1 - etaB(|r|)) is below `tail`, so that leaving it out changes g by less.
     """
-    for hundredths in range(1, 1000):
-        c = hundredths / 100.0
-        worst = max(
-            r
-            / (1.0 + math.exp(min(700.0, -2.0 * lambda_ * (r - zeta))))
-            / (1.0 + math.exp(min(700.0, 2.0 * gamma * c * r)))
-            for r in (k / 1000.0 for k in range(1, 3001))
-        )
-        if worst < tail:
-            return c
-    return math.inf
+    if not gate_saturates(zeta, lambda_, gamma, tail):
+        return math.inf
+    return next(c / 100.0 for c in range(1, _LARGEST + 1) if _gate_tail(zeta, lambda_, gamma, c / 100.0) < tail)
+
+
+def gate_saturates(zeta: float, lambda_: float, gamma: float, tail: float = TAIL) -> bool:
+    """Whether there is a speed at which `gate_ratio` calls the gate saturated."""
+    return _gate_tail(zeta, lambda_, gamma, _LARGEST / 100.0) < tail  # the tail falls with speed
+
+
+def _gate_tail(zeta: float, lambda_: float, gamma: float, ratio: float) -> float:
+    return max(
+        r
+        / (1.0 + math.exp(min(700.0, -2.0 * lambda_ * (r - zeta))))
+        / (1.0 + math.exp(min(700.0, 2.0 * gamma * ratio * r)))
+        for r in (k / 1000.0 for k in range(1, 3001))
+    )
 
 
 def flow_applies(zeta: float, lambda_: float, precision: str) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 
@@ -48,10 +48,6 @@ class Scheme:
     def summed(self) -> bool:
         """Whether a stage before the last has a weight of its own."""
         return any(stage.b for stage in self.stages[:-1])
-
-    def with_text(self, text: str) -> Scheme:
-        """The same scheme described otherwise."""
-        return replace(self, text=text)
 
 
 SCHEMES: dict[str, Scheme] = {

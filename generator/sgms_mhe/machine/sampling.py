@@ -18,6 +18,8 @@ rk4 and bs23 then keep the force of Table I within 1e-4 N at every speed; rk2 an
 CHOSEN_BY_TOLERANCE: Final = ("scheme", "substeps", "displacement", "slow_displacement")
 """Keys of the integrator that a tolerance excludes: it chooses them."""
 
+MOST_SAMPLES: Final = 1e5
+"""Samples of an interval: an update every ten seconds at 10 kHz."""
 RATIO_TOLERANCE: Final = 1e-9
 SMALLEST_CUTOFF: Final = 1e-4  # of rate: below it the low-pass coefficients lose their digits
 
@@ -103,13 +105,17 @@ class Sampling(Table):
                 raise refusal(f"integrator.{given[0]}", integrator[given[0]], allowed)
         rate, update_rate = (data.get(key, cls.model_fields[key].default) for key in ("rate", "update_rate"))
         sound = all(type(value) in (int, float) and 0 < value < math.inf for value in (rate, update_rate))
-        if sound and rate >= update_rate and isinstance(integrator, Mapping) and "substeps" not in integrator:
+        sound = sound and 1.0 <= rate / update_rate <= MOST_SAMPLES
+        if sound and isinstance(integrator, Mapping) and "substeps" not in integrator:
             return {**data, "integrator": {**integrator, "substeps": round(rate / update_rate)}}
         return data
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         ratio = self.rate / self.update_rate
+        if not ratio <= MOST_SAMPLES:
+            allowed = f">= {self.rate / MOST_SAMPLES:g} Hz: at most {MOST_SAMPLES:g} samples per update"
+            raise refusal("update_rate", self.update_rate, allowed)
         samples = self.samples_per_update
         if samples < 1 or abs(ratio - samples) > RATIO_TOLERANCE * ratio:
             raise refusal(

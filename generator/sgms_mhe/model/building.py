@@ -1,8 +1,11 @@
-"""Machine file to symbolic model: the three functions of DESIGN section 1 and what the estimator assumes of them."""
+"""Machine file to symbolic model: the three functions of docs/model.md and what the estimator assumes of them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
 
 import casadi as ca
 import numpy as np
@@ -10,7 +13,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.axis import SIGNAL_NAMES, StateSpec, SymbolicAxis
-from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.model.effects import EFFECT_NAMES, EffectDefinition, Stage, effect_definition
 from sgms_mhe.model.friction import FrictionSymbols, Smoothing, add_friction, declare_elements
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.support.errors import InputError
@@ -183,9 +186,73 @@ class _Parameters:
         return [self.take(name, f"{name}_{i + 1}", p, p, -np.inf, np.inf) for i, p in enumerate(nominal)]
 
 
+_BEHIND_THE_DRIVE: Final[tuple[Stage, ...]] = ("log", "actuator")
+"""Stages between the force that acts and the one that is logged."""
+
+
+@dataclass(frozen=True)
+class _Effect:
+    """An effect of the machine file: its parameters as numbers and as expressions, by name."""
+
+    definition: EffectDefinition
+    label: str
+    nominal: Mapping[str, float]
+    expressions: Mapping[str, ca.SX]
+    source: Path
+
+    def contribute(self, axis: SymbolicAxis) -> None:
+        """Add the effect to the axis; refuses numbers that the code of another distribution fails at."""
+        axis.scope = self.label
+        try:
+            self.definition.contribute(axis, self.expressions, self.nominal)
+        except Exception as error:
+            if self.definition.name in EFFECT_NAMES:
+                raise
+            allowed = f"parameters that the effect can be built with; {type(error).__name__}: {error}"
+            raise InputError(self.source, f"effect {self.label}", dict(self.nominal), allowed) from None
+
+
+def _effects(machine: Machine, parameters: _Parameters) -> tuple[_Effect, ...]:
+    scales, effects = scales_of(machine), []
+    for entry in machine.effects:
+        definition = effect_definition(entry.name)
+        nominal = {p.name: entry.parameters.get(p.name, p.default) for p in definition.parameters}
+        expressions = {
+            p.name: parameters.take(
+                f"{entry.label}.{p.name}",
+                f"{entry.label}.{p.name}",
+                nominal[p.name],
+                p.estimation_scale(scales, nominal[p.name]),
+                p.lower,
+                p.upper,
+            )
+            for p in definition.parameters
+        }
+        effects.append(_Effect(definition, entry.label, nominal, expressions, machine.source))
+    return tuple(effects)
+
+
+def _contribute(effects: Sequence[_Effect], axis: SymbolicAxis, *stages: Stage) -> None:
+    """Add the effects of these stages, one stage after the other."""
+    for stage in stages:
+        for effect in effects:
+            if effect.definition.stage == stage:
+                effect.contribute(axis)
+
+
+def _prompt_drive(effects: Sequence[_Effect], axis: SymbolicAxis) -> ca.SX:
+    """The drive's force behind all stages, effects with states left out: these make the log late."""
+    logged = axis.drive
+    for effect in effects:
+        if effect.definition.stage in _BEHIND_THE_DRIVE and not effect.definition.states:
+            effect.contribute(axis)
+    prompt, axis.drive = axis.drive, logged
+    return prompt
+
+
 def build_model(machine: Machine) -> Model:
     """Assemble the symbolic model of a machine: the S-GMS law and every effect of its machine file."""
-    friction, noise, scales = machine.friction, machine.estimator.noise, scales_of(machine)
+    friction, noise = machine.friction, machine.estimator.noise
     parameters = _Parameters(machine)
     integrator, sampling = machine.sampling.integrator, machine.sampling
     axis = SymbolicAxis(
@@ -204,39 +271,8 @@ def build_model(machine: Machine) -> Model:
         stribeck_ratio=parameters.base("stribeck_ratio", friction.stribeck_ratio),
         stribeck_velocity=parameters.base("stribeck_velocity", friction.stribeck_velocity),
     )
-    effects = []
-    for entry in machine.effects:
-        definition = effect_definition(entry.name)
-        nominal = {p.name: entry.parameters.get(p.name, p.default) for p in definition.parameters}
-        expressions = {
-            p.name: parameters.take(
-                f"{entry.label}.{p.name}",
-                f"{entry.label}.{p.name}",
-                nominal[p.name],
-                p.estimation_scale(scales, nominal[p.name]),
-                p.lower,
-                p.upper,
-            )
-            for p in definition.parameters
-        }
-        effects.append((definition, entry.label, nominal, expressions))
-
-    def contribute(stage: str) -> None:
-        for definition, label, nominal, expressions in effects:
-            if definition.stage == stage:
-                axis.scope = label
-                definition.contribute(axis, expressions, nominal)
-
-    def prompt_drive() -> ca.SX:
-        """The drive's force after the stages from "log" on, effects with states left out: these make the log late."""
-        logged = axis.drive
-        for definition, _, nominal, expressions in effects:
-            if definition.stage in ("log", "actuator") and not definition.states:
-                definition.contribute(axis, expressions, nominal)
-        prompt, axis.drive = axis.drive, logged
-        return prompt
-
-    contribute("signal")
+    effects = _effects(machine, parameters)
+    _contribute(effects, axis, "signal")
     declare_elements(
         axis,
         friction.fraction,
@@ -246,14 +282,12 @@ def build_model(machine: Machine) -> Model:
         state_noise=noise.state,
         initial_state=noise.initial_state,
     )
-    contribute("level")
+    _contribute(effects, axis, "level")
     smoothing = Smoothing(friction.smoothing.zeta, friction.smoothing.lambda_, friction.smoothing.gamma)
     elements = add_friction(axis, friction.fraction, symbols, smoothing)
-    for stage in ("force", "motor"):
-        contribute(stage)
-    prompt = prompt_drive()
-    for stage in ("log", "actuator"):
-        contribute(stage)
+    _contribute(effects, axis, "force", "motor")
+    prompt = _prompt_drive(effects, axis)
+    _contribute(effects, axis, *_BEHIND_THE_DRIVE)
     rates = [state.rate for state in axis.states if state.rate is not None]
     if len(rates) != len(axis.states):
         raise ValueError("an effect declared a state and gave it no rate")

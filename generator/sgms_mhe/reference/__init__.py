@@ -1,4 +1,4 @@
-"""Reference solvers: what the generated C is judged by, written from DESIGN.md and not from the C."""
+"""Reference solvers: what the generated C is judged by, written from docs/ and not from the C."""
 
 from __future__ import annotations
 
@@ -35,11 +35,6 @@ def estimate_reference(
     return estimate_model(build_model(machine), signals, kind or machine.estimator.kind, progress=progress)
 
 
-def estimate_ekf(machine: Machine, signals: Signals, *, progress: Progress | None = None) -> Estimates:
-    """Joint extended Kalman filter, whatever the machine file's kind."""
-    return estimate_reference(machine, signals, "ekf", progress=progress)
-
-
 def estimate_smoother(machine: Machine, signals: Signals, *, progress: Progress | None = None) -> Estimates:
     """Full-information smoother over the whole record."""
     return estimate_reference(machine, signals, "smoother", progress=progress)
@@ -51,7 +46,6 @@ __all__ = [
     "Progress",
     "Record",
     "Status",
-    "estimate_ekf",
     "estimate_model",
     "estimate_reference",
     "estimate_smoother",

@@ -1,4 +1,4 @@
-"""Moving horizon estimation from the dense residual and Jacobian of the whole window (DESIGN section 4)."""
+"""Moving horizon estimation from the dense residual and Jacobian of the whole window (docs/estimation.md)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from sgms_mhe.reference.integrator import Linearised, Outputs
 from sgms_mhe.reference.least_squares import solve_bounded, triangular_factor
+from sgms_mhe.reference.linearised import Linearised, Outputs
 from sgms_mhe.reference.problem import NOT_FINITE, Progress, Record, Status, estimates
 from sgms_mhe.signals.estimates import Estimates
 

@@ -9,8 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from sgms_mhe.diagnosis import Diagnosis
-from sgms_mhe.report.content import AFTER, BEFORE, MEASURED, ranked_scores
 from sgms_mhe.report.estimator import EstimatorGain
+from sgms_mhe.report.plots import AFTER, BEFORE, MEASURED
+from sgms_mhe.report.ranking import ranked_scores
 from sgms_mhe.report.series import View, runs
 
 WIDTH_IN: Final = 9.0

@@ -15,6 +15,7 @@ from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.evaluation.plots import save_figure
 from sgms_mhe.report import content, figures
 from sgms_mhe.report.estimator import EstimatorGain
+from sgms_mhe.report.plots import plots
 from sgms_mhe.report.series import views
 from sgms_mhe.support.files import write_text
 
@@ -61,12 +62,12 @@ def write_report(
     tell("report.html", 0.8)
     path = folder / "report.html"
     # Last: where it is, everything that it links to is.
-    write_text(path, _html(content.page(diagnosis, shown, estimator, list(drawings)), content.plots(diagnosis, shown)))
+    write_text(path, _html(content.page(diagnosis, shown, estimator, list(drawings)), plots(diagnosis, shown)))
     tell("report.html", 1.0)
     return path
 
 
-def _html(page: dict[str, Any], plots: dict[str, Any]) -> str:
+def _html(page: dict[str, Any], drawn: dict[str, Any]) -> str:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_HERE),
         undefined=jinja2.StrictUndefined,
@@ -76,7 +77,7 @@ def _html(page: dict[str, Any], plots: dict[str, Any]) -> str:
         keep_trailing_newline=True,
     )
     # Within a script element only "</" could end it.
-    data = json.dumps({"plots": plots}, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    data = json.dumps({"plots": drawn}, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
     return environment.get_template("report.html.jinja").render(
         page,
         css=_safe("report.css"),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from sgms_mhe.model.effects import base_number
-from sgms_mhe.model.effects.units import UNITS, suffix_of
+from sgms_mhe.model.effects.units import UNITS, is_ratio, suffix_of
 
 _PREFIXES: Final = {
     "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm")),
@@ -42,7 +42,7 @@ def split_name(name: str) -> tuple[str, str]:
     number = base_number(name)
     suffix = number.suffix if number is not None else suffix_of(name)
     stem = name if number is not None else name.removesuffix(suffix)
-    percent = not suffix and name.endswith("ratio")
+    percent = not suffix and is_ratio(name)
     return stem.replace("_", " "), UNITS[suffix] if suffix else "%" if percent else ""
 
 

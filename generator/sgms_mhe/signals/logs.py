@@ -1,11 +1,9 @@
-"""Measured logs: CSV, NPZ and MAT v5 files into arrays in SI units, checked, and back into files."""
+"""Measured logs: files of any format into arrays in SI units, checked, and back into files."""
 
 from __future__ import annotations
 
 import math
-import zlib
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import LOG_UNITS, LogColumn, Machine
-from sgms_mhe.signals.matfile import mat_variables
+from sgms_mhe.signals.formats import READERS, write_columns
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
 
@@ -73,14 +71,6 @@ class Log:
         return replace(self, source=source, **columns)
 
 
-@dataclass(frozen=True)
-class _Table:
-    """The wanted variables of a file, and how to tell a user where row i (from 0) stands in it."""
-
-    variables: Mapping[str, Array]
-    row: Callable[[int], str]
-
-
 def read_log(path: str | Path, machine: Machine | None = None) -> Log:
     """Read and check a log; `[log]` of the machine maps the file's variables, scales and units.
 
@@ -91,9 +81,8 @@ def read_log(path: str | Path, machine: Machine | None = None) -> Log:
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    readers = {".csv": _csv_variables, ".txt": _csv_variables, ".npz": _npz_variables, ".mat": _mat_variables}
-    if suffix not in readers:
-        raise InputError(path, "file name", path.name, f"a log with one of the suffixes {', '.join(readers)}")
+    if suffix not in READERS:
+        raise InputError(path, "file name", path.name, f"a log with one of the suffixes {', '.join(READERS)}")
     sources: dict[str, LogColumn] = {}
 
     def choose(found: Sequence[str]) -> list[str]:
@@ -101,11 +90,11 @@ def read_log(path: str | Path, machine: Machine | None = None) -> Log:
         return sorted({source.variable for source in sources.values()})
 
     try:
-        table = readers[suffix](path, choose)
+        variables = READERS[suffix](path, choose)
     except OSError as error:
         raise InputError(path, "file", None, f"a readable log ({error.strerror or error})") from None
-    columns = {name: _si(name, source, table.variables[source.variable]) for name, source in sources.items()}
-    _check_columns(path, columns, table.row)
+    columns = {name: _si(name, source, variables.by_name[source.variable]) for name, source in sources.items()}
+    _check_columns(path, columns, variables.row)
     time = columns["time_s"]
     log = Log(**columns, rate=(len(time) - 1) / float(time[-1] - time[0]), source=str(path))
     if machine is not None:
@@ -129,28 +118,6 @@ def write_log(path: str | Path, log: Log) -> None:
             np.savez(stream, allow_pickle=False, **log.columns)
     else:
         write_columns(path, log.columns)
-
-
-def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> None:
-    """Write named columns (n,) as CSV, atomically; floats by shortest round-trip, integers as integers."""
-    block = 65536
-    with atomic_write(path) as stream:
-        stream.write((",".join(columns) + "\n").encode())
-        length = len(next(iter(columns.values())))
-        for start in range(0, length, block):
-            parts = (map(repr, values[start : start + block].tolist()) for values in columns.values())
-            stream.write("".join(",".join(row) + "\n" for row in zip(*parts, strict=True)).encode())
-
-
-def read_columns(path: str | Path, choose: Callable[[Sequence[str]], Iterable[str]] = list) -> dict[str, Array]:
-    """Named columns (n,) of a CSV file; `choose` says which of the columns found are wanted. An empty field is NaN.
-
-    Raises InputError with file, row and column for rows of unequal length and for fields that are no numbers.
-    """
-    try:
-        return dict(_csv_variables(Path(path), choose).variables)
-    except OSError as error:
-        raise InputError(path, "file", None, f"a readable file ({error.strerror or error})") from None
 
 
 def _sources(path: Path, found: Sequence[str], machine: Machine | None) -> dict[str, LogColumn]:
@@ -212,127 +179,3 @@ def _check_columns(path: Path, columns: Mapping[str, Array], row: Callable[[int]
             "(a missing sample keeps its row, with NaN)"
         )
     raise InputError(path, f"{row(first)}, column time_s", value, allowed)
-
-
-# --- CSV --------------------------------------------------------------------------------------------------------------
-
-
-def _csv_variables(path: Path, choose: Callable[[Sequence[str]], Iterable[str]]) -> _Table:
-    header_line, names, delimiter = _csv_header(path)
-    wanted = list(choose(names))
-    indices = [names.index(name) for name in wanted]
-
-    def row(index: int) -> str:
-        return f"row {index + 1} (line {_csv_line(path, header_line, index)})"
-
-    try:
-        values = np.loadtxt(
-            path, delimiter=delimiter, skiprows=header_line, comments=None, ndmin=2, encoding="utf-8-sig"
-        )
-        if values.shape[1] != len(names):
-            raise ValueError("header and rows differ in length")
-        values = values[:, indices]
-    except ValueError:  # text, an empty field, a ragged row: slower, field by field, to say which and where
-        values = _csv_slowly(path, header_line, delimiter, names, indices)
-    return _Table({name: np.ascontiguousarray(values[:, k]) for k, name in enumerate(wanted)}, row)
-
-
-def _csv_header(path: Path) -> tuple[int, list[str], str]:
-    """(lines up to and including the header, column names, delimiter) of a file that holds at least one row."""
-    with path.open(encoding="utf-8-sig", errors="replace", newline=None) as stream:
-        number, delimiter = 0, ","
-        names: list[str] = []
-        for line in stream:
-            if not names:
-                number += 1
-                if not line.strip():
-                    continue
-                delimiter = max(",;\t", key=line.count)
-                names = [name.strip().strip('"').strip() for name in line.lstrip("#").split(delimiter)]
-            elif line.strip():
-                break
-        else:
-            what = "header but no row" if names else "nothing"
-            raise InputError(path, "file", what, "a header line with the columns' names and at least 2 rows")
-    twice = [name for name, count in Counter(names).items() if count > 1]
-    if twice:
-        raise InputError(path, f"line {number}", twice[0], "each column's name once in the header")
-    return number, names, delimiter
-
-
-def _csv_lines(path: Path, header_line: int) -> Iterable[tuple[int, str]]:
-    """(line number, line) of every row after the header; blank lines are no rows."""
-    with path.open("rb") as stream:
-        for number, raw in enumerate(stream, start=1):
-            if number > header_line and raw.strip():
-                try:
-                    yield number, raw.decode().rstrip("\r\n")
-                except UnicodeDecodeError:
-                    raise InputError(path, f"line {number}", None, "UTF-8 text") from None
-
-
-def _csv_line(path: Path, header_line: int, index: int) -> int:
-    return next((number for k, (number, _) in enumerate(_csv_lines(path, header_line)) if k == index), 0)
-
-
-def _csv_slowly(path: Path, header_line: int, delimiter: str, names: Sequence[str], indices: Sequence[int]) -> Array:
-    rows: list[list[float]] = []
-    for number, line in _csv_lines(path, header_line):
-        fields = line.split(delimiter)
-        where = f"row {len(rows) + 1} (line {number})"
-        if len(fields) != len(names):
-            allowed = f"{len(names)} fields, as many as the header has names"
-            raise InputError(path, where, f"{len(fields)} fields", allowed)
-        entries = []
-        for index in indices:
-            field = fields[index].strip().strip('"').strip()
-            try:
-                entries.append(float(field) if field else np.nan)
-            except ValueError:
-                raise InputError(path, f"{where}, column {names[index]}", field, "a number, or NaN") from None
-        rows.append(entries)
-    return np.array(rows).reshape(len(rows), len(indices))
-
-
-# --- NPZ and MAT ------------------------------------------------------------------------------------------------------
-
-
-def _npz_variables(path: Path, choose: Callable[[Sequence[str]], Iterable[str]]) -> _Table:
-    with path.open("rb") as stream:
-        try:
-            archive = np.load(stream, allow_pickle=False)
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise ValueError("a single array")
-            variables = {name: archive[name] for name in choose(archive.files)}
-        except InputError:
-            raise
-        except Exception as error:  # the readers of a damaged file stumble in many ways
-            raise _damaged(path, "a whole NPZ archive of numeric arrays", error) from None
-    return _Table({name: _vector(path, name, value) for name, value in variables.items()}, _array_row)
-
-
-def _mat_variables(path: Path, choose: Callable[[Sequence[str]], Iterable[str]]) -> _Table:
-    try:
-        found = mat_variables(path)
-        variables = {name: found[name].read() for name in choose(list(found))}
-    except NotImplementedError:
-        raise InputError(path, "file", None, "MAT v5; this one is v7.3 (save it with -v7)") from None
-    except (ValueError, zlib.error) as error:
-        raise _damaged(path, "a whole MAT v5 file, its columns vectors of real numbers", error) from None
-    return _Table({name: _vector(path, name, value) for name, value in variables.items()}, _array_row)
-
-
-def _damaged(path: Path, allowed: str, error: Exception) -> InputError:
-    return InputError(path, "file", None, f"{allowed} ({type(error).__name__}: {error})")
-
-
-def _array_row(index: int) -> str:
-    return f"row {index + 1}"
-
-
-def _vector(path: Path, name: str, value: Any) -> Array:
-    array = np.asarray(value)
-    if array.dtype.kind not in "fiub" or array.size != max(array.shape, default=0):
-        found = f"{array.dtype} array of shape {array.shape}"
-        raise InputError(path, f"variable {name}", found, "a vector of real numbers, one per row")
-    return array.reshape(-1).astype(np.float64)

@@ -9,6 +9,9 @@
 
 #include "toy_compensation.h"
 
+/* Which call is under way, for other tasks to see. VOIDED: a prepare that a reset came into; SPOILT: it is over, and what it left is worth nothing. */
+enum { IDLE, PREPARING, FEEDING, VOIDED, SPOILT };
+
 static void copy(sgms_real *to, const sgms_real *from, int count)
 {
     for (int i = 0; i < count; i++) {
@@ -81,6 +84,8 @@ static void start_signals(toy_t *self)
 void toy_init(toy_t *self)
 {
     const sgms_real zero[STATES] = { 0.0 };
+    self->phase = IDLE;
+    self->version = 0;
     start_signals(self);
     self->compensate = 1;
     fill(self->theta, 1.0, PARAMETERS);
@@ -98,6 +103,8 @@ void toy_init(toy_t *self)
 void toy_reset(toy_t *self)
 {
     const sgms_real zero[STATES] = { 0.0 };
+    self->phase = self->phase == PREPARING || self->phase == VOIDED ? VOIDED : IDLE;
+    SGMS_FENCE();
     start_signals(self);
     copy(self->theta, self->good_theta, PARAMETERS);
     start_window(self, zero);
@@ -315,9 +322,16 @@ static void work(toy_t *self)
 
 void toy_prepare(toy_t *self)
 {
-    while (self->started && next_cost(self) > 0) { /* before the first sample there is no first node */
+    if (self->phase != IDLE || !self->started) { /* before the first sample there is no first node */
+        return;
+    }
+    self->phase = PREPARING;
+    SGMS_FENCE();
+    while (self->phase == PREPARING && next_cost(self) > 0) {
         work(self);
     }
+    SGMS_FENCE();
+    self->phase = self->phase == PREPARING ? IDLE : SPOILT;
 }
 
 int toy_due(const toy_t *self)
@@ -359,8 +373,8 @@ static int is_plausible(const sgms_real *x)
     return count == STATES;
 }
 
-/* There is no solution: keep the last good estimate and start the window from it. */
-static int start_again(toy_t *self)
+/* There is no solution: keep the last good estimate and start the window from it. Returns the status, which says why. */
+static int start_again(toy_t *self, int status)
 {
     sgms_real w[5];
     copy(w, self->signal, 5);
@@ -370,20 +384,20 @@ static int start_again(toy_t *self)
     self->node_valid[0] = 0;
     self->node_friction[0] = 0.0;
     self->started = 1;
-    self->status = TOY_NUMERIC;
-    return TOY_NUMERIC;
+    self->status = status;
+    return status;
 }
 
-int toy_feedback(toy_t *self)
+/* The update of a complete interval. Returns its status. */
+static int update(toy_t *self)
 {
     sgms_real x[STATES], theta[PARAMETERS], variance[PARAMETERS], scratch[PARAMETERS];
     sgms_real friction;
     int status = 0;
     int next;
-    if (!toy_due(self)) {
-        return TOY_EARLY;
+    while (next_cost(self) > 0) {
+        work(self);
     }
-    toy_prepare(self);
     {
         sgms_real a[STATES * STATES], b[STATES * PARAMETERS], rows[STATES * DEFECT_WIDTH];
         const sgms_real *start = self->node + self->filling * STATES;
@@ -398,13 +412,15 @@ int toy_feedback(toy_t *self)
     recover(self->factor, FACTOR_WIDTH, 0, x, theta, x);
     sgms_variances(self->factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH, variance, scratch);
     if (!is_plausible(x) || !all_finite(theta, PARAMETERS) || !all_finite(variance, PARAMETERS)) {
-        return start_again(self);
+        return start_again(self, TOY_NUMERIC);
     }
     friction = output_at(self, x, theta);
     if (!all_finite(&friction, 1)) {
-        return start_again(self);
+        return start_again(self, TOY_NUMERIC);
     }
     copy(self->theta, theta, PARAMETERS);
+    self->version++;
+    SGMS_FENCE();
     copy(self->good_state, x, STATES);
     copy(self->good_theta, theta, PARAMETERS);
     copy(self->good_variance, variance, PARAMETERS);
@@ -425,12 +441,32 @@ int toy_feedback(toy_t *self)
         status += TOY_FILLING;
     }
     self->status = status;
+    SGMS_FENCE();
+    self->version++;
     self->filling = next;
     copy(self->node + next * STATES, x, STATES);
     copy(self->node_signal + next * 5, self->signal, 5);
     self->node_friction[next] = self->last_friction;
     self->node_valid[next] = self->last_valid;
     start_interval(self);
+    return status;
+}
+
+int toy_feedback(toy_t *self)
+{
+    const uint32_t phase = self->phase;
+    int status;
+    if (!toy_due(self)) {
+        return TOY_EARLY;
+    }
+    if (phase != IDLE && phase != SPOILT) {
+        return TOY_OVERLAP;
+    }
+    self->phase = FEEDING;
+    SGMS_FENCE();
+    status = phase == SPOILT ? start_again(self, TOY_OVERLAP) : update(self);
+    SGMS_FENCE();
+    self->phase = IDLE;
     return status;
 }
 
@@ -519,9 +555,11 @@ toy_real toy_tick(toy_t *self, toy_position position, toy_real force)
         (void)toy_feedback(self);
         return fed_forward(self);
     }
-    for (int left = COST_PER_SAMPLE, cost = next_cost(self); cost > 0 && cost <= left; cost = next_cost(self)) {
-        work(self);
-        left -= cost;
+    if (self->phase == IDLE) { /* otherwise another task prepares */
+        for (int left = COST_PER_SAMPLE, cost = next_cost(self); cost > 0 && cost <= left; cost = next_cost(self)) {
+            work(self);
+            left -= cost;
+        }
     }
     return fed_forward(self);
 }
@@ -547,20 +585,32 @@ toy_real toy_share(const toy_t *self)
 
 void toy_estimate(const toy_t *self, toy_estimate_t *estimate)
 {
-    estimate->friction = self->friction;
-    estimate->friction_measured = self->friction_measured;
-    deflections(self->good_state, self->good_theta, estimate->deflection);
-    parameters_si(self->good_theta, estimate->parameter);
-    for (int p = 0; p < PARAMETERS; p++) {
-        estimate->deviation[p] = sgms_sqrt(self->good_variance[p]) * parameter_unit[p];
+    for (int attempt = 0; attempt < 3; attempt++) {
+        const uint32_t version = self->version;
+        SGMS_FENCE();
+        estimate->friction = self->friction;
+        estimate->friction_measured = self->friction_measured;
+        deflections(self->good_state, self->good_theta, estimate->deflection);
+        parameters_si(self->good_theta, estimate->parameter);
+        for (int p = 0; p < PARAMETERS; p++) {
+            estimate->deviation[p] = sgms_sqrt(self->good_variance[p]) * parameter_unit[p];
+        }
+        estimate->status = (int)self->status;
+        SGMS_FENCE();
+        if (version % 2 == 0 && version == self->version) {
+            return;
+        }
     }
-    estimate->status = (int)self->status;
+    estimate->status = TOY_OVERLAP;
 }
 
 const char *toy_status_text(int status)
 {
     if (status == TOY_EARLY) {
         return "refused: the interval is not complete";
+    }
+    if (status == TOY_OVERLAP) {
+        return "refused: calls of two tasks overlapped";
     }
     if (status < 0) {
         return "refused: the solution was not finite or absurd; the last good estimate stays";

@@ -10,6 +10,19 @@
  *   one task      toy_tick() at 1000 Hz; it spreads the work over the samples of an interval.
  *   two tasks     toy_sample() at 1000 Hz in the fast task; when toy_due() says so, toy_feedback() right after it;
  *                 toy_prepare() in a slower task, between one feedback and the next.
+ *
+ * Tasks that share an axis. C99 has no atomics; this is what the caller guarantees, and what the axis watches over:
+ *
+ *   - One task calls toy_sample(), toy_feedback() and their like, or toy_tick(). That one or one other calls toy_prepare().
+ *   - sample() may interrupt prepare() anywhere. feedback() may not: it then returns OVERLAP and changes nothing; it is to be called again once
+ *     prepare() has returned, and samples that come until then are lost (OVERRUN). What prepare() had not begun feedback() does itself.
+ *   - prepare() inside of prepare() or feedback() returns at once.
+ *   - toy_init() and toy_reset() are called while no other call is under way. A reset() inside of prepare() is noticed: the next
+ *     feedback() returns OVERLAP and starts the window from the last good estimate.
+ *   - toy_estimate() may be called by any task: numbers of one update, or the status OVERLAP where feedback() came between three times.
+ *   - Aligned words of 32 bits are read and written in one piece, and in the order of the program. gcc and clang are told to keep it, which is
+ *     enough on one core. With another compiler, or tasks on two cores, SGMS_FENCE() (sgms_real.h) has to be a memory barrier; on two cores
+ *     prepare() is started after feedback() has returned, as by a semaphore.
  */
 #ifndef TOY_H
 #define TOY_H
@@ -38,7 +51,8 @@ enum {
     TOY_SPEED = 16,   /* faster than max_velocity, 0.5 m/s */
     TOY_OVERRUN = 32, /* samples were lost: feedback was not called in time */
     TOY_EARLY = -1,   /* feedback before the interval was complete */
-    TOY_NUMERIC = -2  /* the solution was not finite or absurd: the window starts anew from the last good estimate */
+    TOY_NUMERIC = -2, /* the solution was not finite or absurd: the window starts anew from the last good estimate */
+    TOY_OVERLAP = -3  /* calls of two tasks overlapped, as feedback while prepare was under way; see above */
 };
 
 /* Signals of one sample for toy_insert(), where the controller has a signal chain of its own. */
@@ -81,6 +95,7 @@ typedef struct {
     int32_t merged_count;
     /* slots of the window are used in turn, `filling` is the interval under way */
     int32_t filling, step, started, lost, too_fast, status;
+    volatile uint32_t phase, version; /* which call is under way; odd while the last good estimate is written */
     toy_real theta[2];
     toy_terms of_theta;
     toy_real newest[16]; /* the interval under way */

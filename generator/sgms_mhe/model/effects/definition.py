@@ -23,6 +23,9 @@ factors on friction; forces; from force to motor current; from current to the lo
 Contribution = Callable[[SymbolicAxis, Mapping[str, ca.SX], Mapping[str, float]], None]
 
 
+PlantForce = Callable[[float, float, float, Mapping[str, float]], float]
+
+
 @dataclass(frozen=True, kw_only=True)
 class EffectDefinition(CauseDefinition):
     """The one definition of an effect that reference, generator and diagnosis read.
@@ -38,6 +41,9 @@ class EffectDefinition(CauseDefinition):
         repeatable: whether an axis may have two of it.
         full_rate: whether it is about as fast as a sample of the record, or jumps: fitted at the record's full rate,
             never on means.
+        plant_force: the simulated plant's own version of a force, friction-like in sign, written a second time in plain
+            numbers: of position [m], velocity [m/s], time [s] and the parameters. Only effects of other distributions
+            have one; the plant knows this package's.
         specimen: how a benchmark hides it; None: not at all.
         fit_displacement: largest step of a fit of it where the elements are integrated exactly, in deflection scales of
             its states; None: 1, they settle within it. Below 1: its states are derivatives of the force, and a long
@@ -54,6 +60,7 @@ class EffectDefinition(CauseDefinition):
     full_rate: bool = False
     fit_displacement: float | None = None
     specimen: Specimen | None = None
+    plant_force: PlantForce | None = None
 
     def parameter(self, name: str) -> EffectParameter:
         """Return the parameter called `name`; KeyError if there is none."""

@@ -31,6 +31,11 @@ def suffix_of(name: str) -> str:
     return next((suffix for suffix in UNITS if name.endswith(suffix)), "")
 
 
+def is_ratio(name: str) -> bool:
+    """Whether a name is that of a ratio, which is read as percent."""
+    return name.endswith(PURE_NUMBERS[0])
+
+
 def is_pure_number(name: str) -> bool:
     """Whether a name says that there is no unit."""
     return name.rpartition("_")[2] in PURE_NUMBERS

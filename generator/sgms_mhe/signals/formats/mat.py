@@ -16,6 +16,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.signals.formats.variables import Choose, Variables, array_row, damaged, vector
+from sgms_mhe.support.errors import InputError
+
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _MATRIX, _COMPRESSED = 14, 15
 _NUMERIC_CLASSES = range(6, 16)  # double, single, the integers
@@ -47,6 +50,18 @@ class MatVariable:
         if values.size != math.prod(shape):
             raise ValueError(f"{self.name} holds {values.size} numbers for the shape {shape}")
         return values.astype(np.float64).reshape(shape, order="F")
+
+
+def read_mat(path: Path, choose: Choose) -> Variables:
+    """Read the wanted variables. Raises InputError for a damaged file or one of v7.3, OSError as open does."""
+    try:
+        found = mat_variables(path)
+        variables = {name: found[name].read() for name in choose(list(found))}
+    except NotImplementedError:
+        raise InputError(path, "file", None, "MAT v5; this one is v7.3 (save it with -v7)") from None
+    except (ValueError, zlib.error) as error:
+        raise damaged(path, "a whole MAT v5 file, its columns vectors of real numbers", error) from None
+    return Variables({name: vector(path, name, value) for name, value in variables.items()}, array_row)
 
 
 def mat_variables(path: Path) -> dict[str, MatVariable]:

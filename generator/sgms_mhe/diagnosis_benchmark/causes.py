@@ -1,0 +1,126 @@
+"""Hidden causes: their parameters, drawn and brought to the size that a draw asks for.
+
+The size of a cause is the force it adds to the measured friction along the motion, exceeded in a fiftieth of the log,
+over the Coulomb level: for a ripple its amplitude, for what acts after reversals only what it reaches there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects.specimen import Scene, log_uniform
+from sgms_mhe.model.scales import scales_of
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.plant.trajectories import Trajectory
+from sgms_mhe.signals.chain import Signals, signals_from_log
+
+Array = NDArray[np.float64]
+Values = dict[str, float]
+LEAST_SIZE: Final = 0.05
+"""Sizes from here on count in the rates; smaller ones show where finding ends."""
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One hidden cause: `parameters` of an effect, or `factors` on base parameters; its size, the share to be seen."""
+
+    name: str
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    factors: Mapping[str, float] = field(default_factory=dict)
+    size: float = math.nan
+    visible: float = math.nan
+
+
+_SATURATION: Final = 40.0  # how far x may go from its start
+
+
+def sized_cause(
+    machine: Machine, motion: Trajectory, plain: Signals, name: str, size: float, random: Generator
+) -> tuple[Hidden, Array] | None:
+    """A cause whose force has that size, and the force; None where it cannot be had."""
+    friction = machine.friction
+    numbers = (number.name for base in BASE_CAUSES.values() for number in base.numbers if not number.array)
+    scene = Scene(
+        scales=scales_of(machine),
+        numbers={number: getattr(friction, number) for number in numbers},
+        cutoff=machine.sampling.velocity_cutoff,
+        travel=float(np.ptp(motion.position_m)),
+        speed=float(np.abs(motion.velocity_m_s).max()),
+        seconds=motion.duration_s,
+        random=random,
+    )
+    if name in BASE_CAUSES:
+        return _wrong_number(machine, motion, plain, name, scene, size)
+    specimen = effect_definition(name).specimen
+    if specimen is None:
+        return None
+    parameters, x = specimen.draw(scene), 1.0
+    goal = size * friction.coulomb
+    hidden, force, peak = Hidden(name), plain.friction, 0.0
+    for _ in range(5):
+        hidden = Hidden(name, _within_limits(name, parameters(x)))
+        force = prescribed_signals(machine, motion, hidden).friction - plain.friction
+        peak = peak_force(force)
+        if peak > 0.0 and abs(peak / goal - 1.0) < 0.1:
+            break
+        x = min(_SATURATION, x * min(10.0, max(0.1, goal / max(peak, 1e-12))))
+    if not 0.5 < peak / goal < 2.0:
+        return None
+    return replace(hidden, size=peak / machine.friction.coulomb), force
+
+
+def _within_limits(name: str, values: Mapping[str, float]) -> Values:
+    limits = {p.name: (p.lower, p.upper) for p in effect_definition(name).parameters}
+    return {key: min(max(value, limits[key][0]), limits[key][1]) for key, value in values.items()}
+
+
+def _wrong_number(
+    machine: Machine, motion: Trajectory, plain: Signals, name: str, scene: Scene, size: float
+) -> tuple[Hidden, Array] | None:
+    """A wrong number that changes the force by that size, and the change; None where the machine has none."""
+    drawn = BASE_CAUSES[name].factors(scene, size)
+    if drawn is None:
+        return None
+    factors, elements = Values(), len(machine.friction.stiffness)
+    for number in BASE_CAUSES[name].numbers:
+        if number.name in drawn:
+            factors |= dict.fromkeys(number.columns(elements), drawn[number.name])
+    hidden = Hidden(name, factors=factors)
+    force = prescribed_signals(machine, motion, hidden).friction - plain.friction
+    return replace(hidden, size=peak_force(force) / machine.friction.coulomb), force
+
+
+def prescribed_signals(machine: Machine, motion: Trajectory, hidden: Hidden) -> Signals:
+    """Signals of an axis that follows the motion exactly, without noise."""
+    specimen = effect_definition(hidden.name).specimen if hidden.name in EFFECT_NAMES else None
+    lead = specimen.leads if specimen is not None else None
+    effects = [(hidden.name, hidden.parameters)] if hidden.parameters and lead is None else []
+    config = AxisConfig(control="prescribed", encoder_resolution_m=0.0, force_noise_N=0.0, substeps=2)
+    log = simulate_axis(machine, motion, config, hidden_effects=effects, scale=hidden.factors, truth=False).log
+    if lead is not None:
+        # The logged force leads: u = lagged + T d(lagged)/dt makes the motion.
+        force = log.force_N
+        log = replace(log, force_N=force + hidden.parameters[lead] * np.gradient(force, 1.0 / machine.sampling.rate))
+    return signals_from_log(log, machine)
+
+
+def peak_force(force: Array) -> float:
+    """What the force exceeds in a fiftieth of the log, the start left out."""
+    return float(np.quantile(np.abs(force[len(force) // 50 :]), 0.98))
+
+
+def draw_size(random: Generator, least: float = 0.02) -> float:
+    """Over the Coulomb level: a quarter of the draws below `LEAST_SIZE`, unless all have to be larger."""
+    if least < LEAST_SIZE and random.uniform() < 0.2:
+        return log_uniform(random, least, LEAST_SIZE)
+    return log_uniform(random, max(least, 1.15 * LEAST_SIZE), 0.5)

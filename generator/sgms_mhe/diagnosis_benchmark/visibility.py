@@ -1,0 +1,67 @@
+"""What of a force is left to be seen once the base model's numbers have taken over what they can."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.diagnosis.compiling import cached_package
+from sgms_mhe.host.compiled import CompiledModel
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import BASE_CAUSES
+from sgms_mhe.signals.chain import Signals, settle_samples
+
+Array = NDArray[np.float64]
+_RATE: Final = 500.0  # of projections
+
+
+_models: Final[dict[str, CompiledModel]] = {}
+"""Compiled once per process and machine."""
+
+
+def visible_share(machine: Machine, columns: Array, force: Array, others: Array | None = None) -> float:
+    """Share of a force (RMS) that neither the base model's numbers (`columns`) nor other forces can take over."""
+    factor = max(1, round(machine.sampling.rate / _RATE))
+    start = settle_samples(machine) // factor + 2
+
+    def reduced(series: Array) -> Array:
+        m = len(series) // factor
+        return np.asarray(series[: m * factor].reshape(m, factor, *series.shape[1:]).mean(axis=1))[start:]
+
+    f, free = reduced(force), reduced(columns)
+    if others is not None:
+        free = np.hstack((free, reduced(others)))
+    scale = np.linalg.norm(free, axis=0)
+    q, r = np.linalg.qr(free[:, scale > 0.0] / scale[scale > 0.0])
+    q = q[:, np.abs(np.diag(r)) > 1e-8]
+    norm = float(np.linalg.norm(f))
+    return float(np.linalg.norm(f - q @ (q.T @ f))) / norm if norm > 0.0 else 0.0
+
+
+def sensitivities(machine: Machine, plain: Signals) -> Array:
+    """Derivatives of friction in the base model's numbers along a motion (n, k)."""
+    slopes = _model(machine).predict(plain, derivatives=True).d_friction
+    if slopes is None:
+        raise RuntimeError("a prediction without derivatives")
+    return slopes
+
+
+def _model(machine: Machine) -> CompiledModel:
+    if machine.digest not in _models:
+        friction, sampling = machine.friction, machine.sampling
+        # Those that the friction is linear in, or nearly; of a number that is 0 there is no multiple.
+        linear = [number.name for base in BASE_CAUSES.values() for number in base.numbers[:1]]
+        names = [name for name in linear if getattr(friction, name) != 0.0]
+        substeps = max(sampling.integrator.substeps, sampling.samples_per_update)
+        changes = {
+            "name": "base_numbers",
+            "estimator": {"parameters": names},
+            "sampling": {"integrator": {"substeps": substeps}},
+            "code": {"precision": "double"},
+        }
+        plain = override_machine(machine, changes)
+        _models[machine.digest] = CompiledModel(plain, cached_package(plain))
+    return _models[machine.digest]

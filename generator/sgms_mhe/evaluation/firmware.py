@@ -1,0 +1,158 @@
+"""A package cross-compiled and linked for a microcontroller: its size, and what precision its code computes in."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from sgms_mhe.emission.package import Package, write_package
+from sgms_mhe.host.compiled import replay_definitions
+from sgms_mhe.support.paths import runtime_dir
+from sgms_mhe.support.toolchain import tool_output
+
+TARGET_FLAGS: Final = ("-std=c99", "-O2", "-ffp-contract=off")
+"""A multiply and an add stay two roundings: what the target computes is then what a host computes."""
+
+LOOPS: Final = (1, 10, 1000, 100_000)
+"""Counts of the loops that calibrate the counter; one turn is two instructions, each loop two more."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """A microcontroller: how to compile for it and how to emulate it.
+
+    Attributes:
+        name: as in the names of its start code and linker script.
+        title: what it is.
+        prefix: of the compiler and its tools.
+        flags: of the compiler, for the core and its FPU.
+        emulator: command and arguments of the board, clock included.
+        ticks: of the counter per instruction.
+        packages: Debian packages that bring both.
+        double: mnemonics of double-precision instructions (regular expression).
+    """
+
+    name: str
+    title: str
+    prefix: str
+    flags: tuple[str, ...]
+    emulator: tuple[str, ...]
+    ticks: float
+    packages: str
+    double: str
+
+    @property
+    def remedy(self) -> str:
+        """What to do where they are absent."""
+        return f"the Debian packages {self.packages} bring what the target takes"
+
+
+TARGETS: Final[Mapping[str, Target]] = MappingProxyType(
+    {
+        target.name: target
+        for target in (
+            Target(
+                name="cortex_m7",
+                title="Arm Cortex-M7 (QEMU mps2-an500)",
+                prefix="arm-none-eabi-",
+                # The emulated FPU has both precisions, as some parts have; code for the smaller one runs on all.
+                flags=("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-sp-d16", "-mfloat-abi=hard"),
+                # 512 ns per instruction, and a timer of 25 MHz.
+                emulator=("qemu-system-arm", "-machine", "mps2-an500", "-icount", "shift=9"),
+                ticks=12.8,
+                packages="gcc-arm-none-eabi and qemu-system-arm",
+                double=r"v\w+\.(?:\w+\.)*f64\b.*",
+            ),
+            Target(
+                name="riscv32",
+                title="RISC-V RV32IMAFC (QEMU virt)",
+                prefix="riscv64-unknown-elf-",
+                flags=("-march=rv32imafc", "-mabi=ilp32f"),
+                # minstret counts nanoseconds of emulated time: here, instructions.
+                emulator=("qemu-system-riscv32", "-machine", "virt", "-bios", "none", "-icount", "shift=0"),
+                ticks=1.0,
+                packages="gcc-riscv64-unknown-elf and qemu-system-misc",
+                double=r"(?:c\.)?f(?:ld|sd|\w*(?:\.\w+)*\.d(?:\.\w+)*)(?:sp)?",
+            ),
+        )
+    }
+)
+"""Targets by name."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """A linked trial and what is known without running it."""
+
+    path: Path
+    package: int
+    helpers: int
+    data: int
+    double_arithmetic: tuple[str, ...]
+    loops: tuple[int, ...]
+
+
+def build_program(target: Target, package: Package, folder: Path, flags: Sequence[str] = TARGET_FLAGS) -> Program:
+    """Cross-compile a package and link it with the trial.
+
+    Args:
+        target: the target.
+        package: the package, in any precision.
+        folder: receives the files.
+        flags: of the compiler, besides the target's.
+
+    Raises:
+        BuildError: the compiler is not there, or it refused.
+    """
+    source, name = runtime_dir() / "target", package.machine.name
+    headers = folder / name
+    write_package(package, headers)
+    options: list[str | Path] = [*flags, "-ffreestanding", *target.flags]
+    definitions = [*replay_definitions(name), f"-DSGMS_LOOPS={','.join(map(str, LOOPS))}"]
+    parts: dict[str, list[str | Path]] = {
+        "package.o": [*options, headers / f"{name}.c"],
+        # Otherwise a compiler recognises the loop in memcpy and calls memcpy for it.
+        "helpers.o": [*options, "-fno-tree-loop-distribute-patterns", source / "helpers.c"],
+        "trial.o": [*options, *definitions, f"-I{headers}", f"-I{source}", source / "trial.c"],
+        "start.o": [*target.flags, source / f"{target.name}.S"],
+    }
+    for part, arguments in parts.items():
+        run_tool(target, "gcc", *arguments, "-c", "-o", folder / part)
+    linked = folder / "trial.elf"
+    objects = [folder / part for part in parts]
+    script = source / f"{target.name}.ld"
+    run_tool(target, "gcc", *target.flags, "-nostdlib", f"-Wl,-T,{script}", *objects, "-lgcc", "-o", linked)
+    sizes = section_sizes(target, linked)
+    return Program(
+        path=linked,
+        package=sizes.get(".package", 0),
+        helpers=sizes.get(".helpers", 0),
+        data=sizes.get(".package_data", 0),
+        double_arithmetic=double_arithmetic(target, folder / "package.o"),
+        loops=LOOPS,
+    )
+
+
+def section_sizes(target: Target, path: Path) -> dict[str, int]:
+    """Bytes of every section of an object or a program."""
+    rows = re.findall(r"^(\.\S+)\s+(\d+)\s+\d+$", run_tool(target, "size", "-A", path), re.MULTILINE)
+    return {name: int(size) for name, size in rows}
+
+
+def double_arithmetic(target: Target, path: Path) -> tuple[str, ...]:
+    """Library functions and instructions of double precision that an object uses, sorted."""
+    needed = [line.split()[-1] for line in run_tool(target, "nm", "-u", path).splitlines() if line.split()]
+    # __aeabi_dadd, __aeabi_cdcmple, __aeabi_f2d; __adddf3, __floatdidf, __truncdfsf2
+    helpers = {name for name in needed if re.fullmatch(r"__aeabi_c?d\w+|__aeabi_\w+2d|__\w+df\w*", name)}
+    listing = run_tool(target, "objdump", "-d", "--no-show-raw-insn", path)
+    mnemonics = set(re.findall(r"^ *[0-9a-f]+:\t(\S+)", listing, re.MULTILINE))
+    return tuple(sorted(helpers | {word for word in mnemonics if re.fullmatch(target.double, word)}))
+
+
+def run_tool(target: Target, tool: str, *arguments: str | Path) -> str:
+    """What one of the target's tools (`gcc`, `size`) prints. Raises BuildError where it is not there, or refused."""
+    return tool_output([f"{target.prefix}{tool}", *map(str, arguments)], target.remedy)

@@ -1,0 +1,87 @@
+"""What it costs the estimate to keep linearisations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.evaluation.experiment import PAPER_WEIGHTS
+from sgms_mhe.evaluation.studies.cases import (
+    Case,
+    counted,
+    friction_error,
+    say,
+    simulated,
+    spread,
+    thirty_percent,
+    weighted,
+)
+from sgms_mhe.host.compiled import CompiledEstimator
+from sgms_mhe.support.tables import Table
+
+Array = NDArray[np.float64]
+
+
+RELINEARISE: Final = ("all", "auto", "newest")
+
+
+def _paper(**noise: float) -> dict[str, Any]:
+    return {"estimator": PAPER_WEIGHTS | {"noise": PAPER_WEIGHTS["noise"] | noise}}
+
+
+RELINEARISE_CASES: Final[tuple[Case, ...]] = (
+    Case("default (state 0.01)", {}, spread),
+    Case("state 0.003", weighted(state=0.003), spread),
+    Case("state 0.1", weighted(state=0.1), spread),
+    Case("measurement 0.5, noise 1.6 N", weighted(measurement=0.5), spread, 1.6),
+    Case("30 % off", {}, thirty_percent),
+    Case("30 % off, prior 0.3", weighted(parameter=0.3), thirty_percent),
+    Case("coulomb too", {"estimator": {"parameters": ["stiffness", "coulomb"]}}, spread),
+    Case("mixed motion", {}, spread, trajectory="mixed"),
+    Case("mixed motion, noise 1.6 N", weighted(measurement=0.5), spread, 1.6, "mixed"),
+    Case("the paper's", _paper(), spread),
+    Case("the paper's, noise 1.6 N", _paper(), spread, 1.6),
+    Case("the paper's, state 0.01", _paper(state=0.01), spread),
+)
+
+
+def relinearise_errors(case: Case, seeds: Sequence[int], duration_s: float) -> dict[str, Array]:
+    """RMS errors of friction [N] and of every parameter over nominal, against truth, by `relinearise` (1 + n_p)."""
+    machine = override_machine(load_machine("etel_xy"), case.changes)
+    records = [simulated(machine, case, seed, duration_s) for seed in seeds]
+    errors = {}
+    for relinearise in RELINEARISE:
+        estimator = CompiledEstimator(override_machine(machine, {"estimator": {"relinearise": relinearise}}))
+        nominal = np.array([parameter.nominal for parameter in estimator.model.parameters])
+        rows = []
+        for record in records:
+            estimates = estimator.estimate(record.signals)
+            late = counted(record)
+            wrong = estimates.parameters[late] / nominal - record.theta
+            rows.append([friction_error(estimates, record), *np.sqrt(np.mean(wrong**2, axis=0))])
+        errors[relinearise] = np.sqrt(np.mean(np.square(rows), axis=0))
+    return errors
+
+
+def relinearise_study(seeds: int, duration_s: float = 8.0) -> Table:
+    """Estimate errors with linearisations that are kept over those with all intervals linearised anew."""
+    rows: list[dict[str, Any]] = []
+    for case in RELINEARISE_CASES:
+        errors = relinearise_errors(case, range(seeds), duration_s)
+        for relinearise in RELINEARISE[1:]:
+            ratio = errors[relinearise] / errors["all"]
+            row: dict[str, Any] = {"weights": case.name, "relinearise": relinearise, "friction": float(ratio[0])}
+            row |= {f"p {k + 1}": float(ratio[k + 1]) if k + 1 < len(ratio) else None for k in range(5)}
+            rows.append(row | {"worst": float(ratio.max())})
+        say(f"{case.name}: {rows[-2]['worst']:.4f} {rows[-1]['worst']:.4f}")
+    formats = {"weights": "", "relinearise": "", "friction": ".3f"} | {f"p {k + 1}": ".3f" for k in range(5)}
+    return Table(
+        f"RMS errors against truth over those of relinearise = all, {seeds} seeds of {duration_s:g} s",
+        formats | {"worst": ".3f"},
+        rows,
+        ("p 1 to 4: stiffness, 5: coulomb; noise: of the logged force; the paper's: its weights, docs/weights.md",),
+    )

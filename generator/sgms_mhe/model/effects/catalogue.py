@@ -1,0 +1,182 @@
+"""The catalogue: the effects of this package, and those that other installed distributions bring.
+
+A distribution offers an effect by an entry point of the group `sgms_mhe.effects`: its name is the effect's, its object
+an `EffectDefinition`. It is imported when it is first asked for, and checked as the own effects are by their tests. One
+that is broken is an error where it is used and left out where all effects are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final
+
+from sgms_mhe.model.effects.base import BASE_CAUSES, base_cause
+from sgms_mhe.model.effects.causes import CauseDefinition
+from sgms_mhe.model.effects.checks import faults_of
+from sgms_mhe.model.effects.definition import EffectDefinition
+from sgms_mhe.support.errors import InputError
+
+GROUP: Final = "sgms_mhe.effects"
+"""Entry points of effects."""
+
+EFFECT_NAMES: Final[tuple[str, ...]] = (
+    "force_ripple",
+    "force_constant_ripple",
+    "constant_offset",
+    "position_spring",
+    "hose_hysteresis",
+    "asymmetric_coulomb",
+    "asymmetric_viscous",
+    "position_dependent_friction",
+    "friction_drift",
+    "viscous_drift",
+    "mass_mismatch",
+    "force_gain",
+    "force_delay",
+    "actuator_lag",
+    "quadratic_drag",
+    "eddy_current_damping",
+    "encoder_periodic_error",
+    "structural_resonance",
+    "periodic_disturbance",
+    "step_disturbance",
+    "backlash",
+    "frictional_lag",
+    "dwell_dependence",
+    "micro_viscous",
+)
+"""The effects of this package, each the module of the same name in this folder."""
+
+CAUSE_NAMES: Final[tuple[str, ...]] = (*EFFECT_NAMES, *BASE_CAUSES)
+"""What a diagnosis may name without other distributions: effects, then wrong numbers of the base model."""
+
+
+@dataclass(frozen=True)
+class _Offer:
+    """An effect that another distribution brings."""
+
+    distribution: str
+    entry: EntryPoint
+
+
+@cache
+def _offers() -> Mapping[str, tuple[_Offer, ...]]:
+    """Offers by name of the effect, in the order of names."""
+    found: dict[str, list[_Offer]] = {}
+    for entry in entry_points(group=GROUP):
+        distribution = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "a distribution without a name"
+        found.setdefault(entry.name, []).append(_Offer(distribution, entry))
+    return {name: tuple(sorted(offers, key=lambda o: o.distribution)) for name, offers in sorted(found.items())}
+
+
+@cache
+def _outcome(name: str) -> EffectDefinition | InputError:
+    """The effect that is offered under a name, or what is wrong with the offer."""
+    first, *others = _offers()[name]
+    where = f"entry point {GROUP}.{name}"
+    if name in CAUSE_NAMES:
+        return InputError(first.distribution, where, None, "a name that sgms-mhe does not use itself")
+    if others:
+        rest = ", ".join(offer.distribution for offer in others)
+        return InputError(first.distribution, where, None, f"a name of its own; {rest} brings an effect of this name")
+    try:
+        definition = first.entry.load()
+    except (Exception, SystemExit) as error:  # whatever the code of others raises must not end the program
+        allowed = f"an object that can be imported; {_said(error)}"
+        return InputError(first.distribution, where, first.entry.value, allowed)
+    if not isinstance(definition, EffectDefinition):
+        kind = type(definition).__name__
+        return InputError(first.distribution, where, first.entry.value, f"an EffectDefinition; this is of type {kind}")
+    if definition.name != name:
+        return InputError(first.distribution, where, definition.name, f"a definition whose name is {name}")
+    try:
+        fault = next(iter(faults_of(definition, (*CAUSE_NAMES, *_offers()))), None)
+    except Exception as error:  # what has the wrong type fails in the checks themselves
+        return InputError(first.distribution, name, None, f"a definition with the types of its fields; {_said(error)}")
+    if fault is not None:
+        return InputError(first.distribution, f"{name}.{fault.where}", fault.value, fault.allowed)
+    return definition
+
+
+def forget_distributions() -> None:
+    """Look again what is installed when an effect is next asked for."""
+    _offers.cache_clear()
+    _outcome.cache_clear()
+
+
+def _said(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"
+
+
+def effect_definition(name: str) -> EffectDefinition:
+    """Return the definition of the effect called `name`.
+
+    Raises:
+        KeyError: no effect has that name.
+        InputError: another distribution brings an effect of that name, and it is broken; names both.
+    """
+    if name in EFFECT_NAMES:
+        definition: EffectDefinition = import_module(f"{__package__}.{name}").DEFINITION
+        return definition
+    if name not in _offers():
+        raise KeyError(name)
+    outcome = _outcome(name)
+    if isinstance(outcome, InputError):
+        raise outcome
+    return outcome
+
+
+def effect_names() -> tuple[str, ...]:
+    """All effects that can be used: this package's, then those of other distributions."""
+    return (*EFFECT_NAMES, *(name for name in _offers() if isinstance(_outcome(name), EffectDefinition)))
+
+
+def cause_names() -> tuple[str, ...]:
+    """All that a diagnosis may name: effects, then wrong numbers of the base model."""
+    return (*effect_names(), *BASE_CAUSES)
+
+
+def broken_effects() -> tuple[InputError, ...]:
+    """What is wrong with the effects of other distributions that cannot be used."""
+    return tuple(outcome for name in _offers() if isinstance(outcome := _outcome(name), InputError))
+
+
+def outside_sources(names: Iterable[str]) -> dict[str, bytes]:
+    """Files of the effects among `names` that other distributions bring, by distribution with version and path.
+
+    An effect's module counts with all that lies in its top-level package.
+    """
+    files: dict[str, bytes] = {}
+    for name in sorted({name for name in names if name not in EFFECT_NAMES}):
+        for offer in _offers().get(name, ()):
+            spec = find_spec(offer.entry.module.partition(".")[0])
+            if spec is None:
+                continue
+            if spec.submodule_search_locations:
+                inside = [(Path(folder), path) for folder in spec.submodule_search_locations for path in _files(folder)]
+            else:
+                inside = [(Path(spec.origin).parent, Path(spec.origin))] if spec.origin else []
+            for folder, path in inside:
+                files[f"{offer.distribution}/{spec.name}/{path.relative_to(folder).as_posix()}"] = path.read_bytes()
+    return files
+
+
+def _files(folder: str) -> list[Path]:
+    return [path for path in Path(folder).rglob("*") if path.is_file() and "__pycache__" not in path.parts]
+
+
+def cause(name: str) -> CauseDefinition:
+    """What a diagnosis must know of anything that it may name; KeyError if there is no such cause."""
+    return base_cause(name) if name in BASE_CAUSES else effect_definition(name)
+
+
+def separating_moves(first: str, second: str) -> tuple[str, ...]:
+    """The moves that tell two causes apart, as either of them states it; empty where neither names the other."""
+    found = (cause(a).confused_with.get(b) for a, b in ((first, second), (second, first)))
+    return tuple(dict.fromkeys(move for move in found if move is not None))

@@ -1,0 +1,165 @@
+"""What is wrong with a definition: the same for this package's effects, in tests, and for those of others, in use."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Container, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import casadi as ca
+import numpy as np
+
+from sgms_mhe.model.axis import SIGNAL_NAMES, SymbolicAxis
+from sgms_mhe.model.effects.causes import MOVES
+from sgms_mhe.model.effects.definition import STAGES, EffectDefinition
+from sgms_mhe.model.effects.excitation import MEASURES
+from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Step
+from sgms_mhe.model.effects.units import PURE_NUMBERS, UNITS, is_pure_number, suffix_of
+
+_NAME: Final = re.compile(r"[a-z][a-z0-9]*(_[a-zA-Z0-9]+)*")
+_TRIALS: Final = 5  # random signals that an effect of default size is tried at
+_NOTHING: Final = 1e-9  # change of a quantity of size one that rounding makes
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is wrong with a definition: where in it, the value found, what is allowed."""
+
+    where: str
+    value: object
+    allowed: str
+
+
+def faults_of(definition: EffectDefinition, causes: Container[str]) -> Iterator[Fault]:
+    """Everything that is wrong with a definition; `causes`: names that it may refer to."""
+    if not _NAME.fullmatch(definition.name):
+        yield Fault("name", definition.name, "a name of lower-case words joined by underscores")
+    if definition.stage not in STAGES:
+        yield Fault("stage", definition.stage, f"one of {', '.join(STAGES)}")
+    if not definition.moves or not set(definition.moves) <= set(MOVES):
+        yield Fault("moves", definition.moves, f"at least one of {', '.join(MOVES)}")
+    yield from _references(definition, causes)
+    names = [parameter.name for parameter in definition.parameters]
+    if not names or len(set(names)) < len(names):
+        yield Fault("parameters", names, "at least one, each name once")
+    for parameter in definition.parameters:
+        yield from _parameter(parameter)
+    if not any(parameter.is_size and parameter.default == parameter.none for parameter in definition.parameters):
+        yield Fault("parameters", names, "a size whose default is `none`: an effect is nothing by default")
+    yield from _search(definition)
+    yield from _contribution(definition)
+
+
+def _references(definition: EffectDefinition, causes: Container[str]) -> Iterator[Fault]:
+    """What it says of other causes, and what it needs of a record."""
+    for where, others in (
+        ("confused_with", tuple(definition.confused_with)),
+        ("excludes", definition.excludes),
+        ("simpler", definition.simpler.causes),
+    ):
+        for other in others:
+            if other == definition.name or other not in causes:
+                yield Fault(where, other, "another cause of the catalogue")
+    names = [parameter.name for parameter in definition.parameters]
+    for need in definition.excitation.needs:
+        if need.measure not in MEASURES:
+            yield Fault("excitation", need.measure, f"one of {', '.join(MEASURES)}")
+        if need.times is not None and need.times not in names:
+            yield Fault("excitation", need.times, f"one of {', '.join(names)}")
+
+
+def _parameter(parameter: EffectParameter) -> Iterator[Fault]:
+    where = f"parameters.{parameter.name}"
+    if not _NAME.fullmatch(parameter.name) or parameter.name == "name":
+        yield Fault("parameters", parameter.name, "a name of words joined by underscores, other than `name`")
+    elif not suffix_of(parameter.name) and not is_pure_number(parameter.name):
+        units, pure = ", ".join(UNITS), " or ".join(PURE_NUMBERS)
+        allowed = f"a name that ends in its unit ({units}); of a pure number in {pure}"
+        yield Fault("parameters", parameter.name, allowed)
+    if not (math.isfinite(parameter.default) and parameter.lower <= parameter.default <= parameter.upper):
+        yield Fault(f"{where}.default", parameter.default, parameter.allowed)
+    if not (math.isfinite(parameter.scale) and parameter.scale > 0.0):
+        yield Fault(f"{where}.scale", parameter.scale, "a positive number")
+
+
+def _search(definition: EffectDefinition) -> Iterator[Fault]:
+    """Names that the search refers to."""
+    own = {parameter.name: parameter for parameter in definition.parameters}
+    sizes: tuple[str | None, ...] = ()
+    others: tuple[str | None, ...] = ()
+    match definition.search:
+        case Columns() as kind:
+            sizes, others = (kind.exact,), (kind.own_size,)
+        case Harmonic() as kind:
+            sizes, others = (kind.size,), (kind.period, kind.phase)
+        case Step() as kind:
+            sizes, others = (kind.size,), (kind.time,)
+        case Derivative() as kind:
+            sizes = (kind.size,)
+        case _:
+            pass
+    for name in sizes:
+        if name is not None and not (name in own and own[name].is_proportional):
+            yield Fault("search", name, "a size that the force is proportional to")
+    for name in others:
+        if name is not None and name not in own:
+            yield Fault("search", name, f"one of {', '.join(own)}")
+
+
+def _contribution(definition: EffectDefinition) -> Iterator[Fault]:
+    """What the contribution to an axis shows: its states, and that it is nothing by default."""
+    axis = SymbolicAxis(1.0, 1.0, step=1e-4, hold=1e-4, gate_per_velocity=3.5e4)
+    axis.scope = definition.name
+    before = _quantities(axis)
+    nominal = {parameter.name: parameter.default for parameter in definition.parameters}
+    symbols = {name: ca.SX.sym(name) for name in nominal}
+    try:
+        definition.contribute(axis, symbols, nominal)
+    except Exception as error:  # whatever the code of others raises must not end the program
+        yield Fault("contribute", None, f"a contribution to an axis; {type(error).__name__}: {error}")
+        return
+    states = tuple(state.spec.name.removeprefix(f"{definition.name}_") for state in axis.states)
+    if states != definition.states:
+        yield Fault("states", definition.states, f"the states that it contributes, {states}")
+    if any(state.rate is None for state in axis.states):
+        yield Fault("contribute", None, "a rate for every state")
+        return
+    changed = _largest_change(axis, before, symbols, nominal)
+    if not changed <= _NOTHING:
+        yield Fault("contribute", None, "nothing where all parameters have their defaults")
+
+
+def _quantities(axis: SymbolicAxis) -> ca.SX:
+    """All that an effect may change of an axis."""
+    return ca.vertcat(
+        axis.position,
+        axis.velocity,
+        axis.acceleration,
+        axis.force,
+        axis.output,
+        axis.velocity_ratio,
+        axis.coulomb_factor,
+        axis.viscous_factor,
+        axis.micro_viscous,
+        axis.engagement,
+        axis.stribeck_level,
+    )
+
+
+def _largest_change(
+    axis: SymbolicAxis, before: ca.SX, symbols: Mapping[str, ca.SX], nominal: Mapping[str, float]
+) -> float:
+    """What a contribution of default parameters, its states at rest, changes at some signals of size one."""
+    states = ca.vertcat(*(state.chi for state in axis.states)) if axis.states else ca.SX(0, 1)
+    changed = ca.Function(
+        "changed",
+        [axis.measured, ca.vertcat(*symbols.values()), states],
+        [ca.fabs(_quantities(axis) - before)],
+    )
+    random = np.random.default_rng(1)
+    defaults, rest = list(nominal.values()), np.zeros(len(axis.states))
+    found = [changed(random.uniform(-1.0, 1.0, len(SIGNAL_NAMES)), defaults, rest) for _ in range(_TRIALS)]
+    return float(max(np.max(np.abs(np.asarray(values, dtype=np.float64))) for values in found))

@@ -1,0 +1,374 @@
+"""The plant's C side: `runtime_c/axis.c` compiled and loaded, one axis and its true parameters by name."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.machine import Friction, Machine, Plant, Smoothing
+from sgms_mhe.model.effects import EffectParameter, effect_definition, effect_names
+from sgms_mhe.plant.axis_config import CONTROLS, LAWS, MAX_SUBSTEPS, SUBSTEP_S, AxisConfig, Controller
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.paths import runtime_dir
+from sgms_mhe.support.toolchain import load_library, shared_library
+
+Array = NDArray[np.float64]
+
+_HISTORY: Final = 4096
+_RESONANT: Final = 0.5
+"""AXIS_HISTORY and RESONANT of the C."""
+
+_NO_MASS, _LONG_DELAY, _FAST_RESONANCE = -2, -3, -4
+"""enum axis_refusal; the other one cannot happen to a machine and a config that are valid."""
+
+COMPENSATION = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_double, ctypes.c_double)
+"""C signature of a compensation: (context, measured position [m], measured force [N]) -> force to add [N]."""
+
+
+OUTSIDE_FORCE = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_double)
+"""C signature of a force that the plant does not know: (context, position [m], velocity [m/s], time [s]) -> [N]."""
+
+
+@dataclass(frozen=True)
+class NativeCompensation:
+    """A compensation in C: no interpreter in between, so that the axis runs at full speed and can be interrupted.
+
+    Attributes:
+        function: a `COMPENSATION`.
+        context: its first argument; whoever makes it keeps what it points to alive.
+    """
+
+    function: Any
+    context: int
+
+
+Compensation = Callable[[float, float], float] | NativeCompensation
+"""Called each sample with measured position [m] and force [N]; returns the force [N] to add."""
+
+
+LOG_COLUMNS = ("position_m", "force_N")
+TRUTH_COLUMNS = (
+    "true_position_m",
+    "true_velocity_m_s",
+    "true_acceleration_m_s2",
+    "true_force_N",
+    "true_friction_N",
+    "true_effect_force_N",
+)
+_DOUBLES = ctypes.POINTER(ctypes.c_double)
+
+
+class _Record(ctypes.Structure):
+    """struct axis_record."""
+
+    _fields_ = tuple((name, ctypes.c_void_p) for name in (*LOG_COLUMNS, *TRUTH_COLUMNS, "true_deflection_m"))
+
+
+@dataclass(frozen=True)
+class Library:
+    """The compiled plant and its tables."""
+
+    c: ctypes.CDLL
+    settings: Mapping[str, tuple[int, int]]
+    effects: Mapping[str, tuple[str, ...]]
+
+
+@lru_cache(maxsize=1)
+def loaded_library() -> Library:
+    """The plant, compiled once and kept. Raises BuildError where the compiler refuses."""
+    c = load_library(shared_library([runtime_dir() / "axis.c"], libraries=("m",)))
+    size, text, number, axis = ctypes.c_size_t, ctypes.c_char_p, ctypes.c_double, ctypes.c_void_p
+    signatures: dict[str, tuple[Any, list[Any]]] = {
+        "axis_size": (size, []),
+        "axis_setting": (text, [size, ctypes.POINTER(size), ctypes.POINTER(size)]),
+        "axis_effect_name": (text, [size]),
+        "axis_effect_parameter": (text, [size, size]),
+        "axis_init": (None, [axis, ctypes.c_uint64]),
+        "axis_set": (None, [axis, size, number]),
+        "axis_add_effect": (ctypes.c_int, [axis, size, _DOUBLES]),
+        "axis_add_force": (ctypes.c_int, [axis, OUTSIDE_FORCE, ctypes.c_void_p]),
+        "axis_set_effect": (None, [axis, size, size, number]),
+        "axis_set_compensation": (None, [axis, COMPENSATION, ctypes.c_void_p]),
+        "axis_apply": (ctypes.c_int, [axis]),
+        "axis_place": (None, [axis, number]),
+        "axis_run": (size, [axis, ctypes.c_void_p, size, size, size, ctypes.POINTER(_Record)]),
+    }
+    for name, (result, arguments) in signatures.items():
+        function = getattr(c, name)
+        function.restype, function.argtypes = result, arguments
+
+    settings: dict[str, tuple[int, int]] = {}
+    offset, count = size(), size()
+    while (name := c.axis_setting(len(settings), ctypes.byref(offset), ctypes.byref(count))) is not None:
+        settings[name.decode()] = (offset.value, count.value)
+    effects: dict[str, tuple[str, ...]] = {}
+    while (name := c.axis_effect_name(len(effects))) is not None:
+        own: list[str] = []
+        while (parameter := c.axis_effect_parameter(len(effects), len(own))) is not None:
+            own.append(parameter.decode())
+        effects[name.decode()] = tuple(own)
+    return Library(c, settings, effects)
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """What a number may be: the machine file's own limits hold for true values too."""
+
+    low: float
+    high: float
+    allowed: str
+    with_low: bool = True
+    with_high: bool = True
+
+    def hold(self, value: float) -> bool:
+        """Whether a value lies within."""
+        above = value >= self.low if self.with_low else value > self.low
+        below = value <= self.high if self.with_high else value < self.high
+        return above and below and math.isfinite(value)
+
+
+def _effect_limits(parameter: EffectParameter) -> _Limits:
+    return _Limits(parameter.lower, parameter.upper, parameter.allowed)
+
+
+@lru_cache(maxsize=1)
+def _base_limits() -> Mapping[str, _Limits]:
+    """Limits of mass and friction parameters by their key in the machine file, an array's for each entry."""
+    limits = {}
+    for table in (Plant, Friction, Smoothing):
+        for name, key in table.model_json_schema()["properties"].items():
+            spec = key.get("items", key)
+            if spec.get("type") != "number":
+                continue
+            least, most = spec.get("minimum", -math.inf), spec.get("maximum", math.inf)
+            above, below = spec.get("exclusiveMinimum", -math.inf), spec.get("exclusiveMaximum", math.inf)
+            allowed = f"{'>' if above >= least else '>='} {max(least, above):g} and "
+            allowed += f"{'<' if below <= most else '<='} {min(most, below):g}"
+            limits[name] = _Limits(max(least, above), min(most, below), allowed, least > above, most < below)
+    return limits
+
+
+@dataclass
+class _Parameter:
+    """One true number of the plant: its value before drift, how to set it, what it may be."""
+
+    name: str
+    value: float
+    send: Callable[[float], None] = field(repr=False)
+    limits: _Limits
+
+    def assign(self, value: float) -> None:
+        """Send a value to the plant, or refuse it."""
+        if not self.limits.hold(value):
+            raise InputError("simulation", self.name, value, self.limits.allowed)
+        self.send(value)
+
+
+class NativeAxis:
+    """One `struct axis` and its true parameters by name."""
+
+    def __init__(
+        self, machine: Machine, config: AxisConfig, hidden_effects: Sequence[tuple[str, Mapping[str, float]]]
+    ) -> None:
+        self._library = loaded_library()
+        self._c = self._library.c
+        self._memory = ctypes.create_string_buffer(self._c.axis_size())
+        self._c.axis_init(self._memory, config.seed)
+        self._numbers: dict[str, _Parameter] = {}
+        self._arrays: dict[str, int] = {}
+        self._compensation: Any = None
+        self._kept: list[Any] = []  # functions that the C side holds
+        self._failures: list[str] = []  # of forces in Python, which cannot pass through it
+        self._prescribed = config.control == "prescribed"
+
+        friction, limits = machine.friction, _base_limits()
+        smoothing = {"zeta": friction.smoothing.zeta, "lambda": friction.smoothing.lambda_}
+        smoothing["gamma"] = friction.smoothing.gamma
+        plant = {"mass": machine.plant.mass, **smoothing}
+        plant |= {
+            name: getattr(friction, name) for name in ("viscous", "coulomb", "stribeck_ratio", "stribeck_velocity")
+        }
+        for name, value in plant.items():
+            self._declare(name, value, self._setting(name), limits[name])
+        for name in ("stiffness", "fraction", "micro_viscous"):
+            values = getattr(friction, name)
+            self._arrays[name] = len(values)
+            for i, value in enumerate(values):
+                self._declare(f"{name}_{i + 1}", value, self._setting(name, i), limits[name])
+        fixed = self._fixed(machine, config)
+        for name, value in fixed.items():
+            self._setting(name)(value)
+        self._substep_s = 1.0 / (fixed["rate"] * fixed["substeps"])
+        seen: Counter[str] = Counter()
+        for effect, values in [*((e.name, e.parameters) for e in machine.effects), *hidden_effects]:
+            seen[effect] += 1
+            self._add_effect(effect, effect if seen[effect] == 1 else f"{effect}_{seen[effect]}", values)
+
+    @staticmethod
+    def _fixed(machine: Machine, config: AxisConfig) -> dict[str, float]:
+        rate, mass = machine.sampling.rate, machine.plant.mass
+        controller = config.controller or Controller.pid(mass, config.bandwidth_Hz or min(80.0, rate / 40.0))
+        needed = math.ceil(1.0 / (rate * SUBSTEP_S) - 1e-9)
+        return {
+            "law": LAWS.index(config.law),
+            "control": CONTROLS.index(config.control),
+            "rate": rate,
+            "substeps": config.substeps or min(needed, MAX_SUBSTEPS),
+            "elements": len(machine.friction.stiffness),
+            "proportional_gain": controller.proportional,
+            "integral_gain": controller.integral,
+            "derivative_gain": controller.derivative,
+            "derivative_filter": controller.filter_Hz,
+            "velocity_feedforward": controller.velocity_feedforward,
+            "acceleration_feedforward": controller.acceleration_feedforward_kg,
+            "feedforward_lead": controller.feedforward_lead_s,
+            "current_loop_lag": 1.0 / (2.0 * math.pi * config.current_loop_Hz),
+            "max_force": config.max_force_N if math.isfinite(config.max_force_N) else 0.0,
+            "encoder_resolution": config.encoder_resolution_m,
+            "encoder_noise": config.encoder_noise_m,
+            "force_noise": config.force_noise_N,
+        }
+
+    def replace(self, name: str, value: float | Sequence[float]) -> None:
+        """Give a parameter its true value."""
+        for parameter, number in self._addressed(name, value):
+            parameter.value = number
+            parameter.assign(number)
+
+    def scale(self, name: str, factor: float | Sequence[float]) -> None:
+        """Multiply a parameter's true value."""
+        for parameter, number in self._addressed(name, factor):
+            parameter.value *= number
+            parameter.assign(parameter.value)
+
+    def drift(self, multipliers: Mapping[str, float]) -> None:
+        """Let parameters be their true value times a multiplier, until the next call."""
+        factors: dict[int, tuple[_Parameter, float]] = {}
+        for name, multiplier in multipliers.items():
+            for parameter, number in self._addressed(name, multiplier):
+                factors[id(parameter)] = (parameter, factors.get(id(parameter), (parameter, 1.0))[1] * number)
+        for parameter, factor in factors.values():
+            parameter.assign(parameter.value * factor)
+        self._apply()
+
+    def compensate(self, compensation: Compensation | None) -> None:
+        """Add a force to the controller's at every sample."""
+        if compensation is None:
+            return
+        context = None
+        if isinstance(compensation, NativeCompensation):
+            self._compensation, context = compensation.function, compensation.context
+        elif isinstance(compensation, COMPENSATION):
+            self._compensation = compensation
+        else:
+            self._compensation = COMPENSATION(lambda _, position, force: compensation(position, force))
+        self._c.axis_set_compensation(self._memory, self._compensation, context)
+
+    def place(self, position: float) -> None:
+        """Put the axis at rest."""
+        self._apply()
+        self._c.axis_place(self._memory, position)
+
+    def run(self, reference: Array, start: int, count: int, columns: Mapping[str, Array]) -> None:
+        """Run `count` samples from `start`; fill the rows of the columns (a deflection's row has n_z entries)."""
+        n = len(reference)
+        rows = {name: column.ctypes.data + start * (column.nbytes // n) for name, column in columns.items()}
+        done = self._c.axis_run(self._memory, reference.ctypes.data, n, start, count, ctypes.byref(_Record(**rows)))
+        if done < count:
+            if self._failures:
+                raise InputError("simulation", f"sample {start + done}", None, f"a `plant_force`; {self._failures[0]}")
+            raise InputError(
+                "simulation",
+                f"sample {start + done}",
+                None,
+                "parameters with which the position loop is stable; this axis runs away beyond 4e6 m or 1e9 N",
+            )
+
+    def _apply(self) -> None:
+        refusal = self._c.axis_apply(self._memory)
+        if refusal:
+            where, allowed = {
+                _NO_MASS: ("mass", "a mass of which effects leave a positive part"),
+                _LONG_DELAY: ("force_delay.delay_s", f"0 to {(_HISTORY - 2) * self._substep_s:g} s in all"),
+                _FAST_RESONANCE: (
+                    "structural_resonance.frequency_Hz",
+                    f"at most {_RESONANT / (2.0 * math.pi * self._substep_s):.6g} Hz at this sample rate",
+                ),
+            }[refusal]
+            raise InputError("simulation", where, self._numbers[where].value, allowed)
+
+    def _setting(self, name: str, i: int = 0) -> Callable[[float], None]:
+        offset, _ = self._library.settings[name]
+        return lambda value: self._c.axis_set(self._memory, offset + i, value)
+
+    def _declare(self, name: str, value: float, send: Callable[[float], None], limits: _Limits) -> None:
+        self._numbers[name] = parameter = _Parameter(name, value, send, limits)
+        parameter.assign(value)
+
+    def _add_effect(self, effect: str, label: str, values: Mapping[str, float]) -> None:
+        names = self._library.effects.get(effect)
+        if names is None:
+            self._add_outside_force(effect, label, values)
+            return
+        if effect == "actuator_lag" and self._prescribed:
+            raise InputError("simulation", "effect", effect, 'control "position": no force makes a prescribed motion')
+        if set(values) != set(names):
+            raise InputError("simulation", f"parameters of {effect}", sorted(values), f"exactly {', '.join(names)}")
+        numbers = [float(values[name]) for name in names]
+        kind = list(self._library.effects).index(effect)
+        index = self._c.axis_add_effect(self._memory, kind, (ctypes.c_double * len(numbers))(*numbers))
+        if index < 0:
+            raise InputError("simulation", "effect", effect, "no more effects than the plant has room for")
+        definition = effect_definition(effect)
+        for j, name in enumerate(names):
+            limits = _effect_limits(definition.parameter(name))
+            self._declare(f"{label}.{name}", numbers[j], self._effect_parameter(index, j), limits)
+
+    def _add_outside_force(self, effect: str, label: str, values: Mapping[str, float]) -> None:
+        """An effect that the plant does not know, by the force that its definition brings for it."""
+        definition = effect_definition(effect) if effect in effect_names() else None
+        force = definition.plant_force if definition is not None else None
+        if definition is None or force is None:
+            known = f"one of {', '.join(self._library.effects)}, or one that brings a `plant_force`"
+            raise InputError("simulation", "effect", effect, known)
+        names = [parameter.name for parameter in definition.parameters]
+        if set(values) != set(names):
+            raise InputError("simulation", f"parameters of {effect}", sorted(values), f"exactly {', '.join(names)}")
+        numbers = {name: float(values[name]) for name in names}
+
+        def at(_: int | None, position: float, velocity: float, time: float) -> float:
+            try:
+                return float(force(position, velocity, time, numbers))
+            except Exception as error:  # no exception passes through C; the run ends as with an unstable loop
+                self._failures.append(f"{effect}: {type(error).__name__}: {error}")
+                return math.nan
+
+        native = OUTSIDE_FORCE(at)
+        self._kept.append(native)
+        if self._c.axis_add_force(self._memory, native, None) < 0:
+            raise InputError("simulation", "effect", effect, "no more effects than the plant has room for")
+        for parameter in definition.parameters:
+            send = partial(numbers.__setitem__, parameter.name)
+            self._declare(f"{label}.{parameter.name}", numbers[parameter.name], send, _effect_limits(parameter))
+
+    def _effect_parameter(self, index: int, j: int) -> Callable[[float], None]:
+        return lambda value: self._c.axis_set_effect(self._memory, index, j, value)
+
+    def _addressed(self, name: str, value: float | Sequence[float]) -> list[tuple[_Parameter, float]]:
+        names = [f"{name}_{i + 1}" for i in range(self._arrays[name])] if name in self._arrays else [name]
+        if any(entry not in self._numbers for entry in names):
+            raise InputError("simulation", "parameter", name, f"one of {', '.join([*self._arrays, *self._numbers])}")
+        values = [float(value)] * len(names) if isinstance(value, int | float) else [float(entry) for entry in value]
+        if len(values) != len(names):
+            raise InputError("simulation", name, list(values), f"a number, or {len(names)} of them")
+        if not all(math.isfinite(entry) for entry in values):
+            raise InputError("simulation", name, value, "finite")
+        return list(zip((self._numbers[entry] for entry in names), values, strict=True))

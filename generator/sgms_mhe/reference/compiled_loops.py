@@ -1,0 +1,152 @@
+"""The loops of the integrator in C: `intervals.c` compiled with CasADi's functions."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import tempfile
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.reference.blocks import Blocks
+from sgms_mhe.reference.flow import DEGREE, NEAR
+from sgms_mhe.reference.linearised import Linearised, Outputs
+from sgms_mhe.reference.plan import Plan
+from sgms_mhe.support.toolchain import load_library, shared_library
+
+Array = NDArray[np.float64]
+
+
+class CompiledLoops:
+    """The loops of one model, compiled. Making them raises BuildError where there is no compiler."""
+
+    def __init__(self, blocks: Blocks, functions: Mapping[str, ca.Function]) -> None:
+        self._model = blocks.model
+        self._blocks = blocks
+        self._functions = functions
+        self._library = self._compile()
+
+    def intervals(self, plan: Plan, first: int, x: Array, theta: Array) -> Linearised:
+        """Integrate intervals first, first + 1, ... (0 leads from node 0) from the node states x (n, n_x)."""
+        count, n_x, n_p = len(x), self._model.n_x, self._model.n_p
+        offsets = (first + np.arange(count, dtype=np.int64)) * plan.steps
+        x1, A, B = np.empty((count, n_x)), np.empty((count, n_x, n_x)), np.empty((count, n_p, n_x))
+        x, theta = np.ascontiguousarray(x), np.ascontiguousarray(theta)
+        function, packed = self._library.sgms_reference_intervals, self._packed
+
+        def run(part: slice) -> None:
+            function(
+                ctypes.c_longlong(len(x[part])),
+                _pointer(offsets[part]),
+                ctypes.c_longlong(plan.steps),
+                ctypes.c_double(plan.h),
+                _pointer(plan.start),
+                _pointer(plan.end),
+                _pointer(plan.substeps),
+                _pointer(plan.cut),
+                _pointer(plan.piece_substeps),
+                ctypes.c_longlong(plan.stairs),
+                _pointer(plan.stair),
+                _pointer(plan.stair_substeps),
+                _pointer(plan.slide),
+                _pointer(packed),
+                _pointer(x[part]),
+                _pointer(theta),
+                _pointer(x1[part]),
+                _pointer(A[part]),
+                _pointer(B[part]),
+            )
+
+        # Intervals do not depend on each other, and ctypes lets other threads run meanwhile.
+        pieces = min(count, os.cpu_count() or 1)
+        edges = [count * i // pieces for i in range(pieces + 1)] if pieces else []
+        list(self._threads.map(run, [slice(a, b) for a, b in pairwise(edges)]))
+        # Column-major in C.
+        return Linearised(x1, A.transpose(0, 2, 1), B.transpose(0, 2, 1))
+
+    def outputs(self, x: Array, w: Array, theta: Array) -> Outputs:
+        """Output and its sensitivities at nodes: x (n, n_x), w (n, 5)."""
+        count, n_x, n_p = len(x), self._model.n_x, self._model.n_p
+        y, C, D = np.empty(count), np.empty((count, n_x)), np.empty((count, n_p))
+        self._library.sgms_reference_outputs(
+            ctypes.c_longlong(count),
+            _pointer(x := np.ascontiguousarray(x)),
+            _pointer(w := np.ascontiguousarray(w)),
+            _pointer(theta := np.ascontiguousarray(theta)),
+            _pointer(y),
+            _pointer(C),
+            _pointer(D),
+        )
+        return Outputs(y, C, D)
+
+    @cached_property
+    def _threads(self) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(os.cpu_count())
+
+    @cached_property
+    def _packed(self) -> Array:
+        return self._blocks.flow.packed() if any(block.saturates for block in self._blocks.all) else np.zeros(8)
+
+    def _compile(self) -> ctypes.CDLL:
+        functions = self._functions
+        with tempfile.TemporaryDirectory() as folder:
+            generator = ca.CodeGenerator("reference", {"with_header": False})
+            for function in functions.values():
+                generator.add(function)
+            driver = resources.files(__package__).joinpath("intervals.c").read_text()
+            source = Path(folder) / "sgms_mhe_reference.c"
+            source.write_text(generator.dump() + self._constants() + driver)
+            path = shared_library([source], libraries=["m"])
+        library = load_library(path)
+        library.sgms_reference_intervals.restype = None
+        library.sgms_reference_outputs.restype = None
+        return library
+
+    def _constants(self) -> str:
+        """What intervals.c expects to precede it."""
+        functions, blocks = self._functions.values(), self._blocks.all
+
+        def largest(size: Callable[[ca.Function], int]) -> int:
+            return max(1, *(size(function) for function in functions))
+
+        def array(declaration: str, entries: list[str]) -> str:
+            return f"static {declaration}[] = {{{', '.join(entries)}}};"
+
+        numbers = {
+            "N_X": self._model.n_x,
+            "N_P": self._model.n_p,
+            "N_BLOCKS": len(blocks),
+            "LARGEST_BLOCK": max(len(block.states) for block in blocks),
+            "N_CHEBYSHEV": DEGREE + 1,
+            "NEAR": NEAR / self._model.machine.friction.smoothing.lambda_,
+            "SZ_ARG": largest(ca.Function.sz_arg),
+            "SZ_RES": largest(ca.Function.sz_res),
+            "SZ_IW": largest(ca.Function.sz_iw),
+            "SZ_W": largest(ca.Function.sz_w),
+            "START": "start",
+            "FINISH": "finish",
+            "MEASURE": "measure",
+        }
+        lines = [f"#define {name} {value}" for name, value in numbers.items()]
+        lines += [
+            "typedef int (*step_function)(const double **, double **, long long *, double *, int);",
+            array("const long long BLOCK_SIZE", [str(len(block.states)) for block in blocks]),
+            array("const long long BLOCK_STATES", [str(i) for block in blocks for i in block.states]),
+            array("const step_function STEP", [f"step_{b}" for b in range(len(blocks))]),
+            array("const step_function FLOW", [f"flow_{b}" if k.saturates else "0" for b, k in enumerate(blocks)]),
+            array("const step_function RATE", [f"rate_{b}" if k.slides else "0" for b, k in enumerate(blocks)]),
+        ]
+        return "\n".join(["", *lines, ""])
+
+
+def _pointer(array: NDArray[Any]) -> ctypes.c_void_p:
+    return array.ctypes.data_as(ctypes.c_void_p)

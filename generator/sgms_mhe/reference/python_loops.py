@@ -1,0 +1,141 @@
+"""The loops of the integrator in Python, many times slower: where there is no compiler, and to check the compiled."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.reference.blocks import Blocks
+from sgms_mhe.reference.flow import NEAR, relaxation
+from sgms_mhe.reference.linearised import Linearised, Outputs
+from sgms_mhe.reference.plan import Plan
+
+Array = NDArray[np.float64]
+
+
+class Moved(NamedTuple):
+    """A block after a part of a step: chi (m,), and its derivatives in chi before it (m, m) and in theta (m, n_p)."""
+
+    chi: Array
+    by_chi: Array
+    by_theta: Array
+
+
+class PythonLoops:
+    """The loops of one model around CasADi's functions."""
+
+    def __init__(self, blocks: Blocks, functions: Mapping[str, ca.Function]) -> None:
+        self._model = blocks.model
+        self._blocks = blocks
+        self._functions = functions
+
+    def intervals(self, plan: Plan, first: int, x: Array, theta: Array) -> Linearised:
+        """Integrate intervals first, first + 1, ... (0 leads from node 0) from the node states x (n, n_x)."""
+        offsets = (first + np.arange(len(x), dtype=np.int64)) * plan.steps
+        results = [self._interval(plan, int(k), start, theta) for k, start in zip(offsets, x, strict=True)]
+        return Linearised(*(np.array(part) for part in zip(*results, strict=True)))
+
+    def outputs(self, x: Array, w: Array, theta: Array) -> Outputs:
+        """Output and its sensitivities at nodes: x (n, n_x), w (n, 5)."""
+        count, n_x, n_p = len(x), self._model.n_x, self._model.n_p
+        results = [self._functions["measure"](node, signal, theta) for node, signal in zip(x, w, strict=True)]
+        y, C, D = (np.array([np.array(row[i]) for row in results]) for i in range(3))
+        return Outputs(y.reshape(count), C.reshape(count, n_x), D.reshape(count, n_p))
+
+    def _interval(self, plan: Plan, k0: int, x: Array, theta: Array) -> tuple[Array, Array, Array]:
+        n_x, n_p, functions = self._model.n_x, self._model.n_p, self._functions
+        chi, F_x, F_t = (np.array(part) for part in functions["start"](x, theta))
+        chi = chi.reshape(n_x)
+        phi, psi = np.zeros((n_x, n_x)), np.zeros((n_x, n_p))
+        begin = chi.copy()
+        for b, block in enumerate(self._blocks.all):
+            states = list(block.states)
+            c, p, t = begin[states], np.eye(len(states)), np.zeros((len(states), n_p))
+            for k in range(k0, k0 + plan.steps):
+                for moved in self._step_of_block(plan, k, b, c, theta):
+                    c, p, t = moved.chi, moved.by_chi @ p, moved.by_chi @ t + moved.by_theta
+            chi[states] = c
+            phi[np.ix_(states, states)] = p
+            psi[states] = t
+        x1, T_x, T_t = (np.array(part) for part in functions["finish"](chi, theta))
+        return x1.reshape(n_x), T_x @ phi @ F_x, T_x @ (phi @ F_t + psi) + T_t
+
+    def _step_of_block(self, plan: Plan, k: int, b: int, chi: Array, theta: Array) -> Iterator[Moved]:
+        """One step of one block, in as many parts as it takes."""
+        if self._blocks.all[b].slides and plan.slide[k, 0] != 0.0:
+            moved = self._slid(plan.slide[k], float(chi[0]), *self._functions[f"rate_{b}"].call([theta]))
+            if moved is not None:
+                yield moved
+                return
+        count = int(plan.substeps[k, b])
+        if count > 0:
+            yield from self._along(b, chi, plan.start[k], plan.end[k], theta, plan.h, count)
+            return
+        before, after = (int(count) for count in plan.piece_substeps[k, b])
+        if before > 0:
+            share = float(plan.cut[k])
+            turn = plan.start[k] + (plan.end[k] - plan.start[k]) * share
+            for moved in self._along(b, chi, plan.start[k], turn, theta, plan.h * share, before):
+                chi = moved.chi
+                yield moved
+            yield from self._along(b, chi, turn, plan.end[k], theta, plan.h * (1.0 - share), after)
+            return
+        h = plan.h / plan.stairs
+        for i in range(k * plan.stairs, (k + 1) * plan.stairs):
+            w, count = plan.stair[i], int(plan.stair_substeps[i, b])
+            parts: Iterable[Moved]
+            if count > 0:
+                parts = self._along(b, chi, w, w, theta, h, count)
+            else:
+                parts = [self._jumped(self._functions[f"flow_{b}"](chi[1:], w, theta, h), chi)]
+            for moved in parts:
+                chi = moved.chi
+                yield moved
+
+    def _along(
+        self, b: int, chi: Array, start: Array, end: Array, theta: Array, h: float, count: int
+    ) -> Iterator[Moved]:
+        """Runge-Kutta substeps with signals on the line from `start` to `end`."""
+        for s in range(count):
+            w0, w1 = start + (end - start) * (s / count), start + (end - start) * ((s + 1) / count)
+            new, J, T = (np.array(part) for part in self._functions[f"step_{b}"](chi, w0, w1, theta, h / count))
+            chi = new.reshape(len(chi))
+            yield Moved(chi, J, T)
+
+    def _jumped(self, drive: tuple[ca.DM, ...], chi: Array) -> Moved:
+        """chi = sign level r: the level's sensitivity enters through r0 and again through chi1."""
+        level, xi = float(drive[0]), float(drive[1])
+        dlevel, dxi, dend = (np.array(part) for part in drive[3:])
+        others = len(chi) - 1
+        sign = math.copysign(1.0, xi)
+        r0 = sign * float(chi[0]) / level
+        r1, slope, g1 = self._blocks.flow.advance(r0, abs(xi))
+        change = sign * (r1 - slope * r0) * dlevel + level * g1 * dxi
+        J, T = np.zeros((others + 1, others + 1)), np.zeros((others + 1, self._model.n_p))
+        J[0, 0], J[0, 1:], J[1:, 1:] = slope, change[0, :others], dend[:, :others]
+        T[0], T[1:] = change[0, others:], dend[:, others:]
+        end = np.array(drive[2]).reshape(others)
+        return Moved(np.concatenate([[sign * level * r1], end]), J, T)
+
+    def _slid(self, slide: Array, chi: float, rate: ca.DM, by_theta: ca.DM) -> Moved | None:
+        """A step that an element slides through, at once; None where it is not near enough to the fixed point."""
+        displacement, level, delta = (float(value) for value in slide)
+        flow, rho = self._blocks.flow, float(rate)
+        direction = math.copysign(1.0, displacement)
+        r0 = direction * chi / level
+        if not abs(r0 - flow.r_star) < NEAR / self._model.machine.friction.smoothing.lambda_:
+            return None
+        xi = rho * abs(displacement) / level
+        r1, slope, g1 = flow.advance(r0, xi)
+        x = flow.k * xi
+        phi, dphi = relaxation(x)
+        lag = flow.r_star * delta * phi
+        end = direction * (level * r1 + lag)
+        by_chi = slope * math.exp(-flow.curvature * lag / (level * flow.k))
+        by_rho = direction * (level * g1 * xi + flow.r_star * delta * x * dphi) / rho
+        return Moved(np.array([end]), np.array([[by_chi]]), by_rho * np.array(by_theta))

@@ -1,0 +1,84 @@
+"""CasADi's functions of one substep of every block, of the node maps and of the output, with their Jacobians."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from sgms_mhe.reference.blocks import Block, Blocks
+
+# (c, a, b): stages f(y + h sum_j a_ij k_j) at c_i h, y1 = y + h sum_i b_i k_i.
+TABLEAUS: dict[str, tuple[tuple[float, ...], tuple[tuple[float, ...], ...], tuple[float, ...]]] = {
+    "euler": ((0.0,), ((),), (1.0,)),
+    "rk2": ((0.0, 1 / 2), ((), (1 / 2,)), (0.0, 1.0)),
+    "bs23": ((0.0, 1 / 2, 3 / 4), ((), (1 / 2,), (0.0, 3 / 4)), (2 / 9, 1 / 3, 4 / 9)),
+    "rk4": (
+        (0.0, 1 / 2, 1 / 2, 1.0),
+        ((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)),
+        (1 / 6, 1 / 3, 1 / 3, 1 / 6),
+    ),
+}
+
+
+def step_functions(blocks: Blocks) -> dict[str, ca.Function]:
+    """CasADi functions with dense Jacobians: start, finish, measure, step_b, flow_b, rate_b."""
+    model = blocks.model
+    functions = {
+        "start": _with_jacobians("start", [model.x, model.theta], model.from_node, (0, 1)),
+        "finish": _with_jacobians("finish", [model.chi, model.theta], model.to_node, (0, 1)),
+    }
+    of_node = ca.substitute(model.output, model.chi, model.from_node)
+    functions["measure"] = _with_jacobians("measure", [model.x, model.w, model.theta], of_node, (0, 2))
+    for b, block in enumerate(blocks.all):
+        functions[f"step_{b}"] = _step(blocks, f"step_{b}", block)
+        if block.saturates:
+            functions[f"flow_{b}"] = _flow_drive(blocks, f"flow_{b}", block)
+        if block.slides:
+            functions[f"rate_{b}"] = _with_jacobians(f"rate_{b}", [model.theta], model.rho[block.states[0]], (0,))
+    return functions
+
+
+def _flow_drive(blocks: Blocks, name: str, block: Block) -> ca.Function:
+    """What drives a jump: (u, w, theta, h) to level, xi, u1 and their Jacobians in (u, theta).
+
+    u (m - 1) are the states that set the level. With signals constant over h, du/dt = a + b u has the solution
+    u1 = u e + a (e - 1) / b, e = exp(b h); the element sees the level at u1.
+    """
+    model = blocks.model
+    others = list(block.states[1:])
+    h = ca.SX.sym("h")
+    u = ca.vertcat(*(model.chi[j] for j in others)) if others else ca.SX(0, 1)
+    ends = []
+    for j in others:
+        b = ca.gradient(model.rhs[j], model.chi[j])
+        a = ca.substitute(model.rhs[j], model.chi[j], 0)
+        ends.append(model.chi[j] * ca.exp(b * h) + a * (ca.exp(b * h) - 1) / b)
+    end = ca.vertcat(*ends) if others else ca.SX(0, 1)
+    level = ca.substitute(model.level, u, end) if others else model.level
+    xi = blocks.drive(block.states[0]) * h / level
+    variables = ca.vertcat(u, model.theta)
+    jacobians = [ca.densify(ca.jacobian(value, variables)) for value in (level, xi, end)]
+    return ca.Function(name, [u, model.w, model.theta, h], [level, xi, ca.densify(end), *jacobians])
+
+
+def _step(blocks: Blocks, name: str, block: Block) -> ca.Function:
+    """One Runge-Kutta substep of a block: (chi, w at start, w at end, theta, h) to chi1 and its Jacobians."""
+    model, states = blocks.model, list(block.states)
+    integrator = model.machine.sampling.integrator
+    scheme = "rk4" if integrator.scheme == "flow" else integrator.scheme
+    chi = ca.vertcat(*(model.chi[i] for i in states))
+    rhs = ca.Function("rhs", [chi, model.w, model.theta], [ca.vertcat(*(model.rhs[i] for i in states))])
+    start, end, h = ca.SX.sym("w0", 5), ca.SX.sym("w1", 5), ca.SX.sym("h")
+    linear = model.machine.sampling.varies_in_step
+    nodes, coefficients, weights = TABLEAUS[scheme]
+    slopes: list[ca.SX] = []
+    for c, row in zip(nodes, coefficients, strict=True):
+        w = start + c * (end - start) if linear else end
+        move = sum((a * k for a, k in zip(row, slopes, strict=True) if a != 0.0), ca.SX.zeros(len(states)))
+        slopes.append(rhs(chi + h * move, w, model.theta))
+    new = chi + h * sum((b * k for b, k in zip(weights, slopes, strict=True)), ca.SX.zeros(len(states)))
+    return _with_jacobians(name, [chi, start, end, model.theta, h], new, (0, 3))
+
+
+def _with_jacobians(name: str, arguments: list[ca.SX], value: ca.SX, wanted: tuple[int, ...]) -> ca.Function:
+    jacobians = [ca.densify(ca.jacobian(value, arguments[i])) for i in wanted]
+    return ca.Function(name, arguments, [ca.densify(value), *jacobians], {"cse": True})

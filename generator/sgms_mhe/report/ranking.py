@@ -1,0 +1,79 @@
+"""Candidates in the order of what they explain, round by round."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Final
+
+from sgms_mhe.diagnosis import Score
+from sgms_mhe.report.units import force, probability
+from sgms_mhe.report.words import (
+    capital,
+    listed,
+    title,
+)
+
+ORDER: Final = {"named": 0, "rival": 1}
+
+
+def ranked_scores(scores: Sequence[Score]) -> list[Score]:
+    """Every candidate once: where it was named, otherwise in the first round it took part in; the best first."""
+    best: dict[str, Score] = {}
+    for score in sorted(scores, key=lambda s: s.round):
+        if score.name not in best or (score.outcome == "named" and best[score.name].outcome != "named"):
+            best[score.name] = score
+    return ranked_among(list(best.values()))
+
+
+def ranked_among(scores: Sequence[Score]) -> list[Score]:
+    """Candidates in that order: named, rivals, the rest, each by the force it explains."""
+    return sorted(scores, key=lambda s: (ORDER.get(s.outcome, 2), -explained_force(s)))
+
+
+def explained_force(score: Score) -> float:
+    """What a candidate explains [N RMS]: after a refit where there was one."""
+    return first_finite(score.refit_gain_N, score.gain_N)
+
+
+def score_rounds(scores: Sequence[Score]) -> list[dict[str, Any]]:
+    """The rounds of a search, each with its candidates; empty where there was but one."""
+    rounds = []
+    for number in sorted({s.round for s in scores}):
+        names = [s.name for s in scores if s.round < number and s.outcome == "named"]
+        done = f", after {listed(names)} had been added" if names else ", the base model refitted"
+        rounds.append(
+            {
+                "title": f"Round {number}{done}",
+                "rows": score_rows(ranked_among([s for s in scores if s.round == number])),
+            }
+        )
+    return rounds if len(rounds) > 1 else []
+
+
+def score_rows(scores: Sequence[Score]) -> list[dict[str, Any]]:
+    """Rows of a table of candidates."""
+    most = max((explained_force(s) for s in scores), default=0.0)
+    return [
+        {
+            "title": capital(title(s.name)),
+            "name": s.name,
+            "gain": force(s.gain_N),
+            "refit": force(s.refit_gain_N),
+            "chance": probability(s.p_value),
+            "outcome": s.outcome,
+            "kind": s.outcome if s.outcome in ORDER else "other",
+            "width": bar_width(explained_force(s), most),
+        }
+        for s in scores
+    ]
+
+
+def bar_width(value: float, most: float) -> float:
+    """Width of a bar, 0 to 100, for its value over the largest."""
+    return round(100.0 * max(0.0, min(1.0, value / most)), 2) if most > 0.0 and math.isfinite(value) else 0.0
+
+
+def first_finite(*values: float) -> float:
+    """The first of these that is a number, 0 where none is."""
+    return next((v for v in values if math.isfinite(v)), 0.0)

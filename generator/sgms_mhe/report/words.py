@@ -1,0 +1,74 @@
+"""A report's words: what a cause is called, sizes and changes, lists and sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+from sgms_mhe.diagnosis import Cause
+from sgms_mhe.model.effects import BASE_CAUSES, base_number, cause, cause_names
+from sgms_mhe.report.units import SPACE, force, percent, quantity
+
+NEWTON: Final = f"{SPACE}N"
+
+
+def title(name: str, *, own: bool = False) -> str:
+    """What a cause is, in words; `own`: an effect that the machine file has already."""
+    words = cause(name).summary if name in cause_names() else name.replace("_", " ")
+    return f"{words}: another value than the machine file's" if own else words
+
+
+def cause_title(c: Cause) -> str:
+    """What a named cause is, in words."""
+    return title(c.name, own=bool(c.nominal) and c.name not in BASE_CAUSES)
+
+
+def with_size(c: Cause) -> str:
+    """A cause in words, with its leading number where it is an effect."""
+    key = next(iter(c.parameters), None)
+    if key is None or c.nominal or c.name in BASE_CAUSES:
+        return cause_title(c)
+    return f"{title(c.name)} ({quantity(key, c.parameters[key])})"
+
+
+def base_words(name: str) -> str:
+    """A base parameter's name in words."""
+    number = base_number(name)
+    if number is None:
+        return name.replace("_", " ")
+    return f"{number.words} of element {number.element(name) + 1}" if number.array else number.words
+
+
+def relative_change(before: float, after: float) -> str:
+    """A change in percent, with its sign."""
+    if not (math.isfinite(before) and math.isfinite(after)) or before == 0.0:
+        return "–"
+    change = after / before - 1.0
+    return ("+" if change >= 0.0 else "−") + percent(abs(change))
+
+
+def between(low: float, high: float) -> str:
+    """An interval of forces."""
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return "not known"
+    return f"{force(low).removesuffix(NEWTON)} to {force(high)}"
+
+
+def listed(parts: Sequence[str], last: str = "and") -> str:
+    """A list within a sentence."""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}"
+
+
+def capital(text: str) -> str:
+    """The text with a capital first."""
+    return text[:1].upper() + text[1:]
+
+
+def sentence(text: str) -> str:
+    """The text as a sentence; names at its beginning stay as they are written."""
+    text = text.strip()
+    first = text.partition(" ")[0].rstrip(",:;")
+    if first not in cause_names() and "_" not in first:  # names stay as they are written
+        text = capital(text)
+    return text if text.endswith((".", "!", "?", ":")) else text + "."
