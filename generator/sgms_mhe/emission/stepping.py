@@ -44,7 +44,7 @@ def step_rates(group: Group, structure: Structure) -> tuple[StepRate, ...]:
         per_step = step_time / integrator.displacement
         most = (sampling.max_velocity * m + s for m, s in zip(metre, second, strict=True))
         return (
-            StepRate("PER_SPEED", per_speed, tuple(m * per_step for m in metre)),
+            StepRate("SUBSTEPS", per_speed, tuple(m * per_step for m in metre)),
             StepRate("AT_REST", at_rest, tuple(s * per_step for s in second)),
             StepRate(
                 "MOST", "and at most", tuple(rate * per_step for rate in most)
@@ -53,7 +53,7 @@ def step_rates(group: Group, structure: Structure) -> tuple[StepRate, ...]:
     rates = []
     if sampling.merged > 1:
         slow = slow_displacement(structure)
-        rates.append(StepRate("PER_SPEED", per_speed, tuple(step_time * m / slow for m in metre)))
+        rates.append(StepRate("SUBSTEPS", per_speed, tuple(step_time * m / slow for m in metre)))
         rates.append(StepRate("AT_REST", at_rest, tuple(step_time * s / integrator.displacement for s in second)))
     if common_slow_steps(group, structure) is None:
         steps = tuple(float(slow_steps(block, structure)) for block in group.blocks)
