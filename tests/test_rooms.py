@@ -1,4 +1,7 @@
-"""The rooms of the package: all on the map in CONTRIBUTING, and each imports from rooms below its own alone."""
+"""The rooms of the package: all on the map in CONTRIBUTING, and each imports from rooms below its own alone.
+
+And what keeps them fit to live in: nothing is imported in hiding, and no template outgrows its limit.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "generator" / "sgms_mhe"
 MOST_ROOMS, MOST_ARROWS = 20, 100
+LONGEST_TEMPLATE = 300
+"""Lines."""
+LATE = "commands"
+"""The room whose imports may stand in functions: the help of a command has to come without casadi and numpy."""
 
 
 def rooms_on_the_map() -> list[str]:
@@ -62,3 +69,22 @@ def test_arrows_point_downwards() -> None:
     assert len(order) < len(found) <= MOST_ARROWS
     upwards = [f"{a} -> {b}: {', '.join(files)}" for (a, b), files in found.items() if order[a] > order[b]]
     assert not upwards
+
+
+def test_imports_stand_at_the_top() -> None:
+    hidden = []
+    for path in PACKAGE.rglob("*.py"):
+        own = path.relative_to(PACKAGE)
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        nested = set(ast.walk(tree)) - set(tree.body)
+        for node in nested:
+            if isinstance(node, ast.Import | ast.ImportFrom) and own.parts[0] != LATE:
+                names = [node.module or ""] if isinstance(node, ast.ImportFrom) else [a.name for a in node.names]
+                hidden += [f"{own}:{node.lineno}" for name in names if name.startswith("sgms_mhe")]
+    assert not hidden
+
+
+def test_no_template_is_too_long() -> None:
+    lengths = {path: path.read_text(encoding="utf-8").count("\n") for path in (ROOT / "templates").rglob("*.jinja")}
+    assert lengths
+    assert [f"{path.relative_to(ROOT)}: {lines}" for path, lines in lengths.items() if lines > LONGEST_TEMPLATE] == []

@@ -294,6 +294,18 @@ def test_single_precision_survives_what_a_normal_matrix_does_not() -> None:
     assert abs(np.linalg.det(normal.astype(float)) / (2.0 * d**2) - 1.0) > 0.5
 
 
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("name", ["sin", "cos"])
+def test_a_sine_stays_within_one_whatever_its_argument(name: str, precision: str) -> None:
+    """Also where the argument is so large that it has no digits left for a phase."""
+    largest = float(np.finfo(REAL[precision]).max)
+    points = np.geomspace(1.0, 0.99 * largest, 20_000)
+    x = c_array(np.concatenate([points, -points]), precision)
+    y = np.empty_like(x)
+    getattr(runtime_probe(precision), f"probe_{name}")(ctypes.c_long(len(x)), pointer(x), pointer(y))
+    assert np.abs(y).max() <= 1.0 + 4.0 * EPS[precision]
+
+
 # --- least squares within bounds ---------------------------------------------------------------------------------
 
 

@@ -5,7 +5,7 @@
  *   sgms_exp      x <= 709 (88)       5e-16 relative     2e-7 relative
  *   exp2_core     |x| <= 1000 (120)   8e-13 relative     3e-7 relative
  *   sgms_tanh     |x| <= 1e16 (1e8)   3e-15 absolute     8e-7 absolute
- *   sgms_sin/cos  |x| <= 1e6 (1e3)    2e-15 absolute     3e-7 absolute, growing with |x| beyond
+ *   sgms_sin/cos  |x| <= 1e6 (1e3)    2e-15 absolute     3e-7 absolute, growing with |x| beyond; never outside +-1
  *   sgms_log      x > 0, normal       4e-16 (1 + |log|)  3e-7 (1 + |log|)
  *   sgms_sqrt     x > 0, normal       3e-16 relative     2e-7 relative
  *   sgms_inverse_sqrt                 6e-16 relative     3e-7 relative
@@ -294,6 +294,13 @@ static inline sgms_real sgms_sqrt(sgms_real x)
     return root + SGMS_R(0.5) * y * (x - root * root);
 }
 
+/* What is left of an argument without its multiples of pi/2. Arguments so large that they have no digits left leave more
+ * than pi/4, and a polynomial at such a place is as large as one likes. */
+static inline sgms_real sgms_reduced(sgms_real f)
+{
+    return f > SGMS_R(1.0) ? SGMS_R(1.0) : f < SGMS_R(-1.0) ? SGMS_R(-1.0) : f;
+}
+
 /* sin(x + quadrant pi/2), argument reduced by multiples of pi/2 in three parts. */
 static inline sgms_real sgms_sine(sgms_real x, int quadrant)
 {
@@ -302,7 +309,7 @@ static inline sgms_real sgms_sine(sgms_real x, int quadrant)
     const int q = (int)(sgms_bits(shifted) & 3) + quadrant; /* the low bits of `shifted` hold n */
     sgms_real f, f2, p;
 #if SGMS_SINGLE
-    f = ((x - n * 1.5703125f) - n * 4.837512969970703e-4f) - n * 7.549789954891895e-8f;
+    f = sgms_reduced(((x - n * 1.5703125f) - n * 4.837512969970703e-4f) - n * 7.549789954891895e-8f);
     f2 = f * f;
     if (q & 1) {
         p = 1.0f +
@@ -311,7 +318,7 @@ static inline sgms_real sgms_sine(sgms_real x, int quadrant)
         p = f + f * f2 * (-1.6666654611e-1f + f2 * (8.3321608736e-3f + f2 * -1.9515295891e-4f));
     }
 #else
-    f = ((x - n * 1.57079632673412561417) - n * 6.07710050630396597660e-11) - n * 2.02226624879595063154e-21;
+    f = sgms_reduced(((x - n * 1.57079632673412561417) - n * 6.07710050630396597660e-11) - n * 2.02226624879595063154e-21);
     f2 = f * f;
     if (q & 1) {
         p = 1.0 +

@@ -8,17 +8,15 @@ far from anything that a real axis, a wrong number of the machine or a coarse en
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import readings
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
-
-if TYPE_CHECKING:
-    from sgms_mhe.machine import Machine
 
 Array = NDArray[np.float64]
 
