@@ -12,11 +12,15 @@ import pytest
 
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
-from sgms_mhe.diagnosis.evidence import inconstancy, nuisance, score_test
+from sgms_mhe.diagnosis.alignment import aligned, thinned
+from sgms_mhe.diagnosis.compiling import compiled_structure
+from sgms_mhe.diagnosis.evidence import inconstancy, noise_floor, nuisance, score_test
 from sgms_mhe.diagnosis.extension import extend_machine
-from sgms_mhe.diagnosis.fitting import Extra, Workshop, compiled_fit
+from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.plan import make_plan, write_plan
-from sgms_mhe.diagnosis.residuals import Recording, noise_floor, prepare
+from sgms_mhe.diagnosis.recording import Recording, prepare
+from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.evaluation.prediction import force_error, predict_log
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
@@ -157,8 +161,8 @@ def test_what_no_effect_explains_stays_unexplained(machine: Machine) -> None:
     n = len(log.force_N)
     # A smooth random force with a correlation time of 50 ms: in no catalogue.
     kernel = np.hanning(1000)
-    foreign = np.convolve(random.normal(size=n + 999), kernel, mode="valid")
-    log = replace(log, force_N=log.force_N + 0.5 * foreign / foreign.std())
+    unmodelled = np.convolve(random.normal(size=n + 999), kernel, mode="valid")
+    log = replace(log, force_N=log.force_N + 0.5 * unmodelled / unmodelled.std())
     diagnosis = diagnose(machine, log)
     assert (diagnosis.verdict, names(diagnosis)) == ("unexplained", [])
     assert diagnosis.separating_experiment
@@ -310,9 +314,10 @@ def test_noise_floor_is_that_of_the_noise(recording: Recording) -> None:
 
 
 def test_derivatives_along_a_recording_match_differences(machine: Machine, recording: Recording) -> None:
-    workshop = Workshop(machine, recording)
-    model = workshop.model([Extra("force_ripple", {"amplitude_N": 0.3, "pitch_m": 0.02, "phase_rad": 0.1})])
-    theta = workshop.start(model, [Extra("force_ripple", {"amplitude_N": 0.3, "pitch_m": 0.02, "phase_rad": 0.1})])
+    subject = Subject.of(machine, recording)
+    extras = [Extra("force_ripple", {"amplitude_N": 0.3, "pitch_m": 0.02, "phase_rad": 0.1})]
+    model = subject.model(extras)
+    theta = subject.start(model, extras)
     _, slopes = model.run(recording, theta)
     assert slopes is not None
     for i, column in enumerate(model.columns):
@@ -328,19 +333,20 @@ def test_derivatives_along_a_recording_match_differences(machine: Machine, recor
 
 
 def test_a_thinned_record_agrees_with_the_whole_at_the_fit(machine: Machine, recording: Recording) -> None:
-    whole = Workshop(machine, recording)
-    thin = whole.thinned(recording.factor)
-    fit = thin.fit((), base=())
+    thin = thinned(Subject.of(machine, recording))
     used = recording.used
 
-    def difference() -> float:
-        exact, _ = whole.model(()).run(whole.recording, whole.start(whole.model(()), ()), derivatives=False)
-        coarse = thin.fit((), base=()).residual
+    def difference(subject: Subject) -> float:
+        whole, model = subject.whole, subject.whole.model(())
+        exact, _ = model.run(whole.recording, whole.start(model, ()), derivatives=False)
+        coarse = fit_model(subject, (), refitted=()).residual
         return float(np.std((whole.recording.friction - exact - coarse)[used]))
 
-    assert difference() > 0.003
-    thin.align(fit)
-    assert difference() < 1e-9
+    assert thin.recording.factor < recording.factor
+    before = difference(thin)
+    assert before > 0.003
+    assert difference(aligned(thin, fit_model(thin, (), refitted=()))) < 1e-9
+    assert difference(thin) == before  # a value of its own
 
 
 def test_the_timing_of_force_and_position_is_no_cause(machine: Machine, recording: Recording) -> None:
@@ -348,21 +354,19 @@ def test_the_timing_of_force_and_position_is_no_cause(machine: Machine, recordin
     late = 0.05 * machine.sampling.step * machine.plant.mass
 
     def left(share: float) -> float:
-        shop = Workshop(machine, replace(recording, friction=recording.friction + share * late * jerk))
-        shop.align(shop.fit((), base=()))
-        return shop.fit((), base=()).rms
+        subject = Subject.of(machine, replace(recording, friction=recording.friction + share * late * jerk))
+        return fit_model(aligned(subject, fit_model(subject, (), refitted=())), (), refitted=()).rms
 
     assert left(1.0) == pytest.approx(left(0.0), rel=1e-3)
     assert left(20.0) > 1.5 * left(0.0)  # a sample late is a delay
 
 
 def test_a_parameter_at_its_bound_is_no_free_direction(machine: Machine, recording: Recording) -> None:
-    plain = Workshop(machine, recording).fit((), base=())
+    plain = fit_model(Subject.of(machine, recording), (), refitted=())
     at = {c.name: i for i, c in enumerate(plain.model.columns)}
     # As if friction fell towards low speed: the record pushes the Stribeck ratio below zero.
     falling = recording.friction - 2.0 * plain.slopes[:, at["stribeck_ratio"]]
-    shop = Workshop(machine, replace(recording, friction=falling))
-    fit = shop.fit((), base=("stribeck",))
+    fit = fit_model(Subject.of(machine, replace(recording, friction=falling)), (), refitted=(Group.base("stribeck"),))
     assert fit.theta[at["stribeck_ratio"]] == 0.0
     assert fit.free[at["stribeck_ratio"]]
     assert not fit.loose[at["stribeck_ratio"]]
@@ -385,22 +389,22 @@ def test_an_imitation_is_not_the_same_everywhere(recording: Recording) -> None:
 def test_models_are_compiled_once_whatever_the_order(
     machine: Machine, recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shop = Workshop(machine, recording)
+    subject = Subject.of(machine, recording)
     one, other = Extra("constant_offset", {"force_N": 0.4}), Extra("quadratic_drag", {"coefficient_N_s2_m2": 1.5})
-    first, second = (shop.model(extras) for extras in ((one, other), (other, one)))
+    first, second = (subject.model(extras) for extras in ((one, other), (other, one)))
     runs = [
-        model.run(recording, shop.start(model, extras), derivatives=False)[0]
+        model.run(recording, subject.start(model, extras), derivatives=False)[0]
         for model, extras in ((first, (one, other)), (second, (other, one)))
     ]
     np.testing.assert_array_equal(runs[0], runs[1])
-    assert [c.effect for c in second.columns if c.group == "+0"] == ["quadratic_drag"]
+    assert [c.name for c in second.columns if c.group == Group.extra("quadratic_drag", 0)] == ["coefficient_N_s2_m2"]
 
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("emitted again")
 
-    monkeypatch.setattr("sgms_mhe.diagnosis.fitting.emit_package", refuse)
-    compiled_fit.cache_clear()
-    shop.model((one, other))
+    monkeypatch.setattr("sgms_mhe.diagnosis.compiling.emit_package", refuse)
+    compiled_structure.cache_clear()
+    subject.model((one, other))
 
 
 @pytest.mark.parametrize("separate", [None, ("constant_offset", "asymmetric_coulomb"), ("viscous", "quadratic_drag")])

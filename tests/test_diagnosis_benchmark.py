@@ -27,10 +27,10 @@ from sgms_mhe.diagnosis_benchmark import (
     summary_json,
     summary_text,
 )
-from sgms_mhe.diagnosis_benchmark.draws import KINDS, VISIBLE, foreign_force
-from sgms_mhe.diagnosis_benchmark.foreign import FOREIGN
+from sgms_mhe.diagnosis_benchmark.draws import KINDS, VISIBLE, unmodelled_force
 from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, draw_motion
 from sgms_mhe.diagnosis_benchmark.scoring import confusion_table, half_found, parameter_errors
+from sgms_mhe.diagnosis_benchmark.unmodelled import UNMODELLED
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause
 from sgms_mhe.model.scales import scales_of
@@ -64,12 +64,12 @@ def test_a_draw_depends_on_seed_and_index_alone(machine: Machine, draws: list[Dr
 def test_kinds_are_balanced_and_every_name_comes_up(draws: list[Draw]) -> None:
     assert [d.kind for d in draws] == list(KINDS)
     assert {kind: KINDS.count(kind) for kind in KINDS} == {
-        "single": 8, "clean": 5, "base": 2, "double": 2, "foreign": 2, "weak": 1,
+        "single": 8, "clean": 5, "base": 2, "double": 2, "unmodelled": 2, "weak": 1,
     }  # fmt: skip
     for draw in draws:
-        counts = {"single": 1, "base": 1, "double": 2, "foreign": 1, "clean": 0}
+        counts = {"single": 1, "base": 1, "double": 2, "unmodelled": 1, "clean": 0}
         assert len(draw.hidden) == counts.get(draw.kind, len(draw.hidden))
-        names = {"base": tuple(BASE_CAUSES), "foreign": tuple(FOREIGN)}.get(draw.kind, EFFECT_NAMES)
+        names = {"base": tuple(BASE_CAUSES), "unmodelled": tuple(UNMODELLED)}.get(draw.kind, EFFECT_NAMES)
         assert all(h.name in names for h in draw.hidden)
     # Of one kind no name comes twice before all have come once.
     singles = [d.hidden[0].name for d in draws if d.kind == "single"]
@@ -114,12 +114,12 @@ def test_motions_do_what_their_style_says(machine: Machine, style: str) -> None:
         assert np.abs(motion.acceleration_m_s2[:-1]).max() < 15.0 * machine.sampling.max_velocity
 
 
-@pytest.mark.parametrize("name", FOREIGN)
-def test_foreign_forces_have_their_size_and_stay_out_of_the_motion(
+@pytest.mark.parametrize("name", UNMODELLED)
+def test_unmodelled_forces_have_their_size_and_stay_out_of_the_motion(
     machine: Machine, draws: list[Draw], name: str
 ) -> None:
-    draw = replace(next(d for d in draws if d.kind == "foreign"), hidden=(Hidden(name, size=0.2),), seconds=6.0)
-    force = foreign_force(machine, draw, draw.hidden[0])
+    draw = replace(next(d for d in draws if d.kind == "unmodelled"), hidden=(Hidden(name, size=0.2),), seconds=6.0)
+    force = unmodelled_force(machine, draw, draw.hidden[0])
     peak = np.quantile(np.abs(force[len(force) // 50 :]), 0.98)
     assert peak == pytest.approx(0.2 * machine.friction.coulomb, rel=1e-9)
     log, _ = simulate_draw(machine, draw)
@@ -183,9 +183,9 @@ OFFSET, COULOMB = "constant_offset", "asymmetric_coulomb"
         (drawn("clean"), said("adequate"), "right"),
         (drawn("clean"), said("unexplained"), "unexplained"),
         (drawn("clean"), said("explained", "viscous"), "invented"),
-        (drawn("foreign", "bursts"), said("unexplained"), "unexplained"),
-        (drawn("foreign", "bursts"), said("adequate"), "missed"),
-        (drawn("foreign", "bursts"), said("unexplained", "force_ripple"), "misnamed"),
+        (drawn("unmodelled", "bursts"), said("unexplained"), "unexplained"),
+        (drawn("unmodelled", "bursts"), said("adequate"), "missed"),
+        (drawn("unmodelled", "bursts"), said("unexplained", "force_ripple"), "misnamed"),
         (drawn("weak", OFFSET), said("ambiguous", COULOMB, rivals=[(OFFSET, COULOMB)]), "right"),
         (drawn("weak", OFFSET), said("explained", OFFSET), "overclaimed"),
         (drawn("weak", OFFSET), said("explained", COULOMB), "misnamed"),
@@ -207,8 +207,8 @@ def test_rates_and_confusion(machine: Machine) -> None:
         (drawn("clean"), said("explained", "viscous")),
         *[(drawn("double", OFFSET, "force_ripple"), said("explained", OFFSET, "force_ripple"))] * 3,
         (drawn("double", OFFSET, "force_ripple"), said("explained", OFFSET)),
-        (drawn("foreign", "bursts"), said("unexplained")),
-        (drawn("foreign", "chirp"), said("explained", "force_ripple")),
+        (drawn("unmodelled", "bursts"), said("unexplained")),
+        (drawn("unmodelled", "chirp"), said("explained", "force_ripple")),
     ]
     summary = summarise(machine, results)
     assert (summary.recovery.hits, summary.recovery.total) == (9, 10)
@@ -217,7 +217,7 @@ def test_rates_and_confusion(machine: Machine) -> None:
     assert summary.misnamed.hits == 1
     assert (summary.false_alarms.hits, summary.false_alarms.total) == (1, 10)
     assert (summary.doubles.hits, summary.doubles.total) == (3, 4)
-    assert (summary.foreign_unexplained.hits, summary.foreign_misnamed.hits) == (1, 1)
+    assert (summary.unmodelled_unexplained.hits, summary.unmodelled_misnamed.hits) == (1, 1)
     rows, columns, counts = confusion_table(summary.confusion)
     table = {(r, c): n for r, line in zip(rows, counts, strict=True) for c, n in zip(columns, line, strict=True)}
     # A correct ambiguity counts as itself.
@@ -226,7 +226,7 @@ def test_rates_and_confusion(machine: Machine) -> None:
     assert table[OFFSET, "(nothing)"] == 1
     assert table["force_ripple", "(nothing)"] == 1
     assert table["clean", "viscous"] == 1
-    assert table["foreign: chirp", "force_ripple"] == 1
+    assert table["unmodelled: chirp", "force_ripple"] == 1
     assert sum(summary.confusion.values()) == len(results) + 4
     text = summary_text(summary)
     assert "9 of 10    90.0 %" in text
@@ -331,7 +331,7 @@ def test_processes_give_what_one_gives(machine: Machine, tmp_path: Path) -> None
         (12, 23, "base", ("coulomb",), {"named"}),
         (12, 1, "clean", (), {"right"}),
         (12, 5, "clean", (), {"right"}),  # of an axis whose elements slip at once
-        (14, 56, "foreign", ("place_and_time",), {"unexplained"}),
+        (14, 56, "unmodelled", ("place_and_time",), {"unexplained"}),
         (1, 19, "weak", (), {"right"}),
     ],
 )
@@ -347,6 +347,6 @@ def test_part_of_the_benchmark(
         assert errors
         assert all(abs(e.relative) < 0.1 for e in errors), errors
         assert all(abs(e.error) < 4.0 * e.std for e in errors if math.isfinite(e.std)), errors
-    if kind != "foreign":
+    if kind != "unmodelled":
         # Down to the noise: the switching law is a little more than its smoothing.
         assert found.held_out_after_N < (1.1 if draw.law == "sgms" else 2.2) * found.noise_floor_N

@@ -17,9 +17,14 @@ from numpy.typing import NDArray
 from cli_cases import done
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
-from sgms_mhe.diagnosis.fitting import SETTLED, CompiledFit, Workshop
-from sgms_mhe.diagnosis.residuals import FITTED_S, Recording, excerpt, noise_floor, prepare
-from sgms_mhe.diagnosis.verdict import SHARP
+from sgms_mhe.diagnosis.compiling import CompiledFit
+from sgms_mhe.diagnosis.covariance import covariance
+from sgms_mhe.diagnosis.evidence import noise_floor
+from sgms_mhe.diagnosis.excerpt import excerpt
+from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.laws import sharp_smoothing
+from sgms_mhe.diagnosis.recording import Recording, prepare
+from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -116,20 +121,19 @@ def test_what_is_about_as_fast_as_a_sample_is_measured_right(
 def test_interval_knows_that_the_axis_switches(quick: Machine) -> None:
     # What the smooth law gets wrong at every reversal is in no scatter over blocks: the other transition tells it.
     recording = prepare(quick, recorded(quick, law="maxwell_slip", force_noise_N=0.03))
-    smooth = Workshop(quick, recording)
-    sharp = Workshop(override_machine(quick, {"friction": {"smoothing": dict(SHARP)}}), recording)
-    sharp.noise = noise_floor(recording, sharp.fit((), base=()).residual)
-    sharp.enough = SETTLED
-    fit = sharp.fit((), iterations=40)
+    smooth = Subject.of(quick, recording)
+    smoothing = sharp_smoothing(quick.diagnosis)
+    sharp = Subject.of(override_machine(quick, {"friction": {"smoothing": smoothing}}), recording).settled()
+    sharp = replace(sharp, noise=noise_floor(recording, fit_model(sharp, (), refitted=()).residual))
+    fit = fit_model(sharp, (), iterations=40)
 
-    def errors() -> NDArray[np.float64]:
-        std = np.sqrt(np.diag(sharp.covariance(fit)))
+    def errors(other: Subject | None) -> NDArray[np.float64]:
+        std = np.sqrt(np.diag(covariance(sharp, fit, other)))
         return np.asarray(np.abs(fit.theta - 1.0)[fit.free] / std[fit.free])
 
-    assert np.max(errors()) > 3.0
-    sharp.other = smooth
-    assert np.max(errors()) < 2.5
-    assert np.median(errors()) > 0.3  # no wider than it has to be
+    assert np.max(errors(None)) > 3.0
+    assert np.max(errors(smooth)) < 2.5
+    assert np.median(errors(smooth)) > 0.3  # no wider than it has to be
 
 
 # --- low rate, gaps, saturation ---------------------------------------------------------------------------------
@@ -240,13 +244,14 @@ def test_command_on_a_record_without_motion(quick: Machine, tmp_path: Path) -> N
 
 MEASURE = """
 import resource, sys
-from sgms_mhe.diagnosis.fitting import Workshop
-from sgms_mhe.diagnosis.residuals import prepare
+from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.recording import prepare
+from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.signals.logs import read_log
 from sgms_mhe.configuration import load_machine
 machine = load_machine(sys.argv[1])
 recording = prepare(machine, read_log(sys.argv[2], machine))
-Workshop(machine, recording).fit((), base=())
+fit_model(Subject.of(machine, recording), (), refitted=())
 print(len(recording.time), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
 
@@ -285,7 +290,7 @@ def test_excerpt_is_spread_over_the_record(slow: Machine, rippled: Log, long: Lo
     part = excerpt(whole)
     short = prepare(slow, rippled)
     assert excerpt(short) is short
-    assert len(part.signals) <= 1.1 * FITTED_S * slow.sampling.rate
+    assert len(part.signals) <= 1.1 * slow.diagnosis.fitted_time * slow.sampling.rate
     time = part.time[part.used]
     stretch = whole.time[-1] / len(np.unique(np.floor(time / 2.0)))
     assert time[0] < 2.0 * stretch and time[-1] > whole.time[-1] - 2.0 * stretch
@@ -314,7 +319,7 @@ def test_work_on_a_long_record_is_bounded(slow: Machine, long: Log) -> None:
         patch.setattr(CompiledFit, "run", counted)
         diagnosis = diagnose(slow, long)
     n = len(long)
-    assert max(k for k in runs if k < n) <= 1.1 * FITTED_S * slow.sampling.rate
+    assert max(k for k in runs if k < n) <= 1.1 * slow.diagnosis.fitted_time * slow.sampling.rate
     assert 0 < sum(k == n for k in runs) <= 12
     assert len(diagnosis.traces.time_s) * slow.sampling.rate / diagnosis.traces.rate == pytest.approx(n, rel=1e-3)
     assert any("models are fitted to" in warning for warning in diagnosis.warnings)

@@ -125,7 +125,7 @@ def test_every_kind_is_there() -> None:
         "adequate", "explained", "ambiguous", "unexplained",
     }  # fmt: skip
     assert {entry["draw"]["kind"] for entry in entries.values()} == {
-        "single", "base", "double", "clean", "foreign", "weak",
+        "single", "base", "double", "clean", "unmodelled", "weak",
     }  # fmt: skip
 
 

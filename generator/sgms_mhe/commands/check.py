@@ -96,6 +96,8 @@ def _text(machine: Machine, package: Package) -> str:
     for effect in machine.effects:
         numbers = ", ".join(f"{key} {value:g}" for key, value in effect.parameters.items())
         lines.append(f"  effect      {effect.label}: {numbers}")
+    changed = ", ".join(f"{key} {value:g}" for key, value in machine.diagnosis.changed.items())
+    lines.append(f"  diagnosis   {changed or 'all thresholds at their defaults'}")
     if machine.log is not None:
         sources = machine.log.model_dump(exclude_none=True)
         lines.append(

@@ -69,6 +69,7 @@ def _resolved(file: MachineFile) -> Machine:
         compensation=tables.compensation,
         code=tables.code,
         effects=effects,
+        diagnosis=tables.diagnosis,
         log=tables.log,
         source=file.source,
         content=file.content,

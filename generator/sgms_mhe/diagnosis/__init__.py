@@ -13,7 +13,7 @@ from sgms_mhe.diagnosis.result import (
     Traces,
     write_diagnosis,
 )
-from sgms_mhe.diagnosis.verdict import diagnose, separating_move
+from sgms_mhe.diagnosis.verdict import diagnose
 
 __all__ = [
     "Alternative",
@@ -25,6 +25,5 @@ __all__ = [
     "Structure",
     "Traces",
     "diagnose",
-    "separating_move",
     "write_diagnosis",
 ]

@@ -15,16 +15,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.diagnosis.compiling import CompiledFit
 from sgms_mhe.diagnosis.evidence import Nuisance, score_test
-from sgms_mhe.diagnosis.fitting import CompiledFit, Extra, Fit, Workshop
+from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.harmonics import search_harmonic
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
-from sgms_mhe.diagnosis.residuals import Recording
+from sgms_mhe.diagnosis.recording import Recording
+from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import (
     BASE_CAUSES,
     EffectDefinition,
     MotionRecord,
-    cause,
     effect_definition,
 )
 from sgms_mhe.model.effects.base import DAMPING, LEVEL
@@ -33,9 +34,6 @@ from sgms_mhe.model.scales import scales_of
 
 Array = NDArray[np.float64]
 
-SHOWN: Final = 1e-3  # significance of what a fit of the machine's own numbers starts from
-EDGE_ROWS: Final = 20  # a step is at least so far from the record's ends
-EDGE_SHARE: Final = 20  # and this part of the record
 UNTRIED: Final = 1e-3  # of the rows after a step: less left of its column is nothing to fit
 
 
@@ -59,20 +57,13 @@ def motion_of(recording: Recording, fit: Fit) -> MotionRecord:
     )
 
 
-def search(
-    workshop: Workshop, fit: Fit, names: Sequence[str], free: Nuisance, residual: Array | None = None
-) -> list[Proposal]:
-    """Search every named effect in the residual of a fit; `free`: directions of its parameters on used rows.
-
-    `residual` (m): instead of the fit's own.
-    """
-    recording = workshop.recording
-    e = free.project((fit.residual if residual is None else residual)[recording.used])
+def search(subject: Subject, fit: Fit, names: Sequence[str], free: Nuisance) -> list[Proposal]:
+    """Search every named effect in the residual of a fit; `free`: directions of its parameters on used rows."""
+    recording = subject.recording
+    e = free.project(fit.residual[recording.used])
     seen = Residual(recording, motion_of(recording, fit), free, e)
     found: list[Proposal] = []
     for name in names:
-        if name in BASE_CAUSES:
-            continue
         definition = effect_definition(name)
         kind = definition.search
         proposal: Proposal | None
@@ -83,21 +74,16 @@ def search(
             case Columns():
                 proposal = _search_columns(definition, kind, seen)
                 if proposal is not None and kind.exact is not None:
-                    proposal = _exact(definition, kind.exact, proposal, workshop, fit, seen)
+                    proposal = _exact(definition, kind.exact, proposal, subject, fit, seen)
             case Step():
                 proposal = _search_step(definition, kind, seen)
             case Derivative():
-                proposal = _search_derivative(definition, kind, workshop, fit, seen)
+                proposal = _search_derivative(definition, kind, subject, fit, seen)
             case Trials():
-                proposal = _search_trials(definition, kind, workshop, fit, seen)
+                proposal = _search_trials(definition, kind, subject, fit, seen)
         if proposal is not None:
             found.append(proposal)
     return found
-
-
-def degenerate(name: str, parameters: Mapping[str, float], motion: MotionRecord) -> bool:
-    """Whether an effect's parameters make it another, simpler one over this motion."""
-    return cause(name).simpler.reached(parameters, motion.extents)
 
 
 # --- effects that are linear given a few numbers ----------------------------------------------------------------
@@ -130,13 +116,13 @@ def _agreement(found: float, wanted: float) -> float:
 
 def _search_step(definition: EffectDefinition, kind: Step, seen: Residual) -> Proposal | None:
     """All instants at once: sums over what follows each of them."""
-    e = seen.e
+    e, thresholds = seen.e, seen.recording.thresholds
     time = seen.motion.time[seen.recording.used]
     after = np.arange(len(time), 0, -1.0)
     numerator = np.cumsum(e[::-1])[::-1]
     inside = np.cumsum(seen.free.basis[::-1], axis=0)[::-1]
     denominator = after - np.sum(inside**2, axis=1)
-    edge = max(EDGE_ROWS, len(time) // EDGE_SHARE)
+    edge = max(thresholds.edge_rows, int(thresholds.edge_share * len(time)))
     found = np.where(denominator > UNTRIED * after, numerator**2 / np.maximum(denominator, 1e-9), 0.0)
     found[:edge] = found[-edge:] = 0.0
     best = int(np.argmax(found))
@@ -152,29 +138,28 @@ def _search_step(definition: EffectDefinition, kind: Step, seen: Residual) -> Pr
 
 
 def _slope(
-    definition: EffectDefinition, size: str, trial: Mapping[str, float], shop: Workshop, model: CompiledFit, fit: Fit
+    definition: EffectDefinition, size: str, trial: Mapping[str, float], subject: Subject, model: CompiledFit, fit: Fit
 ) -> Array | None:
     """Force per unit of a size (m, 1) [N], from the compiled model at a trial; None where it is not finite."""
     extras = (*fit.extras, Extra(definition.name, trial))
-    _, slopes = model.run(shop.recording, shop.start(model, extras, fit))
-    group = f"+{len(fit.extras)}"
-    index = next(i for i, c in enumerate(model.columns) if c.group == group and c.name == size)
+    _, slopes = model.run(subject.recording, subject.start(model, extras, fit))
+    index = model.index(Group.extra(definition.name, len(fit.extras)), size)
     if slopes is None or not np.all(np.isfinite(slopes[:, index])):
         return None
     return np.asarray(slopes[:, [index]] / model.columns[index].scale)
 
 
 def _exact(
-    definition: EffectDefinition, size: str, proposal: Proposal, workshop: Workshop, fit: Fit, seen: Residual
+    definition: EffectDefinition, size: str, proposal: Proposal, subject: Subject, fit: Fit, seen: Residual
 ) -> Proposal:
     """The proposal with its column from the compiled model's derivative where the effect is none."""
     trial = {**proposal.parameters, size: definition.parameter(size).none}
     extras = (*fit.extras, Extra(definition.name, trial))
-    shop = workshop.suited(extras)
-    slope = _slope(definition, size, trial, shop, shop.model(extras), fit)
+    suited = subject.suited(extras)
+    slope = _slope(definition, size, trial, suited, suited.model(extras), fit)
     if slope is None:
         return proposal
-    here = replace(seen, recording=shop.recording)
+    here = replace(seen, recording=suited.recording)
     return propose(
         definition,
         here,
@@ -185,18 +170,18 @@ def _exact(
 
 
 def _search_derivative(
-    definition: EffectDefinition, kind: Derivative, workshop: Workshop, fit: Fit, seen: Residual
+    definition: EffectDefinition, kind: Derivative, subject: Subject, fit: Fit, seen: Residual
 ) -> Proposal | None:
     """Derivatives in a size where the effect is none, at every trial, from one compiled model."""
     size = kind.size or next(p.name for p in definition.parameters if p.is_size)
     none = definition.parameter(size).none
-    shop = workshop.suited(fit.extras)
-    here = replace(seen, recording=shop.recording)
+    suited = subject.suited(fit.extras)
+    here = replace(seen, recording=suited.recording)
     grid = kind.grid(seen.motion)
-    model = shop.model((*fit.extras, Extra(definition.name, grid[0])))
+    model = suited.model((*fit.extras, Extra(definition.name, grid[0])))
     best: tuple[float, Mapping[str, float], Array] | None = None
     for given in grid:
-        slope = _slope(definition, size, {size: none, **given}, shop, model, fit)
+        slope = _slope(definition, size, {size: none, **given}, suited, model, fit)
         if slope is None:
             continue
         Z = here.columns(slope)
@@ -211,23 +196,23 @@ def _search_derivative(
 
 
 def _search_trials(
-    definition: EffectDefinition, kind: Trials, workshop: Workshop, fit: Fit, seen: Residual
+    definition: EffectDefinition, kind: Trials, subject: Subject, fit: Fit, seen: Residual
 ) -> Proposal | None:
     """Run the effect's own model at a few sizes; its column is the change of the force."""
-    shop = workshop.suited(fit.extras)
-    here = replace(seen, recording=shop.recording)
-    at_rest = shop.model(fit.extras)
-    theta = shop.start(at_rest, fit.extras, fit)
-    without, _ = at_rest.run(shop.recording, theta, derivatives=False)
+    suited = subject.suited(fit.extras)
+    here = replace(seen, recording=suited.recording)
+    at_rest = suited.model(fit.extras)
+    theta = suited.start(at_rest, fit.extras, fit)
+    without, _ = at_rest.run(suited.recording, theta, derivatives=False)
     best: tuple[float, Mapping[str, float], Array] | None = None
     trials = kind.grid(seen.motion)
     for values in trials:
         if kind.through is not None:
-            force = _through(kind, values, shop.recording, at_rest, theta, seen.motion)
+            force = _through(kind, values, suited.recording, at_rest, theta, seen.motion)
         else:
             extras = (*fit.extras, Extra(definition.name, values))
-            model = shop.model(extras)
-            force, _ = model.run(shop.recording, shop.start(model, extras, fit), derivatives=False)
+            model = suited.model(extras)
+            force, _ = model.run(suited.recording, suited.start(model, extras, fit), derivatives=False)
         if not np.all(np.isfinite(force)):
             continue
         Z = here.columns((force - without)[:, None])
@@ -280,34 +265,34 @@ def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> dict[str, 
     motion = motion_of(recording, fit)
     e = free.project(fit.residual[recording.used])
     best: tuple[float, dict[str, float]] = (0.0, {})
-    for base in BASE_CAUSES.values():
-        kind = base.start_search
+    for cause in BASE_CAUSES.values():
+        kind = cause.start_search
         if kind is None:
             continue
         for given in kind.grid(motion):
             Z = free.project(kind.columns(motion, given)[recording.used])
             p, size = score_test(recording, Z, e)
             found = energy(Z, e)
-            if p * kind.tests < SHOWN and size[0] > 0.0 and found > best[0]:
+            if p * kind.tests < recording.thresholds.start_significance and size[0] > 0.0 and found > best[0]:
                 best = found, dict(kind.parameters(given, size))
     return best[1]
 
 
-def stiffness_start(workshop: Workshop, extras: Sequence[Extra], material: float) -> dict[str, float]:
+def stiffness_start(subject: Subject, extras: Sequence[Extra], material: float) -> dict[str, float]:
     """Numbers to start from, all of a cause by one factor off the machine's.
 
     Empty where none leaves `material` [N] less.
     """
-    workshop = workshop.suited(extras)
-    recording, model = workshop.recording, workshop.model(extras)
-    theta = workshop.start(model, extras)
+    subject = subject.suited(extras)
+    recording, model = subject.recording, subject.model(extras)
+    theta = subject.start(model, extras)
     start: dict[str, float] = {}
-    for base in BASE_CAUSES.values():
-        if not base.start_factors:
+    for cause in BASE_CAUSES.values():
+        if not cause.start_factors:
             continue
-        common = np.array([c.group == base.name for c in model.columns])
+        common = np.array([c.group == Group.base(cause.name) for c in model.columns])
         left: dict[float, float] = {}
-        for factor in base.start_factors:
+        for factor in cause.start_factors:
             friction, _ = model.run(recording, np.where(common, factor * theta, theta), derivatives=False)
             left[factor] = float(np.mean((recording.friction - friction)[recording.used] ** 2))
         best = min(left, key=lambda factor: left[factor])

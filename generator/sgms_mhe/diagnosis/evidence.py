@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from sgms_mhe.diagnosis.residuals import Recording
+from sgms_mhe.diagnosis.recording import Recording
 
 Array = NDArray[np.float64]
 
-PARTS = 6  # that a record is cut into
+TINY: Final = 1e-300  # keeps quotients of nothing finite
+UNSEEN: Final = 1e-9  # of the longest column: a shorter one is not excited
+RANK: Final = 1e-10  # of the largest eigenvalue of the scaled Gram matrix
+SINGULAR: Final = 1e14  # condition of the scores' covariance that no test rests on
+PIECES: Final = 4  # that a noise floor needs
+SMOOTH_ORDER: Final = 2  # of the polynomial that is smooth over `noise_rows`
+INTERVAL: Final = (0.025, 0.975)  # quantiles of the 95 % interval
+DRAWS: Final = 1000  # of blocks; the interval's ends are then sure to a few percent of its width
 
 
 @dataclass(frozen=True)
@@ -36,12 +44,12 @@ def nuisance(X: Array) -> Nuisance:
     if X.shape[1] == 0:
         return Nuisance(X)
     scale = np.sqrt(np.sum(X**2, axis=0))
-    kept = scale > 1e-9 * max(float(scale.max()), 1e-300)
+    kept = scale > max(UNSEEN * float(scale.max()), TINY)
     if not kept.any():
         return Nuisance(X[:, :0])
     Y = X[:, kept] / scale[kept]
     values, vectors = np.linalg.eigh(Y.T @ Y)
-    large = values > 1e-10 * values.max()
+    large = values > RANK * values.max()
     return Nuisance(np.asarray(Y @ (vectors[:, large] / np.sqrt(values[large]))))
 
 
@@ -65,12 +73,65 @@ def score_test(recording: Recording, Z: Array, residual: Array) -> tuple[float, 
         return 1.0, coefficients
     meat = scores.T @ scores * B / (B - k)
     # At least what white noise would give: blocks that balance by chance prove nothing.
-    meat = meat + 0.1 * H * float(rest @ rest) / len(rest)
-    if not np.all(np.isfinite(meat)) or np.linalg.cond(meat) > 1e14:
+    meat = meat + recording.thresholds.white_floor * H * float(rest @ rest) / len(rest)
+    if not np.all(np.isfinite(meat)) or np.linalg.cond(meat) > SINGULAR:
         return 1.0, coefficients
     score = H @ coefficients
     statistic = float(score @ np.linalg.solve(meat, score)) * freedom / (k * max(1, B - 1))
     return float(stats.f.sf(statistic, k, freedom)), coefficients
+
+
+def noise_floor(recording: Recording, residual: Array) -> float:
+    """RMS of the noise at the fit's rate, from what a smooth curve through a few rows leaves [N].
+
+    Model errors are smooth over `noise_rows` but where the axis is fast; the quieter half of the pieces decides, with
+    the expectation of the median of chi-squared in place of the mean.
+    """
+    width, order = recording.thresholds.noise_rows, SMOOTH_ORDER
+    k = len(residual) // width
+    pieces = residual[: k * width].reshape(k, width)
+    whole = recording.used[: k * width].reshape(k, width).all(axis=1)
+    if whole.sum() < PIECES:
+        return float(np.std(residual[recording.used]))
+    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), order + 1))[0]
+    pieces = pieces[whole]
+    rest = pieces - pieces @ basis @ basis.T
+    freedom = width - order - 1
+    variance = np.sum(rest**2, axis=1) / freedom
+    # Median of chi-squared over its mean, Wilson-Hilferty.
+    return math.sqrt(float(np.quantile(variance, 0.5)) / (1.0 - 2.0 / (9.0 * freedom)) ** 3)
+
+
+def cross_loss(recording: Recording, X: Array, residual: Array, prior: Array) -> Array:
+    """Sum of squares per block as predicted by a fit without the block's fold.
+
+    That fit is one Gauss-Newton step from the whole one, which counts as the optimum of all rows, where it stopped
+    short of it too: a step that was promised and not found is no merit. X (m, p): derivatives of the model; `prior`
+    (p): information that is always there.
+    """
+    if X.shape[1] == 0:
+        return recording.sum_blocks(residual**2)
+    H, g, s = block_moments(recording, X, residual)
+    result = np.empty(recording.blocks)
+    total_H = H.sum(axis=0) + np.diag(prior)
+    for fold in np.unique(recording.fold):
+        inside = recording.fold == fold
+        step = np.linalg.lstsq(total_H - H[inside].sum(axis=0), -g[inside].sum(axis=0), rcond=1e-12)[0]
+        result[inside] = s[inside] - 2.0 * g[inside] @ step + np.einsum("bij,i,j->b", H[inside], step, step)
+    return result
+
+
+def block_moments(recording: Recording, X: Array, residual: Array) -> tuple[Array, Array, Array]:
+    """Per block: X'X (blocks, p, p), X'e (blocks, p), e'e (blocks)."""
+    used, p = recording.used, X.shape[1]
+    order = recording.block[used]
+    rows, e = X[used], residual[used]
+    edges = np.searchsorted(order, np.arange(recording.blocks + 1))
+    H, g, s = np.empty((recording.blocks, p, p)), np.empty((recording.blocks, p)), np.empty(recording.blocks)
+    for b, (start, end) in enumerate(pairwise(edges)):
+        part, rest = rows[start:end], e[start:end]
+        H[b], g[b], s[b] = part.T @ part, part.T @ rest, rest @ rest
+    return H, g, s
 
 
 def gain_force(before: Array, after: Array, rows: Array) -> float:
@@ -79,15 +140,15 @@ def gain_force(before: Array, after: Array, rows: Array) -> float:
     return math.copysign(math.sqrt(abs(difference)), difference)
 
 
-def gain_interval(before: Array, after: Array, rows: Array, *, draws: int = 1000) -> tuple[float, float]:
+def gain_interval(before: Array, after: Array, rows: Array) -> tuple[float, float]:
     """95 % interval of `gain_force` by resampling blocks."""
     random = np.random.default_rng(1)
     count = len(before)
     if count < 2:
         return math.nan, math.nan
-    pick = random.integers(count, size=(draws, count))
+    pick = random.integers(count, size=(DRAWS, count))
     difference = (before - after)[pick].sum(axis=1) / np.maximum(1.0, rows[pick].sum(axis=1))
-    low, high = np.quantile(difference, [0.025, 0.975])
+    low, high = np.quantile(difference, INTERVAL)
     return math.copysign(math.sqrt(abs(low)), low), math.copysign(math.sqrt(abs(high)), high)
 
 
@@ -120,36 +181,14 @@ def inconstancy(recording: Recording, contribution: Array, residual: Array, *, i
     total = float(c @ c)
     if total <= 0.0:
         return math.inf
-    worst = 0.0
+    worst, parts = 0.0, recording.thresholds.constancy_parts
     for coordinate in (recording.time, recording.position, np.abs(recording.velocity))[: 1 if inertial else 3]:
         x = coordinate[used]
         # Parts that the cause acts equally much in, so that none has no say.
         order = np.argsort(x, kind="stable")
         part = np.empty(len(x), dtype=np.int64)
-        part[order] = np.minimum(PARTS - 1, (np.cumsum(c[order] ** 2) / total * PARTS).astype(np.int64))
-        power = np.bincount(part, weights=c * c, minlength=PARTS)
-        change = np.bincount(part, weights=c * e, minlength=PARTS) / np.maximum(power, 1e-300)
+        part[order] = np.minimum(parts - 1, (np.cumsum(c[order] ** 2) / total * parts).astype(np.int64))
+        power = np.bincount(part, weights=c * c, minlength=parts)
+        change = np.bincount(part, weights=c * e, minlength=parts) / np.maximum(power, TINY)
         worst = max(worst, math.sqrt(float(power @ change**2) / total))
     return worst
-
-
-def effective_rows(residual: Array) -> float:
-    """Number of independent rows that a coloured series is worth, from its autocorrelation up to 50 rows."""
-    centred = residual - residual.mean()
-    total = float(centred @ centred)
-    if total <= 0.0 or len(centred) < 100:
-        return float(len(centred))
-    rho = np.array([float(centred[:-lag] @ centred[lag:]) / total for lag in range(1, 51)])
-    weights = 1.0 - np.arange(1, 51) / 51.0
-    return float(len(centred) / max(1.0, 1.0 + 2.0 * float(weights @ rho)))
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Adjusted p-values (Holm)."""
-    order = np.argsort(p_values)
-    count = len(p_values)
-    adjusted, running = [1.0] * count, 0.0
-    for rank, index in enumerate(order):
-        running = max(running, min(1.0, (count - rank) * p_values[index]))
-        adjusted[int(index)] = running
-    return adjusted

@@ -11,13 +11,13 @@ from sgms_mhe.signals.chain import Signals
 
 
 def measures(signals: Signals, machine: Machine) -> dict[Measure, float]:
-    """All measures of a log; the axis moves where it covers a tenth of its smallest deflection scale in 10 ms."""
-    scales = scales_of(machine)
+    """All measures of a log; the axis moves where it covers `moving_way` in `moving_time`."""
+    scales, thresholds = scales_of(machine), machine.diagnosis
     velocity = np.asarray(signals.velocity)
     rate = machine.sampling.rate
-    width = max(1, round(0.01 * rate))
+    width = max(1, round(thresholds.moving_time * rate))
     mean = np.convolve(velocity, np.full(width, 1.0 / width), mode="same")
-    moving = np.abs(mean) > 0.1 * scales.least_deflection / 0.01
+    moving = np.abs(mean) > thresholds.moving_way * scales.least_deflection / thresholds.moving_time
     speed = np.abs(velocity[moving])
     direction = np.sign(mean[moving])
     rests = np.sort(_runs(~moving))[::-1] / rate

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Estimator, Machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.support.paths import machines_dir
 
@@ -23,7 +23,7 @@ def extend_machine(
     """The machine with numbers corrected and effects added, and its file.
 
     A number that the record says is 0 is no scale for its own estimate: what the base estimates, and the extended
-    machine cannot, is left out of its `estimator.parameters` (where nothing is left, stiffness takes the place).
+    machine cannot, is left out of its `estimator.parameters` (where nothing is left, the default takes the place).
 
     Args:
         machine: the base.
@@ -50,7 +50,7 @@ def extend_machine(
         # Bounds are multiples of nominal values: those of an effect that the base has stay.
     estimated = _estimable(machine, changes)
     if estimated != machine.estimator.parameters:
-        changes["estimator"] = {"parameters": list(estimated or ("stiffness",))}
+        changes["estimator"] = {"parameters": list(estimated or Estimator().parameters)}
     extended = override_machine(machine, changes)
     return extended, _toml(machine, changes)
 

@@ -21,13 +21,8 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 TWO_PI: Final = 2.0 * math.pi
-FINEST_PITCH: Final = 1500.0  # of the travel
-PITCH_BAND: Final = 0.3  # of the rate of the fit: faster ripples are not in the signals any more
-CUTOFF_BAND: Final = 0.7  # of the velocity's cutoff: the same for the chain's filters
-FREQUENCY_BAND: Final = 0.45  # of the rate of the fit
 BINS_PER_PERIOD: Final = 6.0
-FINE: Final = 4.0  # of the lowest wavenumber: from there on periods are short
-LEAST_SEEN: Final = 0.2  # share of rows slow enough for a band's periods
+SINGULAR: Final = 1e-5  # of its square: the least determinant that two columns are told apart by
 REFINED: Final = (1.0, 0.25, 0.06)  # of the grid's step: half widths of the scans about its best
 
 
@@ -67,8 +62,9 @@ def search_harmonic(definition: EffectDefinition, kind: Harmonic, seen: Residual
 
 
 def _search(definition: EffectDefinition, kind: Harmonic, seen: Residual, fine: bool) -> Proposal | None:
-    """The best period: of those that the record covers six times or more (`fine`), or of the longer ones."""
+    """The best period: of those that the record covers many times (`fine`), or of the longer ones."""
     motion, extents, used = seen.motion, seen.motion.extents, seen.recording.used
+    thresholds = seen.recording.thresholds
     in_time = kind.coordinate == "time"
     x = (motion.time if in_time else motion.position)[used]
     span = float(np.ptp(x))
@@ -77,18 +73,21 @@ def _search(definition: EffectDefinition, kind: Harmonic, seen: Residual, fine: 
     weights = [w[used] for w in kind.weights(motion)]
     speed = np.abs(motion.velocity[used])
     if in_time:
-        bands = [(extents.lowest_frequency, FREQUENCY_BAND * extents.rate)]
+        bands = [(extents.lowest_frequency, thresholds.frequency_band * extents.rate)]
     else:
-        edges = 1.0 / extents.longest_pitch * 2.0 ** np.arange(0, math.ceil(math.log2(FINEST_PITCH)) + 1)
+        edges = 1.0 / extents.longest_pitch * 2.0 ** np.arange(0, math.ceil(math.log2(thresholds.finest_pitch)) + 1)
         bands = [(float(low), float(high)) for low, high in pairwise(edges)]
-    split = FINE * bands[0][0]
+    split = thresholds.short_period * bands[0][0]
     bands = [(max(low, split), high) for low, high in bands if high > split] if fine else [(bands[0][0], split)]
     best: tuple[float, float, _Sine] | None = None
     tests = 0.0
-    limit = min(PITCH_BAND * extents.rate, CUTOFF_BAND * seen.recording.machine.sampling.velocity_cutoff)
+    cutoff = seen.recording.machine.sampling.velocity_cutoff
+    limit = min(thresholds.pitch_band * extents.rate, thresholds.cutoff_band * cutoff)
     for low, high in bands:
         visible = np.ones(len(x)) if in_time else (speed * high < limit).astype(np.float64)
-        if visible.mean() < LEAST_SEEN or (not in_time and float((speed * visible).sum()) / extents.rate * low < 1.0):
+        if visible.mean() < thresholds.band_seen:
+            continue
+        if not in_time and float((speed * visible).sum()) / extents.rate * low < 1.0:  # not one period is passed
             continue
         sine = _Sine(kind, seen, x, tuple(w * visible for w in weights))
         kappa, found = _energies(sine, (low, high), seen.free, seen.e)
@@ -161,7 +160,7 @@ def _explained(target: Complex, square: Array, double: Complex, basis: Iterable[
         cc -= b.real**2
         sc -= b.imag * b.real
     determinant = ss * cc - sc**2
-    floor = 1e-3 * np.maximum(square, 1e-300) ** 2
-    found = (cc * s**2 - 2.0 * sc * s * c + ss * c**2) / np.maximum(determinant, floor * 0.01)
-    good = (ss > 0.0) & (cc > 0.0) & (determinant > 0.01 * floor)
+    floor = SINGULAR * np.maximum(square, 1e-300) ** 2
+    found = (cc * s**2 - 2.0 * sc * s * c + ss * c**2) / np.maximum(determinant, floor)
+    good = (ss > 0.0) & (cc > 0.0) & (determinant > floor)
     return np.asarray(np.where(good, found, 0.0), dtype=np.float64)

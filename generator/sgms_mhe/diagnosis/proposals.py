@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.evidence import Nuisance, score_test
-from sgms_mhe.diagnosis.fitting import Extra
-from sgms_mhe.diagnosis.residuals import Recording
+from sgms_mhe.diagnosis.groups import Extra
+from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.model.effects import EffectDefinition, MotionRecord
 
 Array = NDArray[np.float64]

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 from scipy.signal import welch
 
-from sgms_mhe.diagnosis.residuals import Recording
+from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.diagnosis.result import Structure
 
 Array = NDArray[np.float64]
 
-BINS = 40
+REST: Final = 1e-9  # m in a row that are no motion
 
 
 def structure_map(recording: Recording, residual: Array) -> tuple[Structure, ...]:
@@ -33,15 +34,10 @@ def structure_map(recording: Recording, residual: Array) -> tuple[Structure, ...
     return (*found, _spectrum(recording, np.where(used, residual, 0.0)))
 
 
-def excess_rms(residual: Array, rows: float, floor: float) -> float:
-    """RMS of what is in a residual beyond noise [N], from its sum of squares over `rows` rows."""
-    return math.sqrt(max(0.0, float(residual.sum()) / max(1.0, rows) - floor**2))
-
-
 def _way_after_reversal(recording: Recording) -> Array:
     """Distance travelled since the last change of direction (m) [m], as its decimal logarithm."""
     moved = np.diff(recording.position, prepend=recording.position[:1])
-    quiet = np.abs(moved) < 1e-9
+    quiet = np.abs(moved) < REST
     sign = np.sign(np.where(quiet, 0.0, moved))
     index = np.maximum.accumulate(np.where(sign != 0.0, np.arange(len(sign)), 0))
     held = sign[index]
@@ -54,7 +50,7 @@ def _way_after_reversal(recording: Recording) -> Array:
 def _binned(recording: Recording, residual: Array, coordinate: str, series: Array) -> Structure:
     used = recording.used
     x, e, block = series[used], residual[used], recording.block[used]
-    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
+    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, recording.thresholds.map_bins + 1)))
     if len(edges) < 3:
         return Structure(coordinate, 0.0, 1.0, math.nan, np.empty(0), np.empty(0))
     index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
@@ -87,5 +83,5 @@ def _spectrum(recording: Recording, residual: Array) -> Structure:
     segments = max(1.0, 2.0 * len(residual) / length - 1.0)
     ratio = float(power[peak] / max(typical, 1e-300))
     p = min(1.0, len(power) * float(stats.chi2.sf(2.0 * segments * 0.7 * ratio, 1.4 * segments)))
-    excess = float(np.sum(np.maximum(0.0, power - 3.0 * typical))) * width
+    excess = float(np.sum(np.maximum(0.0, power - recording.thresholds.line_power * typical))) * width
     return Structure("frequency", math.sqrt(excess), p, float(frequency[peak]), frequency, np.sqrt(power * width))

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.diagnosis_benchmark.causes import Hidden, Values, draw_size, peak_force, prescribed_signals, sized_cause
-from sgms_mhe.diagnosis_benchmark.foreign import FOREIGN
 from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, draw_motion
+from sgms_mhe.diagnosis_benchmark.unmodelled import UNMODELLED
 from sgms_mhe.diagnosis_benchmark.visibility import sensitivities, visible_share
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition
@@ -34,14 +34,14 @@ from sgms_mhe.signals.logs import Log
 Array = NDArray[np.float64]
 
 KINDS: Final = (
-    "single", "clean", "single", "base", "single", "clean", "double", "single", "foreign", "clean",
-    "single", "double", "single", "clean", "base", "single", "foreign", "single", "clean", "weak",
+    "single", "clean", "single", "base", "single", "clean", "double", "single", "unmodelled", "clean",
+    "single", "double", "single", "clean", "base", "single", "unmodelled", "single", "clean", "weak",
 )  # fmt: skip
 """What the draws are, in turn: any number of draws from the first on is balanced."""
 VISIBLE: Final = 0.3
 SECONDS: Final = (10.0, 16.0)
 ATTEMPTS: Final = 25
-_RARE: Final = 4.0  # largest force of a foreign cause, over its size
+_RARE: Final = 4.0  # largest force of an unmodelled cause, over its size
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,9 @@ class Draw:
 
     Attributes:
         index: of the draw.
-        kind: single, base (a wrong number), double, clean, foreign (outside the catalogue), weak (the log cannot tell).
-        hidden: the causes; of a foreign force its name and size.
+        kind: single, base (a wrong number), double, clean, unmodelled (outside the catalogue), weak (the log cannot
+            tell).
+        hidden: the causes; of an unmodelled force its name and size.
         machine_changes: of the machine that is diagnosed, over the one given.
         style, seconds, motion_seed: of the motion.
         law, force_noise_N, encoder_noise_m, encoder_resolution_m, noise_seed: of the simulated axis.
@@ -73,7 +74,7 @@ class Draw:
     @property
     def truth(self) -> tuple[str, ...]:
         """Names that a diagnosis should find."""
-        return () if self.kind in ("clean", "foreign") else tuple(h.name for h in self.hidden)
+        return () if self.kind in ("clean", "unmodelled") else tuple(h.name for h in self.hidden)
 
     @property
     def size(self) -> float:
@@ -120,23 +121,23 @@ def simulate_draw(machine: Machine, draw: Draw) -> tuple[Log, float]:
         encoder_resolution_m=draw.encoder_resolution_m,
         seed=draw.noise_seed,
     )
-    foreign = draw.kind == "foreign"
-    effects = [(h.name, h.parameters) for h in draw.hidden if h.parameters and not foreign]
+    unmodelled = draw.kind == "unmodelled"
+    effects = [(h.name, h.parameters) for h in draw.hidden if h.parameters and not unmodelled]
     scale: Values = {}
     for hidden in draw.hidden:
         scale |= dict(hidden.factors)
     run = simulate_axis(axis, _motion(axis, draw), config, hidden_effects=effects, scale=scale)
     log = replace(run.log, source=f"draw_{draw.index}.csv")
-    if foreign:
+    if unmodelled:
         # The controller holds the reference against it: the force it takes shows in the log, the motion does not.
-        log = replace(log, force_N=log.force_N + foreign_force(axis, draw, draw.hidden[0]))
+        log = replace(log, force_N=log.force_N + unmodelled_force(axis, draw, draw.hidden[0]))
     return log, _noise(axis, run.log, run.truth) if not effects else math.nan
 
 
-def foreign_force(machine: Machine, draw: Draw, hidden: Hidden) -> Array:
-    """The foreign force along the draw's reference (n) [N]."""
+def unmodelled_force(machine: Machine, draw: Draw, hidden: Hidden) -> Array:
+    """The unmodelled force along the draw's reference (n) [N]."""
     motion = _motion(machine, draw)
-    force = FOREIGN[hidden.name](
+    force = UNMODELLED[hidden.name](
         np.random.default_rng([draw.noise_seed, 7]), motion.time_s, motion.position_m, motion.velocity_m_s
     )
     return np.asarray(force * (hidden.size * machine.friction.coulomb / peak_force(force)))
@@ -151,11 +152,11 @@ def _attempt(machine: Machine, kind: str, number: int, seed: int, index: int, ra
     if kind == "weak":
         return _weak(machine, index, number, random)
     draw = _frame(machine, kind, index, random, _style(random))
-    if kind == "foreign":
-        hidden = Hidden(list(FOREIGN)[number % len(FOREIGN)], size=draw_size(random, 0.1))
+    if kind == "unmodelled":
+        hidden = Hidden(list(UNMODELLED)[number % len(UNMODELLED)], size=draw_size(random, 0.1))
         draw = replace(draw, hidden=(hidden,))
         plain = prescribed_signals(machine, _motion(machine, draw), Hidden(""))
-        force = foreign_force(machine, draw, hidden)
+        force = unmodelled_force(machine, draw, hidden)
         if np.abs(force).max() > _RARE * hidden.size * machine.friction.coulomb:
             return None  # hardly ever there: its size says nothing
         left = visible_share(machine, sensitivities(machine, plain), force)

@@ -83,7 +83,7 @@ def outcome(draw: Draw, found: Found) -> str:
     their rivals, with the experiment that tells them apart. extra: all hidden causes and something that is not there.
     partial: one of two, nothing wrong. missed: nothing named, the record called adequate. unexplained: nothing named,
     but something seen. misnamed: a name that is not there in place of one that is. Clean logs: right, invented or
-    unexplained. Foreign forces: unexplained (right), misnamed, missed. Logs that cannot tell: right (nothing, or
+    unexplained. Unmodelled forces: unexplained (right), misnamed, missed. Logs that cannot tell: right (nothing, or
     ambiguous with the truth), overclaimed (a name that happens to be right), misnamed.
     """
     if found.error:
@@ -91,7 +91,7 @@ def outcome(draw: Draw, found: Found) -> str:
     truth, names = set(draw.truth), set(found.names)
     if draw.kind == "clean":
         return "invented" if names else "unexplained" if found.verdict == "unexplained" else "right"
-    if draw.kind == "foreign":
+    if draw.kind == "unmodelled":
         if names:
             return "misnamed"
         return "unexplained" if found.verdict == "unexplained" else "missed"
@@ -156,11 +156,11 @@ class Summary:
     """All numbers of the benchmark.
 
     Rates over sizes from `LEAST_SIZE` on: `recovery` (single effects and wrong numbers, named or correctly ambiguous),
-    `ambiguous` of them, `misnamed`, `extra`, `missed`, `doubles`; `false_alarms` of clean logs; `foreign_unexplained`,
-    `foreign_misnamed`; `weak` right. `within`: parameters within 10 %; `covered`: by their 95 % intervals;
-    `at_floor`: held-out residual after extension within 10 % of the noise floor; `floor_ratio`: (median, 90 %) of it;
-    `own_floor_ratio`: median of the diagnosis's noise floor over the noise known from the log's making.
-    `confusion`: (truth, named) -> count. `outcomes`: (kind, outcome) -> count.
+    `ambiguous` of them, `misnamed`, `extra`, `missed`, `doubles`; `false_alarms` of clean logs;
+    `unmodelled_unexplained`, `unmodelled_misnamed`; `weak` right. `within`: parameters within 10 %; `covered`: by their
+    95 % intervals; `at_floor`: held-out residual after extension within 10 % of the noise floor; `floor_ratio`:
+    (median, 90 %) of it; `own_floor_ratio`: median of the diagnosis's noise floor over the noise known from the log's
+    making. `confusion`: (truth, named) -> count. `outcomes`: (kind, outcome) -> count.
     """
 
     draws: int
@@ -171,8 +171,8 @@ class Summary:
     missed: Share
     doubles: Share
     false_alarms: Share
-    foreign_unexplained: Share
-    foreign_misnamed: Share
+    unmodelled_unexplained: Share
+    unmodelled_misnamed: Share
     weak: Share
     errors: Share
     within: Share
@@ -192,7 +192,7 @@ def summarise(machine: Machine, results: Iterable[tuple[Draw, Found]]) -> Summar
     rows = [(draw, found, outcome(draw, found)) for draw, found in results]
     ones = [r for r in rows if r[0].kind in ("single", "base") and r[0].size >= LEAST_SIZE]
     doubles = [r for r in rows if r[0].kind == "double" and r[0].size >= LEAST_SIZE]
-    clean, foreign, weak = ([r for r in rows if r[0].kind == kind] for kind in ("clean", "foreign", "weak"))
+    clean, unmodelled, weak = ([r for r in rows if r[0].kind == kind] for kind in ("clean", "unmodelled", "weak"))
 
     def share(chosen: Sequence[tuple[Draw, Found, str]], *which: str) -> Share:
         return Share(sum(r[2] in which for r in chosen), len(chosen))
@@ -218,8 +218,8 @@ def summarise(machine: Machine, results: Iterable[tuple[Draw, Found]]) -> Summar
         missed=share(ones, "missed", "unexplained"),
         doubles=share(doubles, *FOUND),
         false_alarms=share(clean, "invented"),
-        foreign_unexplained=share(foreign, "unexplained"),
-        foreign_misnamed=share(foreign, "misnamed"),
+        unmodelled_unexplained=share(unmodelled, "unexplained"),
+        unmodelled_misnamed=share(unmodelled, "misnamed"),
         weak=share(weak, "right"),
         errors=share(rows, "error"),
         within=Share(sum(abs(e.relative) <= WITHIN for e in errors), len(errors)),
@@ -302,7 +302,7 @@ def _number(value: float | None) -> float:
 
 def _pairs(draw: Draw, found: Found) -> list[tuple[str, str]]:
     """(truth, what it was called): what is right goes with itself, the rest with what is left."""
-    rows = list(draw.truth) or [draw.kind if draw.kind != "foreign" else f"foreign: {draw.hidden[0].name}"]
+    rows = list(draw.truth) or [draw.kind if draw.kind != "unmodelled" else f"unmodelled: {draw.hidden[0].name}"]
     if found.error:
         return [(row, ERROR) for row in rows]
     names = list(found.names)
@@ -388,8 +388,8 @@ def summary_text(summary: Summary) -> str:
         ("  not named", s.missed, ""),
         ("two effects, both found", s.doubles, ">= 85 %"),
         ("clean logs with any name", s.false_alarms, "<= 1 %"),
-        ("foreign forces called unexplained", s.foreign_unexplained, ">= 90 %"),
-        ("  given a name", s.foreign_misnamed, ""),
+        ("unmodelled forces called unexplained", s.unmodelled_unexplained, ">= 90 %"),
+        ("  given a name", s.unmodelled_misnamed, ""),
         ("logs that cannot tell, and it says so", s.weak, ""),
         ("parameters within 10 %", s.within, ""),
         ("parameters inside their 95 % interval", s.covered, "95 %"),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.diagnosis.fitting import cached_package
+from sgms_mhe.diagnosis.compiling import cached_package
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES

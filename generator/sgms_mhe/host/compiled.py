@@ -137,23 +137,41 @@ class CompiledModel:
         force: Array | None,
         slopes: Array | None,
     ) -> tuple[Array, Array]:
-        n, n_x, n_p = len(signals), self.model.n_x, self.model.n_p
+        n_x, n_p = self.model.n_x, self.model.n_p
         w = signal_array(signals, self.machine.sampling.step, first)
         values = np.ones(n_p) if theta is None else np.ascontiguousarray(theta, dtype=np.float64)
         state = np.zeros(n_x) if x is None else np.array(x, dtype=np.float64)
         sensitivity = np.zeros((n_x, n_p)) if d_x is None else np.array(d_x, dtype=np.float64, order="C")
+        self.advance(w, values, state, sensitivity, force, slopes)
+        return state, sensitivity
+
+    def advance(
+        self, w: Array, theta: Array, state: Array, sensitivity: Array, force: Array | None, slopes: Array | None
+    ) -> None:
+        """Run the model along signals w (n, 5), in place; all arrays contiguous.
+
+        Args:
+            w: position, velocity, acceleration, force, time of every sample.
+            theta: scaled parameters (n_p).
+            state: node state (n_x), from the first sample's to the last's.
+            sensitivity: its derivatives in theta (n_x, n_p), likewise.
+            force: takes the friction (n) [N]; None: not asked for.
+            slopes: takes its derivatives in theta (n, n_p); None: not asked for.
+
+        Raises:
+            ValueError: no whole number of integration steps.
+        """
         done = self._library.sgms_predict(
-            ctypes.c_long(n),
+            ctypes.c_long(len(w)),
             ctypes.c_void_p(w.ctypes.data),
-            ctypes.c_void_p(values.ctypes.data),
+            ctypes.c_void_p(theta.ctypes.data),
             ctypes.c_void_p(state.ctypes.data),
             ctypes.c_void_p(sensitivity.ctypes.data),
             None if force is None else ctypes.c_void_p(force.ctypes.data),
             None if slopes is None else ctypes.c_void_p(slopes.ctypes.data),
         )
         if done != 0:
-            raise ValueError(f"{n} samples are no whole number of steps of {self.machine.sampling.merged}")
-        return state, sensitivity
+            raise ValueError(f"{len(w)} samples are no whole number of steps of {self.machine.sampling.merged}")
 
 
 class CompiledEstimator:

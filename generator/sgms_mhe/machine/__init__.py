@@ -2,6 +2,7 @@
 
 from sgms_mhe.machine.axis import BASE_PARAMETERS, Friction, Plant, Smoothing
 from sgms_mhe.machine.code import Code, Compensation
+from sgms_mhe.machine.diagnosis import Thresholds
 from sgms_mhe.machine.estimator import ArrivalCost, Estimator, Noise
 from sgms_mhe.machine.fields import listing
 from sgms_mhe.machine.file import Tables, json_schema
@@ -31,6 +32,7 @@ __all__ = [
     "Sampling",
     "Smoothing",
     "Tables",
+    "Thresholds",
     "estimable_names",
     "json_schema",
     "listing",

@@ -11,6 +11,7 @@ from typing import Any
 
 from sgms_mhe.machine.axis import BASE_PARAMETERS, Friction, Plant
 from sgms_mhe.machine.code import Code, Compensation
+from sgms_mhe.machine.diagnosis import Thresholds
 from sgms_mhe.machine.estimator import Estimator
 from sgms_mhe.machine.log_mapping import LogMapping
 from sgms_mhe.machine.sampling import Sampling
@@ -54,14 +55,19 @@ class Machine:
     compensation: Compensation
     code: Code
     effects: tuple[ResolvedEffect, ...]
+    diagnosis: Thresholds
     log: LogMapping | None
     source: Path
     content: Mapping[str, Any]
 
     @property
     def digest(self) -> str:
-        """SHA-256 (hex) of the resolved content: the same wherever the file lies and however it is written."""
-        content = json.dumps(self.as_dict(), sort_keys=True, separators=(",", ":"))
+        """SHA-256 (hex) of the resolved content: the same wherever the file lies and however it is written.
+
+        `[diagnosis]` is left out: it stands in every emitted file, and no threshold changes one.
+        """
+        emitted = {key: value for key, value in self.as_dict().items() if key != "diagnosis"}
+        content = json.dumps(emitted, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(content.encode()).hexdigest()
 
     def as_dict(self, *, by_alias: bool = False) -> dict[str, Any]:
@@ -73,6 +79,7 @@ class Machine:
             "estimator": self.estimator,
             "compensation": self.compensation,
             "code": self.code,
+            "diagnosis": self.diagnosis,
         }
         return {
             "name": self.name,

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from sgms_mhe import __version__
-from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, Structure, Traces, separating_move
-from sgms_mhe.model.effects import BASE_CAUSES
+from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, Structure, Traces
+from sgms_mhe.model.effects import BASE_CAUSES, separating_moves
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.ranking import ORDER, bar_width, explained_force, ranked_scores, score_rounds, score_rows
 from sgms_mhe.report.series import View
@@ -20,7 +20,6 @@ from sgms_mhe.report.words import (
     capital,
     cause_title,
     listed,
-    plain_name,
     relative_change,
     sentence,
     title,
@@ -79,7 +78,7 @@ def page(
         "warnings": [sentence(w) for w in d.warnings],
         "causes": [_cause(c, rivals.get(c.label, [])) for c in d.causes],
         "alternatives": [
-            {"title": capital(title(a.name)), "name": plain_name(a.name), "why_not": a.why_not}
+            {"title": capital(title(a.name)), "name": a.name, "why_not": a.why_not}
             for a in d.alternatives
             if not a.rival
         ],
@@ -99,7 +98,7 @@ def page(
             for v in views
         ],
         "candidates": score_rows([s for s in scores if s not in idle]),
-        "idle": listed([plain_name(s.name) for s in idle]) if idle else "",
+        "idle": listed([s.name for s in idle]) if idle else "",
         "rounds": score_rounds(d.scores),
         "gain_rows": _gain_rows(d),
         "floor_at": bar_width(d.noise_floor_N, _largest_rms(d)),
@@ -127,8 +126,8 @@ def _rivals(d: Diagnosis) -> dict[str, list[Alternative]]:
     labels = [c.label for c in d.causes]
     found: dict[str, list[Alternative]] = {}
     for a in d.alternatives:
-        if a.rival and a.instead_of is not None and plain_name(a.name) not in labels:
-            found.setdefault(plain_name(a.instead_of), []).append(a)
+        if a.rival and a.instead_of is not None and a.name not in labels:
+            found.setdefault(a.instead_of, []).append(a)
     return {label: rivals for label, rivals in found.items() if label in labels}
 
 
@@ -177,12 +176,12 @@ def _next(d: Diagnosis) -> dict[str, Any] | None:
     moves = [
         {
             "choice": f"{capital(title(c.name))}, or {title(rival.name)}?",
-            "move": sentence(separating_move(c.name, plain_name(rival.name)) or rival.why_not),
-            "command": f"sgms-mhe plan {d.machine.name} --separate {c.name} {plain_name(rival.name)} --out plan.csv",
+            "move": sentence(next(iter(separating_moves(c.name, rival.name)), rival.why_not)),
+            "command": f"sgms-mhe plan {d.machine.name} --separate {c.name} {rival.name} --out plan.csv",
         }
         for c in d.causes
         for rival in _rivals(d).get(c.label, [])
-        if c.name != plain_name(rival.name)
+        if c.name != rival.name
     ]
     text, command = "", ""
     if not moves and d.separating_experiment:
@@ -276,7 +275,7 @@ def _cause(c: Cause, rivals: Sequence[Alternative]) -> dict[str, Any]:
         "rivals": [
             {
                 "words": title(a.name),
-                "name": plain_name(a.name),
+                "name": a.name,
                 "parameters": ", ".join(f"{split_name(k)[0]} {quantity(k, v)}" for k, v in a.parameters.items()),
             }
             for a in rivals

@@ -11,7 +11,6 @@ from sgms_mhe.report.units import force, probability
 from sgms_mhe.report.words import (
     capital,
     listed,
-    plain_name,
     title,
 )
 
@@ -41,7 +40,7 @@ def score_rounds(scores: Sequence[Score]) -> list[dict[str, Any]]:
     """The rounds of a search, each with its candidates; empty where there was but one."""
     rounds = []
     for number in sorted({s.round for s in scores}):
-        names = [plain_name(s.name) for s in scores if s.round < number and s.outcome == "named"]
+        names = [s.name for s in scores if s.round < number and s.outcome == "named"]
         done = f", after {listed(names)} had been added" if names else ", the base model refitted"
         rounds.append(
             {
@@ -58,7 +57,7 @@ def score_rows(scores: Sequence[Score]) -> list[dict[str, Any]]:
     return [
         {
             "title": capital(title(s.name)),
-            "name": plain_name(s.name),
+            "name": s.name,
             "gain": force(s.gain_N),
             "refit": force(s.refit_gain_N),
             "chance": probability(s.p_value),

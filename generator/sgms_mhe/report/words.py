@@ -11,24 +11,17 @@ from sgms_mhe.model.effects import BASE_CAUSES, base_number, cause, cause_names
 from sgms_mhe.report.units import SPACE, force, percent, quantity
 
 NEWTON: Final = f"{SPACE}N"
-OWN: Final = "machine:"  # before the name of an effect that the machine file has already
 
 
-def title(name: str) -> str:
-    """What a cause is, in words; a number of one of the machine file's own effects included."""
-    name, own = plain_name(name), name.startswith(OWN)
+def title(name: str, *, own: bool = False) -> str:
+    """What a cause is, in words; `own`: an effect that the machine file has already."""
     words = cause(name).summary if name in cause_names() else name.replace("_", " ")
     return f"{words}: another value than the machine file's" if own else words
 
 
-def plain_name(name: str) -> str:
-    """A candidate's name without the mark of the machine file's own."""
-    return name.removeprefix(OWN)
-
-
 def cause_title(c: Cause) -> str:
     """What a named cause is, in words."""
-    return title(c.name if c.name in BASE_CAUSES or not c.nominal else OWN + c.name)
+    return title(c.name, own=bool(c.nominal) and c.name not in BASE_CAUSES)
 
 
 def with_size(c: Cause) -> str:

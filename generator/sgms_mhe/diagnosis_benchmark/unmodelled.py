@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
 Array = NDArray[np.float64]
-Foreign = Callable[[Generator, Array, Array, Array], Array]
+Unmodelled = Callable[[Generator, Array, Array, Array], Array]
 """(random, time, position, velocity) -> force (n), of any size."""
 
 
@@ -75,7 +75,7 @@ def _spots(random: Generator, t: Array, q: Array, _: Array) -> Array:
     return force
 
 
-FOREIGN: Final[Mapping[str, Foreign]] = MappingProxyType(
+UNMODELLED: Final[Mapping[str, Unmodelled]] = MappingProxyType(
     {
         "narrow_band_noise": _narrow_band,
         "bursts": _bursts,
@@ -87,4 +87,4 @@ FOREIGN: Final[Mapping[str, Foreign]] = MappingProxyType(
         "spots": _spots,
     }
 )
-"""Foreign forces by name."""
+"""Unmodelled forces by name."""

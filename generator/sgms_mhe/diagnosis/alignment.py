@@ -1,0 +1,161 @@
+"""A record thinned for a search, and brought into line with a model where a difference says nothing about friction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.diagnosis.compiling import without_bounds
+from sgms_mhe.diagnosis.evidence import nuisance
+from sgms_mhe.diagnosis.recording import Recording
+from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.signals.chain import Signals
+
+Array = NDArray[np.float64]
+
+CUTOFF: Final = 0.4  # of the rate: a low-pass that a machine file may have at it; the signals passed theirs already
+AT_LIMIT: Final = 1e-6
+
+
+def thinned(subject: Subject) -> Subject:
+    """The same record with the mean signals of as many samples as a step of the search may share.
+
+    Means keep displacements exact. What else a longer step changes, `aligned` takes out.
+    """
+    recording, factor = subject.recording, _samples_per_step(subject.recording)
+    if factor == 1:
+        return subject
+    rate = subject.machine.sampling.rate / factor
+    n = len(recording.time) * recording.factor
+
+    def mean(series: Array) -> Array:
+        return np.asarray(series[:n].reshape(-1, factor).mean(axis=1))
+
+    changes = {
+        "sampling": {
+            "rate": rate,
+            "update_rate": rate,
+            "velocity_cutoff": min(subject.machine.sampling.velocity_cutoff, CUTOFF * rate),
+            "integrator": {"substeps": 1},
+        }
+    }
+    machine = override_machine(without_bounds(subject.machine), changes)
+    signals = recording.signals
+    thin = Signals(
+        time=mean(signals.time),
+        position=mean(signals.position),
+        velocity=mean(signals.velocity),
+        acceleration=mean(signals.acceleration),
+        force=mean(signals.force),
+        friction=mean(signals.friction),
+        valid=np.asarray(signals.valid[:n].reshape(-1, factor).all(axis=1)),
+        missing=np.asarray(signals.missing[:n].reshape(-1, factor).any(axis=1)),
+        late=signals.late,
+    )
+    clock = mean(recording.clock)
+    less = replace(recording, machine=machine, signals=thin, clock=clock, factor=recording.factor // factor)
+    return replace(Subject.of(machine, less), noise=subject.noise, starts=subject.starts, fine=subject)
+
+
+def _samples_per_step(recording: Recording) -> int:
+    """How many samples share a step: the most, dividing those of a row, that keep at least `search_rate`."""
+    rate, factor = recording.machine.sampling.rate, recording.factor
+    least = recording.thresholds.search_rate
+    return max(k for k in range(1, factor + 1) if k == 1 or (factor % k == 0 and rate / k >= least))
+
+
+def aligned(subject: Subject, fit: Fit) -> Subject:
+    """The subject with measured friction in line with the model at a fit.
+
+    Three things are taken out of it: half a step of viscous force (`_since_mean_velocity`). What is of the sampling
+    (`_sampling`), unless a delay or lag is under test. And of a thinned one the difference of its model's friction to
+    that at the full rate: residuals are then those of the full rate, but for the change of that difference away from
+    the fit.
+    """
+    whole = subject.whole
+    exact = whole.friction(fit)
+    used = subject.recording.used
+    if not np.all(np.isfinite(exact)):
+        return subject
+    measured = whole.alignment.measured - _since_mean_velocity(whole, fit)
+    names = [extra.name for extra in fit.extras] + [effect.name for effect in subject.machine.effects]
+    timed = any(effect_definition(name).timed for name in names)
+    sampled = np.zeros(2) if timed else _sampling(whole, fit, measured - exact)
+    measured = measured - _jerk_and_snap(whole.recording) @ sampled
+    whole = replace(
+        whole,
+        recording=replace(whole.recording, friction=measured),
+        alignment=replace(whole.alignment, sampled=sampled),
+        known={},
+    )
+    if subject.fine is None:
+        return whole
+    recording, change = subject.recording, exact - subject.friction(fit)
+    # What is no small difference is a model that the longer steps do not suit: it is fitted at the full rate.
+    if float(np.std(change[used])) < subject.thresholds.alignable * float(np.std(exact[used])):
+        recording = replace(recording, friction=measured - change)
+    alignment = replace(subject.alignment, sampled=sampled)
+    return replace(subject, recording=recording, alignment=alignment, fine=whole, known={})
+
+
+def residual_along(whole: Subject, fit: Fit, sampled: Array) -> Array:
+    """Measured minus simulated friction (m) [N] along a whole record, of a fit to parts of it.
+
+    `sampled` (2): what the alignment there found of the sampling.
+    """
+    measured = whole.alignment.measured - _since_mean_velocity(whole, fit) - _jerk_and_snap(whole.recording) @ sampled
+    return np.asarray(measured - whole.friction(fit))
+
+
+def _since_mean_velocity(whole: Subject, fit: Fit) -> Array:
+    """What friction has changed by since the mean velocity of the sample that ends with it (m) [N].
+
+    The chain's velocity is a mean over a sample: that is what displacements need, but as a speed it is half a sample
+    old. A force is sampled in a point, so viscous friction shows an acceleration h / 2 more of it, which looks like a
+    mass of sigma_v h / 2. Sliding elements are taken for it: no other state knows so fast a change.
+    """
+    recording, model = whole.recording, fit.model.model
+    v = recording.velocity
+    chi = np.zeros((model.n_x, len(v)))
+    chi[: model.n_z] = np.sign(v)
+    theta = np.tile(fit.theta[:, None], len(v))
+    later = v + 0.5 * whole.machine.sampling.step * recording.acceleration
+    output = model.function("output")
+
+    def force(velocity: Array) -> Array:
+        w = np.stack((recording.position, velocity, recording.acceleration, recording.force, recording.time))
+        return np.asarray(output(chi, w, theta)).ravel()
+
+    return np.asarray(force(later) - force(v))
+
+
+def _sampling(whole: Subject, fit: Fit, residual: Array) -> Array:
+    """Coefficients of `_jerk_and_snap` (2) in what a residual (m) owes to the sampling of force and position alone.
+
+    Proportional to the jerk: force and position up to `timing` of a sample apart. Proportional to the second derivative
+    of the acceleration: its second difference over a sample h is low by h^2 / 12 of that, against a force that is
+    sampled in a point.
+    """
+    used = whole.recording.used
+    step, mass = whole.machine.sampling.step, whole.machine.plant.mass
+    free = nuisance(fit.slopes[used][:, fit.loose])
+    scale = mass * np.array([whole.thresholds.timing * step, step**2 / 12.0])
+    Z = free.project(_jerk_and_snap(whole.recording)[used] * scale)
+    e = free.project(residual[used])
+    bounded = lsq_linear(Z, e, ([-1.0, -1.0], [1.0, 0.0])).x
+    if abs(bounded[0]) > 1.0 - AT_LIMIT:  # more than sampling: all of it is for a delay or lag to explain
+        bounded = np.array([0.0, *lsq_linear(Z[:, 1:], e, ([-1.0], [0.0])).x])
+    return np.asarray(scale * bounded)
+
+
+def _jerk_and_snap(recording: Recording) -> Array:
+    """First and second derivative of the acceleration (m, 2), as the log's samples have them."""
+    step = recording.machine.sampling.step
+    jerk = np.gradient(recording.signals.acceleration) / step
+    return recording.reduce(np.column_stack((jerk, np.gradient(jerk) / step)))

@@ -1,0 +1,142 @@
+"""Causes as they are reported: sizes, how sure they are, what they explain; and the machine extended by them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
+from sgms_mhe.diagnosis.evidence import gain_force, gain_interval
+from sgms_mhe.diagnosis.extension import extend_machine
+from sgms_mhe.diagnosis.groups import Group, without_extra, without_group
+from sgms_mhe.diagnosis.laws import sharp_smoothing
+from sgms_mhe.diagnosis.result import BaseParameter, Cause, Rms
+from sgms_mhe.diagnosis.selection import Selection
+from sgms_mhe.diagnosis.settling import Settled, split_rms
+from sgms_mhe.diagnosis.subject import Fit
+from sgms_mhe.machine import Machine, Thresholds
+from sgms_mhe.model.effects import base_number, effect_definition, reported_name
+
+Array = NDArray[np.float64]
+
+
+def measured_causes(settled: Settled, selection: Selection, blind: Fit) -> dict[Group, Cause]:
+    """Causes of a selection, with parameters of all data and gains of a fit `blind` to the held-out blocks."""
+    recording, fit = settled.recording, selection.fit
+    deviations = standard_deviations(covariance(settled.subject, fit, settled.other), fit)
+    held = recording.held_out
+    causes = {}
+    for group in selection.causes:
+        extras, refitted = without_extra(blind.extras, group), without_group(selection.refitted, group)
+        without = settled.fit(extras, refitted=refitted, warm=blind, rows=settled.seen)
+        before, held_before = split_rms(without, recording)
+        after, held_after = split_rms(blind, recording)
+        again = group.is_extra and any(e.name == group.cause for e in fit.extras[: group.index])
+        causes[group] = Cause(
+            name=group.cause,
+            label=f"{group.cause}_2" if again else group.name,
+            parameters=reported_values(fit, group),
+            std={
+                _reported(group, c.name): s
+                for c, s in zip(fit.model.columns, deviations, strict=True)
+                if c.group == group
+            },
+            nominal=_file_values(fit, group),
+            rms=Rms(before, after, held_before, held_after),
+            gain_N=gain_force(without.loss[held], blind.loss[held], fit.rows[held]),
+            gain_interval_N=gain_interval(without.loss[held], blind.loss[held], fit.rows[held]),
+            p_value=selection.p_values.get(group, math.nan),
+        )
+    return causes
+
+
+def holds(cause: Cause, thresholds: Thresholds, *, constant: bool = False) -> bool:
+    """Whether a cause has a size, and a gain on data that its fit has not seen.
+
+    Of a cause that is the same all over the record (`constant`) the gain may be uncertain where it is certain that the
+    cause is there: few blocks of a short record, not all of which it acts in.
+    """
+    certain = constant and cause.gain_N > 0.0 and cause.p_value < thresholds.joint
+    if not (cause.gain_interval_N[0] > 0.0 or certain):
+        return False
+    sizes = _sizes(cause)
+    if cause.nominal and len(sizes) > 1 and cause.p_value < thresholds.joint:
+        return True  # none of several numbers is determined alone, but together they differ
+    return not sizes or any(
+        abs(cause.parameters[key] - none) > thresholds.sigmas * cause.std[key] for key, none in sizes.items()
+    )
+
+
+def _sizes(cause: Cause) -> dict[str, float]:
+    """Parameters that the record determines and that say how much of a cause there is, and where it is none."""
+    known = [key for key, value in cause.parameters.items() if math.isfinite(cause.std[key]) and math.isfinite(value)]
+    if cause.nominal:
+        return {key: cause.nominal[key] for key in known}
+    definition = effect_definition(cause.name)
+    return {key: definition.parameter(key).none for key in known if definition.parameter(key).is_size}
+
+
+def reported_values(fit: Fit, group: Group) -> dict[str, float]:
+    """A group's numbers as a report states them, with units at the ends of their names."""
+    values = {_reported(group, name): value for name, value in fit.values(group).items()}
+    return effect_definition(group.cause).tidy(values) if group.is_extra else values
+
+
+def _reported(group: Group, column: str) -> str:
+    return reported_name(column) if group.kind == "base" else column
+
+
+def _file_values(fit: Fit, group: Group) -> dict[str, float]:
+    """What the machine file says of a group's numbers; nothing of an effect under test."""
+    return {
+        _reported(group, c.name): c.si(c.machine_theta)
+        for c in fit.model.columns
+        if c.group == group and not group.is_extra
+    }
+
+
+def base_parameters(settled: Settled, fit: Fit) -> tuple[BaseParameter, ...]:
+    """The machine's own numbers, as the file has them and as a fit found them."""
+    deviations = standard_deviations(covariance(settled.subject, fit, settled.other), fit)
+    return tuple(
+        BaseParameter(
+            c.name if c.group.kind == "base" else f"{c.group.label}.{c.name}",
+            c.si(c.machine_theta),
+            c.si(float(theta)),
+            std,
+        )
+        for c, theta, std in zip(fit.model.columns, fit.theta, deviations, strict=True)
+        if not c.group.is_extra
+    )
+
+
+def extended_machine(
+    machine: Machine, settled: Settled, selection: Selection, causes: Sequence[Cause]
+) -> tuple[Machine, str]:
+    """The machine with its wrong numbers corrected and the effects added, and its file."""
+    fit = selection.fit
+    friction: dict[str, Any] = {}
+    for group in selection.refitted:
+        if group.kind != "base":
+            continue
+        for name, value in fit.values(group).items():
+            number = base_number(name)
+            if number is not None and number.array:
+                friction.setdefault(number.name, []).append(value)
+            else:
+                friction[name] = value
+    if settled.smoothing == "sharp":
+        friction["smoothing"] = sharp_smoothing(settled.thresholds)
+    effects: list[dict[str, Any]] = []
+    for effect in machine.effects:
+        group = Group.own(effect.name, effect.label)
+        effects.append(
+            {"name": effect.name, **(fit.values(group) if group in selection.refitted else effect.parameters)}
+        )
+    effects += [{"name": e.name, **effect_definition(e.name).tidy(e.parameters)} for e in fit.extras]
+    changed = bool(fit.extras) or any(group.kind == "own" for group in selection.refitted)
+    return extend_machine(machine, [cause.label for cause in causes], friction, effects if changed else None)

@@ -1,0 +1,254 @@
+"""The emitted model of a machine with effects added, every number in it a free parameter, compiled for this host."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.configuration import make_machine, override_machine
+from sgms_mhe.diagnosis.groups import Column, Extra, Group
+from sgms_mhe.diagnosis.recording import Recording
+from sgms_mhe.emission.package import Package, emit_package
+from sgms_mhe.emission.provenance import digest_of_sources
+from sgms_mhe.host.compiled import CompiledModel
+from sgms_mhe.machine import Machine
+from sgms_mhe.model import FreeParameter, Model
+from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
+from sgms_mhe.model.scales import scales_of
+from sgms_mhe.support import cache
+
+Array = NDArray[np.float64]
+
+CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memory of derivatives
+KEPT: Final = 512  # compiled models; a diagnosis of a rich record asks for about a hundred
+COARSE: Final = 4.0  # factor between nominal values that models are compiled for
+STEP: Final = 1.0  # deflection scales of an effect's states per step, unless the effect says otherwise
+
+Nominal = tuple[tuple[str, float], ...]
+"""Nominal values of an effect's parameters, as a key."""
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledFit:
+    """The emitted model along a recording, in pieces of bounded memory, reduced to the fit's rate."""
+
+    code: CompiledModel
+    columns: tuple[Column, ...]
+
+    @property
+    def model(self) -> Model:
+        """The symbolic model that was compiled."""
+        return self.code.model
+
+    def index(self, group: Group, name: str) -> int:
+        """Place of a group's parameter among the columns."""
+        return next(i for i, c in enumerate(self.columns) if c.group == group and c.name == name)
+
+    def ordered(self, places: Sequence[int]) -> CompiledFit:
+        """The same code for effects under test in another order: `places[i]` is where number i stands in the order."""
+        groups = {c.group: c.group for c in self.columns}
+        groups |= {g: replace(g, index=places[g.index]) for g in groups if g.is_extra}
+        return replace(self, columns=tuple(replace(c, group=groups[c.group]) for c in self.columns))
+
+    def run(self, recording: Recording, theta: Array, *, derivatives: bool = True) -> tuple[Array, Array | None]:
+        """Friction (m) [N] and its derivatives in theta (m, n_p)."""
+        signals, factor = recording.signals, recording.factor
+        n, n_x, n_p = len(signals), self.model.n_x, self.model.n_p
+        m = len(recording.time)
+        state, sensitivity = np.zeros(n_x), np.zeros((n_x, n_p))
+        values = np.ascontiguousarray(theta, dtype=np.float64)
+        force, slopes = np.empty(m), np.empty((m, n_p)) if derivatives else None
+        rows = max(1, CHUNK // factor)
+        for first in range(0, m, rows):
+            last = min(m, first + rows)
+            start, end = first * factor, min(n, last * factor)
+            back = min(start, 1)  # the piece begins with the sample that its state belongs to
+            part = slice(start - back, end)
+            w = np.column_stack(
+                [
+                    signals.position[part],
+                    signals.velocity[part],
+                    signals.acceleration[part],
+                    signals.force[part],
+                    recording.clock[part],
+                ]
+            )
+            y = np.empty(len(w))
+            d = np.empty((len(w), n_p)) if derivatives else None
+            self.code.advance(w, values, state, sensitivity, y, d)
+            force[first:last] = y[back:].reshape(last - first, factor).mean(axis=1)
+            if slopes is not None and d is not None:
+                slopes[first:last] = d[back:].reshape(last - first, factor, n_p).mean(axis=1)
+        return force, slopes
+
+
+def compiled_fit(machine: Machine, extras: Sequence[Extra]) -> CompiledFit:
+    """The machine with effects added, everything in it a free parameter.
+
+    Their values are where a fit starts; what is compiled is near them, so that few models serve all fits.
+    """
+    keys = [(e.name, _nominal(machine, e)) for e in extras]
+    # Compiled in the order of their names: what order effects were found in must not cost another compilation.
+    places = sorted(range(len(keys)), key=lambda i: keys[i])
+    compiled = compiled_structure(Structure(machine, tuple(keys[i] for i in places)))
+    return compiled if places == list(range(len(keys))) else compiled.ordered(places)
+
+
+def cached_package(machine: Machine) -> Package:
+    """The machine's package, from the cache of compiled libraries where it was emitted before.
+
+    Every log of an axis asks for the same few dozen models; to derive and print one takes longer than to run it.
+    """
+    sources = digest_of_sources(effect.name for effect in machine.effects)
+    key = hashlib.sha256(f"{machine.digest} {sources}".encode()).hexdigest()
+    kept = cache.read("package", key, ".json")
+    if kept is not None:
+        return Package(machine, json.loads(kept))
+    package = emit_package(machine, selftest=False)
+    cache.keep("package", key, ".json", json.dumps(dict(package.files)).encode())
+    return package
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What a compiled model depends on; the machine by its content."""
+
+    machine: Machine = field(compare=False, hash=False)
+    extras: tuple[tuple[str, Nominal], ...]
+    digest: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "digest", self.machine.digest)
+
+
+@lru_cache(maxsize=KEPT)
+def compiled_structure(structure: Structure) -> CompiledFit:
+    """The compiled model of a structure, emitted and loaded once."""
+    machine = structure.machine
+    zero = _typical_sizes(machine)
+    extended = _with_everything_free(machine, structure.extras, zero)
+    code = CompiledModel(extended, cached_package(extended))
+    own = len(machine.effects)
+    groups = {
+        e.label: Group.own(e.name, e.label) if i < own else Group.extra(e.name, i - own)
+        for i, e in enumerate(extended.effects)
+    }
+    columns = []
+    for free in code.model.parameters:
+        label, _, parameter = free.name.partition(".")
+        column = _effect_column(groups[label], parameter, free) if parameter else _base_column(free, zero)
+        columns.append(column)
+    return CompiledFit(code, tuple(columns))
+
+
+def _typical_sizes(machine: Machine) -> dict[str, float]:
+    """Typical values of the base model's numbers that the machine file says 0 of: zero has no scale of its own."""
+    return {
+        number.name: number.typical * scales_of(machine).of(number.unit)
+        for cause in BASE_CAUSES.values()
+        for number in cause.numbers
+        if number.typical is not None and getattr(machine.friction, number.name) == 0.0
+    }
+
+
+def _with_everything_free(
+    machine: Machine, extras: Sequence[tuple[str, Nominal]], friction: Mapping[str, float]
+) -> Machine:
+    """The machine with effects added and numbers of [friction] replaced, all its numbers to be estimated."""
+    effects = [{"name": e.name, **e.parameters} for e in machine.effects]
+    effects += [{"name": name, **dict(values)} for name, values in extras]
+    names = [name for cause in BASE_CAUSES.values() for name in cause.frees]
+    changes: dict[str, Any] = {
+        "name": "fit",
+        "description": "",
+        "friction": dict(friction),
+        "effects": effects,
+        "code": {"precision": "double"},
+        "estimator": {"parameters": names, "bounds": {}},
+        "sampling": _integrator(machine, [name for name, _ in extras]),
+    }
+    extended = override_machine(without_bounds(machine), changes)
+    names += [f"{e.label}.{p}" for e in extended.effects for p in e.parameters]
+    return override_machine(extended, {"estimator": {"parameters": names}})
+
+
+def without_bounds(machine: Machine) -> Machine:
+    """The same machine with an estimator that constrains nothing."""
+    estimator = dict(machine.content.get("estimator", {}))
+    kept = {key: value for key, value in estimator.items() if key not in ("bounds", "parameters")}
+    return make_machine({**machine.content, "estimator": kept}, machine.source)
+
+
+def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
+    """Integration for fits: at least one step per sample.
+
+    Where the elements are integrated exactly, steps are coarser for the rest: effects' states settle within them, and a
+    search runs them a hundred times.
+    """
+    sampling = machine.sampling
+    # By name, so that what a tolerance chose stays chosen.
+    integrator: dict[str, Any] = {"scheme": sampling.integrator.scheme}
+    if sampling.integrator.substeps < sampling.samples_per_update:
+        integrator["substeps"] = sampling.samples_per_update
+    if sampling.integrator.scheme == "flow":
+        steps = [effect_definition(name).fit_displacement or STEP for name in names]
+        # Long steps of one effect are a matter of cost, which short ones of another would undo.
+        long = max(steps, default=STEP)
+        integrator["displacement"] = long if long > STEP else min(steps, default=STEP)
+    return {"integrator": integrator}
+
+
+def _nominal(machine: Machine, extra: Extra) -> Nominal:
+    """Nominal values of an effect's compiled model: coarse, so that few are compiled, near where rates matter."""
+    definition, scales = effect_definition(extra.name), scales_of(machine)
+    values = []
+    for parameter in definition.parameters:
+        size = parameter.default if parameter.default != 0.0 else abs(parameter.size(scales))
+        wanted = extra.parameters.get(parameter.name, size)
+        if definition.states and wanted > 0.0 and size > 0.0:
+            size *= COARSE ** round(math.log(wanted / size, COARSE))
+        values.append((parameter.name, float(min(max(size, parameter.lower), parameter.upper))))
+    return tuple(values)
+
+
+def _effect_column(group: Group, parameter: str, free: FreeParameter) -> Column:
+    known = effect_definition(group.cause).parameter(parameter)
+    return Column(
+        group=group,
+        name=parameter,
+        nominal=free.nominal,
+        scale=free.scale,
+        machine_theta=1.0,
+        lower=free.lower,
+        upper=free.upper,
+        least=known.least,
+        most=known.most,
+        step=known.step,
+        frozen=known.frozen,
+        timing=known.timing,
+        proportional=known.is_proportional,
+        none=known.none,
+    )
+
+
+def _base_column(free: FreeParameter, zero: Mapping[str, float]) -> Column:
+    """`zero`: numbers that the machine file says 0 of."""
+    cause, number = next((c, n) for c in BASE_CAUSES.values() for n in c.numbers if n.name == free.name)
+    return Column(
+        group=Group.base(cause.name),
+        name=free.column,
+        nominal=free.nominal,
+        scale=free.scale,
+        machine_theta=0.0 if free.name in zero else 1.0,
+        lower=number.lower,
+        upper=number.upper,
+        most=number.most,
+    )

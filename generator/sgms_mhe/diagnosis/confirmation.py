@@ -1,0 +1,150 @@
+"""Causes that hold on data that their fit has not seen, and over all of the record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from sgms_mhe.diagnosis.causes import holds, measured_causes
+from sgms_mhe.diagnosis.evidence import gain_force, inconstancy
+from sgms_mhe.diagnosis.groups import Group, machine_groups, without_extra, without_group
+from sgms_mhe.diagnosis.result import Cause
+from sgms_mhe.diagnosis.rivals import Rejected
+from sgms_mhe.diagnosis.selection import Selection
+from sgms_mhe.diagnosis.settling import Settled, split_rms
+from sgms_mhe.diagnosis.subject import Fit
+from sgms_mhe.model.effects import cause as cause_definition
+
+
+@dataclass(frozen=True, eq=False)
+class Confirmed:
+    """Causes that hold.
+
+    Attributes:
+        selection: of them.
+        blind: its fit without the held-out blocks.
+        causes: strongest first.
+    """
+
+    selection: Selection
+    blind: Fit
+    causes: tuple[Cause, ...]
+
+
+def confirmed(settled: Settled, selection: Selection, *, constant: bool = False) -> Confirmed:
+    """The causes that hold on held-out data; what does not is taken out, the weakest first.
+
+    `constant`: they are known to be the same all over the record.
+    """
+    while selection.causes:
+        fit = selection.fit
+        blind = settled.fit(fit.extras, refitted=selection.refitted, warm=fit, rows=settled.seen)
+        causes = measured_causes(settled, selection, blind)
+        doubtful = [g for g, cause in causes.items() if not holds(cause, settled.thresholds, constant=constant)]
+        if not doubtful:
+            return Confirmed(selection, blind, _strongest_first(causes))
+        weakest = min(doubtful, key=lambda group: causes[group].gain_N)
+        selection = _not_named(settled, selection, weakest) if constant else _without(settled, selection, weakest)
+    return Confirmed(selection, selection.fit, ())
+
+
+def constant_causes(settled: Settled, selection: Selection) -> Confirmed:
+    """The causes whose size is the same everywhere in the record, the least constant one taken out first."""
+    for group in selection.causes:
+        if _follows(settled, selection, group):
+            selection = _not_named(settled, selection, group)
+    while selection.causes:
+        change = {group: _inconstancy(settled, selection, group) for group in selection.causes}
+        worst = max(change, key=lambda group: change[group])
+        if change[worst] < settled.thresholds.inconstant:
+            break
+        less = _not_named(settled, selection, worst)
+        selection = replace(less, inconstant=(*selection.inconstant, worst.cause))
+    return refitted_beside(settled, confirmed(settled, selection, constant=True), constant=True)
+
+
+def refitted_beside(settled: Settled, found: Confirmed, *, constant: bool) -> Confirmed:
+    """The same causes with all numbers of the machine refitted, where that is better on held-out data.
+
+    Where something is left that nothing accounts for, or the axis slips by another law than the file's, the machine's
+    numbers may do best at other values, and held at the file's they pass their errors on to the effects. They are no
+    causes for that. `constant`: the causes have to stay the same all over the record.
+    """
+    if not found.causes:
+        return found
+    selection, thresholds = found.selection, settled.thresholds
+    fit, groups = selection.fit, machine_groups(settled.subject.machine)
+    # Where all is explained the numbers are near the file's; else a fit may have far to go.
+    starts = (selection.free, settled.start, fit) if constant else (fit,)
+    iterations = thresholds.patient_iterations if constant else thresholds.iterations
+    for warm in starts:
+        free = settled.fit(fit.extras, refitted=groups, warm=warm, iterations=iterations, again=True)
+    blind = settled.fit(fit.extras, refitted=groups, warm=free, rows=settled.seen, iterations=iterations)
+    if not split_rms(blind, settled.recording)[1] < split_rms(found.blind, settled.recording)[1]:
+        return found
+    unnamed = tuple(group for group in groups if group not in selection.causes)
+    whole = replace(selection, fit=free, refitted=groups, unnamed=unnamed)
+    causes = measured_causes(settled, whole, blind)
+    lost = [
+        group
+        for group, cause in causes.items()
+        if not holds(cause, thresholds) or (constant and _inconstancy(settled, whole, group) > thresholds.inconstant)
+    ]
+    if any(group.is_extra for group in lost) or (lost and not constant):
+        return found
+    # A number of the machine that is no cause any more stays refitted with the others.
+    whole = replace(whole, unnamed=(*unnamed, *lost))
+    return Confirmed(whole, blind, _strongest_first({g: c for g, c in causes.items() if g not in lost}))
+
+
+def _strongest_first(causes: Mapping[Group, Cause]) -> tuple[Cause, ...]:
+    return tuple(sorted(causes.values(), key=lambda cause: -cause.gain_N))
+
+
+def _without(settled: Settled, selection: Selection, group: Group) -> Selection:
+    """The selection without one of its causes, the others fitted again."""
+    refitted = without_group(selection.refitted, group)
+    fit = settled.fit(without_extra(selection.fit.extras, group), refitted=refitted, warm=selection.fit)
+    return _named_less(replace(selection, fit=fit, refitted=refitted), selection, group)
+
+
+def _not_named(settled: Settled, selection: Selection, group: Group) -> Selection:
+    """The same where more is left than is known: a number of the machine stays refitted, but is no cause.
+
+    Held at the file's it would pass its error on to the other causes, which then would seem to change.
+    """
+    if group.is_extra:
+        return _without(settled, selection, group)
+    return _named_less(replace(selection, unnamed=(*selection.unnamed, group)), selection, group)
+
+
+def _named_less(selection: Selection, before: Selection, group: Group) -> Selection:
+    """What belongs to the causes of a selection that had one more, `group`, `before`."""
+    left = [g for g in before.causes if g != group]
+    return replace(
+        selection,
+        rivals=tuple(rival for rival in before.rivals if rival.instead_of != group.cause),
+        rejected={**before.rejected, group.cause: Rejected(group.cause, 0.0)},
+        p_values={new: before.p_values.get(old, math.nan) for old, new in zip(left, selection.causes, strict=True)},
+    )
+
+
+def _inconstancy(settled: Settled, selection: Selection, group: Group) -> float:
+    """How much a cause's size changes over the record."""
+    fit = selection.fit
+    refitted = without_group(selection.refitted, group)
+    without = settled.fit(without_extra(fit.extras, group), refitted=refitted, warm=fit)
+    inertial = cause_definition(group.cause).inertial
+    return inconstancy(settled.recording, without.residual - fit.residual, fit.residual, inertial=inertial)
+
+
+def _follows(settled: Settled, selection: Selection, group: Group) -> bool:
+    """Whether a number of the machine is wrong only beside the effects: it was right for a model without them."""
+    if group.is_extra or not selection.fit.extras:
+        return False
+    fit, plain = selection.fit, settled.fit((), refitted=())
+    without = settled.fit(fit.extras, refitted=without_group(selection.refitted, group), warm=fit)
+    alone = settled.fit((), refitted=(group,), warm=plain)
+    gained = gain_force(plain.cross, alone.cross, fit.rows)
+    return gained < settled.thresholds.follows * gain_force(without.cross, fit.cross, fit.rows)

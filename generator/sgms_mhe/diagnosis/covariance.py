@@ -1,0 +1,78 @@
+"""How sure the numbers of a fit are."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.diagnosis.fitting import prior_information
+from sgms_mhe.diagnosis.subject import Fit, Subject
+
+Array = NDArray[np.float64]
+
+
+def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Array:
+    """Covariance of theta (n_p, n_p), 0 where not free.
+
+    Four parts: noise, robust to colour within a block (sandwich); what the model gets wrong anywhere, which does not
+    average out as noise does: its RMS beyond the noise floor, taken as coherent over `coherent_rows`; what the law gets
+    wrong, the same way at every reversal (`_law`); and of a delay or lag, the timing of force against position that no
+    log is sure of.
+
+    Args:
+        subject: machine and record of the fit.
+        fit: (n_p).
+        other: the same axis with the other transition from sticking to slipping; None: it has none.
+    """
+    recording, thresholds = subject.recording, subject.thresholds
+    X = fit.slopes[:, fit.free]
+    H = X[recording.used].T @ X[recording.used] + np.diag(prior_information(subject, fit.model, fit.free))
+    scores = np.column_stack([recording.sum_blocks(X[:, j] * fit.residual) for j in range(X.shape[1])])
+    inverse = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
+    blocks = recording.blocks
+    inner = inverse @ (scores.T @ scores) @ inverse * blocks / max(1, blocks - X.shape[1])
+    # Blocks that happen to balance must not promise more than white noise would allow.
+    white = inverse * fit.rms**2
+    inner = np.where(np.eye(len(inner), dtype=bool), np.maximum(inner, white), inner)
+    wrong = math.sqrt(max(0.0, fit.cross_rms**2 - subject.noise**2))
+    inner += inverse * thresholds.coherent_rows * wrong**2
+    change = _law(subject, fit, other, inverse, wrong)
+    inner += np.outer(change, change)
+    # Anywhere within the time that force and position may be apart: a uniform distribution.
+    apart = thresholds.timing * subject.whole.machine.sampling.step / math.sqrt(3.0)
+    timing = np.array([apart / abs(c.scale) if c.timing else 0.0 for c in fit.model.columns])
+    inner += np.diag(timing[fit.free] ** 2)
+    result = np.zeros((len(fit.theta), len(fit.theta)))
+    result[np.ix_(fit.free, fit.free)] = inner
+    return result
+
+
+def standard_deviations(covariance: Array, fit: Fit) -> list[float]:
+    """Of each number of a fit, SI; NaN where it was not fitted."""
+    return [
+        math.sqrt(float(covariance[i, i])) * abs(column.scale) if fit.free[i] else math.nan
+        for i, column in enumerate(fit.model.columns)
+    ]
+
+
+def _law(subject: Subject, fit: Fit, other: Subject | None, inverse: Array, wrong: float) -> Array:
+    """What the free parameters may be off by because the axis does not slip as the law says (free).
+
+    An axis switches, a law is smooth, and the difference comes back at every reversal: no average over blocks sees it.
+    How it acts on each number is what a change of the law does: the other transition's friction minus this one's is
+    split into what the free parameters make up for, which moves them, and what they cannot. As much of the latter as
+    the residual has beyond noise (`wrong` [N]), so much of the former is in the numbers.
+    """
+    nothing = np.zeros(len(inverse))
+    if other is None:
+        return nothing
+    used = subject.recording.used
+    change = other.whole.friction(fit)[used] - subject.whole.friction(fit)[used]
+    if not np.all(np.isfinite(change)):
+        return nothing
+    X = fit.slopes[used][:, fit.free]
+    moved = inverse @ (X.T @ change)
+    left = float(np.sqrt(np.mean((change - X @ moved) ** 2)))
+    return np.asarray(moved * min(1.0, wrong / left)) if left > 0.0 else nothing

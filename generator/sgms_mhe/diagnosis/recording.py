@@ -1,0 +1,277 @@
+"""A log prepared for diagnosis: aligned signals, their reduction to the rate of the fit, usable samples, blocks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.machine import Machine, Thresholds
+from sgms_mhe.model.effects import Extents
+from sgms_mhe.model.scales import scales_of
+from sgms_mhe.signals.chain import Signals, settle_samples, signals_of_record
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
+
+SEED: Final = 20240229  # of folds and held-out blocks: the same log gives the same verdict
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One log, ready to be fitted.
+
+    Attributes:
+        machine: whose chain it went through.
+        signals: at the log's rate (n).
+        clock: the model's time (n) [s], from the log's first sample to what the signals tell of; a piece of a record
+            keeps that of the record.
+        factor: samples of the log per row.
+        time, position, velocity, acceleration, force, friction: means over `factor` samples (m).
+        used: rows that count (m).
+        block: block of each row (m), 0 to blocks - 1; -1 where unused. Blocks are the independent units of all tests.
+        fold: cross-validation fold of each block (blocks).
+        held_out: blocks that the fit behind the reported gain does not see (blocks).
+        warnings: what a user should know about the record.
+    """
+
+    machine: Machine
+    signals: Signals
+    clock: Array
+    factor: int
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    force: Array
+    friction: Array
+    used: Mask
+    block: Index
+    fold: Index
+    held_out: Mask
+    warnings: tuple[str, ...]
+
+    @property
+    def thresholds(self) -> Thresholds:
+        """What a diagnosis of this record decides by."""
+        return self.machine.diagnosis
+
+    @property
+    def rate(self) -> float:
+        """Rows per second [Hz]."""
+        return self.machine.sampling.rate / self.factor
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return len(self.fold)
+
+    @cached_property
+    def extents(self) -> Extents:
+        """How far the rows reach that count."""
+        return Extents(
+            travel=float(np.ptp(self.position[self.used])),
+            speed=float(np.max(np.abs(self.velocity[self.used]))),
+            duration=float(np.ptp(self.time)),
+            end=float(self.time[-1]),
+            rate=self.rate,
+        )
+
+    def reduce(self, series: Array) -> Array:
+        """Mean over `factor` samples: (n, ...) to (m, ...)."""
+        m = len(self.time)
+        return np.asarray(series[: m * self.factor].reshape(m, self.factor, *series.shape[1:]).mean(axis=1))
+
+    def rows_held_out(self) -> Mask:
+        """Used rows in held-out blocks (m)."""
+        return self.used & np.where(self.block >= 0, self.held_out[self.block], False)
+
+    def sum_blocks(self, series: Array) -> Array:
+        """Sum over the used rows of each block: (m,) to (blocks)."""
+        return np.asarray(
+            np.bincount(self.block[self.used], weights=series[self.used], minlength=self.blocks), dtype=np.float64
+        )
+
+
+def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]] | None = None) -> Recording:
+    """Send a log through the signal chain and say which rows count.
+
+    Args:
+        machine: the axis.
+        log: the record.
+        held_out_s: intervals of time since the log's start [s] to hold out; None: a third of the record in blocks.
+
+    Raises:
+        InputError: fewer usable samples than a fit needs.
+    """
+    signals = signals_of_record(log, machine)
+    good, warnings = _usable(machine, log, signals)
+    n, rate, least = len(signals), machine.sampling.rate, machine.diagnosis.rows_min
+    factor = samples_per_row(machine)
+    factor *= math.ceil(n / factor / machine.diagnosis.rows_max)
+    m = n // factor
+    if m < least:
+        raise InputError(log.source or "log", "samples", n, f"at least {least * factor} for a diagnosis")
+    used = np.asarray(good[: m * factor].reshape(m, factor).all(axis=1))
+    if used.sum() < least:
+        raise InputError(log.source or "log", "usable samples", int(good.sum()), f"at least {least * factor}")
+    block, count = _blocks(used, factor / rate, machine.diagnosis)
+    fold, held_out = split_blocks(count, machine.diagnosis)
+    clock = np.arange(n) / rate - signals.late
+    recording = reduced(machine, signals, clock, factor, np.where(used, block, -1), fold, held_out, warnings)
+    return recording if held_out_s is None else _holding_out(recording, held_out_s)
+
+
+def _usable(machine: Machine, log: Log, signals: Signals) -> tuple[Mask, tuple[str, ...]]:
+    """Samples that a model can be compared with (n), and what a user should know of the others."""
+    warnings: list[str] = []
+    good = signals.valid.copy()
+    settle, n = settle_samples(machine), len(signals)
+    gaps = int(signals.missing.sum())
+    if gaps:
+        warnings.append(f"{gaps} of {n} samples are missing; they and {settle} samples after each gap are left out")
+    saturated = _saturated(log.force_N, machine.diagnosis.saturated_run)
+    if saturated.any():
+        near = _dilate(saturated, settle)
+        warnings.append(f"the force is saturated in {int(saturated.sum())} of {n} samples; they are left out")
+        good &= ~near
+    fast = np.abs(signals.velocity) > machine.sampling.max_velocity
+    if fast.any():
+        warnings.append(
+            f"faster than max_velocity = {machine.sampling.max_velocity:g} m/s in {int(fast.sum())} samples: left out"
+        )
+        good &= ~fast
+    good &= _remembered(signals, machine, good)
+    return good, tuple(warnings)
+
+
+def _holding_out(recording: Recording, intervals: Sequence[tuple[float, float]]) -> Recording:
+    """The recording with the blocks held out whose middle is in one of the intervals [s]."""
+    time = recording.time
+    middle = np.array([float(time[recording.block == b].mean()) for b in range(recording.blocks)])
+    inside = np.zeros(recording.blocks, dtype=np.bool_)
+    for low, high in intervals:
+        inside |= (middle >= low) & (middle <= high)
+    if inside.all() or not inside.any():
+        raise InputError("diagnosis", "held_out", list(intervals), "intervals that leave data on both sides")
+    return replace(recording, held_out=inside)
+
+
+def samples_per_row(machine: Machine) -> int:
+    """Samples of the log per row of a fit, as few as make a difference."""
+    rate, thresholds = machine.sampling.rate, machine.diagnosis
+    wanted = min(rate, thresholds.rate_max, max(2.0 * machine.sampling.velocity_cutoff, thresholds.rate_min))
+    return max(1, int(rate / wanted + 1e-9))
+
+
+def reduced(
+    machine: Machine,
+    signals: Signals,
+    clock: Array,
+    factor: int,
+    block: Index,
+    fold: Index,
+    held_out: Mask,
+    warnings: tuple[str, ...],
+) -> Recording:
+    """Rows of means over `factor` samples; `block` (m) is -1 where a row does not count."""
+    m = len(block)
+
+    def reduce(series: Array) -> Array:
+        return np.asarray(series[: m * factor].reshape(m, factor).mean(axis=1))
+
+    return Recording(
+        machine=machine,
+        signals=signals,
+        clock=clock,
+        factor=factor,
+        time=reduce(signals.time) - float(signals.time[0] - clock[0]),
+        position=reduce(signals.position),
+        velocity=reduce(signals.velocity),
+        acceleration=reduce(signals.acceleration),
+        force=reduce(signals.force),
+        friction=reduce(signals.friction),
+        used=block >= 0,
+        block=block,
+        fold=fold,
+        held_out=held_out,
+        warnings=warnings,
+    )
+
+
+def _saturated(force: Array, run: int) -> Mask:
+    """Samples in runs of exactly the largest or smallest force, `run` samples or more."""
+    finite = np.isfinite(force)
+    mask = np.zeros(len(force), dtype=np.bool_)
+    if not finite.any():
+        return mask
+    low, high = float(np.min(force[finite])), float(np.max(force[finite]))
+    if high - low <= 0.0:
+        return mask
+    for edge in (low, high):
+        at = force == edge
+        starts = np.flatnonzero(np.diff(np.concatenate(([False], at)).astype(np.int8)) == 1)
+        ends = np.flatnonzero(np.diff(np.concatenate((at, [False])).astype(np.int8)) == -1) + 1
+        for start, end in zip(starts, ends, strict=True):
+            if end - start >= run:
+                mask[start:end] = True
+    return mask
+
+
+def _dilate(mask: Mask, samples: int) -> Mask:
+    """The mask and as many samples after each of its entries."""
+    total = np.cumsum(mask)
+    earlier = np.concatenate(
+        (np.zeros(min(samples, len(mask)), dtype=total.dtype), total[: max(0, len(mask) - samples)])
+    )
+    return np.asarray((total - earlier > 0) | mask)
+
+
+def _remembered(signals: Signals, machine: Machine, good: Mask) -> Mask:
+    """Samples at which the model's state is known: some motion after the start and after each gap in the record.
+
+    A record of presliding alone never forgets its start; it is kept, and taken to start from relaxed elements.
+    """
+    scale = forgotten_after(machine)
+    path = np.cumsum(np.abs(signals.velocity)) * machine.sampling.step
+    known = np.ones(len(signals), dtype=np.bool_)
+    starts = np.flatnonzero(np.diff(signals.missing.astype(np.int8)) == -1) + 1
+    for start in starts:
+        end = int(np.searchsorted(path, path[start] + scale))
+        known[start:end] = False
+    least = machine.diagnosis.remembered_min * good.sum()
+    return known if (known & good).sum() >= least else np.ones(len(signals), dtype=np.bool_)
+
+
+def forgotten_after(machine: Machine) -> float:
+    """Way [m] after which elements do not remember where they started."""
+    return machine.diagnosis.forget * scales_of(machine).deflection
+
+
+def _blocks(used: Mask, step: float, thresholds: Thresholds) -> tuple[Index, int]:
+    """Cut the record into pieces of equal time; those with too few usable rows get no number."""
+    m = len(used)
+    length = float(np.clip(m * step / thresholds.blocks, thresholds.block_min, thresholds.block_max))
+    raw = (np.arange(m) * step / length).astype(np.int64)
+    count = np.bincount(raw[used], minlength=int(raw[-1]) + 1)
+    rows = np.bincount(raw)
+    keep = count >= np.maximum(thresholds.block_rows_min, thresholds.block_used_min * rows)
+    number = np.where(keep, np.cumsum(keep) - 1, -1)
+    return np.asarray(number[raw], dtype=np.int64), int(keep.sum())
+
+
+def split_blocks(count: int, thresholds: Thresholds) -> tuple[Index, Mask]:
+    """Folds and held-out blocks: drawn at random within neighbours, so that no lap time falls into step with them."""
+    random = np.random.default_rng(SEED)
+    folds, one_in = thresholds.folds, thresholds.held_out_one_in
+    fold = np.concatenate([random.permutation(folds) for _ in range(-(-count // folds))])[:count]
+    held_out = np.concatenate([random.permutation(one_in) == 0 for _ in range(-(-count // one_in))])[:count]
+    return fold.astype(np.int64), held_out

@@ -1,0 +1,208 @@
+"""Every other candidate in each cause's place: what fits as well on this record, and what fits better."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from sgms_mhe.diagnosis.candidates import search
+from sgms_mhe.diagnosis.criteria import Criteria, addable
+from sgms_mhe.diagnosis.evidence import difference_statistic, gain_force, nuisance, score_test
+from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extra, without_group
+from sgms_mhe.diagnosis.proposals import Proposal
+from sgms_mhe.diagnosis.rounds import Ranked, attempted_fit, distinct, is_degenerate, linear_gain
+from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.model.effects import cause, effect_definition
+
+Judgement = Literal["better", "rival", "worse", "untried"]
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A candidate that fits as well as a cause: `fit` has its `group` in the cause's place."""
+
+    group: Group
+    instead_of: str
+    fit: Fit
+    excess_N: float
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A candidate that lost: in place of `instead_of` it leaves `excess_N` more [N]."""
+
+    instead_of: str
+    excess_N: float
+
+
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """How the causes of a fit stand against the rest of the catalogue.
+
+    Attributes:
+        better: a fit with a better candidate in a cause's place; the rest then says nothing.
+        rivals: candidates that fit as well.
+        rejected: the others, by name.
+    """
+
+    better: Fit | None
+    rivals: tuple[Rival, ...]
+    rejected: Mapping[str, Rejected]
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A cause's place among the others.
+
+    Attributes:
+        group: of the cause.
+        fit: with the cause.
+        without: without it.
+        extras: effects under test that stay, as they are beside it.
+        refitted: groups of the machine's own numbers that stay free without it.
+        gain: RMS of the force that it explains [N].
+    """
+
+    group: Group
+    fit: Fit
+    without: Fit
+    extras: tuple[Extra, ...]
+    refitted: tuple[Group, ...]
+    gain: float
+
+    @property
+    def cause(self) -> str:
+        """Whose place it is."""
+        return self.group.cause
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """A candidate in a cause's place; `fit` where it was tried."""
+
+    name: str
+    judgement: Judgement
+    excess: float
+    group: Group | None = None
+    fit: Fit | None = None
+
+
+def find_rivals(
+    subject: Subject, fit: Fit, refitted: tuple[Group, ...], seen: Collection[str], criteria: Criteria
+) -> Contest:
+    """Put every other candidate in the place of each cause of a fit; `seen`: effects that ever looked good."""
+    rivals: list[Rival] = []
+    rejected: dict[str, Rejected] = {}
+    for group in (*refitted, *fit.extra_groups):
+        extras, base = without_extra(fit.extras, group), without_group(refitted, group)
+        without = fit_model(subject, extras, refitted=base, warm=fit)
+        gain = gain_force(without.cross, fit.cross, fit.rows)
+        if gain <= 0.0:
+            continue
+        place = _Place(group, fit, without, extras, base, gain)
+        for judged in _contest(subject, place, refitted, seen, criteria):
+            if judged.judgement == "better":
+                return Contest(judged.fit, (), {})
+            if judged.judgement == "rival" and judged.fit is not None:
+                own = judged.group or judged.fit.extra_groups[-1]
+                rivals.append(Rival(own, group.cause, judged.fit, judged.excess))
+            elif judged.judgement == "worse" or judged.name not in rejected:
+                rejected[judged.name] = Rejected(group.cause, judged.excess)
+    return Contest(None, tuple(rivals), rejected)
+
+
+def _contest(
+    subject: Subject, place: _Place, refitted: tuple[Group, ...], seen: Collection[str], criteria: Criteria
+) -> Iterator[_Judged]:
+    """Judge all candidates for a place, the most promising first."""
+    thresholds = criteria.thresholds
+    ranked = [*_effects(subject, place, seen, criteria), *_machine_numbers(subject, place, refitted)]
+    ranked.sort(key=lambda r: -r.gain)
+    kept = distinct(ranked, thresholds.same_force)[: thresholds.refits]
+    for candidate in ranked:
+        name = candidate.group.cause if candidate.group else candidate.proposal.name
+        if name == place.cause:
+            continue
+        if candidate not in kept or candidate.gain < thresholds.rival_gain * place.gain:
+            left = math.sqrt(max(0.0, place.gain**2 - max(candidate.gain, 0.0) ** 2))
+            yield _Judged(name, "untried", left)
+            continue
+        criteria.report(f"comparing {place.cause} with {name}")
+        extras = place.extras if candidate.group else (*place.extras, candidate.proposal.extra)
+        base = (*place.refitted, candidate.group) if candidate.group else place.refitted
+        trial = attempted_fit(subject, extras, refitted=base, warm=place.without)
+        if trial is not None:
+            judgement, excess = _judge(subject, place, name, trial, criteria)
+            yield _Judged(name, judgement, excess, candidate.group, trial)
+
+
+def _effects(subject: Subject, place: _Place, seen: Collection[str], criteria: Criteria) -> list[Ranked]:
+    """Effects in a cause's place; costly ones only if they ever looked good or are known to be confused with it."""
+    without = place.without
+    free = nuisance(without.slopes[subject.recording.used][:, without.loose])
+    names = [
+        name
+        for name in addable(subject.machine, without.extras, criteria)
+        if name != place.cause
+        and (not effect_definition(name).costly or name in seen or place.cause in cause(name).confused_with)
+    ]
+    proposals = [p for p in search(subject, without, names, free) if p.feasible]
+    return [Ranked(linear_gain(subject, without, p), p) for p in proposals]
+
+
+def _machine_numbers(subject: Subject, place: _Place, refitted: tuple[Group, ...]) -> list[Ranked]:
+    """The machine's own numbers that are not refitted yet, in a cause's place."""
+    recording, without = subject.recording, place.without
+    slopes = without.slopes[recording.used]
+    free = nuisance(slopes[:, without.loose])
+    found = []
+    for group in machine_groups(subject.machine):
+        if group in refitted:
+            continue
+        Z = free.project(slopes[:, [i for i, c in enumerate(without.model.columns) if c.group == group]])
+        p, size = score_test(recording, Z, free.project(without.residual[recording.used]))
+        proposal = Proposal(group.cause, {}, Z, size, 0.0, 1.0, p, True)
+        found.append(Ranked(linear_gain(subject, without, proposal), proposal, group))
+    return found
+
+
+def _judge(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Criteria) -> tuple[Judgement, float]:
+    """A refitted candidate against the cause whose place it took, and the RMS that it leaves more [N]."""
+    thresholds, material = criteria.thresholds, criteria.material
+    excess = gain_force(trial.cross, place.fit.cross, place.fit.rows)
+    t = difference_statistic(place.fit.cross, trial.cross)
+    if is_degenerate(trial, name, subject):
+        return "worse", max(0.0, excess)
+    clearly = t < -thresholds.rival_t and excess < -thresholds.better * material
+    if clearly or (name in cause(place.cause).simpler.causes and excess < material):
+        return "better", excess
+    hardly = excess > -thresholds.better * material or t > -thresholds.rival_t
+    if place.cause in cause(name).simpler.causes and hardly:
+        return "worse", max(0.0, excess)  # more numbers and no better: it only imitates
+    as_good = excess < thresholds.rival_excess * material
+    if as_good or (excess < thresholds.rival_share * place.gain and t < thresholds.rival_t):
+        return "rival", excess
+    return "worse", excess
+
+
+def cause_significance(subject: Subject, fit: Fit, group: Group) -> float:
+    """Score test of a group's parameters at a fit (Wald form)."""
+    recording, columns = subject.recording, fit.model.columns
+    inside = np.array([c.group == group for c in columns]) & fit.free
+    X = fit.slopes[recording.used]
+    free = nuisance(X[:, fit.loose & ~inside])
+    Z = free.project(X[:, inside])
+    # What the group contributes at the fit stands in for the sizes that the parameters started from.
+    if group.is_extra:
+        sizes = np.array([c.group == group and c.proportional for c in columns])
+        none = np.array([c.theta(c.none) if c.group == group else 0.0 for c in columns])
+        shift = np.where(sizes, fit.theta - none, 0.0)[inside]
+    else:
+        shift = (fit.theta - np.array([c.machine_theta for c in columns]))[inside]
+    p, _ = score_test(recording, Z, free.project(fit.residual[recording.used]) + Z @ shift)
+    return p

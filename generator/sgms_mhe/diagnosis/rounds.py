@@ -1,0 +1,205 @@
+"""One round of the forward search: every effect searched, the best refitted, the best of these added."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.diagnosis.candidates import search
+from sgms_mhe.diagnosis.criteria import Criteria, addable
+from sgms_mhe.diagnosis.descent import FitError
+from sgms_mhe.diagnosis.evidence import cross_loss, difference_statistic, gain_force, nuisance
+from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.groups import Extra, Group
+from sgms_mhe.diagnosis.proposals import Proposal
+from sgms_mhe.diagnosis.result import Score
+from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.model.effects import cause, effect_definition
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """A proposal and the RMS of the force that it explains by cross-validation, to first order [N].
+
+    `group`: numbers of the machine that it is; None: an effect.
+    """
+
+    gain: float
+    proposal: Proposal
+    group: Group | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """What a round found.
+
+    Attributes:
+        fit: with the effect that is added; None: none is.
+        scores: of every candidate.
+        seen: names of those that looked good.
+    """
+
+    fit: Fit | None
+    scores: tuple[Score, ...]
+    seen: frozenset[str]
+
+
+def search_round(subject: Subject, current: Fit, number: int, seen: Collection[str], criteria: Criteria) -> Round:
+    """Search, refit the best, choose the one to add to the current fit; `seen`: what looked good before."""
+    thresholds = criteria.thresholds
+    names = addable(subject.machine, current.extras, criteria)
+    candidates = _candidates(subject, current, names, seen, criteria)
+    significant = [
+        r for r in candidates if r.proposal.feasible and r.proposal.p_value * len(names) < thresholds.significance
+    ]
+    least = thresholds.promising * criteria.enough(current)
+    strong = sorted((r for r in significant if r.gain > least), key=lambda r: -r.gain)
+    fits: dict[str, Fit] = {}
+    for ranked in _shortlist(strong, criteria):
+        proposal = ranked.proposal
+        criteria.report(f"refitting {proposal.name}")
+        fit = attempted_fit(subject, (*current.extras, proposal.extra), warm=current)
+        if fit is not None:
+            fits[proposal.name] = fit
+    chosen = _choose(subject, current, fits, criteria)
+    scores = []
+    for ranked in candidates:
+        p = ranked.proposal
+        if p.name == chosen:
+            outcome = "named"
+        elif ranked in strong:
+            outcome = "redundant"
+        elif ranked in significant:
+            outcome = "too small"
+        else:
+            outcome = "not significant"
+        refit = gain_force(current.cross, fits[p.name].cross, current.rows) if p.name in fits else math.nan
+        p_value = min(1.0, p.p_value * len(names))
+        scores.append(Score(p.name, number, p_value, max(0.0, ranked.gain), refit, dict(p.parameters), outcome))
+    return Round(
+        fit=None if chosen is None else fits[chosen],
+        scores=tuple(scores),
+        seen=frozenset(r.proposal.name for r in strong),
+    )
+
+
+def _candidates(
+    subject: Subject, current: Fit, names: Sequence[str], seen: Collection[str], criteria: Criteria
+) -> list[Ranked]:
+    """The best proposal of every effect that is searched."""
+    free = nuisance(current.slopes[subject.recording.used][:, current.loose])
+
+    def ranked(wanted: Sequence[str]) -> list[Ranked]:
+        return [Ranked(linear_gain(subject, current, p), p) for p in search(subject, current, wanted, free)]
+
+    found = ranked([name for name in names if not effect_definition(name).costly])
+    costly = _worth_a_search(current, found, seen, criteria)
+    found += ranked([name for name in names if effect_definition(name).costly and name in costly])
+    best: dict[str, Ranked] = {}
+    for candidate in found:
+        name = candidate.proposal.name
+        if name not in best or candidate.gain > best[name].gain:
+            best[name] = candidate
+    return list(best.values())
+
+
+def _worth_a_search(current: Fit, found: Sequence[Ranked], seen: Collection[str], criteria: Criteria) -> list[str]:
+    """Effects whose search runs models: where the others leave something, or look like one of them."""
+    costly = [name for name in criteria.excited if effect_definition(name).costly]
+    best = max((r for r in found if r.proposal.feasible), key=lambda r: r.gain, default=None)
+    if best is None:
+        return costly
+    left = math.sqrt(max(0.0, criteria.excess(current) ** 2 - max(0.0, best.gain) ** 2))
+    return [
+        name
+        for name in costly
+        if left > criteria.material or best.proposal.name in cause(name).confused_with or name in seen
+    ]
+
+
+def _shortlist(strong: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
+    """Candidates, the best first, that a refit might put before the others."""
+    thresholds = criteria.thresholds
+    if not strong:
+        return []
+    near = [r for r in strong if r.gain > thresholds.close * strong[0].gain]
+    kept = distinct(near, thresholds.same_force)[: thresholds.refits]
+    return [
+        r for r in kept if r.gain > thresholds.clear * kept[0].gain or not effect_definition(r.proposal.name).linear
+    ]
+
+
+def attempted_fit(
+    subject: Subject, extras: Sequence[Extra], *, refitted: Sequence[Group] | None = None, warm: Fit | None = None
+) -> Fit | None:
+    """A fit, or None where the model is not finite from its start on."""
+    try:
+        return fit_model(subject, extras, refitted=refitted, warm=warm)
+    except FitError:
+        return None
+
+
+def is_degenerate(fit: Fit, name: str, subject: Subject) -> bool:
+    """Whether the effect that was added last has turned into a simpler one."""
+    if not fit.extras or fit.extras[-1].name != name:
+        return False
+    return cause(name).simpler.reached(fit.extras[-1].parameters, subject.recording.extents)
+
+
+def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: Criteria) -> str | None:
+    """The candidate to add: the best by cross-validation; among equals the one that leaves other numbers alone."""
+    thresholds = criteria.thresholds
+    gains = {name: gain_force(current.cross, fit.cross, fit.rows) for name, fit in fits.items()}
+    gains = {
+        name: gain
+        for name, gain in gains.items()
+        if gain > criteria.enough(current) and not is_degenerate(fits[name], name, subject)
+    }
+    if not gains:
+        return None
+    best = max(gains, key=lambda name: gains[name])
+    equal = [
+        name
+        for name in gains
+        if name == best
+        or difference_statistic(fits[best].cross, fits[name].cross) < thresholds.rival_t
+        or gains[name] > thresholds.equal_gain * gains[best]
+    ]
+    if len(equal) == 1:
+        return best
+    alone = {name: fit_model(subject, fits[name].extras, refitted=()) for name in equal}
+    return min(alone, key=lambda name: float(alone[name].cross.sum()))
+
+
+def linear_gain(subject: Subject, current: Fit, proposal: Proposal) -> float:
+    """RMS of the force that a proposal explains by cross-validation, to first order [N]."""
+    recording = subject.recording
+    # Columns are projected on used rows: the other parameters follow by themselves.
+    full = np.zeros((len(recording.time), proposal.columns.shape[1]))
+    full[recording.used] = proposal.columns
+    shift = np.zeros(len(recording.time))
+    shift[recording.used] = proposal.columns @ proposal.coefficients
+    prior = 1e-9 * np.maximum(np.sum(full**2, axis=0), 1e-300)
+    after = cross_loss(recording, full, current.residual - shift, prior)
+    return gain_force(current.loss, after, current.rows)
+
+
+def distinct(ranked: Sequence[Ranked], same_force: float) -> list[Ranked]:
+    """Without proposals that make the same force as another one with fewer numbers."""
+    forces = [r.proposal.columns @ r.proposal.coefficients for r in ranked]
+    numbers = [len(r.proposal.parameters) or r.proposal.columns.shape[1] for r in ranked]
+
+    def same(x: Array, y: Array) -> bool:
+        return float(x @ y) > same_force * math.sqrt(float(x @ x) * float(y @ y))
+
+    return [
+        candidate
+        for candidate, force, count in zip(ranked, forces, numbers, strict=True)
+        if not any(other < count and same(at, force) for at, other in zip(forces, numbers, strict=True))
+    ]

@@ -1,0 +1,201 @@
+"""A selection at the record's full rate, to the end, and what fits leave of the whole record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.diagnosis.alignment import aligned, residual_along
+from sgms_mhe.diagnosis.evidence import noise_floor
+from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.groups import Extra, Group
+from sgms_mhe.diagnosis.laws import Laws, Transition
+from sgms_mhe.diagnosis.recording import Recording
+from sgms_mhe.diagnosis.selection import Selection
+from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.machine import Thresholds
+from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.model.effects.search import Step
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ROUNDS: Final = 2  # of alignment and fit: to the second order
+
+
+@dataclass(frozen=True, eq=False)
+class Left:
+    """What a fit leaves of a record: `residual` (m) [N], `loss` and `rows` per block as those of a fit."""
+
+    residual: Array
+    loss: Array
+    rows: Array
+
+    @classmethod
+    def of(cls, fit: Fit) -> Left:
+        """Of the record that it was fitted to."""
+        return cls(fit.residual, fit.loss, fit.rows)
+
+    @classmethod
+    def along(cls, whole: Subject, fit: Fit, sampled: Array) -> Left:
+        """Of a whole record, parts of which it was fitted to; see `residual_along`."""
+        residual, recording = residual_along(whole, fit, sampled), whole.recording
+        rows = recording.sum_blocks(np.ones(len(residual)))
+        return cls(residual, recording.sum_blocks(residual**2), rows)
+
+    @property
+    def rms(self) -> float:
+        """RMS on used rows [N]."""
+        return math.sqrt(float(self.loss.sum() / self.rows.sum()))
+
+
+def split_rms(fit: Fit | Left, recording: Recording) -> tuple[float, float]:
+    """RMS [N] on blocks that the fit behind the gains sees, and on the held-out ones."""
+
+    def value(blocks: Mask) -> float:
+        rows = float(fit.rows[blocks].sum())
+        return math.sqrt(float(fit.loss[blocks].sum()) / rows) if rows > 0 else math.nan
+
+    return value(~recording.held_out), value(recording.held_out)
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """A record with the causes that were selected, ready to be judged.
+
+    Attributes:
+        record: all of it.
+        subject: machine with the transition that fits, in line with the selection; on pieces of a long record.
+        other: the same with the other transition; None: there is none.
+        smoothing: which one fits.
+        selection: with numbers that can be reported.
+        nominal: the machine as it is, with its own transition.
+        nominal_left: what that leaves of the whole record.
+        start: all of the machine's numbers refitted, no effect added.
+        floor: noise of the measured friction [N].
+        along: the machine along the whole record, where the fits are to pieces of it.
+        known: what fits leave of the whole record, by the fit's identity.
+    """
+
+    record: Recording
+    subject: Subject
+    other: Subject | None
+    smoothing: Transition
+    selection: Selection
+    nominal: Fit
+    nominal_left: Left
+    start: Fit
+    floor: float
+    along: Subject | None
+    known: dict[int, tuple[Fit, Left]] = field(default_factory=dict, repr=False)
+
+    @property
+    def recording(self) -> Recording:
+        """What the fits are to."""
+        return self.subject.recording
+
+    @property
+    def thresholds(self) -> Thresholds:
+        """What is decided by."""
+        return self.subject.thresholds
+
+    @property
+    def seen(self) -> Mask:
+        """Rows (m) that the fit behind the reported gains sees."""
+        return self.recording.used & ~self.recording.rows_held_out()
+
+    def fit(
+        self,
+        extras: Sequence[Extra],
+        *,
+        refitted: Sequence[Group] | None = None,
+        warm: Fit | None = None,
+        rows: Mask | None = None,
+        iterations: int | None = None,
+        again: bool = False,
+    ) -> Fit:
+        """`fit_model` of the subject."""
+        return fit_model(
+            self.subject, extras, refitted=refitted, warm=warm, rows=rows, iterations=iterations, again=again
+        )
+
+    def left(self, fit: Fit) -> Left:
+        """What a fit leaves of the whole record."""
+        if self.along is None:
+            return Left.of(fit)
+        if id(fit) not in self.known:
+            self.known[id(fit)] = fit, Left.along(self.along, fit, self.subject.alignment.sampled)
+        return self.known[id(fit)][1]
+
+    def excess(self, fit: Fit) -> float:
+        """RMS beyond noise [N]; of a record fitted in pieces, that of the pieces or of the whole, whichever is more."""
+        beyond = fit.cross_rms**2 - self.floor**2
+        if self.along is not None:
+            left = self.left(fit)
+            beyond = max(beyond, left.rms**2 - noise_floor(self.record, left.residual) ** 2)
+        return math.sqrt(max(0.0, beyond))
+
+
+def settle(record: Recording, nominal: Fit, laws: Laws, selection: Selection) -> Settled:
+    """The selection fitted at the full rate until its numbers can be reported.
+
+    Args:
+        record: the whole record.
+        nominal: the machine as it is, fitted to the excerpt.
+        laws: of the excerpt, with the transition that fits.
+        selection: its causes.
+    """
+    subject = laws.chosen.settled()
+    # A long record is fitted in pieces; what is left is measured along all of it.
+    in_pieces = len(subject.whole.recording.signals) < len(record.signals)
+    along = Subject.of(subject.whole.machine, record) if in_pieces else None
+    fit = selection.fit
+    for _ in range(ROUNDS):
+        subject = aligned(subject, fit)
+        extras = fit.extras if along is None else tuple(_timed(subject, along, fit, extra) for extra in fit.extras)
+        fit = fit_model(subject, extras, refitted=selection.refitted, warm=fit)
+    floor = noise_floor(subject.recording, fit.residual)
+    subject = replace(subject, noise=floor)
+    nominal_left = Left.of(nominal)
+    if along is not None:  # the machine as it is keeps the transition of its file
+        nominal_left = Left.along(Subject.of(record.machine, record), nominal, subject.alignment.sampled)
+    return Settled(
+        record=record,
+        subject=subject,
+        other=laws.other,
+        smoothing=laws.taken,
+        selection=replace(selection, fit=fit),
+        nominal=nominal,
+        nominal_left=nominal_left,
+        start=fit_model(subject, ()),
+        floor=floor,
+        along=along,
+    )
+
+
+def _timed(subject: Subject, along: Subject, fit: Fit, extra: Extra) -> Extra:
+    """A step at the instant that the whole record says; pieces only know what two of them it is between."""
+    kind = effect_definition(extra.name).search
+    if not isinstance(kind, Step):
+        return extra
+    record, size, instant = along.recording, extra.parameters[kind.size], extra.parameters[kind.time]
+    shifts = np.where(record.time > instant, size, 0.0)
+    without = residual_along(along, fit, subject.alignment.sampled) + shifts
+    fitted = subject.recording.time[subject.recording.used]
+    seen = np.searchsorted(fitted, instant)
+    inside = record.used.copy()
+    if seen > 0:
+        inside &= record.time >= fitted[seen - 1]
+    if seen < len(fitted):
+        inside &= record.time <= fitted[seen]
+    if inside.sum() < 2:
+        return extra
+    rest, time = without[inside], record.time[inside]
+    last = int(np.argmin(np.cumsum(rest**2 - (rest - size) ** 2)))  # before the step
+    at = float(time[min(last + 1, len(time) - 1)])
+    return replace(extra, parameters={**extra.parameters, kind.time: at - 0.5 / record.rate})

@@ -1,0 +1,90 @@
+"""What a diagnosis says in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sgms_mhe.diagnosis.causes import reported_values
+from sgms_mhe.diagnosis.result import Alternative, Cause, Verdict
+from sgms_mhe.diagnosis.selection import Selection
+from sgms_mhe.model.effects import cause as cause_definition
+from sgms_mhe.model.effects import separating_moves
+
+TWICE = "the same motion twice, and once at half the speed: what stays in place, in time or in velocity shows"
+
+
+def alternatives_of(selection: Selection) -> tuple[Alternative, ...]:
+    """What was not named, and why; the rivals first."""
+    found = [
+        Alternative(
+            rival.group.cause,
+            f"fits as well as {rival.instead_of} on this record",
+            True,
+            rival.instead_of,
+            reported_values(rival.fit, rival.group),
+            max(0.0, rival.excess_N),
+        )
+        for rival in selection.rivals
+    ]
+    # The named causes that have rivals are listed with them.
+    for cause in dict.fromkeys(rival.instead_of for rival in selection.rivals):
+        others = ", ".join(r.group.cause for r in selection.rivals if r.instead_of == cause)
+        found.append(Alternative(cause, f"named; fits as well as {others} on this record", True, None, {}, 0.0))
+    taken = {a.name for a in found} | {group.cause for group in selection.causes}
+    for name, lost in sorted(selection.rejected.items(), key=lambda entry: entry[1].excess_N):
+        if name not in taken:
+            taken.add(name)
+            instead_of = None if name == lost.instead_of else lost.instead_of
+            found.append(Alternative(name, _why_not(selection, name), False, instead_of, {}, lost.excess_N))
+    for score in selection.scores:
+        if score.name not in taken and score.outcome in ("redundant", "too small"):
+            taken.add(score.name)
+            why = (
+                "superfluous beside what is named"
+                if score.outcome == "redundant"
+                else f"would explain {score.gain_N:.2g} N, less than matters"
+            )
+            found.append(Alternative(score.name, why, False, None, dict(score.parameters)))
+    return tuple(found)
+
+
+def _why_not(selection: Selection, name: str) -> str:
+    """Why a candidate that was put in a cause's place, or was a cause for a while, is none."""
+    lost = selection.rejected[name]
+    if name in {group.cause for group in selection.unnamed}:
+        return "refitted with the causes, no cause of its own"
+    if name in selection.inconstant:
+        return "its size is not the same all over the record"
+    if name == lost.instead_of:
+        return "its size, or its gain on data not used in the fit, may be zero"
+    return f"in place of {lost.instead_of} leaves {lost.excess_N:.3g} N more"
+
+
+def experiment_of(verdict: Verdict, rivals: Sequence[Alternative]) -> str | None:
+    """What to record next: the moves that tell causes and rivals apart; None: nothing."""
+    if verdict == "unexplained":
+        return TWICE
+    moves = []
+    for rival in rivals:
+        if rival.instead_of is None:
+            continue
+        told = separating_moves(rival.instead_of, rival.name)[:1]
+        wanted = dict.fromkeys(cause_definition(name).excitation.text for name in (rival.instead_of, rival.name))
+        moves.append(f"{rival.instead_of} or {rival.name}: {told[0] if told else '; and '.join(wanted)}")
+    return ". ".join(moves) if moves else None
+
+
+def summary_of(
+    verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Alternative], before: float, after: float
+) -> str:
+    """One sentence; `before`, `after`: RMS on held-out data [N]."""
+    names = [cause.name for cause in causes]
+    gain = f"the residual on data not used in the fit goes from {before:.3g} N to {after:.3g} N RMS"
+    if verdict == "adequate":
+        return f"The simulation explains the record; {before:.3g} N RMS are left, nothing is named."
+    if verdict == "unexplained":
+        return f"{before:.3g} N RMS are left that no known effect accounts for; nothing is named."
+    if verdict == "ambiguous":
+        others = [name for name in dict.fromkeys(rival.name for rival in rivals) if name not in names]
+        return f"{', '.join(names)}, but {', '.join(others)} would fit as well: {gain}."
+    return f"{', '.join(names)}: {gain}."
