@@ -38,9 +38,9 @@ enum { BAD_INPUT = 2, LINE_LENGTH = 4096 };
 /* What the fast task of a controller would see, n samples. */
 typedef struct {
     long n;
-    double *time;               /* s */
-    machine_position *position;           
-    machine_real *force;        /* N */
+    double *time; /* s */
+    machine_position *position;
+    machine_real *force; /* N */
 } series;
 
 /* Microseconds of one update. */
@@ -277,14 +277,16 @@ static int selftest(void)
     double worst = 0.0, range = 0.0;
     long k = 1;
     CALL(init)(&axis);
-    (void)CALL(sample)(&axis, CALL(position_from_metres)((double)selftest_position[0]), (machine_real)selftest_force[0]);
+    (void)CALL(sample)(
+        &axis, CALL(position_from_metres)((double)selftest_position[0]), (machine_real)selftest_force[0]);
     for (int u = 0; u < SELFTEST_UPDATES; u++) {
         range = fmax(range, fabs((double)selftest_friction[u]));
     }
     for (int u = 0; u < SELFTEST_UPDATES; u++) {
         machine_estimate estimate;
         for (int i = 0; i < SAMPLES; i++, k++) {
-            (void)CALL(sample)(&axis, CALL(position_from_metres)((double)selftest_position[k]), (machine_real)selftest_force[k]);
+            (void)CALL(sample)(
+                &axis, CALL(position_from_metres)((double)selftest_position[k]), (machine_real)selftest_force[k]);
         }
         (void)CALL(feedback)(&axis);
         CALL(prepare)(&axis);

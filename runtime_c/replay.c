@@ -94,7 +94,8 @@ long sgms_replay_run(
         int updated;
         if (mode == SGMS_REPLAY_TICK) {
             const int before = self->started ? (int)self->step : -1;
-            friction = CALL(tick)(self, CALL(position_from_metres)(series->position[k]), (machine_real)series->force[k]);
+            friction = CALL(tick)(
+                self, CALL(position_from_metres)(series->position[k]), (machine_real)series->force[k]);
             updated = before >= 0 && self->step == 0 && self->merged_count == 0;
         } else {
             friction = one_sample(self, series, k);

@@ -14,7 +14,8 @@
  * (clang tells of -ffast-math and -ffinite-math-only alone), so -fassociative-math, -freciprocal-math and
  * -funsafe-math-optimizations are not to be given either. Contraction (-ffp-contract) is fine. */
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__) ||                               \
-    defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__NO_SIGNED_ZEROS__) || defined(_M_FP_FAST)
+    defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__NO_SIGNED_ZEROS__) ||                   \
+    defined(_M_FP_FAST)
 #error "compile without -ffast-math, -Ofast and what they consist of: results would be wrong in silence"
 #endif
 

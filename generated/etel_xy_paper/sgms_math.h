@@ -294,8 +294,8 @@ static inline sgms_real sgms_sqrt(sgms_real x)
     return root + SGMS_R(0.5) * y * (x - root * root);
 }
 
-/* What is left of an argument without its multiples of pi/2. Arguments so large that they have no digits left leave more
- * than pi/4, and a polynomial at such a place is as large as one likes. */
+/* What is left of an argument without its multiples of pi/2. Arguments so large that they have no digits left leave
+ * more than pi/4, and a polynomial at such a place is as large as one likes. */
 static inline sgms_real sgms_reduced(sgms_real f)
 {
     return f > SGMS_R(1.0) ? SGMS_R(1.0) : f < SGMS_R(-1.0) ? SGMS_R(-1.0) : f;
@@ -318,7 +318,8 @@ static inline sgms_real sgms_sine(sgms_real x, int quadrant)
         p = f + f * f2 * (-1.6666654611e-1f + f2 * (8.3321608736e-3f + f2 * -1.9515295891e-4f));
     }
 #else
-    f = sgms_reduced(((x - n * 1.57079632673412561417) - n * 6.07710050630396597660e-11) - n * 2.02226624879595063154e-21);
+    f = sgms_reduced(
+        ((x - n * 1.57079632673412561417) - n * 6.07710050630396597660e-11) - n * 2.02226624879595063154e-21);
     f2 = f * f;
     if (q & 1) {
         p = 1.0 +
