@@ -1,4 +1,4 @@
-"""Emitted C against the reference solver over simulated closed-loop logs: two implementations of DESIGN.md."""
+"""Emitted C against the reference solver over simulated closed-loop logs: two implementations of docs/."""
 
 from __future__ import annotations
 

@@ -174,7 +174,7 @@ def twin_lowpass(coefficients: tuple[float, ...], signal: Array) -> Array:
 
 
 def twin_chain(log: Log, machine: Machine) -> Signals:
-    """The chain of DESIGN section 2, one sample at a time, written without a look at the vectorised one."""
+    """The chain of docs/signals.md, one sample at a time, written without a look at the vectorised one."""
     n, settle, rate = len(log), settle_samples(machine), machine.sampling.rate
     finite_q = log.position_m[np.isfinite(log.position_m)]
     finite_u = log.force_N[np.isfinite(log.force_N)]

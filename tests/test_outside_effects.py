@@ -8,6 +8,7 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ import pytest
 from cli_cases import SMALL, run
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.provenance import digest_of_sources
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.model.effects import (
     EFFECT_NAMES,
@@ -142,20 +144,60 @@ def test_plant_has_the_force_of_the_example(example: Path, axis: Path) -> None:
     assert np.abs(scaled.truth.effect_force_N).max() == pytest.approx(3.0, rel=0.01)
 
 
-def test_example_is_found_by_a_diagnosis(example: Path, axis: Path, tmp_path: Path) -> None:
-    log, folder, plain = tmp_path / "log.csv", tmp_path / "diagnosis", tmp_path / "plain.toml"
+def diagnosed(axis: Path, folder: Path) -> tuple[dict[str, Any], Machine]:
+    """The only cause in a simulated log of an axis, for a machine file that knows of no effect, and its extension."""
+    log, plain = folder / "log.csv", folder / "plain.toml"
     plain.write_text(PLAIN)
     assert run("simulate", axis, "--out", log).exit_code == 0
     found = run("diagnose", plain, log, "--out", folder, "--json")
     assert found.exit_code == 0, found.output
     diagnosis = json.loads((folder / "diagnosis.json").read_text())
-    assert diagnosis["verdict"] == "explained" and [c["name"] for c in diagnosis["causes"]] == [NAME]
-    parameters = diagnosis["causes"][0]["parameters"]
+    assert diagnosis["verdict"] == "explained"
+    (cause,) = diagnosis["causes"]
+    return cause, load_machine(folder / diagnosis["extended_machine"])
+
+
+@pytest.mark.slow
+def test_example_is_found_by_a_diagnosis(example: Path, axis: Path, tmp_path: Path) -> None:
+    cause, extended = diagnosed(axis, tmp_path)
+    parameters = cause["parameters"]
+    assert cause["name"] == NAME
     assert parameters["force_N"] == pytest.approx(1.5, rel=0.03)
     assert parameters["reach_m"] == pytest.approx(0.001, rel=0.03)
     assert parameters["centre_m"] == pytest.approx(0.001, rel=0.03)
-    extended = load_machine(folder / diagnosis["extended_machine"])
     assert [effect.name for effect in extended.effects] == [NAME]
+
+
+LEAST = """
+from sgms_mhe.model.effects import EffectDefinition, EffectParameter, Excitation
+
+
+def contribute(axis, p, _):
+    axis.add_force(p["force_N"] * (axis.position / 0.004) ** 3)
+
+
+DEFINITION = EffectDefinition(
+    name="hard_spring",
+    summary="a spring that hardens",
+    parameters=(EffectParameter("force_N", 0.0, 0.1, "force at 4 mm", unit="coulomb"),),
+    contribute=contribute,
+    excitation=Excitation("travel"),
+    confused_with={"position_spring": "travel twice as far"},
+    moves=("travel",),
+    plant_force=lambda position, velocity, time, p: p["force_N"] * (position / 0.004) ** 3,
+)
+"""
+
+
+@pytest.mark.slow
+def test_least_definition_is_searched_by_its_derivative(site: Path, tmp_path: Path) -> None:
+    (site / "hard_spring.py").write_text(LEAST)
+    installed(site, "hard-spring", "0.1", {"hard_spring": "hard_spring:DEFINITION"})
+    forget_distributions()
+    axis = tmp_path / "axis.toml"
+    axis.write_text(SMALL + '[[effects]]\nname = "hard_spring"\nforce_N = 1.2\n')
+    cause, _ = diagnosed(axis, tmp_path)
+    assert cause["name"] == "hard_spring" and cause["parameters"]["force_N"] == pytest.approx(1.2, rel=0.03)
 
 
 def test_digest_covers_the_source_of_the_effects_in_use(example: Path, axis: Path) -> None:

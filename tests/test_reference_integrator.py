@@ -31,7 +31,8 @@ THETA = np.array([1.05, 1.1, 0.9, 1.02, 0.98, 1.1, 0.97, 1.01])
 @pytest.mark.parametrize(("scheme", "order"), [("euler", 1), ("rk2", 2), ("bs23", 3), ("rk4", 4)])
 def test_order_of_convergence(scheme: str, order: int, velocity: str) -> None:
     # A soft window and gate bring the asymptotic range within reach; the move per sample is below 0.1.
-    machine = variant(friction={"smoothing": {"zeta": 0.7, "lambda": 6.0, "gamma": 3.0}})
+    soft = {"zeta": 0.7, "lambda": 6.0, "gamma": 3.0}
+    machine = variant(friction={"smoothing": soft}, sampling={"integrator": {"scheme": "rk4"}})
     signals = moving(1e-3 * (1.2 + np.sin(2.0 * np.pi * 40.0 * np.arange(101) / 10000.0)))
     ends = []
     for factor in (1, 2, 4, 64):

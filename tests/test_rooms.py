@@ -1,6 +1,6 @@
 """The rooms of the package: all on the map in CONTRIBUTING, and each imports from rooms below its own alone.
 
-And what keeps them fit to live in: nothing is imported in hiding, and no template outgrows its limit.
+And what keeps them fit to live in: nothing is imported in hiding, and no file, function or template outgrows its limit.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "generator" / "sgms_mhe"
 MOST_ROOMS, MOST_ARROWS = 20, 100
-LONGEST_TEMPLATE = 300
+LONGEST_FILE, LONGEST_FUNCTION, LONGEST_TEMPLATE = 500, 80, 300
 """Lines."""
 LATE = "commands"
 """The room whose imports may stand in functions: the help of a command has to come without casadi and numpy."""
@@ -82,6 +82,20 @@ def test_imports_stand_at_the_top() -> None:
                 names = [node.module or ""] if isinstance(node, ast.ImportFrom) else [a.name for a in node.names]
                 hidden += [f"{own}:{node.lineno}" for name in names if name.startswith("sgms_mhe")]
     assert not hidden
+
+
+def test_no_file_and_no_function_is_too_long() -> None:
+    long = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        text, own = path.read_text(encoding="utf-8"), path.relative_to(PACKAGE)
+        if text.count("\n") > LONGEST_FILE:
+            long.append(f"{own}: {text.count(chr(10))} lines")
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                lines = (node.end_lineno or node.lineno) - node.lineno + 1
+                if lines > LONGEST_FUNCTION:
+                    long.append(f"{own}: {node.name} has {lines} lines")
+    assert not long
 
 
 def test_no_template_is_too_long() -> None:

@@ -17,7 +17,8 @@ from sgms_mhe.diagnosis.evidence import noise_floor
 from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.diagnosis.recording import prepare
 from sgms_mhe.machine import Machine, Thresholds
-from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.chain import signals_of_record
 from sgms_mhe.signals.logs import Log

@@ -37,7 +37,7 @@ class Cause:
     """A named cause.
 
     Attributes:
-        name: as in DESIGN section 7.
+        name: as in docs/effects.md.
         label: name within the extended machine (`force_ripple_2` for the second of its name).
         parameters: values, units in their names (a wrong base number: `coulomb_N`, `stiffness_1_N_m`, ...).
         std: one standard deviation of each, robust to coloured residuals; NaN where the data do not tell.
@@ -172,7 +172,7 @@ class Diagnosis:
     Attributes:
         machine: as given.
         source: of the log.
-        verdict: see DESIGN section 7.
+        verdict: see docs/commands.md.
         summary: one sentence.
         causes: strongest first.
         alternatives: what was not named; the rivals first.
@@ -219,7 +219,7 @@ class Diagnosis:
         return None if self.extended is None else f"{self.extended.name}.toml"
 
     def to_json(self) -> dict[str, Any]:
-        """Content of diagnosis.json (DESIGN section 7); what is not finite becomes null."""
+        """Content of diagnosis.json (docs/files.md); what is not finite becomes null."""
         rms = self.rms
         content = {
             "verdict": self.verdict,

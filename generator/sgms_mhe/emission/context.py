@@ -29,7 +29,7 @@ from sgms_mhe.signals.chain import lowpass_coefficients, settle_samples
 RUNTIME_VERSION = 1
 """Version of the runtime headers that the templates are written for."""
 IMPLAUSIBLE = 1e4
-"""A state so many standard deviations of the first node's away from zero is no solution (DESIGN section 4)."""
+"""A state so many standard deviations of the first node's away from zero is no solution (docs/estimation.md)."""
 MOVE = 0.3
 """How far the end of an interval may move before that, over sqrt(sigma_x / lambda)."""
 HOLD_PART = 0.1

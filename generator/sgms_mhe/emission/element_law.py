@@ -14,7 +14,7 @@ FARTHEST = 5.0
 
 @dataclass(frozen=True)
 class ElementLaw:
-    """Constants of an element's right side; exponents are powers of two of |r| and r v (DESIGN section 6).
+    """Constants of an element's right side; exponents are powers of two of |r| and r v (docs/emission.md).
 
     Exponents must stay in range. Either r is held within `farthest`, where the range reaches far beyond every
     deflection there is, and the gate's velocity within `fastest`, beyond which the gate is saturated wherever the

@@ -23,7 +23,7 @@ class Flow:
         gate_velocity: the same speed [m/s].
         level_change: of the level over merged samples, over the level, up to which an element slides through at once.
         farthest: xi from which on exp(-k xi) counts as zero; it is still a normal number.
-        phi, d_phi: coefficients of the alternating series of phi(x) and x phi'(x) (DESIGN section 3), from x^2 on.
+        phi, d_phi: coefficients of the alternating series of phi(x) and x phi'(x) (docs/integration.md), from x^2 on.
     """
 
     zeta: float

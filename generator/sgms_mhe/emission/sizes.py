@@ -160,7 +160,7 @@ def sizes_of(structure: Structure, variant: Variant) -> Sizes:
         first += len(g.blocks)
         first_q += g.n_q * len(g.blocks)
     slots = max(1, variant.horizon)
-    chosen = max(2, first)  # DESIGN section 4
+    chosen = max(2, first)  # docs/estimation.md
     vector = VECTOR_BYTES // (4 if variant.single else 8)
     side_by_side = {"all": slots, "auto": chosen, "newest": 1}[variant.relinearise]
     wide = -(-max(side_by_side, *(g.n_blocks for g in groups)) // vector) * vector

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 
 SIGNAL_NAMES = ("position", "velocity", "acceleration", "force", "time")
-"""Order of the measured signals w of DESIGN section 1."""
+"""Order of the measured signals w of docs/model.md."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Machine file to symbolic model: the three functions of DESIGN section 1 and what the estimator assumes of them."""
+"""Machine file to symbolic model: the three functions of docs/model.md and what the estimator assumes of them."""
 
 from __future__ import annotations
 

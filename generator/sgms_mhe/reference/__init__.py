@@ -1,4 +1,4 @@
-"""Reference solvers: what the generated C is judged by, written from DESIGN.md and not from the C."""
+"""Reference solvers: what the generated C is judged by, written from docs/ and not from the C."""
 
 from __future__ import annotations
 

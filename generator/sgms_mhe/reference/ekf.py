@@ -1,4 +1,4 @@
-"""Joint extended Kalman filter over (x, theta), in covariance form (DESIGN section 4)."""
+"""Joint extended Kalman filter over (x, theta), in covariance form (docs/estimation.md)."""
 
 from __future__ import annotations
 

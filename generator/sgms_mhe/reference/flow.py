@@ -1,4 +1,4 @@
-"""Displacement flow of one saturated element: the exact solution of dr/dxi = g(r) (DESIGN section 3).
+"""Displacement flow of one saturated element: the exact solution of dr/dxi = g(r) (docs/integration.md).
 
 The reference solves it by its own route. With k = -g'(r*) and d = r - r*, the function psi that linearises the flow
 obeys psi'/psi = -k/g, so that

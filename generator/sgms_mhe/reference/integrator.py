@@ -1,4 +1,4 @@
-"""Shooting intervals with sensitivities, by CasADi's differentiation of the discretised steps (DESIGN section 3).
+"""Shooting intervals with sensitivities, by CasADi's differentiation of the discretised steps (docs/integration.md).
 
 One step function per block of the model and its Jacobians come from CasADi; composing them by the chain rule over
 substeps, samples and the node maps gives x1 = f(x, theta), A = df/dx and B = df/dtheta of one interval. The loops

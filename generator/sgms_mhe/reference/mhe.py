@@ -1,4 +1,4 @@
-"""Moving horizon estimation from the dense residual and Jacobian of the whole window (DESIGN section 4)."""
+"""Moving horizon estimation from the dense residual and Jacobian of the whole window (docs/estimation.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all reference estimators share: the numbers of DESIGN section 4, the record at its nodes, the results."""
+"""What all reference estimators share: the numbers of docs/estimation.md, the record at its nodes, the results."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class Weights:
         return mean, np.diag(np.concatenate([self.initial_state, self.parameter]) ** 2)
 
     def drift_variance(self, variance: Array, owed: int) -> Array:
-        """d_j^2 of DESIGN section 4: growth of the variances of theta over so many intervals that moved."""
+        """d_j^2 of docs/estimation.md: growth of the variances of theta over so many intervals that moved."""
         return np.minimum(owed * self.drift**2, np.maximum(0.0, self.parameter**2 - variance))
 
 

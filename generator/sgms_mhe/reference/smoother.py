@@ -1,4 +1,4 @@
-"""Full-information smoother: Gauss-Newton over all nodes of a record, iterated to convergence (DESIGN section 4).
+"""Full-information smoother: Gauss-Newton over all nodes of a record, iterated to convergence (docs/estimation.md).
 
 The bound no causal estimator beats: the same cost as the moving horizon's, with the initial prior, constant parameters
 and the whole record in the window.

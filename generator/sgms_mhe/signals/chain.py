@@ -1,4 +1,4 @@
-"""Signal chain: from position and force to velocity, acceleration and measured friction (DESIGN section 2).
+"""Signal chain: from position and force to velocity, acceleration and measured friction (docs/signals.md).
 
 Every signal leaves the chain with the delay of the acceleration, two low-passes and one sample, so that friction =
 force - mass * acceleration carries no transient that is not friction.

@@ -1,4 +1,4 @@
-"""The status of an update: its flags and their names, as the emitted C has them (DESIGN section 4)."""
+"""The status of an update: its flags and their names, as the emitted C has them (docs/estimation.md)."""
 
 from __future__ import annotations
 

@@ -83,5 +83,5 @@ def relinearise_study(seeds: int, duration_s: float = 8.0) -> Table:
         f"RMS errors against truth over those of relinearise = all, {seeds} seeds of {duration_s:g} s",
         formats | {"worst": ".3f"},
         rows,
-        ("p 1 to 4: stiffness, 5: coulomb; noise: of the logged force; the paper's: its weights, DESIGN section 5",),
+        ("p 1 to 4: stiffness, 5: coulomb; noise: of the logged force; the paper's: its weights, docs/weights.md",),
     )

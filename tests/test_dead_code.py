@@ -1,0 +1,108 @@
+"""Nothing that nothing uses: in the Python package, in the runtime headers."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import sgms_mhe
+from sgms_mhe.support.paths import runtime_dir, templates_dir
+
+PACKAGE = Path(sgms_mhe.__file__).parent
+
+USED_FROM_OUTSIDE = {
+    "list_commands": "click",
+    "get_command": "click",
+    "filter_stream": "jinja2",
+    "read_estimates": "Python code of users, for the files that estimate writes",
+    "cascade": "Python code of users, as a controller of the simulated axis",
+    "ideal_log": "Python code of users, as a log of the simulated axis",
+    "sinusoidal_drift": "Python code of users, as a drift of the simulated axis",
+    "plant_effects": "the test that model and plant know the same effects",
+    "forget_distributions": "tests that install distributions",
+    "WARNING_FLAGS": "tests that compile, with what docs/ tells firmware projects to take",
+}
+"""What nothing in the package uses, and who does."""
+
+# Others register what they decorate, or call it.
+PLAIN_DECORATORS = {"property", "cached_property", "staticmethod", "classmethod", "cache", "lru_cache", "dataclass"}
+
+
+def words(text: str) -> Counter[str]:
+    return Counter(re.findall(r"[A-Za-z_]\w*", text))
+
+
+def is_registered(node: ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) -> bool:
+    """Whether a decorator may hand it to somebody else."""
+    named = [d.func if isinstance(d, ast.Call) else d for d in node.decorator_list]
+    return any(
+        (d.attr if isinstance(d, ast.Attribute) else getattr(d, "id", "")) not in PLAIN_DECORATORS for d in named
+    )
+
+
+def definitions(tree: ast.Module) -> Iterator[str]:
+    """Names of functions, methods, classes, and of the constants of the module; without those of the language."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) and not is_registered(node):
+            yield node.name
+    for node in tree.body:
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        yield from (target.id for target in targets if isinstance(target, ast.Name))
+
+
+def uses(tree: ast.Module, *, imports: bool) -> Iterator[str]:
+    """Names that are read, as variables or attributes; imported ones but where they are only handed on."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
+            yield node.id
+        elif isinstance(node, ast.Attribute):
+            yield node.attr
+        elif imports and isinstance(node, ast.ImportFrom):
+            yield from (alias.name for alias in node.names)
+
+
+def unused(package: Path, templates: Path) -> set[str]:
+    """Names that a package defines and uses nowhere, its templates included."""
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in package.rglob("*.py")}
+    defined = {name for tree in trees.values() for name in definitions(tree) if not name.startswith("__")}
+    used = {name for path, tree in trees.items() for name in uses(tree, imports=path.name != "__init__.py")}
+    for folder in (package, templates):
+        used |= {name for path in folder.rglob("*.jinja") for name in words(path.read_text(encoding="utf-8"))}
+    return defined - used
+
+
+def test_everything_in_the_package_is_used() -> None:
+    """Exactly the names stated are not: one that finds a use is taken from the list."""
+    assert unused(PACKAGE, templates_dir()) == set(USED_FROM_OUTSIDE)
+
+
+def test_everything_in_the_runtime_headers_is_used() -> None:
+    """By emitted code or by each other. Mathematical functions are what expressions are printed as."""
+    headers = {path.name: path.read_text(encoding="utf-8") for path in runtime_dir().glob("sgms_*.h")}
+    others = [*templates_dir().rglob("*.jinja"), *(PACKAGE / "emission").glob("*.py")]
+    used = words("\n".join([*headers.values(), *(path.read_text(encoding="utf-8") for path in others)]))
+    operations = {f"sgms_{name}" for name in ("sign", "not", "cos")}
+    defined = Counter(
+        name
+        for text in headers.values()
+        for name in re.findall(r"^(?:static|#define)[^(;=\n]*?\b(sgms_\w+)\(", text, re.MULTILINE)
+    )
+    assert len(defined) > 40
+    assert {name for name, times in defined.items() if used[name] == times} == operations
+
+
+def test_what_nothing_uses_is_found(tmp_path: Path) -> None:
+    (tmp_path / "one.py").write_text(
+        '"""Docstrings use nothing: lonely, LIMIT."""\n'
+        "import click\nLIMIT = 3\nused_by_template = 1\nFACTOR: float = 2.0\n"
+        "class Thing:\n    @property\n    def size(self): return FACTOR\n    def weight(self): return self.size\n"
+        "@click.command()\ndef command(): pass\n"
+        "def lonely(): pass\n"
+    )
+    (tmp_path / "__init__.py").write_text("from one import lonely, Thing\n")
+    (tmp_path / "two.py").write_text("from one import Thing\n")
+    (tmp_path / "page.jinja").write_text("{{ used_by_template }}")
+    assert unused(tmp_path, tmp_path) == {"LIMIT", "lonely", "weight"}
