@@ -94,7 +94,7 @@ def explained(machine: Machine, **changes: Any) -> Diagnosis:
         Score("force_constant_ripple", 1, 0.02, 0.036, nan, {}, "not significant"),
         Score("periodic_disturbance", 1, 0.31, 0.012, nan, {}, "not significant"),
         Score("mass_mismatch", 1, 0.7, 0.004, nan, {}, "too small"),
-        Score("dwell_dependence", 1, nan, 0.0, nan, {}, "not excited"),
+        Score("dwell_dependence", 1, nan, 0.0, nan, {}, "not significant"),
         Score("position_dependent_friction", 2, 0.6, 0.005, nan, {}, "not significant"),
         Score("mass_mismatch", 2, 0.8, 0.002, nan, {}, "not significant"),
     )

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cli_cases import done
+from cli_cases import done, refused
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.compiling import CompiledFit
@@ -232,12 +232,18 @@ def test_record_without_motion_says_so(quick: Machine, rest: str) -> None:
 
 
 def test_command_on_a_record_without_motion(quick: Machine, tmp_path: Path) -> None:
-    write_log(tmp_path / "rest.csv", standing(quick, "held"))
+    held = standing(quick, "held")
+    flicker = 1e-9 * (np.arange(len(held)) % 7 == 0)  # of the encoder's last digit
+    write_log(tmp_path / "rest.csv", replace(held, position_m=held.position_m + flicker))
     result = done("diagnose", "etel_xy", tmp_path / "rest.csv", "--out", tmp_path / "out")
     assert "no excitation" in result.stdout
     content = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
     assert (content["causes"], content["extended_machine"]) == ([], None)
     assert "The axis hardly moves in this record" in (tmp_path / "out" / "report.html").read_text()
+    # Where the encoder never moves at all, it may be the wrong column as well.
+    write_log(tmp_path / "held.csv", held)
+    assert "position_m" in refused("diagnose", "etel_xy", tmp_path / "held.csv", "--out", tmp_path / "none")
+    assert not (tmp_path / "none").exists()
 
 
 # --- length -----------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from reference_cases import linear_model, moving, simulate, variant, with_integrator
@@ -118,11 +118,21 @@ def test_one_element_that_slips_always_is_lugre() -> None:
 
 
 @given(amplitude=st.floats(1e-5, 0.02), frequency=st.floats(3.0, 40.0))
+@example(amplitude=1.26e-4, frequency=5.0)
 def test_no_element_exceeds_its_level(amplitude: float, frequency: float) -> None:
     integrator = flow_integrator()
     velocity = amplitude * np.sin(2.0 * np.pi * frequency * np.arange(1001) / 10000.0)
     x = simulate(integrator, moving(velocity), np.ones(4))
-    assert np.abs(x).max() <= 1.12 * integrator.flow.r_star + 1e-9
+    # At r >= r* the window lets all motion slip, so d(chi)/dt <= rho |v| (1 - gate): what an element can gain above
+    # its level is the travel, between two reversals, that the gate (r near 1) holds back while the axis creeps.
+    friction = integrator.model.machine.friction
+    rho = np.array(friction.stiffness) / (np.array(friction.fraction) * friction.coulomb)
+    speed = np.abs(velocity)
+    held = speed * 0.5 * (1.0 - np.tanh(friction.smoothing.gamma * speed / friction.stribeck_velocity))
+    stretches = np.split(held, np.flatnonzero(np.diff(np.sign(velocity))) + 1)
+    creep = max(float(stretch.sum()) for stretch in stretches) / 10000.0
+    level = (1.0 + friction.stribeck_ratio) * integrator.flow.r_star
+    assert (np.abs(x).max(axis=0) <= level + rho * creep + 1e-5).all()
 
 
 def test_node_state_scalings_are_the_same_model() -> None:

@@ -171,22 +171,21 @@ def test_ambiguous_shows_the_rival_and_the_next_step(machine: Machine, tmp_path:
 
 
 def test_numbers_of_the_machine_file_are_named_in_words(machine: Machine, tmp_path: Path) -> None:
-    # A cause is no rival of itself, and nobody outside the program knows what "machine:constant_offset" is.
+    # A cause is no rival of itself, and an effect that the machine has is not found: it has another value.
     first = cases.ambiguous(machine)
     offset = replace(first.causes[0], nominal={"force_N": -3.1648})
-    group = "machine:constant_offset"
-    spring = Alternative("position_spring", f"fits as well as {group}", True, group, {"stiffness_N_m": 3.3}, 0.0)
-    itself = Alternative(group, "named; fits as well as position_spring", True, None, {}, 0.0)
+    name = offset.name
+    spring = Alternative("position_spring", f"fits as well as {name}", True, name, {"stiffness_N_m": 3.3}, 0.0)
+    itself = Alternative(name, "named; fits as well as position_spring", True, None, {}, 0.0)
     ripple = cases.explained(machine).causes[0]
     diagnosis = replace(
         first,
         causes=(ripple, offset),
         alternatives=(spring, itself),
-        summary=f"force_ripple, constant_offset, but {group} would fit as well",
-        separating_experiment=f"{group} or position_spring: the same move at two ends of the travel",
+        summary=f"force_ripple, {name}, but position_spring would fit as well",
+        separating_experiment=f"{name} or position_spring: the same move at two ends of the travel",
     )
     words = read(write_report(diagnosis, tmp_path)).words
-    assert "machine:" not in words
     assert "Found: force periodic in position (0.797 N)." in words
     assert "open Constant force, independent of motion or force proportional to position?" in words
     assert words.count("In its place this fits as well: force proportional to position position_spring") == 1

@@ -204,11 +204,7 @@ def test_memory_is_measured(small_trial: Trial, small: Machine, tmp_path: Path) 
     assert memory.ram == memory.axis + max(memory.stack.values())
     # No stack is shallower than the largest frame that the compiler states for what runs on it.
     package = emit_package(small, selftest=False)
-    build_program(small_trial.target, package, tmp_path, (*TARGET_FLAGS, "-fstack-usage"))
-    frames = {
-        line.split("\t")[0].rsplit(":", 1)[1]: int(line.split("\t")[1])
-        for line in (tmp_path / "package.su").read_text().splitlines()
-    }
+    frames = build_program(small_trial.target, package, tmp_path).frames
     for call in ("sample", "feedback", "prepare", "tick", "estimate"):
         assert memory.stack[call] >= frames[f"small_{call}"]
     assert max(memory.stack.values()) >= max(frames.values()) > 0

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +32,6 @@ from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Step, T
 from sgms_mhe.model.scales import scales_of
 
 Array = NDArray[np.float64]
-
-UNTRIED: Final = 1e-3  # of the rows after a step: less left of its column is nothing to fit
 
 
 def motion_of(recording: Recording, fit: Fit) -> MotionRecord:
@@ -123,7 +120,7 @@ def _search_step(definition: EffectDefinition, kind: Step, seen: Residual) -> Pr
     inside = np.cumsum(seen.free.basis[::-1], axis=0)[::-1]
     denominator = after - np.sum(inside**2, axis=1)
     edge = max(thresholds.edge_rows, int(thresholds.edge_share * len(time)))
-    found = np.where(denominator > UNTRIED * after, numerator**2 / np.maximum(denominator, 1e-9), 0.0)
+    found = np.where(denominator > thresholds.step_left * after, numerator**2 / np.maximum(denominator, 1e-9), 0.0)
     found[:edge] = found[-edge:] = 0.0
     best = int(np.argmax(found))
     if found[best] <= 0.0:

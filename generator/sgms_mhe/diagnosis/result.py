@@ -18,6 +18,8 @@ from sgms_mhe.support.files import write_text
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Verdict = Literal["explained", "unexplained", "ambiguous", "adequate"]
+Outcome = Literal["named", "redundant", "too small", "not significant"]
+"""Of a candidate in a round: added; good, but another was better; found, but less than matters; not found."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class Score:
         gain_N: RMS of the force it explains by cross-validation in the linear approximation (negative gains: 0).
         refit_gain_N: the same after the non-linear refit, NaN where it was not refitted.
         parameters: where its search ended.
-        outcome: "named", "rival", "redundant", "not significant", "too small", "not excited".
+        outcome: see `Outcome`.
     """
 
     name: str
@@ -77,7 +79,7 @@ class Score:
     gain_N: float
     refit_gain_N: float
     parameters: Mapping[str, float]
-    outcome: str
+    outcome: Outcome
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from sgms_mhe.diagnosis.evidence import cross_loss, difference_statistic, gain_f
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.proposals import Proposal
-from sgms_mhe.diagnosis.result import Score
+from sgms_mhe.diagnosis.result import Outcome, Score
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import cause, effect_definition
 
@@ -71,6 +71,7 @@ def search_round(subject: Subject, current: Fit, number: int, seen: Collection[s
     scores = []
     for ranked in candidates:
         p = ranked.proposal
+        outcome: Outcome
         if p.name == chosen:
             outcome = "named"
         elif ranked in strong:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +23,6 @@ from sgms_mhe.model.effects.search import Step
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-ROUNDS: Final = 2  # of alignment and fit: to the second order
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +152,7 @@ def settle(record: Recording, nominal: Fit, laws: Laws, selection: Selection) ->
     in_pieces = len(subject.whole.recording.signals) < len(record.signals)
     along = Subject.of(subject.whole.machine, record) if in_pieces else None
     fit = selection.fit
-    for _ in range(ROUNDS):
+    for _ in range(subject.thresholds.alignments):
         subject = aligned(subject, fit)
         extras = fit.extras if along is None else tuple(_timed(subject, along, fit, extra) for extra in fit.extras)
         fit = fit_model(subject, extras, refitted=selection.refitted, warm=fit)

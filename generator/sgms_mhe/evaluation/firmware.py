@@ -86,12 +86,21 @@ TARGETS: Final[Mapping[str, Target]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Program:
-    """A linked trial and what is known without running it."""
+    """A linked trial and what is known without running it.
+
+    Attributes:
+        path: the executable.
+        package, helpers, data: bytes, as `Memory` has them.
+        frames: bytes of stack that the compiler states for every function of the package, by name.
+        double_arithmetic: library functions and instructions of double precision that the package uses.
+        loops: rounds of the loops that calibrate the counter.
+    """
 
     path: Path
     package: int
     helpers: int
     data: int
+    frames: Mapping[str, int]
     double_arithmetic: tuple[str, ...]
     loops: tuple[int, ...]
 
@@ -114,7 +123,7 @@ def build_program(target: Target, package: Package, folder: Path, flags: Sequenc
     options: list[str | Path] = [*flags, "-ffreestanding", *target.flags]
     definitions = [*replay_definitions(name), f"-DSGMS_LOOPS={','.join(map(str, LOOPS))}"]
     parts: dict[str, list[str | Path]] = {
-        "package.o": [*options, headers / f"{name}.c"],
+        "package.o": [*options, "-fstack-usage", headers / f"{name}.c"],
         # Otherwise a compiler recognises the loop in memcpy and calls memcpy for it.
         "helpers.o": [*options, "-fno-tree-loop-distribute-patterns", source / "helpers.c"],
         "trial.o": [*options, *definitions, f"-I{headers}", f"-I{source}", source / "trial.c"],
@@ -132,9 +141,16 @@ def build_program(target: Target, package: Package, folder: Path, flags: Sequenc
         package=sizes.get(".package", 0),
         helpers=sizes.get(".helpers", 0),
         data=sizes.get(".package_data", 0),
+        frames=stated_frames(folder / "package.su"),
         double_arithmetic=double_arithmetic(target, folder / "package.o"),
         loops=LOOPS,
     )
+
+
+def stated_frames(path: Path) -> Mapping[str, int]:
+    """Bytes of stack by function, from what a compiler writes with -fstack-usage (file:line:column:function, bytes)."""
+    rows = (line.split("\t") for line in path.read_text().splitlines())
+    return MappingProxyType({where.rsplit(":", 1)[1]: int(size) for where, size, *_ in rows})
 
 
 def section_sizes(target: Target, path: Path) -> dict[str, int]:

@@ -54,7 +54,8 @@ class Memory:
         helpers: what it needs besides, from the compiler's own library and memcpy, memset.
         axis: one estimator.
         data: writable memory of its own, which it does not have.
-        stack: high-water mark of every function called, by name.
+        stack: of every function called, by name: its high-water mark, or its own frame where parts of that were
+            reserved and not written.
     """
 
     package: int
@@ -258,6 +259,7 @@ def _trial(target: Target, machine: Machine, model: Model, program: Program, con
         raise BuildError(f"{target.name}: {len(content)} bytes of results where {expected} were expected")
     rows = np.frombuffer(content[4 * (head + first) : -4 * tail], dtype=row)
     stack = np.frombuffer(content[-4 * tail :], dtype="<u4")
+    frames = [program.frames.get(f"{machine.name}_{call}", 0) for call in CALLS]
     nothing = int(words[2])
 
     def counted(ticks: NDArray[Any]) -> Counts:
@@ -286,7 +288,7 @@ def _trial(target: Target, machine: Machine, model: Model, program: Program, con
             helpers=program.helpers,
             axis=int(words[0]),
             data=program.data,
-            stack=MappingProxyType(dict(zip(CALLS, map(int, stack), strict=True))),
+            stack=MappingProxyType(dict(zip(CALLS, map(max, map(int, stack), frames), strict=True))),
         ),
         double_arithmetic=program.double_arithmetic,
     )

@@ -107,6 +107,14 @@ class Thresholds(FitThresholds):
         gt=0,
         lt=0.5,
     )
+    step_left: float = threshold(
+        1e-3,
+        "rows after a step",
+        "what must be left of a step's column beside the free numbers",
+        "of less there is nothing to fit",
+        ge=0,
+        lt=1,
+    )
     material: float = threshold(
         0.007,
         "f_C",

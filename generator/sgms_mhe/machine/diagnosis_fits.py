@@ -312,7 +312,7 @@ class FitThresholds(Table):
         le=1e3,
     )
     alignments: int = threshold(
-        2, "1", "alignments of a model in a round, each with a fit", "to the second order", ge=1, le=20
+        2, "1", "alignments of a model at a selection, each with a fit", "to the second order", ge=1, le=20
     )
 
     @model_validator(mode="after")

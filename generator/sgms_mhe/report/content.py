@@ -10,7 +10,7 @@ from sgms_mhe import __version__
 from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, Structure, Traces
 from sgms_mhe.model.effects import BASE_CAUSES, separating_moves
 from sgms_mhe.report.estimator import EstimatorGain
-from sgms_mhe.report.ranking import ORDER, bar_width, explained_force, ranked_scores, score_rounds, score_rows
+from sgms_mhe.report.ranking import NAMED, bar_width, explained_force, ranked_scores, score_rounds, score_rows
 from sgms_mhe.report.series import View
 from sgms_mhe.report.units import force, percent, plain, probability, quantity, split_name
 from sgms_mhe.report.words import (
@@ -64,7 +64,7 @@ def page(
     rivals = _rivals(d)
     scores = ranked_scores(d.scores)
     most = max((explained_force(s) for s in scores), default=0.0)
-    idle = [s for s in scores if s.outcome not in ORDER and explained_force(s) < IDLE * most]
+    idle = [s for s in scores if s.outcome != NAMED and explained_force(s) < IDLE * most]
     return {
         "machine": d.machine.name,
         "description": d.machine.description,

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.plots import AFTER, BEFORE, MEASURED
-from sgms_mhe.report.ranking import ranked_scores
+from sgms_mhe.report.ranking import NAMED, ranked_scores
 from sgms_mhe.report.series import View, runs
 
 WIDTH_IN: Final = 9.0
@@ -77,13 +77,12 @@ def candidates_figure(diagnosis: Diagnosis) -> Figure:
     scores = ranked_scores(diagnosis.scores)[::-1]
     figure = Figure(figsize=(WIDTH_IN, 1.0 + 0.24 * max(4, len(scores))), layout="constrained")
     axis = figure.subplots()
-    colours = {"named": AFTER, "rival": "#d08a00"}
     axis.barh(
         [s.name for s in scores],
         [np.nan_to_num(s.gain_N if np.isnan(s.refit_gain_N) else s.refit_gain_N) for s in scores],
-        color=[colours.get(s.outcome, "0.7") for s in scores],
+        color=[AFTER if s.outcome == NAMED else "0.7" for s in scores],
     )
-    axis.set_xlabel("force explained on data kept from its fit, RMS [N]; blue: named, amber: rival")
+    axis.set_xlabel("force explained on data kept from its fit, RMS [N]; blue: named")
     axis.tick_params(axis="y", labelsize="small")
     axis.margins(y=0.01)
     return figure

@@ -14,21 +14,21 @@ from sgms_mhe.report.words import (
     title,
 )
 
-ORDER: Final = {"named": 0, "rival": 1}
+NAMED: Final = "named"
 
 
 def ranked_scores(scores: Sequence[Score]) -> list[Score]:
     """Every candidate once: where it was named, otherwise in the first round it took part in; the best first."""
     best: dict[str, Score] = {}
     for score in sorted(scores, key=lambda s: s.round):
-        if score.name not in best or (score.outcome == "named" and best[score.name].outcome != "named"):
+        if score.name not in best or (score.outcome == NAMED and best[score.name].outcome != NAMED):
             best[score.name] = score
     return ranked_among(list(best.values()))
 
 
 def ranked_among(scores: Sequence[Score]) -> list[Score]:
-    """Candidates in that order: named, rivals, the rest, each by the force it explains."""
-    return sorted(scores, key=lambda s: (ORDER.get(s.outcome, 2), -explained_force(s)))
+    """Candidates in that order: named, then the rest, each by the force it explains."""
+    return sorted(scores, key=lambda s: (s.outcome != NAMED, -explained_force(s)))
 
 
 def explained_force(score: Score) -> float:
@@ -40,7 +40,7 @@ def score_rounds(scores: Sequence[Score]) -> list[dict[str, Any]]:
     """The rounds of a search, each with its candidates; empty where there was but one."""
     rounds = []
     for number in sorted({s.round for s in scores}):
-        names = [s.name for s in scores if s.round < number and s.outcome == "named"]
+        names = [s.name for s in scores if s.round < number and s.outcome == NAMED]
         done = f", after {listed(names)} had been added" if names else ", the base model refitted"
         rounds.append(
             {
@@ -62,7 +62,7 @@ def score_rows(scores: Sequence[Score]) -> list[dict[str, Any]]:
             "refit": force(s.refit_gain_N),
             "chance": probability(s.p_value),
             "outcome": s.outcome,
-            "kind": s.outcome if s.outcome in ORDER else "other",
+            "kind": s.outcome if s.outcome == NAMED else "other",
             "width": bar_width(explained_force(s), most),
         }
         for s in scores
