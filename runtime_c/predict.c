@@ -117,7 +117,8 @@ int sgms_predict(
             }
         }
         if (force) {
-            put_force(state, sensitivity, signals + SIGNALS * k, at.theta, force + k, d_force ? d_force + k * PARAMETERS : 0);
+            put_force(
+                state, sensitivity, signals + SIGNALS * k, at.theta, force + k, d_force ? d_force + k * PARAMETERS : 0);
         }
     }
     for (int i = 0; i < STATES; i++) {

@@ -110,8 +110,9 @@ typedef struct {
 typedef struct {
     sgms_position *position; /* [2] last position, last raw difference */
     sgms_real *lowpass;      /* [SGMS_FILTER_STATES] */
-    sgms_real *last;         /* [SGMS_FILTER_LAST] last force, last filtered velocity, force and position one sample ago */
-    int32_t *counts; /* [SGMS_FILTER_COUNTS] channels seen (1 force, 2 position), length of the gap, samples since friction was spoilt */
+    sgms_real *last; /* [SGMS_FILTER_LAST] last force, last filtered velocity, force and position one sample ago */
+    int32_t *counts; /* [SGMS_FILTER_COUNTS] channels seen (1 force, 2 position), length of the gap, samples since
+                        friction was spoilt */
 } sgms_filter_memory;
 
 typedef struct {

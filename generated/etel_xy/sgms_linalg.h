@@ -174,22 +174,22 @@ static inline void sgms_variances(const sgms_real *r, int n, int width, sgms_rea
     }
 }
 
-/* minimise |r x - b| over lower <= x <= upper by a primal active-set method; r is n x width, upper triangular.
+/* A least-squares problem in a box: minimise |r x - b| over lower <= x <= upper; r is n x width, upper triangular. */
+typedef struct {
+    const sgms_real *r;
+    int n, width;
+    const sgms_real *b, *lower, *upper;
+} sgms_box;
+
+/* Solve it by a primal active-set method.
  *
  * Every iterate is feasible and no worse than the one before it, so stopping at the iteration limit still leaves a
  * usable x. work: (n + 1)^2 numbers; pinned: n entries, -1 at the lower bound, 1 at the upper, 0 free, on return.
  * Returns the number of bounds that are active. */
-static inline int sgms_box_least_squares(
-    const sgms_real *r,
-    int n,
-    int width,
-    const sgms_real *b,
-    const sgms_real *lower,
-    const sgms_real *upper,
-    sgms_real *x,
-    int *pinned,
-    sgms_real *work)
+static inline int sgms_box_least_squares(const sgms_box *box, sgms_real *x, int *pinned, sgms_real *work)
 {
+    const sgms_real *const r = box->r, *const b = box->b, *const lower = box->lower, *const upper = box->upper;
+    const int n = box->n, width = box->width;
     int active = 0;
     sgms_back_substitute(r, n, width, b, x);
     for (int i = 0; i < n; i++) {

@@ -46,9 +46,7 @@ def step_rates(group: Group, structure: Structure) -> tuple[StepRate, ...]:
         return (
             StepRate("SUBSTEPS", per_speed, tuple(m * per_step for m in metre)),
             StepRate("AT_REST", at_rest, tuple(s * per_step for s in second)),
-            StepRate(
-                "MOST", "and at most", tuple(rate * per_step for rate in most)
-            ),
+            StepRate("MOST", "and at most", tuple(rate * per_step for rate in most)),
         )
     rates = []
     if sampling.merged > 1:

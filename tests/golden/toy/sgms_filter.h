@@ -89,17 +89,30 @@ static inline sgms_real sgms_metres_between(sgms_position a, sgms_position b)
 }
 #endif
 
-#define SGMS_FILTER_STATES 16 /* eight low-passes of two states */
+enum {
+    SGMS_FILTER_STATES = 16, /* eight low-passes of two states */
+    SGMS_FILTER_LAST = 4,
+    SGMS_FILTER_COUNTS = 3
+};
 
 /* What of the chain is asked for beside velocity and friction, a sum. The rest is left out, and is zero. */
 enum { SGMS_POSITION = 1, SGMS_FORCE = 2, SGMS_ACCELERATION = 4 };
+
+/* A chain, always the same. */
+typedef struct {
+    sgms_lowpass lowpass;
+    sgms_real rate, mass; /* Hz, kg */
+    int32_t settle;       /* samples that a disturbance of the filters lasts */
+    int wanted;           /* what is asked for */
+} sgms_chain;
 
 /* Memory of the chain. Plain arrays, so that the public header of a package can declare it without this one. */
 typedef struct {
     sgms_position *position; /* [2] last position, last raw difference */
     sgms_real *lowpass;      /* [SGMS_FILTER_STATES] */
-    sgms_real *last;         /* [4] last force, last filtered velocity, force and position one sample ago */
-    int32_t *counts; /* [3] channels seen (1 force, 2 position), length of the gap, samples since friction was spoilt */
+    sgms_real *last; /* [SGMS_FILTER_LAST] last force, last filtered velocity, force and position one sample ago */
+    int32_t *counts; /* [SGMS_FILTER_COUNTS] channels seen (1 force, 2 position), length of the gap, samples since
+                        friction was spoilt */
 } sgms_filter_memory;
 
 typedef struct {
@@ -107,18 +120,17 @@ typedef struct {
     int valid; /* whether friction may be used as a measurement */
 } sgms_aligned;
 
-/* One sample through the chain. `settle`: samples that a disturbance of the filters lasts. `wanted`: what is asked
- * for, always the same. */
+/* One sample through the chain. */
 static inline sgms_aligned sgms_filter_step(
-    const sgms_lowpass *filter,
-    sgms_real rate,
-    sgms_real mass,
-    int32_t settle,
-    int wanted,
+    const sgms_chain *chain,
     const sgms_filter_memory *m,
     sgms_position position,
     sgms_real force)
 {
+    const sgms_lowpass *const filter = &chain->lowpass;
+    const sgms_real rate = chain->rate;
+    const int32_t settle = chain->settle;
+    const int wanted = chain->wanted;
     const int position_good = sgms_position_is_good(position);
     const int force_good = sgms_is_reading(force);
     const int apart = wanted & (SGMS_FORCE | SGMS_ACCELERATION);
@@ -175,9 +187,9 @@ static inline sgms_aligned sgms_filter_step(
     if (apart) {
         out.acceleration = sgms_lowpass_step(filter, f + 6, sgms_lowpass_step(filter, f + 4, acceleration));
         out.force = sgms_lowpass_step(filter, f + 10, sgms_lowpass_step(filter, f + 8, m->last[2]));
-        out.friction = out.force - mass * out.acceleration;
+        out.friction = out.force - chain->mass * out.acceleration;
     } else { /* linear again: what is not asked for apart goes through one pair of filters */
-        const sgms_real friction = m->last[2] - mass * acceleration;
+        const sgms_real friction = m->last[2] - chain->mass * acceleration;
         out.friction = sgms_lowpass_step(filter, f + 6, sgms_lowpass_step(filter, f + 4, friction));
     }
     m->last[1] = velocity;

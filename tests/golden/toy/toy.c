@@ -4,7 +4,7 @@
  *
  * One interval: samples come in and the newest interval is integrated as they do. Meanwhile (prepare) the older nodes of
  * the last solution are found, all older intervals are linearised anew about it, and their
- * nodes eliminated, oldest first. The newest interval and its measurement close the sweep and give the estimate (feedback). */
+ * nodes condensed, oldest first. The newest interval and its measurement close the sweep and give the estimate (feedback). */
 #include "toy.h"
 
 #include "toy_compensation.h"
@@ -43,11 +43,11 @@ static void set_factor(sgms_real *factor, const sgms_real *inverse_sd, const sgm
 /* Begin an interval at the estimate: parameter terms, chi of its node. */
 static void start_interval(toy_t *self)
 {
-    parameter_terms(self->theta, self->of_theta.q, self->of_theta.d_q, self->of_theta.scale, self->of_theta.d_scale);
-    start_one(&self->of_theta, self->node + self->filling * STATES, self->newest);
+    parameter_terms(&self->parameters);
+    start_blocks(&self->parameters, self->node + self->filling * STATES, self->newest);
     self->step = 0;
     self->merged_count = 0;
-    fill(self->merged, 0.0, 5);
+    fill(self->merged, 0.0, SIGNALS);
     self->path[self->filling] = 0.0;
     self->too_fast = 0;
     self->cursor = 0;
@@ -61,8 +61,8 @@ static void start_window(toy_t *self, const sgms_real *x)
     copy(self->node, x, STATES);
     self->complete = 0;
     self->shifts = 0;
-    self->moved_shifts = 0;
-    set_factor(self->arrival, inverse_initial_state, x, self->theta);
+    self->pending_drift = 0;
+    set_factor(self->arrival, inverse_initial_state, x, self->parameters.theta);
     start_interval(self);
 }
 
@@ -71,11 +71,11 @@ static void start_signals(toy_t *self)
     self->chain_position[0] = 0;
     self->chain_position[1] = 0;
     fill(self->chain_lowpass, 0.0, SGMS_FILTER_STATES);
-    fill(self->chain_last, 0.0, 4);
-    for (int i = 0; i < 3; i++) {
+    fill(self->chain_last, 0.0, SGMS_FILTER_LAST);
+    for (int i = 0; i < SGMS_FILTER_COUNTS; i++) {
         self->chain_counts[i] = 0;
     }
-    fill(self->signal, 0.0, 5);
+    fill(self->signal, 0.0, SIGNALS);
     self->lost = 0;
     self->status = TOY_FILLING;
     start_compensation(self);
@@ -88,13 +88,13 @@ void toy_init(toy_t *self)
     self->version = 0;
     start_signals(self);
     self->compensate = 1;
-    fill(self->theta, 1.0, PARAMETERS);
-    fill(self->term, 0.0, (int)(sizeof self->term / sizeof self->term[0]));
+    fill(self->parameters.theta, 1.0, PARAMETERS);
+    fill(self->term, 0.0, TOY_SERIES_SIZE);
     fill(self->node, 0.0, SLOTS * STATES);
     fill(self->path, 0.0, SLOTS);
     start_window(self, zero);
     copy(self->good_state, zero, STATES);
-    copy(self->good_theta, self->theta, PARAMETERS);
+    copy(self->good_theta, self->parameters.theta, PARAMETERS);
     fill(self->good_variance, PRIOR_SD * PRIOR_SD, PARAMETERS);
     self->friction = 0.0;
     self->friction_measured = 0.0;
@@ -106,32 +106,40 @@ void toy_reset(toy_t *self)
     self->phase = self->phase == PREPARING || self->phase == VOIDED ? VOIDED : IDLE;
     SGMS_FENCE();
     start_signals(self);
-    copy(self->theta, self->good_theta, PARAMETERS);
+    copy(self->parameters.theta, self->good_theta, PARAMETERS);
     start_window(self, zero);
 }
 
 /* Friction force [N] at state x and the newest signals. */
 static sgms_real output_at(const toy_t *self, const sgms_real *x, const sgms_real *theta)
 {
+    const model_point at = {.x = x, .w = self->signal, .theta = theta};
     sgms_real c[STATES], d[PARAMETERS];
-    return output_force(x, self->signal, theta, c, d);
+    return output_force(&at, c, d);
 }
 
-/* Fold the measurement of a node, linearised at x, into the factor over (x, theta). */
-static void fold_measurement(toy_t *self, const sgms_real *x, const sgms_real *w, sgms_real measured)
+/* Measurement of a node, linearised there, as a row of the least squares over (x, theta). */
+static void measurement_row(const model_point *at, sgms_real measured, sgms_real *row)
 {
-    sgms_real row[FACTOR_WIDTH];
-    sgms_real right = measured - output_force(x, w, self->theta, row, row + STATES);
+    sgms_real right = measured - output_force(at, row, row + STATES);
     for (int i = 0; i < STATES; i++) {
-        right += row[i] * x[i];
+        right += row[i] * at->x[i];
     }
     for (int i = 0; i < PARAMETERS; i++) {
-        right += row[STATES + i] * self->theta[i];
+        right += row[STATES + i] * at->theta[i];
     }
     row[FACTOR_ROWS] = right;
     for (int i = 0; i < FACTOR_WIDTH; i++) {
         row[i] *= INVERSE_MEASUREMENT;
     }
+}
+
+/* Fold the measurement of a node, linearised at x, into the factor. */
+static void fold_measurement(toy_t *self, const sgms_real *x, const sgms_real *w, sgms_real measured)
+{
+    const model_point at = {.x = x, .w = w, .theta = self->parameters.theta};
+    sgms_real row[FACTOR_WIDTH];
+    measurement_row(&at, measured, row);
     sgms_qr_add_row(self->factor, FACTOR_ROWS, row);
 }
 
@@ -147,36 +155,35 @@ static void add_drift(sgms_real *factor, int intervals)
     sgms_qr_grow(factor, FACTOR_ROWS, PARAMETERS, growth, work);
 }
 
-/* Defect of state i over an interval, x_k+1 - A x_k - B theta - rest over its standard deviation, as a row [-A, -B, rest] of the
- * least squares; of A the columns of `couples` alone, the rest is zero. x, a, b: the interval's end and sensitivities, linearised at `start`
- * and the parameters of the last estimate. */
-static void defect_row(
-    const toy_t *self, int i, const sgms_real *start, const sgms_real *x, const sgms_real *a, const sgms_real *b, sgms_real *row)
+/* Defect of state i over an interval, x_k+1 - A x_k - B theta - rest over its standard deviation, as a row [-A, -B, rest]
+ * of the least squares; of A the columns of `couples` alone, the rest is zero. The map is linearised at `start` and the
+ * parameters of the last estimate. */
+static void defect_row(const toy_t *self, int i, const sgms_real *start, const interval_map *map, sgms_real *row)
 {
-    sgms_real rest = x[i];
+    const sgms_real *const a = map->a + i * STATES, *const b = map->b + i * PARAMETERS;
+    sgms_real rest = map->x[i];
     for (int k = 0; k < COUPLED; k++) {
-        const sgms_real entry = k < coupled[i] ? a[i * STATES + couples[i][k]] : 0.0;
+        const sgms_real entry = k < coupled[i] ? a[couples[i][k]] : 0.0;
         row[k] = -inverse_state_noise[i] * entry;
         rest -= entry * start[couples[i][k]];
     }
     for (int p = 0; p < PARAMETERS; p++) {
-        row[COUPLED + p] = -inverse_state_noise[i] * b[i * PARAMETERS + p];
-        rest -= b[i * PARAMETERS + p] * self->theta[p];
+        row[COUPLED + p] = -inverse_state_noise[i] * b[p];
+        rest -= b[p] * self->parameters.theta[p];
     }
     row[DEFECT_WIDTH - 1] = inverse_state_noise[i] * rest;
 }
 
-static void defect_rows(
-    const toy_t *self, const sgms_real *start, const sgms_real *x, const sgms_real *a, const sgms_real *b, sgms_real *rows)
+static void defect_rows(const toy_t *self, const sgms_real *start, const interval_map *map, sgms_real *rows)
 {
     for (int i = 0; i < STATES; i++) {
-        defect_row(self, i, start, x, a, b, rows + i * DEFECT_WIDTH);
+        defect_row(self, i, start, map, rows + i * DEFECT_WIDTH);
     }
 }
 
-/* Eliminate the node at the start of an interval: the factor over (x_k, theta) becomes that over (x_k+1, theta). The rows that
- * give x_k back go to `kept`. */
-static void eliminate(sgms_real *factor, const sgms_real *rows, sgms_real *kept)
+/* Condense an interval: the factor over its start and theta, (x_k, theta), becomes that over (x_k+1, theta). The rows
+ * that give x_k back go to `kept`. */
+static void condense(sgms_real *factor, const sgms_real *rows, sgms_real *kept)
 {
     sgms_real low[STATES * KEPT_WIDTH], reflector[STATES];
     for (int i = 0; i < STATES; i++) {
@@ -193,7 +200,8 @@ static void eliminate(sgms_real *factor, const sgms_real *rows, sgms_real *kept)
         top[STATES + i] = inverse_state_noise[i];
         copy(top + 2 * STATES, rows + i * DEFECT_WIDTH + COUPLED, PARAMETERS + 1);
     }
-    /* R_x is triangular and A couples the states of a block alone: a column reaches no further down than its block, or an earlier one. */
+    /* R_x is triangular and A couples the states of a block alone: a column reaches no further down than its block, or
+     * an earlier one. */
     sgms_reflect(kept + 0 * KEPT_WIDTH, low, 1, KEPT_WIDTH, KEPT_WIDTH, 0, reflector);
     for (int i = 0; i < STATES; i++) {
         copy(factor + i * FACTOR_WIDTH, low + i * KEPT_WIDTH + STATES, FACTOR_WIDTH);
@@ -201,7 +209,7 @@ static void eliminate(sgms_real *factor, const sgms_real *rows, sgms_real *kept)
 }
 
 /* x from the rows [R_x, R_n, R_theta, b] of a node, the next node's state and theta. */
-static void recover(const sgms_real *rows, int width, int next_states, const sgms_real *next, const sgms_real *theta, sgms_real *x)
+static void expand(const sgms_real *rows, int width, int next_states, const sgms_real *next, const sgms_real *theta, sgms_real *x)
 {
     sgms_real right[STATES];
     for (int i = 0; i < STATES; i++) {
@@ -222,71 +230,71 @@ static void fold_node(toy_t *self, int back)
 {
     const int slot = slot_before(self, back);
     if (self->node_valid[slot]) {
-        fold_measurement(self, self->node + slot * STATES, self->node_signal + slot * 5, self->node_friction[slot]);
+        fold_measurement(self, self->node + slot * STATES, self->node_signal + slot * SIGNALS, self->node_friction[slot]);
     }
 }
 
-/* Eliminate the start of an interval whose measurement is folded in. */
+/* Condense an interval whose measurement at its start is folded in. */
 static void sweep_interval(toy_t *self, int back, const sgms_real *rows)
 {
     const int slot = slot_before(self, back);
-    eliminate(self->factor, rows, self->kept + slot * STATES * KEPT_WIDTH);
-    if (back == HORIZON - 1) { /* the first elimination of a full window is the arrival-cost update */
+    condense(self->factor, rows, self->kept + slot * STATES * KEPT_WIDTH);
+    if (back == HORIZON - 1) { /* the first of a full window is the arrival-cost update */
         copy(self->arrival, self->factor, FACTOR_ROWS * FACTOR_WIDTH);
     }
 }
 
 /* Node of an older interval from its successor's. */
-static void recover_node(toy_t *self, int back)
+static void expand_node(toy_t *self, int back)
 {
     const int slot = slot_before(self, back);
     const sgms_real *successor = self->node + slot_before(self, back - 1) * STATES;
     const sgms_real *rows = self->kept + slot * STATES * KEPT_WIDTH;
-    recover(rows, KEPT_WIDTH, STATES, successor, self->theta, self->node + slot * STATES);
+    expand(rows, KEPT_WIDTH, STATES, successor, self->parameters.theta, self->node + slot * STATES);
 }
 
 /* All older nodes are known: begin the sweep at the oldest, and the integration. */
 static void start_sweep(toy_t *self)
 {
-    const int is_growing = DRIFT_SD > 0.0 && self->shifts >= DRIFT_INTERVAL;
-    if (is_growing) {
-        add_drift(self->arrival, (int)self->moved_shifts);
+    if (DRIFT_SD > 0.0 && self->shifts >= DRIFT_INTERVAL) {
+        add_drift(self->arrival, (int)self->pending_drift);
         self->shifts = 0;
-        self->moved_shifts = 0;
+        self->pending_drift = 0;
     }
     copy(self->factor, self->arrival, FACTOR_ROWS * FACTOR_WIDTH);
     fold_node(self, (int)self->complete);
-    start_lanes(SLOTS, &self->of_theta, self->node, self->lane);
+    start_lanes(SLOTS, &self->parameters, self->node, self->lane);
 }
 
 /* One step of all older intervals side by side. */
 static void linearise_step(toy_t *self, int step)
 {
-    integrate_step(SLOTS, self->term + step * NODES * TERMS * LANES, self->of_theta.q, self->lane);
+    integrate_lanes(SLOTS, self->term + step * NODES * TERMS * SERIES_STRIDE, self->lane);
 }
 
-/* Eliminate the node at the start of the interval `back` before the newest; the next one's measurement is known. */
-static void eliminate_node(toy_t *self, int back)
+/* Condense the interval `back` before the newest; the next one's measurement is known. */
+static void condense_node(toy_t *self, int back)
 {
     const int slot = slot_before(self, back);
-    sgms_real x[STATES], a[STATES * STATES], b[STATES * PARAMETERS], rows[STATES * DEFECT_WIDTH];
     const sgms_real *start = self->node + slot * STATES;
-    interval_end(&self->of_theta, self->lane, slot, start, x, a, b);
-    defect_rows(self, start, x, a, b, rows);
+    sgms_real rows[STATES * DEFECT_WIDTH];
+    interval_map map;
+    lane_end(&self->parameters, self->lane, slot, start, &map);
+    defect_rows(self, start, &map, rows);
     sweep_interval(self, back, rows);
     fold_node(self, back - 1);
 }
 
-/* Units of the work that does not need the newest sample, in their order: the older nodes of the last solution, the start of the
- * sweep, steps of the intervals to linearise anew, eliminations of the older nodes. */
+/* Units of the work that does not need the newest sample, in their order: nodes of the last solution to expand, the
+ * start of the sweep, steps of the intervals to linearise anew, nodes to condense. */
 typedef struct {
-    int nodes, steps, eliminations;
+    int nodes, steps, condensed;
 } workload;
 
 static workload workload_of(const toy_t *self)
 {
     const int nodes = (int)self->complete;
-    return (workload){.nodes = nodes, .steps = nodes > 0 ? STEPS : 0, .eliminations = nodes};
+    return (workload){.nodes = nodes, .steps = nodes > 0 ? STEPS : 0, .condensed = nodes};
 }
 
 /* What the next unit costs, in multiplications or so; 0 when all is done. */
@@ -295,12 +303,12 @@ static int next_cost(const toy_t *self)
     const workload of = workload_of(self);
     const int at = (int)self->cursor - of.nodes;
     if (at < 0) {
-        return RECOVER_COST;
+        return EXPAND_COST;
     }
-    if (at > of.steps + of.eliminations) {
+    if (at > of.steps + of.condensed) {
         return 0;
     }
-    return at > 0 && at <= of.steps ? STEP_COST : NODE_COST;
+    return at > 0 && at <= of.steps ? STEP_COST : CONDENSE_COST;
 }
 
 /* Do the next unit. */
@@ -309,13 +317,13 @@ static void work(toy_t *self)
     const workload of = workload_of(self);
     const int at = (int)self->cursor - of.nodes;
     if (at < 0) {
-        recover_node(self, (int)self->cursor + 1);
+        expand_node(self, (int)self->cursor + 1);
     } else if (at == 0) {
         start_sweep(self);
     } else if (at <= of.steps) {
         linearise_step(self, at - 1);
     } else {
-        eliminate_node(self, of.steps + of.eliminations + 1 - at);
+        condense_node(self, of.steps + of.condensed + 1 - at);
     }
     self->cursor++;
 }
@@ -340,7 +348,7 @@ int toy_due(const toy_t *self)
 }
 
 /* Parameters from the triangular factor, within their bounds. Returns how many bounds are active. */
-static int solve_parameters(const toy_t *self, sgms_real *theta)
+static int solve_theta(const toy_t *self, sgms_real *theta)
 {
     const sgms_real *triangle = self->factor + STATES * FACTOR_WIDTH + STATES;
     sgms_real right[PARAMETERS];
@@ -348,9 +356,11 @@ static int solve_parameters(const toy_t *self, sgms_real *theta)
         right[i] = self->factor[(STATES + i) * FACTOR_WIDTH + FACTOR_ROWS];
     }
     {
+        const sgms_box box = {
+            .r = triangle, .n = PARAMETERS, .width = FACTOR_WIDTH, .b = right, .lower = lower_bound, .upper = upper_bound};
         int pinned[PARAMETERS];
         sgms_real scratch[(PARAMETERS + 1) * (PARAMETERS + 1)];
-        return sgms_box_least_squares(triangle, PARAMETERS, FACTOR_WIDTH, right, lower_bound, upper_bound, theta, pinned, scratch);
+        return sgms_box_least_squares(&box, theta, pinned, scratch);
     }
 }
 
@@ -376,11 +386,11 @@ static int is_plausible(const sgms_real *x)
 /* There is no solution: keep the last good estimate and start the window from it. Returns the status, which says why. */
 static int start_again(toy_t *self, int status)
 {
-    sgms_real w[5];
-    copy(w, self->signal, 5);
-    copy(self->theta, self->good_theta, PARAMETERS);
+    sgms_real w[SIGNALS];
+    copy(w, self->signal, SIGNALS);
+    copy(self->parameters.theta, self->good_theta, PARAMETERS);
     start_window(self, self->good_state);
-    copy(self->node_signal, w, 5);
+    copy(self->node_signal, w, SIGNALS);
     self->node_valid[0] = 0;
     self->node_friction[0] = 0.0;
     self->started = 1;
@@ -388,28 +398,52 @@ static int start_again(toy_t *self, int status)
     return status;
 }
 
+/* Condense the newest interval: the factor is over its end x and theta. */
+static void take_newest(toy_t *self, sgms_real *x)
+{
+    const int slot = (int)self->filling;
+    const sgms_real *start = self->node + slot * STATES;
+    interval_map map;
+    blocks_end(&self->parameters, self->newest, start, &map);
+    {
+        sgms_real rows[STATES * DEFECT_WIDTH];
+        defect_rows(self, start, &map, rows);
+        sweep_interval(self, 0, rows);
+    }
+    copy(x, map.x, STATES);
+}
+
+/* Move the window on. Returns the slot of the next interval and adds to the status while the window fills. */
+static int shift_window(toy_t *self, int *status)
+{
+    const int next = slot_before(self, -1); /* where the interval stands that leaves a full window */
+    const int is_full = self->complete == HORIZON - 1;
+    if (is_full) {
+        self->shifts++;
+        self->pending_drift += self->path[next] >= HOLD_PATH;
+    }
+    if (!is_full) {
+        self->complete++;
+        *status += TOY_FILLING;
+    }
+    return next;
+}
+
 /* The update of a complete interval. Returns its status. */
 static int update(toy_t *self)
 {
     sgms_real x[STATES], theta[PARAMETERS], variance[PARAMETERS], scratch[PARAMETERS];
     sgms_real friction;
-    int status = 0;
-    int next;
+    int status = 0, next = 0;
     while (next_cost(self) > 0) {
         work(self);
     }
-    {
-        sgms_real a[STATES * STATES], b[STATES * PARAMETERS], rows[STATES * DEFECT_WIDTH];
-        const sgms_real *start = self->node + self->filling * STATES;
-        one_end(&self->of_theta, self->newest, start, x, a, b);
-        defect_rows(self, start, x, a, b, rows);
-        sweep_interval(self, 0, rows);
-    }
+    take_newest(self, x);
     if (self->last_valid) {
         fold_measurement(self, x, self->signal, self->last_friction);
     }
-    status += solve_parameters(self, theta) > 0 ? TOY_BOUND : 0;
-    recover(self->factor, FACTOR_WIDTH, 0, x, theta, x);
+    status += solve_theta(self, theta) > 0 ? TOY_BOUND : 0;
+    expand(self->factor, FACTOR_WIDTH, 0, x, theta, x);
     sgms_variances(self->factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH, variance, scratch);
     if (!is_plausible(x) || !all_finite(theta, PARAMETERS) || !all_finite(variance, PARAMETERS)) {
         return start_again(self, TOY_NUMERIC);
@@ -418,7 +452,7 @@ static int update(toy_t *self)
     if (!all_finite(&friction, 1)) {
         return start_again(self, TOY_NUMERIC);
     }
-    copy(self->theta, theta, PARAMETERS);
+    copy(self->parameters.theta, theta, PARAMETERS);
     self->version++;
     SGMS_FENCE();
     copy(self->good_state, x, STATES);
@@ -432,20 +466,13 @@ static int update(toy_t *self)
     status += self->too_fast ? TOY_SPEED : 0;
     status += self->lost ? TOY_OVERRUN : 0;
     self->lost = 0;
-    next = slot_before(self, -1);
-    if (self->complete == HORIZON - 1) { /* the interval that leaves the window stands in the next slot */
-        self->shifts++;
-        self->moved_shifts += self->path[next] >= HOLD_PATH;
-    } else {
-        self->complete++;
-        status += TOY_FILLING;
-    }
+    next = shift_window(self, &status);
     self->status = status;
     SGMS_FENCE();
     self->version++;
     self->filling = next;
     copy(self->node + next * STATES, x, STATES);
-    copy(self->node_signal + next * 5, self->signal, 5);
+    copy(self->node_signal + next * SIGNALS, self->signal, SIGNALS);
     self->node_friction[next] = self->last_friction;
     self->node_valid[next] = self->last_valid;
     start_interval(self);
@@ -473,41 +500,60 @@ int toy_feedback(toy_t *self)
 /* One step of the series: store its terms, move the newest interval. */
 static void take_step(toy_t *self, const sgms_real *w)
 {
-    sgms_real *term = self->term + self->step * NODES * TERMS * LANES + self->filling;
-    sample_terms(w, term, LANES);
-    integrate_one(term, self->newest);
+    sgms_real *term = self->term + self->step * NODES * TERMS * SERIES_STRIDE + self->filling;
+    sample_terms(w, term, SERIES_STRIDE);
+    integrate_blocks(term, self->newest);
     self->step++;
 }
 
-/* Take the signals of one sample in: those that the model reads. */
-static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
+static SGMS_INLINE void extend_series(toy_t *self)
+{
+    take_step(self, self->signal);
+}
+
+/* Keep the newest signals, and say whether they were readings: otherwise the last ones hold. */
+static SGMS_INLINE int take_signals(toy_t *self, const toy_signals *signals)
 {
     const int good = sgms_is_reading(signals->velocity) && sgms_fabs(signals->position) < SGMS_FARTHEST &&
                      sgms_is_reading(signals->acceleration) && sgms_is_reading(signals->force);
-    if (good) { /* otherwise the last signals hold */
-        self->signal[1] = signals->velocity;
+    if (good) { /* those that the model reads */
+        self->signal[W_VELOCITY] = signals->velocity;
     }
-    if (!self->started) { /* the first sample is the first node */
-        self->started = 1;
-        copy(self->node_signal + self->filling * 5, self->signal, 5);
-        self->node_valid[self->filling] = (uint8_t)(good && signals->valid && sgms_is_reading(signals->friction));
-        self->node_friction[self->filling] = self->node_valid[self->filling] ? signals->friction : 0.0;
-        self->last_valid = 0;
-        self->last_friction = 0.0;
+    return good;
+}
+
+/* The first sample is the first node. */
+static void start_series(toy_t *self, int measured, sgms_real friction)
+{
+    self->started = 1;
+    copy(self->node_signal + self->filling * SIGNALS, self->signal, SIGNALS);
+    self->node_valid[self->filling] = (uint8_t)measured;
+    self->node_friction[self->filling] = measured ? friction : 0.0;
+    self->last_valid = 0;
+    self->last_friction = 0.0;
+}
+
+/* Take the signals of one sample in. */
+static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
+{
+    const int good = take_signals(self, signals);
+    const int measured = good && signals->valid && sgms_is_reading(signals->friction);
+    if (!self->started) {
+        start_series(self, measured, signals->friction);
         return;
     }
     if (self->step == STEPS) {
         self->lost = 1;
         return;
     }
-    self->path[self->filling] += sgms_fabs(self->signal[1]) * SAMPLE_TIME;
-    if (sgms_fabs(self->signal[1]) > MAX_VELOCITY) {
+    self->path[self->filling] += sgms_fabs(self->signal[W_VELOCITY]) * SAMPLE_TIME;
+    if (sgms_fabs(self->signal[W_VELOCITY]) > MAX_VELOCITY) {
         self->too_fast = 1;
     }
-    take_step(self, self->signal);
+    extend_series(self);
     if (self->step == STEPS) {
-        self->last_valid = (uint8_t)(good && signals->valid && sgms_is_reading(signals->friction));
-        self->last_friction = self->last_valid ? signals->friction : self->last_friction;
+        self->last_valid = (uint8_t)measured;
+        self->last_friction = measured ? signals->friction : self->last_friction;
     }
 }
 
@@ -528,7 +574,7 @@ static void take_reading(toy_t *self, toy_position position, toy_real force)
         .lowpass = self->chain_lowpass,
         .last = self->chain_last,
         .counts = self->chain_counts};
-    const sgms_aligned aligned = sgms_filter_step(&lowpass, RATE, MASS, SETTLE, CHAIN, &memory, position, force);
+    const sgms_aligned aligned = sgms_filter_step(&chain, &memory, position, force);
     const toy_signals signals = {
         .position = aligned.position,
         .velocity = aligned.velocity,
@@ -585,12 +631,13 @@ toy_real toy_share(const toy_t *self)
 
 void toy_estimate(const toy_t *self, toy_estimate_t *estimate)
 {
+    const model_point at = {.x = self->good_state, .theta = self->good_theta};
     for (int attempt = 0; attempt < 3; attempt++) {
         const uint32_t version = self->version;
         SGMS_FENCE();
         estimate->friction = self->friction;
         estimate->friction_measured = self->friction_measured;
-        deflections(self->good_state, self->good_theta, estimate->deflection);
+        deflections(&at, estimate->deflection);
         parameters_si(self->good_theta, estimate->parameter);
         for (int p = 0; p < PARAMETERS; p++) {
             estimate->deviation[p] = sgms_sqrt(self->good_variance[p]) * parameter_unit[p];

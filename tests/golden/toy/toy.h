@@ -63,7 +63,7 @@ typedef struct {
     toy_real force;        /* N, drive force */
     toy_real friction;     /* N, force - mass * acceleration */
     int valid;              /* 0: friction is not to be used */
-    toy_real late;         /* s, that all of them are behind the sample; 0 where the controller's chain has no lag */
+    toy_real delay;        /* s, that all of them are behind the sample; 0 where the controller's chain has none */
 } toy_signals;
 
 /* What the observer knows after an update. */
@@ -76,53 +76,69 @@ typedef struct {
     int status;
 } toy_estimate_t;
 
-/* What depends on the parameters alone. */
-typedef struct {
-    toy_real q[1], d_q[2];
-    toy_real scale[1], d_scale[2];
-} toy_terms;
+/* Sizes of the memory below. */
+enum {
+    TOY_SIGNALS = 5,                             /* position, velocity, acceleration, force, time */
+    TOY_SLOTS = 2,                               /* intervals kept */
+    TOY_UNKNOWNS = 3,                            /* at a node: its state and theta */
+    TOY_FACTOR_SIZE = 3 * 4,                     /* triangular factor with right side */
+    TOY_SERIES_SIZE = 5 * 2 * 4,                 /* nodes, sample terms, intervals */
+    TOY_BLOCKS_SIZE = 7 * 4,                     /* blocks side by side, with sensitivities */
+    TOY_LANES_SIZE = 7 * 4,                      /* the same of all intervals */
+    TOY_KEPT_WIDTH = 5,                          /* row that gives a node back: its state, the next one's, theta, right side */
+    TOY_DEFECT_WIDTH = 4,                        /* row of a defect: states, theta, right side */
+};
 
-/* Memory of one axis, static or on a stack that is large enough. Set it up with toy_init(); its fields are not for the application. What every sample needs
- * comes first, within reach of short addresses. */
+/* The scaled parameters, and what depends on them alone. */
+typedef struct {
+    toy_real theta[TOY_PARAMETERS];
+    toy_real q[1]; /* scalars through which they enter the blocks, with derivatives */
+    toy_real d_q[1 * TOY_PARAMETERS];
+    toy_real scale[TOY_STATES]; /* of a node's state over chi, with derivatives */
+    toy_real d_scale[TOY_STATES * TOY_PARAMETERS];
+} toy_parameters;
+
+/* Memory of one axis, static or on a stack that is large enough. Set it up with toy_init(); its fields are not
+ * for the application. What every sample needs comes first, within reach of short addresses. */
 typedef struct {
     /* signal chain */
     double chain_position[2]; /* m */
     toy_real chain_lowpass[16];
     toy_real chain_last[4];
     int32_t chain_counts[3];
-    toy_real signal[5]; /* position, velocity, acceleration, force, time of what they tell of; zero what the model does not read */
-    toy_real merged[5];
+    /* position, velocity, acceleration, force, time of what they tell of; zero what the model does not read */
+    toy_real signal[TOY_SIGNALS];
+    toy_real merged[TOY_SIGNALS];
     int32_t merged_count;
     /* slots of the window are used in turn, `filling` is the interval under way */
     int32_t filling, step, started, lost, too_fast, status;
     volatile uint32_t phase, version; /* which call is under way; odd while the last good estimate is written */
-    toy_real theta[2];
-    toy_terms of_theta;
-    toy_real newest[16]; /* the interval under way */
-    toy_real path[2];     /* m, of each interval */
+    toy_parameters parameters; /* of the last estimate */
+    toy_real newest[TOY_BLOCKS_SIZE]; /* blocks of the interval under way */
+    toy_real path[TOY_SLOTS]; /* m, of each interval */
     /* compensation */
     toy_real lag_state[6], lag; /* m, the newest position beyond the chain's */
-    toy_real ahead[2];          /* set-point's velocity and acceleration as the force acts */
+    toy_real ahead[2]; /* set-point's velocity and acceleration as the force acts */
     toy_real gain; /* share that is on */
     int32_t compensate, ahead_given, through_chain;
     /* series and nodes of the window */
-    toy_real term[5 * 2 * 4];
-    toy_real node[2 * 1];  /* state at the start of each interval, linearisation point and estimate */
-    toy_real node_signal[2 * 5];
-    toy_real node_friction[2];
-    uint8_t node_valid[2];
+    toy_real term[TOY_SERIES_SIZE];
+    toy_real node[TOY_SLOTS * TOY_STATES]; /* state at the start of each interval, linearisation point and estimate */
+    toy_real node_signal[TOY_SLOTS * TOY_SIGNALS];
+    toy_real node_friction[TOY_SLOTS];
+    uint8_t node_valid[TOY_SLOTS];
     toy_real last_friction; /* measured at the end of the interval under way */
     uint8_t last_valid;
-    /* integration */
-    toy_real lane[3 * 4]; /* the older intervals */
-    /* least squares: triangular factor over (x, theta) with right side */
-    toy_real factor[3 * 4];
-    toy_real arrival[3 * 4]; /* before the oldest node of the window */
-    toy_real kept[2 * 5]; /* rows for the back-substitution */
+    /* integration of older intervals */
+    toy_real lane[TOY_LANES_SIZE];
+    /* least squares over (x, theta) */
+    toy_real factor[TOY_FACTOR_SIZE];
+    toy_real arrival[TOY_FACTOR_SIZE]; /* before the oldest node of the window */
+    toy_real kept[TOY_SLOTS * TOY_STATES * TOY_KEPT_WIDTH]; /* for the back-substitution */
     int32_t complete, cursor; /* older intervals; units of the work done */
-    int32_t shifts, moved_shifts; /* of the window since the parameters' drift entered; those of them with motion */
+    int32_t shifts, pending_drift; /* of the window since the parameters' drift entered; those of them with motion */
     /* last good estimate */
-    toy_real good_state[1], good_theta[2], good_variance[2];
+    toy_real good_state[TOY_STATES], good_theta[TOY_PARAMETERS], good_variance[TOY_PARAMETERS];
     toy_real friction, friction_measured;
 } toy_t;
 
@@ -173,7 +189,7 @@ void toy_compensate(toy_t *self, int on);
 /* How much of it is on at the moment, 0 to 1. */
 toy_real toy_share(const toy_t *self);
 
-/* sample() for a controller with a signal chain of its own: signals of one instant, `late` behind the sample. What it returns is for the loop's
+/* sample() for a controller with a signal chain of its own: signals of one instant, `delay` behind the sample. What it returns is for the loop's
  * delay after that instant: the lag of another chain is not made up for, so compensation wants one without. */
 toy_real toy_insert(toy_t *self, const toy_signals *signals);
 

@@ -2,21 +2,21 @@
  *
  * What toy feeds forward: the friction at the instant at which the drive's answer to the newest sample acts.
  *
- * The estimator's state stands where the signal chain has let the signals through, 2.03 ms ago. From there the elements move on over the
- * displacement that the position has made since, known exactly, then over the loop's delay at the velocity ahead.
- * Only the state moves: no sensitivities. The work is bounded whatever the signals say. */
+ * The estimator's state stands where the signal chain has let the signals through, 2.03 ms ago. From there the elements
+ * move on over the displacement that the position has made since, known exactly, then over the loop's delay at the
+ * velocity ahead. Only the state moves: no sensitivities. The work is bounded whatever the signals say. */
 #ifndef TOY_COMPENSATION_H
 #define TOY_COMPENSATION_H
 
 #include "toy_integrator.h"
 
 #define LAG_TIME 0.002027486296746016        /* s, of the signal chain */
-#define OVER_LAG_TIME 493.2215826094288
-#define AT_END 1.6696929723266414          /* extrapolation to the newest sample */
-#define GAIN_STEP 1.0       /* per sample, of a ramp */
-#define FARTHEST_MOVE 10.0   /* deflection scales; an element that moved this far slides, whatever it was before */
-#define AHEAD_EQUAL 4e-06   /* of relative deflections that need not be told apart */
-#define AHEAD_ELASTIC 0.7224397686165088 /* relative deflection up to which an element moves with the axis */
+#define OVER_LAG_TIME 493.2215826094288      /* 1/s */
+#define AT_END 1.6696929723266414            /* extrapolation to the newest sample */
+#define GAIN_STEP 1.0                        /* per sample, of a ramp */
+#define FARTHEST_MOVE 10.0                   /* deflection scales; an element that moved this far slides, whatever it was before */
+#define AHEAD_EQUAL 4e-06                    /* of relative deflections that need not be told apart */
+#define AHEAD_ELASTIC 0.7224397686165088     /* relative deflection up to which an element moves with the axis */
 
 enum { MOVES = 1 }; /* over the lag */
 
@@ -26,96 +26,88 @@ typedef struct {
     sgms_real end; /* velocity as the force acts, m/s */
 } course;
 
-/* The drive's force beyond mass * acceleration [N]: the output without what makes the log late. Operations: 1 add, 1 div, 3 mul. */
-static inline sgms_real feed_forward_force(const sgms_real *x, const sgms_real *w, const sgms_real *theta)
-{
-    sgms_real y;
-    y = 3.0 * theta[1] * (x[0] / theta[1]) + 5.0 * w[1];
-    return y;
-}
+/* Steps of a move per metre and per second. */
+static const sgms_real element_ahead_rates[ELEMENT_BLOCKS][2] = { {66666.66666666667, 0.0} };
 
-/* Steps per metre and per second of a move. */
-static const sgms_real element_ahead_rates[1][2] = { {66666.66666666667, 0.0} };
-
-/* Move the states of a block over `duration`: Runge-Kutta steps, no more than make an element slide. */
-static void element_ahead_steps(
-    sgms_real duration, const sgms_real *term, const sgms_real *q, const sgms_real *data, const sgms_real *rates, sgms_real *chi)
+/* Move the states of a block over `duration`: Runge-Kutta steps, so many per metre and per second,
+ * no more than make an element slide. */
+static void element_ahead_steps(sgms_real duration, const sgms_real *rates, element_point *at)
 {
     static const sgms_real advance[4] = { 0.0, 0.5, 0.5, 1.0 };
     static const sgms_real weight[4] = { 0.16666666666666666, 0.3333333333333333, 0.3333333333333333, 0.16666666666666666 };
-    const sgms_real moved = sgms_fabs(term[0]) * duration * rates[0];
+    const sgms_real moved = sgms_fabs(at->velocity) * duration * rates[0];
     const sgms_real most = FARTHEST_MOVE * 20.0;
     const sgms_real within = moved > most ? duration * (most / moved) : duration;
     const int substeps = 1 + (int)(sgms_fmin(moved, most) + duration * rates[1]);
     const sgms_real h = within / (sgms_real)substeps;
-    sgms_real speed, gate, brake;
-    element_drive(term[0], term[1], q, data, &speed, &gate, &brake);
+    const element_drive drive = element_drive_at(at);
     for (int substep = 0; substep < substeps; substep++) {
-        sgms_real slope[1], sum[1];
-        fill(slope, 0.0, 1);
-        fill(sum, 0.0, 1);
+        const element_point from = *at;
+        sgms_real slope[ELEMENT_STATES], sum[ELEMENT_STATES];
+        fill(slope, 0.0, ELEMENT_STATES);
+        fill(sum, 0.0, ELEMENT_STATES);
         for (int stage = 0; stage < 4; stage++) {
-            sgms_real d_chi[1], d_q[1];
-            const sgms_real at0 = chi[0] + h * advance[stage] * slope[0];
-            element_rhs(at0, term[0], term[1], q, data, speed, gate, brake, slope, d_chi, d_q);
-            for (int i = 0; i < 1; i++) {
+            element_rhs rhs;
+            for (int i = 0; i < ELEMENT_STATES; i++) {
+                at->chi[i] = from.chi[i] + h * advance[stage] * slope[i];
+            }
+            rhs = element_rhs_at(at, &drive);
+            for (int i = 0; i < ELEMENT_STATES; i++) {
+                slope[i] = rhs.rate[i];
                 sum[i] += h * weight[stage] * slope[i];
             }
         }
-        for (int i = 0; i < 1; i++) {
-            chi[i] += sum[i];
+        for (int i = 0; i < ELEMENT_STATES; i++) {
+            at->chi[i] = from.chi[i] + sum[i];
         }
-        if (sgms_fabs(sum[0]) < AHEAD_EQUAL * h * rates[0] * sgms_fabs(term[0])) { /* it slides: nothing happens any more */
+        if (sgms_fabs(sum[0]) < AHEAD_EQUAL * h * rates[0] * sgms_fabs(at->velocity)) { /* it slides: nothing happens any more */
             return;
         }
     }
 }
 
-/* Move the states over one part of the course, from `before` to `after`: elastic ones with the axis. */
-static inline void element_ahead_move(const course *c, int move, const sgms_real *term, const sgms_real *all_q, const sgms_real *before, sgms_real *after)
+/* Move the states `from` over one part of the course: elastic ones with the axis. */
+static inline void element_ahead_move(
+    const course *c, int move, const sgms_real *term, const sgms_real *blocks, const sgms_real *from, sgms_real *chi)
 {
-    const sgms_real distance = c->distance[move];
-    const sgms_real *q = all_q;
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
-        const sgms_real *const data = element_data[block];
-        const sgms_real chi = before[block];
-        sgms_real moved;
-        sgms_real rho, over_level, d_rho[1], d_over_level[1];
-        element_coefficients(term[0], term[1], q, data, &rho, &over_level, d_rho, d_over_level);
-        moved = chi + rho * distance;
-        if (sgms_fmax(sgms_fabs(chi), sgms_fabs(moved)) * over_level < AHEAD_ELASTIC) {
-            after[block] = moved;
-        } else {
-            after[block] = chi;
-            element_ahead_steps(c->duration[move], term, q, data, element_ahead_rates[block], after + block);
+        element_point at = element_at(term, 1, blocks + block);
+        const element_level level = element_level_at(&at);
+        const sgms_real moved = from[block] + level.rho * c->distance[move];
+        if (sgms_fmax(sgms_fabs(from[block]), sgms_fabs(moved)) * level.over_level < AHEAD_ELASTIC) {
+            chi[block] = moved;
+            continue;
         }
-        q += ELEMENT_Q;
+        at.chi[0] = from[block];
+        element_ahead_steps(c->duration[move], element_ahead_rates[block], &at);
+        chi[block] = at.chi[0];
     }
 }
 
-/* The states of all blocks, one block after the other, at the end of the course; `row` as in the interval under way. */
-static void element_ahead(const course *c, const sgms_real *term, const sgms_real *q, const sgms_real *row, sgms_real *chi)
+/* The states of all blocks at the end of the course. */
+static void element_ahead(const course *c, const sgms_real *term, const sgms_real *blocks, sgms_real *chi)
 {
     if (c->duration[0] > 0.0) {
-        element_ahead_move(c, 0, term, q, row, chi);
+        element_ahead_move(c, 0, term, blocks, blocks, chi);
     } else {
         for (int block = 0; block < ELEMENT_BLOCKS; block++) {
-            chi[block] = row[block];
+            chi[block] = blocks[block];
         }
     }
 }
 
-/* What the position has moved beyond the chain's position, from its differences d: q - LP(LP(q one sample ago)). The filters pass a
- * constant, so 1 - LP acts on differences, and no absolute position costs digits. */
+/* What the position has moved beyond the chain's position, from its differences d: q - LP(LP(q one sample ago)). The
+ * filters pass a constant, so 1 - LP acts on differences, and no absolute position costs digits. */
 static void follow_lag(toy_t *self, sgms_real d)
 {
     sgms_real *const s = self->lag_state;
-    const sgms_real once = (1.0 - lowpass.b0) * d + (lowpass.b2 - lowpass.a2) * s[2] - lowpass.a1 * s[0] - lowpass.a2 * s[1];
+    const sgms_lowpass *const f = &chain.lowpass;
+    const sgms_real once = (1.0 - f->b0) * d + (f->b2 - f->a2) * s[2] - f->a1 * s[0] - f->a2 * s[1];
     self->lag = d + s[3];
     s[1] = s[0];
     s[0] = once;
     s[2] = d;
-    s[3] = once + sgms_lowpass_step(&lowpass, s + 4, once);
+    s[3] = once + sgms_lowpass_step(f, s + 4, once);
 }
 
 /* Nothing fed forward, nothing moved. */
@@ -133,7 +125,7 @@ static course course_ahead(const toy_t *self)
 {
     course c;
     const sgms_real behind = self->through_chain ? LAG_TIME : 0.0;
-    const sgms_real measured = self->signal[1];
+    const sgms_real measured = self->signal[W_VELOCITY];
     const sgms_real mean = self->through_chain ? self->lag * OVER_LAG_TIME : measured;
     c.duration[0] = behind;
     c.distance[0] = self->lag;
@@ -147,31 +139,37 @@ static course course_ahead(const toy_t *self)
 static sgms_real friction_ahead(const toy_t *self)
 {
     const course c = course_ahead(self);
-    sgms_real term[MOVES * TERMS], w[5], x[STATES], friction;
-    const sgms_real *row = self->newest;
-    const sgms_real *q = self->of_theta.q;
-    w[0] = self->signal[0];
-    w[2] = self->ahead_given ? self->ahead[1] : 0.0;
-    w[3] = self->signal[3];
-    w[4] = self->signal[4];
-    w[0] += c.distance[0];
-    w[1] = c.velocity[0];
-    w[4] += c.duration[0];
-    sample_terms(w, term, 1);
-    w[1] = c.end;
+    sgms_real term[MOVES * TERMS], w[SIGNALS], x[STATES], friction;
+    const model_point at = {.x = x, .w = w, .theta = self->parameters.theta};
+    w[W_POSITION] = self->signal[W_POSITION];
+    w[W_ACCELERATION] = self->ahead_given ? self->ahead[1] : 0.0;
+    w[W_FORCE] = self->signal[W_FORCE];
+    w[W_TIME] = self->signal[W_TIME];
+    for (int move = 0; move < MOVES; move++) {
+        w[W_POSITION] += c.distance[move];
+        w[W_VELOCITY] = c.velocity[move];
+        w[W_TIME] += c.duration[move];
+        sample_terms(w, term + move * TERMS, 1);
+    }
+    w[W_VELOCITY] = c.end;
     {
         sgms_real chi[ELEMENT_BLOCKS * ELEMENT_STATES];
-        element_ahead(&c, term, q, row, chi);
-        x[0] = self->of_theta.scale[0] * chi[0];
-        row += 4 * WIDE;
-        q += ELEMENT_BLOCKS * ELEMENT_Q;
+        element_ahead(&c, term, self->newest + ELEMENT_PLACE, chi);
+        SGMS_UNROLL
+        for (int block = 0; block < ELEMENT_BLOCKS; block++) {
+            SGMS_UNROLL
+            for (int i = 0; i < ELEMENT_STATES; i++) {
+                const int state = block_states[ELEMENT_FIRST + block][i];
+                x[state] = self->parameters.scale[state] * chi[block * ELEMENT_STATES + i];
+            }
+        }
     }
-    friction = feed_forward_force(x, w, self->theta);
+    friction = feed_forward_force(&at);
     return sgms_is_finite(friction) ? friction : self->friction;
 }
 
-/* Whether the friction ahead is not to be relied on: the state was lost, or is carried along a motion that nobody saw or that no axis
- * makes. */
+/* Whether the friction ahead is not to be relied on: the state was lost, or is carried along a motion that nobody saw or
+ * that no axis makes. */
 static int is_unsound(const toy_t *self, sgms_real speed)
 {
     return self->status < 0 || (self->status & TOY_OVERRUN) || self->lost || self->chain_counts[1] > SETTLE ||
@@ -181,7 +179,7 @@ static int is_unsound(const toy_t *self, sgms_real speed)
 /* Once per sample: ramp. */
 static void follow_compensation(toy_t *self)
 {
-    const sgms_real speed = sgms_fmax(sgms_fabs(self->signal[1]), sgms_fabs(self->lag) * OVER_LAG_TIME);
+    const sgms_real speed = sgms_fmax(sgms_fabs(self->signal[W_VELOCITY]), sgms_fabs(self->lag) * OVER_LAG_TIME);
     const int on = self->compensate && !is_unsound(self, speed);
     self->ahead_given -= self->ahead_given > 0;
     self->gain = on ? sgms_fmin(self->gain + GAIN_STEP, 1.0) : sgms_fmax(self->gain - GAIN_STEP, 0.0);

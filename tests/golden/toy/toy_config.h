@@ -4,40 +4,46 @@
 #ifndef TOY_CONFIG_H
 #define TOY_CONFIG_H
 
+#include "toy.h"
+
 #define SGMS_SINGLE 0
 
 #include "sgms_linalg.h"
 #include "sgms_filter.h"
 
-#if SGMS_RUNTIME_VERSION != 1
+#if SGMS_RUNTIME_VERSION != 2
 #error "the runtime headers are of another version than this package: run sgms-mhe generate again"
 #endif
 
+/* Signals w that the model's functions take. */
+enum { W_POSITION, W_VELOCITY, W_ACCELERATION, W_FORCE, W_TIME, SIGNALS };
+
 enum {
-    STATES = 1,          /* node state x */
-    ELEMENTS = 1,        /* Maxwell-slip elements, the first states */
-    PARAMETERS = 2,      /* theta */
-    HORIZON = 2,         /* intervals of the window; 0 for the filter */
-    DRIFT_INTERVAL = 2, /* shifts of the window after which the parameters' drift enters the arrival cost */
-    SLOTS = 2,           /* intervals kept, the one that is filling included */
-    LANES = 4,           /* intervals in a row of the series, padded to the vector width */
-    WIDE = 4,            /* scalars side by side: intervals of one block, or blocks of one interval */
-    SAMPLES = 5,        /* per interval */
-    MERGED = 1,           /* samples per integration step */
-    STEPS = 5,          /* integration steps per interval */
-    NODES = 1,           /* of a step of the series */
-    TERMS = 2,           /* stored per node: velocity, inverse_level */
-    STATE_ROWS = 3,      /* chi and its sensitivities, all blocks */
-    Q_TERMS = 1,         /* parameter terms, all blocks */
-    SETTLE = 7,         /* samples that a disturbance of the filters lasts */
-    CHAIN = 0,           /* what the model reads of the signal chain beside velocity and friction */
-    FACTOR_ROWS = STATES + PARAMETERS,
-    FACTOR_WIDTH = FACTOR_ROWS + 1,
-    COUPLED = 1,         /* states that a state depends on over an interval, at most */
-    DEFECT_WIDTH = COUPLED + PARAMETERS + 1,
-    KEPT_WIDTH = 2 * STATES + PARAMETERS + 1,
-    LARGEST_BLOCK = 1,
-    BLOCKS = 1            /* of states that depend on no other */
+    STATES = TOY_STATES,                         /* node state x */
+    ELEMENTS = TOY_ELEMENTS,                     /* Maxwell-slip elements, the first states */
+    PARAMETERS = TOY_PARAMETERS,                 /* theta */
+    HORIZON = 2,                                 /* intervals of the window; 0 for the filter */
+    DRIFT_INTERVAL = 2,                          /* shifts of the window after which pending drift enters the arrival cost */
+    SLOTS = TOY_SLOTS,                           /* intervals kept, the one that is filling included */
+    SAMPLES = TOY_SAMPLES,                       /* per interval */
+    MERGED = 1,                                  /* samples per integration step */
+    STEPS = 5,                                   /* integration steps per interval */
+    LEAST_SUBSTEPS = 1,                          /* Runge-Kutta substeps of a step, at least */
+    NODES = 1,                                   /* of a step of the series */
+    TERMS = 2,                                   /* stored per node: velocity, inverse_level */
+    SERIES_STRIDE = 4,                           /* numbers from one row of the series to the next: intervals, padded */
+    LANE_STRIDE = 4,                             /* numbers from one row of lanes to the next: scalars side by side, padded */
+    BLOCKS = 1,                                  /* of states that depend on no other */
+    LARGEST_BLOCK = 1,                           /* states */
+    BLOCKS_SIZE = TOY_BLOCKS_SIZE,               /* numbers of blocks side by side */
+    LANES_SIZE = TOY_LANES_SIZE,                 /* numbers of all blocks of intervals side by side */
+    SETTLE = 7,                                  /* samples that a disturbance of the filters lasts */
+    CHAIN = 0,                                   /* what the model reads of the signal chain beside velocity and friction */
+    FACTOR_ROWS = TOY_UNKNOWNS,                  /* unknowns of a factor */
+    FACTOR_WIDTH = FACTOR_ROWS + 1,              /* with its right side */
+    COUPLED = 1,                                 /* states that a state depends on over an interval, at most */
+    DEFECT_WIDTH = TOY_DEFECT_WIDTH,             /* numbers of a defect's row */
+    KEPT_WIDTH = TOY_KEPT_WIDTH,                 /* numbers of a row that gives a node back */
 };
 
 /* Scalars in one vector register of the processor, where compilers vectorise. */
@@ -49,37 +55,45 @@ enum { VECTOR = 2 };
 enum { VECTOR = 1 };
 #endif
 
-/* Multiplications of a unit of the work: a node recovered, a step, a node eliminated; of those in one sample. */
+/* Multiplications of a unit of the work: a node expanded, a step, a node condensed; of those in one sample. */
 enum {
     STEP_COST = 180,
     COST_PER_SAMPLE = 360,
-    RECOVER_COST = 3,
-    NODE_COST = 54
+    EXPAND_COST = 3,
+    CONDENSE_COST = 54
 };
 
-#define RATE 1000.0                 /* Hz */
-#define SAMPLE_TIME 0.001        /* s */
-#define STEP_TIME 0.001          /* s */
-#define PIECE_TIME 0.001         /* s, of constant signals */
-#define MASS 2.0                 /* kg */
-#define MAX_VELOCITY 0.5         /* m/s */
-#define HOLD_PATH 2.9999999999999997e-05            /* m; an interval that moves less says nothing of the parameters */
-#define INVERSE_MEASUREMENT 5.0  /* 1/N */
-#define PRIOR_SD 0.2             /* of theta */
-#define IMPLAUSIBLE 10000.0          /* first node's standard deviations: a state beyond is no solution */
-#define DRIFT_SD 0.001             /* of theta, per update */
+#define RATE 1000.0                          /* Hz */
+#define SAMPLE_TIME 0.001                    /* s */
+#define STEP_TIME 0.001                      /* s */
+#define PIECE_TIME 0.001                     /* s, of constant signals */
+#define MASS 2.0                             /* kg */
+#define MAX_VELOCITY 0.5                     /* m/s */
+#define HOLD_PATH 2.9999999999999997e-05     /* m; an interval that moves less says nothing of the parameters */
+#define INVERSE_MEASUREMENT 5.0              /* 1/N */
+#define PRIOR_SD 0.2                         /* of theta */
+#define DRIFT_SD 0.001                       /* of theta, per update */
+#define IMPLAUSIBLE 10000.0                  /* first node's standard deviations: a state beyond is no solution */
 
 static const sgms_real lower_bound[PARAMETERS] = {0.5, -1e+300};
 static const sgms_real upper_bound[PARAMETERS] = {2.0, 1e+300};
 
 /* States that each state depends on over an interval, itself included, and how many. */
 static const uint8_t coupled[STATES] = { 1 };
-static const uint8_t couples[STATES][COUPLED] = { { 0 } };
+static const uint8_t couples[STATES][COUPLED] = { {0} };
 
 static const sgms_real inverse_state_noise[STATES] = {20.0};
 static const sgms_real inverse_initial_state[STATES] = {1.0};
-static const sgms_real inverse_arrival_state[STATES] = {20.0};
-static const sgms_lowpass lowpass = {
-    .b0 = 0.39133577250176854, .b1 = 0.7826715450035371, .b2 = 0.39133577250176854, .a1 = 0.36952737735124114, .a2 = 0.19581571265583303};
+static const sgms_chain chain = {
+    .lowpass = {
+        .b0 = 0.39133577250176854,
+        .b1 = 0.7826715450035371,
+        .b2 = 0.39133577250176854,
+        .a1 = 0.36952737735124114,
+        .a2 = 0.19581571265583303},
+    .rate = RATE,
+    .mass = MASS,
+    .settle = 7,
+    .wanted = CHAIN};
 
 #endif
