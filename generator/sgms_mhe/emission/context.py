@@ -11,6 +11,7 @@ import numpy as np
 from sgms_mhe import __version__
 from sgms_mhe.emission.block_work import Ingredients
 from sgms_mhe.emission.c_source import CPrinter
+from sgms_mhe.emission.clock import Clock, clock_of
 from sgms_mhe.emission.compensation import Compensation, compensation_of
 from sgms_mhe.emission.element_law import ElementLaw, element_law
 from sgms_mhe.emission.flow import Flow, flow_of
@@ -81,6 +82,7 @@ class SignalView:
         of_chain: those of them that are asked for of the chain, beside velocity and friction.
         names: of all signals, in the order of w.
         raw: (name, sample term) of the signals that are sample terms themselves.
+        clock: of a model that is periodic in time; None of any other.
     """
 
     rate: float
@@ -97,6 +99,7 @@ class SignalView:
     of_chain: tuple[str, ...]
     names: tuple[str, ...]
     raw: tuple[tuple[str, int], ...]
+    clock: Clock | None
 
 
 @dataclass(frozen=True)
@@ -286,6 +289,7 @@ def _signals(structure: Structure) -> SignalView:
         of_chain=tuple(name for name in ("position", "force", "acceleration") if name in read),
         names=SIGNAL_NAMES,
         raw=tuple((t.name, k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES),
+        clock=clock_of(structure) if "time" in read else None,
     )
 
 
