@@ -11,6 +11,10 @@ from sgms_mhe.model import SIGNAL_NAMES
 
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
+STEP_COST = 30
+"""Multiplications, or so, of one step of the series for each of chi and its sensitivities."""
+CLIP_COST = 4
+"""The same where elements switch."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,7 @@ class GroupSizes:
         n_data: numbers in which a block differs from the others.
         n_rates: numbers that say how many substeps a block takes.
         n_blocks: blocks of the group.
+        cost: multiplications, or so, of one step of the series for each row.
         first, first_q: the group's first block, and its first parameter term, among those of all groups.
         first_row: its first row where blocks stand side by side.
         first_lane_row: its first row where they stand one behind the other.
@@ -33,6 +38,7 @@ class GroupSizes:
     n_data: int
     n_rates: int
     n_blocks: int
+    cost: int
     first: int
     first_q: int
     first_row: int
@@ -112,14 +118,14 @@ class Sizes:
         return max(len(states) for states in self.block_states)
 
     @property
-    def moving_rows(self) -> int:
-        """Rows of all blocks that an integration step moves."""
-        return sum(g.rows * g.n_blocks for g in self.groups)
+    def step_cost(self) -> int:
+        """Multiplications, or so, of one step of the series of all blocks: at worst it is taken sample by sample."""
+        return self.merged * sum(g.cost * g.rows * g.n_blocks for g in self.groups)
 
     @property
-    def largest_rows(self) -> int:
-        """The same of the largest block."""
-        return max(g.rows for g in self.groups)
+    def largest_step_cost(self) -> int:
+        """The same of the block with the most work."""
+        return self.merged * max(g.cost * g.rows for g in self.groups)
 
     @property
     def blocks_rows(self) -> int:
@@ -213,6 +219,7 @@ def _groups(structure: Structure) -> tuple[GroupSizes, ...]:
             n_data=group.n_data,
             n_rates=len(step_rates(group, structure)),
             n_blocks=len(group.blocks),
+            cost=CLIP_COST if group.switches else STEP_COST,
             first=first,
             first_q=first_q,
             first_row=first_row,

@@ -73,6 +73,10 @@ class PythonLoops:
                 yield moved
                 return
         count = int(plan.substeps[k, b])
+        if count > 0 and self._blocks.all[b].switches:
+            middle = 0.5 * (plan.start[k] + plan.end[k])
+            yield _clipped(self._functions[f"clip_{b}"](chi[1:], middle, plan.end[k], theta, plan.h), chi)
+            return
         if count > 0:
             yield from self._along(b, chi, plan.start[k], plan.end[k], theta, plan.h, count)
             return
@@ -89,7 +93,9 @@ class PythonLoops:
         for i in range(k * plan.stairs, (k + 1) * plan.stairs):
             w, count = plan.stair[i], int(plan.stair_substeps[i, b])
             parts: Iterable[Moved]
-            if count > 0:
+            if self._blocks.all[b].switches:
+                parts = [_clipped(self._functions[f"clip_{b}"](chi[1:], w, w, theta, h), chi)]
+            elif count > 0:
                 parts = self._along(b, chi, w, w, theta, h, count)
             else:
                 parts = [self._jumped(self._functions[f"flow_{b}"](chi[1:], w, theta, h), chi)]
@@ -128,7 +134,7 @@ class PythonLoops:
         flow, rho = self._blocks.flow, float(rate)
         direction = math.copysign(1.0, displacement)
         r0 = direction * chi / level
-        if not abs(r0 - flow.r_star) < NEAR / self._model.machine.friction.smoothing.lambda_:
+        if not abs(r0 - flow.r_star) < NEAR / flow.smoothing.lambda_:
             return None
         xi = rho * abs(displacement) / level
         r1, slope, g1 = flow.advance(r0, xi)
@@ -139,3 +145,17 @@ class PythonLoops:
         by_chi = slope * math.exp(-flow.curvature * lag / (level * flow.k))
         by_rho = direction * (level * g1 * xi + flow.r_star * delta * x * dphi) / rho
         return Moved(np.array([end]), np.array([[by_chi]]), by_rho * np.array(by_theta))
+
+
+def _clipped(drive: tuple[ca.DM, ...], chi: Array) -> Moved:
+    """An element that sticks moves with the axis; one that the axis pushes beyond its level stays at the level."""
+    level, move = float(drive[0]), float(drive[1])
+    dlevel, dmove, dend = (np.array(part) for part in drive[3:])
+    others = len(chi) - 1
+    direction, end = math.copysign(1.0, move), float(chi[0]) + move
+    slips = move != 0.0 and direction * end > level
+    change = direction * dlevel[0] if slips else dmove[0]
+    J, T = np.zeros((others + 1, others + 1)), np.empty((others + 1, change.size - others))
+    J[0, 0], J[0, 1:], J[1:, 1:] = float(not slips), change[:others], dend[:, :others]
+    T[0], T[1:] = change[others:], dend[:, others:]
+    return Moved(np.concatenate([[direction * level if slips else end], np.array(drive[2]).reshape(others)]), J, T)
