@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sgms_mhe.reference.blocks import Blocks
 from sgms_mhe.reference.flow import DEGREE, NEAR
 from sgms_mhe.reference.linearised import Linearised, Outputs
-from sgms_mhe.reference.plan import Plan
+from sgms_mhe.reference.plan import BEFORE_TURN, Plan
 from sgms_mhe.support.toolchain import load_library, shared_library
 
 Array = NDArray[np.float64]
@@ -128,6 +128,7 @@ class CompiledLoops:
             "N_BLOCKS": len(blocks),
             "LARGEST_BLOCK": max(len(block.states) for block in blocks),
             "N_CHEBYSHEV": DEGREE + 1,
+            "BEFORE_TURN": BEFORE_TURN,
             "NEAR": NEAR / smoothing.lambda_ if smoothing else 0.0,
             "SZ_ARG": largest(ca.Function.sz_arg),
             "SZ_RES": largest(ca.Function.sz_res),

@@ -2,7 +2,7 @@
    generates. What precedes this file in its translation unit: those functions; N_X, N_P, N_BLOCKS, LARGEST_BLOCK;
    SZ_ARG, SZ_RES, SZ_IW, SZ_W; BLOCK_SIZE, BLOCK_STATES (block after block); STEP, CLIP, FLOW, RATE (0 where a block has
    none);
-   N_CHEBYSHEV, NEAR. Matrices are column-major, as CasADi has them. */
+   N_CHEBYSHEV, NEAR, BEFORE_TURN. Matrices are column-major, as CasADi has them. */
 
 #include <math.h>
 #include <string.h>
@@ -329,6 +329,20 @@ static void clip(struct part *part, const double *w, const double *last, const d
     compose(part, J, T);
 }
 
+/* The same along the line from `start` to `end`, from one fraction of h to another. The level is that at the end of the
+   piece; where the velocity changes sign there, that just before. */
+static void clip_line(struct part *part, const double *start, const double *end, double from, double to,
+                      const double *theta, double h, struct work *work)
+{
+    const double edge = to < 1.0 ? BEFORE_TURN * to : 1.0;
+    double middle[N_W], last[N_W];
+    for (int i = 0; i < N_W; i++) {
+        middle[i] = start[i] + (end[i] - start[i]) * 0.5 * (from + to);
+        last[i] = edge < 1.0 ? start[i] + (end[i] - start[i]) * edge : end[i];
+    }
+    clip(part, middle, last, theta, h * (to - from), work);
+}
+
 /* One block through one step. */
 static void step_block(struct part *part, const struct plan *plan, long long k, const struct flow *flow, const double *theta,
                        struct work *work)
@@ -337,15 +351,11 @@ static void step_block(struct part *part, const struct plan *plan, long long k, 
     if (RATE[part->b] && slide[0] != 0.0 && slid(part, slide, theta, flow, work))
         return;
     const long long count = plan->substeps[k * N_BLOCKS + part->b];
-    if (count > 0 && CLIP[part->b]) {
-        const double *start = plan->start + k * N_W, *end = plan->end + k * N_W;
-        double middle[N_W];
-        for (int i = 0; i < N_W; i++)
-            middle[i] = 0.5 * (start[i] + end[i]);
-        clip(part, middle, end, theta, plan->h, work);
-        return;
-    }
     if (count > 0) {
+        if (CLIP[part->b]) {
+            clip_line(part, plan->start + k * N_W, plan->end + k * N_W, 0.0, 1.0, theta, plan->h, work);
+            return;
+        }
         along(part, plan->start + k * N_W, plan->end + k * N_W, theta, plan->h, count, work);
         return;
     }
@@ -353,6 +363,11 @@ static void step_block(struct part *part, const struct plan *plan, long long k, 
     if (pieces[0] > 0) {
         const double *start = plan->start + k * N_W, *end = plan->end + k * N_W, share = plan->cut[k];
         double turn[N_W];
+        if (CLIP[part->b]) {
+            clip_line(part, start, end, 0.0, share, theta, plan->h, work);
+            clip_line(part, start, end, share, 1.0, theta, plan->h, work);
+            return;
+        }
         for (int i = 0; i < N_W; i++)
             turn[i] = start[i] + (end[i] - start[i]) * share;
         along(part, start, turn, theta, plan->h * share, pieces[0], work);

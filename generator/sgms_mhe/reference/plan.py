@@ -22,6 +22,9 @@ WIDE_LAMBDA = 35.0
 # Largest lambda |delta| / s_m with which an element that slides takes merged samples at once.
 NEARLY_CONSTANT = 0.0175
 
+# Where an element that switches has its level up to a change of the velocity's sign, over the time until then.
+BEFORE_TURN = 1.0 - 2.0**-20
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -40,7 +43,7 @@ class Plan:
             1 is the step at once.
         cut: share of the step before its velocity changes sign (intervals * steps); 0 where it does not.
         piece_substeps: Runge-Kutta substeps along the pieces before and after that (intervals * steps, blocks, 2);
-            0 are stairs, or a step that is not cut.
+            0 are stairs, or a step that is not cut. Of elements that switch 1 is the piece at once.
         stairs: K, stairs of a step; each lasts h / K.
         stair: signals w of each stair (intervals * steps * K, 5).
         stair_substeps: Runge-Kutta substeps of each (intervals * steps * K, blocks); 0 is one jump of the displacement
@@ -107,7 +110,6 @@ class Planner:
                 ],
                 axis=2,
             )
-            pieces[:, [block.switches for block in self._blocks.all]] = 0
             piece_substeps[reverses] = np.where(np.any(pieces == 0, axis=2, keepdims=True), 0, pieces)
             stair_substeps = self._held(np.abs(stair[:, 1]), h)
             slide = self._slide(middle, change, h * stairs)

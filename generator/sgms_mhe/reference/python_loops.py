@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sgms_mhe.reference.blocks import Blocks
 from sgms_mhe.reference.flow import NEAR, relaxation
 from sgms_mhe.reference.linearised import Linearised, Outputs
-from sgms_mhe.reference.plan import Plan
+from sgms_mhe.reference.plan import BEFORE_TURN, Plan
 
 Array = NDArray[np.float64]
 
@@ -73,9 +73,12 @@ class PythonLoops:
                 yield moved
                 return
         count = int(plan.substeps[k, b])
-        if count > 0 and self._blocks.all[b].switches:
-            middle = 0.5 * (plan.start[k] + plan.end[k])
-            yield _clipped(self._functions[f"clip_{b}"](chi[1:], middle, plan.end[k], theta, plan.h), chi)
+        if self._blocks.all[b].at_once and plan.stairs > 1:
+            share = float(plan.cut[k])
+            for piece in ((0.0, share), (share, 1.0)) if count == 0 else ((0.0, 1.0),):
+                moved = self._clipped_line(plan, k, b, chi, theta, piece)
+                chi = moved.chi
+                yield moved
             return
         if count > 0:
             yield from self._along(b, chi, plan.start[k], plan.end[k], theta, plan.h, count)
@@ -112,6 +115,14 @@ class PythonLoops:
             new, J, T = (np.array(part) for part in self._functions[f"step_{b}"](chi, w0, w1, theta, h / count))
             chi = new.reshape(len(chi))
             yield Moved(chi, J, T)
+
+    def _clipped_line(self, plan: Plan, k: int, b: int, chi: Array, theta: Array, piece: tuple[float, float]) -> Moved:
+        """A piece of a step's line at once; the level is that at its end, just before it where the velocity turns."""
+        start, change = plan.start[k], plan.end[k] - plan.start[k]
+        middle = start + 0.5 * sum(piece) * change
+        last = start + BEFORE_TURN * piece[1] * change if piece[1] < 1.0 else plan.end[k]
+        drive = self._functions[f"clip_{b}"](chi[1:], middle, last, theta, (piece[1] - piece[0]) * plan.h)
+        return _clipped(drive, chi)
 
     def _jumped(self, drive: tuple[ca.DM, ...], chi: Array) -> Moved:
         """chi = sign level r: the level's sensitivity enters through r0 and again through chi1."""
