@@ -135,7 +135,7 @@ def _view(group: Group, sizes: GroupSizes, structure: Structure, printer: Functi
         upstream=_upstream(group, printer) if flow or group.switches else None,
         follows_flow=flow,
         switches=group.switches,
-        at_once=group.switches and group.m == 1 and "terms" not in group.rate[0].inputs,
+        at_once=group.at_once,
         obeys_law=law,
         level_in_q=level_in_q,
         slides=flow and group.obeys_law and not level_in_q,

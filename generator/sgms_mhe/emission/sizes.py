@@ -5,16 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sgms_mhe.emission.stepping import step_rates
-from sgms_mhe.emission.structure import Structure
+from sgms_mhe.emission.structure import Group, Structure
 from sgms_mhe.emission.variant import Variant
 from sgms_mhe.model import SIGNAL_NAMES
 
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
 STEP_COST = 30
-"""Multiplications, or so, of one step of the series for each of chi and its sensitivities."""
-CLIP_COST = 4
-"""The same where elements switch."""
+"""Multiplications, or so, of a sample for each of chi and its sensitivities."""
+CLIP_COST = 2
+"""The same of elements that switch."""
+TURN_COST = 3
+"""And of a step of merged samples more, where their velocity changes sign."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class GroupSizes:
         n_data: numbers in which a block differs from the others.
         n_rates: numbers that say how many substeps a block takes.
         n_blocks: blocks of the group.
-        cost: multiplications, or so, of one step of the series for each row.
+        cost: multiplications, or so, of one step of the series for each row, at worst.
         first, first_q: the group's first block, and its first parameter term, among those of all groups.
         first_row: its first row where blocks stand side by side.
         first_lane_row: its first row where they stand one behind the other.
@@ -119,13 +121,13 @@ class Sizes:
 
     @property
     def step_cost(self) -> int:
-        """Multiplications, or so, of one step of the series of all blocks: at worst it is taken sample by sample."""
-        return self.merged * sum(g.cost * g.rows * g.n_blocks for g in self.groups)
+        """Multiplications, or so, of one step of the series of all blocks, at worst."""
+        return sum(g.cost * g.rows * g.n_blocks for g in self.groups)
 
     @property
     def largest_step_cost(self) -> int:
         """The same of the block with the most work."""
-        return self.merged * max(g.cost * g.rows for g in self.groups)
+        return max(g.cost * g.rows for g in self.groups)
 
     @property
     def blocks_rows(self) -> int:
@@ -219,7 +221,7 @@ def _groups(structure: Structure) -> tuple[GroupSizes, ...]:
             n_data=group.n_data,
             n_rates=len(step_rates(group, structure)),
             n_blocks=len(group.blocks),
-            cost=CLIP_COST if group.switches else STEP_COST,
+            cost=_cost(group, structure.model.machine.sampling.merged),
             first=first,
             first_q=first_q,
             first_row=first_row,
@@ -231,6 +233,13 @@ def _groups(structure: Structure) -> tuple[GroupSizes, ...]:
         first_row += sizes.all_rows
         first_lane_row += sizes.all_rows * sizes.n_blocks
     return tuple(groups)
+
+
+def _cost(group: Group, merged: int) -> int:
+    """Multiplications, or so, of one step of merged samples for each row: at worst it is taken sample by sample."""
+    if group.at_once:
+        return CLIP_COST if merged == 1 else CLIP_COST + TURN_COST
+    return merged * STEP_COST
 
 
 def couplings(structure: Structure) -> tuple[tuple[int, ...], ...]:

@@ -94,6 +94,11 @@ class Group:
         """Whether the blocks are Maxwell-slip elements, which have a closed form in displacement."""
         return bool(self.level)
 
+    @property
+    def at_once(self) -> bool:
+        """Whether they are elements that switch and take merged samples in one clip: alone, their rho not in signals."""
+        return self.switches and self.m == 1 and "terms" not in self.rate[0].inputs
+
 
 @dataclass(frozen=True)
 class SampleTerm:

@@ -135,7 +135,9 @@ def run_benchmark(
         (kind, round(share * sampling.samples_per_update))
         for share in PEER_STEPS
         for kind in KINDS
-        if _is_smooth(machine) and sampling.integrator.velocity == "constant" and (share * sampling.samples_per_update).is_integer()
+        if _is_smooth(machine)
+        and sampling.integrator.velocity == "constant"
+        and (share * sampling.samples_per_update).is_integer()
     ]
     tasks += [("peers", partial(bench.peer, kind, steps, motion)) for kind, steps in peers]
     if not quick:
