@@ -14,6 +14,7 @@ from c_packages import elements, machine
 from package_variants import EFFECTS
 from reference_cases import moving, variant
 from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine, merged
@@ -25,7 +26,7 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.reference import Integrator, estimate_reference
-from sgms_mhe.signals.chain import signals_from_log
+from sgms_mhe.signals.chain import chain_delay, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -251,6 +252,41 @@ def test_raw_samples_and_one_task_give_the_same() -> None:
     tasks, tick = (estimator.estimate_log(log_of(settings), mode=mode) for mode in ("tasks", "tick"))
     for name in ("friction_N", "z_m", "parameters", "std", "status"):
         np.testing.assert_array_equal(getattr(tick, name), getattr(tasks, name), err_msg=name)
+
+
+def test_friction_ahead_is_the_law_over_lag_and_delay() -> None:
+    """Before its first update the estimator is the model alone: clips along the motion, over lag and delay."""
+    settings = switching(sampling={"update_rate": 10.0}, compensation={"delay": 400e-6}, estimator={"kind": "ekf"})
+    time = np.arange(500) / RATE
+    path = 80e-6 * np.sin(2.0 * np.pi * 55.0 * time * (1.0 + 12.0 * time)) * np.minimum(1.0, (time / 4e-3) ** 2)
+    log = Log(time_s=time, position_m=path, force_N=np.zeros(500), rate=RATE, source="motion")
+    signals, lag = signals_from_log(log, settings), chain_delay(settings)
+    found = compiled(settings).estimate_log(log, mode="tick").extra["compensation_N"]
+    chi, expected, behind = np.zeros(4), np.zeros(500), np.zeros(500)
+    for k in range(500):
+        v = float(signals.velocity[k])
+        chi = clipped(chi, v / RATE, level_at(v)) if k else chi
+        beyond = float(path[k] - signals.position[k])
+        mean = beyond / lag
+        ahead = v + (mean - v) * (lag + 0.5e-4 + 0.5 * 400e-6) / (0.5 * (lag + 1e-4))
+        last = v + (mean - v) * (lag + 0.5e-4 + 400e-6) / (0.5 * (lag + 1e-4))
+        moved = clipped(clipped(chi, beyond, level_at(mean)), ahead * 400e-6, level_at(ahead))
+        expected[k] = LEVEL * float(NU @ moved) + 20.0 * last
+        behind[k] = LEVEL * float(NU @ chi) + 20.0 * v
+    assert np.ptp(expected) > 3.5 and np.abs(expected - behind)[40:].max() > 0.5
+    np.testing.assert_allclose(found[40:], expected[40:], rtol=0.0, atol=1e-6)
+
+
+def test_a_diagnosis_takes_the_law_as_it_is() -> None:
+    """Its emitted models switch; what does not stand with the law is not looked for, and a note says so."""
+    settings = switching()
+    hidden = ("force_ripple", {"amplitude_N": 0.5, "pitch_m": 0.0173, "phase_rad": 0.7})
+    path = make_trajectory("mixed", RATE, duration_s=8.0)
+    log = simulate_axis(settings, path, AxisConfig(seed=1), hidden_effects=[hidden], truth=False).log
+    found = diagnose(settings, log)
+    assert (found.verdict, [cause.name for cause in found.causes]) == ("explained", ["force_ripple"])
+    assert found.extended is not None and found.extended.friction.switches
+    assert any("not looked for" in note and "backlash, micro_viscous" in note for note in found.warnings)
 
 
 def test_the_error_of_the_smoothing_is_gone() -> None:

@@ -96,7 +96,7 @@ class Group:
 
     @property
     def at_once(self) -> bool:
-        """Whether they are elements that switch and take merged samples in one clip: alone, their rho not in signals."""
+        """Whether they are elements that switch and take merged samples in one clip: alone, rho not in the signals."""
         return self.switches and self.m == 1 and "terms" not in self.rate[0].inputs
 
 
