@@ -304,6 +304,19 @@ def test_the_error_of_the_smoothing_is_gone() -> None:
     assert left["switching"] < 0.5 * left["sgms"]
 
 
+@pytest.mark.parametrize("kind", ["mhe", "ekf"])
+def test_stiffness_of_an_axis_that_switches_is_found(kind: str) -> None:
+    """Four stiffnesses 5 to 20 % off, twenty seconds of mixed motion: near, and never beyond two stated sigmas."""
+    estimator = compiled(switching(estimator={"kind": kind, "noise": {"parameter": 0.4}}))
+    path, true = make_trajectory("mixed", RATE, duration_s=20.1), np.array([1.2, 0.85, 1.1, 0.95])
+    for seed in (0, 1):
+        run = simulate_axis(switching(), path, AxisConfig(seed=seed), scale={"stiffness": tuple(true)}, truth=False)
+        found = estimator.estimate_log(run.log, mode="tasks")
+        error = found.parameters / KAPPA - true
+        assert np.abs(error[-1] / true).max() < 0.03
+        assert np.abs(error / (found.std / KAPPA))[500:].max() < 2.0
+
+
 # --- what does not go with it ------------------------------------------------------------------------------------
 
 REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
