@@ -21,6 +21,7 @@ LANGUAGE = ("-x", "c++", "-std=c++17", "-Wpedantic", *(w for w in WARNING_FLAGS 
 NUMBERS = ("-O2", "-ffp-contract=off", "-fPIC")
 PACKAGES = (
     "machine etel_xy", "machine etel_xy_controller", "machine etel_xy_paper", "machine emps",
+    "machine etel_xy_switching", "switching, 5 merged", "switching, levels, 5 merged",
     "flow, ekf", "flow, 5 merged, auto", "rk4, linear, auto", "euler, fixed",
     "horizon 1", "bounds of two, auto, 5 merged", "linear model", "compensation, effects",
     "every effect, single", "every effect, fixed, rk4, 4 merged",

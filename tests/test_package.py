@@ -427,10 +427,13 @@ def test_resumed_sweep_is_the_whole_one(relinearise: str, axis: Any) -> None:
 
 def constants(package: Package, *, scalar: bool) -> dict[str, int]:
     """Plain integer constants of a package's config header, for a processor without vectors or with them."""
-    text = package.files["etel_xy_config.h"]
-    found = re.findall(r"^    (\w+) = (?:VECTOR == 1 \? (\w+) : )?(\d+)(?:,| |$)", text, re.MULTILINE)
-    chosen = {name: if_scalar if scalar and if_scalar else value for name, if_scalar, value in found}
-    return {name: int(chosen.get(value, value)) for name, value in chosen.items()}
+    text, public = package.files["etel_xy_config.h"], package.files["etel_xy.h"]
+    sizes = dict(re.findall(r"^#define (ETEL_XY_\w+) +(\d+)\b", public, re.MULTILINE))
+    sizes |= dict(re.findall(r"^ +(ETEL_XY_\w+) = (\d+)\b", public, re.MULTILINE))
+    found = re.findall(r"^    (\w+) = (?:VECTOR == 1 \? (\w+) : )?(\w+)(?:,| |$)", text, re.MULTILINE)
+    chosen = {name: if_scalar if scalar and if_scalar else value for name, if_scalar, value in found} | sizes
+    resolved = {name: chosen.get(value, value) for name, value in chosen.items()}
+    return {name: int(value) for name, value in resolved.items() if value.isdigit()}
 
 
 @pytest.mark.parametrize("scalar", [False, True], ids=["vectors", "scalar"])
@@ -448,7 +451,7 @@ def test_work_of_an_interval_fits_into_its_samples(
     }
     of = constants(package_of(**settings), scalar=scalar)
     nodes = horizon - 1
-    own = {"all": 1, "auto": of.get("CHOSEN", 0) if scalar else 1, "newest": 0}[relinearise]
+    own = of["CHOSEN"] if relinearise == "auto" and scalar else int(relinearise != "newest")
     steps = own * samples // merged
     units = (
         [of["EXPAND_COST"]] * nodes + [of["CONDENSE_COST"]] + [of["STEP_COST"]] * steps + [of["CONDENSE_COST"]] * nodes

@@ -27,6 +27,7 @@ MACHINES: dict[str, dict[str, Any]] = {
     "etel_xy": {},
     "etel_xy_compensation": {},
     "etel_xy_controller": {},
+    "etel_xy_switching": {},
     "emps": {},
     "etel_xy_paper": {"sampling": {"max_velocity": 0.1}, "estimator": {"horizon": 4}},
 }
@@ -36,7 +37,8 @@ SHAPES = (
     "effects: levels", "dwell_dependence", "backlash", "every effect, single",
     "n_z 10, newest, 5 merged", "n_z 1, ekf", "horizon 1", "micro-viscous", "sample an update", "bounds of two",
     "fixed, all parameters", "compensation, longest delay", "compensation, rk4",
-    "compensation, flow, 5 merged, single",
+    "compensation, flow, 5 merged, single", "switching, auto", "switching, 5 merged, auto",
+    "switching, levels", "switching, levels, 5 merged", "switching, compensation",
 )  # fmt: skip
 """Variants whose work differs in kind."""
 

@@ -21,6 +21,8 @@ LAW = 70
 """The law of one element beside its level, and what it needs of the signals."""
 DRIVE = 10
 """What the law needs of the signals."""
+WAY = 2
+"""How far an element goes in a step, and which way."""
 ROW_OF_STAGE, ROW_OF_LAST_STAGE = 5, 12
 """State and sum of a row that moves in one Runge-Kutta stage; in the last one its end as well."""
 
@@ -64,7 +66,7 @@ class GroupWork:
         steps: of a step of the series, block by block.
         together: of a step of the series, all blocks at the same signals.
         ahead: of the propagation ahead, all blocks.
-        substeps: Runge-Kutta substeps of a step, block by block.
+        substeps: Runge-Kutta substeps of a step, block by block; 0 where elements switch.
     """
 
     shared: int
@@ -115,6 +117,8 @@ class _Costs:
     def most_substeps(self, k: int) -> int:
         """Runge-Kutta substeps that block k takes of a step, at most."""
         g, sizes = self.g, self.of.sizes
+        if g.switches:
+            return 0
         if not g.follows_flow:
             return max(sizes.least_substeps, math.ceil(self._rate(k, "MOST")))
         return max(self.slow_steps(k), sizes.merged - 1)
@@ -126,6 +130,8 @@ class _Costs:
     def step(self, k: int) -> int:
         """A step of the series of block k."""
         g, variant, merged = self.g, self.of.variant, self.of.sizes.merged
+        if g.switches:
+            return self._switching_step()
         if not variant.merges:
             if g.follows_flow:
                 return self._sample(k)
@@ -161,6 +167,28 @@ class _Costs:
                 most = max(most, sum(taken))
         return len(steps) * self._beside_merged() + most
 
+    def _switching_step(self) -> int:
+        """A step of the series of an element that switches."""
+        g, merged = self.g, self.of.sizes.merged
+        if not self.of.variant.merges:
+            return WAY + self._clip()
+        if g.at_once:
+            return 4 + 3 * WAY + 14 + self.interpolated + 2 * self._clip()
+        return merged * (self.interpolated + 5 + WAY + self._clip())
+
+    def _clip(self) -> int:
+        """An element on its way, and the states that set its level."""
+        g, m, n_q = self.g, self.g.sizes.m, self.g.sizes.n_q
+        if not g.n_upstream:
+            return self.level + 6 + 3 * n_q
+        slips = 1 + (m + n_q) * (1 + 2 * (m - 1))
+        return self._upstream() + self.level + 4 + max(slips, 2 * n_q)
+
+    def _upstream(self) -> int:
+        """The states that set a level, over one step."""
+        m = self.g.sizes.m
+        return operations_of(self.g.upstream) + (m - 1) * (3 * m + 4 * self.g.sizes.n_q)
+
     def _samplewise(self, k: int) -> int:
         """Merged samples of block k, one by one."""
         return self.of.sizes.merged * (self.interpolated + 2 + self._sample(k))
@@ -184,9 +212,8 @@ class _Costs:
         g, m, n_q = self.g, self.g.sizes.m, self.g.sizes.n_q
         slow = self.runge_kutta(self.slow_steps(k))
         if g.n_upstream:
-            moved = operations_of(g.upstream) + (m - 1) * (3 * m + 4 * n_q)
             sensitivities = n_q * (10 + 2 * (m - 1)) + m * (5 + 2 * (m - 1))
-            return 2 + max(slow, moved + self.level + 15 + self._flow_step() + sensitivities)
+            return 2 + max(slow, self._upstream() + self.level + 15 + self._flow_step() + sensitivities)
         moving = self.level + 4 + self._flow_step() + 12 + 9 * n_q
         return 2 * self.level + 18 + 4 * n_q + max(slow, self._slide(), moving)
 
@@ -216,6 +243,9 @@ class _Costs:
     def _move(self, k: int, duration: float) -> int:
         """One move of block k."""
         g, ahead, sampling = self.g, self.of.compensation.ahead, self.of.sampling
+        upstream = operations_of(g.upstream) * (1 + round(duration * sampling.rate))
+        if ahead is None:
+            return upstream + self.level + 10
         per_metre, per_second = g.blocks[k].ahead_steps
         flowed = 12 + EXP + LOG + 30 + EXP2 + 2 * self._degree()
         speed = sampling.max_velocity
@@ -228,6 +258,5 @@ class _Costs:
         steps = 1 + int(moved + duration * per_second)
         taken = 10 + self.drive + steps * (4 * (self.rhs + 7 * g.sizes.m) + g.sizes.m + 6)
         if g.follows_flow:
-            upstream = operations_of(g.upstream) * (1 + round(duration * sampling.rate))
             taken = max(taken, upstream + self.level + flowed + 8)
         return self.level + 6 + taken

@@ -47,7 +47,7 @@ def _called(machine: Machine, part: Part) -> str:
 def _remedies(machine: Machine, part: Part) -> str:
     """What makes it less."""
     sampling, estimator = machine.sampling, machine.estimator
-    if part.follows_flow:
+    if part.in_closed_form:
         what = ["lower sampling.integrator.substeps, so that samples merge"]
     else:
         what = [

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from sgms_mhe import __version__
 from sgms_mhe.emission.block_work import Ingredients
@@ -26,7 +27,7 @@ from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Variant, variant_of
 from sgms_mhe.emission.work import Work, work_of
 from sgms_mhe.integration.schemes import SCHEMES, Scheme
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Machine, runge_kutta_scheme
 from sgms_mhe.model import SIGNAL_NAMES, FreeParameter, Model
 from sgms_mhe.signals.chain import lowpass_coefficients, settle_samples
 
@@ -35,7 +36,7 @@ RUNTIME_VERSION = 2
 IMPLAUSIBLE = 1e4
 """A state so many standard deviations of the first node's away from zero is no solution (docs/estimation.md)."""
 MOVE = 0.3
-"""How far the end of an interval may move before that, over sqrt(sigma_x / lambda)."""
+"""How far the end of an interval may move before that, over sqrt(sigma_x / lambda); over sigma_x where it switches."""
 HOLD_PART = 0.1
 """Path of an interval below which it says nothing of the parameters, over the smallest deflection scale."""
 
@@ -218,7 +219,7 @@ def package_view(structure: Structure) -> PackageView:
         sizes=sizes,
         variant=variant,
         schedule=schedule_of(sizes, variant),
-        scheme=SCHEMES["rk4" if integrator.scheme == "flow" else integrator.scheme],
+        scheme=SCHEMES[runge_kutta_scheme(integrator.scheme)],
         flow=flow_of(machine) if any(g.follows_flow for g in groups) else None,
         compensation=compensation_of(machine),
         reach=couplings.reach,
@@ -315,8 +316,16 @@ def _weights(model: Model, variant: Variant) -> Weights:
         upper=tuple(min(p.upper, largest) for p in model.parameters),
         inverse_state_noise=tuple(1.0 / model.state_noise),
         inverse_initial_state=tuple(1.0 / model.initial_state),
-        inverse_move=tuple(np.sqrt(model.state_noise * machine.friction.smoothing.lambda_) / MOVE),
+        inverse_move=tuple(_inverse_move(model)),
     )
+
+
+def _inverse_move(model: Model) -> NDArray[np.float64]:
+    """Of how far the end of an interval may move, over the state noise (n_x): less, the sharper the slip window is."""
+    smoothing = model.machine.friction.smoothing
+    if smoothing is None:
+        return np.full(model.n_x, 1.0 / MOVE)
+    return np.asarray(np.sqrt(model.state_noise * smoothing.lambda_) / MOVE)
 
 
 def _couplings(structure: Structure, sizes: Sizes) -> Couplings:

@@ -9,9 +9,6 @@ from dataclasses import dataclass
 from sgms_mhe.emission.sizes import Sizes
 from sgms_mhe.emission.variant import Variant
 
-STEP_COST_PER_ROW = 30
-"""Multiplications, or so, of one step of the series for each of chi and its sensitivities."""
-
 
 @dataclass(frozen=True)
 class Costs:
@@ -41,20 +38,17 @@ class Schedule:
 def schedule_of(sizes: Sizes, variant: Variant) -> Schedule:
     """Share the work of an update out over the samples of an interval but its last."""
     return Schedule(
-        vector=_costs(sizes, variant, sizes.moving_rows, batches=1),
-        scalar=_costs(sizes, variant, sizes.largest_rows, batches=sizes.chosen),
+        vector=_costs(sizes, variant, sizes.step_cost, batches=1),
+        scalar=_costs(sizes, variant, sizes.largest_step_cost, batches=sizes.chosen),
     )
 
 
-def _costs(sizes: Sizes, variant: Variant, rows: int, *, batches: int) -> Costs:
-    """Costs where a step moves `rows` rows, of which "auto" takes every one `batches` times.
-
-    At worst a step is taken as the samples that it merges.
-    """
+def _costs(sizes: Sizes, variant: Variant, step: int, *, batches: int) -> Costs:
+    """Costs where a step of one interval costs `step`, and "auto" takes every one `batches` times."""
     n_x, n_p, slots = sizes.states, sizes.parameters, sizes.slots
     expand = (1 + (variant.relinearise == "auto")) * n_x * (n_x + n_p)
     condense = 2 * n_x * (n_x + 2) * sizes.kept_width + 2 * (n_x + n_p) * (n_x + n_p + 1)
-    step = STEP_COST_PER_ROW * sizes.merged * rows * (slots if variant.relinearise == "all" else 1)
+    step *= slots if variant.relinearise == "all" else 1
     steps = {"all": 1, "auto": batches, "newest": 0}[variant.relinearise] * sizes.steps
     # In the order in which they are done: nodes of the last solution, the start of the sweep, steps, condensing.
     units = [(expand, slots - 1), (condense, 1), (step, steps), (condense, slots - 1)]

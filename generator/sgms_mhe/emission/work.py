@@ -35,13 +35,13 @@ class Part:
         states: of its blocks, by name.
         operations: of a tick.
         substeps: Runge-Kutta substeps of a step of the block that takes most of them.
-        follows_flow: steps are taken by the displacement flow.
+        in_closed_form: steps are taken by the displacement flow or by clips.
     """
 
     states: tuple[str, ...]
     operations: int
     substeps: int
-    follows_flow: bool
+    in_closed_form: bool
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def work_of(views: Sequence[GroupView], of: Ingredients) -> Work:
             states=tuple(names[i] for b in g.blocks for i in b.states),
             operations=newest[g.name] + ahead[g.name] + steps_in_sample * of_step.get(g.name, 0),
             substeps=max(work.substeps),
-            follows_flow=g.follows_flow,
+            in_closed_form=g.follows_flow or g.switches,
         )
         for g, work in groups
     )

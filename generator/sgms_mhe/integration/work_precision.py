@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.integration.flow_table import flow_applies, gate_ratio
 from sgms_mhe.integration.schemes import SCHEMES, Scheme
-from sgms_mhe.machine import Friction, Machine, Sampling
+from sgms_mhe.machine import Friction, Machine, Sampling, runge_kutta_scheme
 
 Array = NDArray[np.float64]
 
@@ -107,7 +107,7 @@ def settings(scheme: str, displacement: float) -> dict[str, str | float]:
 
 def candidates(friction: Friction, sampling: Sampling, precision: str) -> tuple[Candidate, ...]:
     """Every integrator that a machine can have, in the order of `CANDIDATES`."""
-    smoothing = friction.smoothing
+    smoothing = friction.smoothed
     zeta, lambda_, gamma = smoothing.zeta, smoothing.lambda_, smoothing.gamma
     gate = gate_ratio(zeta, lambda_, gamma) * friction.stribeck_velocity
     flows = flow_applies(zeta, lambda_, precision) and gate < sampling.max_velocity
@@ -162,7 +162,7 @@ def table_text(machine: Machine) -> str:
 def _candidate(friction: Friction, sampling: Sampling, scheme: str, displacement: float, gate: float) -> Candidate:
     """Count the work of a scheme; `gate` is the speed [m/s] from which the flow takes one jump per sample."""
     rates = [kappa / (nu * friction.coulomb) for kappa, nu in zip(friction.stiffness, friction.fraction, strict=True)]
-    stages = len(SCHEMES["rk4" if scheme == "flow" else scheme].stages)
+    stages = len(SCHEMES[runge_kutta_scheme(scheme)].stages)
 
     def substeps(speed: float) -> tuple[int, ...]:
         fastest = gate if scheme == "flow" else speed
@@ -174,7 +174,7 @@ def _candidate(friction: Friction, sampling: Sampling, scheme: str, displacement
         return sampling.samples_per_update * stages * sum(substeps(speed))
 
     works = [work(sampling.max_velocity * 10.0 ** (-DECADES * k / 60)) for k in range(61)]
-    smoothing = friction.smoothing
+    smoothing = friction.smoothed
     return Candidate(
         scheme=scheme,
         displacement=displacement,
@@ -191,7 +191,7 @@ def _candidate(friction: Friction, sampling: Sampling, scheme: str, displacement
 def element_errors(zeta: float, lambda_: float, gamma: float, scheme: str, displacement: float) -> Errors:
     """Largest errors of one scheme over the strokes, at every sample of them."""
     with np.errstate(over="ignore", invalid="ignore"):  # a step too long for the law diverges
-        moved = _strokes(zeta, lambda_, gamma, "rk4" if scheme == "flow" else scheme, displacement)
+        moved = _strokes(zeta, lambda_, gamma, runge_kutta_scheme(scheme), displacement)
     fine, coarse = (_strokes(zeta, lambda_, gamma, "rk4", factor * CONVERGED) for factor in (1, 2))
     difference = np.abs(moved - (fine + (fine - coarse) / 15.0))
     if scheme == "flow":

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sgms_mhe.reference.blocks import Blocks
 from sgms_mhe.reference.flow import NEAR, relaxation
 from sgms_mhe.reference.linearised import Linearised, Outputs
-from sgms_mhe.reference.plan import Plan
+from sgms_mhe.reference.plan import BEFORE_TURN, Plan
 
 Array = NDArray[np.float64]
 
@@ -67,6 +67,9 @@ class PythonLoops:
 
     def _step_of_block(self, plan: Plan, k: int, b: int, chi: Array, theta: Array) -> Iterator[Moved]:
         """One step of one block, in as many parts as it takes."""
+        if self._blocks.all[b].switches:
+            yield from self._clips(plan, k, b, chi, theta)
+            return
         if self._blocks.all[b].slides and plan.slide[k, 0] != 0.0:
             moved = self._slid(plan.slide[k], float(chi[0]), *self._functions[f"rate_{b}"].call([theta]))
             if moved is not None:
@@ -107,20 +110,34 @@ class PythonLoops:
             chi = new.reshape(len(chi))
             yield Moved(chi, J, T)
 
+    def _clips(self, plan: Plan, k: int, b: int, chi: Array, theta: Array) -> Iterator[Moved]:
+        """An element that switches through a step: at once, in two pieces where the velocity turns, or stair by stair.
+
+        The level of a piece is that at its end, just before it where the velocity turns.
+        """
+        moves: list[tuple[Array, Array, float]] = []
+        if self._blocks.all[b].at_once and plan.stairs > 1:
+            start, change, share = plan.start[k], plan.end[k] - plan.start[k], float(plan.cut[k])
+            for a, z in ((0.0, share), (share, 1.0)) if plan.substeps[k, b] == 0 else ((0.0, 1.0),):
+                last = start + BEFORE_TURN * z * change if z < 1.0 else plan.end[k]
+                moves.append((start + 0.5 * (a + z) * change, last, (z - a) * plan.h))
+        else:
+            stairs = plan.stair[k * plan.stairs : (k + 1) * plan.stairs]
+            moves += [(w, w, plan.h / plan.stairs) for w in stairs]
+        for w, last, h in moves:
+            moved = _clipped(tuple(self._functions[f"clip_{b}"].call([chi[1:], w, last, theta, h])), chi)
+            chi = moved.chi
+            yield moved
+
     def _jumped(self, drive: tuple[ca.DM, ...], chi: Array) -> Moved:
         """chi = sign level r: the level's sensitivity enters through r0 and again through chi1."""
         level, xi = float(drive[0]), float(drive[1])
         dlevel, dxi, dend = (np.array(part) for part in drive[3:])
-        others = len(chi) - 1
         sign = math.copysign(1.0, xi)
         r0 = sign * float(chi[0]) / level
         r1, slope, g1 = self._blocks.flow.advance(r0, abs(xi))
         change = sign * (r1 - slope * r0) * dlevel + level * g1 * dxi
-        J, T = np.zeros((others + 1, others + 1)), np.zeros((others + 1, self._model.n_p))
-        J[0, 0], J[0, 1:], J[1:, 1:] = slope, change[0, :others], dend[:, :others]
-        T[0], T[1:] = change[0, others:], dend[:, others:]
-        end = np.array(drive[2]).reshape(others)
-        return Moved(np.concatenate([[sign * level * r1], end]), J, T)
+        return _in_closed_form(sign * level * r1, slope, change[0], np.array(drive[2]), dend)
 
     def _slid(self, slide: Array, chi: float, rate: ca.DM, by_theta: ca.DM) -> Moved | None:
         """A step that an element slides through, at once; None where it is not near enough to the fixed point."""
@@ -128,7 +145,7 @@ class PythonLoops:
         flow, rho = self._blocks.flow, float(rate)
         direction = math.copysign(1.0, displacement)
         r0 = direction * chi / level
-        if not abs(r0 - flow.r_star) < NEAR / self._model.machine.friction.smoothing.lambda_:
+        if not abs(r0 - flow.r_star) < NEAR / flow.smoothing.lambda_:
             return None
         xi = rho * abs(displacement) / level
         r1, slope, g1 = flow.advance(r0, xi)
@@ -139,3 +156,26 @@ class PythonLoops:
         by_chi = slope * math.exp(-flow.curvature * lag / (level * flow.k))
         by_rho = direction * (level * g1 * xi + flow.r_star * delta * x * dphi) / rho
         return Moved(np.array([end]), np.array([[by_chi]]), by_rho * np.array(by_theta))
+
+
+def _clipped(drive: tuple[ca.DM, ...], chi: Array) -> Moved:
+    """An element that sticks moves with the axis; one that the axis pushes beyond its level stays at the level."""
+    level, move = float(drive[0]), float(drive[1])
+    dlevel, dmove, dend = (np.array(part) for part in drive[3:])
+    direction, end = math.copysign(1.0, move), float(chi[0]) + move
+    slips = move != 0.0 and direction * end > level
+    change = direction * dlevel[0] if slips else dmove[0]
+    reached = direction * level if slips else end
+    return _in_closed_form(reached, float(not slips), change, np.array(drive[2]), dend)
+
+
+def _in_closed_form(chi: float, slope: float, change: Array, end: Array, dend: Array) -> Moved:
+    """An element at `chi`, its derivatives `slope` in itself and `change` in (the other states, theta).
+
+    Those states set its level; they reach `end` with the Jacobian `dend` in (themselves, theta).
+    """
+    others = end.size
+    J, T = np.zeros((others + 1, others + 1)), np.empty((others + 1, change.size - others))
+    J[0, 0], J[0, 1:], J[1:, 1:] = slope, change[:others], dend[:, :others]
+    T[0], T[1:] = change[others:], dend[:, others:]
+    return Moved(np.concatenate([[chi], end.reshape(others)]), J, T)
