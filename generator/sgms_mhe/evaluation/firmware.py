@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Final
 
 from sgms_mhe.emission.package import Package, write_package
+from sgms_mhe.evaluation.stacks import call_paths
 from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.support.paths import runtime_dir
 from sgms_mhe.support.toolchain import tool_output
@@ -91,7 +92,7 @@ class Program:
     Attributes:
         path: the executable.
         package, helpers, data: bytes, as `Memory` has them.
-        frames: bytes of stack that the compiler states for every function of the package, by name.
+        paths: bytes of stack of the deepest call path from every function of the package, by name.
         double_arithmetic: library functions and instructions of double precision that the package uses.
         loops: rounds of the loops that calibrate the counter.
     """
@@ -100,7 +101,7 @@ class Program:
     package: int
     helpers: int
     data: int
-    frames: Mapping[str, int]
+    paths: Mapping[str, int]
     double_arithmetic: tuple[str, ...]
     loops: tuple[int, ...]
 
@@ -123,7 +124,7 @@ def build_program(target: Target, package: Package, folder: Path, flags: Sequenc
     options: list[str | Path] = [*flags, "-ffreestanding", *target.flags]
     definitions = [*replay_definitions(name), f"-DSGMS_LOOPS={','.join(map(str, LOOPS))}"]
     parts: dict[str, list[str | Path]] = {
-        "package.o": [*options, "-fstack-usage", headers / f"{name}.c"],
+        "package.o": [*options, "-fcallgraph-info=su", headers / f"{name}.c"],
         # Otherwise a compiler recognises the loop in memcpy and calls memcpy for it.
         "helpers.o": [*options, "-fno-tree-loop-distribute-patterns", source / "helpers.c"],
         "trial.o": [*options, *definitions, f"-I{headers}", f"-I{source}", source / "trial.c"],
@@ -141,16 +142,10 @@ def build_program(target: Target, package: Package, folder: Path, flags: Sequenc
         package=sizes.get(".package", 0),
         helpers=sizes.get(".helpers", 0),
         data=sizes.get(".package_data", 0),
-        frames=stated_frames(folder / "package.su"),
+        paths=call_paths((folder / "package.ci").read_text()),
         double_arithmetic=double_arithmetic(target, folder / "package.o"),
         loops=LOOPS,
     )
-
-
-def stated_frames(path: Path) -> Mapping[str, int]:
-    """Bytes of stack by function, from what a compiler writes with -fstack-usage (file:line:column:function, bytes)."""
-    rows = (line.split("\t") for line in path.read_text().splitlines())
-    return MappingProxyType({where.rsplit(":", 1)[1]: int(size) for where, size, *_ in rows})
 
 
 def section_sizes(target: Target, path: Path) -> dict[str, int]:

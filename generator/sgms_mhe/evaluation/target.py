@@ -54,8 +54,8 @@ class Memory:
         helpers: what it needs besides, from the compiler's own library and memcpy, memset.
         axis: one estimator.
         data: writable memory of its own, which it does not have.
-        stack: of every function called, by name: its high-water mark, or its own frame where parts of that were
-            reserved and not written.
+        stack: of every function called, by name: its deepest call path, as the compiler states the frames.
+        used: the same as it was written in the run, never more.
     """
 
     package: int
@@ -63,6 +63,7 @@ class Memory:
     axis: int
     data: int
     stack: Mapping[str, int]
+    used: Mapping[str, int]
 
     @property
     def flash(self) -> int:
@@ -159,7 +160,7 @@ def run_trial(
             if progress is not None:
                 progress(min(updates, written // update_bytes), updates)
 
-        _emulate(target, program.path, results, report)
+        emulate(target, program.path, results, report)
         content = results.read_bytes()
     return _trial(target, machine, model, program, content, log.time_s[M : updates * M + 1 : M])
 
@@ -191,7 +192,7 @@ def _estimate_type(model: Model) -> np.dtype[Any]:
     )
 
 
-def _emulate(target: Target, program: Path, results: Path, report: Callable[[int], None]) -> None:
+def emulate(target: Target, program: Path, results: Path, report: Callable[[int], None]) -> None:
     """Run a program to its end in the folder of its results; `report` gets the bytes that it has written so far."""
     command = [
         *target.emulator,
@@ -258,8 +259,8 @@ def _trial(target: Target, machine: Machine, model: Model, program: Program, con
     if len(content) != expected or words[1] != estimate.itemsize:
         raise BuildError(f"{target.name}: {len(content)} bytes of results where {expected} were expected")
     rows = np.frombuffer(content[4 * (head + first) : -4 * tail], dtype=row)
-    stack = np.frombuffer(content[-4 * tail :], dtype="<u4")
-    frames = [program.frames.get(f"{machine.name}_{call}", 0) for call in CALLS]
+    used = dict(zip(CALLS, map(int, np.frombuffer(content[-4 * tail :], dtype="<u4")), strict=True))
+    stack = {call: program.paths[f"{machine.name}_{call}"] for call in CALLS}
     nothing = int(words[2])
 
     def counted(ticks: NDArray[Any]) -> Counts:
@@ -288,7 +289,8 @@ def _trial(target: Target, machine: Machine, model: Model, program: Program, con
             helpers=program.helpers,
             axis=int(words[0]),
             data=program.data,
-            stack=MappingProxyType(dict(zip(CALLS, map(max, map(int, stack), frames), strict=True))),
+            stack=MappingProxyType(stack),
+            used=MappingProxyType(used),
         ),
         double_arithmetic=program.double_arithmetic,
     )
