@@ -19,7 +19,7 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := all
 .PHONY: all help venv generate check-generated compile experiment figures test lint lint-ruff lint-format \
-        lint-types lint-c format studies benchmark benchmark-diagnosis target wheel lock clean distclean
+        lint-types lint-c format studies benchmark benchmark-diagnosis target verify wheel lock clean distclean
 
 all: experiment ## (default) set up, generate etel_xy, compile it, run the paper's experiment, print its table
 
@@ -100,6 +100,10 @@ benchmark: $(STAMP) ## time, instructions and errors of MACHINE's variants besid
 
 target: $(STAMP) ## MACHINE on an emulated Cortex-M7: instructions, flash, RAM; needs arm-none-eabi-gcc and qemu-system-arm
 	$(RUN) target machines/$(MACHINE).toml
+
+verify: $(STAMP) ## random calls, bits, coverage, limits, constructs of emitted C: one table; CALLS=1e8 FUZZED=100 takes a night
+	$(BIN)/python -m sgms_mhe.evaluation.verification --keep $(BUILD)/verify $(if $(CALLS),--calls $(CALLS)) \
+	    $(if $(FUZZED),--machines $(FUZZED)) $(if $(ONLY),--only $(ONLY))
 
 benchmark-diagnosis: $(STAMP) ## plant every effect in simulated logs; how many are found, missed, invented
 	$(RUN) bench-diagnosis machines/$(MACHINE).toml --out $(BUILD)/benchmark-diagnosis

@@ -1,0 +1,78 @@
+"""Small machines whose packages, together, hold every kind of code that the generator emits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.machine import Machine
+
+SMALL: Final[Mapping[str, Any]] = {
+    "sampling": {"update_rate": 500.0, "max_velocity": 0.02, "integrator": {"scheme": "flow", "substeps": 20}},
+    "estimator": {"horizon": 4, "relinearise": "all"},
+}
+SINGLE: Final = {"code": {"precision": "single"}}
+COMPENSATED: Final = {"compensation": {"delay": 210e-6, "limit": 20.0, "hold": 5e-6, "ramp": 0.01}}
+
+
+def _merged(substeps: int, **more: Any) -> dict[str, Any]:
+    return {"sampling": {"integrator": {"substeps": substeps}}, **more}
+
+
+def _scheme(name: str, **settings: Any) -> dict[str, Any]:
+    return {"sampling": {"integrator": {"scheme": name, **settings}}}
+
+
+SPECIMENS: Final[Mapping[str, Mapping[str, Any]]] = {
+    "flow": COMPENSATED,
+    "merged_auto": _merged(4, estimator={"relinearise": "auto"}, **SINGLE, **COMPENSATED),
+    "merged_all": _merged(4),
+    "newest": {"estimator": {"relinearise": "newest"}, **_scheme("rk4", velocity="linear"), **SINGLE},
+    "auto": {"estimator": {"relinearise": "auto", "parameters": ["coulomb", "viscous"]}, **_scheme("rk2")},
+    "fixed": {"estimator": {"arrival_cost": {"update": "fixed"}, "horizon": 6}, **_scheme("bs23", substeps=4)},
+    "ekf": {"estimator": {"kind": "ekf", "bounds": {}}, **_scheme("euler"), **SINGLE},
+    "groups": _merged(
+        4,
+        estimator={"relinearise": "auto"},
+        effects=[
+            {"name": "dwell_dependence"},
+            {"name": "hose_hysteresis", "force_N": 0.8},
+            {"name": "backlash", "gap_m": 2e-5},
+        ],
+    ),
+    "levels": {"effects": [{"name": "dwell_dependence"}, {"name": "frictional_lag"}], **COMPENSATED},
+    "signals": {
+        "effects": [
+            {"name": "force_ripple", "amplitude_N": 0.6, "pitch_m": 0.004},
+            {"name": "mass_mismatch", "mass_kg": 1.5},
+            {"name": "periodic_disturbance", "amplitude_N": 0.4, "frequency_Hz": 13.0},
+            {"name": "friction_drift", "ratio": 0.3, "time_constant_s": 1.0},
+        ],
+        **SINGLE,
+    },
+    "switching": {"friction": {"law": "switching"}, **SINGLE, **COMPENSATED},
+    "switching_merged": {"friction": {"law": "switching"}, **_merged(4)},
+    "switching_levels": {
+        "friction": {"law": "switching"},
+        "effects": [{"name": "dwell_dependence"}, {"name": "encoder_periodic_error", "amplitude_m": 5e-7}],
+        **_merged(4, estimator={"relinearise": "auto"}),
+    },
+}
+"""What is changed in the small machine, by name."""
+
+
+def specimen(name: str) -> Machine:
+    """One of them."""
+    small = override_machine(load_machine("etel_xy"), SMALL)
+    changes = dict(SPECIMENS[name])
+    if "friction" in changes:  # whose integrator is its own
+        small = load_machine("etel_xy")
+        sampling = {"update_rate": 500.0, "max_velocity": 0.02, **changes.pop("sampling", {})}
+        changes = {"estimator": {"horizon": 4}, **changes, "sampling": sampling}
+    return override_machine(small, {"name": f"specimen_{name}", **changes})
+
+
+def specimens() -> Iterator[Machine]:
+    """All of them."""
+    return map(specimen, SPECIMENS)

@@ -1,0 +1,353 @@
+/* Every public call of one package along a motion that asks for much, on two axes, one task and two: presliding, moves
+ * up to speed and beyond, standstill, gaps, readings that are none, samples lost, resets, signals of a chain of its
+ * own. Prints digest of the bits of all that came out, numbers that it is of, statuses that were seen (one bit each: 0
+ * OK, 1 to 6 the flags in their order, 7 to 9 the refusals) the same wherever arithmetic is that of IEEE 754 and
+ * nothing contracts it. Compiled as package.h says; on an emulated microcontroller (-DON_TARGET) the three go to
+ * results.bin, 64 bits each. */
+#include "package.h"
+
+#ifdef ON_TARGET
+#include "target.h"
+#else
+#include <inttypes.h>
+#include <stdio.h>
+#endif
+
+static machine by_tick, by_tasks;
+static uint64_t digest = UINT64_C(0xcbf29ce484222325), numbers, statuses;
+static uint32_t noise = 1;
+static double position, velocity, friction; /* of the axis, m, m/s, N */
+static double fed;                          /* N, by the last sample */
+static int is_late;                         /* the slower task does not come */
+static int obeys_model;                     /* friction is what was fed forward, otherwise one that parameters chase */
+
+/* --- digest ------------------------------------------------------------------------------------------------------ */
+
+static void take_bytes(const void *bytes, unsigned size)
+{
+    const unsigned char *const byte = bytes;
+    for (unsigned i = 0; i < size; i++) { /* FNV-1a; all of these processors have the low byte first */
+        digest = (digest ^ byte[i]) * UINT64_C(0x100000001b3);
+    }
+    numbers++;
+}
+
+static void take_number(machine_real number)
+{
+    take_bytes(&number, sizeof number);
+}
+
+static void take_status(int status)
+{
+    const int32_t value = status;
+    take_bytes(&value, sizeof value);
+    statuses |= status < 0 ? UINT64_C(1) << (6 - status) : status == 0 ? 1u : (uint64_t)status << 1;
+    for (const char *text = CALL(status_text)(status); *text; text++) {
+        take_bytes(text, 1);
+    }
+}
+
+static void take_estimate(const machine *axis)
+{
+    machine_estimate e;
+    CALL(estimate)(axis, &e);
+    take_number(e.friction);
+    take_number(e.friction_measured);
+    for (int i = 0; i < ELEMENTS; i++) {
+        take_number(e.deflection[i]);
+    }
+    for (int i = 0; i < PARAMETERS; i++) {
+        take_number(e.parameter[i]);
+        take_number(e.deviation[i]);
+    }
+    take_status(e.status);
+    take_number(CALL(share)(axis));
+}
+
+/* --- samples ----------------------------------------------------------------------------------------------------- */
+
+/* After a sample: the slower task, where it comes in time. */
+static void follow_sample(void)
+{
+    if (CALL(due)(&by_tick) && !is_late) { /* insert() leaves it to the caller */
+        take_status(CALL(feedback)(&by_tick));
+    }
+    if (!CALL(due)(&by_tasks)) {
+        return;
+    }
+    if (!is_late) {
+        take_status(CALL(feedback)(&by_tasks));
+        CALL(prepare)(&by_tasks);
+        take_estimate(&by_tasks);
+        take_estimate(&by_tick);
+    }
+}
+
+static void take_sample(machine_position at, machine_real force)
+{
+    const machine_real given = CALL(tick)(&by_tick, at, force);
+    fed = (double)given;
+    take_number(given);
+    take_number(CALL(sample)(&by_tasks, at, force));
+    follow_sample();
+}
+
+/* A number of -1 to 1. */
+static double next_noise(void)
+{
+    noise = noise * 1664525u + 1013904223u;
+    return (double)(int32_t)noise * 4.656612873077393e-10;
+}
+
+/* So many samples at an acceleration, with a friction that turns round over some distance. */
+static void move(double acceleration, long count)
+{
+    const double level = 8.0 / (double)INVERSE_MEASUREMENT, reach = 100.0 * (double)HOLD_PATH;
+    for (long k = 0; k < count; k++) {
+        double way;
+        velocity += acceleration * (double)SAMPLE_TIME;
+        way = velocity * (double)SAMPLE_TIME;
+        position += way;
+        friction += (way - (way > 0.0 ? way : -way) * friction / level) * level / reach;
+        friction = friction > level ? level : friction < -level ? -level : friction;
+        take_sample(
+            CALL(position_from_metres)(position),
+            (machine_real)((obeys_model ? fed : friction) + (double)MASS * acceleration + 0.02 * level * next_noise()));
+    }
+}
+
+static void stand(long count)
+{
+    velocity = 0.0;
+    move(0.0, count);
+}
+
+/* It stands, and the set-point says that it will not for long. */
+static void stand_and_wait(long count)
+{
+    for (long k = 0; k < count; k++) {
+        const machine_real soon = k % 8 < 4 ? (machine_real)0 : (machine_real)MAX_VELOCITY;
+        CALL(ahead)(&by_tick, soon, (machine_real)0);
+        CALL(ahead)(&by_tasks, soon, (machine_real)0);
+        stand(1);
+    }
+}
+
+/* To and fro over a distance, with this speed at the most, in a whole number of samples. */
+static void stroke(double speed, double distance)
+{
+    const double h = (double)SAMPLE_TIME;
+    const long count = 2 + (long)(distance / (speed * h));
+    const double acceleration = speed / ((double)count * h);
+    velocity = 0.0;
+    move(acceleration, count);
+    move(-acceleration, 2 * count);
+    move(acceleration, count);
+}
+
+/* --- phases ------------------------------------------------------------------------------------------------------ */
+
+/* Calls before there is anything to do, and conversions. */
+static void begin(void)
+{
+    CALL(init)(&by_tick);
+    CALL(init)(&by_tasks);
+    CALL(prepare)(&by_tasks);
+    take_status(CALL(feedback)(&by_tasks));
+    take_estimate(&by_tasks);
+    CALL(compensate)(&by_tick, 1);
+    CALL(compensate)(&by_tasks, 1);
+    for (int64_t counts = -3; counts <= 3; counts += 2) {
+        const machine_position of_counts[] = {
+            CALL(position_from_counts)(counts * 123456789, 16384, 20000000),
+            CALL(position_from_counts)(counts * 1234567890123, 1, 4000000), CALL(position_from_counts)(counts, 0, 1000),
+            CALL(position_from_counts)(counts, 4, -1000)};
+        for (unsigned i = 0; i < sizeof of_counts / sizeof of_counts[0]; i++) {
+            take_bytes(&of_counts[i], sizeof of_counts[i]);
+        }
+    }
+}
+
+/* Loops of growing size through presliding, then moves up to the largest speed. */
+static void go_round(void)
+{
+    const double hold = (double)HOLD_PATH, fastest = (double)MAX_VELOCITY;
+    for (double size = 0.2; size < 400.0; size *= 2.5) {
+        const double wanted = 4.0 * size * hold / ((double)SAMPLES * (double)SAMPLE_TIME);
+        stroke(wanted < 0.5 * fastest ? wanted : 0.5 * fastest, size * hold);
+    }
+    for (double speed = 0.01; speed < 1.1; speed *= 4.0) {
+        const double way = 60.0 * speed * fastest * (double)SAMPLE_TIME;
+        stroke(speed * fastest, way);
+    }
+}
+
+/* Readings that are none: one, a few, more than the filters bridge; of one channel and of both. */
+static void lose_readings(void)
+{
+    const double zero = position - position;
+    const machine_real nan = (machine_real)(zero / zero), infinite = (machine_real)1e30 * (machine_real)1e30;
+    for (int round = 0; round < 3; round++) {
+        const long count = round == 0 ? 1 : round == 1 ? 5 : (long)SETTLE + 40;
+        for (int channels = 1; channels < 4; channels++) {
+            for (long k = 0; k < count; k++) {
+                const machine_position none = CALL(position_from_metres)(channels == 3 ? 5e6 : zero / zero);
+                const machine_position good = CALL(position_from_metres)(position);
+                const machine_real force = k % 2 ? nan : infinite;
+                take_sample(channels & 1 ? none : good, channels & 2 ? force : (machine_real)1);
+            }
+            stroke(0.2 * (double)MAX_VELOCITY, 200.0 * (double)HOLD_PATH);
+        }
+    }
+}
+
+/* The slower task does not come for an interval; then it does. */
+static void be_late(void)
+{
+    is_late = 1;
+    stroke(0.1 * (double)MAX_VELOCITY, 100.0 * (double)HOLD_PATH);
+    move(0.0, SAMPLES + 2);
+    is_late = 0;
+    move(0.0, 2L * SAMPLES);
+}
+
+/* Signals of a chain of the controller's own, the set-point ahead, the force off and on. */
+static void insert_signals(long count)
+{
+    const double level = 8.0 / (double)INVERSE_MEASUREMENT, speed = 0.3 * (double)MAX_VELOCITY;
+    for (long k = 0; k < count; k++) {
+        const int forth = k % 140 < 70;
+        const double v = (forth ? speed : -speed) * (k % 35 < 30 ? 1.0 : 0.001);
+        const machine_signals signals = {
+            (machine_real)position,
+            (machine_real)v,
+            (machine_real)0,
+            (machine_real)(forth ? level : -level),
+            (machine_real)(k % 97 == 0 ? 1e12
+                           : forth     ? level
+                                       : -level),
+            k % 89 != 0,
+            (machine_real)SAMPLE_TIME};
+        position += v * (double)SAMPLE_TIME;
+        if (k % 3 == 0) {
+            const machine_real none = (machine_real)1e30 * (machine_real)1e30;
+            CALL(ahead)(&by_tick, (machine_real)v, (machine_real)(k % 9));
+            CALL(ahead)(&by_tasks, k % 9 ? (machine_real)v : none, k % 6 ? (machine_real)0 : none);
+        }
+        if (k % 200 == 0) {
+            CALL(compensate)(&by_tasks, k % 400 == 0);
+        }
+        take_number(CALL(insert)(&by_tick, &signals));
+        take_number(CALL(insert)(&by_tasks, &signals));
+        follow_sample();
+    }
+    CALL(compensate)(&by_tasks, 1);
+}
+
+/* Signals of which one is no reading, and a first sample that comes through insert(). */
+static void insert_none(void)
+{
+    for (int which = 0; which < 5; which++) {
+        machine_signals signals = {
+            (machine_real)0, (machine_real)0, (machine_real)0, (machine_real)1, (machine_real)1, 1, (machine_real)0};
+        const machine_real none = (machine_real)1e30 * (machine_real)(which % 2 ? 1e30 : 0);
+        signals.velocity = which == 1 ? none : signals.velocity;
+        signals.position = which == 2 ? (machine_real)4.5e6 : signals.position;
+        signals.acceleration = which == 3 ? none : signals.acceleration;
+        signals.force = which == 4 ? (machine_real)-2e9 : signals.force;
+        take_number(CALL(insert)(&by_tick, &signals));
+        take_number(CALL(insert)(&by_tasks, &signals));
+        follow_sample();
+    }
+}
+
+/* The force off until nothing is left of its ramp, and on again. */
+static void switch_off(void)
+{
+    CALL(compensate)(&by_tick, 0);
+    CALL(compensate)(&by_tasks, 0);
+    move(0.0, 2L * SAMPLES + 200);
+    CALL(compensate)(&by_tick, 1);
+    CALL(compensate)(&by_tasks, 1);
+}
+
+/* What no axis does: forces and jumps that leave no solution, faster than the machine may be. */
+static void go_wild(void)
+{
+    for (long k = 0; k < 3L * SAMPLES + 50; k++) {
+        const double jump = k % 7 ? 0.0 : 3e3 * next_noise();
+        take_sample(CALL(position_from_metres)(position + jump), (machine_real)(9e8 * next_noise()));
+    }
+    for (long k = 0; k < 2L * SAMPLES + 50; k++) {
+        const double to = (k % 2 ? 3.9e6 : -3.9e6);
+        take_sample(CALL(position_from_metres)(to), (machine_real)(k % 3 ? 9.9e8 : -9.9e8));
+    }
+    for (long k = 0; k < 30; k++) { /* a motion that goes on would leave the range, on either side */
+        const double to = k % 6 < 3 ? k % 2 ? 3.9e6 : -3.9e6 : 5e6;
+        take_sample(CALL(position_from_metres)(k < 15 ? to : -to), (machine_real)1);
+    }
+}
+
+static void start_anew(void)
+{
+    CALL(reset)(&by_tick);
+    CALL(reset)(&by_tasks);
+    CALL(prepare)(&by_tasks);
+    take_status(CALL(feedback)(&by_tasks));
+}
+
+static void exercise(void)
+{
+    begin();
+    take_sample(CALL(position_from_metres)(5e6), (machine_real)1); /* the first readings come one by one */
+    start_anew();
+    take_sample(CALL(position_from_metres)(0.0), (machine_real)1e30 * (machine_real)1e30);
+    stand(3L * SAMPLES);
+    obeys_model = 1;
+    stand((HORIZON + 3L) * SAMPLES);
+    go_round();
+    stand_and_wait(100);
+    obeys_model = 0;
+    go_round();
+    lose_readings();
+    be_late();
+    velocity = 1.5 * (double)MAX_VELOCITY;
+    move(0.0, SAMPLES + 5L);
+    velocity = 3.0 * (double)MAX_VELOCITY;
+    move(0.0, SAMPLES + 5L);
+    start_anew();
+    go_round();
+    insert_signals(6L * SAMPLES + 400);
+    go_wild();
+    stand(2L * SAMPLES);
+    go_round();
+    start_anew();
+    insert_none();
+    insert_signals(2L * SAMPLES + 40);
+    switch_off();
+    go_round();
+}
+
+#ifdef ON_TARGET
+uint32_t target_loop_count; /* the start code counts with it; nothing here does */
+
+int target_main(void)
+{
+    uintptr_t opened[3] = {(uintptr_t)"results.bin", 5, 11}; /* "wb" */
+    const int file = target_host(SYS_OPEN, opened);
+    uint64_t results[3];
+    uintptr_t written[3] = {(uintptr_t)file, (uintptr_t)results, sizeof results};
+    exercise();
+    results[0] = digest;
+    results[1] = numbers;
+    results[2] = statuses;
+    return file < 0 || target_host(SYS_WRITE, written) != 0;
+}
+#else
+int main(void)
+{
+    exercise();
+    printf("%016" PRIx64 " %" PRIu64 " %" PRIu64 "\n", digest, numbers, statuses);
+    return 0;
+}
+#endif

@@ -1,0 +1,220 @@
+"""The bounded part of `make verify`; and that each of its checks finds what it is there to find."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.emission.package import Package, emit_package
+from sgms_mhe.evaluation.verification import __main__ as command
+from sgms_mhe.evaluation.verification import coverage, limits
+from sgms_mhe.evaluation.verification.bits import SEEN, Build, exercise, same_bits, target_builds
+from sgms_mhe.evaluation.verification.constructs import jumps_and_storage, pointers_and_recursion, unbounded_loops
+from sgms_mhe.evaluation.verification.coverage import covered, measure
+from sgms_mhe.evaluation.verification.fuzzing import SANITIZERS, Sanitizer, fuzz_machines, fuzz_package
+from sgms_mhe.evaluation.verification.gaps import GAPS, Gap
+from sgms_mhe.evaluation.verification.limits import STATED, stated_operations, within_limits
+from sgms_mhe.evaluation.verification.machines import random_package
+from sgms_mhe.evaluation.verification.outcome import Outcome
+from sgms_mhe.evaluation.verification.specimens import SPECIMENS, specimen, specimens
+from sgms_mhe.evaluation.verification.syntax import syntax_tree
+
+Tool = Callable[[str], str]
+PLAIN = SANITIZERS["plain"]
+
+
+def silent(_: str) -> None:
+    """Of the progress."""
+
+
+@pytest.fixture(scope="module")
+def package() -> Package:
+    return emit_package(specimen("merged_auto"), selftest=False)
+
+
+def broken(package: Package, ending: str, before: str, after: str) -> Package:
+    """The package with something else in one of its files."""
+    file = f"{package.machine.name}{ending}"
+    assert before in package.files[file]
+    return replace(package, files={**package.files, file: package.files[file].replace(before, after, 1)})
+
+
+# --- random calls ----------------------------------------------------------------------------------------------------
+
+
+def test_random_machines_are_many_and_repeat() -> None:
+    found = [random_package(seed).machine for seed in range(12)]
+    assert [m.digest for m in found[:3]] == [random_package(seed).machine.digest for seed in range(3)]
+    assert {m.friction.switches for m in found} == {True, False}
+    assert {m.estimator.kind for m in found} == {"mhe", "ekf"}
+    assert len({m.estimator.relinearise for m in found}) > 1
+    assert {m.code.precision for m in found} == {"double", "single"}
+    assert len({m.sampling.integrator.scheme for m in found}) >= 3
+    assert max(len(m.friction.stiffness) for m in found) >= 7
+    assert max(m.estimator.horizon for m in found) > 30
+    assert len({e.name for m in found for e in m.effects}) >= 3
+
+
+@pytest.mark.parametrize("name", ["merged_auto", "ekf", "switching_levels", "signals"])
+def test_random_calls_find_nothing(name: str, require_tool: Tool, tmp_path: Path) -> None:
+    require_tool("gcc")
+    made, failure = fuzz_package(PLAIN, emit_package(specimen(name), selftest=False), 40_000, 7, tmp_path / "kept")
+    assert not failure
+    assert made >= 40_000 and not (tmp_path / "kept").exists()
+
+
+@pytest.mark.parametrize(
+    ("ending", "before", "after", "said"),
+    [
+        (".c", "slot < SLOTS ? slot : slot - SLOTS", "slot", "a slot that is none|runtime error|AddressSanitizer"),
+        (".c", "fill(self->chain_lowpass, 0.0f, SGMS_FILTER_STATES);", "", "what was before is still there|no number"),
+        (".c", "self->lost = 0;\n    self->status", "self->status", "good data are not taken|still there"),
+        ("_compensation.h", "force = sgms_fmin(sgms_fmax(force, -LIMIT), LIMIT);", "", "a force beyond its limit"),
+        ("_compensation.h", "1 + (int)wanted", "1 + (int)(wanted * 1e30f)", "outside the range of representable"),
+    ],
+)  # fmt: skip
+def test_random_calls_find_what_is_wrong(
+    ending: str, before: str, after: str, said: str, package: Package, tmp_path: Path, require_tool: Tool
+) -> None:
+    require_tool("gcc")
+    wrong = broken(package, ending, before, after)
+    _, failure = fuzz_package(PLAIN, wrong, 200_000, 1, tmp_path / "kept")
+    assert any(text in failure for text in said.split("|")), failure
+    assert (tmp_path / "kept" / "fuzz").is_file()
+
+
+def test_sanitizer_that_is_absent_is_told(tmp_path: Path) -> None:
+    absent = Sanitizer("of no compiler", "no-such-compiler", ("-O1", "-fsanitize=address"), guided=False)
+    assert "no-such-compiler" in (fuzz_machines(absent, [1], 10, tmp_path).skipped or "")
+    unknown = Sanitizer("of no name", "gcc", ("-O1", "-fsanitize=nonsense"), guided=False)
+    assert "-fsanitize=nonsense" in (fuzz_machines(unknown, [1], 10, tmp_path).skipped or "")
+
+
+# --- bits ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("name", ["merged_auto", "switching"])
+def test_compilers_and_levels_give_the_same_bits(name: str, precision: str, require_tool: Tool) -> None:
+    emitted = emit_package(override_machine(specimen(name), {"code": {"precision": precision}}), selftest=False)
+    first = exercise(emitted, Build(require_tool("gcc"), ("-O2",)))
+    assert first.statuses & SEEN == SEEN and first.numbers > 10_000
+    for build in (Build("gcc", ("-O0",)), Build(require_tool("clang"), ("-O3", "-mavx2"))):
+        assert exercise(emitted, build) == first, build.title
+    fused = exercise(emitted, Build("gcc", ("-O2", "-mfma", "-ffp-contract=fast")))
+    assert fused.numbers == first.numbers and fused.bits != first.bits
+
+
+@pytest.mark.needs_arm
+@pytest.mark.needs_riscv
+def test_processors_give_the_same_bits() -> None:
+    outcomes = same_bits([specimen("switching")], list(target_builds(("-O2",))), silent)
+    assert len(outcomes) == 2 and all(o.failures == () and o.skipped is None for o in outcomes)
+
+
+# --- coverage --------------------------------------------------------------------------------------------------------
+
+
+def test_every_line_is_reached_or_explained(require_tool: Tool) -> None:
+    require_tool("gcov")
+    outcome = covered(list(specimens()), silent)
+    assert outcome.skipped is None and outcome.failures == ()
+
+
+def test_gap_without_a_reason_is_found(require_tool: Tool, monkeypatch: pytest.MonkeyPatch) -> None:
+    require_tool("gcov")
+    found = measure(emit_package(specimen("ekf")))
+    alone = measure(emit_package(specimen("ekf")), exercised=False)
+    assert alone.lines[0] < found.lines[0] < found.lines[1] == alone.lines[1]
+    assert alone.branches[0] < found.branches[0] < found.branches[1]
+    left = coverage.never_reached([found])
+    assert not coverage.never_reached(
+        [found, replace(found, counts={place: (1,) * (1 + place.branches) for place in left})]
+    )
+    monkeypatch.setattr(coverage, "GAPS", (Gap("absent", "nothing", "of a function that no package has"),))
+    monkeypatch.setattr(coverage, "measure", lambda _: found)
+    outcome = covered([specimen("ekf")], silent)
+    assert len(outcome.failures) == len(left) + 1
+    assert "no package has this gap any more: absent: nothing" in outcome.failures
+
+
+def test_every_gap_has_a_reason() -> None:
+    assert all(len(gap.reason.split()) >= 5 for gap in GAPS)
+
+
+# --- constructs ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SPECIMENS)
+def test_code_is_without_what_no_proof_deals_with(name: str, require_tool: Tool) -> None:
+    require_tool("clang")
+    emitted = emit_package(specimen(name), selftest=False)
+    tree = syntax_tree(emitted)
+    for find in (pointers_and_recursion, jumps_and_storage, unbounded_loops):
+        count, found = find(emitted, tree)
+        assert count > 50 and found == []
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("static int (*kept)(int) = 0;", "kept is a pointer to a function"),
+        ("int f(int n);\nint g(int n) { return n ? f(n - 1) : 0; }\nint f(int n) { return g(n); }", "f calls itself"),
+        ("int f(int n);\nint g(int (*to)(int)) { return to(1); }\nint h(void) { return g(f); }", "f is taken"),
+        ("double sin(double x);\ndouble f(double x) { return sin(x); }", "sin is called"),
+        ("int f(int n) { static int kept; kept += n; return kept; }", "kept is writable"),
+        ("static const int *kept;", "kept is writable"),
+        ("int f(int n) { int a[n]; a[0] = 1; return a[0]; }", "a has no constant length"),
+        ("int f(int n) { again: n--; if (n > 0) { goto again; } return n; }", "GotoStmt"),
+        ("int f(int n) { while (n > 0) { n -= 2; } return n; }", "a loop without a bound"),
+        ("int f(int n) { for (int i = 0; i < n; i++) { i -= 1; } return n; }", "a loop without a bound"),
+        ("int f(int n) { for (int i = 0; i < n; i++) { n++; } return n; }", "a loop without a bound"),
+        ("int f(int n) { for (int i = 0; i != n; i++) { } return n; }", "a loop without a bound"),
+        ("int f(int n) { do { n--; } while (n); return n; }", "a loop without a bound"),
+    ],
+)  # fmt: skip
+def test_what_no_proof_deals_with_is_found(code: str, said: str, package: Package, require_tool: Tool) -> None:
+    require_tool("clang")
+    name = package.machine.name
+    wrong = replace(package, files={f"{name}.c": f"{code}\n"})
+    tree = syntax_tree(wrong)
+    checks = (pointers_and_recursion, jumps_and_storage, unbounded_loops)
+    found = [text for find in checks for text in find(wrong, tree)[1]]
+    assert any(said in text for text in found), found
+
+
+# --- limits ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.needs_arm
+@pytest.mark.needs_riscv
+def test_work_and_stack_stay_within_what_is_stated(monkeypatch: pytest.MonkeyPatch) -> None:
+    machines = [specimen("merged_auto"), specimen("ekf")]
+    outcomes = within_limits(machines, silent)
+    assert len(outcomes) == 2 and all(o.failures == () and o.skipped is None for o in outcomes)
+    monkeypatch.setattr(limits, "INSTRUCTIONS_PER_OPERATION", 0.01)
+    beyond = within_limits(machines[:1], silent)
+    assert all(any("feedback takes" in text for text in o.failures) for o in beyond)
+
+
+def test_stated_operations_are_read(package: Package) -> None:
+    assert set(stated_operations(package)) == set(STATED)
+    assert all(count > 1000 for count in stated_operations(package).values())
+
+
+# --- the table -------------------------------------------------------------------------------------------------------
+
+
+def test_table_and_exit_code(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    good, absent = Outcome("good", "7 things"), Outcome("absent", "", skipped="tool absent: none")
+    bad = Outcome("bad", "9 things", ("the third",))
+    monkeypatch.setattr(command, "CHECKS", {"a": lambda *_: [good, absent], "b": lambda *_: [bad]})
+    assert command.main(["--only", "a"]) == 0
+    printed = capsys.readouterr().out
+    assert "good" in printed and "nothing: tool absent: none" in printed and "skipped" in printed
+    assert command.main([]) == 1
+    assert "failed: bad: the third" in capsys.readouterr().out
