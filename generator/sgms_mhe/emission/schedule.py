@@ -30,34 +30,20 @@ class Costs:
     per_sample: int
 
 
-@dataclass(frozen=True)
-class Schedule:
-    """Costs where compilers vectorise, and where they do not: there blocks go one after the other, not side by side."""
-
-    vector: Costs
-    scalar: Costs
-
-
-def schedule_of(sizes: Sizes, variant: Variant) -> Schedule:
-    """Share the work of an update out over the samples of an interval but its last."""
-    return Schedule(
-        vector=_costs(sizes, variant, sizes.moving_rows, batches=1),
-        scalar=_costs(sizes, variant, sizes.largest_rows, batches=sizes.chosen),
-    )
-
-
-def _costs(sizes: Sizes, variant: Variant, rows: int, *, batches: int) -> Costs:
-    """Costs where a step moves `rows` rows, of which "auto" takes every one `batches` times.
+def schedule_of(sizes: Sizes, variant: Variant) -> Costs:
+    """Share the work of an update out over the samples of an interval but its last.
 
     At worst a step is taken as the samples that it merges.
     """
-    n_x, n_p, slots = sizes.states, sizes.parameters, sizes.slots
+    n_x, n_p, slots, width = sizes.states, sizes.parameters, sizes.slots, sizes.factor_rows + 1
+    intervals = {"all": slots, "auto": 1, "newest": 0}[variant.relinearise]
+    reading = n_x * (n_x + n_p) * (2 + n_x) if sizes.inner else 0
     expand = (1 + (variant.relinearise == "auto")) * n_x * (n_x + n_p)
-    condense = 2 * n_x * (n_x + 2) * sizes.kept_width + 2 * (n_x + n_p) * (n_x + n_p + 1)
-    step = STEP_COST_PER_ROW * sizes.merged * rows * (slots if variant.relinearise == "all" else 1)
-    steps = {"all": 1, "auto": batches, "newest": 0}[variant.relinearise] * sizes.steps
+    inner = sizes.inner * sizes.factor_rows * width
+    condense = 2 * n_x * (n_x + 2) * sizes.kept_width + 2 * (n_x + n_p) * (n_x + n_p + 1) + inner
+    step = (STEP_COST_PER_ROW * sizes.merged * sizes.moving_rows + reading) * max(1, intervals)
     # In the order in which they are done: nodes of the last solution, the start of the sweep, steps, condensing.
-    units = [(expand, slots - 1), (condense, 1), (step, steps), (condense, slots - 1)]
+    units = [(expand, slots - 1), (condense, 1), (step, sizes.steps if intervals else 0), (condense, slots - 1)]
     return Costs(expand, step, condense, _least_per_sample(units, sizes.samples - 1))
 
 

@@ -112,6 +112,7 @@ def _linearise(record: Record, x: Array, theta: Array) -> _Problem:
                 x[0] / weights.initial_state,
                 (theta - 1.0) / weights.parameter,
                 (outputs.y - record.y)[valid] / weights.sigma_y,
+                (intervals.inner.y - record.inner_y)[record.inner_valid] / weights.sigma_y,
                 ((x[1:] - intervals.x1) / weights.sigma_x).ravel(),
             ]
         )
@@ -120,17 +121,22 @@ def _linearise(record: Record, x: Array, theta: Array) -> _Problem:
     width = nodes * n_x
     first = csc_matrix((1.0 / weights.initial_state, (np.arange(n_x), np.arange(n_x))), shape=(n_x, width))
     measured = block_diag([row[None, :] / weights.sigma_y for row in outputs.C], format="csr")[valid]
+    # Readings inside an interval see the node where it starts.
+    inside = record.inner_valid.ravel()
+    inner_rows = block_diag([rows / weights.sigma_y for rows in intervals.inner.C], format="csr")[inside]
     scale = 1.0 / np.tile(weights.sigma_x, nodes - 1)
     transitions = block_diag([A / weights.sigma_x[:, None] for A in intervals.A], format="csr")
     defects = csc_matrix(
         (scale, (np.arange(width - n_x), np.arange(n_x, width))), shape=(width - n_x, width)
     ) - csc_matrix(_widen(transitions, width))
-    J_x = vstack([first, csc_matrix((n_p, width)), measured, defects], format="csc")
+    inner = csc_matrix(_widen(inner_rows, width))
+    J_x = vstack([first, csc_matrix((n_p, width)), measured, inner, defects], format="csc")
     J_t = np.vstack(
         [
             np.zeros((n_x, n_p)),
             np.diag(1.0 / weights.parameter),
             outputs.D[valid] / weights.sigma_y,
+            intervals.inner.D[record.inner_valid] / weights.sigma_y,
             -(intervals.B / weights.sigma_x[:, None]).reshape(-1, n_p),
         ]
     )
