@@ -21,12 +21,14 @@ class Costs:
         expand: the node of an older interval from its successor's.
         step: a step of the series of what is linearised anew.
         condense: a node out of the sweep's factor.
+        fold: a reading inside the newest interval into it.
         per_sample: of the units in one sample.
     """
 
     expand: int
     step: int
     condense: int
+    fold: int
     per_sample: int
 
 
@@ -39,12 +41,14 @@ def schedule_of(sizes: Sizes, variant: Variant) -> Costs:
     intervals = {"all": slots, "auto": 1, "newest": 0}[variant.relinearise]
     reading = n_x * (n_x + n_p) * (2 + n_x) if sizes.inner else 0
     expand = (1 + (variant.relinearise == "auto")) * n_x * (n_x + n_p)
+    fold = 3 * width * width
     inner = sizes.inner * sizes.factor_rows * width
     condense = 2 * n_x * (n_x + 2) * sizes.kept_width + 2 * (n_x + n_p) * (n_x + n_p + 1) + inner
     step = (STEP_COST_PER_ROW * sizes.merged * sizes.moving_rows + reading) * max(1, intervals)
     # In the order in which they are done: nodes of the last solution, the start of the sweep, steps, condensing.
     units = [(expand, slots - 1), (condense, 1), (step, sizes.steps if intervals else 0), (condense, slots - 1)]
-    return Costs(expand, step, condense, _least_per_sample(units, sizes.samples - 1))
+    units.append((fold, sizes.inner))
+    return Costs(expand, step, condense, fold, _least_per_sample(units, sizes.samples - 1))
 
 
 def _least_per_sample(units: Sequence[tuple[int, int]], samples: int) -> int:

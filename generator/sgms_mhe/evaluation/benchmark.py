@@ -229,7 +229,7 @@ class Bench:
                 y=np.array([signals.friction[part] for part in at_nodes]),
             ),
             first=tuple(firsts),
-            exact=Linearised(*(np.array(part) for part in zip(*exact, strict=True))),
+            exact=Linearised(*(np.array([getattr(i, k) for i in exact]) for k in ("x1", "A", "B")), exact[0].inner),
         )
 
     def variant(self, name: str, machine: Machine, relinearise: str, recording: Recording) -> Variant:
