@@ -185,7 +185,9 @@ def sizes_of(structure: Structure, variant: Variant) -> Sizes:
     groups = _groups(structure)
     slots = max(1, variant.horizon)
     vector = VECTOR_BYTES // (4 if variant.single else 8)
-    lane_stride = -(-max(slots if variant.relinearise == "all" else 1, *(g.n_blocks for g in groups)) // vector) * vector
+    lane_stride = (
+        -(-max(slots if variant.relinearise == "all" else 1, *(g.n_blocks for g in groups)) // vector) * vector
+    )
     steps = sampling.samples_per_update // sampling.merged
     return Sizes(
         states=model.n_x,

@@ -100,7 +100,9 @@ class Sampling(Table):
         """R, friction readings per shooting interval, the last one at its end; whole integration steps apart."""
         if self.measurement_rate is not None:
             return round(self.measurement_rate / self.update_rate)
-        most = max(1, math.floor(READINGS_PER_CUTOFF * self.velocity_cutoff / self.update_rate * (1.0 + RATIO_TOLERANCE)))
+        most = max(
+            1, math.floor(READINGS_PER_CUTOFF * self.velocity_cutoff / self.update_rate * (1.0 + RATIO_TOLERANCE))
+        )
         return max(count for count in range(1, most + 1) if self._can_read(count))
 
     def _can_read(self, count: int) -> bool:

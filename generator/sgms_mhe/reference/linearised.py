@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,15 @@ class Outputs(NamedTuple):
     y: Array
     C: Array
     D: Array
+
+    def part(self, which: slice) -> Outputs:
+        """Some of them."""
+        return Outputs(self.y[which], self.C[which], self.D[which])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Outputs]) -> Outputs:
+        """One behind the other."""
+        return cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
 class Linearised(NamedTuple):
@@ -32,3 +42,13 @@ class Linearised(NamedTuple):
     A: Array
     B: Array
     inner: Outputs
+
+    def part(self, which: slice) -> Linearised:
+        """Some of the intervals."""
+        return Linearised(self.x1[which], self.A[which], self.B[which], self.inner.part(which))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Linearised]) -> Linearised:
+        """Intervals one behind the other."""
+        x1, A, B = (np.concatenate([getattr(part, name) for part in parts]) for name in ("x1", "A", "B"))
+        return cls(x1, A, B, Outputs.joined([part.inner for part in parts]))

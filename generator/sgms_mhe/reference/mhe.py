@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -53,23 +52,17 @@ class Kept(NamedTuple):
 
     def with_newer(self, newest: Kept) -> Kept:
         """With further intervals at the newer end."""
-        return _each(self, newest, lambda older, newer: np.concatenate([older, newer]))
+        x, theta = np.concatenate([self.x, newest.x]), np.concatenate([self.theta, newest.theta])
+        return Kept(x, theta, Linearised.joined([self.intervals, newest.intervals]))
 
     def part(self, first: int, last: int) -> Kept:
         """Intervals first to last - 1."""
-        return _each(self, self, lambda array, _: array[first:last])
+        which = slice(first, last)
+        return Kept(self.x[which], self.theta[which], self.intervals.part(which))
 
 
 def _image(A: Array, B: Array, dx: Array, dtheta: Array) -> Array:
     return np.asarray(np.einsum("kij,kj->ki", A, dx) + np.einsum("kij,kj->ki", B, dtheta))
-
-
-def _each(kept: Kept, other: Kept, function: Callable[[Array, Array], Array]) -> Kept:
-    """Array by array of two of them."""
-    (x, theta, (*ends, inner)), (x2, theta2, (*ends2, inner2)) = kept, other
-    new_ends = [function(a, b) for a, b in zip(ends, ends2, strict=True)]
-    new_inner = Outputs(*(function(a, b) for a, b in zip(inner, inner2, strict=True)))
-    return Kept(function(x, x2), function(theta, theta2), Linearised(*new_ends, new_inner))
 
 
 def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
@@ -177,7 +170,7 @@ def dense_problem(record: Record, window: Window, arrival: Gaussian, scales: Sca
     for k in range(nodes):
         at_node, node = slice(k * n_x, (k + 1) * n_x), window.first + k
         if record.valid[node]:
-            at_end = Outputs(*(array[k : k + 1] for array in window.outputs))
+            at_end = window.outputs.part(slice(k, k + 1))
             measured(at_node, at_end, record.y[node : node + 1], weights.sigma_y * scales.end[node : node + 1])
         if k + 1 < nodes:
             inside = record.inner_valid[node]
@@ -192,9 +185,7 @@ def dense_problem(record: Record, window: Window, arrival: Gaussian, scales: Sca
     return np.vstack(jacobians), np.concatenate(residuals)
 
 
-def take_newest(
-    record: Record, window: Window, arrival: Gaussian, scaling: Scaling, scales: Scales
-) -> Taken | None:
+def take_newest(record: Record, window: Window, arrival: Gaussian, scaling: Scaling, scales: Scales) -> Taken | None:
     """Readings of the newest interval, each predicted from all before it; None where that is not finite.
 
     What they are to count goes to `scales`.
@@ -255,7 +246,8 @@ def arrival_update(record: Record, arrival: Gaussian, window: Window, scales: Sc
     mean, P = arrival
     outputs, inner = window.outputs, window.intervals.inner
     rows = [(outputs.y[0], outputs.C[0], outputs.D[0], record.y[first], record.valid[first], scales.end[first])]
-    rows += zip(*(array[0] for array in inner), record.inner_y[first], record.inner_valid[first], scales.inner[first])
+    inside = record.inner_y[first], record.inner_valid[first], scales.inner[first]
+    rows += zip(*(array[0] for array in inner), *inside, strict=True)
     for predicted, by_x, by_theta, y, valid, scale in rows:
         if valid:
             C = np.concatenate([by_x, by_theta])

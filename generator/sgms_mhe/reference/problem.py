@@ -128,9 +128,10 @@ class Record:
         self.y: Array = signals.friction[nodes]
         self.valid: NDArray[np.bool_] = signals.valid[nodes] & np.isfinite(self.y)
         inside = (slice(None), inner_readings(model.machine.sampling))
-        friction, valid = (array[1 : self.updates * samples + 1] for array in (signals.friction, signals.valid))
-        self.inner_y: Array = friction.reshape(self.updates, samples)[inside]
-        self.inner_valid: NDArray[np.bool_] = valid.reshape(self.updates, samples)[inside] & np.isfinite(self.inner_y)
+        after = slice(1, self.updates * samples + 1)
+        self.inner_y: Array = signals.friction[after].reshape(self.updates, samples)[inside]
+        valid = signals.valid[after].reshape(self.updates, samples)[inside]
+        self.inner_valid: NDArray[np.bool_] = valid & np.isfinite(self.inner_y)
 
     def moves(self, interval: int) -> bool:
         """Whether the axis moves far enough in an interval for theta to drift."""

@@ -40,14 +40,16 @@ class PythonLoops:
         ends = np.empty((len(x), n_x)), np.empty((len(x), n_x, n_x)), np.empty((len(x), n_x, n_p))
         inside = (len(x), readings - 1)
         inner = Outputs(np.empty(inside), np.empty((*inside, n_x)), np.empty((*inside, n_p)))
-        for l, start in enumerate(x):
-            *within, end = self._interval(plan, first + l, start, theta)
+        for k, start in enumerate(x):
+            *within, end = self._interval(plan, first + k, start, theta)
             for store, value in zip(ends, end, strict=True):
-                store[l] = value
+                store[k] = value
             for r, (x_r, A, B) in enumerate(within):
-                y, C, D = (np.array(part) for part in self._functions["measure"](x_r, plan.inner_w[first + l, r], theta))
+                y, C, D = (
+                    np.array(part) for part in self._functions["measure"](x_r, plan.inner_w[first + k, r], theta)
+                )
                 for store, value in zip(inner, (y.item(), C @ A, C @ B + D), strict=True):
-                    store[l, r] = value
+                    store[k, r] = value
         return Linearised(*ends, inner)
 
     def outputs(self, x: Array, w: Array, theta: Array) -> Outputs:

@@ -28,15 +28,15 @@ class Window:
     @property
     def before_newest(self) -> Window:
         """Without the newest interval."""
-        intervals = Linearised(*(array[:-1] for array in self.intervals[:3]), Outputs(*(a[:-1] for a in self.intervals.inner)))
-        return Window(self.first, self.x[:-1], self.theta, intervals, Outputs(*(array[:-1] for array in self.outputs)))
+        older = slice(0, -1)
+        return Window(self.first, self.x[older], self.theta, self.intervals.part(older), self.outputs.part(older))
 
     @property
     def newest(self) -> Window:
         """The newest interval alone."""
-        first = self.first + len(self.x) - 2
-        intervals = Linearised(*(array[-1:] for array in self.intervals[:3]), Outputs(*(a[-1:] for a in self.intervals.inner)))
-        return Window(first, self.x[-2:], self.theta, intervals, Outputs(*(array[-2:] for array in self.outputs)))
+        ends, first = slice(-2, None), self.first + len(self.x) - 2
+        intervals = self.intervals.part(slice(-1, None))
+        return Window(first, self.x[ends], self.theta, intervals, self.outputs.part(ends))
 
 
 def linearise(record: Record, first: int, x: Array, theta: Array) -> Window:
@@ -95,9 +95,7 @@ class Taken(NamedTuple):
         return self.readings[-1] if self.readings else before
 
 
-def take_interval(
-    record: Record, window: Window, belief: Gaussian, scaling: Scaling, *, drift: int = 0
-) -> Taken:
+def take_interval(record: Record, window: Window, belief: Gaussian, scaling: Scaling, *, drift: int = 0) -> Taken:
     """Fold the readings of a window of one interval into a belief of its start; predict over it in between.
 
     theta drifts for `drift` intervals.

@@ -78,6 +78,7 @@ def read_estimates(path: str | Path) -> Estimates:
         if name not in columns:
             raise InputError(path, f"column {name}", None, f"missing: std_{name} is there")
     length = len(columns["time_s"])
+    unknown: Array = np.full(length, np.nan)
 
     def matrix(selected: list[str]) -> Array:
         return np.column_stack([columns[name] for name in selected]) if selected else np.empty((length, 0))
@@ -90,6 +91,8 @@ def read_estimates(path: str | Path) -> Estimates:
         parameters=matrix(list(names)),
         std=matrix([f"std_{name}" for name in names]),
         status=columns["status"].astype(np.int64),
-        **{name: columns.get(name, np.full(length, np.nan)) for name in READING_COLUMNS},
+        innovation_N=columns.get("innovation_N", unknown),
+        test_ratio=columns.get("test_ratio", unknown),
+        noise_scale=columns.get("noise_scale", unknown),
         parameter_names=names,
     )
