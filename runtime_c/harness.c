@@ -157,7 +157,7 @@ static series make_motion(long updates)
 {
     const double h = (double)SAMPLE_TIME, wide = 2000.0 * (double)HOLD_PATH, narrow = 50.0 * (double)HOLD_PATH;
     const double slow = 3.0, fast = 40.0; /* rad/s */
-    const double level = 10.0 / (double)INVERSE_MEASUREMENT, reach = 100.0 * (double)HOLD_PATH;
+    const double level = 10.0 * (double)MEASUREMENT_SD, reach = 100.0 * (double)HOLD_PATH;
     double friction = 0.0, last = 0.0;
     series s = {updates * SAMPLES + 1, NULL, NULL, NULL};
     reserve(&s, s.n);
