@@ -129,6 +129,12 @@ def test_flags_are_undecided_where_their_number_is_on_the_limit() -> None:
     values = np.array([[p.nominal for p in parameters]] * updates)
     values[3, 1] *= 5.0 * (1 - 1e-5)
     estimates = Estimates(
-        *(np.zeros(updates),) * 3, np.zeros((updates, 4)), values, 0 * values, np.zeros(updates, int), *(np.zeros(updates),) * 3, ("",) * 4
+        *(np.zeros(updates),) * 3,
+        np.zeros((updates, 4)),
+        values,
+        0 * values,
+        np.zeros(updates, int),
+        *(np.zeros(updates),) * 3,
+        ("",) * 4,
     )
     np.testing.assert_array_equal(undecided_flags(machine, signals, estimates, parameters), [0, 16, 4, 8])

@@ -271,9 +271,10 @@ def faults_study(runs: int, faults: Sequence[Fault] = FAULTS) -> Table:
         },
         rows,
         (
-            "sigmas: largest parameter error over its stated deviation, from 1 s after good data; deviation: of a parameter",
-            "against the log without fault, over nominal; recovery: until the friction error is that of a good log;",
-            "mattered: share that moved a parameter by 1 % of nominal; doubted in 2: those that said so within two updates",
+            "sigmas: largest error of a parameter over its stated deviation, 1 s after good data or later;",
+            "deviation: of a parameter against the log without fault, over nominal;",
+            "recovery: until the friction error is that of a good log;",
+            "mattered: share that moved a parameter by 1 % of nominal; doubted in 2: those that said so in two updates",
             f"updates of good logs that say DOUBT: {clean}",
         ),
     )
