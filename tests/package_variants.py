@@ -269,6 +269,26 @@ def _compensation() -> dict[str, Variant]:
     }
 
 
+def _switching() -> dict[str, Variant]:
+    """Elements that switch, sample by sample and merged, their levels with states and parameters of their own."""
+    merged = {"integrator": {"substeps": 20}}
+    levels = ("dwell_dependence", "frictional_lag", "asymmetric_coulomb", "encoder_periodic_error", "hose_hysteresis")
+    kept: dict[str, dict[str, Any]] = {
+        "": {},
+        ", 5 merged": {"sampling": merged},
+        ", auto": {"estimator": {"relinearise": "auto"}},
+        ", 5 merged, auto": {"estimator": {"relinearise": "auto"}, "sampling": merged},
+        ", ekf": {"estimator": {"kind": "ekf"}},
+        ", all parameters, 5 merged": {"estimator": _estimating(*BASE_PARAMETERS), "sampling": merged},
+        ", levels": {"effects": _entries(*levels), "estimator": _estimating("stiffness", "asymmetric_coulomb.ratio")},
+        ", levels, 5 merged": {"effects": _entries(*levels), "sampling": merged},
+        ", compensation": {"compensation": {"delay": 210e-6, "limit": 20.0, "hold": 5e-6}},
+    }
+    return {
+        f"switching{name}": Variant({**changes, "friction": {"law": "switching"}}) for name, changes in kept.items()
+    }
+
+
 def _single(variants: Mapping[str, Variant]) -> dict[str, Variant]:
     """What a precision may change, in single precision: one of each kind of code."""
     names = """
@@ -279,7 +299,7 @@ def _single(variants: Mapping[str, Variant]) -> dict[str, Variant]:
         bounds of two, auto, 5 merged; deflection; every effect; every effect, fixed, rk4, 4 merged;
         effects: states, auto, 5 merged; effects: upstream, auto, 5 merged; effects: upstream, newest, linear;
         effects: time, ekf; effects: lags; compensation; compensation, flow, 5 merged; compensation, ekf;
-        compensation, upstream; compensation off
+        compensation, upstream; compensation off; switching, 5 merged; switching, levels; switching, compensation
     """
     chosen = [" ".join(name.split()) for name in names.split(";")]
     return {
@@ -292,7 +312,14 @@ def _single(variants: Mapping[str, Variant]) -> dict[str, Variant]:
 
 def _machines() -> dict[str, Variant]:
     """Whole packages, self-test vectors included, of the committed machines and of small variants."""
-    committed = ("emps", "etel_xy", "etel_xy_compensation", "etel_xy_controller", "etel_xy_paper")
+    committed = (
+        "emps",
+        "etel_xy",
+        "etel_xy_compensation",
+        "etel_xy_controller",
+        "etel_xy_paper",
+        "etel_xy_switching",
+    )
     variants = {f"machine {name}": Variant(machine=name, selftest=name != "etel_xy_paper") for name in committed}
     small: dict[str, dict[str, Any]] = {
         "": {},
@@ -309,7 +336,7 @@ def _machines() -> dict[str, Variant]:
 
 
 def _all() -> dict[str, Variant]:
-    double = _integration() | _elements() | _estimation() | _effects() | _compensation()
+    double = _integration() | _elements() | _estimation() | _effects() | _compensation() | _switching()
     return double | _single(double) | _machines()
 
 

@@ -169,7 +169,7 @@ def test_unknown_machine_is_refused(name: str) -> None:
 
 
 def test_unknown_name_lists_the_known_ones() -> None:
-    shipped = r"\bemps, etel_xy, etel_xy_compensation, etel_xy_controller, etel_xy_paper\b"
+    shipped = r"\bemps, etel_xy, etel_xy_compensation, etel_xy_controller, etel_xy_paper, etel_xy_switching\b"
     assert re.search(shipped, refused("etel_yx").allowed)
 
 

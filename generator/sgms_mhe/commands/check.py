@@ -45,7 +45,12 @@ def _text(machine: Machine, package: Package) -> str:
     from sgms_mhe.signals.chain import settle_samples
 
     friction, sampling, estimator = machine.friction, machine.sampling, machine.estimator
-    integrator, noise, smoothing = sampling.integrator, estimator.noise, machine.friction.smoothing
+    integrator, noise, smoothing = sampling.integrator, estimator.noise, friction.smoothing
+    law = (
+        f"smoothing zeta {smoothing.zeta:g}, lambda {smoothing.lambda_:g}, gamma {smoothing.gamma:g}"
+        if smoothing is not None
+        else "elements switch"
+    )
     elements = [
         (f"{i}", f"{kappa:g}", f"{nu:g}", f"{sigma:g}", f"{1e6 * nu * friction.coulomb / kappa:.4g}")
         for i, (kappa, nu, sigma) in enumerate(
@@ -74,8 +79,7 @@ def _text(machine: Machine, package: Package) -> str:
         f"  digest      {machine.digest[:12]}",
         f"  plant       mass {machine.plant.mass:g} kg",
         f"  friction    coulomb {friction.coulomb:g} N, viscous {friction.viscous:g} N s/m, stribeck ratio "
-        f"{friction.stribeck_ratio:g} at {friction.stribeck_velocity:g} m/s, smoothing zeta {smoothing.zeta:g}, "
-        f"lambda {smoothing.lambda_:g}, gamma {smoothing.gamma:g}",
+        f"{friction.stribeck_ratio:g} at {friction.stribeck_velocity:g} m/s, {law}",
         _indented(table_text(("element", "N/m", "fraction", "N s/m", "deflection um"), elements)),
         f"  sampling    {sampling.rate:g} Hz, low-pass {sampling.velocity_cutoff:g} Hz "
         f"(settles in {settle_samples(machine)} samples), up to {sampling.max_velocity:g} m/s",

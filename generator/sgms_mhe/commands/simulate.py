@@ -60,9 +60,7 @@ def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
 @click.option(
     "--law",
     type=click.Choice(["sgms", "maxwell_slip"]),
-    default="sgms",
-    show_default=True,
-    help="Friction law of the plant; maxwell_slip switches instead of smoothing.",
+    help="Friction law of the plant; maxwell_slip switches instead of smoothing; default: the machine file's.",
 )
 @click.option("--force-noise", type=Number(0.0, 1e6), metavar="N", default=0.1, show_default=True, help="1 sigma [N].")
 @click.option(
@@ -83,7 +81,7 @@ def command(
     trajectory: str,
     duration: float | None,
     seed: int,
-    law: Literal["sgms", "maxwell_slip"],
+    law: Literal["sgms", "maxwell_slip"] | None,
     force_noise: float,
     encoder_resolution: float,
     scales: dict[str, float],

@@ -17,6 +17,7 @@ from sgms_mhe.integration.flow_table import gate_saturates
 from sgms_mhe.integration.work_precision import ROUNDING, candidates, choose
 from sgms_mhe.machine import (
     BASE_PARAMETERS,
+    Integrator,
     Layer,
     Machine,
     MachineFile,
@@ -31,6 +32,7 @@ from sgms_mhe.machine import (
 from sgms_mhe.model.effects import effect_definition, effect_names
 from sgms_mhe.support.errors import InputError
 
+_INTEGRATOR: Final = ("sampling", "integrator")
 _PARAMETERS: Final = TypeAdapter(dict[str, Annotated[float, Field(strict=True, allow_inf_nan=False)]])
 
 
@@ -97,6 +99,9 @@ def _check_effect(file: MachineFile, index: int) -> None:
         raise file.refused(where, name, f"one of {listing(effect_names())}") from None
     except InputError as error:
         raise file.refused(where, name, f"an effect that works; {error}") from None
+    why = effect_definition(name).smooth_only
+    if why and file.tables.friction.switches:
+        raise file.refused(where, name, f"an effect that stands with [friction] law = switching; {why}")
 
 
 def _effect_parameters(file: MachineFile, index: int) -> dict[str, float]:
@@ -132,8 +137,13 @@ def _check_names(file: MachineFile, names: tuple[str, ...]) -> None:
 
 
 def _sampling(file: MachineFile) -> Sampling:
-    """The rates, with the integrator that its tolerance asks for, if it has one."""
+    """The rates, with the integrator that the friction law or a tolerance asks for."""
     sampling, precision = file.tables.sampling, file.tables.code.precision
+    if file.tables.friction.switches:
+        return sampling.model_copy(update={"integrator": _clipping(file)})
+    if sampling.integrator.scheme == "clip":
+        allowed = "another scheme, or [friction] law = switching: no other element is clipped"
+        raise file.refused((*_INTEGRATOR, "scheme"), "clip", allowed)
     tolerance = sampling.integrator.tolerance
     if tolerance is None:
         if sampling.integrator.scheme == "flow":
@@ -144,14 +154,26 @@ def _sampling(file: MachineFile) -> Sampling:
     if chosen is None:
         best = max(min(candidate.errors.largest for candidate in found), ROUNDING[precision])
         allowed = f">= {best:.1e}, the least that the schemes reach in {precision} precision"
-        raise file.refused(("sampling", "integrator", "tolerance"), tolerance, allowed)
+        raise file.refused((*_INTEGRATOR, "tolerance"), tolerance, allowed)
     integrator = sampling.integrator.model_copy(update=chosen.settings)
     return sampling.model_copy(update={"integrator": integrator})
 
 
+def _clipping(file: MachineFile) -> Integrator:
+    """The integrator of elements that switch: exact, so that there is nothing to choose but what samples merge."""
+    integrator = file.tables.sampling.integrator
+    given = {key: getattr(integrator, key) for key in integrator.model_fields_set}
+    wanted = {"scheme": "clip", "velocity": "constant", "tolerance": None}
+    for key, value in wanted.items():
+        if given.get(key, value) != value:
+            allowed = f"{value}, or nothing" if value else "nothing"
+            raise file.refused((*_INTEGRATOR, key), given[key], f"{allowed}, where [friction] law is switching")
+    return Integrator.model_validate({**given, "scheme": "clip"})
+
+
 def _check_gate(file: MachineFile) -> None:
     """Refuse the displacement flow where the direction gate saturates at no speed: it would never be taken."""
-    smoothing = file.tables.friction.smoothing
+    smoothing = file.tables.friction.smoothed
     if not gate_saturates(smoothing.zeta, smoothing.lambda_, smoothing.gamma):
         allowed = "rk4: with a smoothing as soft as [friction] smoothing has, the flow holds at no speed"
-        raise file.refused(("sampling", "integrator", "scheme"), "flow", allowed)
+        raise file.refused((*_INTEGRATOR, "scheme"), "flow", allowed)

@@ -198,7 +198,7 @@ def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
     integrator: dict[str, Any] = {"scheme": sampling.integrator.scheme}
     if sampling.integrator.substeps < sampling.samples_per_update:
         integrator["substeps"] = sampling.samples_per_update
-    if sampling.integrator.scheme == "flow":
+    if sampling.integrator.scheme in ("flow", "clip"):
         steps = [effect_definition(name).fit_displacement or STEP for name in names]
         # Long steps of one effect are a matter of cost, which short ones of another would undo.
         long = max(steps, default=STEP)

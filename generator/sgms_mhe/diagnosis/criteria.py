@@ -52,11 +52,12 @@ class Criteria:
 def criteria_of(machine: Machine, floor: float, excitation: Mapping[Measure, float], report: Progress) -> Criteria:
     """The criteria of a record of this noise floor [N] and these measures."""
     thresholds = machine.diagnosis
-    # What a record does not excite cannot be found in it; what only imitates it can.
+    # What a record does not excite cannot be found in it; what only imitates it can. Nor can what the law cannot bear.
     excited = tuple(
         name
         for name in effect_names()
-        if not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
+        if not (machine.friction.switches and effect_definition(name).smooth_only)
+        and not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
     )
     material = max(thresholds.material * machine.friction.coulomb, thresholds.material_noise * floor)
     return Criteria(thresholds, floor, material, excited, report)

@@ -29,7 +29,8 @@ class Laws:
 
     Attributes:
         smooth: that of the file.
-        sharp: elements that slip almost at once; None where the file's do, or where that is no model of the record.
+        sharp: elements that slip almost at once; None where the file's do, be it that they switch, or where that is no
+            model of the record.
         taken: which of them fits better.
         decided: whether the other one is out of the question, whatever effect is added.
     """
@@ -61,10 +62,10 @@ def sharp_smoothing(thresholds: Thresholds) -> dict[str, float]:
 
 def laws_of(machine: Machine, recording: Recording, floor: float) -> Laws:
     """A machine along a record under both transitions, thinned for the search; `floor`: its noise [N]."""
-    smoothing = sharp_smoothing(machine.diagnosis)
+    smoothing, own = sharp_smoothing(machine.diagnosis), machine.friction.smoothing
     subjects = []
     for sharp in (False, True):
-        if sharp and machine.friction.smoothing.lambda_ >= smoothing["lambda"]:
+        if sharp and (own is None or own.lambda_ >= smoothing["lambda"]):
             continue
         axis = override_machine(machine, {"friction": {"smoothing": smoothing}}) if sharp else machine
         subject = thinned(replace(Subject.of(axis, recording), noise=floor))

@@ -26,7 +26,8 @@ from sgms_mhe.diagnosis.settling import Left, Settled, settle, split_rms
 from sgms_mhe.diagnosis.structure import structure_map
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.diagnosis.wording import alternatives_of, experiment_of, summary_of
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Machine, listing
+from sgms_mhe.model.effects import effect_definition, effect_names
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -179,6 +180,7 @@ def _diagnosis(machine: Machine, log: Log, settled: Settled, judged: _Judged) ->
         warnings=(
             *settled.recording.warnings,
             *_transition_notes(settled, judged.plain),
+            *_law_notes(machine),
             *_estimation_notes(machine, extended),
         ),
         seconds=0.0,
@@ -191,6 +193,14 @@ def _transition_notes(settled: Settled, plain: Fit) -> tuple[str, ...]:
         return ()
     numbers = ", ".join(f"{key} = {value:g}" for key, value in sharp_smoothing(settled.thresholds).items())
     return (f"elements slip more sharply than [friction.smoothing] says: {numbers} alone leave {plain.rms:.3g} N",)
+
+
+def _law_notes(machine: Machine) -> tuple[str, ...]:
+    """What cannot be found in any record of a machine of this law."""
+    barred = [name for name in effect_names() if effect_definition(name).smooth_only]
+    if not machine.friction.switches or not barred:
+        return ()
+    return (f"not looked for, as they do not stand with [friction] law = switching: {listing(barred)}",)
 
 
 def _estimation_notes(machine: Machine, extended: Machine | None) -> tuple[str, ...]:

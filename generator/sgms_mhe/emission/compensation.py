@@ -63,7 +63,7 @@ class Compensation:
         carry: kept of a held difference from one sample to the next.
         limit: largest force [N], or None.
         enabled: on from init on.
-        ahead: constants of the propagation.
+        ahead: constants of the propagation; None where elements switch, which asks for none.
     """
 
     moves: int
@@ -77,7 +77,7 @@ class Compensation:
     carry: float
     limit: float | None
     enabled: bool
-    ahead: Ahead
+    ahead: Ahead | None
 
 
 def compensation_of(machine: Machine) -> Compensation:
@@ -99,18 +99,18 @@ def compensation_of(machine: Machine) -> Compensation:
         carry=math.exp(-1.0 / machine.sampling.samples_per_update),
         limit=compensation.limit,
         enabled=compensation.enabled,
-        ahead=_ahead(machine),
+        ahead=None if machine.friction.switches else _ahead(machine),
     )
 
 
 def ahead_elastic(machine: Machine) -> float:
     """Relative deflection below which slip is less than AHEAD_EQUAL of the motion; not positive: there is none."""
-    smoothing = machine.friction.smoothing
+    smoothing = machine.friction.smoothed
     return smoothing.zeta + math.log(AHEAD_EQUAL) / (2.0 * smoothing.lambda_)
 
 
 def _ahead(machine: Machine) -> Ahead:
-    friction, smoothing, sampling = machine.friction, machine.friction.smoothing, machine.sampling
+    friction, smoothing, sampling = machine.friction, machine.friction.smoothed, machine.sampling
     zeta, lambda_, gamma = smoothing.zeta, smoothing.lambda_, smoothing.gamma
     longest = chain_delay(machine) + machine.compensation.delay + sampling.merged * sampling.step
     # Taken as saturated, a gate whose tail is left out moves an element's force by kappa |v| T tail at most.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from sgms_mhe import __version__
 from sgms_mhe.emission.c_source import CPrinter
@@ -31,7 +32,7 @@ RUNTIME_VERSION = 2
 IMPLAUSIBLE = 1e4
 """A state so many standard deviations of the first node's away from zero is no solution (docs/estimation.md)."""
 MOVE = 0.3
-"""How far the end of an interval may move before that, over sqrt(sigma_x / lambda)."""
+"""How far the end of an interval may move before that, over sqrt(sigma_x / lambda); over sigma_x where it switches."""
 HOLD_PART = 0.1
 """Path of an interval below which it says nothing of the parameters, over the smallest deflection scale."""
 
@@ -233,7 +234,7 @@ def package_view(structure: Structure, vectors: Vectors | None) -> PackageView:
         couplings=_couplings(structure, sizes),
         model=_model_view(structure, functions),
         groups=groups,
-        scheme=SCHEMES["rk4" if integrator.scheme == "flow" else integrator.scheme],
+        scheme=SCHEMES["rk4" if integrator.scheme in ("flow", "clip") else integrator.scheme],
         law=element_law(machine) if any(g.obeys_law for g in groups) else None,
         flow=flow_of(machine) if any(g.follows_flow for g in groups) else None,
         compensation=compensation_of(machine),
@@ -316,8 +317,16 @@ def _weights(model: Model, variant: Variant) -> Weights:
         upper=tuple(min(p.upper, largest) for p in model.parameters),
         inverse_state_noise=tuple(1.0 / model.state_noise),
         inverse_initial_state=tuple(1.0 / model.initial_state),
-        inverse_move=tuple(np.sqrt(model.state_noise * machine.friction.smoothing.lambda_) / MOVE),
+        inverse_move=tuple(_inverse_move(model)),
     )
+
+
+def _inverse_move(model: Model) -> NDArray[np.float64]:
+    """Of how far the end of an interval may move, over the state noise (n_x): less, the sharper the slip window is."""
+    smoothing = model.machine.friction.smoothing
+    if smoothing is None:
+        return np.full(model.n_x, 1.0 / MOVE)
+    return np.asarray(np.sqrt(model.state_noise * smoothing.lambda_) / MOVE)
 
 
 def _couplings(structure: Structure, sizes: Sizes) -> Couplings:

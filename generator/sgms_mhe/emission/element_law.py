@@ -45,7 +45,7 @@ def element_law(machine: Machine) -> ElementLaw | None:
 
     The window depends on |r| alone where its two sides do not overlap (`SATURATED`).
     """
-    smoothing, friction = machine.friction.smoothing, machine.friction
+    smoothing, friction = machine.friction.smoothed, machine.friction
     single = machine.code.precision == "single"
     fastest = max(1.0, smoothing.lambda_ / smoothing.gamma)
     per_power = 1.0 / math.log(2.0)

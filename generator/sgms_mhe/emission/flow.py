@@ -43,7 +43,7 @@ def flow_of(machine: Machine) -> Flow:
     Raises:
         InputError: the smoothing is too soft for it.
     """
-    smoothing, precision = machine.friction.smoothing, machine.code.precision
+    smoothing, precision = machine.friction.smoothed, machine.code.precision
     gate = gate_ratio(smoothing.zeta, smoothing.lambda_, smoothing.gamma)
     table = flow_table(smoothing.zeta, smoothing.lambda_, precision, str(machine.source))
     exponent, relaxation = (60.0, 64.0) if precision == "single" else (600.0, 640.0)

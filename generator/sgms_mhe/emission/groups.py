@@ -39,9 +39,12 @@ class GroupView:
         rates: (name, meaning) of the numbers of a block's substeps.
         slow_steps: Runge-Kutta steps of constant signals below the flow's gate, where all blocks take as many.
         rhs: d(chi)/dt and its derivatives in chi and q.
-        level: of Maxwell-slip elements, rho and f_C / s(v) with their derivatives; None where nothing asks for them.
-        upstream: of elements that follow the flow, the states that set their level, over one step.
+        level: of Maxwell-slip elements, rho and f_C / s(v), or s(v) / f_C where they switch, with their derivatives;
+            None where nothing asks for them.
+        upstream: of elements that take steps in closed form, the states that set their level, over one step.
         follows_flow: steps are taken by the displacement flow.
+        switches: steps are taken by clips.
+        at_once: an element that switches takes merged samples in one clip.
         obeys_law: the right side is emitted as the law of one element.
         level_in_q: a parameter changes the level.
         slides: an element that slides through merged samples takes them at once.
@@ -59,6 +62,8 @@ class GroupView:
     level: Function | None
     upstream: Function | None
     follows_flow: bool
+    switches: bool
+    at_once: bool
     obeys_law: bool
     level_in_q: bool
     slides: bool
@@ -92,7 +97,9 @@ class GroupView:
 
     @property
     def step(self) -> str:
-        """How a step is taken: by the flow, by the flow at a level with states of its own, by Runge-Kutta substeps."""
+        """How a step is taken: by a clip, by the flow, by the flow at a level with states of its own, by substeps."""
+        if self.switches:
+            return "clip"
         if not self.follows_flow:
             return "substeps"
         return "upstream" if self.n_upstream else "flow"
@@ -108,7 +115,7 @@ def _view(group: Group, sizes: GroupSizes, structure: Structure, printer: Functi
     flow = follows_flow(group, structure)
     law = group.obeys_law and element_law(machine) is not None
     rates = step_rates(group, structure)
-    level_in_q = any(node.op != "const" for node in group.d_inverse_level)
+    level_in_q = any(node.op != "const" for node in group.d_level)
     return GroupView(
         name=group.name,
         sizes=sizes,
@@ -124,14 +131,16 @@ def _view(group: Group, sizes: GroupSizes, structure: Structure, printer: Functi
         rates=tuple((rate.name, rate.meaning) for rate in rates),
         slow_steps=common_slow_steps(group, structure) if flow else None,
         rhs=_rhs(group, printer),
-        level=_level(group, printer, in_q=level_in_q) if flow or law else None,
-        upstream=_upstream(group, printer) if flow else None,
+        level=_level(group, printer, in_q=level_in_q) if flow or law or group.switches else None,
+        upstream=_upstream(group, printer) if flow or group.switches else None,
         follows_flow=flow,
+        switches=group.switches,
+        at_once=group.at_once,
         obeys_law=law,
         level_in_q=level_in_q,
         slides=flow and group.obeys_law and not level_in_q,
         is_elements=group.is_elements,
-        has_elastic_range=ahead_elastic(machine) > 0.0,
+        has_elastic_range=group.is_elements and not group.switches and ahead_elastic(machine) > 0.0,
     )
 
 
@@ -141,11 +150,12 @@ def _rhs(group: Group, printer: FunctionPrinter) -> Function:
 
 
 def _level(group: Group, printer: FunctionPrinter, *, in_q: bool) -> Function:
+    name = "reach" if group.switches else "over_level"
     outputs = [
         scalar("level.rho", group.rate[0]),
-        scalar("level.over_level", group.inverse_level[0]),
+        scalar(f"level.{name}", group.level[0]),
         Output("level.d_rho", group.d_rate),
-        Output("level.d_over_level", group.d_inverse_level if in_q else ()),
+        Output(f"level.d_{name}", group.d_level if in_q else ()),
         Output("level.by_state", group.level_by_state),
     ]
     return printer.of_group(group, outputs)

@@ -9,9 +9,6 @@ from dataclasses import dataclass
 from sgms_mhe.emission.sizes import Sizes
 from sgms_mhe.emission.variant import Variant
 
-STEP_COST_PER_ROW = 30
-"""Multiplications, or so, of one step of the series for each of chi and its sensitivities."""
-
 
 @dataclass(frozen=True)
 class Costs:
@@ -33,10 +30,7 @@ class Costs:
 
 
 def schedule_of(sizes: Sizes, variant: Variant) -> Costs:
-    """Share the work of an update out over the samples of an interval but its last.
-
-    At worst a step is taken as the samples that it merges.
-    """
+    """Share the work of an update out over the samples of an interval but its last."""
     n_x, n_p, slots, width = sizes.states, sizes.parameters, sizes.slots, sizes.factor_rows + 1
     intervals = {"all": slots, "auto": 1, "newest": 0}[variant.relinearise]
     reading = n_x * (n_x + n_p) * (2 + n_x) if sizes.inner else 0
@@ -44,7 +38,7 @@ def schedule_of(sizes: Sizes, variant: Variant) -> Costs:
     fold = 3 * width * width
     inner = sizes.inner * sizes.factor_rows * width
     condense = 2 * n_x * (n_x + 2) * sizes.kept_width + 2 * (n_x + n_p) * (n_x + n_p + 1) + inner
-    step = (STEP_COST_PER_ROW * sizes.merged * sizes.moving_rows + reading) * max(1, intervals)
+    step = (sizes.step_cost + reading) * max(1, intervals)
     # In the order in which they are done: nodes of the last solution, the start of the sweep, steps, condensing.
     units = [(expand, slots - 1), (condense, 1), (step, sizes.steps if intervals else 0), (condense, slots - 1)]
     units.append((fold, sizes.inner))

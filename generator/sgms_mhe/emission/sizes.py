@@ -5,12 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from sgms_mhe.emission.stepping import step_rates
-from sgms_mhe.emission.structure import Structure
+from sgms_mhe.emission.structure import Group, Structure
 from sgms_mhe.emission.variant import Variant
 from sgms_mhe.model import SIGNAL_NAMES
 
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
+STEP_COST = 30
+"""Multiplications, or so, of a sample for each of chi and its sensitivities."""
+CLIP_COST = 2
+"""The same of elements that switch."""
+TURN_COST = 3
+"""And of a step of merged samples more, where their velocity changes sign."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +29,7 @@ class GroupSizes:
         n_data: numbers in which a block differs from the others.
         n_rates: numbers that say how many substeps a block takes.
         n_blocks: blocks of the group.
+        cost: multiplications, or so, of one step of the series for each row, at worst.
         first, first_q: the group's first block, and its first parameter term, among those of all groups.
         first_row: its first row where blocks stand side by side.
         first_lane_row: its first row where they stand one behind the other.
@@ -33,6 +40,7 @@ class GroupSizes:
     n_data: int
     n_rates: int
     n_blocks: int
+    cost: int
     first: int
     first_q: int
     first_row: int
@@ -114,14 +122,9 @@ class Sizes:
         return max(len(states) for states in self.block_states)
 
     @property
-    def moving_rows(self) -> int:
-        """Rows of all blocks that an integration step moves."""
-        return sum(g.rows * g.n_blocks for g in self.groups)
-
-    @property
-    def largest_rows(self) -> int:
-        """The same of the largest block."""
-        return max(g.rows for g in self.groups)
+    def step_cost(self) -> int:
+        """Multiplications, or so, of one step of the series of all blocks, at worst."""
+        return sum(g.cost * g.rows * g.n_blocks for g in self.groups)
 
     @property
     def blocks_rows(self) -> int:
@@ -225,6 +228,7 @@ def _groups(structure: Structure) -> tuple[GroupSizes, ...]:
             n_data=group.n_data,
             n_rates=len(step_rates(group, structure)),
             n_blocks=len(group.blocks),
+            cost=_cost(group, structure.model.machine.sampling.merged),
             first=first,
             first_q=first_q,
             first_row=first_row,
@@ -236,6 +240,13 @@ def _groups(structure: Structure) -> tuple[GroupSizes, ...]:
         first_row += sizes.all_rows
         first_lane_row += sizes.all_rows * sizes.n_blocks
     return tuple(groups)
+
+
+def _cost(group: Group, merged: int) -> int:
+    """Multiplications, or so, of one step of merged samples for each row: at worst it is taken sample by sample."""
+    if group.at_once:
+        return CLIP_COST if merged == 1 else CLIP_COST + TURN_COST
+    return merged * STEP_COST
 
 
 def couplings(structure: Structure) -> tuple[tuple[int, ...], ...]:

@@ -39,6 +39,8 @@ def step_rates(group: Group, structure: Structure) -> tuple[StepRate, ...]:
     metre = tuple(block.rate_per_metre for block in group.blocks)
     second = tuple(block.rate_per_second for block in group.blocks)
     step_time = sampling.merged * sampling.step
+    if group.switches:
+        return ()
     per_speed, at_rest = "substeps per speed, s/m", "and at standstill"
     if not follows_flow(group, structure):
         per_step = step_time / integrator.displacement
@@ -69,7 +71,7 @@ def slow_steps(block: Block, structure: Structure) -> int:
     """Runge-Kutta steps of constant signals at the flow's gate, the highest speed at which they are taken."""
     machine = structure.model.machine
     sampling, friction = machine.sampling, machine.friction
-    smoothing = friction.smoothing
+    smoothing = friction.smoothed
     gate = gate_ratio(smoothing.zeta, smoothing.lambda_, smoothing.gamma) * friction.stribeck_velocity
     moved = gate * sampling.step * block.rate_per_metre / slow_displacement(structure)
     aged = sampling.step * block.rate_per_second / sampling.integrator.displacement
@@ -82,4 +84,4 @@ def slow_displacement(structure: Structure) -> float:
     The slip window, 1 / lambda wide in r, bounds a step even there.
     """
     machine = structure.model.machine
-    return machine.sampling.integrator.slow_displacement * min(1.0, SLOW_LAMBDA / machine.friction.smoothing.lambda_)
+    return machine.sampling.integrator.slow_displacement * min(1.0, SLOW_LAMBDA / machine.friction.smoothed.lambda_)

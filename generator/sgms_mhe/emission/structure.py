@@ -44,15 +44,16 @@ class Group:
     Attributes:
         name: C name.
         blocks: its blocks, in the order of their states.
-        rhs: d(chi)/dt (m).
+        rhs: d(chi)/dt (m); of an element that switches, while it sticks.
         d_chi: its Jacobian in chi (m x m, row-major).
         d_q: its Jacobian in the parameter terms (m x n_q, row-major).
-        rate, inverse_level: of Maxwell-slip elements, rho and f_C/s(v), with their derivatives in the parameter terms
-            (`d_rate`, `d_inverse_level`, n_q each); empty for other blocks.
-        level_by_state: derivatives of `inverse_level` in the element's upstream states (m - 1).
+        rate, level: of Maxwell-slip elements, rho and f_C/s(v), or s(v)/f_C where they switch, with their derivatives
+            in the parameter terms (`d_rate`, `d_level`, n_q each); empty for other blocks.
+        level_by_state: derivatives of `level` in the element's upstream states (m - 1).
         upstream: those states at the end of a step (m - 1), with their derivatives in themselves (`upstream_by_state`,
             m - 1) and in the parameter terms (`upstream_by_q`, (m - 1) x n_q).
         obeys_law: whether `rhs` is the S-GMS law of one state in these, for every value of its inputs.
+        switches: whether the blocks are elements that switch.
         names: names for intermediate values.
     """
 
@@ -62,14 +63,15 @@ class Group:
     d_chi: tuple[Node, ...]
     d_q: tuple[Node, ...]
     rate: tuple[Node, ...]
-    inverse_level: tuple[Node, ...]
+    level: tuple[Node, ...]
     d_rate: tuple[Node, ...]
-    d_inverse_level: tuple[Node, ...]
+    d_level: tuple[Node, ...]
     level_by_state: tuple[Node, ...]
     upstream: tuple[Node, ...]
     upstream_by_state: tuple[Node, ...]
     upstream_by_q: tuple[Node, ...]
     obeys_law: bool
+    switches: bool
     names: dict[Node, str]
 
     @property
@@ -89,8 +91,13 @@ class Group:
 
     @property
     def is_elements(self) -> bool:
-        """Whether the blocks are Maxwell-slip elements, which have a displacement flow."""
-        return bool(self.inverse_level)
+        """Whether the blocks are Maxwell-slip elements, which have a closed form in displacement."""
+        return bool(self.level)
+
+    @property
+    def at_once(self) -> bool:
+        """Whether they are elements that switch and take merged samples in one clip: alone, rho not in the signals."""
+        return self.switches and self.m == 1 and "terms" not in self.rate[0].inputs
 
 
 @dataclass(frozen=True)
@@ -190,11 +197,13 @@ def analyse(model: Model) -> Structure:
         "theta": [f"theta_{p.column}" for p in model.parameters],
     }
     vectors = {"chi": model.chi, "w": model.w, "theta": model.theta}
-    rhs = graph.read(model.rhs, vectors, labels)
-    inverse_level = graph.read(1.0 / model.level, vectors, labels)[0]
+    switches = model.machine.friction.switches
+    rhs = graph.read(_while_sticking(model) if switches else model.rhs, vectors, labels)
+    # A law that divides by the level has its reciprocal, once per sample; a clip has the level itself.
+    level = graph.read(model.level if switches else 1.0 / model.level, vectors, labels)[0]
     rho = graph.read(model.rho, vectors, labels) if model.n_z else []
     terms = _Terms()
-    terms.add([graph.input("w", "velocity"), *rhs, *rho, inverse_level])
+    terms.add([graph.input("w", "velocity"), *rhs, *rho, level])
     sampling = model.machine.sampling
     if sampling.varies_in_step:  # between the nodes of a step the signals are interpolated, and their functions follow
         terms.add([n for n in walk(terms.nodes) if n.op == "input"])
@@ -204,14 +213,14 @@ def analyse(model: Model) -> Structure:
         for n, s in zip(labels["theta"], ca.vertsplit(model.theta) if model.n_p else [], strict=True)
     }
     sample_terms = tuple(
-        SampleTerm(_term_name(node, inverse_level, k), expression)
+        SampleTerm(("level" if switches else "inverse_level") if node is level else _term_name(node, k), expression)
         for k, (node, expression) in enumerate(zip(terms.nodes, to_sx(terms.nodes, w_symbols), strict=True))
     )
     found: dict[object, list[tuple[_Canonical, tuple[int, ...], tuple[ca.SX, ...]]]] = {}
     for states in block_states(model):
         own = [rhs[i] for i in states]
         element = model.states[states[0]].element if upstream_states(model, states) is not None else None
-        extra = [rho[element], inverse_level] if element is not None else []
+        extra = [rho[element], level] if element is not None else []
         q_nodes = _parameter_terms(own + extra)
         named = [(n, graph.read(e, vectors, labels)[0]) for i in states for n, e in model.names[i].items()]
         canonical = _canonical(
@@ -227,9 +236,13 @@ def analyse(model: Model) -> Structure:
     return Structure(model, groups, sample_terms, sparsity(model.rhs, model.chi), pattern)
 
 
-def _term_name(node: Node, inverse_level: Node, k: int) -> str:
-    if node is inverse_level:
-        return "inverse_level"
+def _while_sticking(model: Model) -> ca.SX:
+    """The right side with elements that move with the axis, rho v."""
+    drives = [model.rho[i] * model.w[SIGNAL_NAMES.index("velocity")] for i in range(model.n_z)]
+    return ca.vertcat(*drives, model.rhs[model.n_z :])
+
+
+def _term_name(node: Node, k: int) -> str:
     return node.label if node.op == "input" else f"term_{k}"
 
 
@@ -356,14 +369,15 @@ def _group(
         d_chi=parts[1],
         d_q=parts[2],
         rate=parts[3],
-        inverse_level=parts[4],
+        level=parts[4],
         d_rate=parts[5],
-        d_inverse_level=parts[6],
+        d_level=parts[6],
         level_by_state=parts[7],
         upstream=parts[8],
         upstream_by_state=parts[9],
         upstream_by_q=parts[10],
-        obeys_law=_obeys_law(parts[0], parts[3], parts[4], machine),
+        obeys_law=not machine.friction.switches and _obeys_law(parts[0], parts[3], parts[4], machine),
+        switches=machine.friction.switches and bool(parts[4]),
         names=names,
     )
 
@@ -388,7 +402,7 @@ def _obeys_law(rhs: Sequence[Node], rate: Sequence[Node], inverse_level: Sequenc
     v = friction.stribeck_velocity * 10.0 ** draw.uniform(-2.0, 1.0, points) * draw.choice([-1.0, 1.0], points)
     values |= {"chi0": chi, "term0": v}
     found, rho, over_level = np.asarray(f(np.array([values[n.label] for n in inputs])))
-    r, smoothing = chi * over_level, friction.smoothing
+    r, smoothing = chi * over_level, friction.smoothed
     window = (
         1.0
         - 0.5 * np.tanh(smoothing.lambda_ * (r + smoothing.zeta))
@@ -432,7 +446,9 @@ def report(structure: Structure) -> str:
             f"{group.m * (group.m + group.n_q)} sensitivities per block instead of {model.n_x + model.n_p} per state",
             "  one right side with sensitivities: " + ", ".join(f"{n} {op}" for op, n in sorted(stage.items())),
         ]
-        if group.is_elements:
+        if group.switches:
+            lines.append("  sticks or slips: a step is a clip")
+        elif group.is_elements:
             lines.append("  autonomous in displacement where the gate is saturated: displacement flow applies")
         for block in group.blocks:
             what = ", ".join(model.states[i].name for i in block.states)

@@ -134,7 +134,9 @@ def run_benchmark(
         (kind, round(share * sampling.samples_per_update))
         for share in PEER_STEPS
         for kind in KINDS
-        if sampling.integrator.velocity == "constant" and (share * sampling.samples_per_update).is_integer()
+        if _is_smooth(machine)
+        and sampling.integrator.velocity == "constant"
+        and (share * sampling.samples_per_update).is_integer()
     ]
     tasks += [("peers", partial(bench.peer, kind, steps, motion)) for kind, steps in peers]
     if not quick:
@@ -144,7 +146,7 @@ def run_benchmark(
             tasks.append(("motions", partial(bench.variant, machine.code.precision, machine, "all", other)))
             tasks += [("motions", partial(bench.peer, *peer, other)) for peer in peers if peer[0] == KINDS[0]]
         short = recorded(trajectory, min(updates, FEW_UPDATES))
-        for precision, candidate in product(PRECISIONS, INTEGRATORS):
+        for precision, candidate in product(PRECISIONS, INTEGRATORS if _is_smooth(machine) else ()):
             if precision == "double" or candidate == INTEGRATORS[0]:
                 changes = {"sampling": {"integrator": settings(*candidate)}, "code": {"precision": precision}}
                 variant = override_machine(machine, changes)
@@ -160,6 +162,11 @@ def run_benchmark(
         if progress is not None:
             progress(done, len(tasks))
     return Benchmark(**{section: tuple(found) for section, found in results.items()})
+
+
+def _is_smooth(machine: Machine) -> bool:
+    """Whether integrators have something to integrate: elements that switch take every step in closed form."""
+    return not machine.friction.switches
 
 
 def with_horizon(machine: Machine, intervals: int) -> Machine:
@@ -200,7 +207,9 @@ class Bench:
         log = simulate_axis(machine, trajectory, AxisConfig(seed=1), truth=False).log
         signals = signals_from_log(log, machine)
         # The velocity between samples is part of the problem, not of its solution.
-        converged = {**CONVERGED, "velocity": sampling.integrator.velocity, "substeps": 8 * samples}
+        converged = {"velocity": sampling.integrator.velocity, "substeps": 8 * samples}
+        if _is_smooth(machine):
+            converged |= CONVERGED
         model = build_model(machine)
         own = Integrator(model)
         fine = Integrator(build_model(override_machine(machine, {"sampling": {"integrator": converged}})))

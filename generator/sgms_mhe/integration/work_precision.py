@@ -107,7 +107,7 @@ def settings(scheme: str, displacement: float) -> dict[str, str | float]:
 
 def candidates(friction: Friction, sampling: Sampling, precision: str) -> tuple[Candidate, ...]:
     """Every integrator that a machine can have, in the order of `CANDIDATES`."""
-    smoothing = friction.smoothing
+    smoothing = friction.smoothed
     zeta, lambda_, gamma = smoothing.zeta, smoothing.lambda_, smoothing.gamma
     gate = gate_ratio(zeta, lambda_, gamma) * friction.stribeck_velocity
     flows = flow_applies(zeta, lambda_, precision) and gate < sampling.max_velocity
@@ -174,7 +174,7 @@ def _candidate(friction: Friction, sampling: Sampling, scheme: str, displacement
         return sampling.samples_per_update * stages * sum(substeps(speed))
 
     works = [work(sampling.max_velocity * 10.0 ** (-DECADES * k / 60)) for k in range(61)]
-    smoothing = friction.smoothing
+    smoothing = friction.smoothed
     return Candidate(
         scheme=scheme,
         displacement=displacement,

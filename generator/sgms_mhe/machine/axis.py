@@ -1,9 +1,9 @@
-"""Tables [plant] and [friction]: what moves, and the S-GMS parameters of its friction."""
+"""Tables [plant] and [friction]: what moves, and the law and parameters of its friction."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final, Self
+from typing import Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -30,8 +30,11 @@ class Smoothing(Table):
 
 
 class Friction(Table):
-    """S-GMS parameters, one entry per Maxwell-slip element in the arrays."""
+    """Law and parameters of friction, one entry per Maxwell-slip element in the arrays."""
 
+    law: Literal["sgms", "switching"] = text(
+        "how an element goes over from sticking to slipping", "sgms (smoothed) or switching (at once)", "sgms"
+    )
     stiffness: Positives = text("kappa_i, element stiffness [N/m]", "1 to 10 numbers > 0", min_length=1, max_length=10)
     fraction: Positives = text("nu_i, share of the Coulomb level [1]", "as many as stiffness, > 0, sum 1")
     micro_viscous: NonNegatives = Field(
@@ -41,12 +44,27 @@ class Friction(Table):
     coulomb: float = quantity("f_C, Coulomb level", "N", gt=0, le=1e7)
     stribeck_ratio: float = quantity("beta, static over Coulomb level minus one", "1", 0.0, ge=0, le=100)
     stribeck_velocity: float = quantity("v_s, Stribeck velocity", "m/s", 1e-3, gt=0, le=10)
-    smoothing: Smoothing = Field(Smoothing(), description="smoothing of the slip switches; default zeta 0.9, 35, 35")
+    smoothing: Smoothing | None = Field(
+        default_factory=lambda data: Smoothing() if data.get("law", "sgms") == "sgms" else None,
+        description="smoothing of the slip switches, of law sgms alone; default zeta 0.9, 35, 35",
+    )
 
     @property
     def n_z(self) -> int:
         """Number of Maxwell-slip elements."""
         return len(self.stiffness)
+
+    @property
+    def switches(self) -> bool:
+        """Whether elements go over from sticking to slipping at once."""
+        return self.law == "switching"
+
+    @property
+    def smoothed(self) -> Smoothing:
+        """The smoothing where law is sgms; ValueError where there is none."""
+        if self.smoothing is None:
+            raise ValueError("the switching law has no smoothing")
+        return self.smoothing
 
     @model_validator(mode="before")
     @classmethod
@@ -68,4 +86,12 @@ class Friction(Table):
         total = sum(self.fraction)
         if abs(total - 1.0) > SUM_TOLERANCE:
             raise refusal("fraction", list(self.fraction), f"fractions that sum to 1 (here {total:.9g})")
+        if self.law == "sgms" and self.smoothing is None:
+            raise refusal("smoothing", None, "a table { zeta, lambda, gamma }, where law is sgms")
+        if self.law == "switching" and self.smoothing is not None:
+            allowed = "no smoothing where law is switching: nothing is smoothed"
+            raise refusal("smoothing", self.smoothing.model_dump(by_alias=True), allowed)
+        if self.law == "switching" and any(self.micro_viscous):
+            allowed = "zeros where law is switching: the damping of an element would jump where it breaks away"
+            raise refusal("micro_viscous", list(self.micro_viscous), allowed)
         return self

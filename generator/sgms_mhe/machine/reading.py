@@ -16,7 +16,7 @@ from pydantic_core import ErrorDetails
 
 from sgms_mhe.machine.fields import listing
 from sgms_mhe.machine.file import Tables
-from sgms_mhe.machine.sampling import CHOSEN_BY_TOLERANCE
+from sgms_mhe.machine.sampling import CHOSEN_BY_LAW, CHOSEN_BY_TOLERANCE
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import machines_dir
 
@@ -84,10 +84,11 @@ def machine_file(content: Mapping[str, Any], layers: Sequence[Layer]) -> Machine
 def merged(base: Any, over: Any) -> Any:
     """Content `over` laid over `base`: tables merge key by key; everything else, arrays included, is replaced.
 
-    A tolerance takes the place of the integrator that it would exclude, and the other way round.
+    A tolerance takes the place of the integrator that it would exclude, and the other way round. A friction law takes
+    away the smoothing and the integrator of another one.
     """
     if isinstance(base, Mapping) and isinstance(over, Mapping):
-        kept = dict(base)
+        kept = _of_law(base, over)
         for given, excluded in (
             ("tolerance", CHOSEN_BY_TOLERANCE),
             *((key, ("tolerance",)) for key in CHOSEN_BY_TOLERANCE),
@@ -96,6 +97,22 @@ def merged(base: Any, over: Any) -> Any:
                 kept = {key: value for key, value in kept.items() if key not in excluded}
         return {**kept, **{key: merged(kept.get(key), value) for key, value in over.items()}}
     return over
+
+
+def _of_law(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """What of `base` is left where `over` gives another friction law."""
+    kept = dict(base)
+    before, after = base.get("friction"), over.get("friction")
+    if not isinstance(before, Mapping) or not isinstance(after, Mapping):
+        return kept
+    if after.get("law", law := before.get("law", "sgms")) == law:
+        return kept
+    kept["friction"] = {key: value for key, value in before.items() if key != "smoothing"}
+    sampling = kept.get("sampling")
+    if isinstance(sampling, Mapping) and isinstance(integrator := sampling.get("integrator"), Mapping):
+        left = {key: value for key, value in integrator.items() if key not in CHOSEN_BY_LAW}
+        kept["sampling"] = {**sampling, "integrator": left}
+    return kept
 
 
 def _find(machine: str | Path, folder: Path, source: str | Path, where: str) -> Path:

@@ -10,13 +10,16 @@ from pydantic import Field, model_validator
 
 from sgms_mhe.machine.fields import Table, listing, quantity, refusal, text
 
-DISPLACEMENT: Final = {"rk4": 0.03, "rk2": 0.05, "bs23": 0.02, "euler": 0.01, "flow": 0.1}
-"""Default largest move per substep in deflection scales (`flow`: for the blocks that it leaves to rk4).
+DISPLACEMENT: Final = {"rk4": 0.03, "rk2": 0.05, "bs23": 0.02, "euler": 0.01, "flow": 0.1, "clip": 0.1}
+"""Default largest move per substep in deflection scales (`flow`, `clip`: for the blocks that they leave to rk4).
 
 rk4 and bs23 then keep the force of Table I within 1e-4 N at every speed; rk2 and euler are off by up to 6e-3 N."""
 
 CHOSEN_BY_TOLERANCE: Final = ("scheme", "substeps", "displacement", "slow_displacement")
 """Keys of the integrator that a tolerance excludes: it chooses them."""
+
+CHOSEN_BY_LAW: Final = ("scheme", "tolerance", "displacement", "slow_displacement")
+"""Keys of the integrator that mean nothing under another friction law."""
 
 MOST_SAMPLES: Final = 1e5
 """Samples of an interval: an update every ten seconds at 10 kHz."""
@@ -29,8 +32,10 @@ SMALLEST_CUTOFF: Final = 1e-4  # of rate: below it the low-pass coefficients los
 class Integrator(Table):
     """How one shooting interval is integrated."""
 
-    scheme: Literal["rk4", "rk2", "bs23", "euler", "flow"] = text(
-        "integration scheme", "rk4, rk2, bs23, euler or flow", "rk4"
+    scheme: Literal["rk4", "rk2", "bs23", "euler", "flow", "clip"] = text(
+        "integration scheme",
+        "rk4, rk2, bs23, euler or flow; clip where, and only where, [friction] law is switching",
+        "rk4",
     )
     substeps: int = Field(
         1,
@@ -41,7 +46,7 @@ class Integrator(Table):
     )
     velocity: Literal["constant", "linear"] = text(
         "velocity between two samples",
-        "constant or linear (linear: at least one substep per sample, not flow)",
+        "constant or linear (linear: at least one substep per sample, neither flow nor clip)",
         "constant",
     )
     displacement: float = Field(
@@ -49,7 +54,7 @@ class Integrator(Table):
         gt=0,
         le=10,
         description="largest move per substep over the deflection scale [1]; > 0 and <= 10; "
-        "default 0.03 (rk4), 0.1 (flow), 0.05 (rk2), 0.02 (bs23), 0.01 (euler)",
+        "default 0.03 (rk4), 0.1 (flow, clip), 0.05 (rk2), 0.02 (bs23), 0.01 (euler)",
     )
     slow_displacement: float = quantity(
         "of the flow: the same below the speed at which the gate saturates", "1", 0.02, gt=0, le=1
@@ -155,8 +160,8 @@ class Sampling(Table):
         if self.integrator.velocity == "linear":
             if self.integrator.tolerance is not None:
                 raise refusal("integrator.velocity", "linear", "constant, where a tolerance is given")
-            if self.integrator.scheme == "flow":
-                raise refusal("integrator.velocity", "linear", "constant, where scheme is flow")
+            if self.integrator.scheme in ("flow", "clip"):
+                raise refusal("integrator.velocity", "linear", f"constant, where scheme is {self.integrator.scheme}")
             if steps < samples:
                 raise refusal(
                     "integrator.velocity",

@@ -69,7 +69,7 @@ class SymbolicAxis:
         micro_viscous: damping [N s/m] shared out to the elements by nu_i, on top of their own sigma_i.
         stribeck_level: s(v) / f_C, which an effect may replace by the level that the elements really have.
         rest_level: the same at v = 0, 1 + beta.
-        gate_per_velocity: gamma / v_s [s/m], how sharply the law tells directions apart.
+        gate_per_velocity: gamma / v_s [s/m], how sharply directions are told apart.
         engagement: share of the velocity that reaches the friction elements.
         output: what the model predicts, the logged force minus mass * measured acceleration [N].
         element_force: sum of nu_i chi_i, the elements' force over f_C, from when they are declared.

@@ -16,6 +16,7 @@ from sgms_mhe.model.axis import SIGNAL_NAMES, StateSpec, SymbolicAxis
 from sgms_mhe.model.effects import EFFECT_NAMES, EffectDefinition, Stage, effect_definition
 from sgms_mhe.model.friction import FrictionSymbols, Smoothing, add_friction, declare_elements
 from sgms_mhe.model.scales import scales_of
+from sgms_mhe.model.switching import check_switching
 from sgms_mhe.support.errors import InputError
 
 
@@ -45,7 +46,7 @@ class Model:
     """Symbolic model of one machine; w = (position, velocity, acceleration, force, time).
 
     Attributes:
-        rhs: d(chi)/dt (n_x).
+        rhs: d(chi)/dt (n_x); of elements that switch, that at a level which does not change.
         to_node: node state x (n_x) of (chi, theta).
         from_node: chi (n_x) of (x, theta).
         output: friction force [N] of (chi, w, theta).
@@ -186,6 +187,8 @@ class _Parameters:
         return [self.take(name, f"{name}_{i + 1}", p, p, -np.inf, np.inf) for i, p in enumerate(nominal)]
 
 
+_GATE: Final = 35.0
+"""gamma for effects that tell directions apart, where the law has none."""
 _BEHIND_THE_DRIVE: Final[tuple[Stage, ...]] = ("log", "actuator")
 """Stages between the force that acts and the one that is logged."""
 
@@ -251,8 +254,14 @@ def _prompt_drive(effects: Sequence[_Effect], axis: SymbolicAxis) -> ca.SX:
 
 
 def build_model(machine: Machine) -> Model:
-    """Assemble the symbolic model of a machine: the S-GMS law and every effect of its machine file."""
+    """Assemble the symbolic model of a machine: the friction law and every effect of its machine file.
+
+    Raises:
+        InputError: an effect cannot be built with its numbers, or not where elements switch.
+    """
     friction, noise = machine.friction, machine.estimator.noise
+    soft = friction.smoothing
+    smoothing = Smoothing(soft.zeta, soft.lambda_, soft.gamma) if soft is not None else None
     parameters = _Parameters(machine)
     integrator, sampling = machine.sampling.integrator, machine.sampling
     axis = SymbolicAxis(
@@ -261,7 +270,7 @@ def build_model(machine: Machine) -> Model:
         step=sampling.step,
         # Lines through merged samples have them in the middle of their times: half a sample ahead, as held ones are.
         hold=0.0 if integrator.velocity == "linear" else sampling.step,
-        gate_per_velocity=friction.smoothing.gamma / friction.stribeck_velocity,
+        gate_per_velocity=(smoothing.gamma if smoothing else _GATE) / friction.stribeck_velocity,
     )
     symbols = FrictionSymbols(
         stiffness=parameters.array("stiffness", friction.stiffness),
@@ -283,7 +292,6 @@ def build_model(machine: Machine) -> Model:
         initial_state=noise.initial_state,
     )
     _contribute(effects, axis, "level")
-    smoothing = Smoothing(friction.smoothing.zeta, friction.smoothing.lambda_, friction.smoothing.gamma)
     elements = add_friction(axis, friction.fraction, symbols, smoothing)
     _contribute(effects, axis, "force", "motor")
     prompt = _prompt_drive(effects, axis)
@@ -291,6 +299,8 @@ def build_model(machine: Machine) -> Model:
     rates = [state.rate for state in axis.states if state.rate is not None]
     if len(rates) != len(axis.states):
         raise ValueError("an effect declared a state and gave it no rate")
+    if friction.switches:
+        check_switching(machine, axis, elements)
     chi, rhs = ca.vertcat(*(state.chi for state in axis.states)), ca.vertcat(*rates)
     return Model(
         machine=machine,

@@ -1,4 +1,4 @@
-"""The S-GMS friction law, equations (1) to (3), in the integration state chi_i = z_i kappa_i / (nu_i f_C)."""
+"""The S-GMS law, equations (1) to (3), and its limit that switches, in chi_i = z_i kappa_i / (nu_i f_C)."""
 
 from __future__ import annotations
 
@@ -99,9 +99,12 @@ def declare_elements(
 
 
 def add_friction(
-    axis: SymbolicAxis, fraction: Sequence[float], symbols: FrictionSymbols, smoothing: Smoothing
+    axis: SymbolicAxis, fraction: Sequence[float], symbols: FrictionSymbols, smoothing: Smoothing | None
 ) -> Elements:
-    """Give the declared elements their rates, and add their forces and the viscous force to the axis."""
+    """Give the declared elements their rates, and add their forces and the viscous force to the axis.
+
+    Without smoothing they switch: an element moves with the axis, and slips where the axis pushes it on at its level.
+    """
     v = axis.engagement * axis.velocity
     level = axis.stribeck_level * axis.coulomb_factor
     deflections: list[ca.SX] = []
@@ -110,13 +113,16 @@ def add_friction(
         state = axis.states[i]
         chi = state.chi
         rho = symbols.stiffness[i] / (nu * symbols.coulomb)
-        r = chi / level
-        slip = window(r, smoothing)
-        gate = 0.5 + 0.5 * ca.tanh(smoothing.gamma * (v / symbols.stribeck_velocity) * r)
-        eta = slip * gate
-        rate = rho * (v - ca.fabs(v) * (eta * r))
+        if smoothing is None:
+            rate = rho * v * (ca.sign(v) * chi < level)
+        else:
+            r = chi / level
+            slip = window(r, smoothing)
+            gate = 0.5 + 0.5 * ca.tanh(smoothing.gamma * (v / symbols.stribeck_velocity) * r)
+            eta = slip * gate
+            rate = rho * (v - ca.fabs(v) * (eta * r))
+            state.names.update(r=r, window=slip, gate=gate, eta=eta, speed=ca.fabs(v))
         state.rate = rate
-        state.names.update(r=r, window=slip, gate=gate, eta=eta, speed=ca.fabs(v))
         deflections.append(chi / rho)
         rhos.append(rho * axis.velocity_ratio)
         axis.add_force(nu * symbols.coulomb * chi + (symbols.micro_viscous[i] + nu * axis.micro_viscous) * rate / rho)

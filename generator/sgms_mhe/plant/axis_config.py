@@ -83,7 +83,8 @@ class AxisConfig:
     """How an axis is simulated, beyond what its machine file says.
 
     Attributes:
-        law: friction law, "sgms" or the switching "maxwell_slip" (stick until the level, slip at it).
+        law: friction law, "sgms" or the switching "maxwell_slip" (stick until the level, slip at it); None: the machine
+            file's.
         control: "position" (closed loop), or "prescribed" (the mass follows the reference exactly; velocity constant
             per sample, the force is what that takes).
         bandwidth_Hz: of the default controller; None: 80 Hz, or 1/40 of the sample rate where that is less.
@@ -97,7 +98,7 @@ class AxisConfig:
         seed: of the noise. Encoder and force have streams of their own.
     """
 
-    law: Literal["sgms", "maxwell_slip"] = "sgms"
+    law: Literal["sgms", "maxwell_slip"] | None = None
     control: Literal["prescribed", "position"] = "position"
     bandwidth_Hz: float | None = None
     controller: Controller | None = None
@@ -111,7 +112,7 @@ class AxisConfig:
 
     def __post_init__(self) -> None:
         for name, value, allowed in (("law", self.law, LAWS), ("control", self.control, CONTROLS)):
-            if value not in allowed:
+            if value is not None and value not in allowed:
                 raise InputError("simulation", name, value, f"one of {', '.join(allowed)}")
         for name in ("bandwidth_Hz", "current_loop_Hz", "max_force_N"):
             value = getattr(self, name)

@@ -190,9 +190,14 @@ class NativeAxis:
         self._prescribed = config.control == "prescribed"
 
         friction, limits = machine.friction, _base_limits()
-        smoothing = {"zeta": friction.smoothing.zeta, "lambda": friction.smoothing.lambda_}
-        smoothing["gamma"] = friction.smoothing.gamma
-        plant = {"mass": machine.plant.mass, **smoothing}
+        # Of a machine file that says nothing of it: for a plant that obeys the other law.
+        smoothing = friction.smoothing or Smoothing()
+        plant = {
+            "mass": machine.plant.mass,
+            "zeta": smoothing.zeta,
+            "lambda": smoothing.lambda_,
+            "gamma": smoothing.gamma,
+        }
         plant |= {
             name: getattr(friction, name) for name in ("viscous", "coulomb", "stribeck_ratio", "stribeck_velocity")
         }
@@ -217,8 +222,9 @@ class NativeAxis:
         rate, mass = machine.sampling.rate, machine.plant.mass
         controller = config.controller or Controller.pid(mass, config.bandwidth_Hz or min(80.0, rate / 40.0))
         needed = math.ceil(1.0 / (rate * SUBSTEP_S) - 1e-9)
+        own = "maxwell_slip" if machine.friction.switches else "sgms"
         return {
-            "law": LAWS.index(config.law),
+            "law": LAWS.index(config.law or own),
             "control": CONTROLS.index(config.control),
             "rate": rate,
             "substeps": config.substeps or min(needed, MAX_SUBSTEPS),

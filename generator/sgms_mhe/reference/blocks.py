@@ -1,4 +1,4 @@
-"""Blocks of states that can be integrated apart from each other, and which of them the displacement flow takes."""
+"""Blocks of states that can be integrated apart from each other, and which of them take steps in closed form."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ class Block:
     `saturates`: its first state is an element that obeys the law of equation (1), and the others set its level by
     linear equations of their own. `slides`: it is an element alone, its level depends on signals alone and its rho not
     on them, and the measured velocity moves it; looked for only where samples are merged.
+
+    `switches`: its first state is an element that switches, and the others set its level by linear equations of their
+    own. `at_once`: it is such an element alone, and its rho does not depend on the signals.
     """
 
     states: tuple[int, ...]
@@ -29,6 +32,8 @@ class Block:
     rate_per_second: float
     saturates: bool
     slides: bool
+    switches: bool
+    at_once: bool
 
 
 class Blocks:
@@ -43,7 +48,7 @@ class Blocks:
     @cached_property
     def gate_ratio(self) -> float:
         """|v|/v_s beyond which elements follow the displacement flow; inf for the Runge-Kutta schemes."""
-        return gate_ratio(self._smoothing) if self._is_flow else math.inf
+        return gate_ratio(self._smoothing) if self._is_flow and self._smoothing else math.inf
 
     @property
     def reaches_flow(self) -> bool:
@@ -53,7 +58,7 @@ class Blocks:
     @cached_property
     def flow(self) -> Flow:
         """Tables of the displacement flow."""
-        return Flow.of(self._smoothing)
+        return Flow.of(self.model.machine.friction.smoothed)
 
     @cached_property
     def all(self) -> tuple[Block, ...]:
@@ -67,12 +72,15 @@ class Blocks:
 
         def block(states: tuple[int, ...]) -> Block:
             saturates = self.reaches_flow and self._obeys_law(states)
+            switches = model.machine.friction.switches and model.states[states[0]].element is not None
             return Block(
                 states=states,
                 rate_per_metre=max(model.states[i].rate_per_metre for i in states),
                 rate_per_second=max(model.states[i].rate_per_second for i in states),
                 saturates=saturates,
                 slides=saturates and self._sampling.merged > 1 and self._is_moved_alone(states),
+                switches=switches,
+                at_once=switches and len(states) == 1 and not ca.depends_on(model.rho[states[0]], model.w),
             )
 
         return tuple(block(states) for states in sorted(largest))
@@ -86,7 +94,7 @@ class Blocks:
 
         The others must be effects' states with linear rates of their own.
         """
-        model = self.model
+        model, smoothing = self.model, self.model.machine.friction.smoothed
         i, others = states[0], list(states[1:])
         if model.states[i].element is None or any(model.states[j].element is not None for j in others):
             return False
@@ -105,7 +113,7 @@ class Blocks:
             chi[others] *= 0.1  # or a level might be negative
             rhs, drive, level = (float(value) for value in function(chi, w, theta))
             r = float(chi[i]) * math.copysign(1.0, drive) / level
-            eta = float(window(r, self._smoothing)) if r > 0.0 else 0.0
+            eta = float(window(r, smoothing)) if r > 0.0 else 0.0
             if not abs(rhs - (drive - eta * r * drive)) <= 1e-7 * abs(drive):
                 return False
         return True

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from sgms_mhe.reference.blocks import Blocks
 from sgms_mhe.reference.flow import DEGREE, NEAR
 from sgms_mhe.reference.linearised import Linearised, Outputs
-from sgms_mhe.reference.plan import Plan
+from sgms_mhe.reference.plan import BEFORE_TURN, Plan
 from sgms_mhe.support.toolchain import load_library, shared_library
 
 Array = NDArray[np.float64]
@@ -118,6 +118,7 @@ class CompiledLoops:
     def _constants(self) -> str:
         """What intervals.c expects to precede it."""
         functions, blocks = self._functions.values(), self._blocks.all
+        smoothing = self._model.machine.friction.smoothing
 
         def largest(size: Callable[[ca.Function], int]) -> int:
             return max(1, *(size(function) for function in functions))
@@ -132,7 +133,8 @@ class CompiledLoops:
             "LARGEST_BLOCK": max(len(block.states) for block in blocks),
             "N_CHEBYSHEV": DEGREE + 1,
             "N_READINGS": self._model.machine.sampling.readings_per_update,
-            "NEAR": NEAR / self._model.machine.friction.smoothing.lambda_,
+            "BEFORE_TURN": BEFORE_TURN,
+            "NEAR": NEAR / smoothing.lambda_ if smoothing else 0.0,
             "SZ_ARG": largest(ca.Function.sz_arg),
             "SZ_RES": largest(ca.Function.sz_res),
             "SZ_IW": largest(ca.Function.sz_iw),
@@ -146,7 +148,8 @@ class CompiledLoops:
             "typedef int (*step_function)(const double **, double **, long long *, double *, int);",
             array("const long long BLOCK_SIZE", [str(len(block.states)) for block in blocks]),
             array("const long long BLOCK_STATES", [str(i) for block in blocks for i in block.states]),
-            array("const step_function STEP", [f"step_{b}" for b in range(len(blocks))]),
+            array("const step_function STEP", ["0" if k.switches else f"step_{b}" for b, k in enumerate(blocks)]),
+            array("const step_function CLIP", [f"clip_{b}" if k.switches else "0" for b, k in enumerate(blocks)]),
             array("const step_function FLOW", [f"flow_{b}" if k.saturates else "0" for b, k in enumerate(blocks)]),
             array("const step_function RATE", [f"rate_{b}" if k.slides else "0" for b, k in enumerate(blocks)]),
         ]

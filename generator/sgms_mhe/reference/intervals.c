@@ -1,7 +1,7 @@
 /* Driver of the reference integrator: the loops over intervals, blocks, steps and substeps, around functions that CasADi
    generates. What precedes this file in its translation unit: those functions; N_X, N_P, N_BLOCKS, LARGEST_BLOCK;
-   SZ_ARG, SZ_RES, SZ_IW, SZ_W; BLOCK_SIZE, BLOCK_STATES (block after block); STEP, FLOW, RATE (0 where a block has none);
-   N_CHEBYSHEV, NEAR, N_READINGS. Matrices are column-major, as CasADi has them. */
+   SZ_ARG, SZ_RES, SZ_IW, SZ_W; BLOCK_SIZE, BLOCK_STATES (block after block); STEP, CLIP, FLOW, RATE (0 where a block has
+   none); N_CHEBYSHEV, NEAR, BEFORE_TURN, N_READINGS. Matrices are column-major, as CasADi has them. */
 
 #include <math.h>
 #include <string.h>
@@ -291,6 +291,57 @@ static int slid(struct part *part, const double *slide, const double *theta, con
     return 1;
 }
 
+/* An element that switches over h: it moves with the displacement of the signals w, but no further in its direction than
+   the level at the signals `last` and at the ends of the other states. */
+static void clip(struct part *part, const double *w, const double *last, const double *theta, double h, struct work *work)
+{
+    const int n = part->n, others = n - 1;
+    double J[LARGEST_BLOCK * LARGEST_BLOCK], T[LARGEST_BLOCK * N_P];
+    double level, move, dlevel[LARGEST_BLOCK + N_P], dmove[LARGEST_BLOCK + N_P];
+    double end[LARGEST_BLOCK], dend[LARGEST_BLOCK * (LARGEST_BLOCK + N_P)];
+    work->arg[0] = part->chi + 1;
+    work->arg[1] = w;
+    work->arg[2] = last;
+    work->arg[3] = theta;
+    work->arg[4] = &h;
+    work->res[0] = &level;
+    work->res[1] = &move;
+    work->res[2] = end;
+    work->res[3] = dlevel;
+    work->res[4] = dmove;
+    work->res[5] = dend;
+    CLIP[part->b](work->arg, work->res, work->iw, work->w, 0);
+    const double direction = move < 0.0 ? -1.0 : 1.0, moved = part->chi[0] + move;
+    const int slips = move != 0.0 && direction * moved > level;
+    part->chi[0] = slips ? direction * level : moved;
+    for (int j = 0; j < others + N_P; j++) {
+        double *column = j < others ? J + (j + 1) * n : T + (j - others) * n;
+        column[0] = slips ? direction * dlevel[j] : dmove[j];
+        for (int i = 0; i < others; i++)
+            column[i + 1] = dend[j * others + i];
+    }
+    J[0] = slips ? 0.0 : 1.0;
+    for (int i = 0; i < others; i++) {
+        part->chi[i + 1] = end[i];
+        J[i + 1] = 0.0;
+    }
+    compose(part, J, T);
+}
+
+/* The same along the line from `start` to `end`, from one fraction of h to another. The level is that at the end of the
+   piece; where the velocity changes sign there, that just before. */
+static void clip_line(struct part *part, const double *start, const double *end, double from, double to,
+                      const double *theta, double h, struct work *work)
+{
+    const double edge = to < 1.0 ? BEFORE_TURN * to : 1.0;
+    double middle[N_W], last[N_W];
+    for (int i = 0; i < N_W; i++) {
+        middle[i] = start[i] + (end[i] - start[i]) * 0.5 * (from + to);
+        last[i] = edge < 1.0 ? start[i] + (end[i] - start[i]) * edge : end[i];
+    }
+    clip(part, middle, last, theta, h * (to - from), work);
+}
+
 /* One block through one step. */
 static void step_block(struct part *part, const struct plan *plan, long long k, const struct flow *flow, const double *theta,
                        struct work *work)
@@ -300,6 +351,10 @@ static void step_block(struct part *part, const struct plan *plan, long long k, 
         return;
     const long long count = plan->substeps[k * N_BLOCKS + part->b];
     if (count > 0) {
+        if (CLIP[part->b]) {
+            clip_line(part, plan->start + k * N_W, plan->end + k * N_W, 0.0, 1.0, theta, plan->h, work);
+            return;
+        }
         along(part, plan->start + k * N_W, plan->end + k * N_W, theta, plan->h, count, work);
         return;
     }
@@ -307,6 +362,11 @@ static void step_block(struct part *part, const struct plan *plan, long long k, 
     if (pieces[0] > 0) {
         const double *start = plan->start + k * N_W, *end = plan->end + k * N_W, share = plan->cut[k];
         double turn[N_W];
+        if (CLIP[part->b]) {
+            clip_line(part, start, end, 0.0, share, theta, plan->h, work);
+            clip_line(part, start, end, share, 1.0, theta, plan->h, work);
+            return;
+        }
         for (int i = 0; i < N_W; i++)
             turn[i] = start[i] + (end[i] - start[i]) * share;
         along(part, start, turn, theta, plan->h * share, pieces[0], work);
@@ -317,7 +377,9 @@ static void step_block(struct part *part, const struct plan *plan, long long k, 
     for (long long i = k * plan->stairs; i < (k + 1) * plan->stairs; i++) {
         const double *w = plan->stair + i * N_W;
         const long long own = plan->stair_substeps[i * N_BLOCKS + part->b];
-        if (own > 0)
+        if (CLIP[part->b])
+            clip(part, w, w, theta, h, work);
+        else if (own > 0)
             along(part, w, w, theta, h, own, work);
         else
             jump(part, w, theta, h, flow, work);

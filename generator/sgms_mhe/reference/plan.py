@@ -23,6 +23,9 @@ WIDE_LAMBDA = 35.0
 # Largest lambda |delta| / s_m with which an element that slides takes merged samples at once.
 NEARLY_CONSTANT = 0.0175
 
+# Where an element that switches has its level up to a change of the velocity's sign, over the time until then.
+BEFORE_TURN = 1.0 - 2.0**-20
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -30,21 +33,22 @@ class Plan:
 
     A step takes a block along the line from `start` to `end`, in two pieces where the velocity changes sign, or up K
     stairs of constant signals; an element that slides may take it at once. Where samples are not merged K is 1, and the
-    stair has the signals of the step's end.
+    stair has the signals of the step's end. An element that switches takes a step or a stair by a clip.
 
     Attributes:
         steps: steps per interval.
         h: duration of a step [s].
         start: signals w at the beginning of each step (intervals * steps, 5).
         end: signals w at its end; equal to `start` where velocity is constant.
-        substeps: Runge-Kutta substeps along the line (intervals * steps, blocks); 0 are stairs.
+        substeps: Runge-Kutta substeps along the line (intervals * steps, blocks); 0 are stairs. Of elements that switch
+            1 is the step at once.
         cut: share of the step before its velocity changes sign (intervals * steps); 0 where it does not.
         piece_substeps: Runge-Kutta substeps along the pieces before and after that (intervals * steps, blocks, 2);
-            0 are stairs, or a step that is not cut.
+            0 are stairs, or a step that is not cut. Of elements that switch 1 is the piece at once.
         stairs: K, stairs of a step; each lasts h / K.
         stair: signals w of each stair (intervals * steps * K, 5).
         stair_substeps: Runge-Kutta substeps of each (intervals * steps * K, blocks); 0 is one jump of the displacement
-            flow.
+            flow, or a clip.
         slide: displacement [m], mean level s_m and delta of each step (intervals * steps, 3); zero where the signals do
             not let an element slide through it.
         path: sum |v_k| h of each interval [m].
@@ -82,7 +86,6 @@ class Planner:
     def __init__(self, blocks: Blocks) -> None:
         self._blocks = blocks
         self._sampling = blocks.model.machine.sampling
-        self._smoothing = blocks.model.machine.friction.smoothing
 
     def plan(self, signals: Signals) -> Plan:
         """Steps and substeps of every complete interval of a record."""
@@ -141,6 +144,11 @@ class Planner:
         )
 
     @property
+    def _over_lambda(self) -> float:
+        """Width of the slip window of elements that follow the flow."""
+        return 1.0 / self._blocks.model.machine.friction.smoothed.lambda_
+
+    @property
     def _slow(self) -> float:
         """Speed up to which elements that follow the flow take Runge-Kutta steps [m/s]."""
         return self._blocks.gate_ratio * self._blocks.model.machine.friction.stribeck_velocity
@@ -148,7 +156,7 @@ class Planner:
     def _slow_substeps(self, block: Block, speed: Array | float, h: Array | float) -> Array:
         """RK4 substeps, not rounded, of an element that follows the flow, for a move at some speed over h."""
         settings = self._sampling.integrator
-        longest = settings.slow_displacement * min(1.0, WIDE_LAMBDA / self._smoothing.lambda_)
+        longest = settings.slow_displacement * min(1.0, WIDE_LAMBDA * self._over_lambda)
         moved = np.asarray(speed) * h * block.rate_per_metre / longest
         return np.asarray(moved + h * block.rate_per_second / settings.displacement)
 
@@ -163,11 +171,13 @@ class Planner:
         return np.asarray(np.minimum(needed(np.minimum(speed, 1e3 * limit)), most))
 
     def _held(self, speed: Array, h: float) -> Counts:
-        """Substeps where signals are constant over h, 0 a jump of the flow (n, blocks)."""
+        """Substeps where signals are constant over h, 0 a jump of the flow or a clip (n, blocks)."""
         least = max(1, self._sampling.integrator.substeps // self._sampling.samples_per_update)
         counts = np.empty((len(speed), len(self._blocks.all)), dtype=np.int64)
         for b, block in enumerate(self._blocks.all):
-            if block.saturates:
+            if block.switches:
+                counts[:, b] = 0
+            elif block.saturates:
                 slow = max(1, math.ceil(self._slow_substeps(block, self._slow, h)))
                 counts[:, b] = np.where(speed > self._slow, 0, slow)
             else:
@@ -181,7 +191,9 @@ class Planner:
         """
         counts = np.empty((len(speed), len(self._blocks.all)), dtype=np.int64)
         for b, block in enumerate(self._blocks.all):
-            if block.saturates:
+            if block.switches:
+                counts[:, b] = int(block.at_once)
+            elif block.saturates:
                 needed = np.maximum(1.0, np.ceil(self._slow_substeps(block, speed, h)))
                 most = np.where(fast, max(1, self._sampling.merged // 2), self._sampling.merged - 1)
                 counts[:, b] = np.where(needed <= most, needed, 0.0)
@@ -203,7 +215,7 @@ class Planner:
         at_mid = -0.5 * v_s / v
         mean = 1.0 / (weight_low / low + weight_mid / mid + weight_high / high)
         delta = 3.0 * (weight_high * (high - mean) + weight_mid * at_mid * (mid - mean) - weight_low * (low - mean))
-        constant = np.abs(delta) <= NEARLY_CONSTANT / self._smoothing.lambda_ * mean
+        constant = np.abs(delta) <= NEARLY_CONSTANT * self._over_lambda * mean
         slide[fast[constant]] = np.column_stack([v * h, mean, delta])[constant]
         return slide
 

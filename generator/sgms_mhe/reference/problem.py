@@ -81,7 +81,8 @@ class Weights:
         return cls(
             horizon=machine.estimator.horizon,
             drift_interval=machine.estimator.drift_interval,
-            move=MOVE * np.sqrt(model.state_noise / friction.smoothing.lambda_),
+            move=MOVE
+            * (np.sqrt(model.state_noise / friction.smoothing.lambda_) if friction.smoothing else model.state_noise),
             sigma_y=noise.measurement,
             sigma_x=model.state_noise,
             initial_state=model.initial_state,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sgms_mhe.reference.blocks import Blocks
 from sgms_mhe.reference.flow import NEAR, relaxation
 from sgms_mhe.reference.linearised import Linearised, Outputs
-from sgms_mhe.reference.plan import Plan
+from sgms_mhe.reference.plan import BEFORE_TURN, Plan
 
 Array = NDArray[np.float64]
 
@@ -89,6 +89,13 @@ class PythonLoops:
                 yield moved
                 return
         count = int(plan.substeps[k, b])
+        if self._blocks.all[b].at_once and plan.stairs > 1:
+            share = float(plan.cut[k])
+            for piece in ((0.0, share), (share, 1.0)) if count == 0 else ((0.0, 1.0),):
+                moved = self._clipped_line(plan, k, b, chi, theta, piece)
+                chi = moved.chi
+                yield moved
+            return
         if count > 0:
             yield from self._along(b, chi, plan.start[k], plan.end[k], theta, plan.h, count)
             return
@@ -105,7 +112,9 @@ class PythonLoops:
         for i in range(k * plan.stairs, (k + 1) * plan.stairs):
             w, count = plan.stair[i], int(plan.stair_substeps[i, b])
             parts: Iterable[Moved]
-            if count > 0:
+            if self._blocks.all[b].switches:
+                parts = [_clipped(self._functions[f"clip_{b}"](chi[1:], w, w, theta, h), chi)]
+            elif count > 0:
                 parts = self._along(b, chi, w, w, theta, h, count)
             else:
                 parts = [self._jumped(self._functions[f"flow_{b}"](chi[1:], w, theta, h), chi)]
@@ -122,6 +131,14 @@ class PythonLoops:
             new, J, T = (np.array(part) for part in self._functions[f"step_{b}"](chi, w0, w1, theta, h / count))
             chi = new.reshape(len(chi))
             yield Moved(chi, J, T)
+
+    def _clipped_line(self, plan: Plan, k: int, b: int, chi: Array, theta: Array, piece: tuple[float, float]) -> Moved:
+        """A piece of a step's line at once; the level is that at its end, just before it where the velocity turns."""
+        start, change = plan.start[k], plan.end[k] - plan.start[k]
+        middle = start + 0.5 * sum(piece) * change
+        last = start + BEFORE_TURN * piece[1] * change if piece[1] < 1.0 else plan.end[k]
+        drive = self._functions[f"clip_{b}"](chi[1:], middle, last, theta, (piece[1] - piece[0]) * plan.h)
+        return _clipped(drive, chi)
 
     def _jumped(self, drive: tuple[ca.DM, ...], chi: Array) -> Moved:
         """chi = sign level r: the level's sensitivity enters through r0 and again through chi1."""
@@ -144,7 +161,7 @@ class PythonLoops:
         flow, rho = self._blocks.flow, float(rate)
         direction = math.copysign(1.0, displacement)
         r0 = direction * chi / level
-        if not abs(r0 - flow.r_star) < NEAR / self._model.machine.friction.smoothing.lambda_:
+        if not abs(r0 - flow.r_star) < NEAR / flow.smoothing.lambda_:
             return None
         xi = rho * abs(displacement) / level
         r1, slope, g1 = flow.advance(r0, xi)
@@ -155,3 +172,17 @@ class PythonLoops:
         by_chi = slope * math.exp(-flow.curvature * lag / (level * flow.k))
         by_rho = direction * (level * g1 * xi + flow.r_star * delta * x * dphi) / rho
         return Moved(np.array([end]), np.array([[by_chi]]), by_rho * np.array(by_theta))
+
+
+def _clipped(drive: tuple[ca.DM, ...], chi: Array) -> Moved:
+    """An element that sticks moves with the axis; one that the axis pushes beyond its level stays at the level."""
+    level, move = float(drive[0]), float(drive[1])
+    dlevel, dmove, dend = (np.array(part) for part in drive[3:])
+    others = len(chi) - 1
+    direction, end = math.copysign(1.0, move), float(chi[0]) + move
+    slips = move != 0.0 and direction * end > level
+    change = direction * dlevel[0] if slips else dmove[0]
+    J, T = np.zeros((others + 1, others + 1)), np.empty((others + 1, change.size - others))
+    J[0, 0], J[0, 1:], J[1:, 1:] = float(not slips), change[:others], dend[:, :others]
+    T[0], T[1:] = change[others:], dend[:, others:]
+    return Moved(np.concatenate([[direction * level if slips else end], np.array(drive[2]).reshape(others)]), J, T)

@@ -20,7 +20,7 @@ TABLEAUS: dict[str, tuple[tuple[float, ...], tuple[tuple[float, ...], ...], tupl
 
 
 def step_functions(blocks: Blocks) -> dict[str, ca.Function]:
-    """CasADi functions with dense Jacobians: start, finish, measure, step_b, flow_b, rate_b."""
+    """CasADi functions with dense Jacobians: start, finish, measure; of block b step_b, flow_b, rate_b, clip_b."""
     model = blocks.model
     functions = {
         "start": _with_jacobians("start", [model.x, model.theta], model.from_node, (0, 1)),
@@ -29,6 +29,9 @@ def step_functions(blocks: Blocks) -> dict[str, ca.Function]:
     of_node = ca.substitute(model.output, model.chi, model.from_node)
     functions["measure"] = _with_jacobians("measure", [model.x, model.w, model.theta], of_node, (0, 2))
     for b, block in enumerate(blocks.all):
+        if block.switches:
+            functions[f"clip_{b}"] = _clip_drive(blocks, f"clip_{b}", block)
+            continue
         functions[f"step_{b}"] = _step(blocks, f"step_{b}", block)
         if block.saturates:
             functions[f"flow_{b}"] = _flow_drive(blocks, f"flow_{b}", block)
@@ -44,27 +47,49 @@ def _flow_drive(blocks: Blocks, name: str, block: Block) -> ca.Function:
     u1 = u e + a (e - 1) / b, e = exp(b h); the element sees the level at u1.
     """
     model = blocks.model
-    others = list(block.states[1:])
     h = ca.SX.sym("h")
-    u = ca.vertcat(*(model.chi[j] for j in others)) if others else ca.SX(0, 1)
-    ends = []
-    for j in others:
-        b = ca.gradient(model.rhs[j], model.chi[j])
-        a = ca.substitute(model.rhs[j], model.chi[j], 0)
-        ends.append(model.chi[j] * ca.exp(b * h) + a * (ca.exp(b * h) - 1) / b)
-    end = ca.vertcat(*ends) if others else ca.SX(0, 1)
-    level = ca.substitute(model.level, u, end) if others else model.level
+    u, end, level = _closed_forms(blocks, block, h)
     xi = blocks.drive(block.states[0]) * h / level
     variables = ca.vertcat(u, model.theta)
     jacobians = [ca.densify(ca.jacobian(value, variables)) for value in (level, xi, end)]
     return ca.Function(name, [u, model.w, model.theta, h], [level, xi, ca.densify(end), *jacobians])
 
 
+def _clip_drive(blocks: Blocks, name: str, block: Block) -> ca.Function:
+    """What moves an element that switches: (u, w, w at the end, theta, h) to level, move, u1, Jacobians in (u, theta).
+
+    The displacement is that of the signals w over h; the level that of the signals at the end, and of u1.
+    """
+    model, i = blocks.model, block.states[0]
+    h, last = ca.SX.sym("h"), ca.SX.sym("last", 5)
+    u, end, level = _closed_forms(blocks, block, h)
+    level = ca.substitute(level, model.w, last)
+    move = model.rho[i] * model.w[1] * h
+    variables = ca.vertcat(u, model.theta)
+    jacobians = [ca.densify(ca.jacobian(value, variables)) for value in (level, move, end)]
+    return ca.Function(name, [u, model.w, last, model.theta, h], [level, move, ca.densify(end), *jacobians])
+
+
+def _closed_forms(blocks: Blocks, block: Block, h: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """The states u of a block beside its element, their ends u1 over h, and the level at u1."""
+    model, others = blocks.model, list(block.states[1:])
+    if not others:
+        return ca.SX(0, 1), ca.SX(0, 1), model.level
+    u = ca.vertcat(*(model.chi[j] for j in others))
+    ends = []
+    for j in others:
+        b = ca.gradient(model.rhs[j], model.chi[j])
+        a = ca.substitute(model.rhs[j], model.chi[j], 0)
+        ends.append(model.chi[j] * ca.exp(b * h) + a * (ca.exp(b * h) - 1) / b)
+    end = ca.vertcat(*ends)
+    return u, end, ca.substitute(model.level, u, end)
+
+
 def _step(blocks: Blocks, name: str, block: Block) -> ca.Function:
     """One Runge-Kutta substep of a block: (chi, w at start, w at end, theta, h) to chi1 and its Jacobians."""
     model, states = blocks.model, list(block.states)
     integrator = model.machine.sampling.integrator
-    scheme = "rk4" if integrator.scheme == "flow" else integrator.scheme
+    scheme = "rk4" if integrator.scheme in ("flow", "clip") else integrator.scheme
     chi = ca.vertcat(*(model.chi[i] for i in states))
     rhs = ca.Function("rhs", [chi, model.w, model.theta], [ca.vertcat(*(model.rhs[i] for i in states))])
     start, end, h = ca.SX.sym("w0", 5), ca.SX.sym("w1", 5), ca.SX.sym("h")

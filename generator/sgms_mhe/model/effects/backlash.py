@@ -100,6 +100,7 @@ DEFINITION = EffectDefinition(
     # The place in the gap moves within micrometres: shorter steps would be hundreds per sample.
     fit_displacement=2.0,
     stage="level",
+    smooth_only="what crosses the gap depends on the elements' force: they have no displacement of their own",
     states=("place",),
     specimen=one_number("gap_m", lambda scene: 0.1 * scene.scales.deflection, signed=False),
 )

@@ -44,6 +44,7 @@ class EffectDefinition(CauseDefinition):
         plant_force: the simulated plant's own version of a force, friction-like in sign, written a second time in plain
             numbers: of position [m], velocity [m/s], time [s] and the parameters. Only effects of other distributions
             have one; the plant knows this package's.
+        smooth_only: why it cannot stand where elements switch instead of going over smoothly; empty: it can.
         specimen: how a benchmark hides it; None: not at all.
         fit_displacement: largest step of a fit of it where the elements are integrated exactly, in deflection scales of
             its states; None: 1, they settle within it. Below 1: its states are derivatives of the force, and a long
@@ -59,6 +60,7 @@ class EffectDefinition(CauseDefinition):
     repeatable: bool = False
     full_rate: bool = False
     fit_displacement: float | None = None
+    smooth_only: str = ""
     specimen: Specimen | None = None
     plant_force: PlantForce | None = None
 

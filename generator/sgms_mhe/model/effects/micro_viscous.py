@@ -39,5 +39,6 @@ DEFINITION = EffectDefinition(
         lambda m, _: np.gradient(m.level)[:, None] * m.extents.rate, one_size("damping_N_s_m"), exact="damping_N_s_m"
     ),
     stage="level",
+    smooth_only="the damping of an element would jump where it breaks away",
     specimen=one_number("damping_N_s_m", lambda scene: scene.scales.coulomb / scene.speed, signed=False),
 )
