@@ -105,6 +105,7 @@ def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
             status = NOT_FINITE
             x, arrival = x[-1:], Gaussian(np.concatenate([x[-1], theta]), prior.covariance)
             kept, scaling, newest = None, Scaling(weights.self_scaling), Reading.none()
+            scales.end[node] = np.inf  # the reading that came with it is not to be trusted
             shifts = owed = 0
         else:
             x, theta, std, active = solution
@@ -169,7 +170,7 @@ def dense_problem(record: Record, window: Window, arrival: Gaussian, scales: Sca
 
     for k in range(nodes):
         at_node, node = slice(k * n_x, (k + 1) * n_x), window.first + k
-        if record.valid[node]:
+        if record.valid[node] and np.isfinite(scales.end[node]):
             at_end = window.outputs.part(slice(k, k + 1))
             measured(at_node, at_end, record.y[node : node + 1], weights.sigma_y * scales.end[node : node + 1])
         if k + 1 < nodes:
@@ -249,7 +250,7 @@ def arrival_update(record: Record, arrival: Gaussian, window: Window, scales: Sc
     inside = record.inner_y[first], record.inner_valid[first], scales.inner[first]
     rows += zip(*(array[0] for array in inner), *inside, strict=True)
     for predicted, by_x, by_theta, y, valid, scale in rows:
-        if valid:
+        if valid and np.isfinite(scale):
             C = np.concatenate([by_x, by_theta])
             innovation = float(y - predicted - C @ (mean - point))
             mean, P = fold(Gaussian(mean, P), C, innovation, (weights.sigma_y * scale) ** 2)

@@ -140,7 +140,9 @@ class Planner:
             path=velocities.sum(axis=1) * h,
             fastest=velocities.max(axis=1, initial=0.0),
             readings=self._sampling.readings_per_update,
-            inner_w=np.ascontiguousarray(w[1:].reshape(intervals, samples, -1)[:, inner_readings(self._sampling)]),
+            inner_w=np.ascontiguousarray(
+                w[1:].reshape(intervals, samples, w.shape[1])[:, inner_readings(self._sampling)]
+            ),
         )
 
     @property

@@ -62,7 +62,7 @@ class Scales(NamedTuple):
     """Factors on the stated standard deviation that readings are taken with.
 
     Attributes:
-        end: at the nodes (updates + 1).
+        end: at the nodes (updates + 1); infinite where a reading is left out.
         inner: inside of the intervals (updates, R - 1).
     """
 
