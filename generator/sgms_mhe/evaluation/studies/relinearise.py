@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.evaluation.experiment import PAPER_WEIGHTS
+from sgms_mhe.evaluation.experiment import PAPER_WEIGHTS, papers
 from sgms_mhe.evaluation.studies.cases import (
     Case,
     counted,
@@ -30,7 +30,7 @@ RELINEARISE: Final = ("all", "auto", "newest")
 
 
 def _paper(**noise: float) -> dict[str, Any]:
-    return {"estimator": PAPER_WEIGHTS | {"noise": PAPER_WEIGHTS["noise"] | noise}}
+    return papers(PAPER_WEIGHTS | {"noise": PAPER_WEIGHTS["noise"] | noise})
 
 
 RELINEARISE_CASES: Final[tuple[Case, ...]] = (
