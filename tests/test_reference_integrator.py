@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from reference_cases import arrays, Array, along_lines, linear_model, lines, moving, simulate, variant, with_integrator
+from reference_cases import Array, along_lines, arrays, linear_model, lines, moving, simulate, variant, with_integrator
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
