@@ -19,7 +19,7 @@ from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.host.compiled import CompiledModel
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import CLOSED_FORMS, Machine
 from sgms_mhe.model import FreeParameter, Model
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.model.scales import scales_of
@@ -198,7 +198,7 @@ def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
     integrator: dict[str, Any] = {"scheme": sampling.integrator.scheme}
     if sampling.integrator.substeps < sampling.samples_per_update:
         integrator["substeps"] = sampling.samples_per_update
-    if sampling.integrator.scheme in ("flow", "clip"):
+    if sampling.integrator.scheme in CLOSED_FORMS:
         steps = [effect_definition(name).fit_displacement or STEP for name in names]
         # Long steps of one effect are a matter of cost, which short ones of another would undo.
         long = max(steps, default=STEP)

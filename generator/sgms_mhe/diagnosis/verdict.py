@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.causes import base_parameters, extended_machine
 from sgms_mhe.diagnosis.confirmation import Confirmed, confirmed, constant_causes, refitted_beside
-from sgms_mhe.diagnosis.criteria import Progress, criteria_of
+from sgms_mhe.diagnosis.criteria import Progress, barred_by_law, criteria_of
 from sgms_mhe.diagnosis.descent import FitError
 from sgms_mhe.diagnosis.evidence import gain_interval, noise_floor
 from sgms_mhe.diagnosis.excerpt import excerpt
@@ -27,7 +27,6 @@ from sgms_mhe.diagnosis.structure import structure_map
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.diagnosis.wording import alternatives_of, experiment_of, summary_of
 from sgms_mhe.machine import Machine, listing
-from sgms_mhe.model.effects import effect_definition, effect_names
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -197,8 +196,8 @@ def _transition_notes(settled: Settled, plain: Fit) -> tuple[str, ...]:
 
 def _law_notes(machine: Machine) -> tuple[str, ...]:
     """What cannot be found in any record of a machine of this law."""
-    barred = [name for name in effect_names() if effect_definition(name).smooth_only]
-    if not machine.friction.switches or not barred:
+    barred = barred_by_law(machine)
+    if not barred:
         return ()
     return (f"not looked for, as they do not stand with [friction] law = switching: {listing(barred)}",)
 

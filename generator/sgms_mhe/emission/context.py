@@ -23,7 +23,7 @@ from sgms_mhe.emission.sizes import Sizes, couplings, sizes_of
 from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Variant, variant_of
 from sgms_mhe.integration.schemes import SCHEMES, Scheme
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Machine, runge_kutta_scheme
 from sgms_mhe.model import SIGNAL_NAMES, FreeParameter, Model
 from sgms_mhe.signals.chain import lowpass_coefficients, settle_samples
 
@@ -234,7 +234,7 @@ def package_view(structure: Structure, vectors: Vectors | None) -> PackageView:
         couplings=_couplings(structure, sizes),
         model=_model_view(structure, functions),
         groups=groups,
-        scheme=SCHEMES["rk4" if integrator.scheme in ("flow", "clip") else integrator.scheme],
+        scheme=SCHEMES[runge_kutta_scheme(integrator.scheme)],
         law=element_law(machine) if any(g.obeys_law for g in groups) else None,
         flow=flow_of(machine) if any(g.follows_flow for g in groups) else None,
         compensation=compensation_of(machine),

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.integration.flow_table import flow_applies, gate_ratio
 from sgms_mhe.integration.schemes import SCHEMES, Scheme
-from sgms_mhe.machine import Friction, Machine, Sampling
+from sgms_mhe.machine import Friction, Machine, Sampling, runge_kutta_scheme
 
 Array = NDArray[np.float64]
 
@@ -162,7 +162,7 @@ def table_text(machine: Machine) -> str:
 def _candidate(friction: Friction, sampling: Sampling, scheme: str, displacement: float, gate: float) -> Candidate:
     """Count the work of a scheme; `gate` is the speed [m/s] from which the flow takes one jump per sample."""
     rates = [kappa / (nu * friction.coulomb) for kappa, nu in zip(friction.stiffness, friction.fraction, strict=True)]
-    stages = len(SCHEMES["rk4" if scheme == "flow" else scheme].stages)
+    stages = len(SCHEMES[runge_kutta_scheme(scheme)].stages)
 
     def substeps(speed: float) -> tuple[int, ...]:
         fastest = gate if scheme == "flow" else speed
@@ -191,7 +191,7 @@ def _candidate(friction: Friction, sampling: Sampling, scheme: str, displacement
 def element_errors(zeta: float, lambda_: float, gamma: float, scheme: str, displacement: float) -> Errors:
     """Largest errors of one scheme over the strokes, at every sample of them."""
     with np.errstate(over="ignore", invalid="ignore"):  # a step too long for the law diverges
-        moved = _strokes(zeta, lambda_, gamma, "rk4" if scheme == "flow" else scheme, displacement)
+        moved = _strokes(zeta, lambda_, gamma, runge_kutta_scheme(scheme), displacement)
     fine, coarse = (_strokes(zeta, lambda_, gamma, "rk4", factor * CONVERGED) for factor in (1, 2))
     difference = np.abs(moved - (fine + (fine - coarse) / 15.0))
     if scheme == "flow":

@@ -9,10 +9,11 @@ from sgms_mhe.machine.file import Tables, json_schema
 from sgms_mhe.machine.log_mapping import LOG_UNITS, LogColumn, LogMapping
 from sgms_mhe.machine.reading import Layer, MachineFile, machine_file, merged, read_machine_file
 from sgms_mhe.machine.resolved import Machine, ResolvedEffect, estimable_names
-from sgms_mhe.machine.sampling import DISPLACEMENT, Integrator, Sampling
+from sgms_mhe.machine.sampling import CLOSED_FORMS, DISPLACEMENT, Integrator, Sampling, runge_kutta_scheme
 
 __all__ = [
     "BASE_PARAMETERS",
+    "CLOSED_FORMS",
     "DISPLACEMENT",
     "LOG_UNITS",
     "ArrivalCost",
@@ -39,4 +40,5 @@ __all__ = [
     "machine_file",
     "merged",
     "read_machine_file",
+    "runge_kutta_scheme",
 ]

@@ -86,12 +86,12 @@ class Friction(Table):
         total = sum(self.fraction)
         if abs(total - 1.0) > SUM_TOLERANCE:
             raise refusal("fraction", list(self.fraction), f"fractions that sum to 1 (here {total:.9g})")
-        if self.law == "sgms" and self.smoothing is None:
+        if not self.switches and self.smoothing is None:
             raise refusal("smoothing", None, "a table { zeta, lambda, gamma }, where law is sgms")
-        if self.law == "switching" and self.smoothing is not None:
+        if self.switches and self.smoothing is not None:
             allowed = "no smoothing where law is switching: nothing is smoothed"
             raise refusal("smoothing", self.smoothing.model_dump(by_alias=True), allowed)
-        if self.law == "switching" and any(self.micro_viscous):
+        if self.switches and any(self.micro_viscous):
             allowed = "zeros where law is switching: the damping of an element would jump where it breaks away"
             raise refusal("micro_viscous", list(self.micro_viscous), allowed)
         return self

@@ -15,6 +15,9 @@ DISPLACEMENT: Final = {"rk4": 0.03, "rk2": 0.05, "bs23": 0.02, "euler": 0.01, "f
 
 rk4 and bs23 then keep the force of Table I within 1e-4 N at every speed; rk2 and euler are off by up to 6e-3 N."""
 
+CLOSED_FORMS: Final = ("flow", "clip")
+"""Schemes that take the steps of elements in closed form, and leave the other blocks to rk4."""
+
 CHOSEN_BY_TOLERANCE: Final = ("scheme", "substeps", "displacement", "slow_displacement")
 """Keys of the integrator that a tolerance excludes: it chooses them."""
 
@@ -27,6 +30,11 @@ RATIO_TOLERANCE: Final = 1e-9
 READINGS_PER_CUTOFF: Final = 2.0
 """Of velocity_cutoff: more readings per second than this say little new, the filters having made them alike."""
 SMALLEST_CUTOFF: Final = 1e-4  # of rate: below it the low-pass coefficients lose their digits
+
+
+def runge_kutta_scheme(scheme: str) -> str:
+    """The scheme of the Runge-Kutta steps that a scheme takes."""
+    return "rk4" if scheme in CLOSED_FORMS else scheme
 
 
 class Integrator(Table):
@@ -160,7 +168,7 @@ class Sampling(Table):
         if self.integrator.velocity == "linear":
             if self.integrator.tolerance is not None:
                 raise refusal("integrator.velocity", "linear", "constant, where a tolerance is given")
-            if self.integrator.scheme in ("flow", "clip"):
+            if self.integrator.scheme in CLOSED_FORMS:
                 raise refusal("integrator.velocity", "linear", f"constant, where scheme is {self.integrator.scheme}")
             if steps < samples:
                 raise refusal(

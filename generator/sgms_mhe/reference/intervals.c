@@ -228,15 +228,34 @@ static void along(struct part *part, const double *start, const double *end, con
     }
 }
 
+/* After a move in closed form: the element's derivatives are `slope` in itself and `change` in (the other states, theta);
+   those states set its level, and reach `end` with the Jacobian `dend` in (themselves, theta). */
+static void take_closed_form(struct part *part, double slope, const double *change, const double *end, const double *dend)
+{
+    const int n = part->n, others = n - 1;
+    double J[LARGEST_BLOCK * LARGEST_BLOCK], T[LARGEST_BLOCK * N_P];
+    for (int j = 0; j < others + N_P; j++) {
+        double *column = j < others ? J + (j + 1) * n : T + (j - others) * n;
+        column[0] = change[j];
+        for (int i = 0; i < others; i++)
+            column[i + 1] = dend[j * others + i];
+    }
+    J[0] = slope;
+    for (int i = 0; i < others; i++) {
+        part->chi[i + 1] = end[i];
+        J[i + 1] = 0.0;
+    }
+    compose(part, J, T);
+}
+
 /* One jump of the flow over h with constant signals. chi = sign level r: the level's sensitivity enters through r0 and again
    through chi1. The other states of the block set the level; their end and its Jacobians in (those states, theta) come in
    closed form. */
 static void jump(struct part *part, const double *w, const double *theta, double h, const struct flow *flow,
                  struct work *work)
 {
-    const int n = part->n, others = n - 1;
-    double J[LARGEST_BLOCK * LARGEST_BLOCK], T[LARGEST_BLOCK * N_P];
-    double level, xi, dlevel[LARGEST_BLOCK + N_P], dxi[LARGEST_BLOCK + N_P], slope, g1;
+    const int n = part->n;
+    double level, xi, dlevel[LARGEST_BLOCK + N_P], dxi[LARGEST_BLOCK + N_P], change[LARGEST_BLOCK + N_P], slope, g1;
     double end[LARGEST_BLOCK], dend[LARGEST_BLOCK * (LARGEST_BLOCK + N_P)];
     work->arg[0] = part->chi + 1;
     work->arg[1] = w;
@@ -253,18 +272,9 @@ static void jump(struct part *part, const double *w, const double *theta, double
     const double r0 = sign * part->chi[0] / level;
     const double r1 = flow_advance(flow, r0, sign * xi, &slope, &g1);
     part->chi[0] = sign * level * r1;
-    for (int j = 0; j < others + N_P; j++) {
-        double *column = j < others ? J + (j + 1) * n : T + (j - others) * n;
-        column[0] = sign * (r1 - slope * r0) * dlevel[j] + level * g1 * dxi[j];
-        for (int i = 0; i < others; i++)
-            column[i + 1] = dend[j * others + i];
-    }
-    J[0] = slope;
-    for (int i = 0; i < others; i++) {
-        part->chi[i + 1] = end[i];
-        J[i + 1] = 0.0;
-    }
-    compose(part, J, T);
+    for (int j = 0; j < n - 1 + N_P; j++)
+        change[j] = sign * (r1 - slope * r0) * dlevel[j] + level * g1 * dxi[j];
+    take_closed_form(part, slope, change, end, dend);
 }
 
 /* An element that slides takes a step at once: slide = (displacement, mean level, delta). Returns 0, and leaves the element
@@ -295,9 +305,8 @@ static int slid(struct part *part, const double *slide, const double *theta, con
    the level at the signals `last` and at the ends of the other states. */
 static void clip(struct part *part, const double *w, const double *last, const double *theta, double h, struct work *work)
 {
-    const int n = part->n, others = n - 1;
-    double J[LARGEST_BLOCK * LARGEST_BLOCK], T[LARGEST_BLOCK * N_P];
-    double level, move, dlevel[LARGEST_BLOCK + N_P], dmove[LARGEST_BLOCK + N_P];
+    const int n = part->n;
+    double level, move, dlevel[LARGEST_BLOCK + N_P], dmove[LARGEST_BLOCK + N_P], change[LARGEST_BLOCK + N_P];
     double end[LARGEST_BLOCK], dend[LARGEST_BLOCK * (LARGEST_BLOCK + N_P)];
     work->arg[0] = part->chi + 1;
     work->arg[1] = w;
@@ -314,18 +323,9 @@ static void clip(struct part *part, const double *w, const double *last, const d
     const double direction = move < 0.0 ? -1.0 : 1.0, moved = part->chi[0] + move;
     const int slips = move != 0.0 && direction * moved > level;
     part->chi[0] = slips ? direction * level : moved;
-    for (int j = 0; j < others + N_P; j++) {
-        double *column = j < others ? J + (j + 1) * n : T + (j - others) * n;
-        column[0] = slips ? direction * dlevel[j] : dmove[j];
-        for (int i = 0; i < others; i++)
-            column[i + 1] = dend[j * others + i];
-    }
-    J[0] = slips ? 0.0 : 1.0;
-    for (int i = 0; i < others; i++) {
-        part->chi[i + 1] = end[i];
-        J[i + 1] = 0.0;
-    }
-    compose(part, J, T);
+    for (int j = 0; j < n - 1 + N_P; j++)
+        change[j] = slips ? direction * dlevel[j] : dmove[j];
+    take_closed_form(part, slips ? 0.0 : 1.0, change, end, dend);
 }
 
 /* The same along the line from `start` to `end`, from one fraction of h to another. The level is that at the end of the
@@ -342,19 +342,35 @@ static void clip_line(struct part *part, const double *start, const double *end,
     clip(part, middle, last, theta, h * (to - from), work);
 }
 
+/* An element that switches through one step: at once, in two pieces where the velocity turns, or stair by stair. */
+static void clip_step(struct part *part, const struct plan *plan, long long k, const double *theta, struct work *work)
+{
+    const double *start = plan->start + k * N_W, *end = plan->end + k * N_W, share = plan->cut[k];
+    const long long at = k * N_BLOCKS + part->b;
+    if (plan->substeps[at] > 0) {
+        clip_line(part, start, end, 0.0, 1.0, theta, plan->h, work);
+    } else if (plan->piece_substeps[2 * at] > 0) {
+        clip_line(part, start, end, 0.0, share, theta, plan->h, work);
+        clip_line(part, start, end, share, 1.0, theta, plan->h, work);
+    } else {
+        for (long long i = k * plan->stairs; i < (k + 1) * plan->stairs; i++)
+            clip(part, plan->stair + i * N_W, plan->stair + i * N_W, theta, plan->h / (double)plan->stairs, work);
+    }
+}
+
 /* One block through one step. */
 static void step_block(struct part *part, const struct plan *plan, long long k, const struct flow *flow, const double *theta,
                        struct work *work)
 {
+    if (CLIP[part->b]) {
+        clip_step(part, plan, k, theta, work);
+        return;
+    }
     const double *slide = plan->slide + 3 * k;
     if (RATE[part->b] && slide[0] != 0.0 && slid(part, slide, theta, flow, work))
         return;
     const long long count = plan->substeps[k * N_BLOCKS + part->b];
     if (count > 0) {
-        if (CLIP[part->b]) {
-            clip_line(part, plan->start + k * N_W, plan->end + k * N_W, 0.0, 1.0, theta, plan->h, work);
-            return;
-        }
         along(part, plan->start + k * N_W, plan->end + k * N_W, theta, plan->h, count, work);
         return;
     }
@@ -362,11 +378,6 @@ static void step_block(struct part *part, const struct plan *plan, long long k, 
     if (pieces[0] > 0) {
         const double *start = plan->start + k * N_W, *end = plan->end + k * N_W, share = plan->cut[k];
         double turn[N_W];
-        if (CLIP[part->b]) {
-            clip_line(part, start, end, 0.0, share, theta, plan->h, work);
-            clip_line(part, start, end, share, 1.0, theta, plan->h, work);
-            return;
-        }
         for (int i = 0; i < N_W; i++)
             turn[i] = start[i] + (end[i] - start[i]) * share;
         along(part, start, turn, theta, plan->h * share, pieces[0], work);
@@ -377,9 +388,7 @@ static void step_block(struct part *part, const struct plan *plan, long long k, 
     for (long long i = k * plan->stairs; i < (k + 1) * plan->stairs; i++) {
         const double *w = plan->stair + i * N_W;
         const long long own = plan->stair_substeps[i * N_BLOCKS + part->b];
-        if (CLIP[part->b])
-            clip(part, w, w, theta, h, work);
-        else if (own > 0)
+        if (own > 0)
             along(part, w, w, theta, h, own, work);
         else
             jump(part, w, theta, h, flow, work);

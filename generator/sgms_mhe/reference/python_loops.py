@@ -83,19 +83,15 @@ class PythonLoops:
 
     def _step_of_block(self, plan: Plan, k: int, b: int, chi: Array, theta: Array) -> Iterator[Moved]:
         """One step of one block, in as many parts as it takes."""
+        if self._blocks.all[b].switches:
+            yield from self._clips(plan, k, b, chi, theta)
+            return
         if self._blocks.all[b].slides and plan.slide[k, 0] != 0.0:
             moved = self._slid(plan.slide[k], float(chi[0]), *self._functions[f"rate_{b}"].call([theta]))
             if moved is not None:
                 yield moved
                 return
         count = int(plan.substeps[k, b])
-        if self._blocks.all[b].at_once and plan.stairs > 1:
-            share = float(plan.cut[k])
-            for piece in ((0.0, share), (share, 1.0)) if count == 0 else ((0.0, 1.0),):
-                moved = self._clipped_line(plan, k, b, chi, theta, piece)
-                chi = moved.chi
-                yield moved
-            return
         if count > 0:
             yield from self._along(b, chi, plan.start[k], plan.end[k], theta, plan.h, count)
             return
@@ -112,9 +108,7 @@ class PythonLoops:
         for i in range(k * plan.stairs, (k + 1) * plan.stairs):
             w, count = plan.stair[i], int(plan.stair_substeps[i, b])
             parts: Iterable[Moved]
-            if self._blocks.all[b].switches:
-                parts = [_clipped(self._functions[f"clip_{b}"](chi[1:], w, w, theta, h), chi)]
-            elif count > 0:
+            if count > 0:
                 parts = self._along(b, chi, w, w, theta, h, count)
             else:
                 parts = [self._jumped(self._functions[f"flow_{b}"](chi[1:], w, theta, h), chi)]
@@ -132,28 +126,34 @@ class PythonLoops:
             chi = new.reshape(len(chi))
             yield Moved(chi, J, T)
 
-    def _clipped_line(self, plan: Plan, k: int, b: int, chi: Array, theta: Array, piece: tuple[float, float]) -> Moved:
-        """A piece of a step's line at once; the level is that at its end, just before it where the velocity turns."""
-        start, change = plan.start[k], plan.end[k] - plan.start[k]
-        middle = start + 0.5 * sum(piece) * change
-        last = start + BEFORE_TURN * piece[1] * change if piece[1] < 1.0 else plan.end[k]
-        drive = self._functions[f"clip_{b}"](chi[1:], middle, last, theta, (piece[1] - piece[0]) * plan.h)
-        return _clipped(drive, chi)
+    def _clips(self, plan: Plan, k: int, b: int, chi: Array, theta: Array) -> Iterator[Moved]:
+        """An element that switches through a step: at once, in two pieces where the velocity turns, or stair by stair.
+
+        The level of a piece is that at its end, just before it where the velocity turns.
+        """
+        moves: list[tuple[Array, Array, float]] = []
+        if self._blocks.all[b].at_once and plan.stairs > 1:
+            start, change, share = plan.start[k], plan.end[k] - plan.start[k], float(plan.cut[k])
+            for a, z in ((0.0, share), (share, 1.0)) if plan.substeps[k, b] == 0 else ((0.0, 1.0),):
+                last = start + BEFORE_TURN * z * change if z < 1.0 else plan.end[k]
+                moves.append((start + 0.5 * (a + z) * change, last, (z - a) * plan.h))
+        else:
+            stairs = plan.stair[k * plan.stairs : (k + 1) * plan.stairs]
+            moves += [(w, w, plan.h / plan.stairs) for w in stairs]
+        for w, last, h in moves:
+            moved = _clipped(tuple(self._functions[f"clip_{b}"].call([chi[1:], w, last, theta, h])), chi)
+            chi = moved.chi
+            yield moved
 
     def _jumped(self, drive: tuple[ca.DM, ...], chi: Array) -> Moved:
         """chi = sign level r: the level's sensitivity enters through r0 and again through chi1."""
         level, xi = float(drive[0]), float(drive[1])
         dlevel, dxi, dend = (np.array(part) for part in drive[3:])
-        others = len(chi) - 1
         sign = math.copysign(1.0, xi)
         r0 = sign * float(chi[0]) / level
         r1, slope, g1 = self._blocks.flow.advance(r0, abs(xi))
         change = sign * (r1 - slope * r0) * dlevel + level * g1 * dxi
-        J, T = np.zeros((others + 1, others + 1)), np.zeros((others + 1, self._model.n_p))
-        J[0, 0], J[0, 1:], J[1:, 1:] = slope, change[0, :others], dend[:, :others]
-        T[0], T[1:] = change[0, others:], dend[:, others:]
-        end = np.array(drive[2]).reshape(others)
-        return Moved(np.concatenate([[sign * level * r1], end]), J, T)
+        return _in_closed_form(sign * level * r1, slope, change[0], np.array(drive[2]), dend)
 
     def _slid(self, slide: Array, chi: float, rate: ca.DM, by_theta: ca.DM) -> Moved | None:
         """A step that an element slides through, at once; None where it is not near enough to the fixed point."""
@@ -178,11 +178,20 @@ def _clipped(drive: tuple[ca.DM, ...], chi: Array) -> Moved:
     """An element that sticks moves with the axis; one that the axis pushes beyond its level stays at the level."""
     level, move = float(drive[0]), float(drive[1])
     dlevel, dmove, dend = (np.array(part) for part in drive[3:])
-    others = len(chi) - 1
     direction, end = math.copysign(1.0, move), float(chi[0]) + move
     slips = move != 0.0 and direction * end > level
     change = direction * dlevel[0] if slips else dmove[0]
+    reached = direction * level if slips else end
+    return _in_closed_form(reached, float(not slips), change, np.array(drive[2]), dend)
+
+
+def _in_closed_form(chi: float, slope: float, change: Array, end: Array, dend: Array) -> Moved:
+    """An element at `chi`, its derivatives `slope` in itself and `change` in (the other states, theta).
+
+    Those states set its level; they reach `end` with the Jacobian `dend` in (themselves, theta).
+    """
+    others = end.size
     J, T = np.zeros((others + 1, others + 1)), np.empty((others + 1, change.size - others))
-    J[0, 0], J[0, 1:], J[1:, 1:] = float(not slips), change[:others], dend[:, :others]
+    J[0, 0], J[0, 1:], J[1:, 1:] = slope, change[:others], dend[:, :others]
     T[0], T[1:] = change[others:], dend[:, others:]
-    return Moved(np.concatenate([[direction * level if slips else end], np.array(drive[2]).reshape(others)]), J, T)
+    return Moved(np.concatenate([[chi], end.reshape(others)]), J, T)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
+from sgms_mhe.machine import runge_kutta_scheme
 from sgms_mhe.reference.blocks import Block, Blocks
 
 # (c, a, b): stages f(y + h sum_j a_ij k_j) at c_i h, y1 = y + h sum_i b_i k_i.
@@ -89,12 +90,11 @@ def _step(blocks: Blocks, name: str, block: Block) -> ca.Function:
     """One Runge-Kutta substep of a block: (chi, w at start, w at end, theta, h) to chi1 and its Jacobians."""
     model, states = blocks.model, list(block.states)
     integrator = model.machine.sampling.integrator
-    scheme = "rk4" if integrator.scheme in ("flow", "clip") else integrator.scheme
     chi = ca.vertcat(*(model.chi[i] for i in states))
     rhs = ca.Function("rhs", [chi, model.w, model.theta], [ca.vertcat(*(model.rhs[i] for i in states))])
     start, end, h = ca.SX.sym("w0", 5), ca.SX.sym("w1", 5), ca.SX.sym("h")
     linear = model.machine.sampling.varies_in_step
-    nodes, coefficients, weights = TABLEAUS[scheme]
+    nodes, coefficients, weights = TABLEAUS[runge_kutta_scheme(integrator.scheme)]
     slopes: list[ca.SX] = []
     for c, row in zip(nodes, coefficients, strict=True):
         w = start + c * (end - start) if linear else end
