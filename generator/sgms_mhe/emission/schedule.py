@@ -17,13 +17,15 @@ class Costs:
     Attributes:
         expand: the node of an older interval from its successor's.
         step: a step of the series of what is linearised anew.
-        condense: a node out of the sweep's factor.
+        readings: those of an older interval into the sweep's factor.
+        condense: a node out of that.
         fold: a reading inside the newest interval into it.
         per_sample: of the units in one sample.
     """
 
     expand: int
     step: int
+    readings: int
     condense: int
     fold: int
     per_sample: int
@@ -34,15 +36,18 @@ def schedule_of(sizes: Sizes, variant: Variant) -> Costs:
     n_x, n_p, slots, width = sizes.states, sizes.parameters, sizes.slots, sizes.factor_rows + 1
     intervals = {"all": slots, "auto": 1, "newest": 0}[variant.relinearise]
     reading = n_x * (n_x + n_p) * (2 + n_x) if sizes.inner else 0
-    expand = (1 + (variant.relinearise == "auto")) * n_x * (n_x + n_p)
+    expand = 2 * (1 + (variant.relinearise == "auto")) * n_x * (n_x + n_p)
     fold = 3 * width * width
-    inner = sizes.inner * sizes.factor_rows * width
-    condense = 2 * n_x * (n_x + 2) * sizes.kept_width + 2 * (n_x + n_p) * (n_x + n_p + 1) + inner
+    readings = 2 * sizes.factor_rows * width + sizes.inner * sizes.factor_rows * width
+    condense = 2 * n_x * (n_x + 2) * sizes.kept_width + 2 * sizes.factor_rows * width
     step = (sizes.step_cost + reading) * max(1, intervals)
     # In the order in which they are done: nodes of the last solution, the start of the sweep, steps, condensing.
-    units = [(expand, slots - 1), (condense, 1), (step, sizes.steps if intervals else 0), (condense, slots - 1)]
+    units = [(expand, slots - 1), (condense, 1), (step, sizes.steps if intervals else 0)]
+    units += (slots - 1) * [(readings, 1), (condense, 1)]
     units.append((fold, sizes.inner))
-    return Costs(expand, step, condense, fold, _least_per_sample(units, sizes.samples - 1))
+    # A sample that completes a merged one has a step of its own to take.
+    samples = sizes.samples - (sizes.steps if variant.merges else 1)
+    return Costs(expand, step, readings, condense, fold, _least_per_sample(units, samples))
 
 
 def _least_per_sample(units: Sequence[tuple[int, int]], samples: int) -> int:
