@@ -28,7 +28,7 @@ def command(machine: str, as_json: bool) -> None:
     from sgms_mhe.emission.package import emit_package
 
     with progress_bar(f"check {resolved.name}"):
-        package = emit_package(resolved)  # what cannot be emitted is refused here
+        package = emit_package(resolved, within_budget=True)  # what cannot be emitted is refused here
     show(json_text(_content(resolved)) if as_json else _text(resolved, package))
 
 

@@ -10,18 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe import __version__
+from sgms_mhe.emission.block_work import Ingredients
 from sgms_mhe.emission.c_source import CPrinter
+from sgms_mhe.emission.clock import Clock, clock_of
 from sgms_mhe.emission.compensation import Compensation, compensation_of
 from sgms_mhe.emission.element_law import ElementLaw, element_law
 from sgms_mhe.emission.flow import Flow, flow_of
 from sgms_mhe.emission.functions import Function, FunctionPrinter, Output, entries, scalar
 from sgms_mhe.emission.groups import GroupView, group_views
+from sgms_mhe.emission.operations import operations_of
 from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.emission.schedule import Costs, schedule_of
 from sgms_mhe.emission.selftest import Vectors
 from sgms_mhe.emission.sizes import Sizes, couplings, sizes_of
 from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Variant, variant_of
+from sgms_mhe.emission.work import Work, work_of
 from sgms_mhe.integration.schemes import SCHEMES, Scheme
 from sgms_mhe.machine import Machine, runge_kutta_scheme
 from sgms_mhe.model import SIGNAL_NAMES, FreeParameter, Model
@@ -99,6 +103,7 @@ class SignalView:
         of_chain: those of the signals read that are asked for of the chain, beside velocity and friction.
         names: of all signals, in the order of w.
         raw: (name, sample term) of the signals that are sample terms themselves.
+        clock: of a model that is periodic in time; None of any other.
     """
 
     rate: float
@@ -116,6 +121,7 @@ class SignalView:
     of_chain: tuple[str, ...]
     names: tuple[str, ...]
     raw: tuple[tuple[str, int], ...]
+    clock: Clock | None
 
 
 @dataclass(frozen=True)
@@ -196,6 +202,7 @@ class PackageView:
         law: constants of the law, where a group is emitted as it.
         flow: constants of the displacement flow, where a group follows it.
         vectors: self-test vectors, where the package has them.
+        work: what the calls take at most.
     """
 
     package: Identity
@@ -212,10 +219,11 @@ class PackageView:
     flow: Flow | None
     compensation: Compensation
     vectors: Vectors | None
+    work: Work
 
 
-def package_view(structure: Structure, vectors: Vectors | None) -> PackageView:
-    """Assemble what the templates of a model's package read."""
+def package_view(structure: Structure) -> PackageView:
+    """Assemble what the templates of a model's package read, self-test vectors aside."""
     model = structure.model
     machine = model.machine
     printer = CPrinter(machine.code.precision)
@@ -224,21 +232,42 @@ def package_view(structure: Structure, vectors: Vectors | None) -> PackageView:
     sizes = sizes_of(structure, variant)
     groups = group_views(structure, sizes, functions)
     integrator = machine.sampling.integrator
+    signals, couplings, model_view = (
+        _signals(structure),
+        _couplings(structure, sizes),
+        _model_view(structure, functions),
+    )
+    ingredients = Ingredients(
+        structure=structure,
+        sizes=sizes,
+        variant=variant,
+        schedule=schedule_of(sizes, variant),
+        scheme=SCHEMES[runge_kutta_scheme(integrator.scheme)],
+        flow=flow_of(machine) if any(g.follows_flow for g in groups) else None,
+        compensation=compensation_of(machine),
+        reach=couplings.reach,
+        signals=len(signals.raw),
+        terms=operations_of(model_view.sample_terms),
+        output=operations_of(model_view.output),
+        feed_forward=operations_of(model_view.feed_forward),
+        parameter_terms=operations_of(model_view.parameter_terms),
+    )
     return PackageView(
         package=_identity(machine, printer),
         variant=variant,
         sizes=sizes,
-        schedule=schedule_of(sizes, variant),
-        signals=_signals(structure),
+        schedule=ingredients.schedule,
+        signals=signals,
         weights=_weights(model, variant),
-        couplings=_couplings(structure, sizes),
-        model=_model_view(structure, functions),
+        couplings=couplings,
+        model=model_view,
         groups=groups,
-        scheme=SCHEMES[runge_kutta_scheme(integrator.scheme)],
+        scheme=ingredients.scheme,
         law=element_law(machine) if any(g.obeys_law for g in groups) else None,
-        flow=flow_of(machine) if any(g.follows_flow for g in groups) else None,
-        compensation=compensation_of(machine),
-        vectors=vectors,
+        flow=ingredients.flow,
+        compensation=ingredients.compensation,
+        vectors=None,
+        work=work_of(groups, ingredients),
     )
 
 
@@ -285,6 +314,7 @@ def _signals(structure: Structure) -> SignalView:
         of_chain=tuple(name for name in ("position", "force", "acceleration") if name in read),
         names=SIGNAL_NAMES,
         raw=tuple((t.name, k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES),
+        clock=clock_of(structure) if "time" in read else None,
     )
 
 

@@ -27,3 +27,10 @@ class Code(Table):
     """The emitted C."""
 
     precision: Literal["double", "single"] = text("floating-point type", "double or single", "double")
+    tick_budget: float | None = quantity(
+        "operations that the longest tick may take; default 250e6 per second, a Cortex-M7's, over rate",
+        "1",
+        None,
+        gt=0,
+        le=1e15,
+    )
