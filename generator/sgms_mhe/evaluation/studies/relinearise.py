@@ -22,6 +22,7 @@ from sgms_mhe.evaluation.studies.cases import (
     weighted,
 )
 from sgms_mhe.host.compiled import CompiledEstimator
+from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.support.tables import Table
 
 Array = NDArray[np.float64]
@@ -67,7 +68,8 @@ def relinearise_errors(case: Case, seeds: Sequence[int], duration_s: float) -> d
     """Of the ways to relinearise, `all` first."""
     machine = override_machine(load_machine("etel_xy"), case.changes)
     records = [simulated(machine, case, seed, duration_s) for seed in seeds]
-    kept, of_all = {}, []
+    kept: dict[str, Kept] = {}
+    of_all: list[Estimates] = []
     for relinearise in RELINEARISE:
         estimator = CompiledEstimator(override_machine(machine, {"estimator": {"relinearise": relinearise}}))
         nominal = np.array([parameter.nominal for parameter in estimator.model.parameters])
