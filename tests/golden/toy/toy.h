@@ -32,6 +32,10 @@
  *   - Aligned words of 32 bits are read and written in one piece, and in the order of the program. gcc and clang are told to keep it, which is
  *     enough on one core. With another compiler, or tasks on two cores, SGMS_FENCE() (sgms_real.h) has to be a memory barrier; on two cores
  *     prepare() is started after feedback() has returned, as by a semaphore.
+ *
+ * When sensors fail: a reading that is missing or not finite is left out (MISSING). One that contradicts what is predicted of it counts less,
+ * as long as it does, and the status says DOUBT; parameters that have been learned stay, and their deviations say how sure they are. What
+ * is fed forward has no limit: [compensation] limit. What is wrong from the first sample on (a sign, a gain, a unit) cannot be told here.
  */
 #ifndef TOY_H
 #define TOY_H
