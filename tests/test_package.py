@@ -448,18 +448,20 @@ def test_work_of_an_interval_fits_into_its_samples(relinearise: str, horizon: in
     of = constants(package_of(**settings))
     nodes = horizon - 1
     steps = samples // merged if relinearise != "newest" else 0
-    order = [("EXPAND", nodes), ("CONDENSE", 1), ("STEP", steps), ("CONDENSE", nodes), ("FOLD", of.get("INNER", 0))]
-    units = [of[f"{unit}_COST"] for unit, count in order for _ in range(count)]
-    mean = sum(units) / (samples - 1)
+    order = ["EXPAND"] * nodes + ["CONDENSE"] + ["STEP"] * steps + ["READINGS", "CONDENSE"] * nodes
+    units = [of[f"{unit}_COST"] for unit in order + ["FOLD"] * of.get("INNER", 0)]
+    # A sample that completes a step of merged ones has that to take.
+    free = samples - (samples // merged if merged > 1 else 1)
+    mean = sum(units) / free
     largest = 0
-    for _ in range(samples - 1):
+    for _ in range(free):
         left = of["COST_PER_SAMPLE"]
         while units and units[0] <= left:
             left -= units.pop(0)
         largest = max(largest, of["COST_PER_SAMPLE"] - left)
     assert not units
     # A bound, and no more than the work asks for: the mean, and what does not fit because units are whole.
-    assert 0 < largest <= 2.0 * mean + max(of["CONDENSE_COST"], of["STEP_COST"] * (steps > 0))
+    assert 0 < largest <= 2.0 * mean + max(of["READINGS_COST"], of["CONDENSE_COST"], of["STEP_COST"] * (steps > 0))
 
 
 def test_memory_follows_what_is_linearised_anew(axis: Any) -> None:

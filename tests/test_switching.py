@@ -298,7 +298,9 @@ def test_the_error_of_the_smoothing_is_gone() -> None:
     left = {}
     for law, settings in (("switching", switching()), ("sgms", machine())):
         signals = signals_from_log(log, settings)
-        known = override_machine(settings, {"estimator": {"kind": "ekf", "noise": {"parameter": 1e-6}}})
+        # One reading per update: ten would correct the states more often than the smoothing is wrong.
+        changes = {"sampling": {"measurement_rate": 100.0}, "estimator": {"kind": "ekf", "noise": {"parameter": 1e-6}}}
+        known = override_machine(settings, changes)
         found = estimate_reference(known, signals)
         left[law] = float(
             np.sqrt(np.mean((found.friction_N - signals.friction[100::100][: len(found.friction_N)]) ** 2))
