@@ -26,8 +26,10 @@ class Axis:
     """An estimator of etel_xy with effects in time, whose clock can be set."""
 
     def __init__(self, folder: Path, precision: str, effects: list[dict[str, Any]], **changes: Any) -> None:
-        sampling = changes.pop("sampling", {})
-        tables = {"code": {"precision": precision}, "estimator": {"horizon": 4, **changes}, "sampling": sampling}
+        # What is fed in below is no axis' motion: few readings, none doubted, leave the clock to be looked at.
+        sampling = {"measurement_rate": 100.0, **changes.pop("sampling", {})}
+        estimator = {"horizon": 4, "noise": {"self_scaling": False}, **changes}
+        tables = {"code": {"precision": precision}, "estimator": estimator, "sampling": sampling}
         settings = machine(effects=effects, **tables)
         package = written(emit_package(settings, selftest=False), folder)
         sources = [package / "etel_xy.c", PROBES / "estimator_probe.c", PROBES / "clock.c"]

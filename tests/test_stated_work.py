@@ -168,8 +168,8 @@ def test_elements_that_cost_too_much() -> None:
 
 
 def test_default_budget_is_what_a_small_controller_does_in_a_sample() -> None:
-    tight = override_machine(load_machine("etel_xy_controller"), {"code": {"tick_budget": 24e3}})
-    with pytest.raises(InputError, match=r"code\.tick_budget = 24000\.0"):
+    tight = override_machine(load_machine("etel_xy_controller"), {"code": {"tick_budget": 23e3}})
+    with pytest.raises(InputError, match=r"code\.tick_budget = 23000\.0"):
         emit_package(tight, selftest=False, within_budget=True)
     emps = load_machine("emps")
     assert emps.code.tick_budget is None

@@ -12,6 +12,13 @@
 #define SGMS_FROM(c) (c)
 #endif
 
+/* A sum of squares below it has lost digits, and what it would reflect would not keep its length: it counts as zero. */
+#if SGMS_SINGLE
+#define SGMS_LEAST_SQUARE 1e-30f
+#else
+#define SGMS_LEAST_SQUARE 1e-290
+#endif
+
 /* One Householder reflection of a pivot row and `rows` rows below it, all `width` long, that makes column c of those
  * rows zero; they lie `stride` numbers apart, anywhere. v: `rows` numbers.
  *
@@ -33,7 +40,7 @@ static SGMS_INLINE void sgms_reflect(
         v[i] = below[i * stride + c];
         square += v[i] * v[i];
     }
-    if (square > SGMS_R(0.0)) {
+    if (square > SGMS_LEAST_SQUARE) {
         const sgms_real pivot = pivot_row[c];
         const sgms_real norm = sgms_sqrt(pivot * pivot + square);
         const sgms_real diagonal = pivot > SGMS_R(0.0) ? -norm : norm;
@@ -58,6 +65,8 @@ static SGMS_INLINE void sgms_reflect(
             }
         }
         pivot_row[c] = diagonal;
+    }
+    if (square >= SGMS_R(0.0)) { /* what is not a number stays, to be found */
         SGMS_UNROLL
         for (int i = 0; i < rows; i++) {
             below[i * stride + c] = SGMS_R(0.0);

@@ -8,9 +8,7 @@
 
 #include <cstdio>
 
-#define JOIN2(a, b) a##_##b
-#define JOIN(a, b) JOIN2(a, b)
-#define CALL(name) JOIN(SGMS_MACHINE, name)
+#include "joined.h"
 
 static CALL(t) by_tick, by_tasks;
 static long most_tick, most_sample, most_feedback, most_unit, most_prepare, most_update;

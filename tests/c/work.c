@@ -6,9 +6,7 @@
 
 #include SGMS_MACHINE_HEADER
 
-#define JOIN2(a, b) a##_##b
-#define JOIN(a, b) JOIN2(a, b)
-#define CALL(name) JOIN(SGMS_MACHINE, name)
+#include "joined.h"
 
 void __cyg_profile_func_enter(void *function, void *site);
 void __cyg_profile_func_exit(void *function, void *site);

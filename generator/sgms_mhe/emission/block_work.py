@@ -10,7 +10,7 @@ from sgms_mhe.emission.compensation import FARTHEST_MOVE, Compensation
 from sgms_mhe.emission.flow import Flow
 from sgms_mhe.emission.groups import GroupView
 from sgms_mhe.emission.operations import EXP, EXP2, LOG, operations_of
-from sgms_mhe.emission.schedule import Schedule
+from sgms_mhe.emission.schedule import Costs
 from sgms_mhe.emission.sizes import Sizes
 from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Variant
@@ -40,7 +40,7 @@ class Ingredients:
     structure: Structure
     sizes: Sizes
     variant: Variant
-    schedule: Schedule
+    schedule: Costs
     scheme: Scheme
     flow: Flow | None
     compensation: Compensation

@@ -20,7 +20,7 @@ from sgms_mhe.emission.functions import Function, FunctionPrinter, Output, entri
 from sgms_mhe.emission.groups import GroupView, group_views
 from sgms_mhe.emission.operations import operations_of
 from sgms_mhe.emission.provenance import digest_of_sources
-from sgms_mhe.emission.schedule import Schedule, schedule_of
+from sgms_mhe.emission.schedule import Costs, schedule_of
 from sgms_mhe.emission.selftest import Vectors
 from sgms_mhe.emission.sizes import Sizes, couplings, sizes_of
 from sgms_mhe.emission.structure import Structure
@@ -39,6 +39,25 @@ MOVE = 0.3
 """How far the end of an interval may move before that, over sqrt(sigma_x / lambda); over sigma_x where it switches."""
 HOLD_PART = 0.1
 """Path of an interval below which it says nothing of the parameters, over the smallest deflection scale."""
+
+
+@dataclass(frozen=True)
+class ReadingRule:
+    """How test ratios of readings, squared innovations over their predicted variance, change what readings count.
+
+    Attributes:
+        fast, slow: weights of the newest ratio in two means of them.
+        most: a ratio counts no more in the means.
+        free: beyond it a reading counts less at once.
+        doubted_fast, doubted_slow: means beyond which the readings contradict the model.
+    """
+
+    fast: float = 0.1
+    slow: float = 0.003
+    most: float = 1000.0
+    free: float = 9.0
+    doubted_fast: float = 5.0
+    doubted_slow: float = 2.0
 
 
 @dataclass(frozen=True)
@@ -80,7 +99,8 @@ class SignalView:
         lowpass: (b0, b1, b2, a1, a2).
         slope_weights: of each of the merged samples in the slope of the line through them.
         read: names of the signals that the estimator depends on, in the order of w.
-        of_chain: those of them that are asked for of the chain, beside velocity and friction.
+        of_output: names of those that the output depends on.
+        of_chain: those of the signals read that are asked for of the chain, beside velocity and friction.
         names: of all signals, in the order of w.
         raw: (name, sample term) of the signals that are sample terms themselves.
         clock: of a model that is periodic in time; None of any other.
@@ -97,6 +117,7 @@ class SignalView:
     lowpass: tuple[float, ...]
     slope_weights: tuple[float, ...]
     read: tuple[str, ...]
+    of_output: tuple[str, ...]
     of_chain: tuple[str, ...]
     names: tuple[str, ...]
     raw: tuple[tuple[str, int], ...]
@@ -108,7 +129,8 @@ class Weights:
     """Weights of the least squares, and limits of what is a solution.
 
     Attributes:
-        inverse_measurement: [1/N].
+        measurement: [N].
+        readings: of the means of test ratios.
         prior_sd, drift_sd: of theta, drift per update.
         drift_interval: shifts of the window after which drift enters.
         hold_path: path of an interval below which it says nothing of the parameters [m].
@@ -118,7 +140,8 @@ class Weights:
         inverse_move: of an interval's end before it is linearised anew, over the state noise, per state.
     """
 
-    inverse_measurement: float
+    measurement: float
+    readings: ReadingRule
     prior_sd: float
     drift_sd: float
     drift_interval: int
@@ -185,7 +208,7 @@ class PackageView:
     package: Identity
     variant: Variant
     sizes: Sizes
-    schedule: Schedule
+    schedule: Costs
     signals: SignalView
     weights: Weights
     couplings: Couplings
@@ -287,6 +310,7 @@ def _signals(structure: Structure) -> SignalView:
         lowpass=lowpass_coefficients(machine),
         slope_weights=tuple(3.0 / (merged * merged - 1.0) * (2.0 * places + 1.0 - merged)) if merged > 1 else (),
         read=read,
+        of_output=_names_read(structure.model.output, structure.model),
         of_chain=tuple(name for name in ("position", "force", "acceleration") if name in read),
         names=SIGNAL_NAMES,
         raw=tuple((t.name, k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES),
@@ -298,15 +322,22 @@ def _signals_read(structure: Structure) -> tuple[str, ...]:
     """Names of the signals that the estimator's functions depend on; velocity it needs itself."""
     model = structure.model
     functions = ca.vertcat(*(t.expression for t in structure.sample_terms), model.output, model.feed_forward)
-    depends = ca.which_depends(functions, model.w)
-    return tuple(name for name, does in zip(SIGNAL_NAMES, depends, strict=True) if does or name == "velocity")
+    read = {"velocity", *_names_read(functions, model)}
+    return tuple(name for name in SIGNAL_NAMES if name in read)
+
+
+def _names_read(expression: ca.SX, model: Model) -> tuple[str, ...]:
+    """Names of the signals that an expression depends on, in the order of w."""
+    depends = ca.which_depends(expression, model.w)
+    return tuple(name for name, does in zip(SIGNAL_NAMES, depends, strict=True) if does)
 
 
 def _weights(model: Model, variant: Variant) -> Weights:
     machine = model.machine
     noise, largest = machine.estimator.noise, 1e30 if variant.single else 1e300
     return Weights(
-        inverse_measurement=1.0 / noise.measurement,
+        measurement=noise.measurement,
+        readings=ReadingRule(),
         prior_sd=noise.parameter,
         drift_sd=noise.parameter_drift if variant.drifts else 0.0,
         drift_interval=machine.estimator.drift_interval,
