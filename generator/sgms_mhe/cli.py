@@ -26,6 +26,7 @@ COMMANDS: Final = {
     "predict": "predict",
     "estimate": "estimate",
     "compare": "compare",
+    "identify": "identify",
     "diagnose": "diagnose",
     "plan": "plan",
     "experiment": "experiment",

@@ -1,0 +1,157 @@
+"""The numbers of a settled fit as those of a machine file, and sentences on what the records leave open."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.identification.fitting import AxisFit, View
+from sgms_mhe.identification.intervals import Quantity
+from sgms_mhe.identification.result import Number
+from sgms_mhe.identification.search import Found
+from sgms_mhe.identification.settling import Settled
+from sgms_mhe.model.effects import MOVES, cause, effect_definition
+from sgms_mhe.model.effects.search import Columns
+from sgms_mhe.support.errors import InputError
+
+Array = NDArray[np.float64]
+
+KNOWN: Final = 0.25
+"""Deviation over value up to which a number counts as determined."""
+SLIDING: Final = 0.9
+"""Deflection over level from which an element counts as slipping."""
+LEAST_SLIDING: Final = 0.01
+"""Share of the rows in which the axis must slide for its level to be one."""
+LARGE: Final = 0.05
+"""Share of the level from which an element counts among those that must slip."""
+
+
+def check_slides(view: View, fit: AxisFit, chi: Sequence[Array], source: str) -> None:
+    """Refuse records that stay below break-away: no level is seen in them, and any would do.
+
+    Raises:
+        InputError: what is needed.
+    """
+    large = [c for c, level in zip(chi, fit.levels.tolist(), strict=True) if level > LARGE * fit.coulomb]
+    slides = np.all([np.abs(c) >= SLIDING for c in large], axis=0)[view.rows.used] if large else np.zeros(1)
+    share = float(np.mean(slides))
+    if share < LEAST_SLIDING:
+        raise InputError(
+            source,
+            "motion",
+            f"sliding in {100.0 * share:.1f} % of the record",
+            "motion well beyond break-away, in both directions: below it friction is a spring, and its level is open "
+            f"({MOVES['speeds']}; {MOVES['loops']})",
+        )
+
+
+def law_numbers(settled: Settled) -> tuple[Number, ...]:
+    """Numbers of [friction] and of the effects, in the file's order."""
+    found, count = settled.numbers, len(settled.fit.levels)
+    numbers = [_number(name, found[name]) for name in ("coulomb",)]
+    numbers += [_number(f"{name}_{k}", found[f"{name}_{k}"]) for name in ("stiffness", "fraction") for k in _to(count)]
+    if "viscous" in found:
+        numbers.append(_number("viscous", found["viscous"]))
+    else:
+        numbers.append(Number("viscous", 0.0, math.nan, False, "default: the motion shows none"))
+    if settled.fit.shape.rise is None:
+        none = "default: the motion shows no rise towards low speed"
+        numbers.append(Number("stribeck_ratio", 0.0, math.nan, False, none))
+        numbers.append(Number("stribeck_velocity", 1e-3, math.nan, False, "default"))
+    else:
+        numbers += [_number(name, found[name]) for name in ("stribeck_ratio", "stribeck_velocity")]
+    return (*numbers, *effect_numbers(settled))
+
+
+def effect_numbers(settled: Settled) -> tuple[Number, ...]:
+    """Numbers of the effects that stand beside the elements, their names before those of their parameters."""
+    numbers = []
+    for term in settled.fit.terms:
+        if term.name in ("", "viscous", "mass"):
+            continue
+        search = effect_definition(term.name).search
+        if not isinstance(search, Columns):
+            continue
+        place = settled.fit.place(term.name)
+        sizes, cov = settled.fit.coefficient(term.name), settled.cov[place, place]
+        values = search.parameters({}, sizes)
+        for key, value in values.items():
+            steps = np.sqrt(np.diag(cov))
+            slope = np.array(
+                [
+                    (search.parameters({}, sizes + step)[key] - value) / step.max() if step.max() > 0.0 else 0.0
+                    for step in np.diag(1e-3 * steps)
+                ]
+            )
+            std = math.sqrt(max(0.0, float(slope @ cov @ slope)))
+            numbers.append(_number(f"{term.name}.{key}", Quantity(float(value), std)))
+    return tuple(numbers)
+
+
+def _number(name: str, quantity: Quantity) -> Number:
+    known = quantity.relative <= KNOWN
+    return Number(name, quantity.value, quantity.std, known, "" if known else "not determined: a stand-in")
+
+
+def _to(count: int) -> range:
+    return range(1, count + 1)
+
+
+def mass_number(settled: Settled, given: float | None, adopted: float) -> tuple[Number, tuple[str, ...]]:
+    """The mass that is written, and what is to be said of it."""
+    seen = settled.mass
+    if given is None:
+        if seen is None:  # refused before
+            raise ValueError("neither a mass nor a motion that shows one")
+        return Number("mass", adopted, seen.std, True, "of the motion, as the force's scale has it"), ()
+    if seen is None:
+        sentence = f"mass: as given, the motion does not show it; {MOVES['jerks']} would (sgms-mhe plan)"
+        return Number("mass", adopted, math.nan, False, "as given; the motion does not show it"), (sentence,)
+    if adopted == given:
+        shown = f"as given; the motion shows {seen.value:.5g} +- {2.0 * seen.std:.2g}"
+        return Number("mass", given, math.nan, True, shown), ()
+    ratio = adopted / given
+    sentence = (
+        f"mass: {given:g} kg was given, and the motion shows {seen.value:.5g} +- {2.0 * seen.std:.2g} kg. Either the mass "
+        f"is that, or the logged force is {ratio:.4g} times the real one: then scale it in [log] and identify again. The "
+        "file has the mass that goes with the force as logged"
+    )
+    return Number("mass", adopted, seen.std, True, f"of the motion; {given:g} was given"), (sentence,)
+
+
+def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, limits: tuple[float, float]) -> list[str]:
+    """What the records leave open, with the move that would tell."""
+    said = []
+    if not found.decided:
+        said.append(
+            f"law: the records do not tell elements that switch from smooth ones ({found.other.cross_rms:.3g} and "
+            f"{found.fit.cross_rms:.3g} N are left); sgms is the default; {_show('stiffness')} would tell"
+        )
+    open_numbers = {number.name for number in numbers if not number.determined}
+    for name in ("coulomb", "viscous"):
+        if name in open_numbers:
+            said.append(f"{name}: not determined; {_show(name)} would show it")
+    if "stribeck_ratio" in open_numbers or "stribeck_velocity" in open_numbers:
+        said.append(f"stribeck: not determined; {_show('stribeck')} would show it")
+    fit = settled.fit
+    for k, distance in enumerate(fit.shape.distances.tolist(), start=1):
+        if distance <= 1.01 * limits[0]:
+            said.append(
+                f"element {k} breaks away within {distance:.2g} m, about what the encoder resolves: its stiffness is at "
+                f"least {fit.levels[k - 1] / distance:.2g} N/m"
+            )
+        elif {f"stiffness_{k}", f"fraction_{k}"} & open_numbers:
+            said.append(
+                f"element {k} (breaks away after {distance:.2g} m): not determined by itself; {_show('stiffness')} around "
+                f"{distance:.1g} m would show it"
+            )
+    return said
+
+
+def _show(name: str) -> str:
+    """What a motion must hold for a cause to be seen, and how to get it."""
+    return f"{cause(name).excitation.text} (sgms-mhe plan)"

@@ -1,0 +1,193 @@
+"""From logs, and a mass or none, to a machine file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from sgms_mhe.configuration import make_machine, override_machine
+from sgms_mhe.diagnosis.evidence import noise_floor
+from sgms_mhe.diagnosis.excitation import measures
+from sgms_mhe.identification.description import check_slides, law_numbers, limits_of, mass_number
+from sgms_mhe.identification.elements import NO_RISE, run_elements
+from sgms_mhe.identification.fitting import View
+from sgms_mhe.identification.records import Records, in_order, records_of
+from sgms_mhe.identification.result import Identification, Number
+from sgms_mhe.identification.sampling import common_rate, rough_mass, unknown_axis
+from sgms_mhe.identification.search import MOST_ELEMENTS, Found, Progress, Views, search
+from sgms_mhe.identification.settling import Settled, settle
+from sgms_mhe.identification.spectrum import PER_DECADE, distance_grid, find_spectrum
+from sgms_mhe.identification.terms import Term, companion_terms, mass_term, sampling_terms, viscous_term
+from sgms_mhe.identification.weights import measurement_noise
+from sgms_mhe.identification.writing import checked, machine_content, machine_toml
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import MOVES, effect_definition
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.plausibility import check_plausible
+from sgms_mhe.support.errors import InputError
+
+LEAST_TRAVEL: Final = 20.0
+"""Travel over the resolution of the position below which nothing moved."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is asked for.
+
+    Attributes:
+        name: of the machine.
+        mass: moved mass [kg]; None: that of the motion.
+        elements: their number; None: what the records show.
+        like: a machine whose sampling, estimator, code and `[log]` are taken over; None: none.
+        per_decade: distances of the convex start's grid; the result does not depend on it.
+    """
+
+    name: str
+    mass: float | None = None
+    elements: int | None = None
+    like: Machine | None = None
+    per_decade: float = PER_DECADE
+
+
+def _silent(_: str) -> None:
+    return None
+
+
+def identify(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> Identification:
+    """Identify an axis from measurements alone. The order of the logs does not matter.
+
+    Raises:
+        InputError: logs that cannot tell: without motion, below break-away, of different rates, ...
+    """
+    if wanted.elements is not None and not 1 <= wanted.elements <= MOST_ELEMENTS:
+        raise InputError("identify", "elements", wanted.elements, f"1 to {MOST_ELEMENTS}, or auto")
+    logs = in_order(logs)
+    records = _records(logs, wanted)
+    rows = records.rows
+    noise = noise_floor(rows, rows.friction)
+    base = (viscous_term(rows), mass_term(rows), *sampling_terms(rows))
+    companions = companion_terms(rows)
+    grid = distance_grid(records, wanted.per_decade)
+    limits = float(grid[0]), float(grid[-1])
+    views = Views(View(rows, records.coarse, noise, limits), View(rows, records.fine, noise, limits))
+    report("convex start")
+    spectrum = find_spectrum(records, (*base, *companions), noise, grid)
+    if not len(spectrum.distances):
+        raise InputError(records.names[0], "friction", 0.0, "a log with friction in it: the force is all inertia")
+    found = search(views, (*base, *companions), spectrum, wanted.elements, report)
+    shape = found.fit.shape
+    runs = run_elements(views.fine.motions, shape.law, shape.distances, shape.rise or NO_RISE, slopes=False)
+    check_slides(views.fine, found.fit, [run.chi for run in runs], records.names[0])
+    settled = settle(views, found.fit, base, _excited(records, found, companions), wanted.mass is not None, report)
+    return _described(records, logs, wanted, found, settled, views, report)
+
+
+def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
+    """The logs behind the chain, those refused that hold no motion."""
+    common_rate(logs)
+    for log in logs:
+        _check_moves(log)
+    machine = unknown_axis(logs, wanted.name, wanted.mass or 1.0, wanted.like)
+    mass = rough_mass(machine, logs) if wanted.mass is None else wanted.mass
+    machine = unknown_axis(logs, wanted.name, mass, wanted.like)
+    for log in logs:
+        check_plausible(log, machine)
+    return records_of(machine, logs)
+
+
+def _check_moves(log: Log) -> None:
+    """Refuse a log without motion."""
+    position = log.position_m[np.isfinite(log.position_m)]
+    steps = np.abs(np.diff(position))
+    step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    travel = float(np.ptp(position)) if len(position) else 0.0
+    if travel <= LEAST_TRAVEL * step and travel <= LEAST_TRAVEL * float(np.std(np.diff(position))):
+        raise InputError(
+            log.source or "log",
+            "column position_m",
+            f"a range of {travel:.3g} m, {step:.3g} m from sample to sample",
+            f"a log in which the axis moves ({MOVES['speeds']}; {MOVES['loops']})",
+        )
+
+
+def _excited(records: Records, found: Found, companions: Sequence[Term]) -> tuple[Term, ...]:
+    """The effects that the motion can show."""
+    fit = found.fit
+    content = {
+        "law": "switching",
+        "stiffness": (np.maximum(fit.levels, 1e-9 * fit.coulomb) / fit.shape.distances).tolist(),
+        "fraction": _fractions(fit.levels),
+        "coulomb": fit.coulomb,
+    }
+    machine = make_machine({**records.machine.content, "friction": content}, records.machine.source)
+    measured = measures(records.rows.signals, machine)
+    return tuple(
+        term
+        for term in companions
+        if not any(need.times is None for need in effect_definition(term.name).excitation.unmet(measured, {}))
+    )
+
+
+def _fractions(levels: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> list[float]:
+    shares = np.maximum(levels, 1e-9 * levels.sum())
+    return [float(share) for share in shares / shares.sum()]
+
+
+def _described(
+    records: Records,
+    logs: Sequence[Log],
+    wanted: Wanted,
+    found: Found,
+    settled: Settled,
+    views: Views,
+    report: Progress,
+) -> Identification:
+    """The numbers, the file and what is to be said of both."""
+    fit, given = settled.fit, wanted.mass
+    seen = settled.mass
+    if given is None and seen is None:
+        raise InputError(
+            records.names[0],
+            "mass",
+            None,
+            f"--mass: the motion does not show it; or a log with {MOVES['jerks']}, which do",
+        )
+    adopted = given if given is not None and (seen is None or "mass" not in settled.numbers) else seen
+    mass_kg = adopted if isinstance(adopted, float) else adopted.value if adopted is not None else math.nan
+    mass, said = mass_number(settled, given, mass_kg)
+    numbers: tuple[Number, ...] = (mass, *law_numbers(settled))
+    limits = [*said, *limits_of(numbers, found, settled, views.fine.limits)]
+    law = fit.shape.law
+    path = Path(f"{wanted.name}.toml")
+    report("weights")
+    draft = make_machine(machine_content(records.machine, law, numbers, None), path)
+    content = machine_content(records.machine, law, numbers, measurement_noise(draft, logs))
+    floor = noise_floor(views.fine.rows, fit.residual)
+    head = [
+        f"Written by sgms-mhe identify over {', '.join(Path(name).name for name in sorted(records.names))}.",
+        "Intervals are two standard deviations.",
+        f"On blocks that the fit had not seen {settled.held_out_rms:.3g} N rms are left; noise is {floor:.3g} N.",
+        *limits,
+    ]
+    toml = machine_toml(content, numbers, head)
+    used = views.fine.rows.used
+    return Identification(
+        machine=checked(toml, content, path),
+        toml=toml,
+        law=law,
+        law_decided=found.decided,
+        numbers=numbers,
+        limits=tuple(limits),
+        warnings=records.warnings,
+        rms_N=fit.rms,
+        held_out_rms_N=settled.held_out_rms,
+        noise_floor_N=floor,
+        friction_rms_N=float(np.std(views.fine.rows.friction[used])),
+        by_count=found.counts,
+        sources=records.names,
+    )
