@@ -3,54 +3,70 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.identification.fitting import AxisFit, View
 from sgms_mhe.identification.intervals import Quantity
 from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.search import Found
 from sgms_mhe.identification.settling import Settled
-from sgms_mhe.model.effects import MOVES, cause, effect_definition
+from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition
 from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.support.errors import InputError
 
-Array = NDArray[np.float64]
-
 KNOWN: Final = 0.25
 """Deviation over value up to which a number counts as determined."""
-SLIDING: Final = 0.9
-"""Deflection over level from which an element counts as slipping."""
-LEAST_SLIDING: Final = 0.01
-"""Share of the rows in which the axis must slide for its level to be one."""
-LARGE: Final = 0.05
-"""Share of the level from which an element counts among those that must slip."""
+ROUNDING: Final = 1e-12
+NEXT_TO_NOTHING: Final = 1.01
+"""Of the smallest break-away distance that the encoder tells: no larger, and it is none."""
+STAND_IN: Final = "not determined: a stand-in"
+SLID: Final = 0.25
+"""Break-away distance over the travel up to which an element slips on both ways and some way beyond."""
+OPEN_LEVEL: Final = 0.4
+"""Share of the level in elements beyond that from which a record counts as one of presliding alone."""
+CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
+    "coulomb": ("coulomb",),
+    "viscous": ("viscous",),
+    "stribeck": ("stribeck_ratio", "stribeck_velocity"),
+    "stiffness": ("stiffness", "fraction"),
+}
+"""Numbers by the cause whose excitation says what a motion must hold to show them."""
 
 
-def check_slides(view: View, fit: AxisFit, chi: Sequence[Array], source: str) -> None:
+def check_slides(view: View, fit: AxisFit, source: str) -> None:
     """Refuse records that stay below break-away: no level is seen in them, and any would do.
 
     Raises:
         InputError: what is needed.
     """
-    large = [c for c, level in zip(chi, fit.levels.tolist(), strict=True) if level > LARGE * fit.coulomb]
-    slides = np.all([np.abs(c) >= SLIDING for c in large], axis=0)[view.rows.used] if large else np.zeros(1)
-    share = float(np.mean(slides))
-    if share < LEAST_SLIDING:
+    travel = view.rows.extents.travel
+    open_level = float(fit.levels[fit.shape.distances > SLID * travel].sum())
+    if open_level > OPEN_LEVEL * fit.coulomb:
         raise InputError(
             source,
             "motion",
-            f"sliding in {100.0 * share:.1f} % of the record",
+            f"{travel:.3g} m of travel, {100.0 * open_level / fit.coulomb:.0f} % of the friction a spring over it",
             "motion well beyond break-away, in both directions: below it friction is a spring, and its level is open "
             f"({MOVES['speeds']}; {MOVES['loops']})",
         )
 
 
-def law_numbers(settled: Settled) -> tuple[Number, ...]:
-    """Numbers of [friction] and of the effects, in the file's order."""
+def unexcited(measured: Mapping[Measure, float]) -> tuple[str, ...]:
+    """Numbers of the law (arrays without index) that a motion of these measures cannot show, whatever fits it."""
+    return tuple(
+        name
+        for known, names in CONTROLLED.items()
+        for name in names
+        if any(need.times is None for need in cause(known).excitation.unmet(measured, {}))
+    )
+
+
+def law_numbers(settled: Settled, unseen: Sequence[str]) -> tuple[Number, ...]:
+    """Numbers of [friction] and of the effects, in the file's order; `unseen`: see `unexcited`."""
     found, count = settled.numbers, len(settled.fit.levels)
     numbers = [_number(name, found[name]) for name in ("coulomb",)]
     numbers += [_number(f"{name}_{k}", found[f"{name}_{k}"]) for name in ("stiffness", "fraction") for k in _to(count)]
@@ -64,7 +80,14 @@ def law_numbers(settled: Settled) -> tuple[Number, ...]:
         numbers.append(Number("stribeck_velocity", 1e-3, math.nan, False, "default"))
     else:
         numbers += [_number(name, found[name]) for name in ("stribeck_ratio", "stribeck_velocity")]
+    numbers = [replace(n, determined=False, note=n.note or STAND_IN) if _stem(n.name) in unseen else n for n in numbers]
     return (*numbers, *effect_numbers(settled))
+
+
+def _stem(name: str) -> str:
+    """A number's name without its index."""
+    stem, _, index = name.rpartition("_")
+    return stem if index.isdecimal() else name
 
 
 def effect_numbers(settled: Settled) -> tuple[Number, ...]:
@@ -93,8 +116,10 @@ def effect_numbers(settled: Settled) -> tuple[Number, ...]:
 
 
 def _number(name: str, quantity: Quantity) -> Number:
+    if quantity.std <= ROUNDING * abs(quantity.value):  # the share of an only element
+        return Number(name, quantity.value, math.nan, True)
     known = quantity.relative <= KNOWN
-    return Number(name, quantity.value, quantity.std, known, "" if known else "not determined: a stand-in")
+    return Number(name, quantity.value, quantity.std, known, "" if known else STAND_IN)
 
 
 def _to(count: int) -> range:
@@ -123,7 +148,7 @@ def mass_number(settled: Settled, given: float | None, adopted: float) -> tuple[
     return Number("mass", adopted, seen.std, True, f"of the motion; {given:g} was given"), (sentence,)
 
 
-def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, limits: tuple[float, float]) -> list[str]:
+def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, view: View) -> list[str]:
     """What the records leave open, with the move that would tell."""
     said = []
     if not found.decided:
@@ -137,12 +162,17 @@ def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, limits:
             said.append(f"{name}: not determined; {_show(name)} would show it")
     if "stribeck_ratio" in open_numbers or "stribeck_velocity" in open_numbers:
         said.append(f"stribeck: not determined; {_show('stribeck')} would show it")
-    fit = settled.fit
+    fit, travel = settled.fit, view.rows.extents.travel
     for k, distance in enumerate(fit.shape.distances.tolist(), start=1):
-        if distance <= 1.01 * limits[0]:
+        if distance <= NEXT_TO_NOTHING * view.limits[0]:
             said.append(
                 f"element {k} breaks away within {distance:.2g} m, about what the encoder resolves: its stiffness is at "
                 f"least {fit.levels[k - 1] / distance:.2g} N/m"
+            )
+        elif distance > SLID * travel:
+            said.append(
+                f"element {k} breaks away only after {distance:.2g} m of {travel:.2g} m of travel: its level is open, it may "
+                "be a spring"
             )
         elif {f"stiffness_{k}", f"fraction_{k}"} & open_numbers:
             said.append(

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from sgms_mhe.configuration import make_machine, override_machine
+from sgms_mhe.configuration import make_machine
 from sgms_mhe.diagnosis.evidence import noise_floor
 from sgms_mhe.diagnosis.excitation import measures
-from sgms_mhe.identification.description import check_slides, law_numbers, limits_of, mass_number
-from sgms_mhe.identification.elements import NO_RISE, run_elements
+from sgms_mhe.identification.description import check_slides, law_numbers, limits_of, mass_number, unexcited
 from sgms_mhe.identification.fitting import View
 from sgms_mhe.identification.records import Records, in_order, records_of
 from sgms_mhe.identification.result import Identification, Number
@@ -22,11 +21,12 @@ from sgms_mhe.identification.sampling import common_rate, rough_mass, unknown_ax
 from sgms_mhe.identification.search import MOST_ELEMENTS, Found, Progress, Views, search
 from sgms_mhe.identification.settling import Settled, settle
 from sgms_mhe.identification.spectrum import PER_DECADE, distance_grid, find_spectrum
-from sgms_mhe.identification.terms import Term, companion_terms, mass_term, sampling_terms, viscous_term
+from sgms_mhe.identification.terms import companion_terms, mass_term, sampling_terms, viscous_term
 from sgms_mhe.identification.weights import measurement_noise
 from sgms_mhe.identification.writing import checked, machine_content, machine_toml
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import MOVES, effect_definition
+from sgms_mhe.model.effects import MOVES, Measure, effect_definition
+from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.plausibility import check_plausible
 from sgms_mhe.support.errors import InputError
@@ -58,16 +58,39 @@ def _silent(_: str) -> None:
     return None
 
 
+@dataclass(frozen=True, eq=False)
+class Explored:
+    """Everything that an identification knows before it is written down.
+
+    Attributes:
+        records: the logs behind the chain.
+        views: their rows.
+        found: law and elements.
+        settled: the numbers.
+        measured: what the motion holds, by measure.
+    """
+
+    records: Records
+    views: Views
+    found: Found
+    settled: Settled
+    measured: Mapping[Measure, float]
+
+
 def identify(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> Identification:
     """Identify an axis from measurements alone. The order of the logs does not matter.
 
     Raises:
         InputError: logs that cannot tell: without motion, below break-away, of different rates, ...
     """
+    return _described(explore(logs, wanted, report), in_order(logs), wanted, report)
+
+
+def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> Explored:
+    """Find law, elements and numbers of an axis; raises as `identify` does."""
     if wanted.elements is not None and not 1 <= wanted.elements <= MOST_ELEMENTS:
         raise InputError("identify", "elements", wanted.elements, f"1 to {MOST_ELEMENTS}, or auto")
-    logs = in_order(logs)
-    records = _records(logs, wanted)
+    records = _records(in_order(logs), wanted)
     rows = records.rows
     noise = noise_floor(rows, rows.friction)
     base = (viscous_term(rows), mass_term(rows), *sampling_terms(rows))
@@ -80,11 +103,11 @@ def identify(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) ->
     if not len(spectrum.distances):
         raise InputError(records.names[0], "friction", 0.0, "a log with friction in it: the force is all inertia")
     found = search(views, (*base, *companions), spectrum, wanted.elements, report)
-    shape = found.fit.shape
-    runs = run_elements(views.fine.motions, shape.law, shape.distances, shape.rise or NO_RISE, slopes=False)
-    check_slides(views.fine, found.fit, [run.chi for run in runs], records.names[0])
-    settled = settle(views, found.fit, base, _excited(records, found, companions), wanted.mass is not None, report)
-    return _described(records, logs, wanted, found, settled, views, report)
+    check_slides(views.fine, found.fit, records.names[0])
+    measured = _measured(records, found)
+    excited = tuple(term for term in companions if _is_excited(effect_definition(term.name), measured))
+    settled = settle(views, found.fit, base, excited, wanted.mass is not None, report)
+    return Explored(records, views, found, settled, measured)
 
 
 def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
@@ -115,8 +138,8 @@ def _check_moves(log: Log) -> None:
         )
 
 
-def _excited(records: Records, found: Found, companions: Sequence[Term]) -> tuple[Term, ...]:
-    """The effects that the motion can show."""
+def _measured(records: Records, found: Found) -> Mapping[Measure, float]:
+    """What the motion holds, on the scale of the friction found."""
     fit = found.fit
     content = {
         "law": "switching",
@@ -125,12 +148,12 @@ def _excited(records: Records, found: Found, companions: Sequence[Term]) -> tupl
         "coulomb": fit.coulomb,
     }
     machine = make_machine({**records.machine.content, "friction": content}, records.machine.source)
-    measured = measures(records.rows.signals, machine)
-    return tuple(
-        term
-        for term in companions
-        if not any(need.times is None for need in effect_definition(term.name).excitation.unmet(measured, {}))
-    )
+    return measures(records.rows.signals, machine)
+
+
+def _is_excited(definition: CauseDefinition, measured: Mapping[Measure, float]) -> bool:
+    """Whether a motion can show an effect, as far as that does not depend on its size."""
+    return not any(need.times is None for need in definition.excitation.unmet(measured, {}))
 
 
 def _fractions(levels: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> list[float]:
@@ -138,16 +161,9 @@ def _fractions(levels: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> lis
     return [float(share) for share in shares / shares.sum()]
 
 
-def _described(
-    records: Records,
-    logs: Sequence[Log],
-    wanted: Wanted,
-    found: Found,
-    settled: Settled,
-    views: Views,
-    report: Progress,
-) -> Identification:
+def _described(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: Progress) -> Identification:
     """The numbers, the file and what is to be said of both."""
+    records, views, found, settled = explored.records, explored.views, explored.found, explored.settled
     fit, given = settled.fit, wanted.mass
     seen = settled.mass
     if given is None and seen is None:
@@ -160,8 +176,8 @@ def _described(
     adopted = given if given is not None and (seen is None or "mass" not in settled.numbers) else seen
     mass_kg = adopted if isinstance(adopted, float) else adopted.value if adopted is not None else math.nan
     mass, said = mass_number(settled, given, mass_kg)
-    numbers: tuple[Number, ...] = (mass, *law_numbers(settled))
-    limits = [*said, *limits_of(numbers, found, settled, views.fine.limits)]
+    numbers: tuple[Number, ...] = (mass, *law_numbers(settled, unexcited(explored.measured)))
+    limits = [*said, *limits_of(numbers, found, settled, views.fine)]
     law = fit.shape.law
     path = Path(f"{wanted.name}.toml")
     report("weights")

@@ -83,7 +83,7 @@ def quantities(fit: AxisFit, cov: Array) -> dict[str, Quantity]:
         ):
             add(name, value, unit * np.eye(p)[place])
     for name in ("viscous", "mass"):
-        place = fit.place(name)
-        if place.stop:
-            add(name, float(fit.coefficient(name)[0]), np.eye(p)[place.start])
+        column = fit.place(name)
+        if column.stop:
+            add(name, float(fit.coefficient(name)[0]), np.eye(p)[column.start])
     return found

@@ -90,9 +90,7 @@ def _in_line(views: Views, anchor: AxisFit) -> View:
     return replace(views.coarse, rows=replace(rows, friction=rows.friction - change))
 
 
-def search(
-    views: Views, terms: Sequence[Term], spectrum: Spectrum, elements: int | None, report: Progress
-) -> Found:
+def search(views: Views, terms: Sequence[Term], spectrum: Spectrum, elements: int | None, report: Progress) -> Found:
     """The law and the elements that the records show.
 
     Args:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.recording import Recording
-from sgms_mhe.identification.fitting import AxisFit, Shape, fit_axis
+from sgms_mhe.identification.fitting import AxisFit, Shape, View, fit_axis
 from sgms_mhe.identification.intervals import Quantity, covariance, quantities
 from sgms_mhe.identification.search import Progress, Views, fit_in_line, gains
 from sgms_mhe.identification.terms import Term
@@ -42,6 +42,7 @@ class Settled:
         numbers: of the law, with deviations; those of numbers held at a default are not among them.
         mass: that the motion shows [kg]; None: it shows none.
         held_out_rms: residual of a fit of two thirds on the last third of the blocks [N].
+        view: the records as they were fitted.
     """
 
     fit: AxisFit
@@ -49,6 +50,7 @@ class Settled:
     numbers: dict[str, Quantity]
     mass: Quantity | None
     held_out_rms: float
+    view: View
 
 
 def settle(
@@ -79,7 +81,7 @@ def settle(
     cov = covariance(views.fine, fit)
     wide = quantities(fit, cov)
     mass = _mass(views.fine.rows, wide["mass"])
-    dropped = _unseen(fit, wide, views.fine.rows.machine.plant.mass if given_mass else None)
+    dropped = _unseen(fit, cov, wide, views.fine.rows.machine.plant.mass if given_mass else None)
     if dropped:
         terms = tuple(term for term in fit.terms if term.name not in dropped)
         fit = fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS)
@@ -91,7 +93,7 @@ def settle(
     held_out = rows.rows_held_out()
     judge = fit_axis(views.fine, fit.terms, fit.shape, rows.used & ~held_out, iterations=2)
     held_out_rms = float(np.sqrt(np.mean(judge.residual[held_out] ** 2)))
-    return Settled(fit, cov, numbers, mass, held_out_rms)
+    return Settled(fit, cov, numbers, mass, held_out_rms, views.fine)
 
 
 def _with_companions(views: Views, fit: AxisFit, companions: Sequence[Term]) -> AxisFit:
@@ -124,10 +126,16 @@ def _mass(rows: Recording, extra: Quantity) -> Quantity | None:
     return mass if mass.value > 0.0 and mass.relative <= MASS_SEEN else None
 
 
-def _unseen(fit: AxisFit, numbers: dict[str, Quantity], given_mass: float | None) -> set[str]:
+def _unseen(fit: AxisFit, cov: Array, numbers: dict[str, Quantity], given_mass: float | None) -> set[str]:
     """Terms whose numbers the records do not show, and the mass where the one given will do."""
     viscous, mass = numbers["viscous"], numbers["mass"]
     dropped = set() if viscous.value > SHOWN * viscous.std else {"viscous"}
+    for term in fit.terms:
+        sizes, place = fit.coefficient(term.name), fit.place(term.name)
+        if term.name not in ("", "viscous", "mass") and np.all(
+            np.abs(sizes) <= SHOWN * np.sqrt(np.diag(cov[place, place]))
+        ):
+            dropped.add(term.name)
     if given_mass is not None and abs(mass.value) <= max(CERTAIN * mass.std, MASS_OFF * given_mass):
         dropped.add("mass")
     return dropped

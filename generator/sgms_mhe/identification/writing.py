@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import json
 import math
+import textwrap
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from sgms_mhe.configuration import make_machine
+from sgms_mhe.identification.description import STAND_IN
 from sgms_mhe.identification.elements import Law
 from sgms_mhe.identification.result import Number, interval, rounded
 from sgms_mhe.machine import Machine
 
-COMMENT_COLUMN: Final = 46
+COMMENT_COLUMN: Final = 40
+COLUMNS: Final = 100
+ELEMENTS: Final = ("stiffness_", "fraction_")
 SHARE_DIGITS: Final = 9
 ESTIMATED: Final = ("coulomb", "viscous")
 """What changes on an axis with temperature and wear; of these the ones that the records determine are estimated."""
@@ -41,9 +45,7 @@ def machine_content(base: Machine, law: Law, numbers: Sequence[Number], measurem
         "fraction": _shares([by_name[f"fraction_{k}"].value for k in range(1, count + 1)]),
         **{name: value[name] for name in ("viscous", "coulomb", "stribeck_ratio", "stribeck_velocity")},
     }
-    sampling = {
-        key: getattr(base.sampling, key) for key in ("rate", "update_rate", "velocity_cutoff", "max_velocity")
-    }
+    sampling = {key: getattr(base.sampling, key) for key in ("rate", "update_rate", "velocity_cutoff", "max_velocity")}
     if law == "sgms":
         sampling["integrator"] = {"scheme": "flow"}
     estimated = [name for name in ESTIMATED if by_name[name].determined] or ["coulomb"]
@@ -83,11 +85,13 @@ def _shares(values: Sequence[float]) -> list[float]:
 def machine_toml(content: Mapping[str, Any], numbers: Sequence[Number], head: Sequence[str]) -> str:
     """The file: `head` as comments, then the content, numbers with their intervals."""
     notes = _notes(numbers)
-    lines = [f"# {line}" for line in head]
+    lines = [line for text in head for line in wrapped(text)]
     lines += [f"{key} = {_value(content[key])}" for key in ("name", "description")]
     for table in ("plant", "friction", "sampling", "estimator", "compensation", "code", "diagnosis", "log"):
         if table in content:
             lines += _table(table, content[table], notes)
+        if table == "friction":
+            lines += _elements(numbers)
     for effect in content.get("effects", ()):
         lines += ["", "[[effects]]"]
         lines += [_line(key, entry, notes.get(f"{effect['name']}.{key}", "")) for key, entry in effect.items()]
@@ -121,24 +125,36 @@ def _notes(numbers: Sequence[Number]) -> dict[str, str]:
     """Comments by key of the file: intervals of two standard deviations, or why there is none."""
     units = {"mass": "kg", "coulomb": "N", "viscous": "N s/m", "stribeck_velocity": "m/s"}
     notes: dict[str, str] = {}
-    arrays: dict[str, list[str]] = {}
     for number in numbers:
         said = number.note if not math.isfinite(number.std) else interval(number)
         if math.isfinite(number.std) and number.note:
             said += f", {number.note}"
-        name, _, index = number.name.rpartition("_")
-        if name in ("stiffness", "fraction"):
-            arrays.setdefault(name, []).append(f"{interval(number)}{'' if number.determined else ' (not determined)'}")
-        elif "." in number.name:
+        if "." in number.name:
             notes[number.name] = said
-        else:
+        elif not number.name.startswith(ELEMENTS):
             table = "plant" if number.name == "mass" else "friction"
             unit = units.get(number.name, "")
             notes[f"{table}.{number.name}"] = f"{unit}: {said}" if unit else said
-    for name, entries in arrays.items():
-        notes[f"friction.{name}"] = ("N/m: " if name == "stiffness" else "") + "; ".join(entries)
-    notes["estimator.noise.measurement"] = "N, 1 sigma: what the model leaves of the records, sample by sample"
+    notes["friction.stiffness"] = "N/m"
+    notes["estimator.noise.measurement"] = "N, 1 sigma: what the model leaves of the logs, sample by sample"
     return notes
+
+
+def _elements(numbers: Sequence[Number]) -> list[str]:
+    """A comment for each element: intervals of its stiffness and its share."""
+    by_name = {number.name: number for number in numbers}
+    lines, k = [], 1
+    while f"stiffness_{k}" in by_name:
+        stiffness, share = by_name[f"stiffness_{k}"], by_name[f"fraction_{k}"]
+        open_ = "" if stiffness.determined and share.determined else f"; {STAND_IN}"
+        lines.append(f"# element {k}: {interval(stiffness)} N/m, share {interval(share)}{open_}")
+        k += 1
+    return lines
+
+
+def wrapped(text: str) -> list[str]:
+    """A comment in lines of the file's width."""
+    return textwrap.wrap(text, COLUMNS, initial_indent="# ", subsequent_indent="#   ")
 
 
 def _line(key: str, value: Any, note: str) -> str:
