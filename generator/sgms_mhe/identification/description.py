@@ -134,16 +134,16 @@ def mass_number(settled: Settled, given: float | None, adopted: float) -> tuple[
             raise ValueError("neither a mass nor a motion that shows one")
         return Number("mass", adopted, seen.std, True, "of the motion, as the force's scale has it"), ()
     if seen is None:
-        sentence = f"mass: as given, the motion does not show it; {MOVES['jerks']} would (sgms-mhe plan)"
+        sentence = f"mass: as given, the motion does not show it. Needed: {MOVES['jerks']} (sgms-mhe plan)"
         return Number("mass", adopted, math.nan, False, "as given; the motion does not show it"), (sentence,)
     if adopted == given:
         shown = f"as given; the motion shows {seen.value:.5g} +- {2.0 * seen.std:.2g}"
         return Number("mass", given, math.nan, True, shown), ()
     ratio = adopted / given
     sentence = (
-        f"mass: {given:g} kg was given, and the motion shows {seen.value:.5g} +- {2.0 * seen.std:.2g} kg. Either the mass "
-        f"is that, or the logged force is {ratio:.4g} times the real one: then scale it in [log] and identify again. The "
-        "file has the mass that goes with the force as logged"
+        f"mass: {given:g} kg was given, and the motion shows {seen.value:.5g} +- {2.0 * seen.std:.2g} kg. Either the "
+        f"mass is that, or the logged force is {ratio:.4g} times the real one: then scale it in [log] and identify "
+        "again. The file has the mass that goes with the force as logged"
     )
     return Number("mass", adopted, seen.std, True, f"of the motion; {given:g} was given"), (sentence,)
 
@@ -153,35 +153,27 @@ def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, view: V
     said = []
     if not found.decided:
         said.append(
-            f"law: the records do not tell elements that switch from smooth ones ({found.other.cross_rms:.3g} and "
-            f"{found.fit.cross_rms:.3g} N are left); sgms is the default; {_show('stiffness')} would tell"
+            f"law: the logs do not tell elements that switch from smooth ones ({found.other.cross_rms:.3g} and "
+            f"{found.fit.cross_rms:.3g} N are left); sgms is the default. {_needed('stiffness')}"
         )
-    open_numbers = {number.name for number in numbers if not number.determined}
-    for name in ("coulomb", "viscous"):
-        if name in open_numbers:
-            said.append(f"{name}: not determined; {_show(name)} would show it")
-    if "stribeck_ratio" in open_numbers or "stribeck_velocity" in open_numbers:
-        said.append(f"stribeck: not determined; {_show('stribeck')} would show it")
-    fit, travel = settled.fit, view.rows.extents.travel
-    for k, distance in enumerate(fit.shape.distances.tolist(), start=1):
+    unknown = {number.name for number in numbers if not number.determined}
+    said += [
+        f"{name}: not determined. {_needed(name)}"
+        for name in ("coulomb", "viscous", "stribeck")
+        if unknown & set(CONTROLLED[name])
+    ]
+    travel, fit = view.rows.extents.travel, settled.fit
+    for k, (distance, level) in enumerate(zip(fit.shape.distances.tolist(), fit.levels.tolist(), strict=True), start=1):
+        element = f"element {k} (breaks away after {distance:.2g} m)"
         if distance <= NEXT_TO_NOTHING * view.limits[0]:
-            said.append(
-                f"element {k} breaks away within {distance:.2g} m, about what the encoder resolves: its stiffness is at "
-                f"least {fit.levels[k - 1] / distance:.2g} N/m"
-            )
+            said.append(f"{element}: about what the encoder resolves; it is at least {level / distance:.2g} N/m stiff")
         elif distance > SLID * travel:
-            said.append(
-                f"element {k} breaks away only after {distance:.2g} m of {travel:.2g} m of travel: its level is open, it may "
-                "be a spring"
-            )
-        elif {f"stiffness_{k}", f"fraction_{k}"} & open_numbers:
-            said.append(
-                f"element {k} (breaks away after {distance:.2g} m): not determined by itself; {_show('stiffness')} around "
-                f"{distance:.1g} m would show it"
-            )
+            said.append(f"{element}: its level is open, {travel:.2g} m of travel are too few; it may be a spring")
+        elif unknown & {f"stiffness_{k}", f"fraction_{k}"}:
+            said.append(f"{element}: not determined by itself. {_needed('stiffness')}, about {distance:.1g} m wide")
     return said
 
 
-def _show(name: str) -> str:
-    """What a motion must hold for a cause to be seen, and how to get it."""
-    return f"{cause(name).excitation.text} (sgms-mhe plan)"
+def _needed(name: str) -> str:
+    """What a motion must hold for a cause to be seen, and how to get one."""
+    return f"Needed (sgms-mhe plan makes such a motion): {cause(name).excitation.text}"

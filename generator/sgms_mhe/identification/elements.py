@@ -32,6 +32,8 @@ RATIO_SCALE: Final = 1e-3
 COARSE: Final = 2.0
 """Factor between the Stribeck velocities that elements are compiled for: few serve all fits."""
 DISTANCE: Final = 1e-9
+SLOW_STEP: Final = 0.1
+"""Longest step of smooth elements below the gate, in break-away distances: off by 1e-7 of a level at most."""
 RATE: Final = 1000.0
 """Break-away distance [m] and sample rate [Hz] that elements are compiled for."""
 
@@ -91,8 +93,10 @@ def run_elements(
 
 
 def _nominal(law: Law, velocity: float) -> float:
-    """Stribeck velocity that an element is compiled for: not below its own, or smooth ones would be taken for slipping
-    freely too early. Elements that switch are exact whatever it is.
+    """Stribeck velocity that an element is compiled for.
+
+    Not below its own, or a smooth one would be taken for slipping freely too early. Elements that switch are exact
+    whatever it is.
     """
     return 1.0 if law == "switching" else COARSE ** math.ceil(math.log(velocity, COARSE))
 
@@ -115,7 +119,7 @@ def _compiled(law: Law, velocity: float) -> CompiledModel:
             "rate": RATE,
             "update_rate": RATE,
             "velocity_cutoff": 0.2 * RATE,
-            "integrator": {"scheme": "flow"} if law == "sgms" else {},
+            "integrator": {"scheme": "flow", "slow_displacement": SLOW_STEP} if law == "sgms" else {},
         },
         "estimator": {"parameters": ["stiffness", "stribeck_ratio", "stribeck_velocity"]},
     }

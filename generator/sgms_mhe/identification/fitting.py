@@ -100,6 +100,12 @@ class AxisFit:
         return float(self.levels.sum())
 
     @property
+    def elements(self) -> Array:
+        """Deflections over their levels (m, k)."""
+        count = len(self.levels)
+        return np.asarray(self.slopes[:, count : 2 * count])
+
+    @property
     def rms(self) -> float:
         """RMS of the residual on used rows [N]."""
         return math.sqrt(float(self.loss.sum() / self.rows.sum()))

@@ -1,4 +1,4 @@
-"""Linear least squares of which some coefficients are at least 0: a convex problem, so no start decides its solution."""
+"""Linear least squares with some coefficients at least 0: a convex problem, so that no start decides its solution."""
 
 from __future__ import annotations
 

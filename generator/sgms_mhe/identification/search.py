@@ -80,13 +80,8 @@ def _in_line(views: Views, anchor: AxisFit) -> View:
     """The coarse view whose friction leaves the residual of the fine one at a fit."""
     rows, shape = views.coarse.rows, anchor.shape
     rise = shape.rise or NO_RISE
-    coarse, fine = (
-        run_elements(view.motions, shape.law, shape.distances, rise, slopes=False)
-        for view in (views.coarse, views.fine)
-    )
-    change = np.sum(
-        [level * (f.chi - c.chi) for level, f, c in zip(anchor.levels.tolist(), fine, coarse, strict=True)], axis=0
-    )
+    coarse = run_elements(views.coarse.motions, shape.law, shape.distances, rise, slopes=False)
+    change = anchor.elements @ anchor.levels - np.column_stack([run.chi for run in coarse]) @ anchor.levels
     return replace(views.coarse, rows=replace(rows, friction=rows.friction - change))
 
 
@@ -171,7 +166,7 @@ def _best(views: Views, terms: Sequence[Term], spectrum: Spectrum, near: AxisFit
 
 
 def _split(spectrum: Spectrum, count: int) -> Array:
-    """So many break-away distances: clusters of the spectrum, the widest gaps between them filled where these are few."""
+    """So many break-away distances: clusters of the spectrum, the widest gaps filled where these are few."""
     distances = clustered(spectrum, count)[0]
     while len(distances) < count:
         distances = _filled(distances)

@@ -97,7 +97,7 @@ def settle(
 
 
 def _with_companions(views: Views, fit: AxisFit, companions: Sequence[Term]) -> AxisFit:
-    """The fit with the effects that it gains by, the best one first; of two that gain as much the one of fewer sizes."""
+    """The fit with the effects that it gains by, the best first; of two that gain as much the one of fewer sizes."""
     left = sorted(companions, key=lambda term: term.columns.shape[1])
     while left:
         tried = [fit_in_line(views, (*fit.terms, term), fit.shape, rounds=1) for term in left]

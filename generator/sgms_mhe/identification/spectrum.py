@@ -69,17 +69,15 @@ def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: A
     deviation = np.concatenate([np.full(term.columns.shape[1], term.deviation) for term in terms])
     fold, y = rows.fold[rows.block[used]], rows.friction[used]
     speeds = rows.extents.speed * np.geomspace(*SPEEDS, 1 + math.ceil(math.log(SPEEDS[1] / SPEEDS[0], SPEED_RATIO)))
-    best: tuple[float, float | None, Array] | None = None
+    tried: list[tuple[float, float | None, Array]] = []
     for speed in (None, *speeds.tolist()):
         rising = stop[:, ::RISING] * np.exp(-((rows.velocity[used] / speed) ** 2))[:, None] if speed else stop[:, :0]
         X = np.column_stack((stop, rising, columns))
         nonnegative = np.concatenate((np.ones(stop.shape[1] + rising.shape[1], dtype=np.bool_), positive))
         information = np.concatenate((np.zeros(stop.shape[1] + rising.shape[1]), (noise / deviation) ** 2))
         loss, coefficients = _cross_validated(X, y, fold, nonnegative, information)
-        if best is None or loss < best[0]:
-            best = loss, speed, coefficients
-    assert best is not None
-    _, speed, coefficients = best
+        tried.append((loss, speed, coefficients))
+    _, speed, coefficients = min(tried, key=lambda entry: entry[0])
     levels = coefficients[: len(grid)]
     rise = None
     if speed is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -50,8 +49,10 @@ def mass_term(rows: Recording) -> Term:
 
 
 def sampling_terms(rows: Recording) -> tuple[Term, ...]:
-    """What sampling leaves of an acceleration: force and position are not read at the same instant, and the second
-    difference over a sample h is low by h^2 / 12 of the acceleration's own second derivative.
+    """What sampling leaves of an acceleration, by its first and second derivative.
+
+    Force and position are not read at the same instant, and the second difference over a sample h is low by h^2 / 12 of
+    the acceleration's own second derivative.
     """
     step, mass = rows.machine.sampling.step, rows.machine.plant.mass
     jerk = np.gradient(rows.signals.acceleration) / step
@@ -84,8 +85,3 @@ def companion_terms(rows: Recording) -> tuple[Term, ...]:
         if definition.companion and isinstance(definition.search, Columns):
             found.append(Term(name, definition.search.columns(motion, {})))
     return tuple(found)
-
-
-def named(terms: Sequence[Term], name: str) -> Term | None:
-    """The term of a name; None where there is none."""
-    return next((term for term in terms if term.name == name), None)

@@ -39,8 +39,8 @@ class EffectDefinition(CauseDefinition):
         linear: whether the search's columns times its sizes are all of its force: what it would gain is then known
             without a refit.
         repeatable: whether an axis may have two of it.
-        companion: whether an identification from nothing looks for it beside the friction law: its search's columns need
-            no model.
+        companion: whether an identification from nothing looks for it beside friction; its search's columns need no
+            model.
         full_rate: whether it is about as fast as a sample of the record, or jumps: fitted at the record's full rate,
             never on means.
         plant_force: the simulated plant's own version of a force, friction-like in sign, written a second time in plain
