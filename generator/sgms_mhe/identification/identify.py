@@ -13,15 +13,16 @@ import numpy as np
 from sgms_mhe.configuration import make_machine
 from sgms_mhe.diagnosis.evidence import noise_floor
 from sgms_mhe.diagnosis.excitation import measures
+from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.identification.description import check_slides, law_numbers, limits_of, mass_number, unexcited
 from sgms_mhe.identification.fitting import View
-from sgms_mhe.identification.records import Records, in_order, records_of
+from sgms_mhe.identification.records import Records, in_order, records_of, started
 from sgms_mhe.identification.result import Identification, Number
 from sgms_mhe.identification.sampling import common_rate, rough_mass, unknown_axis
 from sgms_mhe.identification.search import MOST_ELEMENTS, Found, Progress, Views, search
-from sgms_mhe.identification.settling import Settled, settle
-from sgms_mhe.identification.spectrum import PER_DECADE, distance_grid, find_spectrum
-from sgms_mhe.identification.terms import companion_terms, mass_term, sampling_terms, viscous_term
+from sgms_mhe.identification.settling import Known, Settled, settle
+from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid, find_spectrum
+from sgms_mhe.identification.terms import Term, companion_terms, mass_term, sampling_terms, viscous_term
 from sgms_mhe.identification.weights import measurement_noise
 from sgms_mhe.identification.writing import checked, machine_content, machine_toml
 from sgms_mhe.machine import Machine
@@ -33,6 +34,9 @@ from sgms_mhe.support.errors import InputError
 
 LEAST_TRAVEL: Final = 20.0
 """Travel over the resolution of the position below which nothing moved."""
+
+DRIVEN: Final = 0.2
+"""Mean power of friction over its mean size below minus which a sign is wrong: friction takes power."""
 
 
 @dataclass(frozen=True)
@@ -91,23 +95,41 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
     if wanted.elements is not None and not 1 <= wanted.elements <= MOST_ELEMENTS:
         raise InputError("identify", "elements", wanted.elements, f"1 to {MOST_ELEMENTS}, or auto")
     records = _records(in_order(logs), wanted)
+    report("convex start")
+    records = started(records, _spectrum(records, wanted).reach)
+    spectrum = _spectrum(records, wanted)
     rows = records.rows
-    noise = noise_floor(rows, rows.friction)
-    base = (viscous_term(rows), mass_term(rows), *sampling_terms(rows))
-    companions = companion_terms(rows)
-    grid = distance_grid(records, wanted.per_decade)
+    base, companions = _base_terms(rows), companion_terms(rows)
+    noise, grid = noise_floor(rows, rows.friction), distance_grid(records, wanted.per_decade)
     limits = float(grid[0]), float(grid[-1])
     views = Views(View(rows, records.coarse, noise, limits), View(rows, records.fine, noise, limits))
-    report("convex start")
-    spectrum = find_spectrum(records, (*base, *companions), noise, grid)
-    if not len(spectrum.distances):
-        raise InputError(records.names[0], "friction", 0.0, "a log with friction in it: the force is all inertia")
     found = search(views, (*base, *companions), spectrum, wanted.elements, report)
     check_slides(views.fine, found.fit, records.names[0])
     measured = _measured(records, found)
     excited = tuple(term for term in companions if _is_excited(effect_definition(term.name), measured))
-    settled = settle(views, found.fit, base, excited, wanted.mass is not None, report)
+    known = Known(wanted.mass is not None, wanted.elements is not None)
+    settled = settle(views, found.fit, base, excited, known, report)
     return Explored(records, views, found, settled, measured)
+
+
+def _base_terms(rows: Recording) -> tuple[Term, ...]:
+    return (viscous_term(rows), mass_term(rows), *sampling_terms(rows))
+
+
+def _spectrum(records: Records, wanted: Wanted) -> Spectrum:
+    """The convex start.
+
+    Raises:
+        InputError: there is no friction.
+    """
+    rows = records.rows
+    terms = (*_base_terms(rows), *companion_terms(rows))
+    spectrum = find_spectrum(
+        records, terms, noise_floor(rows, rows.friction), distance_grid(records, wanted.per_decade)
+    )
+    if not len(spectrum.distances):
+        raise InputError(records.names[0], "friction", 0.0, "a log with friction in it: the force is all inertia")
+    return spectrum
 
 
 def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
@@ -120,7 +142,9 @@ def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
     machine = unknown_axis(logs, wanted.name, mass, wanted.like)
     for log in logs:
         check_plausible(log, machine)
-    return records_of(machine, logs)
+    records = records_of(machine, logs)
+    _check_dissipates(records)
+    return records
 
 
 def _check_moves(log: Log) -> None:
@@ -135,6 +159,21 @@ def _check_moves(log: Log) -> None:
             "column position_m",
             f"a range of {travel:.3g} m, {step:.3g} m from sample to sample",
             f"a log in which the axis moves ({MOVES['speeds']}; {MOVES['loops']})",
+        )
+
+
+def _check_dissipates(records: Records) -> None:
+    """Refuse logs in which friction drives the axis: nothing passive does."""
+    rows = records.rows
+    power = rows.friction * rows.velocity
+    mean, size = float(np.mean(power[rows.used])), float(np.mean(np.abs(power[rows.used])))
+    if mean < -DRIVEN * size:
+        raise InputError(
+            records.names[0],
+            "columns position_m and force_N",
+            f"{mean:.3g} W of friction, which drives the axis",
+            "a force of the position's sign: is one of them turned round? Then force_N has scale = -1 in [log]; or a "
+            f"mass that goes with the force, not {rows.machine.plant.mass:.4g} kg",
         )
 
 

@@ -20,6 +20,10 @@ Array = NDArray[np.float64]
 
 MEDIAN_OF_NORMAL: Final = 0.6745
 """Median size of a normal number over its deviation."""
+FORGOTTEN: Final = 2.0
+"""Excursion after which an element does not remember its start, over its break-away distance."""
+LEAD: Final = 0.6
+"""Largest share of a log that is left out for that."""
 ROUNDING: Final = 1e-9
 """Of the largest step of a position: smaller ones are none."""
 
@@ -188,3 +192,41 @@ def _resolution(log: Log) -> float:
         return 0.0
     noise = float(np.median(third)) / (MEDIAN_OF_NORMAL * math.sqrt(20.0))
     return max(noise, float(np.quantile(first, 0.01)) / math.sqrt(12.0))
+
+
+def started(records: Records, distance: float) -> Records:
+    """The records without the rows at which elements may still remember how a log began.
+
+    An axis is not at rest, relaxed, where a log begins. After an excursion of twice the largest break-away distance no
+    element knows. A log that would lose too much keeps its rows, with a warning: its elements are taken to begin
+    relaxed.
+
+    Args:
+        records: all logs.
+        distance: of the element that breaks away last [m].
+    """
+    rows = records.rows
+    unknown, first, kept = np.zeros(len(rows.time), dtype=np.bool_), 0, []
+    for name, motion in zip(records.names, records.fine, strict=True):
+        position = rows.position[first : first + motion.rows]
+        excursion = np.maximum.accumulate(position) - np.minimum.accumulate(position)
+        known = int(np.searchsorted(excursion, FORGOTTEN * distance))
+        if known <= LEAD * motion.rows:
+            unknown[first : first + known] = True
+        else:
+            kept.append(
+                f"{name}: no excursion of {FORGOTTEN * distance:.2g} m soon; friction is taken to begin relaxed"
+            )
+        first += motion.rows
+    used = rows.used & ~unknown
+    left = np.unique(rows.block[used])
+    number = np.full(rows.blocks, -1)
+    number[left] = np.arange(len(left))
+    fewer = replace(
+        rows,
+        used=used,
+        block=np.where(used, number[rows.block], -1),
+        fold=rows.fold[left],
+        held_out=rows.held_out[left],
+    )
+    return replace(records, rows=fewer, warnings=(*records.warnings, *kept))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import make_machine, override_machine
 from sgms_mhe.diagnosis.recording import prepare
 from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import MOVES
 from sgms_mhe.signals.logs import JITTER, Log
 from sgms_mhe.support.errors import InputError
 
@@ -158,6 +159,11 @@ def rough_mass(machine: Machine, logs: Sequence[Log]) -> float:
     mass = float(np.linalg.lstsq(X / np.maximum(np.abs(X).max(axis=0), 1e-300), y, rcond=1e-9)[0][0])
     mass /= float(np.abs(X[:, 0]).max())
     if not mass > 0.0:
-        allowed = "a force that moves a mass: is its sign that of the position? [log] force_N with scale = -1 turns it"
-        raise InputError(logs[0].source or "log", "force over acceleration", f"{mass:.3g} kg", allowed)
+        raise InputError(
+            logs[0].source or "log",
+            "force over acceleration",
+            f"{mass:.3g} kg",
+            f"--mass: this motion shows none ({MOVES['jerks']} would); or is the force's sign not the position's? "
+            "Then force_N has scale = -1 in [log]",
+        )
     return mass

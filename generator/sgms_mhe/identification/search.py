@@ -30,6 +30,8 @@ MATERIAL: Final = 0.01
 """Share of the residual's RMS by which a richer model must leave less on rows that it has not seen."""
 SIGNIFICANT: Final = 2.5
 """Mean over deviation of that gain over blocks."""
+LIKELY: Final = 1.05
+"""Residual of the other law over the chosen one's up to which its own number of elements is looked for."""
 IN_VAIN: Final = 1
 """Counts of elements tried in a row without a gain before the search ends."""
 CHOICE_ITERATIONS: Final = 12
@@ -102,19 +104,36 @@ def search(views: Views, terms: Sequence[Term], spectrum: Spectrum, elements: in
         report(f"{law}: {count} elements")
         first[law] = fit_in_line(views, terms, Shape(law, _split(spectrum, count), rise))
     law, other = sorted(LAWS, key=lambda law: first[law].cross_rms)
-    decided = gains(first[law], first[other])
-    if not decided:
-        law, other = "sgms", "switching"
-    fits = {len(first[law].levels): first[law]}
-    if elements is None:
-        _try_counts(views, terms, spectrum, law, fits, report)
-    chosen = simplest(fits)
-    return Found(
-        fit=fits[chosen],
-        other=first[other],
-        decided=decided,
-        counts={k: fits[k].cross_rms for k in sorted(fits)},
-    )
+    fits: dict[Law, dict[int, AxisFit]] = {law: {len(fit.levels): fit} for law, fit in first.items()}
+    chosen = _settled_count(views, terms, spectrum, fits[law], elements, report)
+    # With too few elements the wrong law may bend better: asked again where there are enough.
+    report(f"{other}: {len(chosen.levels)} elements")
+    again = fit_in_line(views, terms, Shape(other, chosen.shape.distances, chosen.shape.rise))
+    fits[other][len(again.levels)] = min(again, fits[other].get(len(again.levels), again), key=lambda fit: fit.rms)
+    rival = min(fits[other].values(), key=lambda fit: fit.cross_rms)
+    if rival.cross_rms < LIKELY * chosen.cross_rms:
+        rival = _settled_count(views, terms, spectrum, fits[other], elements, report)
+        if rival.cross_rms < chosen.cross_rms:
+            law, other, chosen, rival = other, law, rival, chosen
+    decided = gains(chosen, rival)
+    if not decided and law == "switching":
+        law, other, chosen, rival = other, law, rival, chosen
+    return Found(chosen, rival, decided, {k: fits[law][k].cross_rms for k in sorted(fits[law])})
+
+
+def _settled_count(
+    views: Views,
+    terms: Sequence[Term],
+    spectrum: Spectrum,
+    fits: dict[int, AxisFit],
+    elements: int | None,
+    report: Progress,
+) -> AxisFit:
+    """The fit with as many elements as the records show under the law of the fits so far, which grow."""
+    if elements is not None:
+        return fits[elements]
+    _try_counts(views, terms, spectrum, fits, report)
+    return fits[simplest(fits)]
 
 
 def gains(richer: AxisFit, simpler: AxisFit) -> bool:
@@ -134,10 +153,11 @@ def simplest(fits: dict[int, AxisFit]) -> int:
 
 
 def _try_counts(
-    views: Views, terms: Sequence[Term], spectrum: Spectrum, law: Law, fits: dict[int, AxisFit], report: Progress
+    views: Views, terms: Sequence[Term], spectrum: Spectrum, fits: dict[int, AxisFit], report: Progress
 ) -> None:
-    """Fit fewer elements, then more, until neither changes anything."""
+    """Fit more elements, then fewer, until neither changes anything."""
     first = max(fits)
+    law = fits[first].shape.law
     in_vain = 0
     for count in range(first + 1, MOST_ELEMENTS + 1):
         report(f"{law}: {count} elements")
@@ -147,8 +167,9 @@ def _try_counts(
             break
     in_vain = 0
     for count in range(first - 1, 0, -1):
-        report(f"{law}: {count} elements")
-        fits[count] = _best(views, terms, spectrum, fits[count + 1], count)
+        if count not in fits:
+            report(f"{law}: {count} elements")
+            fits[count] = _best(views, terms, spectrum, fits[count + 1], count)
         in_vain = in_vain + 1 if any(gains(fits[more], fits[count]) for more in fits if more > count) else 0
         if in_vain == IN_VAIN:
             break

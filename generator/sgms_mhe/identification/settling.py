@@ -25,10 +25,10 @@ MASS_OFF: Final = 0.02
 """Of the mass that was given: less is what an actuator's lag makes of it."""
 MASS_SEEN: Final = 0.2
 """Deviation over value up to which a mass is known."""
-FORGOTTEN: Final = 2.0
-"""Break-away distances of the element that breaks away last: an excursion after which no start is remembered."""
-LEAD: Final = 0.2
-"""Largest share of a log that such a start may take."""
+TRACE: Final = 0.02
+"""Share of the level below which an element is a trace of something else, where it is not sure either."""
+UNSURE: Final = 0.25
+"""Deviation of such a level over its value."""
 FINAL_ITERATIONS: Final = 8
 
 
@@ -53,12 +53,20 @@ class Settled:
     view: View
 
 
+@dataclass(frozen=True)
+class Known:
+    """What a user gave, and stays where the motion does not contradict it: the mass, the number of elements."""
+
+    mass: bool
+    count: bool
+
+
 def settle(
     views: Views,
     fit: AxisFit,
     base: Sequence[Term],
     companions: Sequence[Term],
-    given_mass: bool,
+    wanted: Known,
     report: Progress,
 ) -> Settled:
     """Choose what stands beside the elements and fit all of it at the full rate.
@@ -68,20 +76,21 @@ def settle(
         fit: chosen elements, with every term.
         base: viscous, inertial and sampling terms.
         companions: effects that the motion excites.
-        given_mass: whether the mass was given; it stays where the motion does not contradict it.
+        wanted: what was given.
         report: called with each step.
     """
-    views = _started(views, fit)
     report("what stands beside the elements")
     fit = fit_in_line(views, base, fit.shape)
     fit = _with_companions(views, fit, companions)
     fit = _with_rise(views, fit)
     report("numbers at the full rate")
     fit = fit_axis(views.fine, fit.terms, fit.shape, iterations=FINAL_ITERATIONS)
+    if not wanted.count:
+        fit = _without_traces(views, fit)
     cov = covariance(views.fine, fit)
     wide = quantities(fit, cov)
     mass = _mass(views.fine.rows, wide["mass"])
-    dropped = _unseen(fit, cov, wide, views.fine.rows.machine.plant.mass if given_mass else None)
+    dropped = _unseen(fit, cov, wide, views.fine.rows.machine.plant.mass if wanted.mass else None)
     if dropped:
         terms = tuple(term for term in fit.terms if term.name not in dropped)
         fit = fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS)
@@ -94,6 +103,19 @@ def settle(
     judge = fit_axis(views.fine, fit.terms, fit.shape, rows.used & ~held_out, iterations=2)
     held_out_rms = float(np.sqrt(np.mean(judge.residual[held_out] ** 2)))
     return Settled(fit, cov, numbers, mass, held_out_rms, views.fine)
+
+
+def _without_traces(views: Views, fit: AxisFit) -> AxisFit:
+    """The fit without elements of next to no level that it is not sure of either."""
+    while len(fit.levels) > 1:
+        count = len(fit.levels)
+        deviation = np.sqrt(np.diag(covariance(views.fine, fit))[count : 2 * count])
+        unsure = (fit.levels < TRACE * fit.coulomb) & (deviation >= UNSURE * fit.levels)
+        if not unsure.any():
+            break
+        shape = Shape(fit.shape.law, fit.shape.distances[~unsure], fit.shape.rise)
+        fit = fit_axis(views.fine, fit.terms, shape, iterations=FINAL_ITERATIONS)
+    return fit
 
 
 def _with_companions(views: Views, fit: AxisFit, companions: Sequence[Term]) -> AxisFit:
@@ -139,30 +161,3 @@ def _unseen(fit: AxisFit, cov: Array, numbers: dict[str, Quantity], given_mass: 
     if given_mass is not None and abs(mass.value) <= max(CERTAIN * mass.std, MASS_OFF * given_mass):
         dropped.add("mass")
     return dropped
-
-
-def _started(views: Views, fit: AxisFit) -> Views:
-    """The views without the rows at which elements still remember how the log began.
-
-    A log of little motion that would lose much of itself keeps them: its elements are taken to begin relaxed.
-    """
-    rows = views.fine.rows
-    large = fit.shape.distances[fit.levels > 0.01 * fit.coulomb]
-    wanted = FORGOTTEN * float(large.max(initial=0.0))
-    unknown, start = np.zeros(len(rows.time), dtype=np.bool_), 0
-    for motion in views.fine.motions:
-        position = rows.position[start : start + motion.rows]
-        excursion = np.maximum.accumulate(position) - np.minimum.accumulate(position)
-        known = int(np.searchsorted(excursion, wanted))
-        if known <= LEAD * motion.rows:
-            unknown[start : start + known] = True
-        start += motion.rows
-    used = rows.used & ~unknown
-    if len(np.unique(rows.block[used])) < rows.blocks:  # whole blocks would go: their numbers must stay a sequence
-        kept = np.unique(rows.block[used])
-        number = np.full(rows.blocks, -1)
-        number[kept] = np.arange(len(kept))
-        renumbered = replace(rows, fold=rows.fold[kept], held_out=rows.held_out[kept])
-        rows = replace(renumbered, block=np.where(rows.block >= 0, number[rows.block], -1))
-    rows = replace(rows, used=used, block=np.where(used, rows.block, -1))
-    return Views(replace(views.coarse, rows=rows), replace(views.fine, rows=rows))

@@ -38,6 +38,8 @@ RISING: Final = 6
 SPEEDS: Final = (1e-3, 0.3)
 """Stribeck velocities tried, over the fastest speed."""
 SPEED_RATIO: Final = 2.5
+LAST: Final = 0.03
+"""Share of all levels that says how far elements reach."""
 NEGLIGIBLE: Final = 2e-3
 """Share of all levels below which an entry of the spectrum is none."""
 
@@ -49,6 +51,13 @@ class Spectrum:
     distances: Array
     levels: Array
     rise: Stribeck | None
+
+    @property
+    def reach(self) -> float:
+        """Distance [m] beyond which next to nothing breaks away; 0 where there is nothing."""
+        beyond = np.cumsum(self.levels[::-1])[::-1]
+        far = self.distances[beyond > LAST * self.levels.sum()]
+        return float(far.max(initial=0.0))
 
 
 def distance_grid(records: Records, per_decade: float = PER_DECADE) -> Array:

@@ -16,8 +16,8 @@ from sgms_mhe.model.effects.search import Columns
 
 Array = NDArray[np.float64]
 
-TIMING: Final = 0.1
-"""Of a sample: how far force and position of any axis are apart in time, one standard deviation."""
+TIMING: Final = 1.0
+"""Samples that force and position are apart in time, one standard deviation: a drive holds its force for one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,17 +49,18 @@ def mass_term(rows: Recording) -> Term:
 
 
 def sampling_terms(rows: Recording) -> tuple[Term, ...]:
-    """What sampling leaves of an acceleration, by its first and second derivative.
+    """What sampling leaves of a force, by its first derivative, and of an acceleration, by its second one.
 
-    Force and position are not read at the same instant, and the second difference over a sample h is low by h^2 / 12 of
-    the acceleration's own second derivative.
+    Force and position are not of the same instant, be it by h: all of the force is then late, to first order. To second
+    order the inertial force is off by half the second derivative of the acceleration times h^2, beside which the
+    h^2 / 12 by which a second difference is low are little.
     """
     step, mass = rows.machine.sampling.step, rows.machine.plant.mass
-    jerk = np.gradient(rows.signals.acceleration) / step
-    snap = np.gradient(jerk) / step
+    rate = np.gradient(rows.signals.force) / step
+    snap = np.gradient(np.gradient(rows.signals.acceleration)) / step**2
     return (
-        Term("", rows.reduce(jerk)[:, None], deviation=mass * TIMING * step),
-        Term("", rows.reduce(snap)[:, None], deviation=mass * step**2 / 12.0),
+        Term("", rows.reduce(rate)[:, None], deviation=TIMING * step),
+        Term("", rows.reduce(snap)[:, None], deviation=0.5 * mass * (TIMING * step) ** 2),
     )
 
 

@@ -31,7 +31,7 @@ RATES: Final = (500.0, 1000.0, 2000.0, 5000.0, 10000.0)
 GRAVITY: Final = 9.81
 COARSER: Final = 5.0
 """Distances per decade of the grid that the second start has."""
-STARTED_AGAIN: Final = 4
+STARTED_AGAIN: Final = 8
 """One axis of so many is identified once more from the other grid."""
 
 
