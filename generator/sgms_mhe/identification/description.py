@@ -13,7 +13,8 @@ from sgms_mhe.identification.fitting import AxisFit, View
 from sgms_mhe.identification.intervals import Quantity
 from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.search import Found
-from sgms_mhe.identification.settling import Settled
+from sgms_mhe.identification.settling import CERTAIN, Settled
+from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING
 from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition
 from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.support.errors import InputError
@@ -94,7 +95,7 @@ def effect_numbers(settled: Settled) -> tuple[Number, ...]:
     """Numbers of the effects that stand beside the elements, their names before those of their parameters."""
     numbers = []
     for term in settled.fit.terms:
-        if term.name in ("", "viscous", "mass"):
+        if term.name in LAW_AND_SAMPLING:
             continue
         search = effect_definition(term.name).search
         if not isinstance(search, Columns):
@@ -162,6 +163,7 @@ def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, view: V
         for name in ("coulomb", "viscous", "stribeck")
         if unknown & set(CONTROLLED[name])
     ]
+    said += _late(settled, view)
     travel, fit = view.rows.extents.travel, settled.fit
     for k, (distance, level) in enumerate(zip(fit.shape.distances.tolist(), fit.levels.tolist(), strict=True), start=1):
         element = f"element {k} (breaks away after {distance:.2g} m)"
@@ -172,6 +174,20 @@ def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, view: V
         elif unknown & {f"stiffness_{k}", f"fraction_{k}"}:
             said.append(f"{element}: not determined by itself. {_needed('stiffness')}, about {distance:.1g} m wide")
     return said
+
+
+def _late(settled: Settled, view: View) -> list[str]:
+    """What is to be said where force and position are apart in time: it is in no number, and in no machine either."""
+    fit, place = settled.fit, settled.fit.place(LATE)
+    late, std = float(fit.coefficient(LATE)[0]), math.sqrt(float(settled.cov[place.start, place.start]))
+    size = abs(late) * float(np.std(fit.slopes[view.rows.used, place.start]))
+    if abs(late) <= CERTAIN * std or size <= fit.rms:
+        return []
+    which = "after" if late > 0.0 else "before"
+    return [
+        f"the force comes {1e3 * abs(late):.2g} ms {which} the motion that it makes: {size:.2g} N rms that the file does "
+        "not have; sgms-mhe diagnose tells a delay from a lag"
+    ]
 
 
 def _needed(name: str) -> str:

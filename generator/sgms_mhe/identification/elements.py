@@ -32,8 +32,8 @@ RATIO_SCALE: Final = 1e-3
 COARSE: Final = 2.0
 """Factor between the Stribeck velocities that elements are compiled for: few serve all fits."""
 DISTANCE: Final = 1e-9
-SLOW_STEP: Final = 0.1
-"""Longest step of smooth elements below the gate, in break-away distances: off by 1e-7 of a level at most."""
+SLOW_STEP: Final = 0.05
+"""Longest step of smooth elements below the gate, in break-away distances: off by 2e-5 of a level at most."""
 RATE: Final = 1000.0
 """Break-away distance [m] and sample rate [Hz] that elements are compiled for."""
 

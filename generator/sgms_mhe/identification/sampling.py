@@ -30,7 +30,7 @@ QUIET: Final = 0.02
 """Noise of the measured friction over its RMS that a low-pass may let through."""
 HEADROOM: Final = 1.2
 """`max_velocity` over the fastest speed of the records."""
-NOT_A_ROUND_RATE: Final = 1e-3
+NOT_A_ROUND_RATE: Final = 1e-4
 """Relative distance from a rounder number within which the clock's own error is to blame."""
 KEPT: Final = ("sampling", "estimator", "compensation", "code", "diagnosis", "log")
 """Tables that come from another machine file where one is given."""

@@ -13,7 +13,7 @@ from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.identification.fitting import AxisFit, Shape, View, fit_axis
 from sgms_mhe.identification.intervals import Quantity, covariance, quantities
 from sgms_mhe.identification.search import Progress, Views, fit_in_line, gains
-from sgms_mhe.identification.terms import Term
+from sgms_mhe.identification.terms import LAW_AND_SAMPLING, Term
 
 Array = NDArray[np.float64]
 
@@ -154,9 +154,7 @@ def _unseen(fit: AxisFit, cov: Array, numbers: dict[str, Quantity], given_mass: 
     dropped = set() if viscous.value > SHOWN * viscous.std else {"viscous"}
     for term in fit.terms:
         sizes, place = fit.coefficient(term.name), fit.place(term.name)
-        if term.name not in ("", "viscous", "mass") and np.all(
-            np.abs(sizes) <= SHOWN * np.sqrt(np.diag(cov[place, place]))
-        ):
+        if term.name not in LAW_AND_SAMPLING and np.all(np.abs(sizes) <= SHOWN * np.sqrt(np.diag(cov[place, place]))):
             dropped.add(term.name)
     if given_mass is not None and abs(mass.value) <= max(CERTAIN * mass.std, MASS_OFF * given_mass):
         dropped.add("mass")

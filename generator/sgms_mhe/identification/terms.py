@@ -16,6 +16,10 @@ from sgms_mhe.model.effects.search import Columns
 
 Array = NDArray[np.float64]
 
+LATE: Final = "late"
+"""Name of the time [s] by which the force comes late."""
+LAW_AND_SAMPLING: Final = ("viscous", "mass", LATE, "")
+"""Names of terms that are no effects."""
 TIMING: Final = 1.0
 """Samples that force and position are apart in time, one standard deviation: a drive holds its force for one."""
 
@@ -25,7 +29,7 @@ class Term:
     """Columns of force [N] per unit of their coefficients.
 
     Attributes:
-        name: `viscous`, `mass`, or an effect's; empty where the columns are of the sampling and say nothing of an axis.
+        name: `viscous`, `mass`, `late`, or an effect's; empty where the columns say nothing of an axis.
         columns: on all rows (m, k).
         positive: whether the coefficients are at least 0; otherwise free in sign.
         deviation: of a prior about 0, in the coefficients' units; inf: none.
@@ -56,10 +60,10 @@ def sampling_terms(rows: Recording) -> tuple[Term, ...]:
     h^2 / 12 by which a second difference is low are little.
     """
     step, mass = rows.machine.sampling.step, rows.machine.plant.mass
-    rate = np.gradient(rows.signals.force) / step
+    rate = -np.gradient(rows.signals.force) / step
     snap = np.gradient(np.gradient(rows.signals.acceleration)) / step**2
     return (
-        Term("", rows.reduce(rate)[:, None], deviation=TIMING * step),
+        Term(LATE, rows.reduce(rate)[:, None], deviation=TIMING * step),
         Term("", rows.reduce(snap)[:, None], deviation=0.5 * mass * (TIMING * step) ** 2),
     )
 
