@@ -27,7 +27,7 @@ NEXT_TO_NOTHING: Final = 1.01
 STAND_IN: Final = "not determined: a stand-in"
 SLID: Final = 0.25
 """Break-away distance over the travel up to which an element slips on both ways and some way beyond."""
-OPEN_LEVEL: Final = 0.4
+OPEN_LEVEL: Final = 0.15
 """Share of the level in elements beyond that from which a record counts as one of presliding alone."""
 CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
     "coulomb": ("coulomb",),
@@ -185,8 +185,8 @@ def _late(settled: Settled, view: View) -> list[str]:
         return []
     which = "after" if late > 0.0 else "before"
     return [
-        f"the force comes {1e3 * abs(late):.2g} ms {which} the motion that it makes: {size:.2g} N rms that the file does "
-        "not have; sgms-mhe diagnose tells a delay from a lag"
+        f"the force comes {1e3 * abs(late):.2g} ms {which} the motion that it makes: {size:.2g} N rms the file has "
+        "not; sgms-mhe diagnose tells a delay from a lag"
     ]
 
 

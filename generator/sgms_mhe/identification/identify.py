@@ -148,7 +148,10 @@ def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
 
 
 def _check_moves(log: Log) -> None:
-    """Refuse a log without motion."""
+    """Refuse a log without motion, or without a force that makes it."""
+    if not np.ptp(log.force_N[np.isfinite(log.force_N)]) > 0.0:
+        allowed = "a force that changes: what moves an axis does"
+        raise InputError(log.source or "log", "column force_N, every row", float(log.force_N[0]), allowed)
     position = log.position_m[np.isfinite(log.position_m)]
     steps = np.abs(np.diff(position))
     step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
