@@ -12,7 +12,7 @@ from scipy.optimize import nnls
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-RIDGE: Final = 1e-9
+RIDGE: Final = 1e-8
 """Of the diagonal of normal equations: columns that are the same to so many digits share what they explain."""
 TINY: Final = 1e-300
 

@@ -124,7 +124,9 @@ def _cross_validated(
     moments = [X[fold == f].T @ y[fold == f] for f in folds]
     gram, moment = np.sum(grams, axis=0), np.sum(moments, axis=0)
     loss = float(y @ y)
-    for G, g in zip(grams, moments, strict=True):
-        b = solve_bounded(gram - G, moment - g, positive, information)
+    for i, (G, g) in enumerate(zip(grams, moments, strict=True)):
+        # Sums of the others, not a difference: that of a column seen in one fold alone would be rounding.
+        others, seen = (np.sum(parts[:i] + parts[i + 1 :], axis=0) for parts in (grams, moments))
+        b = solve_bounded(others, seen, positive, information)
         loss += float(b @ G @ b - 2.0 * b @ g)
     return loss, solve_bounded(gram, moment, positive, information)
