@@ -20,9 +20,9 @@ from cli_cases import SMALL, done, files, refused, run
 from sgms_mhe.cli import COMMANDS, cli
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
+from sgms_mhe.logfiles.reading import read_log
+from sgms_mhe.signals.columns import read_columns
 from sgms_mhe.signals.estimates import read_estimates
-from sgms_mhe.signals.formats import read_columns
-from sgms_mhe.signals.logs import read_log
 
 
 @pytest.fixture(scope="session")
@@ -504,7 +504,7 @@ def _forbid_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def forbidden(*arguments: object, **options: object) -> None:
         raise AssertionError("work began before the output was tried")
 
-    for name in ("plant.simulation.simulate_axis", "signals.logs.read_log", "emission.package.emit_package"):
+    for name in ("plant.simulation.simulate_axis", "logfiles.reading.read_log", "emission.package.emit_package"):
         monkeypatch.setattr(f"sgms_mhe.{name}", forbidden)
 
 

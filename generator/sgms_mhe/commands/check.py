@@ -103,10 +103,8 @@ def _text(machine: Machine, package: Package) -> str:
     changed = ", ".join(f"{key} {value:g}" for key, value in machine.diagnosis.changed.items())
     lines.append(f"  diagnosis   {changed or 'all thresholds at their defaults'}")
     if machine.log is not None:
-        sources = machine.log.model_dump(exclude_none=True)
-        lines.append(
-            "  log         " + ", ".join(f"{name} from {source['variable']}" for name, source in sources.items())
-        )
+        sources = ", ".join(f"{name} from {column.described}" for name, column in machine.log.columns.items())
+        lines.append(f"  log         {sources}")
     size = sum(len(text.encode()) for text in package.files.values())
     lines.append(f"  package     {len(package.files)} files, {size} bytes, {machine.code.precision} precision")
     return "\n".join(lines)

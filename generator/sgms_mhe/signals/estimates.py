@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.signals.formats import read_columns, write_columns
+from sgms_mhe.signals.columns import read_columns, write_columns
 from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
