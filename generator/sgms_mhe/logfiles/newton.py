@@ -1,9 +1,10 @@
 """Force over acceleration along a log: how much of the force is inertia, how much friction, and of which sign.
 
-    force = c a + F_c sign(v) + F_v v + k x + o                                  least squares over the sliding part
+    force = c a + F_c sign(v) + F_v v + k x + o                               
 
 Where an axis has just turned round its friction still has the old direction, which looks like a force against the
-acceleration. So only what lies a distance behind the last reversal counts.
+acceleration. So only what lies a distance behind the last reversal counts for the inertia. Friction takes power whether
+it slides or not: for its sign the whole record counts.
 """
 
 from __future__ import annotations
@@ -22,8 +23,11 @@ BLOCKS: Final = 10
 _LEAST_ROWS: Final = 40
 _BOTH_WAYS: Final = 0.1
 """Share of the sliding part in the rarer direction, below which a friction is not told from an offset."""
-_SURE: Final = 5.0
+_SURE: Final = 4.0
 """Standard errors that a sign is away from zero."""
+_REAL_ACCELERATION: Final = 0.6
+_REAL_VELOCITY: Final = 0.8
+"""What is left of a derivative over intervals twice as long; of white noise in position 0.25 and 0.56 are left."""
 _LARGE: Final = 0.3
 """Share of the force's standard deviation that a part has to have, to be no accident of what is not modelled."""
 
@@ -55,30 +59,76 @@ def force_balance(x: Array, v: Array, a: Array, force: Array, distance: float) -
         distance: behind a reversal after which friction has its new direction.
     """
     sliding = since_reversal(x, distance) > distance
-    if np.count_nonzero(sliding) < _LEAST_ROWS:
-        return ForceBalance(0.0, 0)
-    x, v, a, force = (values[sliding] for values in (x, v, a, force))
-    forward = float(np.mean(v > 0.0))
-    both = _BOTH_WAYS <= forward <= 1.0 - _BOTH_WAYS
-    columns = [a, x - x.mean(), np.ones_like(a), *((np.sign(v), v) if both else (v,))]
-    A = np.column_stack([column / (np.sqrt(np.mean(column**2)) or 1.0) for column in columns])
-    spread = float(np.std(force))
-    if spread == 0.0:
-        return ForceBalance(0.0, 0)
-    normal = [(part.T @ part, part.T @ y) for part, y in zip(_parts(A), _parts(force), strict=True)]
-    whole = _solved(normal)
-    others = [_solved([*normal[:k], *normal[k + 1 :]]) for k in range(len(normal))]
+    inertia, dissipates = 0.0, 0
+    if _is_motion(a, sliding, _REAL_ACCELERATION):
+        inertia = _inertia(*(values[sliding] for values in (x, v, a, force)))
+    if _is_motion(v, np.ones(len(v), dtype=bool), _REAL_VELOCITY):
+        dissipates = _dissipation(x, v, a, force)
+    return ForceBalance(inertia, dissipates)
+
+
+def _is_motion(values: Array, counted: Mask, least: float) -> bool:
+    """Whether a derivative of position is motion: over intervals twice as long it is about as large; noise is not.
+
+    A controller answers to the noise of its encoder: a force goes with it that says nothing of mass or friction.
+    """
+    if np.count_nonzero(counted) < _LEAST_ROWS:
+        return False
+    longer = np.convolve(values, (0.25, 0.5, 0.25), mode="same")
+    return float(np.std(longer[counted])) > least * float(np.std(values[counted]))
+
+
+def _inertia(x: Array, v: Array, a: Array, force: Array) -> float:
+    """c of the sliding part, or 0 where it is not sure or too little of the force."""
+    spread = _spread(force)
+    if not spread:
+        return 0.0
+    A, _ = _terms(x, v, a)
+    whole, others = _jackknife(A, force)
     # Acceleration that the other terms would take on themselves says nothing: only the rest of it does.
     rest = A[:, 0] - A[:, 1:] @ np.linalg.lstsq(A[:, 1:], A[:, 0], rcond=None)[0]
-    scale = float(np.sqrt(np.mean(a**2))) or 1.0
-    size = abs(whole[0]) * float(np.std(rest)) / spread
-    inertia = whole[0] / scale if size > _LARGE and _sure(whole[0], [other[0] for other in others]) else 0.0
-    if not both:
-        return ForceBalance(float(inertia), 0)
-    friction = A[:, 3:] @ whole[3:]
-    power = [float(np.mean(A[:, 3:] @ solution[3:] * v)) for solution in (whole, *others)]
-    told = float(np.std(friction)) > _LARGE * spread and _sure(power[0], power[1:])
-    return ForceBalance(float(inertia), int(np.sign(power[0])) if told else 0)
+    told = abs(whole[0]) * float(np.std(rest)) > _LARGE * spread and _sure(whole[0], [other[0] for other in others])
+    return float(whole[0] / _size(a)) if told else 0.0
+
+
+def _dissipation(x: Array, v: Array, a: Array, force: Array) -> int:
+    """Sign of the power that friction's terms take, of the whole record; 0 where it is not sure or too little."""
+    spread = _spread(force)
+    if not spread:
+        return 0
+    A, friction = _terms(x, v, a)
+    if len(friction) < 2:
+        return 0
+    whole, others = _jackknife(A, force)
+    power = [float(np.mean(A[:, friction] @ solution[friction] * v)) for solution in (whole, *others)]
+    told = float(np.std(A[:, friction] @ whole[friction])) > _LARGE * spread and _sure(power[0], power[1:])
+    return int(np.sign(power[0])) if told else 0
+
+
+def _spread(force: Array) -> float:
+    return float(np.std(force)) if len(force) >= _LEAST_ROWS else 0.0
+
+
+def _size(column: Array) -> float:
+    return float(np.sqrt(np.mean(column**2))) or 1.0
+
+
+def _terms(x: Array, v: Array, a: Array) -> tuple[Array, list[int]]:
+    """(terms of the force (n, k), each of size 1, the acceleration first; which of them are friction's).
+
+    In one direction alone a friction is an offset: there v is a term, and none is friction's.
+    """
+    forward = float(np.mean(v > 0.0))
+    both = forward >= _BOTH_WAYS and float(np.mean(v < 0.0)) >= _BOTH_WAYS
+    columns = [a, x - x.mean(), np.ones_like(a), v, *([np.sign(v)] if both else [])]
+    return np.column_stack([column / _size(column) for column in columns]), [3, 4] if both else []
+
+
+def _jackknife(A: Array, force: Array) -> tuple[Array, list[Array]]:
+    """(solution of the whole, solutions without each block in turn)."""
+    parts = zip(np.array_split(A, BLOCKS), np.array_split(force, BLOCKS), strict=True)
+    normal = [(part.T @ part, part.T @ y) for part, y in parts]
+    return _solved(normal), [_solved([*normal[:k], *normal[k + 1 :]]) for k in range(BLOCKS)]
 
 
 def since_reversal(x: Array, distance: float) -> Array:
@@ -95,10 +145,6 @@ def since_reversal(x: Array, distance: float) -> Array:
         # On the way back, before it counts as a reversal, nothing is known of friction.
         travelled[k] = abs(here - turned) if here == farthest else 0.0
     return travelled
-
-
-def _parts(values: Array) -> list[Array]:
-    return np.array_split(values, BLOCKS)
 
 
 def _solved(normal: list[tuple[Array, Array]]) -> Array:

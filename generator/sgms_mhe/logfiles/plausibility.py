@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.logfiles.newton import force_balance
+from sgms_mhe.logfiles.newton import force_balance, since_reversal
 from sgms_mhe.machine import QUANTITIES, Machine
 from sgms_mhe.signals.chain import readings
 from sgms_mhe.signals.logs import Log
@@ -27,7 +27,7 @@ TOO_FAST: Final = 5.0
 TOO_WEAK: Final = 4.0
 """RMS force that the motion needs over the one that was measured, friction added to it."""
 TOO_STRONG: Final = 100.0
-"""RMS force that was measured over the one that the motion needs, friction added to it."""
+"""RMS force that was measured over the one that the motion needs, friction added to it; and the other way round."""
 WRONG_SCALE: Final = 20.0
 """Force over acceleration, over the machine's mass: beyond it, or below its inverse, a unit is wrong, not the mass."""
 NEAR: Final = 3.0
@@ -221,10 +221,7 @@ def _check_balance(log: Log, machine: Machine | None, motion: _Motion) -> None:
     travel = float(np.ptp(motion.position))
     distance = _TRAVEL * travel
     if machine is not None:
-        friction = machine.friction
-        level = friction.coulomb * (1.0 + friction.stribeck_ratio)
-        breaks = max(nu * level / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True))
-        distance = max(distance, 2.0 * breaks)
+        distance = max(distance, _breakaway(machine))
     balance = force_balance(motion.position, motion.velocity, motion.acceleration, motion.force, distance)
     if balance.reversed:
         seen = (
@@ -243,6 +240,13 @@ def _check_balance(log: Log, machine: Machine | None, motion: _Motion) -> None:
     seen = f"{balance.inertia:.3g} N per m/s^2"
     allowed = f"about plant.mass of {machine.name}, {machine.plant.mass:g} kg; {_remedy(log, machine, ratio)}"
     raise _refused(log, "columns position_m and force_N", seen, allowed)
+
+
+def _breakaway(machine: Machine) -> float:
+    """Twice the distance after which the last element slips [m]: the machine's numbers may be wrong."""
+    friction = machine.friction
+    level = friction.coulomb * (1.0 + friction.stribeck_ratio)
+    return 2.0 * max(nu * level / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True))
 
 
 def _remedy(log: Log, machine: Machine, ratio: float) -> str:
@@ -269,9 +273,13 @@ def _check_force(log: Log, machine: Machine, motion: _Motion) -> None:
     resisting = friction.coulomb * (1.0 + friction.stribeck_ratio) + friction.viscous * fastest
     needed = machine.plant.mass * float(np.sqrt(np.mean(motion.acceleration**2)))
     measured = float(np.std(motion.force))
-    if needed > TOO_WEAK * (measured + resisting) or measured > TOO_STRONG * (needed + resisting):
+    sliding = since_reversal(motion.position, _breakaway(machine)) > _breakaway(machine)
+    rubbing = friction.coulomb * float(np.std(np.sign(motion.velocity) * sliding))
+    too_weak = needed > TOO_WEAK * (measured + resisting) or rubbing > TOO_STRONG * measured
+    if too_weak or measured > TOO_STRONG * (needed + resisting):
         seen = (
-            f"{needed:.3g} N rms for plant.mass = {machine.plant.mass:g} kg to move so, {measured:.3g} N rms measured"
+            f"{needed:.3g} N rms for plant.mass = {machine.plant.mass:g} kg to move so and {rubbing:.3g} N rms for "
+            f"friction.coulomb, {measured:.3g} N rms measured"
         )
-        allowed = f"a motion and the force that makes it; {_remedy(log, machine, measured / needed)}"
+        allowed = f"a motion and the force that makes it; {_remedy(log, machine, measured / max(needed, rubbing))}"
         raise _refused(log, "columns position_m and force_N", seen, allowed)
