@@ -1,6 +1,6 @@
 """Force over acceleration along a log: how much of the force is inertia, how much friction, and of which sign.
 
-    force = c a + F_c sign(v) + F_v v + k x + o                               
+    force = c a + F_c sign(v) + F_v v + k x + o
 
 Where an axis has just turned round its friction still has the old direction, which looks like a force against the
 acceleration. So only what lies a distance behind the last reversal counts for the inertia. Friction takes power whether
