@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Final, Literal
 
 Mark = Literal[".", ","]
@@ -18,6 +16,7 @@ _EXPONENT: Final = r"(?:[eEdD][+-]?\d+)?"
 _PLAIN: Final = re.compile(rf"[+-]?(?:\d+[.,]?\d*|[.,]\d+){_EXPONENT}", re.ASCII)
 _GROUPED: Final = re.compile(rf"[+-]?\d{{1,3}}(?:(?:,\d{{3}})+(?:\.\d*)?|(?:\.\d{{3}})+(?:,\d*)?){_EXPONENT}", re.ASCII)
 _INFINITE: Final = re.compile(r"[+-]?inf(?:inity)?", re.IGNORECASE)
+_QUICK: Final = re.compile(r"-?\d+\.?\d*(?:[eE][+-]?\d+)?", re.ASCII)
 _COULD_BE_GROUPS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
 _WITHOUT_GROUPS: Final = {
     ".": re.compile(rf"[+-]?(?:\d+\.?\d*|\.\d+){_EXPONENT}", re.ASCII),
@@ -41,6 +40,8 @@ def is_number(token: str) -> bool:
 
 def value_of(token: str, mark: Mark) -> float:
     """A field's value by a decimal mark; groups of three digits are those of the other. ValueError for no number."""
+    if mark == "." and _QUICK.fullmatch(token):
+        return float(token)
     if is_missing(token):
         return float("nan")
     if _INFINITE.fullmatch(token):
@@ -55,47 +56,20 @@ def value_of(token: str, mark: Mark) -> float:
     return float(plain.replace(mark, ".").replace("d", "e").replace("D", "e"))
 
 
-@dataclass(frozen=True)
-class MarkEvidence:
-    """Fields that tell the decimal mark, the first of each kind; None where there is none.
-
-    Attributes:
-        comma: whose comma can only be a decimal mark.
-        point: whose point can only be a decimal mark, or whose commas can only be groups.
-        either: whose comma may be both.
-    """
-
-    comma: str | None = None
-    point: str | None = None
-    either: str | None = None
-
-    @property
-    def mark(self) -> Mark | None:
-        """The decimal mark; None where the fields contradict each other or do not tell."""
-        if self.comma is not None:
-            return None if self.point is not None else ","
-        return None if self.point is None and self.either is not None else "."
-
-
-def evidence(tokens: Iterable[str]) -> MarkEvidence:
-    """What the numbers among fields say of the decimal mark.
+def told_by(token: str) -> Mark | Literal["either"] | None:
+    """The decimal mark that a field tells; `either` for 1,234, which may be both; None where it tells nothing.
 
     A comma with other than three digits behind it, with a zero or nothing before it, or with an exponent, is a decimal
-    mark, and so is one after groups by points. A point is one by the same rules, and commas that occur twice or stand
-    before a point are groups. 1,234 may be both.
+    mark, and so is one after groups by points. A point is one by the same rules; commas that occur twice or stand
+    before a point are groups. 1.234 alone tells nothing: where nothing else is told, a point is the decimal mark.
     """
-    found: dict[str, str] = {}
-    for token in tokens:
-        if not ("," in token or "." in token) or not is_number(token):
-            continue
-        last = max(token.rfind(","), token.rfind("."))
-        mark, other = token[last], "." if token[last] == "," else ","
-        repeated = token.count(mark) > 1
-        if repeated or (_COULD_BE_GROUPS.fullmatch(token) and other not in token):
-            # Groups by this mark would make the other one the decimal mark; by one alone nothing is told.
-            kind = ("point" if mark == "," else "comma") if repeated else ("either" if mark == "," else "")
-        else:
-            kind = "comma" if mark == "," else "point"
-        if kind:
-            found.setdefault(kind, token)
-    return MarkEvidence(**found)
+    if not ("," in token or "." in token) or not is_number(token):
+        return None
+    last = max(token.rfind(","), token.rfind("."))
+    mark: Mark = "," if token[last] == "," else "."
+    other: Mark = "." if mark == "," else ","
+    if token.count(mark) > 1:
+        return other
+    if other not in token and _COULD_BE_GROUPS.fullmatch(token):
+        return "either" if mark == "," else None
+    return mark

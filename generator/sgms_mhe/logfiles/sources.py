@@ -97,7 +97,7 @@ def split_name(name: str) -> tuple[str, str]:
 
 
 def _plain(name: str) -> str:
-    return re.sub(r"[\s_.\-/]+", "", name).casefold()
+    return re.sub(r"[\s_.,\-/]+", "", name).casefold()
 
 
 def _is_alias(column: Column, quantity: Quantity) -> bool:
@@ -126,19 +126,31 @@ def _candidates(table: Table, quantity: Quantity) -> list[Column]:
 def _kind(path: Path, table: Table, mapping: LogMapping | None, preferred: Kind | None) -> Kind:
     if mapping is not None and mapping.kind is not None:
         return mapping.kind
-    found: list[Kind] = []
-    for kind, quantities in QUANTITIES.items():
-        if any(_candidates(table, quantity) for quantity in quantities if quantity.role in ("position", "force")):
-            found.append(kind)
+    found = _kinds(table, sure=True) or _kinds(table, sure=False)
     if len(found) == 2 and preferred is None:
         allowed = "columns of one kind of axis; [log] of the machine file says which: position_m or position_rad = ..."
         raise InputError(path, "columns", _shown(table), allowed)
     return preferred if preferred is not None and (preferred in found or not found) else [*found, "linear"][0]
 
 
+def _kinds(table: Table, *, sure: bool) -> list[Kind]:
+    """Kinds of axis whose position or force the file has; `sure`: in a unit that no other kind has."""
+    return [
+        kind
+        for kind, quantities in QUANTITIES.items()
+        if any(
+            not sure or column.header == quantity.column or _stated(column, quantity) in quantity.units
+            for quantity in quantities
+            if quantity.role in ("position", "force")
+            for column in _candidates(table, quantity)
+        )
+    ]
+
+
 def _shown(table: Table) -> str:
     names = [column.name for column in table.columns]
-    return ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "") or "none"
+    shown = ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "") or "none"
+    return f"{shown} (no header was found above its rows)" if dict(table.dialect).get("header") == "none" else shown
 
 
 def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | None) -> Source | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sgms_mhe.logfiles.decimals import value_of
+from sgms_mhe.logfiles.decimals import is_number, value_of
 from sgms_mhe.logfiles.dialect import Dialect, fields_of, find_dialect
 from sgms_mhe.logfiles.encoding import decode
 from sgms_mhe.logfiles.stamps import seconds_of_stamps, stamp_form
@@ -32,18 +32,26 @@ def read_text(path: Path, hints: LogMapping | None) -> Table:
     }
 
     def read(names: Sequence[str]) -> Mapping[str, Array]:
-        _check_lengths(path, dialect)
         wanted = {name: indices[name] for name in names}
-        plain = None if stamped & set(names) else _plainly(dialect, list(wanted.values()))
+        plain = None if stamped & set(names) else _plainly(path, dialect, list(wanted.values()))
         if plain is not None:
             return dict(zip(names, plain, strict=True))
-        return {name: _column(path, dialect, name, k, name in stamped, order) for name, k in wanted.items()}
+        cells = [fields_of(line, dialect.separator) for _, line in dialect.rows]
+        for index, fields in enumerate(cells):
+            _check_length(path, dialect, index, len(fields))
+        columns = {name: [fields[k] for fields in cells] for name, k in wanted.items()}
+        return {
+            name: _stamps(path, dialect, name, tokens, order)
+            if name in stamped
+            else _numbers(path, dialect, name, tokens)
+            for name, tokens in columns.items()
+        }
 
     def row(index: int) -> str:
         return f"row {index + 1} (line {dialect.rows[index][0]})"
 
     left = (
-        f"{dialect.after} lines after the last sample, line {dialect.rows[-1][0]}, are left out"
+        f"{len(dialect.after)} lines after the last sample are left out, the first: {dialect.after[0][:80]}"
         if dialect.after
         else ""
     )
@@ -61,56 +69,62 @@ def read_text(path: Path, hints: LogMapping | None) -> Table:
 _PROBE = 1000
 
 
-def _check_lengths(path: Path, dialect: Dialect) -> None:
+def _check_length(path: Path, dialect: Dialect, index: int, found: int) -> None:
     """Refuse a row with more or fewer fields than the header has names."""
-    separator, count = dialect.separator, len(dialect.names)
-    for index, (number, line) in enumerate(dialect.rows):
-        plainly = separator != " " and '"' not in line
-        found = line.count(separator) + 1 if plainly else len(fields_of(line, separator))
-        if found != count:
-            where = f"row {index + 1} (line {number})"
-            raise InputError(path, where, f"{found} fields", f"{count} fields, as many as the header has names")
+    count = len(dialect.names)
+    if found != count:
+        where = f"row {index + 1} (line {dialect.rows[index][0]})"
+        raise InputError(path, where, f"{found} fields", f"{count} fields, as many as the header has names")
 
 
-def _plainly(dialect: Dialect, indices: Sequence[int]) -> list[Array] | None:
-    """The columns, by numpy's reader, where they hold numbers alone; else None."""
+def _plainly(path: Path, dialect: Dialect, indices: Sequence[int]) -> list[Array] | None:
+    """The columns, by numpy's reader, where every field of theirs is a plain number; else None."""
     lines = [line for _, line in dialect.rows]
+    separator = dialect.separator
+    if any('"' in line for line in lines):
+        return None
+    for index, line in enumerate(lines):
+        _check_length(path, dialect, index, len(line.split()) if separator == " " else line.count(separator) + 1)
     if dialect.decimal == ",":
-        if dialect.separator == "," or any("." in line for line in lines):
+        if any("." in line for line in lines):
             return None
         lines = [line.replace(",", ".") for line in lines]
     try:
-        values = np.loadtxt(
-            lines,
-            delimiter=None if dialect.separator == " " else dialect.separator,
-            comments=None,
-            quotechar='"',
-            usecols=indices,
-            ndmin=2,
-        )
+        delimiter = None if separator == " " else separator
+        values = np.loadtxt(lines, delimiter=delimiter, comments=None, usecols=indices, ndmin=2)
     except ValueError:  # text, an empty field, a group of thousands: field by field, to say which and where
         return None
     return [np.ascontiguousarray(values[:, k]) for k in range(len(indices))]
 
 
-def _column(path: Path, dialect: Dialect, name: str, index: int, stamped: bool, order: str | None) -> Array:
-    """One column field by field. Raises InputError that names the first field that is no value."""
-    tokens = [fields_of(line, dialect.separator)[index] for _, line in dialect.rows]
+def _refused(path: Path, dialect: Dialect, name: str, index: int, token: str, allowed: str) -> InputError:
+    where = f"row {index + 1} (line {dialect.rows[index][0]}), column {name}"
+    return InputError(path, where, token, allowed)
 
-    def refused(k: int, allowed: str) -> InputError:
-        where = f"row {k + 1} (line {dialect.rows[k][0]}), column {name}"
-        return InputError(path, where, tokens[k], allowed)
 
-    if stamped:
-        try:
-            return seconds_of_stamps(tokens, order)
-        except ValueError as error:
-            raise refused(error.args[0], error.args[1]) from None
+def _stamps(path: Path, dialect: Dialect, name: str, tokens: Sequence[str], order: str | None) -> Array:
+    """A column of time stamps [s]. Raises InputError that names the first field that is none."""
+    try:
+        return seconds_of_stamps(tokens, order)
+    except ValueError as error:
+        index, allowed = error.args
+        raise _refused(path, dialect, name, index, tokens[index], allowed) from None
+
+
+def _numbers(path: Path, dialect: Dialect, name: str, tokens: Sequence[str]) -> Array:
+    """A column of numbers. Raises InputError that names the first field that is none."""
     values = np.empty(len(tokens))
     for k, token in enumerate(tokens):
         try:
             values[k] = value_of(token, dialect.decimal)
         except ValueError:
-            mark = "comma" if dialect.decimal == "," else "point"
-            raise refused(k, f"a number with decimal {mark}, or NaN") from None
+            mark, remedy = _MARKS[dialect.decimal]
+            allowed = f"a number with a decimal {mark}, or NaN{remedy if is_number(token) else ''}"
+            raise _refused(path, dialect, name, k, token, allowed) from None
     return values
+
+
+_MARKS = {
+    ".": ("point", '; [log] of the machine file has decimal = "," for a comma'),
+    ",": ("comma", '; [log] of the machine file has decimal = "." for a point'),
+}
