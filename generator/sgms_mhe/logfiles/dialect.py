@@ -22,7 +22,7 @@ _NO_UNIT: Final = ("", "-", "1")
 _LABELS: Final = ("unit", "units", "einheit", "einheiten")
 """What the first field of a unit row may say instead of a unit."""
 _TYPES: Final = frozenset("REAL LREAL FLOAT DOUBLE BOOL BYTE WORD SINT USINT INT UINT DINT UDINT LINT".split())
-)
+"""Data types that a controller's export may have a row of."""
 _TRIAL: Final = 50
 """Rows behind the first that a separator is tried on."""
 _SEARCHED: Final = 2000
@@ -195,7 +195,7 @@ def _header(
         if any(map(is_number, fields)):
             break
         if number != stated and not units and _is_unit_row(fields):
-            units = tuple(fields)
+            units = tuple("" if field.casefold().rstrip(":") in _LABELS else field for field in fields)
         elif number == stated or not _is_row_of_types(fields):
             return number, tuple(fields), units
     if stated is not None:

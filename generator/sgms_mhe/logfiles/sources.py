@@ -167,6 +167,8 @@ def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | No
             mapped.wrap,
         )
     found = _candidates(table, quantity)
+    if mapped is not None:  # what [log] names is not there: only a log of this package's own takes its place
+        found = [candidate for candidate in found if candidate.header == quantity.column]
     if len(found) > 1:
         names = ", ".join(candidate.name for candidate in found)
         allowed = f"one column; [log] of the machine file says which: {_line(quantity, found[0].name)}"

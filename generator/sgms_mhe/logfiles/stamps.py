@@ -60,9 +60,8 @@ def seconds_of_stamps(tokens: Sequence[str], order: str | None) -> Array:
         except ValueError as error:
             raise ValueError(k, str(error)) from None
     if order is None and len(days) > 1:
-        raise ValueError(
-            0, 'dates that are told: day or month first? [log] of the machine file has dates = "dmy" or "mdy"'
-        )
+        allowed = 'day or month first? [log] of the machine file has dates = "dmy" or dates = "mdy"'
+        raise ValueError(0, allowed)
     start = next(value for value in nanoseconds if value is not None)
     since = np.array([np.nan if value is None else (value - start) / 1e9 for value in nanoseconds])
     return since if days else _over_midnight(since)
