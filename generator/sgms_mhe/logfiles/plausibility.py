@@ -275,11 +275,21 @@ def _check_force(log: Log, machine: Machine, motion: _Motion) -> None:
     measured = float(np.std(motion.force))
     sliding = since_reversal(motion.position, _breakaway(machine)) > _breakaway(machine)
     rubbing = friction.coulomb * float(np.std(np.sign(motion.velocity) * sliding))
-    too_weak = needed > TOO_WEAK * (measured + resisting) or rubbing > TOO_STRONG * measured
-    if too_weak or measured > TOO_STRONG * (needed + resisting):
-        seen = (
-            f"{needed:.3g} N rms for plant.mass = {machine.plant.mass:g} kg to move so and {rubbing:.3g} N rms for "
-            f"friction.coulomb, {measured:.3g} N rms measured"
-        )
-        allowed = f"a motion and the force that makes it; {_remedy(log, machine, measured / max(needed, rubbing))}"
-        raise _refused(log, "columns position_m and force_N", seen, allowed)
+
+    def fits(length: float = 1.0, strength: float = 1.0) -> bool:
+        inertial, taken = length * needed, strength * measured
+        too_weak = inertial > TOO_WEAK * (taken + resisting) or rubbing > TOO_STRONG * taken
+        return not too_weak and taken <= TOO_STRONG * (inertial + resisting)
+
+    if fits():
+        return
+    lengths, strengths = _UNITS["position_m"], _UNITS["force_N"]
+    remedies = [("position_m", unit) for unit in ("mm", "um") if fits(length=lengths[unit][0])][:1]
+    remedies += [("force_N", unit) for unit in ("kN", "mN") if fits(strength=strengths[unit][0])]
+    lines = [f'{name} = {{ variable = "...", unit = "{unit}" }}' for name, unit in remedies]
+    seen = (
+        f"{needed:.3g} N rms for plant.mass = {machine.plant.mass:g} kg to move so and {rubbing:.3g} N rms for "
+        f"friction.coulomb, {measured:.3g} N rms measured"
+    )
+    remedy = f"[log] of the machine file has {' or '.join(lines)}" if lines else _MAPPING
+    raise _refused(log, "columns position_m and force_N", seen, f"a motion and the force that makes it; {remedy}")
