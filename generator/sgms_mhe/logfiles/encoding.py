@@ -34,10 +34,12 @@ def decode(path: Path, content: bytes, encoding: str | None) -> tuple[str, str]:
         raise InputError(path, "[log] encoding", encoding, allowed) from None
     except UnicodeDecodeError as error:
         where = f"byte {error.start}"
-        raise InputError(path, where, None, f'{chosen} text; another encoding? [log] has encoding = "..."') from None
+        raise InputError(
+            path, where, None, f'{chosen} text; another encoding? [log] of the machine file has encoding = "..."'
+        ) from None
     if found := _NO_TEXT.search(text):
         line = text.count("\n", 0, found.start()) + 1
-        allowed = 'text; a file of another format needs its own suffix, another encoding [log] encoding = "..."'
+        allowed = "text; a file of another format needs its own suffix, another encoding [log] of the machine file"
         raise InputError(path, f"line {line}", found[0], allowed)
     return text, "utf-8" if chosen == "utf-8-sig" and not content.startswith(codecs.BOM_UTF8) else chosen
 
