@@ -39,7 +39,7 @@ def read_hdf5(path: Path, form: str = "HDF5") -> Table:
     try:
         with h5py.File(path, "r") as content:
             content.visititems(note)
-    except (OSError, RuntimeError, ValueError, KeyError) as error:
+    except Exception as error:  # the readers of a damaged file stumble in many ways
         raise damaged(path, _WHOLE, error) from None
 
     def read(names: Sequence[str]) -> Mapping[str, Array]:
@@ -53,7 +53,7 @@ def read_hdf5(path: Path, form: str = "HDF5") -> Table:
                 return values
         except InputError:
             raise
-        except (OSError, RuntimeError, ValueError, KeyError) as error:
+        except Exception as error:
             raise damaged(path, _WHOLE, error) from None
 
     return Table(form, tuple(column for _, column in found.values()), read, array_row)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,10 +27,16 @@ def read_mdf(path: Path) -> Table:
         pass  # a file that cannot be opened is told from one that is no MDF
 
     def opened() -> Any:
+        hook, sys.unraisablehook = sys.unraisablehook, _silent
         try:
-            return asammdf.MDF(path)
-        except Exception as error:  # whatever a damaged file makes it stumble over
-            raise damaged(path, _WHOLE, error) from None
+            try:
+                return asammdf.MDF(path)
+            except Exception as error:  # whatever a damaged file makes it stumble over
+                refusal = damaged(path, _WHOLE, error)
+            gc.collect()
+        finally:
+            sys.unraisablehook = hook
+        raise refusal
 
     with opened() as content:
         places = [(g, c) for g, group in enumerate(content.groups) for c in range(len(group.channels))]
@@ -54,6 +62,10 @@ def read_mdf(path: Path) -> Table:
         return values
 
     return Table("MDF", columns, read, array_row)
+
+
+def _silent(unraisable: Any) -> None:
+    """What asammdf leaves half made of a damaged file complains of itself when it goes; the refusal says it."""
 
 
 def _check_times(path: Path, times: Mapping[str, Array]) -> None:
