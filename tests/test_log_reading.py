@@ -216,6 +216,13 @@ REFUSALS: list[tuple[str, str, Row, dict[str, Any] | None, str]] = [
         None,
         r"line 2 = '1,100'.*decimal = \",\" or decimal = \"\.\"",
     ),
+    (
+        "groups by points or decimals",
+        PLAIN,
+        lambda k: (f"0,{k:03d}", "1,5", f"1.{200 + k}"),
+        None,
+        r"row 1 \(line 2\), column F \[N\] = '1\.200'.*decimal = \",\" or",
+    ),
     ("other mark", PLAIN, lambda k: (usual(k)[0], "1,5", "2.5"), None, r"row 1 \(line 2\), column x \[m\] = '1,5'"),
     ("space in number", PLAIN, lambda k: (usual(k)[0], "1 234.5", "2.5"), None, "= '1 234.5': a number"),
     ("unit in field", PLAIN, lambda k: (usual(k)[0], "1.5 m", "2.5"), None, "= '1.5 m': a number"),

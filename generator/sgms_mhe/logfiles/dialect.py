@@ -28,6 +28,8 @@ _TRIAL: Final = 50
 _SEARCHED: Final = 2000
 """Lines in which the first sample is looked for before the whole file is."""
 _SAYS: Final = "[log] of the machine file has"
+UNTOLD: Final = f'a number that is told: a decimal mark, or groups of thousands? {_SAYS} decimal = "," or decimal = "."'
+"""What is wanted instead of 1,234, where nothing tells which of the two it is."""
 _LONGEST_SUMMARY: Final = 200
 """Lines after the data that may hold something else."""
 _NAMED: Final = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "spaces"}
@@ -262,5 +264,4 @@ def _decimal(path: Path, rows: Sequence[tuple[int, str]], separator: str, hints:
                 either = (number, field)
     if either is None:
         return "."
-    allowed = f'a number that is told: a decimal comma, or groups of thousands? {_SAYS} decimal = "," or decimal = "."'
-    raise InputError(path, f"line {either[0]}", either[1], allowed)
+    raise InputError(path, f"line {either[0]}", either[1], UNTOLD)

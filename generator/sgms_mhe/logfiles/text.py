@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sgms_mhe.logfiles.decimals import is_number, value_of
-from sgms_mhe.logfiles.dialect import Dialect, fields_of, find_dialect
+from sgms_mhe.logfiles.decimals import is_number, told_by, value_of
+from sgms_mhe.logfiles.dialect import UNTOLD, Dialect, fields_of, find_dialect
 from sgms_mhe.logfiles.encoding import decode
 from sgms_mhe.logfiles.stamps import seconds_of_stamps, stamp_form
 from sgms_mhe.logfiles.table import Array, Table, columns_of
@@ -23,6 +23,7 @@ def read_text(path: Path, hints: LogMapping | None) -> Table:
     columns = columns_of(dialect.names, dialect.units)
     indices = {column.name: k for k, column in enumerate(columns)}
     order = None if hints is None else hints.dates
+    stated = hints is not None and hints.decimal is not None
     # The first row that has something in a column tells whether it holds time stamps.
     probe = [fields_of(line, dialect.separator) for _, line in dialect.rows[:_PROBE]]
     stamped = {
@@ -43,7 +44,7 @@ def read_text(path: Path, hints: LogMapping | None) -> Table:
         return {
             name: _stamps(path, dialect, name, tokens, order)
             if name in stamped
-            else _numbers(path, dialect, name, tokens)
+            else _numbers(path, dialect, name, tokens, stated)
             for name, tokens in columns.items()
         }
 
@@ -111,9 +112,14 @@ def _stamps(path: Path, dialect: Dialect, name: str, tokens: Sequence[str], orde
         raise _refused(path, dialect, name, index, tokens[index], allowed) from None
 
 
-def _numbers(path: Path, dialect: Dialect, name: str, tokens: Sequence[str]) -> Array:
-    """A column of numbers. Raises InputError that names the first field that is none."""
+def _numbers(path: Path, dialect: Dialect, name: str, tokens: Sequence[str], stated: bool) -> Array:
+    """A column of numbers; `stated`: [log] says the decimal mark.
+
+    Raises InputError that names the first field that is no number, or whose groups of thousands may be decimals: in a
+    column where no number has both marks, or two groups.
+    """
     values = np.empty(len(tokens))
+    other = "," if dialect.decimal == "." else "."
     for k, token in enumerate(tokens):
         try:
             values[k] = value_of(token, dialect.decimal)
@@ -121,6 +127,9 @@ def _numbers(path: Path, dialect: Dialect, name: str, tokens: Sequence[str]) -> 
             mark, remedy = _MARKS[dialect.decimal]
             allowed = f"a number with a decimal {mark}, or NaN{remedy if is_number(token) else ''}"
             raise _refused(path, dialect, name, k, token, allowed) from None
+    grouped = [k for k, token in enumerate(tokens) if other in token]
+    if grouped and not stated and not any(told_by(tokens[k]) == dialect.decimal for k in grouped):
+        raise _refused(path, dialect, name, grouped[0], tokens[grouped[0]], UNTOLD)
     return values
 
 
