@@ -552,6 +552,9 @@ def some_estimates(
         parameters=random.normal(size=(u, len(names))),
         std=random.normal(size=(u, len(names))),
         status=np.arange(u) - 2,
+        innovation_N=random.normal(size=u),
+        test_ratio=random.random(u),
+        noise_scale=1.0 + random.random(u),
         parameter_names=names,
     )
 
@@ -561,10 +564,22 @@ def test_estimates_have_the_stated_columns(tmp_path: Path) -> None:
     lines = (tmp_path / "e.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0] == (
         "time_s,friction_measured_N,friction_N,z_1_m,z_2_m,stiffness_1,stiffness_2,coulomb,"
-        "std_stiffness_1,std_stiffness_2,std_coulomb,status"
+        "std_stiffness_1,std_stiffness_2,std_coulomb,status,"
+        "innovation_N,test_ratio,noise_scale"
     )
     assert len(lines) == 6
-    assert lines[1].endswith(",-2")
+    assert lines[1].split(",")[-4] == "-2"
+
+
+def test_estimates_of_older_files_do_not_know_their_readings(tmp_path: Path) -> None:
+    write_estimates(tmp_path / "e.csv", some_estimates())
+    lines = [line.rsplit(",", 3)[0] for line in (tmp_path / "e.csv").read_text(encoding="utf-8").splitlines()]
+    (tmp_path / "old.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    old = read_estimates(tmp_path / "old.csv")
+    np.testing.assert_array_equal(old.status, some_estimates().status)
+    for values in (old.innovation_N, old.test_ratio, old.noise_scale):
+        assert values.shape == (5,)
+        assert np.isnan(values).all()
 
 
 @pytest.mark.parametrize("n_z", [1, 4, 11])

@@ -72,7 +72,9 @@ def test_etel_xy_paper_differs_only_in_the_estimator() -> None:
         "parameter_drift": 0.0,
         "initial_state": 1.0,
         "state_as": "deflection",
+        "self_scaling": False,
     }
+    assert paper.sampling.readings_per_update == 1
     assert estimator.arrival_cost.update == "fixed"
 
 
