@@ -19,7 +19,7 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := all
 .PHONY: all help venv generate check-generated compile experiment figures test lint lint-ruff lint-format \
-        lint-types lint-c format studies benchmark benchmark-diagnosis target wheel lock clean distclean
+        lint-types lint-c format studies faults benchmark benchmark-diagnosis target wheel lock clean distclean
 
 all: experiment ## (default) set up, generate etel_xy, compile it, run the paper's experiment, print its table
 
@@ -94,6 +94,9 @@ studies: $(STAMP) ## statistics: coverage, Monte Carlo against EKF and smoother,
 	@for name in coverage monte-carlo plant creep; do \
 	    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_mhe.evaluation.studies $$name > $(BUILD)/studies/$$name.txt && \
 	    cat $(BUILD)/studies/$$name.txt || exit; done
+
+faults: $(STAMP) ## broken sensors in good logs: what each does to the estimate, worst of twenty; half an hour
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_mhe.evaluation.studies faults
 
 benchmark: $(STAMP) ## time, instructions and errors of MACHINE's variants beside CasADi's export; figures in build/benchmark
 	$(RUN) bench machines/$(MACHINE).toml --out $(BUILD)/benchmark

@@ -157,7 +157,7 @@ static series make_motion(long updates)
 {
     const double h = (double)SAMPLE_TIME, wide = 2000.0 * (double)HOLD_PATH, narrow = 50.0 * (double)HOLD_PATH;
     const double slow = 3.0, fast = 40.0; /* rad/s */
-    const double level = 10.0 / (double)INVERSE_MEASUREMENT, reach = 100.0 * (double)HOLD_PATH;
+    const double level = 10.0 * (double)MEASUREMENT_SD, reach = 100.0 * (double)HOLD_PATH;
     double friction = 0.0, last = 0.0;
     series s = {updates * SAMPLES + 1, NULL, NULL, NULL};
     reserve(&s, s.n);
@@ -218,7 +218,7 @@ static void print_header(void)
     for (int i = 1; i <= PARAMETERS; i++) {
         printf(",std_parameter_%d", i);
     }
-    printf(",status\n");
+    printf(",status,innovation_N,test_ratio,noise_scale\n");
 }
 
 static void print_estimate(const machine *self, double time)
@@ -235,7 +235,9 @@ static void print_estimate(const machine *self, double time)
     for (int i = 0; i < PARAMETERS; i++) {
         printf(",%.17g", (double)estimate.deviation[i]);
     }
-    printf(",%d\n", estimate.status);
+    printf(
+        ",%d,%.17g,%.17g,%.17g\n", estimate.status, (double)estimate.innovation, (double)estimate.test_ratio,
+        (double)estimate.noise_scale);
 }
 
 static void replay(const series *s, int is_timed)

@@ -18,7 +18,7 @@ typedef CALL(estimate_t) machine_estimate;
 enum {
     N_DEFLECTIONS = sizeof(((machine_estimate *)0)->deflection) / sizeof(machine_real),
     N_PARAMETERS = sizeof(((machine_estimate *)0)->parameter) / sizeof(machine_real),
-    COLUMNS = 2 + N_DEFLECTIONS + 2 * N_PARAMETERS
+    COLUMNS = 5 + N_DEFLECTIONS + 2 * N_PARAMETERS
 };
 
 size_t sgms_replay_memory(void)
@@ -61,6 +61,9 @@ static void write_row(const machine *self, double *row)
     for (int i = 0; i < N_PARAMETERS; i++) {
         *row++ = (double)estimate.deviation[i];
     }
+    *row++ = (double)estimate.innovation;
+    *row++ = (double)estimate.test_ratio;
+    *row++ = (double)estimate.noise_scale;
 }
 
 static machine_real one_sample(machine *self, const sgms_series *series, long k)

@@ -22,7 +22,7 @@ typedef struct {
 enum { SGMS_REPLAY_TASKS = 0, SGMS_REPLAY_TICK = 1 };
 
 /* Memory of one estimator in bytes, and the numbers of one result row: friction measured, friction, deflections,
- * parameters, deviations. */
+ * parameters, deviations, innovation, test ratio, noise scale. */
 size_t sgms_replay_memory(void);
 int sgms_replay_columns(void);
 int sgms_replay_samples_per_update(void);

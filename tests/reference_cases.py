@@ -12,6 +12,7 @@ from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import FreeParameter, Model, StateSpec
 from sgms_mhe.reference.integrator import Integrator
+from sgms_mhe.reference.linearised import Linearised
 from sgms_mhe.signals.chain import Signals
 
 Array = NDArray[np.float64]
@@ -48,6 +49,11 @@ def moving(velocity: Array, rate: float = 10000.0, friction: Array | None = None
         valid=np.ones(n, dtype=bool),
         missing=np.zeros(n, dtype=bool),
     )
+
+
+def arrays(intervals: Linearised) -> tuple[Array, ...]:
+    """All arrays of linearised intervals: ends and their sensitivities, then the readings inside and theirs."""
+    return (*intervals[:3], *intervals.inner)
 
 
 def simulate(integrator: Integrator, signals: Signals, theta: Array, x0: Array | None = None) -> Array:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from c_packages import PRECISIONS, PROBES, Array, machine, pointer, written
+from c_packages import PRECISIONS, PROBES, Array, machine, pointer, scheme, written
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS, shared_library
@@ -25,8 +25,12 @@ WRAP = 2**31
 class Axis:
     """An estimator of etel_xy with effects in time, whose clock can be set."""
 
-    def __init__(self, folder: Path, precision: str, effects: list[dict[str, Any]], **estimator: Any) -> None:
-        settings = machine(effects=effects, code={"precision": precision}, estimator={"horizon": 4, **estimator})
+    def __init__(self, folder: Path, precision: str, effects: list[dict[str, Any]], **changes: Any) -> None:
+        # What is fed in below is no axis' motion: few readings, none doubted, leave the clock to be looked at.
+        sampling = {"measurement_rate": 100.0, **changes.pop("sampling", {})}
+        estimator = {"horizon": 4, "noise": {"self_scaling": False}, **changes}
+        tables = {"code": {"precision": precision}, "estimator": estimator, "sampling": sampling}
+        settings = machine(effects=effects, **tables)
         package = written(emit_package(settings, selftest=False), folder)
         sources = [package / "etel_xy.c", PROBES / "estimator_probe.c", PROBES / "clock.c"]
         flags = [*DEFAULT_FLAGS, *replay_definitions("etel_xy")]
@@ -54,20 +58,21 @@ class Axis:
 
 @pytest.fixture(scope="module")
 def axis(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Axis]:
-    def build(precision: str, *effects: dict[str, Any], **estimator: Any) -> Axis:
-        return Axis(tmp_path_factory.mktemp("clock"), precision, list(effects), **estimator)
+    def build(precision: str, *effects: dict[str, Any], **changes: Any) -> Axis:
+        return Axis(tmp_path_factory.mktemp("clock"), precision, list(effects), **changes)
 
     return build
 
 
+@pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("kind", ["mhe", "ekf"])
 @pytest.mark.parametrize("frequency_Hz", [0.5, 50.0, 1000.0])
-def test_sine_keeps_its_phase_for_a_year(frequency_Hz: float, kind: str, axis: Any) -> None:
-    """In double precision within 4e-8 s of its time, also where 32 bits of samples end."""
+def test_sine_keeps_its_phase_for_a_year(frequency_Hz: float, kind: str, precision: str, axis: Any) -> None:
+    """In double precision within 4e-8 s of its time, also where 32 bits of samples end; in single to its rounding."""
     amplitude_N = 1.0
     effect = {"name": "periodic_disturbance", "amplitude_N": amplitude_N, "frequency_Hz": frequency_Hz}
-    estimator: Axis = axis("double", effect, kind=kind)
-    allowed = 2.0 * np.pi * frequency_Hz * amplitude_N * 4e-8
+    estimator: Axis = axis(precision, effect, kind=kind)
+    allowed = 2.0 * np.pi * frequency_Hz * amplitude_N * 4e-8 if precision == "double" else 2e-4
     start = estimator.friction(0)
     np.testing.assert_allclose(estimator.friction(YEAR * RATE), start, rtol=0.0, atol=allowed)
     # A whole number of periods, of two seconds, before the end of 32 bits, which the motion crosses.
@@ -75,6 +80,53 @@ def test_sine_keeps_its_phase_for_a_year(frequency_Hz: float, kind: str, axis: A
     offset = WRAP - 600 - periods
     np.testing.assert_allclose(estimator.friction(WRAP - 600), estimator.friction(offset), rtol=0.0, atol=allowed)
     assert np.abs(estimator.friction(RATE // 4) - start).max() > (0.5 if frequency_Hz < 1.0 else -1.0) * amplitude_N
+
+
+SAMPLINGS: dict[str, dict[str, Any]] = {
+    "flow": {},
+    "merged": scheme("flow", substeps=20),
+    "linear": scheme("rk4", velocity="linear"),
+}
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("sampling", list(SAMPLINGS))
+def test_sines_within_a_period_are_those_of_all_time(sampling: str, precision: str, axis: Any) -> None:
+    """Against time that goes on, in double precision, which a step in time asks for; and a year later still."""
+    sines = [
+        {"name": "periodic_disturbance", "amplitude_N": 0.7, "frequency_Hz": 50.0, "phase_rad": 0.4},
+        {"name": "periodic_disturbance", "amplitude_N": 0.5, "frequency_Hz": 13.5, "phase_rad": 0.9},
+    ]
+    nothing = {"name": "step_disturbance", "force_N": 1e-12, "time_s": 10.0}
+    settings = {"sampling": SAMPLINGS[sampling]}
+    within, on = axis(precision, *sines, **settings), axis("double", *sines, nothing, **settings)
+    soon, late = (1e-7, 2.0 * np.pi * 50.0 * 4e-8) if precision == "double" else (1e-3, 1e-3)
+    for clock in (0, 37, 12_345):
+        expected = on.friction(clock)
+        np.testing.assert_allclose(within.friction(clock), expected, rtol=0.0, atol=soon)
+        np.testing.assert_allclose(within.friction(YEAR * RATE + clock), expected, rtol=0.0, atol=late)
+
+
+@pytest.mark.parametrize(
+    ("effects", "is_exact"),
+    [
+        (({"frequency_Hz": 49.98},), True),
+        (({"frequency_Hz": 50.0}, {"frequency_Hz": 13.37}), True),
+        (({"frequency_Hz": 50.0}, {"frequency_Hz": 50.0 * 2.0**0.5}), False),
+    ],
+)
+def test_header_says_what_holds_in_single_precision(effects: tuple[dict[str, float], ...], is_exact: bool) -> None:
+    sines = [{"name": "periodic_disturbance", "amplitude_N": 1.0, **effect} for effect in effects]
+    header = emit_package(machine(effects=sines, code={"precision": "single"}), selftest=False).files["etel_xy.h"]
+    assert ("after a year as well" in header) == is_exact
+    assert ("but see a time of 24 bits" in header) != is_exact
+
+
+def test_sine_of_an_estimated_frequency_has_the_time_that_goes_on() -> None:
+    sine = {"name": "periodic_disturbance", "amplitude_N": 1.0, "frequency_Hz": 50.0}
+    estimator = {"parameters": ["periodic_disturbance.frequency_Hz"], "bounds": {}}
+    settings = machine(effects=[sine], code={"precision": "single"}, estimator=estimator)
+    assert "but see a time of 24 bits" in emit_package(settings, selftest=False).files["etel_xy.h"]
 
 
 def test_step_in_a_year_comes_when_it_is_due(axis: Any) -> None:

@@ -35,6 +35,9 @@ def reference() -> Estimates:
         parameters=1.0 + 0.1 * rng.random((UPDATES, 2)),
         std=np.tile([0.1, 0.29], (UPDATES, 1)),  # the second one is hardly better known than before
         status=np.zeros(UPDATES, dtype=np.int64),
+        innovation_N=0.1 * rng.normal(size=UPDATES),
+        test_ratio=rng.random(UPDATES),
+        noise_scale=np.ones(UPDATES),
         parameter_names=("stiffness_1", "coulomb"),
     )
 
@@ -126,6 +129,12 @@ def test_flags_are_undecided_where_their_number_is_on_the_limit() -> None:
     values = np.array([[p.nominal for p in parameters]] * updates)
     values[3, 1] *= 5.0 * (1 - 1e-5)
     estimates = Estimates(
-        *(np.zeros(updates),) * 3, np.zeros((updates, 4)), values, 0 * values, np.zeros(updates, int), ("",) * 4
+        *(np.zeros(updates),) * 3,
+        np.zeros((updates, 4)),
+        values,
+        0 * values,
+        np.zeros(updates, int),
+        *(np.zeros(updates),) * 3,
+        ("",) * 4,
     )
     np.testing.assert_array_equal(undecided_flags(machine, signals, estimates, parameters), [0, 16, 4, 8])

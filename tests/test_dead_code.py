@@ -1,14 +1,17 @@
-"""Nothing that nothing uses: in the Python package, in the runtime headers."""
+"""Nothing that nothing uses: in the Python package, in the runtime headers, in emitted packages."""
 
 from __future__ import annotations
 
 import ast
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+import pytest
+
 import sgms_mhe
+from package_variants import VARIANTS
 from sgms_mhe.support.paths import runtime_dir, templates_dir
 
 PACKAGE = Path(sgms_mhe.__file__).parent
@@ -18,6 +21,7 @@ USED_FROM_OUTSIDE = {
     "get_command": "click",
     "filter_stream": "jinja2",
     "read_estimates": "Python code of users, for the files that estimate writes",
+    "read_log": "Python code of users, for logs of any format",
     "cascade": "Python code of users, as a controller of the simulated axis",
     "ideal_log": "Python code of users, as a log of the simulated axis",
     "sinusoidal_drift": "Python code of users, as a drift of the simulated axis",
@@ -92,6 +96,55 @@ def test_everything_in_the_runtime_headers_is_used() -> None:
     )
     assert len(defined) > 40
     assert {name for name, times in defined.items() if used[name] == times} == operations
+
+
+SHAPES = (
+    "flow, ekf", "flow, newest, single", "flow, 5 merged, auto", "flow, all merged", "rk4, fixed", "rk4, linear, auto",
+    "rk4, 4 merged, newest", "bs23", "euler, ekf", "horizon 1", "n_z 1", "micro-viscous",
+    "compensation off", "every effect", "every effect, fixed, rk4, 4 merged", "effects: upstream, auto, 5 merged",
+    "linear model", "toy, states",
+)  # fmt: skip
+"""Variants whose code differs in kind."""
+
+
+def unused_c(files: Mapping[str, str], public: str) -> set[str]:
+    """Static functions and constant tables of emitted files that no other line names.
+
+    Those of the header `public` are the application's, the vectors of the self-test as well; what begins with
+    `sgms_` is a library, as the runtime headers are.
+    """
+    code = {
+        name: re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+        for name, text in files.items()
+        if name.endswith((".c", ".h")) and not name.startswith("sgms_")
+    }
+    named = words("\n".join(code.values()))
+    own = [text for name, text in code.items() if name != public and not name.endswith("_selftest.h")]
+    defined = {
+        name
+        for text in own
+        for pattern in (r"^static [^;={(]*?\b(\w+)\(", r"^static const [^=;(]*?\b(\w+)(?:\[[^=]*)? =")
+        for name in re.findall(pattern, text, re.MULTILINE)
+    }
+    return {name for name in defined if named[name] < 2 and not name.startswith("sgms_")}
+
+
+@pytest.mark.parametrize("title", SHAPES)
+def test_everything_in_a_package_is_used(title: str) -> None:
+    package = VARIANTS[title].emit()
+    found = unused_c(package.files, f"{package.machine.name}.h")
+    assert not found
+
+
+def test_what_nothing_uses_in_c_is_found() -> None:
+    files = {
+        "axis.c": "static void used(void)\n{\n}\nvoid axis(void) { used(); /* lonely, table */ }\n",
+        "axis.h": "static inline int axis_of(int a)\n{\n    return a;\n}\n",
+        "axis_config.h": "static int lonely(\n    int a)\n{\n}\nstatic const int table[2] = {1, 2};\n",
+        "axis_selftest.h": "static const int vector[1] = {1};\n",
+        "sgms_math.h": "static inline int sgms_unused(int a);\n",
+    }
+    assert unused_c(files, "axis.h") == {"lonely", "table"}
 
 
 def test_what_nothing_uses_is_found(tmp_path: Path) -> None:

@@ -22,12 +22,13 @@ from sgms_mhe.diagnosis.plan import make_plan, write_plan
 from sgms_mhe.diagnosis.recording import Recording, prepare
 from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.evaluation.prediction import force_error, predict_log
+from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.signals.logs import Log, read_log
+from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
 Hidden = list[tuple[str, Mapping[str, float]]]

@@ -253,7 +253,7 @@ import resource, sys
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.recording import prepare
 from sgms_mhe.diagnosis.subject import Subject
-from sgms_mhe.signals.logs import read_log
+from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.configuration import load_machine
 machine = load_machine(sys.argv[1])
 recording = prepare(machine, read_log(sys.argv[2], machine))

@@ -446,7 +446,7 @@ def kalman_filter(model: Model, signals: Signals, *, first: int) -> tuple[Array,
 
 def without_drift(**estimator: Any) -> Model:
     """The linear model of the reference's tests, parameters at rest."""
-    noise = machine().estimator.noise.model_dump() | {"parameter_drift": 0.0}
+    noise = machine().estimator.noise.model_dump() | {"parameter_drift": 0.0, "self_scaling": False}
     return linear_model(noise=noise, **estimator)
 
 

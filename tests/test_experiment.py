@@ -10,7 +10,7 @@ import pytest
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.evaluation import figures
-from sgms_mhe.evaluation.experiment import PAPER_WEIGHTS, PAPER_WEIGHTS_EKF, TRUE_STIFFNESS, run_experiment
+from sgms_mhe.evaluation.experiment import PAPER_WEIGHTS, PAPER_WEIGHTS_EKF, TRUE_STIFFNESS, papers, run_experiment
 from sgms_mhe.evaluation.records import Record, coverage, friction_rms, run_estimator, simulate_record, smoothness
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -59,14 +59,16 @@ def test_default_weights_find_the_stiffness(record: Record) -> None:
 
 
 def test_the_papers_weights_are_those_of_its_machine_file() -> None:
-    paper = load_machine("etel_xy_paper").estimator
-    assert override_machine(load_machine("etel_xy"), {"estimator": PAPER_WEIGHTS}).estimator == paper
+    paper = load_machine("etel_xy_paper")
+    ours = override_machine(load_machine("etel_xy"), papers(PAPER_WEIGHTS))
+    assert ours.estimator == paper.estimator
+    assert ours.sampling.measurement_rate == paper.sampling.measurement_rate
 
 
 def test_with_the_papers_weights_the_mhe_is_five_times_smoother(record: Record) -> None:
     machine = load_machine("etel_xy")
     mhe, ekf = (
-        run_estimator("", override_machine(machine, {"estimator": weights}), record)
+        run_estimator("", override_machine(machine, papers(weights)), record)
         for weights in (PAPER_WEIGHTS, PAPER_WEIGHTS_EKF)
     )
     assert np.all(smoothness(ekf) > 5.0 * smoothness(mhe))

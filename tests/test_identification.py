@@ -23,6 +23,7 @@ from sgms_mhe.identification.records import Motion, in_order
 from sgms_mhe.identification.result import Number, rounded
 from sgms_mhe.identification.sampling import common_rate, rounded_up
 from sgms_mhe.identification.spectrum import Spectrum, clustered
+from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -30,7 +31,7 @@ from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion as Path_
 from sgms_mhe.reference import Integrator
 from sgms_mhe.signals.chain import Signals, behind_chain, signals_from_log
-from sgms_mhe.signals.logs import Log, read_log, write_log
+from sgms_mhe.signals.logs import Log, write_log
 
 Array = NDArray[np.float64]
 

@@ -130,7 +130,7 @@ def test_sensitivities_are_those_of_casadi(case: str, kernel: Any) -> None:
         theta = rng.uniform(0.8, 1.25, model.n_p)
         expected = integrator.intervals(plan, 0, x[None], theta)
         got = compiled.sensitivities(signal_array(signals, 1e-4), x, theta)
-        for name, c, reference in zip(("x", "A", "B"), got, expected, strict=True):
+        for name, c, reference in zip(("x", "A", "B"), got, expected[:3], strict=True):
             # The largest entry sets the scale: a sensitivity that slip has wiped out is zero to rounding.
             scale = max(1.0, float(np.abs(reference).max()))
             np.testing.assert_allclose(c, reference[0], rtol=1e-10, atol=1e-11 * scale, err_msg=name)

@@ -72,7 +72,9 @@ def test_etel_xy_paper_differs_only_in_the_estimator() -> None:
         "parameter_drift": 0.0,
         "initial_state": 1.0,
         "state_as": "deflection",
+        "self_scaling": False,
     }
+    assert paper.sampling.readings_per_update == 1
     assert estimator.arrival_cost.update == "fixed"
 
 
@@ -98,10 +100,10 @@ def test_defaults_are_resolved(tmp_path: Path) -> None:
     assert machine.friction.micro_viscous == (0.0, 0.0)
     assert machine.friction.viscous == 0.0
     assert machine.sampling.integrator.model_dump() == {
-        "scheme": "rk4",
+        "scheme": "flow",
         "substeps": 100,
         "velocity": "constant",
-        "displacement": 0.03,
+        "displacement": 0.1,
         "slow_displacement": 0.02,
         "tolerance": None,
     }
@@ -113,8 +115,9 @@ def test_defaults_are_resolved(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("sampling", "substeps", "displacement"),
     [
-        ("rate = 1000.0", 10, 0.03),
-        ("rate = 8000\nupdate_rate = 250", 32, 0.03),
+        ("rate = 1000.0", 10, 0.1),
+        ("rate = 8000\nupdate_rate = 250", 32, 0.1),
+        ('integrator = { velocity = "linear" }', 100, 0.03),
         ('integrator = { scheme = "euler" }', 100, 0.01),
         ('integrator = { scheme = "bs23", substeps = 20 }', 20, 0.02),
         ('integrator = { scheme = "rk2", substeps = 300, displacement = 0.02 }', 300, 0.02),
@@ -126,6 +129,24 @@ def test_integrator_defaults_follow_rates_and_scheme(
     cutoff = "velocity_cutoff = 100.0"
     integrator = load_machine(write(tmp_path, f"{MINIMAL}[sampling]\n{cutoff}\n{sampling}\n")).sampling.integrator
     assert (integrator.substeps, integrator.displacement) == (substeps, displacement)
+
+
+@pytest.mark.parametrize(
+    ("written", "scheme"),
+    [
+        ("", "flow"),
+        ("[sampling]\nintegrator = { substeps = 20 }\n", "flow"),
+        ('[sampling]\nintegrator = { velocity = "linear" }\n', "rk4"),
+        ("[friction.smoothing]\nzeta = 0.5\nlambda = 3.0\ngamma = 3.0\n", "rk4"),
+        ('[friction]\nlaw = "switching"\n', "clip"),
+        ("[sampling]\nintegrator = { tolerance = 1e-3 }\n", "flow"),
+    ],
+)
+def test_default_scheme_is_the_one_that_the_law_and_the_velocity_allow(
+    tmp_path: Path, written: str, scheme: str
+) -> None:
+    text = MINIMAL.replace("[friction]\n", written) if "law" in written else MINIMAL + written
+    assert load_machine(write(tmp_path, text)).sampling.integrator.scheme == scheme
 
 
 def test_numbers_may_be_written_as_integers(tmp_path: Path) -> None:
@@ -314,7 +335,7 @@ BAD_VALUES = [
     ("plant.mas = 20.0", "plant.mas", "did you mean mass?"),
     ("plants.mass = 20.0", "plants", "did you mean plant?"),
     ("friction.smoothing.lambda_ = 35.0", "friction.smoothing.lambda_", "did you mean lambda?"),
-    ("sampling.integrator.steps = 5", "sampling.integrator.steps", "scheme, substeps, velocity, displacement"),
+    ("sampling.integrator.steps = 5", "sampling.integrator.steps", "velocity, scheme, substeps, displacement"),
     ("estimator.noise.sigma = 0.5", "estimator.noise.sigma", "measurement, state"),
     ("colour = 3", "colour", "extends"),
     # between keys

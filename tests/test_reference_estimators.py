@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from reference_cases import friction_at_samples, linear_model, moving, simulate, variant, with_integrator
-from sgms_mhe.configuration import override_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.reference import Integrator, Record, Status, estimate_model, estimate_reference, run_mhe
 from sgms_mhe.reference.ekf import into_bounds
 from sgms_mhe.reference.least_squares import solve, solve_bounded
-from sgms_mhe.reference.mhe import Arrival, Kept, Window, dense_problem, integrate, linearise, renew
+from sgms_mhe.reference.mhe import Kept, dense_problem, renew
+from sgms_mhe.reference.readings import Gaussian
+from sgms_mhe.reference.window import Scales, Window, integrate, linearise
 from sgms_mhe.signals.chain import Signals
 
 Array = NDArray[np.float64]
@@ -26,7 +27,7 @@ THETA = np.array([1.3, 0.8, 0.9])
 
 
 def noise(**changes: Any) -> dict[str, Any]:
-    return {"noise": variant().estimator.noise.model_dump() | {"parameter_drift": 0.0} | changes}
+    return {"noise": variant().estimator.noise.model_dump() | {"parameter_drift": 0.0, "self_scaling": False} | changes}
 
 
 def linear_record(model: Model, updates: int = 40) -> Signals:
@@ -111,106 +112,64 @@ def slow_record(model: Model) -> tuple[Record, Array]:
     return record, simulate(record.integrator, motion, np.ones(4))[:6]
 
 
-def with_effect(effect: dict[str, Any]) -> Machine:
-    return override_machine(with_integrator(scheme="rk4"), {"effects": [effect]})
+def assert_renewed(renewed: Kept, kept: Kept, fresh: Kept, interval: int | None) -> None:
+    """One interval is that of `fresh`; all others, or all if it is None, are untouched."""
+    is_new = np.arange(6) == interval
+    for ours, before, new in zip(arrays(renewed), arrays(kept), arrays(fresh), strict=True):
+        np.testing.assert_array_equal(ours[is_new], new[is_new])
+        np.testing.assert_array_equal(ours[~is_new], before[~is_new])
 
 
-def rows_of(pairs: list[tuple[int, tuple[int, ...]]], n_x: int) -> NDArray[np.bool_]:
-    rows = np.zeros((6, n_x), dtype=np.bool_)
-    for k, states in pairs:
-        rows[k, states] = True
-    return rows
+def arrays(kept: Kept) -> list[Array]:
+    return [kept.x, kept.theta, *kept.intervals[:3], *kept.intervals.inner]
 
 
-def assert_renewed(renewed: Kept, kept: Kept, fresh: Kept, rows: NDArray[np.bool_]) -> None:
-    """Every array is that of `fresh` in the given rows, and untouched in all others."""
-    for ours, before, new in zip(renewed, kept, fresh, strict=True):
-        np.testing.assert_array_equal(ours[rows], new[rows])
-        np.testing.assert_array_equal(ours[~rows], before[~rows])
-
-
-def test_one_block_of_one_interval_is_linearised_anew() -> None:
+def test_an_interval_that_moved_too_far_is_linearised_anew() -> None:
     model = build_model(with_integrator(variant(), scheme="rk4"))
     record, x = slow_record(model)
     theta = np.ones(4)
     kept = kept_at(record, x, theta)
     moved = x.copy()
     moved[3, 2] += 1.1 * record.weights.move[2]
-    moved[3, 1] += 0.9 * record.weights.move[1]
+    moved[2, 1] += 0.9 * record.weights.move[1]
     # Parameters have moved too, though by too little to count.
     near = theta + 1e-6
     renewed = renew(record, 0, kept, moved, near)
     fresh = kept_at(record, moved, near)
-    assert_renewed(renewed, kept, fresh, rows_of([(3, (2,))], 4))
-    assert not np.array_equal(renewed.x1, kept.x1)
-    # Each row moves on from where it was linearised.
+    assert_renewed(renewed, kept, fresh, 3)
+    assert not np.array_equal(renewed.intervals.x1, kept.intervals.x1)
+    # Each interval moves on from where it was linearised, its readings with it.
     further, beyond = moved + 1e-3, near + 1e-3
     about = renewed.at(further, beyond)
-    for k, i in itertools.product(range(6), range(4)):
-        own = fresh if (k, i) == (3, 2) else kept
-        point, parameters = (moved[k], near) if own is fresh else (x[k], theta)
-        end = own.x1[k, i] + own.A[k, i] @ (further[k] - point) + own.B[k, i] @ (beyond - parameters)
-        assert about.x1[k, i] == pytest.approx(end, abs=1e-15)
-    np.testing.assert_array_equal(about.A, renewed.A)
+    for k in range(6):
+        own, point, parameters = (fresh, moved[k], near) if k == 3 else (kept, x[k], theta)
+        x1, A, B = (part[k] for part in own.intervals[:3])
+        np.testing.assert_allclose(about.x1[k], x1 + A @ (further[k] - point) + B @ (beyond - parameters), atol=1e-15)
+    y, C, D = (part[3] for part in fresh.intervals.inner)
+    assert len(y) == 9
+    np.testing.assert_allclose(about.inner.y[3], y + C @ (further[3] - moved[3]) + D @ (beyond - near), atol=1e-14)
+    np.testing.assert_array_equal(about.A, renewed.intervals.A)
     # Less than the allowance everywhere: nothing to do.
-    assert_renewed(renew(record, 0, renewed, moved, near), renewed, fresh, np.zeros((6, 4), dtype=np.bool_))
+    assert_renewed(renew(record, 0, renewed, moved, near), renewed, fresh, None)
 
 
-def test_blocks_that_moved_most_are_linearised_anew() -> None:
+def test_the_interval_that_moved_most_is_linearised_anew() -> None:
     model = build_model(with_integrator(variant(), scheme="rk4"))
     record, x = slow_record(model)
     theta = np.ones(4)
     kept = kept_at(record, x, theta)
     steps = np.zeros((6, 4))
-    for (k, i), step in {(1, 2): 6.0, (3, 3): -5.0, (2, 2): 4.0, (1, 0): -3.0, (4, 1): 2.0, (4, 0): 1.5}.items():
+    for (k, i), step in {(1, 2): 6.0, (3, 3): -7.0, (2, 2): 4.0, (1, 0): -3.0, (4, 1): 2.0, (4, 0): 1.5}.items():
         steps[k, i] = step
     steps[5, 3] = 0.9
     moved = x + steps * record.weights.move
     np.testing.assert_allclose(kept.moves(moved, theta) / record.weights.move, steps, atol=1e-6)
     fresh = kept_at(record, moved, theta)
-    # As many as there are blocks, of whichever intervals.
-    renewed = renew(record, 0, kept, moved, theta)
-    assert_renewed(renewed, kept, fresh, rows_of([(1, (2,)), (3, (3,)), (2, (2,)), (1, (0,))], 4))
-    # Those that wait are next.
-    again = renew(record, 0, renewed, moved, theta)
-    assert_renewed(again, renewed, fresh, rows_of([(4, (1,)), (4, (0,))], 4))
-
-
-def test_a_state_of_several_blocks_counts_for_each_of_them() -> None:
-    model = build_model(with_effect({"name": "dwell_dependence", "ratio": 0.5}))
-    record, x = slow_record(model)
-    blocks = [block.states for block in record.integrator.blocks]
-    assert blocks == [(0, 4), (1, 4), (2, 4), (3, 4)]
-    theta = np.ones(4)
-    kept = kept_at(record, x, theta)
-    fresh_at = {step: x + step * np.eye(5)[4] * record.weights.move[4] / kept.A[2, 4, 4] for step in (0.5, 3.0)}
-    moved = x.copy()
-    moved[2] = fresh_at[3.0][2]
-    fresh = kept_at(record, moved, theta)
-    assert_renewed(renew(record, 0, kept, moved, theta), kept, fresh, rows_of([(2, (0, 1, 2, 3, 4))], 5))
-    # An element that moved takes its block's shared state along, and no other element.
-    moved = x.copy()
-    moved[2] = fresh_at[0.5][2]
-    moved[2, 1] += 2.0 * record.weights.move[1]
-    fresh = kept_at(record, moved, theta)
-    assert_renewed(renew(record, 0, kept, moved, theta), kept, fresh, rows_of([(2, (1, 4))], 5))
-
-
-def test_at_least_two_pairs_are_linearised_anew() -> None:
-    model = build_model(with_effect({"name": "backlash", "gap_m": 1e-5}))
-    record, x = slow_record(model)
-    assert len(record.integrator.blocks) == 1
-    theta = np.ones(4)
-    kept = kept_at(record, x, theta)
-    moved = x.copy()
-    for k, step in ((0, 2.0), (2, 5.0), (3, 4.0)):
-        moved[k, 0] += step * record.weights.move[0] / kept.A[k, 0, 0]
-    fresh = kept_at(record, moved, theta)
-    everything = tuple(range(model.n_x))
-    renewed = renew(record, 0, kept, moved, theta)
-    assert_renewed(renewed, kept, fresh, rows_of([(2, everything), (3, everything)], model.n_x))
-    last = renew(record, 0, renewed, moved, theta)
-    assert_renewed(last, renewed, fresh, rows_of([(0, everything)], model.n_x))
+    # One at an update; those that wait are next.
+    for interval in (3, 1, 2, 4, None):
+        renewed = renew(record, 0, kept, moved, theta)
+        assert_renewed(renewed, kept, fresh, interval)
+        kept = renewed
 
 
 def test_ekf_is_the_kalman_filter_on_a_linear_model() -> None:
@@ -239,8 +198,7 @@ def test_smoother_ends_where_the_kalman_filter_ends() -> None:
 
 def test_a_window_over_everything_is_the_smoother() -> None:
     # The nonlinear friction model: the smoother's solution is stationary for the dense problem of one long window.
-    machine = with_integrator(variant(estimator={"horizon": 25} | noise()), scheme="rk4")
-    model = build_model(machine)
+    model = build_model(axis("rk4", horizon=25, **noise()))
     motion = moving(2e-3 * np.sin(2.0 * np.pi * 4.0 * np.arange(2501) / 10000.0))
     nodes = simulate(Integrator(model), motion, np.array([1.2, 0.8, 1.1, 0.95]))
     friction = friction_at_samples(model, motion, nodes, np.array([1.2, 0.8, 1.1, 0.95]))
@@ -258,7 +216,7 @@ def test_a_window_over_everything_is_the_smoother() -> None:
         intervals=record.integrator.intervals(record.plan, 0, x[:-1], theta),
         outputs=record.integrator.outputs(x, record.w, theta),
     )
-    J, r = dense_problem(record, window, Arrival(*record.weights.prior))
+    J, r = dense_problem(record, window, Gaussian(*record.weights.prior), Scales.of(record))
     gradient = J.T @ r / (np.linalg.norm(J, axis=0) * np.linalg.norm(r))
     assert np.abs(gradient).max() < 1e-8
     std = np.sqrt(np.diag(np.linalg.inv(J.T @ J))[-4:])
@@ -305,7 +263,7 @@ def test_bounded_window_is_optimal() -> None:
     np.testing.assert_array_equal(result.status & Status.BOUND != 0, at_bound)
     # The last window that starts from the prior, solved by another method. The model is linear: any point will do.
     window = linearise(record, 0, np.zeros((6, 3)), np.ones(3))
-    J, r = dense_problem(record, window, Arrival(*record.weights.prior))
+    J, r = dense_problem(record, window, Gaussian(*record.weights.prior), Scales.of(record))
     lower, upper = np.full(J.shape[1], -np.inf), np.full(J.shape[1], np.inf)
     lower[-3:], upper[-3:] = -0.05, 0.02
     other = lsq_linear(J, -r, (lower, upper), method="bvls", tol=1e-14).x
@@ -332,7 +290,8 @@ def test_ekf_bounds_minimise_the_posterior() -> None:
 
 
 def axis(scheme: str = "flow", **estimator: Any) -> Machine:
-    return with_integrator(variant(estimator=estimator), scheme=scheme)
+    """An axis whose friction is measured at the nodes alone."""
+    return with_integrator(variant(sampling={"measurement_rate": 100.0}, estimator=estimator), scheme=scheme)
 
 
 def record_of(machine: Machine, velocity: Array, theta: Array, seed: int = 0) -> Signals:
@@ -474,12 +433,12 @@ def test_fixed_arrival_cost_is_centred_on_the_last_estimate() -> None:
     x, theta = np.zeros((1, 4)), np.ones(4)
     for node in range(1, 4):
         window = linearise(record, 0, x, theta)
-        d = solve(*dense_problem(record, window, Arrival(*record.weights.prior)))
+        d = solve(*dense_problem(record, window, Gaussian(*record.weights.prior), Scales.of(record)))
         x, theta = window.x + d[:-4].reshape(-1, 4), theta + d[-4:]
         np.testing.assert_allclose(result.extra["x"][node - 1], x[-1], atol=1e-12)
     centre = np.concatenate([x[1], theta])
-    arrival = Arrival(centre, np.diag(np.repeat([0.1, 0.05], 4) ** 2))
-    d = solve(*dense_problem(record, linearise(record, 1, x[1:], theta), arrival))
+    arrival = Gaussian(centre, np.diag(np.repeat([0.1, 0.05], 4) ** 2))
+    d = solve(*dense_problem(record, linearise(record, 1, x[1:], theta), arrival, Scales.of(record)))
     np.testing.assert_allclose(result.extra["theta"][3], theta + d[-4:], atol=1e-12)
 
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from reference_cases import moving, simulate, variant, with_integrator
+from reference_cases import arrays, moving, simulate, variant, with_integrator
 from sgms_mhe.machine import Smoothing
 from sgms_mhe.model import build_model
 from sgms_mhe.reference.flow import Flow, gate_ratio, relaxation, window
@@ -126,7 +126,7 @@ def test_flow_agrees_with_converged_rk4(peak: float) -> None:
         integrator = Integrator(build_model(with_integrator(machine, **settings)))
         plan = integrator.plan(moving(velocity))
         x = np.random.default_rng(0).uniform(-1.1, 1.1, (len(plan.path), 4))
-        results.append(integrator.intervals(plan, 0, x, theta))
+        results.append(arrays(integrator.intervals(plan, 0, x, theta)))
     for flow, rk4 in zip(*results, strict=True):
         np.testing.assert_allclose(flow, rk4, rtol=0.0, atol=2e-8)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from reference_cases import Array, along_lines, linear_model, lines, moving, simulate, variant, with_integrator
+from reference_cases import Array, along_lines, arrays, linear_model, lines, moving, simulate, variant, with_integrator
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
@@ -80,7 +80,9 @@ def test_python_and_compiled_loops_agree(scheme: str) -> None:
     x = np.random.default_rng(2).uniform(-1.1, 1.1, (2, 4))
     compiled, plain = Integrator(model), Integrator(model, compiled=False)
     plan = compiled.plan(moving(velocity))
-    for a, b in zip(compiled.intervals(plan, 0, x, THETA), plain.intervals(plan, 0, x, THETA), strict=True):
+    for a, b in zip(
+        arrays(compiled.intervals(plan, 0, x, THETA)), arrays(plain.intervals(plan, 0, x, THETA)), strict=True
+    ):
         np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-12)
     w = np.random.default_rng(3).standard_normal((2, 5))
     for a, b in zip(compiled.outputs(x, w, THETA), plain.outputs(x, w, THETA), strict=True):
@@ -93,7 +95,9 @@ def test_coupled_states_make_one_block() -> None:
     assert [block.states for block in compiled.blocks] == [(0, 2), (1,)]
     plan = compiled.plan(moving(np.sin(np.arange(41.0)), rate=100.0))
     x, theta = np.random.default_rng(2).standard_normal((8, 3)), np.array([1.3, 0.8, 0.9])
-    for a, b in zip(compiled.intervals(plan, 0, x, theta), plain.intervals(plan, 0, x, theta), strict=True):
+    for a, b in zip(
+        arrays(compiled.intervals(plan, 0, x, theta)), arrays(plain.intervals(plan, 0, x, theta)), strict=True
+    ):
         np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-13)
 
 
@@ -183,7 +187,9 @@ def test_python_and_compiled_loops_agree_on_merged_samples(scheme: str) -> None:
     plan, theta = compiled.plan(signals), THETA[:5]
     assert (plan.steps, plan.stairs) == (20, MERGED)
     x = simulate(compiled, signals, theta)[:-1]
-    for a, b in zip(compiled.intervals(plan, 0, x, theta), plain.intervals(plan, 0, x, theta), strict=True):
+    for a, b in zip(
+        arrays(compiled.intervals(plan, 0, x, theta)), arrays(plain.intervals(plan, 0, x, theta)), strict=True
+    ):
         np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-12)
 
 
@@ -329,7 +335,7 @@ def test_merged_samples_of_a_model_with_an_effect(effect: dict[str, Any], free: 
     plan = compiled.plan(signals)
     x = simulate(compiled, signals, theta)[:-1]
     exact = compiled.intervals(plan, 0, x, theta)
-    for a, b in zip(exact, plain.intervals(plan, 0, x, theta), strict=True):
+    for a, b in zip(arrays(exact), arrays(plain.intervals(plan, 0, x, theta)), strict=True):
         np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-12)
     for j in range(model.n_p):
         d = 1e-6 * np.eye(model.n_p)[j]

@@ -191,6 +191,18 @@ def test_qr_keeps_the_normal_matrix_and_the_columns_beyond(precision: str) -> No
         np.testing.assert_allclose(got.T @ got, expected.T @ expected, atol=50.0 * EPS[precision] * rows)
 
 
+def test_qr_of_numbers_whose_squares_lose_digits() -> None:
+    # Squares of 1e-22 are subnormal in single precision: a reflection by them would not keep lengths.
+    rng = np.random.default_rng(4)
+    rows = rng.standard_normal((9, 9)).astype(np.float32)
+    rows[:, 0] *= 1e-22
+    expected = rows[:, 1:].astype(float)
+    got = c_array(rows, "single")
+    runtime_probe("single").probe_qr(pointer(got), 9, 9, 9, 8)
+    found = got[:, 1:].astype(float)
+    np.testing.assert_allclose(found.T @ found, expected.T @ expected, atol=500.0 * EPS["single"])
+
+
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_qr_of_ranks_that_are_short(precision: str) -> None:
     probe = runtime_probe(precision)

@@ -136,9 +136,12 @@ static inline sgms_aligned sgms_filter_step(
     const int apart = wanted & (SGMS_FORCE | SGMS_ACCELERATION);
     sgms_real *const f = m->lowpass;
     sgms_real *const of_force = apart ? f + 8 : f + 4;
-    sgms_aligned out = {.position = SGMS_R(0.0), .acceleration = SGMS_R(0.0), .force = SGMS_R(0.0)};
     const sgms_position earlier = m->position[1]; /* difference */
     sgms_real velocity, acceleration;
+    sgms_aligned out;
+    out.position = SGMS_R(0.0);
+    out.acceleration = SGMS_R(0.0);
+    out.force = SGMS_R(0.0);
 
     if ((m->counts[0] & 1) == 0 && force_good) { /* first good force */
         m->counts[0] |= 1;

@@ -65,6 +65,15 @@ typedef uint64_t sgms_unsigned;
 #define SGMS_UNROLL
 #endif
 
+/* The keyword of C, which C++ does not have. */
+#if defined(__cplusplus) && (defined(__GNUC__) || defined(_MSC_VER))
+#define SGMS_RESTRICT __restrict
+#elif defined(__cplusplus)
+#define SGMS_RESTRICT
+#else
+#define SGMS_RESTRICT restrict
+#endif
+
 /* A function that becomes part of its caller: its constants fold, and it may stand in a loop that vectorises. */
 #if defined(__GNUC__)
 #define SGMS_INLINE __attribute__((always_inline)) inline

@@ -2,8 +2,7 @@
  *     -DSGMS_MACHINE=etel_xy -DSGMS_MACHINE_HEADER='"etel_xy.h"' */
 #include SGMS_MACHINE_HEADER
 
-#define JOIN2(a, b) a##_##b
-#define JOIN(a, b) JOIN2(a, b)
+#include "joined.h"
 
 /* As if so many samples had passed since init. */
 void probe_set_clock(void *self, int64_t samples)

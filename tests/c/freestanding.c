@@ -1,9 +1,7 @@
 /* A program without a library: -ffreestanding -nostdlib. Linking it is the test; running it moves the axis a little. */
 #include SGMS_MACHINE_HEADER
 
-#define JOIN2(a, b) a##_##b
-#define JOIN(a, b) JOIN2(a, b)
-#define CALL(name) JOIN(SGMS_MACHINE, name)
+#include "joined.h"
 
 static CALL(t) axis;
 volatile int status_out;

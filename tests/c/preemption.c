@@ -12,9 +12,7 @@
 
 #include SGMS_MACHINE_HEADER
 
-#define JOIN2(a, b) a##_##b
-#define JOIN(a, b) JOIN2(a, b)
-#define CALL(name) JOIN(SGMS_MACHINE, name)
+#include "joined.h"
 
 typedef CALL(t) machine;
 typedef CALL(estimate_t) machine_estimate;

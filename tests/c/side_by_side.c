@@ -10,8 +10,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#define JOIN2(a, b) a##_##b
-#define JOIN(a, b) JOIN2(a, b)
+#include "joined.h"
 
 enum { UPDATES = 40, SAMPLES = 100, AXES = 3 };
 

@@ -2,8 +2,7 @@
  * with a package: -DSGMS_MACHINE=etel_xy -DSGMS_MACHINE_HEADER='"etel_xy.h"' */
 #include SGMS_MACHINE_HEADER
 
-#define JOIN2(a, b) a##_##b
-#define JOIN(a, b) JOIN2(a, b)
+#include "joined.h"
 typedef JOIN(SGMS_MACHINE, t) machine;
 
 /* Older intervals that were condensed again; -1: none, and the factor was left as it was. */

@@ -28,7 +28,7 @@ def command(machine: str, as_json: bool) -> None:
     from sgms_mhe.emission.package import emit_package
 
     with progress_bar(f"check {resolved.name}"):
-        package = emit_package(resolved)  # what cannot be emitted is refused here
+        package = emit_package(resolved, within_budget=True)  # what cannot be emitted is refused here
     show(json_text(_content(resolved)) if as_json else _text(resolved, package))
 
 
@@ -41,6 +41,7 @@ def _content(machine: Machine) -> dict[str, Any]:
 
 
 def _text(machine: Machine, package: Package) -> str:
+    from sgms_mhe.emission.compensation import force_limit
     from sgms_mhe.model import build_model
     from sgms_mhe.signals.chain import settle_samples
 
@@ -82,17 +83,19 @@ def _text(machine: Machine, package: Package) -> str:
         f"{friction.stribeck_ratio:g} at {friction.stribeck_velocity:g} m/s, {law}",
         _indented(table_text(("element", "N/m", "fraction", "N s/m", "deflection um"), elements)),
         f"  sampling    {sampling.rate:g} Hz, low-pass {sampling.velocity_cutoff:g} Hz "
-        f"(settles in {settle_samples(machine)} samples), up to {sampling.max_velocity:g} m/s",
+        f"(settles in {settle_samples(machine)} samples), up to {sampling.max_velocity:g} m/s, "
+        f"friction read at {sampling.readings_per_update * sampling.update_rate:g} Hz",
         f"  integrator  {integrator.scheme}, {integrator.substeps} steps per interval of {interval}, "
         f"velocity {integrator.velocity}, at most {integrator.displacement:g} deflection scales per substep",
         f"  estimator   {estimator.kind}{horizon}, arrival cost {estimator.arrival_cost.update}",
         f"  noise       measurement {noise.measurement:g} N, state {noise.state:g} (as {noise.state_as}), "
         f"first state {noise.initial_state:g}, parameter {noise.parameter:g}, "
-        f"drift {noise.parameter_drift:g} per update",
+        f"drift {noise.parameter_drift:g} per update, {'scaled by innovations' if noise.self_scaling else 'as stated'}",
         _indented(table_text(("parameter", "nominal", "prior std", "lower", "upper"), parameters)),
     ]
     fed = machine.compensation
-    limit = "none" if fed.limit is None else f"{fed.limit:g} N"
+    largest = force_limit(machine)
+    limit = "none" if largest is None else f"{largest:g} N"
     lines.append(
         f"  fed forward {'on' if fed.enabled else 'off'} after init, {1e6 * fed.delay:g} us ahead, "
         f"ramp {fed.ramp:g} s, limit {limit}, hold below {fed.hold:g} m/s"
@@ -103,10 +106,8 @@ def _text(machine: Machine, package: Package) -> str:
     changed = ", ".join(f"{key} {value:g}" for key, value in machine.diagnosis.changed.items())
     lines.append(f"  diagnosis   {changed or 'all thresholds at their defaults'}")
     if machine.log is not None:
-        sources = machine.log.model_dump(exclude_none=True)
-        lines.append(
-            "  log         " + ", ".join(f"{name} from {source['variable']}" for name, source in sources.items())
-        )
+        sources = ", ".join(f"{name} from {column.described}" for name, column in machine.log.columns.items())
+        lines.append(f"  log         {sources}")
     size = sum(len(text.encode()) for text in package.files.values())
     lines.append(f"  package     {len(package.files)} files, {size} bytes, {machine.code.precision} precision")
     return "\n".join(lines)

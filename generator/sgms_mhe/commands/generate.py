@@ -40,7 +40,7 @@ def command(machine: str, out: Path | None, as_json: bool) -> None:
     from sgms_mhe.emission.package import emit_package, write_package
 
     with progress_bar(f"generate {resolved.name}"):
-        package = emit_package(resolved)
+        package = emit_package(resolved, within_budget=True)
         write_package(package, folder)
     sizes = {name: len(text.encode()) for name, text in package.files.items()}
     if as_json:

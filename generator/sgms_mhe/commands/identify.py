@@ -75,7 +75,7 @@ def command(
 
     from sgms_mhe.configuration import load_machine
     from sgms_mhe.identification import Wanted, identify
-    from sgms_mhe.signals.logs import read_log
+    from sgms_mhe.logfiles.reading import read_log
     from sgms_mhe.support.files import write_text
 
     model = load_machine(like) if like is not None else None

@@ -146,9 +146,7 @@ def _sampling(file: MachineFile) -> Sampling:
         raise file.refused((*_INTEGRATOR, "scheme"), "clip", allowed)
     tolerance = sampling.integrator.tolerance
     if tolerance is None:
-        if sampling.integrator.scheme == "flow":
-            _check_gate(file)
-        return sampling
+        return sampling if sampling.integrator.scheme != "flow" else _flowing(file)
     found = candidates(file.tables.friction, sampling, precision)
     chosen = choose(found, tolerance, precision)
     if chosen is None:
@@ -171,9 +169,17 @@ def _clipping(file: MachineFile) -> Integrator:
     return Integrator.model_validate({**given, "scheme": "clip"})
 
 
-def _check_gate(file: MachineFile) -> None:
-    """Refuse the displacement flow where the direction gate saturates at no speed: it would never be taken."""
-    smoothing = file.tables.friction.smoothed
-    if not gate_saturates(smoothing.zeta, smoothing.lambda_, smoothing.gamma):
+def _flowing(file: MachineFile) -> Sampling:
+    """The rates with the displacement flow, or by default with rk4 where it would never be taken.
+
+    Where the direction gate saturates at no speed the flow holds at none. Raises InputError where the file asks for it.
+    """
+    sampling, smoothing = file.tables.sampling, file.tables.friction.smoothed
+    if gate_saturates(smoothing.zeta, smoothing.lambda_, smoothing.gamma):
+        return sampling
+    integrator = sampling.integrator
+    if "scheme" in integrator.model_fields_set:
         allowed = "rk4: with a smoothing as soft as [friction] smoothing has, the flow holds at no speed"
         raise file.refused((*_INTEGRATOR, "scheme"), "flow", allowed)
+    given = {key: getattr(integrator, key) for key in integrator.model_fields_set}
+    return sampling.model_copy(update={"integrator": Integrator.model_validate({**given, "scheme": "rk4"})})

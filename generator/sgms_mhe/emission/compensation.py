@@ -13,6 +13,8 @@ AHEAD_DISPLACEMENT = 0.05
 """Largest move per Runge-Kutta step of the propagation ahead, in deflection scales: no sensitivity hangs on it."""
 AHEAD_SLOW_DISPLACEMENT = 0.01
 """The same per linearly implicit midpoint step, which an element takes below the gate of the propagation ahead."""
+LIMIT_OF_FRICTION = 2.0
+"""Largest force fed forward over the largest that the model's friction can have, where none is stated."""
 AHEAD_EQUAL = 4e-6
 """Slip, and relative deflections, that the propagation ahead may neglect."""
 FARTHEST_MOVE = 10.0
@@ -97,10 +99,26 @@ def compensation_of(machine: Machine) -> Compensation:
         gain_step=min(1.0, 1.0 / (rate * compensation.ramp)) if compensation.ramp else 1.0,
         hold=compensation.hold,
         carry=math.exp(-1.0 / machine.sampling.samples_per_update),
-        limit=compensation.limit,
+        limit=force_limit(machine),
         enabled=compensation.enabled,
         ahead=None if machine.friction.switches else _ahead(machine),
     )
+
+
+def force_limit(machine: Machine) -> float | None:
+    """Largest force [N] fed forward: as stated, or from the friction that the model can have; None: there is none."""
+    stated, friction, estimator = machine.compensation.limit, machine.friction, machine.estimator
+    if stated is not None or machine.effects:  # the forces of effects may be of any size
+        return stated
+
+    def most(name: str) -> float:
+        high = estimator.bounds.get(name, (0.0, math.inf))[1]
+        return high if name in estimator.parameters else 1.0
+
+    level = friction.coulomb * most("coulomb") * (1.0 + friction.stribeck_ratio * most("stribeck_ratio"))
+    damping = friction.viscous * most("viscous") + sum(friction.micro_viscous)
+    force = LIMIT_OF_FRICTION * (level + damping * machine.sampling.max_velocity)
+    return force if math.isfinite(force) else None
 
 
 def ahead_elastic(machine: Machine) -> float:

@@ -10,18 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe import __version__
+from sgms_mhe.emission.block_work import Ingredients
 from sgms_mhe.emission.c_source import CPrinter
+from sgms_mhe.emission.clock import Clock, clock_of
 from sgms_mhe.emission.compensation import Compensation, compensation_of
 from sgms_mhe.emission.element_law import ElementLaw, element_law
 from sgms_mhe.emission.flow import Flow, flow_of
 from sgms_mhe.emission.functions import Function, FunctionPrinter, Output, entries, scalar
 from sgms_mhe.emission.groups import GroupView, group_views
+from sgms_mhe.emission.operations import operations_of
 from sgms_mhe.emission.provenance import digest_of_sources
-from sgms_mhe.emission.schedule import Schedule, schedule_of
+from sgms_mhe.emission.schedule import Costs, schedule_of
 from sgms_mhe.emission.selftest import Vectors
 from sgms_mhe.emission.sizes import Sizes, couplings, sizes_of
 from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Variant, variant_of
+from sgms_mhe.emission.work import Work, work_of
 from sgms_mhe.integration.schemes import SCHEMES, Scheme
 from sgms_mhe.machine import Machine, runge_kutta_scheme
 from sgms_mhe.model import SIGNAL_NAMES, FreeParameter, Model
@@ -35,6 +39,25 @@ MOVE = 0.3
 """How far the end of an interval may move before that, over sqrt(sigma_x / lambda); over sigma_x where it switches."""
 HOLD_PART = 0.1
 """Path of an interval below which it says nothing of the parameters, over the smallest deflection scale."""
+
+
+@dataclass(frozen=True)
+class ReadingRule:
+    """How test ratios of readings, squared innovations over their predicted variance, change what readings count.
+
+    Attributes:
+        fast, slow: weights of the newest ratio in two means of them.
+        most: a ratio counts no more in the means.
+        free: beyond it a reading counts less at once.
+        doubted_fast, doubted_slow: means beyond which the readings contradict the model.
+    """
+
+    fast: float = 0.1
+    slow: float = 0.003
+    most: float = 1000.0
+    free: float = 9.0
+    doubted_fast: float = 5.0
+    doubted_slow: float = 2.0
 
 
 @dataclass(frozen=True)
@@ -76,9 +99,11 @@ class SignalView:
         lowpass: (b0, b1, b2, a1, a2).
         slope_weights: of each of the merged samples in the slope of the line through them.
         read: names of the signals that the estimator depends on, in the order of w.
-        of_chain: those of them that are asked for of the chain, beside velocity and friction.
+        of_output: names of those that the output depends on.
+        of_chain: those of the signals read that are asked for of the chain, beside velocity and friction.
         names: of all signals, in the order of w.
         raw: (name, sample term) of the signals that are sample terms themselves.
+        clock: of a model that is periodic in time; None of any other.
     """
 
     rate: float
@@ -92,9 +117,11 @@ class SignalView:
     lowpass: tuple[float, ...]
     slope_weights: tuple[float, ...]
     read: tuple[str, ...]
+    of_output: tuple[str, ...]
     of_chain: tuple[str, ...]
     names: tuple[str, ...]
     raw: tuple[tuple[str, int], ...]
+    clock: Clock | None
 
 
 @dataclass(frozen=True)
@@ -102,7 +129,8 @@ class Weights:
     """Weights of the least squares, and limits of what is a solution.
 
     Attributes:
-        inverse_measurement: [1/N].
+        measurement: [N].
+        readings: of the means of test ratios.
         prior_sd, drift_sd: of theta, drift per update.
         drift_interval: shifts of the window after which drift enters.
         hold_path: path of an interval below which it says nothing of the parameters [m].
@@ -112,7 +140,8 @@ class Weights:
         inverse_move: of an interval's end before it is linearised anew, over the state noise, per state.
     """
 
-    inverse_measurement: float
+    measurement: float
+    readings: ReadingRule
     prior_sd: float
     drift_sd: float
     drift_interval: int
@@ -173,12 +202,13 @@ class PackageView:
         law: constants of the law, where a group is emitted as it.
         flow: constants of the displacement flow, where a group follows it.
         vectors: self-test vectors, where the package has them.
+        work: what the calls take at most.
     """
 
     package: Identity
     variant: Variant
     sizes: Sizes
-    schedule: Schedule
+    schedule: Costs
     signals: SignalView
     weights: Weights
     couplings: Couplings
@@ -189,10 +219,11 @@ class PackageView:
     flow: Flow | None
     compensation: Compensation
     vectors: Vectors | None
+    work: Work
 
 
-def package_view(structure: Structure, vectors: Vectors | None) -> PackageView:
-    """Assemble what the templates of a model's package read."""
+def package_view(structure: Structure) -> PackageView:
+    """Assemble what the templates of a model's package read, self-test vectors aside."""
     model = structure.model
     machine = model.machine
     printer = CPrinter(machine.code.precision)
@@ -201,21 +232,42 @@ def package_view(structure: Structure, vectors: Vectors | None) -> PackageView:
     sizes = sizes_of(structure, variant)
     groups = group_views(structure, sizes, functions)
     integrator = machine.sampling.integrator
+    signals, couplings, model_view = (
+        _signals(structure),
+        _couplings(structure, sizes),
+        _model_view(structure, functions),
+    )
+    ingredients = Ingredients(
+        structure=structure,
+        sizes=sizes,
+        variant=variant,
+        schedule=schedule_of(sizes, variant),
+        scheme=SCHEMES[runge_kutta_scheme(integrator.scheme)],
+        flow=flow_of(machine) if any(g.follows_flow for g in groups) else None,
+        compensation=compensation_of(machine),
+        reach=couplings.reach,
+        signals=len(signals.raw),
+        terms=operations_of(model_view.sample_terms),
+        output=operations_of(model_view.output),
+        feed_forward=operations_of(model_view.feed_forward),
+        parameter_terms=operations_of(model_view.parameter_terms),
+    )
     return PackageView(
         package=_identity(machine, printer),
         variant=variant,
         sizes=sizes,
-        schedule=schedule_of(sizes, variant),
-        signals=_signals(structure),
+        schedule=ingredients.schedule,
+        signals=signals,
         weights=_weights(model, variant),
-        couplings=_couplings(structure, sizes),
-        model=_model_view(structure, functions),
+        couplings=couplings,
+        model=model_view,
         groups=groups,
-        scheme=SCHEMES[runge_kutta_scheme(integrator.scheme)],
+        scheme=ingredients.scheme,
         law=element_law(machine) if any(g.obeys_law for g in groups) else None,
-        flow=flow_of(machine) if any(g.follows_flow for g in groups) else None,
-        compensation=compensation_of(machine),
-        vectors=vectors,
+        flow=ingredients.flow,
+        compensation=ingredients.compensation,
+        vectors=None,
+        work=work_of(groups, ingredients),
     )
 
 
@@ -258,9 +310,11 @@ def _signals(structure: Structure) -> SignalView:
         lowpass=lowpass_coefficients(machine),
         slope_weights=tuple(3.0 / (merged * merged - 1.0) * (2.0 * places + 1.0 - merged)) if merged > 1 else (),
         read=read,
+        of_output=_names_read(structure.model.output, structure.model),
         of_chain=tuple(name for name in ("position", "force", "acceleration") if name in read),
         names=SIGNAL_NAMES,
         raw=tuple((t.name, k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES),
+        clock=clock_of(structure) if "time" in read else None,
     )
 
 
@@ -268,15 +322,22 @@ def _signals_read(structure: Structure) -> tuple[str, ...]:
     """Names of the signals that the estimator's functions depend on; velocity it needs itself."""
     model = structure.model
     functions = ca.vertcat(*(t.expression for t in structure.sample_terms), model.output, model.feed_forward)
-    depends = ca.which_depends(functions, model.w)
-    return tuple(name for name, does in zip(SIGNAL_NAMES, depends, strict=True) if does or name == "velocity")
+    read = {"velocity", *_names_read(functions, model)}
+    return tuple(name for name in SIGNAL_NAMES if name in read)
+
+
+def _names_read(expression: ca.SX, model: Model) -> tuple[str, ...]:
+    """Names of the signals that an expression depends on, in the order of w."""
+    depends = ca.which_depends(expression, model.w)
+    return tuple(name for name, does in zip(SIGNAL_NAMES, depends, strict=True) if does)
 
 
 def _weights(model: Model, variant: Variant) -> Weights:
     machine = model.machine
     noise, largest = machine.estimator.noise, 1e30 if variant.single else 1e300
     return Weights(
-        inverse_measurement=1.0 / noise.measurement,
+        measurement=noise.measurement,
+        readings=ReadingRule(),
         prior_sd=noise.parameter,
         drift_sd=noise.parameter_drift if variant.drifts else 0.0,
         drift_interval=machine.estimator.drift_interval,

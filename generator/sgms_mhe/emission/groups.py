@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from sgms_mhe.emission.compensation import AHEAD_DISPLACEMENT, AHEAD_SLOW_DISPLACEMENT, ahead_elastic
@@ -37,6 +38,7 @@ class GroupView:
         terms: names of the sample terms, which its functions take.
         blocks: in the order of their states.
         rates: (name, meaning) of the numbers of a block's substeps.
+        most_substeps: Runge-Kutta substeps of a step at max_velocity, of a group without steps in closed form.
         slow_steps: Runge-Kutta steps of constant signals below the flow's gate, where all blocks take as many.
         rhs: d(chi)/dt and its derivatives in chi and q.
         level: of Maxwell-slip elements, rho and f_C / s(v), or s(v) / f_C where they switch, with their derivatives;
@@ -57,6 +59,7 @@ class GroupView:
     terms: tuple[str, ...]
     blocks: tuple[BlockView, ...]
     rates: tuple[tuple[str, str], ...]
+    most_substeps: int | None
     slow_steps: int | None
     rhs: Function
     level: Function | None
@@ -129,6 +132,7 @@ def _view(group: Group, sizes: GroupSizes, structure: Structure, printer: Functi
             for k, block in enumerate(group.blocks)
         ),
         rates=tuple((rate.name, rate.meaning) for rate in rates),
+        most_substeps=None if flow or group.switches else max(math.ceil(most) for most in rates[-1].values),
         slow_steps=common_slow_steps(group, structure) if flow else None,
         rhs=_rhs(group, printer),
         level=_level(group, printer, in_q=level_in_q) if flow or law or group.switches else None,

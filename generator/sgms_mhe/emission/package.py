@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from sgms_mhe.emission.budget import check_budget
 from sgms_mhe.emission.context import PackageView, package_view
 from sgms_mhe.emission.rendering import render
 from sgms_mhe.emission.selftest import selftest_vectors
@@ -29,13 +30,16 @@ class Package:
     files: Mapping[str, str]
 
 
-def emit_package(machine: Machine, model: Model | None = None, *, selftest: bool = True) -> Package:
+def emit_package(
+    machine: Machine, model: Model | None = None, *, selftest: bool = True, within_budget: bool = False
+) -> Package:
     """Generate the C of a machine.
 
     Args:
         machine: the machine file.
         model: its symbolic model, where that is not what `build_model` makes of the machine.
         selftest: with the self-test vectors, for which the reference solver has to run.
+        within_budget: refuse a machine whose longest tick takes more operations than its budget.
 
     Raises:
         InputError: the machine asks for something that cannot be emitted; the message says what.
@@ -44,7 +48,11 @@ def emit_package(machine: Machine, model: Model | None = None, *, selftest: bool
     if model.n_p == 0:
         raise InputError(machine.source, "estimator.parameters", [], "at least one parameter to estimate")
     structure = analyse(model)
-    view = package_view(structure, selftest_vectors(model) if selftest else None)
+    view = package_view(structure)
+    if within_budget:
+        check_budget(machine, view.work)
+    if selftest:
+        view = replace(view, vectors=selftest_vectors(model))
     files = render(view) | _runtime(view)
     files["structure.txt"] = report(structure)
     if machine.sampling.integrator.tolerance is not None:

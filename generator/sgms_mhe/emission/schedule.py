@@ -17,42 +17,37 @@ class Costs:
     Attributes:
         expand: the node of an older interval from its successor's.
         step: a step of the series of what is linearised anew.
-        condense: a node out of the sweep's factor.
+        readings: those of an older interval into the sweep's factor.
+        condense: a node out of that.
+        fold: a reading inside the newest interval into it.
         per_sample: of the units in one sample.
     """
 
     expand: int
     step: int
+    readings: int
     condense: int
+    fold: int
     per_sample: int
 
 
-@dataclass(frozen=True)
-class Schedule:
-    """Costs where compilers vectorise, and where they do not: there blocks go one after the other, not side by side."""
-
-    vector: Costs
-    scalar: Costs
-
-
-def schedule_of(sizes: Sizes, variant: Variant) -> Schedule:
+def schedule_of(sizes: Sizes, variant: Variant) -> Costs:
     """Share the work of an update out over the samples of an interval but its last."""
-    return Schedule(
-        vector=_costs(sizes, variant, sizes.step_cost, batches=1),
-        scalar=_costs(sizes, variant, sizes.largest_step_cost, batches=sizes.chosen),
-    )
-
-
-def _costs(sizes: Sizes, variant: Variant, step: int, *, batches: int) -> Costs:
-    """Costs where a step of one interval costs `step`, and "auto" takes every one `batches` times."""
-    n_x, n_p, slots = sizes.states, sizes.parameters, sizes.slots
-    expand = (1 + (variant.relinearise == "auto")) * n_x * (n_x + n_p)
-    condense = 2 * n_x * (n_x + 2) * sizes.kept_width + 2 * (n_x + n_p) * (n_x + n_p + 1)
-    step *= slots if variant.relinearise == "all" else 1
-    steps = {"all": 1, "auto": batches, "newest": 0}[variant.relinearise] * sizes.steps
+    n_x, n_p, slots, width = sizes.states, sizes.parameters, sizes.slots, sizes.factor_rows + 1
+    intervals = {"all": slots, "auto": 1, "newest": 0}[variant.relinearise]
+    reading = n_x * (n_x + n_p) * (2 + n_x) if sizes.inner else 0
+    expand = 2 * (1 + (variant.relinearise == "auto")) * n_x * (n_x + n_p)
+    fold = 3 * width * width
+    readings = 2 * sizes.factor_rows * width + sizes.inner * sizes.factor_rows * width
+    condense = 2 * n_x * (n_x + 2) * sizes.kept_width + 2 * sizes.factor_rows * width
+    step = (sizes.step_cost + reading) * max(1, intervals)
     # In the order in which they are done: nodes of the last solution, the start of the sweep, steps, condensing.
-    units = [(expand, slots - 1), (condense, 1), (step, steps), (condense, slots - 1)]
-    return Costs(expand, step, condense, _least_per_sample(units, sizes.samples - 1))
+    units = [(expand, slots - 1), (condense, 1), (step, sizes.steps if intervals else 0)]
+    units += (slots - 1) * [(readings, 1), (condense, 1)]
+    units.append((fold, sizes.inner))
+    # A sample that completes a merged one has a step of its own to take.
+    samples = sizes.samples - (sizes.steps if variant.merges else 1)
+    return Costs(expand, step, readings, condense, fold, _least_per_sample(units, samples))
 
 
 def _least_per_sample(units: Sequence[tuple[int, int]], samples: int) -> int:

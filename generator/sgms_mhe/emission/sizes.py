@@ -75,12 +75,13 @@ class Sizes:
         series_stride: intervals in a row of the series.
         samples: per interval. merged: samples per step of the series. steps: of the series, per interval.
         nodes: of a step of the series, at which its signals are given. terms: sample terms stored per node.
-        chosen: blocks of older intervals linearised anew per update, at most, where those that moved most are chosen.
         coupled: states that a state depends on over an interval, at most.
         block_states: states of each block, group by group.
         groups: sizes of each group.
         kept_steps: steps of the series that are kept, of each interval.
         least_substeps: Runge-Kutta substeps of a step of the series, at least.
+        inner: readings inside an interval, besides the one at its end.
+        spacing: steps of the series from one reading to the next.
     """
 
     states: int
@@ -97,12 +98,13 @@ class Sizes:
     steps: int
     nodes: int
     terms: int
-    chosen: int
     coupled: int
     block_states: tuple[tuple[int, ...], ...]
     groups: tuple[GroupSizes, ...]
     kept_steps: int
     least_substeps: int
+    inner: int
+    spacing: int
 
     @property
     def blocks(self) -> int:
@@ -123,11 +125,6 @@ class Sizes:
     def step_cost(self) -> int:
         """Multiplications, or so, of one step of the series of all blocks, at worst."""
         return sum(g.cost * g.rows * g.n_blocks for g in self.groups)
-
-    @property
-    def largest_step_cost(self) -> int:
-        """The same of the block with the most work."""
-        return max(g.cost * g.rows for g in self.groups)
 
     @property
     def blocks_rows(self) -> int:
@@ -165,6 +162,16 @@ class Sizes:
         return 2 * self.states + self.parameters + 1
 
     @property
+    def inner_rows(self) -> int:
+        """Rows that say of (x, theta) what all readings inside an interval say."""
+        return min(self.inner, self.factor_rows)
+
+    @property
+    def inner_size(self) -> int:
+        """Numbers of these rows, row i from column i on."""
+        return self.triangle_row(self.inner_rows)
+
+    @property
     def triangle(self) -> int:
         """Numbers of the upper triangle of a factor with its right side."""
         return self.triangle_row(self.factor_rows)
@@ -179,12 +186,11 @@ def sizes_of(structure: Structure, variant: Variant) -> Sizes:
     model = structure.model
     sampling = model.machine.sampling
     groups = _groups(structure)
-    n_blocks = sum(g.n_blocks for g in groups)
     slots = max(1, variant.horizon)
-    chosen = max(2, n_blocks)  # docs/estimation.md
     vector = VECTOR_BYTES // (4 if variant.single else 8)
-    side_by_side = {"all": slots, "auto": chosen, "newest": 1}[variant.relinearise]
-    lane_stride = -(-max(side_by_side, *(g.n_blocks for g in groups)) // vector) * vector
+    lane_stride = (
+        -(-max(slots if variant.relinearise == "all" else 1, *(g.n_blocks for g in groups)) // vector) * vector
+    )
     steps = sampling.samples_per_update // sampling.merged
     return Sizes(
         states=model.n_x,
@@ -201,12 +207,13 @@ def sizes_of(structure: Structure, variant: Variant) -> Sizes:
         steps=steps,
         nodes=3 if variant.varies else 1,
         terms=len(structure.sample_terms),
-        chosen=chosen,
         coupled=max(len(row) for row in couplings(structure)),
         block_states=tuple(b.states for g in structure.groups for b in g.blocks),
         groups=groups,
         kept_steps=steps if variant.has_series else 1,
         least_substeps=max(1, sampling.integrator.substeps // sampling.samples_per_update),
+        inner=sampling.readings_per_update - 1,
+        spacing=steps // sampling.readings_per_update,
     )
 
 

@@ -24,6 +24,7 @@ class Variant:
             linearisations are kept and the output is affine in what is estimated.
         merges: a step of the series is a line through several samples.
         linear: signals are lines between samples that are not merged.
+        self_scaling: readings are weighed by how well they were predicted.
     """
 
     single: bool
@@ -34,6 +35,7 @@ class Variant:
     resumes: bool
     merges: bool
     linear: bool
+    self_scaling: bool
 
     @property
     def varies(self) -> bool:
@@ -44,6 +46,11 @@ class Variant:
     def has_series(self) -> bool:
         """Whether the series of older intervals is kept, because they may be integrated again."""
         return self.relinearise != "newest"
+
+    @property
+    def keeps_inner(self) -> bool:
+        """Whether the readings inside an older interval stay as they were linearised."""
+        return self.horizon > 0 and self.relinearise != "all"
 
     @property
     def drifts(self) -> bool:
@@ -69,4 +76,5 @@ def variant_of(model: Model) -> Variant:
         resumes=horizon > 0 and relinearise != "all" and not fixed and model.output_is_affine,
         merges=sampling.merged > 1,
         linear=sampling.integrator.velocity == "linear",
+        self_scaling=estimator.noise.self_scaling,
     )

@@ -33,7 +33,6 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.reference import Integrator
-from sgms_mhe.reference.linearised import Linearised
 from sgms_mhe.signals.chain import signal_array, signals_from_log
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS
@@ -238,7 +237,7 @@ class Bench:
                 y=np.array([signals.friction[part] for part in at_nodes]),
             ),
             first=tuple(firsts),
-            exact=Linearised(*(np.array(part) for part in zip(*exact, strict=True))),
+            exact=tuple(exact),
         )
 
     def variant(self, name: str, machine: Machine, relinearise: str, recording: Recording) -> Variant:
@@ -274,8 +273,10 @@ class Bench:
             found = export.evaluation(windows, results.read_bytes())
             instructions = instructions_of(command, _PEER_UPDATE)
         state, sensitivity = (
-            largest_magnitude(found.x1 - exact.x1),
-            largest_magnitude(found.A - exact.A, found.B - exact.B),
+            largest_magnitude(found.x1 - np.array([window.x1 for window in exact])),
+            largest_magnitude(
+                found.A - np.array([window.A for window in exact]), found.B - np.array([window.B for window in exact])
+            ),
         )
         return Peer(
             name=f"CasADi {kind}, rk4 x {steps}",

@@ -51,6 +51,7 @@ PAPER_WEIGHTS: Final[dict[str, Any]] = {
         "parameter_drift": 0.0,
         "initial_state": 1.0,
         "state_as": "deflection",
+        "self_scaling": False,
     },
     "arrival_cost": {"update": "fixed"},
     "bounds": {"stiffness": [1e-3, 1e3]},
@@ -63,6 +64,11 @@ PAPER_WEIGHTS_EKF: Final[dict[str, Any]] = PAPER_WEIGHTS | {
     "kind": "ekf",
     "noise": PAPER_WEIGHTS["noise"] | {"parameter": 1.0, "parameter_drift": 0.05},
 }
+
+
+def papers(weights: Mapping[str, Any]) -> dict[str, Any]:
+    """Changes of etel_xy that make it one of the paper's estimators, which take one reading per update."""
+    return {"sampling": {"measurement_rate": 100.0}, "estimator": weights}
 
 
 @dataclass(frozen=True)
@@ -121,8 +127,8 @@ def run_experiment(
         outcomes[name] = run()
         step()
     paper = {
-        "MHE, C": run_estimator("MHE, C", override_machine(machine, {"estimator": PAPER_WEIGHTS}), record),
-        "EKF, C": run_estimator("EKF, C", override_machine(machine, {"estimator": PAPER_WEIGHTS_EKF}), record),
+        "MHE, C": run_estimator("MHE, C", override_machine(machine, papers(PAPER_WEIGHTS)), record),
+        "EKF, C": run_estimator("EKF, C", override_machine(machine, papers(PAPER_WEIGHTS_EKF)), record),
     }
     step()
     notes = (

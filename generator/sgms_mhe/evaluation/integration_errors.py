@@ -28,7 +28,7 @@ class Recording:
         signals: after the signal chain.
         windows: as the peers take them; their nodes lie on the way of the nominal model.
         first: node at which each window begins.
-        exact: end, A and B of the windows' intervals, windows x intervals first.
+        exact: the windows' intervals, window by window.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Recording:
     signals: Signals
     windows: Windows
     first: tuple[int, ...]
-    exact: Linearised
+    exact: tuple[Linearised, ...]
 
 
 def emitted_errors(machine: Machine, package: Package, recording: Recording) -> tuple[float | None, float | None]:
@@ -60,9 +60,9 @@ def emitted_errors(machine: Machine, package: Package, recording: Recording) -> 
                 for seed in np.split(seeds, seeds.shape[1] // n_p, axis=1)
             ]
             by_x = np.hstack(columns)[:, :n_x]
-            exact = recording.exact
-            state.append(x1 - exact.x1[window, k])
-            sensitivity += [d_x1 - exact.B[window, k], by_x - exact.A[window, k]]
+            exact = recording.exact[window]
+            state.append(x1 - exact.x1[k])
+            sensitivity += [d_x1 - exact.B[k], by_x - exact.A[k]]
     return largest_magnitude(*state), largest_magnitude(*sensitivity)
 
 

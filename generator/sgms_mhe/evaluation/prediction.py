@@ -15,7 +15,7 @@ from sgms_mhe.configuration import override_machine
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import Signals, signals_from_log
-from sgms_mhe.signals.formats import write_columns
+from sgms_mhe.signals.columns import write_columns
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 

@@ -186,6 +186,9 @@ def _estimate_type(model: Model) -> np.dtype[Any]:
             ("deflection", "<f4", (n_z,)),
             ("parameter", "<f4", (n_p,)),
             ("deviation", "<f4", (n_p,)),
+            ("innovation", "<f4"),
+            ("test_ratio", "<f4"),
+            ("noise_scale", "<f4"),
             ("status", "<i4"),
         ]
     )
@@ -302,6 +305,9 @@ def _estimates(model: Model, rows: NDArray[Any], times: Array) -> Estimates:
         z_m=rows["deflection"].astype(np.float64),
         parameters=rows["parameter"].astype(np.float64),
         std=rows["deviation"].astype(np.float64),
+        innovation_N=rows["innovation"].astype(np.float64),
+        test_ratio=rows["test_ratio"].astype(np.float64),
+        noise_scale=rows["noise_scale"].astype(np.float64),
         status=rows["status"].astype(np.int64),
         parameter_names=tuple(p.column for p in model.parameters),
     )

@@ -274,7 +274,7 @@ class CompiledEstimator:
     def _estimates(self, run: _Run, time: Array) -> Estimates:
         n_z, n_p = self.model.n_z, self.model.n_p
         nodes = self._samples * np.arange(1, len(run.rows) + 1)
-        columns = np.split(run.rows, np.cumsum([1, 1, n_z, n_p]), axis=1)
+        columns = np.split(run.rows, np.cumsum([1, 1, n_z, n_p, n_p]), axis=1)
         return Estimates(
             time_s=time[nodes],
             friction_measured_N=columns[0][:, 0],
@@ -282,6 +282,9 @@ class CompiledEstimator:
             z_m=columns[2],
             parameters=columns[3],
             std=columns[4],
+            innovation_N=columns[5][:, 0],
+            test_ratio=columns[5][:, 1],
+            noise_scale=columns[5][:, 2],
             status=run.status,
             parameter_names=tuple(p.column for p in self.model.parameters),
             extra={"compensation_N": run.compensation},

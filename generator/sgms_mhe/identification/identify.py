@@ -25,11 +25,11 @@ from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid
 from sgms_mhe.identification.terms import Term, companion_terms, mass_term, sampling_terms, viscous_term
 from sgms_mhe.identification.weights import measurement_noise
 from sgms_mhe.identification.writing import checked, machine_content, machine_toml
+from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import MOVES, Measure, effect_definition
 from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.signals.plausibility import check_plausible
 from sgms_mhe.support.errors import InputError
 
 LEAST_TRAVEL: Final = 20.0

@@ -6,22 +6,28 @@ from sgms_mhe.machine.diagnosis import Thresholds
 from sgms_mhe.machine.estimator import ArrivalCost, Estimator, Noise
 from sgms_mhe.machine.fields import listing
 from sgms_mhe.machine.file import Tables, json_schema
-from sgms_mhe.machine.log_mapping import LOG_UNITS, LogColumn, LogMapping
+from sgms_mhe.machine.log_mapping import SEPARATORS, LogColumn, LogMapping
+from sgms_mhe.machine.log_units import BY_COLUMN, COUNTS, QUANTITIES, REQUIRED, Kind, Quantity, Role, normal_unit
 from sgms_mhe.machine.reading import Layer, MachineFile, machine_file, merged, read_machine_file
 from sgms_mhe.machine.resolved import Machine, ResolvedEffect, estimable_names
 from sgms_mhe.machine.sampling import CLOSED_FORMS, DISPLACEMENT, Integrator, Sampling, runge_kutta_scheme
 
 __all__ = [
     "BASE_PARAMETERS",
+    "BY_COLUMN",
     "CLOSED_FORMS",
+    "COUNTS",
     "DISPLACEMENT",
-    "LOG_UNITS",
+    "QUANTITIES",
+    "REQUIRED",
+    "SEPARATORS",
     "ArrivalCost",
     "Code",
     "Compensation",
     "Estimator",
     "Friction",
     "Integrator",
+    "Kind",
     "Layer",
     "LogColumn",
     "LogMapping",
@@ -29,7 +35,9 @@ __all__ = [
     "MachineFile",
     "Noise",
     "Plant",
+    "Quantity",
     "ResolvedEffect",
+    "Role",
     "Sampling",
     "Smoothing",
     "Tables",
@@ -39,6 +47,7 @@ __all__ = [
     "listing",
     "machine_file",
     "merged",
+    "normal_unit",
     "read_machine_file",
     "runge_kutta_scheme",
 ]

@@ -12,7 +12,14 @@ class Compensation(Table):
 
     delay: float = quantity("from a sample until the force that answers it acts, mean", "s", 0.0, ge=0, le=0.1)
     ramp: float = quantity("from off to fully on, and back", "s", 0.0, ge=0, le=100)
-    limit: float | None = quantity("largest force fed forward; absent: none", "N", None, gt=0, le=1e9)
+    limit: float | None = quantity(
+        "largest force fed forward; default twice the friction at max_velocity with parameters at their upper bounds, "
+        "none on an axis with effects or where coulomb or viscous is estimated without bounds",
+        "N",
+        None,
+        gt=0,
+        le=1e9,
+    )
     hold: float = quantity(
         "speed below which the force fed forward holds; two encoder steps over the filters' delay end hunting at rest",
         "m/s",
@@ -27,3 +34,10 @@ class Code(Table):
     """The emitted C."""
 
     precision: Literal["double", "single"] = text("floating-point type", "double or single", "double")
+    tick_budget: float | None = quantity(
+        "operations that the longest tick may take; default 250e6 per second, a Cortex-M7's, over rate",
+        "1",
+        None,
+        gt=0,
+        le=1e15,
+    )

@@ -23,6 +23,9 @@ class Noise(Table):
     state_as: Literal["force", "deflection"] = text(
         "node state that the noise acts on", "force (element force) or deflection (the paper)", "force"
     )
+    self_scaling: bool = text(
+        "readings count less while they contradict what the estimator predicts of them", "true or false", True
+    )
 
 
 class ArrivalCost(Table):

@@ -31,7 +31,8 @@ C_KEYWORDS: Final = frozenset(
 
 RESERVED_NAMES: Final = re.compile(
     r"sgms(_.*)?"  # the runtime's files and symbols
-    r"|(element|block)[0-9]*|chain|course|flow|friction|hold|parameter|sample|selftest|start|take"  # a package's own
+    r"|(element|block)[0-9]*|chain|course|flow|friction|good|hold|inner|parameter|sample"  # a package's own
+    r"|selftest|start|take"
     r"|u?int((_least|_fast)?[0-9]+|ptr|max)|size|ptrdiff|wchar|wint|clock|time|fpos|va_list"  # types of the C library
     r"|assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|std[a-z]+|string|tgmath"
     r"|threads|uchar|wctype",  # its headers

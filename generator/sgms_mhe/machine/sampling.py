@@ -27,6 +27,8 @@ CHOSEN_BY_LAW: Final = ("scheme", "tolerance", "displacement", "slow_displacemen
 MOST_SAMPLES: Final = 1e5
 """Samples of an interval: an update every ten seconds at 10 kHz."""
 RATIO_TOLERANCE: Final = 1e-9
+READINGS_PER_CUTOFF: Final = 2.0
+"""Of velocity_cutoff: more readings per second than this say little new, the filters having made them alike."""
 SMALLEST_CUTOFF: Final = 1e-4  # of rate: below it the low-pass coefficients lose their digits
 
 
@@ -38,10 +40,16 @@ def runge_kutta_scheme(scheme: str) -> str:
 class Integrator(Table):
     """How one shooting interval is integrated."""
 
-    scheme: Literal["rk4", "rk2", "bs23", "euler", "flow", "clip"] = text(
-        "integration scheme",
-        "rk4, rk2, bs23, euler or flow; clip where, and only where, [friction] law is switching",
-        "rk4",
+    velocity: Literal["constant", "linear"] = text(
+        "velocity between two samples",
+        "constant or linear (linear: at least one substep per sample, neither flow nor clip)",
+        "constant",
+    )
+    scheme: Literal["rk4", "rk2", "bs23", "euler", "flow", "clip"] = Field(
+        default_factory=lambda data: "rk4" if data.get("velocity") == "linear" else "flow",
+        description="integration scheme; rk4, rk2, bs23, euler or flow; clip where, and only where, [friction] law is "
+        "switching; default 'flow', 'clip' where law is switching, 'rk4' where velocity is linear or the smoothing too "
+        "soft for the flow",
     )
     substeps: int = Field(
         1,
@@ -49,11 +57,6 @@ class Integrator(Table):
         le=1_000_000,
         description="least number of steps per shooting interval [1]; a multiple or a divisor of rate / update_rate; "
         "default: rate / update_rate",
-    )
-    velocity: Literal["constant", "linear"] = text(
-        "velocity between two samples",
-        "constant or linear (linear: at least one substep per sample, neither flow nor clip)",
-        "constant",
     )
     displacement: float = Field(
         default_factory=lambda data: DISPLACEMENT[data["scheme"]],
@@ -80,9 +83,16 @@ class Sampling(Table):
 
     rate: float = quantity("sample rate of position and force", "Hz", 10000.0, gt=0, le=1e7)
     update_rate: float = quantity("estimator updates; divides rate", "Hz", 100.0, gt=0, le=1e6)
+    measurement_rate: float | None = Field(
+        None,
+        gt=0,
+        le=1e7,
+        description="friction readings that the estimator uses [Hz]; > 0 and <= 1e+07, a multiple of update_rate that "
+        "divides rate; default: the largest up to 2 velocity_cutoff",
+    )
     velocity_cutoff: float = quantity("second-order low-pass; < rate / 2", "Hz", 500.0, gt=0)
     max_velocity: float = quantity("speed up to which the estimate is right", "m/s", 1.0, gt=0, le=1e3)
-    integrator: Integrator = Field(Integrator(), description="integration scheme; default rk4, one substep per sample")
+    integrator: Integrator = Field(Integrator(), description="integration scheme; default flow, one step per sample")
 
     @property
     def samples_per_update(self) -> int:
@@ -98,6 +108,21 @@ class Sampling(Table):
     def merged(self) -> int:
         """K, samples that make one integration step."""
         return max(1, self.samples_per_update // self.integrator.substeps)
+
+    @property
+    def readings_per_update(self) -> int:
+        """R, friction readings per shooting interval, the last one at its end; whole integration steps apart."""
+        if self.measurement_rate is not None:
+            return round(self.measurement_rate / self.update_rate)
+        most = max(
+            1, math.floor(READINGS_PER_CUTOFF * self.velocity_cutoff / self.update_rate * (1.0 + RATIO_TOLERANCE))
+        )
+        return max(count for count in range(1, most + 1) if self._can_read(count))
+
+    def _can_read(self, count: int) -> bool:
+        """Whether so many readings per interval lie whole integration steps apart."""
+        samples = self.samples_per_update
+        return samples % count == 0 and samples // count % self.merged == 0
 
     @property
     def varies_in_step(self) -> bool:
@@ -140,6 +165,7 @@ class Sampling(Table):
         steps = self.integrator.substeps
         if steps % samples and samples % steps:
             raise refusal("integrator.substeps", steps, f"a multiple or a divisor of rate / update_rate = {samples}")
+        self._check_measurement_rate()
         if self.integrator.velocity == "linear":
             if self.integrator.tolerance is not None:
                 raise refusal("integrator.velocity", "linear", "constant, where a tolerance is given")
@@ -152,3 +178,15 @@ class Sampling(Table):
                     f"constant, where substeps < {samples}: merged samples are lines already",
                 )
         return self
+
+    def _check_measurement_rate(self) -> None:
+        if self.measurement_rate is None:
+            return
+        ratio = self.measurement_rate / self.update_rate
+        count = round(ratio)
+        if count < 1 or abs(ratio - count) > RATIO_TOLERANCE * ratio or not self._can_read(count):
+            most = self.samples_per_update
+            rates = [n * self.update_rate for n in range(1, most + 1) if self._can_read(n)]
+            steps = f" and leaves whole steps of {self.merged} samples between readings" if self.merged > 1 else ""
+            allowed = f"a multiple of update_rate that divides rate{steps}: {listing([f'{r:g}' for r in rates])} Hz"
+            raise refusal("measurement_rate", self.measurement_rate, allowed)

@@ -41,6 +41,8 @@ class CompiledLoops:
         offsets = (first + np.arange(count, dtype=np.int64)) * plan.steps
         x1, A, B = np.empty((count, n_x)), np.empty((count, n_x, n_x)), np.empty((count, n_p, n_x))
         x, theta = np.ascontiguousarray(x), np.ascontiguousarray(theta)
+        inside, inner_w = (count, plan.readings - 1), plan.inner_w[first : first + count]
+        inner = Outputs(np.empty(inside), np.empty((*inside, n_x)), np.empty((*inside, n_p)))
         function, packed = self._library.sgms_reference_intervals, self._packed
 
         def run(part: slice) -> None:
@@ -64,6 +66,8 @@ class CompiledLoops:
                 _pointer(x1[part]),
                 _pointer(A[part]),
                 _pointer(B[part]),
+                _pointer(inner_w[part]),
+                *(_pointer(array[part]) for array in inner),
             )
 
         # Intervals do not depend on each other, and ctypes lets other threads run meanwhile.
@@ -71,7 +75,7 @@ class CompiledLoops:
         edges = [count * i // pieces for i in range(pieces + 1)] if pieces else []
         list(self._threads.map(run, [slice(a, b) for a, b in pairwise(edges)]))
         # Column-major in C.
-        return Linearised(x1, A.transpose(0, 2, 1), B.transpose(0, 2, 1))
+        return Linearised(x1, A.transpose(0, 2, 1), B.transpose(0, 2, 1), inner)
 
     def outputs(self, x: Array, w: Array, theta: Array) -> Outputs:
         """Output and its sensitivities at nodes: x (n, n_x), w (n, 5)."""
@@ -128,6 +132,7 @@ class CompiledLoops:
             "N_BLOCKS": len(blocks),
             "LARGEST_BLOCK": max(len(block.states) for block in blocks),
             "N_CHEBYSHEV": DEGREE + 1,
+            "N_READINGS": self._model.machine.sampling.readings_per_update,
             "BEFORE_TURN": BEFORE_TURN,
             "NEAR": NEAR / smoothing.lambda_ if smoothing else 0.0,
             "SZ_ARG": largest(ca.Function.sz_arg),

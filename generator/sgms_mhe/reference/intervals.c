@@ -1,7 +1,7 @@
 /* Driver of the reference integrator: the loops over intervals, blocks, steps and substeps, around functions that CasADi
    generates. What precedes this file in its translation unit: those functions; N_X, N_P, N_BLOCKS, LARGEST_BLOCK;
    SZ_ARG, SZ_RES, SZ_IW, SZ_W; BLOCK_SIZE, BLOCK_STATES (block after block); STEP, CLIP, FLOW, RATE (0 where a block has
-   none); N_CHEBYSHEV, NEAR, BEFORE_TURN. Matrices are column-major, as CasADi has them. */
+   none); N_CHEBYSHEV, NEAR, BEFORE_TURN, N_READINGS. Matrices are column-major, as CasADi has them. */
 
 #include <math.h>
 #include <string.h>
@@ -395,20 +395,79 @@ static void step_block(struct part *part, const struct plan *plan, long long k, 
     }
 }
 
-/* Integrate `count` intervals. first_step: the first step of each; wa, wb: start and end; x: N_X each in, x1, A, B out. */
+/* All states on their way through an interval; phi: d(chi)/d(chi at the start), psi: d(chi)/d(theta). */
+struct whole {
+    double chi[N_X], phi[N_X * N_X], psi[N_X * N_P];
+};
+
+static void put(struct whole *whole, const struct part *part, const long long *state)
+{
+    const int n = part->n;
+    for (int i = 0; i < n; i++) {
+        whole->chi[state[i]] = part->chi[i];
+        for (int j = 0; j < n; j++)
+            whole->phi[state[j] * N_X + state[i]] = part->phi[j * n + i];
+        for (int j = 0; j < N_P; j++)
+            whole->psi[j * N_X + state[i]] = part->psi[j * n + i];
+    }
+}
+
+/* Node state and its sensitivities to node state and theta at the start: A = T_x phi F_x, B = T_x (phi F_t + psi) + T_t */
+static void as_node(const struct whole *whole, const double *F_x, const double *F_t, const double *theta, double *x,
+                    double *A, double *B, struct work *work)
+{
+    double T_x[N_X * N_X], T_t[N_X * N_P], product[N_X * (N_X > N_P ? N_X : N_P)];
+    work->arg[0] = whole->chi;
+    work->arg[1] = theta;
+    work->res[0] = x;
+    work->res[1] = T_x;
+    work->res[2] = T_t;
+    FINISH(work->arg, work->res, work->iw, work->w, 0);
+    multiply(N_X, N_X, N_X, whole->phi, F_x, product);
+    multiply(N_X, N_X, N_X, T_x, product, A);
+    multiply(N_X, N_X, N_P, whole->phi, F_t, product);
+    for (int i = 0; i < N_X * N_P; i++)
+        product[i] += whole->psi[i];
+    multiply(N_X, N_X, N_P, T_x, product, B);
+    for (int i = 0; i < N_X * N_P; i++)
+        B[i] += T_t[i];
+}
+
+/* Output where x has the sensitivities A, B to node state and theta at the start: y, C A and C B + D. */
+static void read_inside(const double *x, const double *A, const double *B, const double *w, const double *theta, double *y,
+                        double *by_x, double *by_theta, struct work *work)
+{
+    double C[N_X], D[N_P];
+    work->arg[0] = x;
+    work->arg[1] = w;
+    work->arg[2] = theta;
+    work->res[0] = y;
+    work->res[1] = C;
+    work->res[2] = D;
+    MEASURE(work->arg, work->res, work->iw, work->w, 0);
+    multiply(1, N_X, N_X, C, A, by_x);
+    multiply(1, N_X, N_P, C, B, by_theta);
+    for (int j = 0; j < N_P; j++)
+        by_theta[j] += D[j];
+}
+
+/* Integrate `count` intervals. first_step: the first step of each; wa, wb: start and end; x: N_X each in, x1, A, B out.
+   Inside each lie N_READINGS - 1 readings with signals `inner_w`: y, C (N_X) and D (N_P) of each, by the interval's start. */
 void sgms_reference_intervals(long long count, const long long *first_step, long long steps, double h, const double *wa,
                               const double *wb, const long long *substeps, const double *cut,
                               const long long *piece_substeps, long long stairs, const double *stair,
                               const long long *stair_substeps, const double *slide, const double *packed, const double *x,
-                              const double *theta, double *x1, double *A, double *B)
+                              const double *theta, double *x1, double *A, double *B, const double *inner_w, double *inner_y,
+                              double *inner_C, double *inner_D)
 {
     const struct plan plan = {steps, stairs, h, wa, wb, cut, stair, slide, substeps, piece_substeps, stair_substeps};
     struct work work;
     const struct flow flow = flow_unpack(packed);
+    const long long spacing = steps / N_READINGS;
     for (long long l = 0; l < count; l++) {
         const long long k0 = first_step[l];
-        double begin[N_X], chi[N_X], F_x[N_X * N_X], F_t[N_X * N_P], phi[N_X * N_X], psi[N_X * N_P];
-        double T_x[N_X * N_X], T_t[N_X * N_P], product[N_X * (N_X > N_P ? N_X : N_P)];
+        double begin[N_X], F_x[N_X * N_X], F_t[N_X * N_P];
+        struct whole reached[N_READINGS]; /* at every reading; the last one is at the end */
 
         work.arg[0] = x + l * N_X;
         work.arg[1] = theta;
@@ -417,8 +476,7 @@ void sgms_reference_intervals(long long count, const long long *first_step, long
         work.res[2] = F_t;
         START(work.arg, work.res, work.iw, work.w, 0);
 
-        memset(phi, 0, sizeof phi);
-        memset(psi, 0, sizeof psi);
+        memset(reached, 0, sizeof reached);
         const long long *state = BLOCK_STATES;
         for (int b = 0; b < N_BLOCKS; b++) {
             const int n = (int)BLOCK_SIZE[b];
@@ -427,34 +485,21 @@ void sgms_reference_intervals(long long count, const long long *first_step, long
                 part.chi[i] = begin[state[i]];
                 part.phi[i * n + i] = 1.0;
             }
-            for (long long k = k0; k < k0 + plan.steps; k++)
-                step_block(&part, &plan, k, &flow, theta, &work);
-            for (int i = 0; i < n; i++) {
-                chi[state[i]] = part.chi[i];
-                for (int j = 0; j < n; j++)
-                    phi[state[j] * N_X + state[i]] = part.phi[j * n + i];
-                for (int j = 0; j < N_P; j++)
-                    psi[j * N_X + state[i]] = part.psi[j * n + i];
+            for (long long k = 0; k < plan.steps; k++) {
+                step_block(&part, &plan, k0 + k, &flow, theta, &work);
+                if ((k + 1) % spacing == 0)
+                    put(&reached[(k + 1) / spacing - 1], &part, state);
             }
             state += n;
         }
 
-        work.arg[0] = chi;
-        work.arg[1] = theta;
-        work.res[0] = x1 + l * N_X;
-        work.res[1] = T_x;
-        work.res[2] = T_t;
-        FINISH(work.arg, work.res, work.iw, work.w, 0);
-
-        /* A = T_x phi F_x,  B = T_x (phi F_t + psi) + T_t */
-        multiply(N_X, N_X, N_X, phi, F_x, product);
-        multiply(N_X, N_X, N_X, T_x, product, A + l * N_X * N_X);
-        multiply(N_X, N_X, N_P, phi, F_t, product);
-        for (int i = 0; i < N_X * N_P; i++)
-            product[i] += psi[i];
-        multiply(N_X, N_X, N_P, T_x, product, B + l * N_X * N_P);
-        for (int i = 0; i < N_X * N_P; i++)
-            B[l * N_X * N_P + i] += T_t[i];
+        for (long long r = 0; r < N_READINGS - 1; r++) {
+            const long long at = l * (N_READINGS - 1) + r;
+            double x_r[N_X], A_r[N_X * N_X], B_r[N_X * N_P];
+            as_node(&reached[r], F_x, F_t, theta, x_r, A_r, B_r, &work);
+            read_inside(x_r, A_r, B_r, inner_w + at * N_W, theta, inner_y + at, inner_C + at * N_X, inner_D + at * N_P, &work);
+        }
+        as_node(&reached[N_READINGS - 1], F_x, F_t, theta, x1 + l * N_X, A + l * N_X * N_X, B + l * N_X * N_P, &work);
     }
 }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,82 +11,58 @@ from scipy.linalg import solve_triangular
 from sgms_mhe.reference.least_squares import solve_bounded, triangular_factor
 from sgms_mhe.reference.linearised import Linearised, Outputs
 from sgms_mhe.reference.problem import NOT_FINITE, Progress, Record, Status, estimates
+from sgms_mhe.reference.readings import Gaussian, Reading, Scaling, fold
+from sgms_mhe.reference.window import Scales, Taken, Window, integrate, linearise, predict, take_interval, window_of
 from sgms_mhe.signals.estimates import Estimates
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Arrival:
-    """Mean and covariance of (x, theta) at the oldest node of the window, from all that lies before it."""
-
-    mean: Array
-    covariance: Array
-
-
-@dataclass(frozen=True)
-class Window:
-    """One update's problem, linearised at (x, theta): n intervals, n + 1 nodes, the oldest one `first`."""
-
-    first: int
-    x: Array
-    theta: Array
-    intervals: Linearised
-    outputs: Outputs
-
-
 class Kept(NamedTuple):
-    """Affine maps of n intervals, oldest first, as they were made; each state's row has a point of its own.
+    """Affine maps of n intervals, oldest first, each as it was made.
 
     Attributes:
-        x: node at the start of the interval that a state's row was linearised at (n, n_x, n_x).
-        theta: parameters that it was linearised at (n, n_x, n_p).
-        x1: where the state ended there (n, n_x).
-        A: its sensitivities to the node at the start, there (n, n_x, n_x).
-        B: its sensitivities to the parameters, there (n, n_x, n_p).
+        x: node at the start that an interval was linearised at (n, n_x).
+        theta: parameters that it was linearised at (n, n_p).
+        intervals: the maps.
     """
 
     x: Array
     theta: Array
-    x1: Array
-    A: Array
-    B: Array
+    intervals: Linearised
 
     @classmethod
     def of(cls, x: Array, theta: Array, intervals: Linearised) -> Kept:
-        """Intervals from the nodes x (n, n_x), all rows linearised there and at theta (n_p)."""
-        n, n_x = x.shape
-        return cls(np.tile(x[:, None, :], (1, n_x, 1)), np.tile(theta, (n, n_x, 1)), *intervals)
-
-    @classmethod
-    def none(cls, n_x: int, n_p: int) -> Kept:
-        """No interval yet."""
-        empty = Linearised(np.empty((0, n_x)), np.empty((0, n_x, n_x)), np.empty((0, n_x, n_p)))
-        return cls.of(np.empty((0, n_x)), np.empty(n_p), empty)
+        """Intervals from the nodes x (n, n_x), all linearised there and at theta (n_p)."""
+        return cls(x, np.tile(theta, (len(x), 1)), intervals)
 
     def moves(self, x: Array, theta: Array) -> Array:
         """Move of each end when nodes and parameters go from the linearisations' to (x, theta): (n, n_x)."""
-        by_x = np.einsum("kij,kij->ki", self.A, x[:, None, :] - self.x)
-        return np.asarray(by_x + np.einsum("kij,kij->ki", self.B, theta - self.theta))
+        return _image(self.intervals.A, self.intervals.B, x - self.x, theta - self.theta)
 
     def at(self, x: Array, theta: Array) -> Linearised:
         """The affine maps, written about (x, theta)."""
-        return Linearised(self.x1 + self.moves(x, theta), self.A, self.B)
+        x1, A, B, (y, C, D) = self.intervals
+        y = y + np.einsum("krj,kj->kr", C, x - self.x) + np.einsum("krj,kj->kr", D, theta - self.theta)
+        return Linearised(x1 + self.moves(x, theta), A, B, Outputs(y, C, D))
 
-    def renewed(self, k: int, states: tuple[int, ...], fresh: Kept) -> Kept:
-        """With the rows of some states of interval k as they are in `fresh`, which is that interval alone."""
-        renewed = Kept(*(array.copy() for array in self))
-        for array, new in zip(renewed, fresh, strict=True):
-            array[k, states] = new[0, states]
-        return renewed
+    def renewed(self, k: int, fresh: Kept) -> Kept:
+        """With interval k as it is in `fresh`, which is that interval alone."""
+        return self.part(0, k).with_newer(fresh).with_newer(self.part(k + 1, len(self.x)))
 
     def with_newer(self, newest: Kept) -> Kept:
         """With further intervals at the newer end."""
-        return Kept(*(np.concatenate(pair) for pair in zip(self, newest, strict=True)))
+        x, theta = np.concatenate([self.x, newest.x]), np.concatenate([self.theta, newest.theta])
+        return Kept(x, theta, Linearised.joined([self.intervals, newest.intervals]))
 
     def part(self, first: int, last: int) -> Kept:
         """Intervals first to last - 1."""
-        return Kept(*(array[first:last] for array in self))
+        which = slice(first, last)
+        return Kept(self.x[which], self.theta[which], self.intervals.part(which))
+
+
+def _image(A: Array, B: Array, dx: Array, dtheta: Array) -> Array:
+    return np.asarray(np.einsum("kij,kj->ki", A, dx) + np.einsum("kij,kj->ki", B, dtheta))
 
 
 def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
@@ -97,100 +72,83 @@ def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
     is_riccati = model.machine.estimator.arrival_cost.update == "riccati"
 
     relinearise = model.machine.estimator.relinearise
-    kept = Kept.none(n_x, n_p)
+    kept: Kept | None = None
     # Since theta last drifted: shifts of the window, and those of them whose interval had moved.
     shifts = owed = 0
-    arrival = prior = Arrival(*weights.prior)
+    arrival = prior = Gaussian(*weights.prior)
     x, theta = prior.mean[None, :n_x], prior.mean[n_x:]
     std = weights.parameter
     active = np.zeros(n_p, dtype=np.bool_)
+    scaling, newest, scales = Scaling(weights.self_scaling), Reading.none(), Scales.of(record)
     results = np.empty((updates, n_x)), np.empty((updates, n_p)), np.empty((updates, n_p))
-    statuses = np.empty(updates, dtype=np.int64)
+    statuses, readings = np.empty(updates, dtype=np.int64), []
     for node in range(1, updates + 1):
         # x holds the nodes of the last solution that stay in the window.
         first = node - len(x)
         if relinearise == "all":
             window = linearise(record, first, x, theta)
         else:
-            if relinearise == "auto":
+            if relinearise == "auto" and kept is not None:
                 kept = renew(record, first, kept, x[:-1], theta)
-            kept = kept.with_newer(Kept.of(x[-1:], theta, integrate(record, node - 1, x[-1:], theta)))
+            fresh = Kept.of(x[-1:], theta, integrate(record, node - 1, x[-1:], theta))
+            kept = fresh if kept is None else kept.with_newer(fresh)
             window = window_of(record, first, x, theta, kept.at(x, theta))
         is_full = len(x) == weights.horizon
         status = record.status(node) | (0 if is_full else Status.FILLING)
         try:
-            solution = _solve(record, window, arrival, active)
+            taken = take_newest(record, window, arrival, scaling, scales)
+            solution = None if taken is None else _solve(record, window, arrival, scales, active)
         except np.linalg.LinAlgError:
             solution = None
-        if solution is None:
+        if taken is None or solution is None:
             # Keep the last good estimate and start again from it with the prior's covariance.
             status = NOT_FINITE
-            x, arrival = x[-1:], Arrival(np.concatenate([x[-1], theta]), prior.covariance)
-            kept = Kept.none(n_x, n_p)
+            x, arrival = x[-1:], Gaussian(np.concatenate([x[-1], theta]), prior.covariance)
+            kept, scaling, newest = None, Scaling(weights.self_scaling), Reading.none()
+            scales.end[node] = np.inf  # the reading that came with it is not to be trusted
             shifts = owed = 0
         else:
             x, theta, std, active = solution
-            status |= Status.BOUND if active.any() else 0
+            newest = taken.newest(newest)
+            status |= (Status.BOUND if active.any() else 0) | (Status.DOUBT if scaling.doubts else 0)
             if is_full:
-                x, kept = x[1:], kept.part(1, len(kept.x))
+                x, kept = x[1:], kept and kept.part(1, len(kept.x))
                 if is_riccati:
                     shifts, owed = shifts + 1, owed + record.moves(window.first)
                     is_due = shifts == weights.drift_interval
-                    arrival = arrival_update(record, arrival, window, owed if is_due else 0)
+                    arrival = arrival_update(record, arrival, window, scales, owed if is_due else 0)
                     if is_due:
                         shifts = owed = 0
                 else:
                     spread = np.concatenate([weights.sigma_x, weights.parameter])
-                    arrival = Arrival(np.concatenate([x[0], theta]), np.diag(spread**2))
+                    arrival = Gaussian(np.concatenate([x[0], theta]), np.diag(spread**2))
         for store, value in zip(results, (x[-1], theta, std), strict=True):
             store[node - 1] = value
         statuses[node - 1] = status
+        readings.append(newest)
         if progress is not None:
             progress(node, updates)
-    return estimates(record, *results, statuses)
-
-
-def linearise(record: Record, first: int, x: Array, theta: Array) -> Window:
-    """Integrate from every node of x; the newest node starts where the newest interval leads."""
-    return window_of(record, first, x, theta, integrate(record, first, x, theta))
-
-
-def integrate(record: Record, first: int, x: Array, theta: Array) -> Linearised:
-    """Intervals from the nodes x, the first of them from node `first`."""
-    with np.errstate(all="ignore"):
-        return record.integrator.intervals(record.plan, first, x, theta)
+    return estimates(record, *results, statuses, readings)
 
 
 def renew(record: Record, first: int, kept: Kept, x: Array, theta: Array) -> Kept:
-    """Linearise anew at (x, theta) the blocks of intervals whose ends have moved too far, those that moved most.
+    """Linearise the interval anew at (x, theta) whose end has moved most, if that is too far.
 
-    Of n intervals, at the nodes x (n, n_x) where they start; at most as many blocks as an interval has, or two.
+    Of n intervals, at the nodes x (n, n_x) where they start.
     """
-    blocks = record.integrator.blocks
-    moved = np.abs(kept.moves(x, theta)) / record.weights.move
-    by_block = np.stack([np.max(moved[:, block.states], axis=1) for block in blocks], axis=1)
-    most_first = np.argsort(-by_block, axis=None, kind="stable")[: max(2, len(blocks))]
-    chosen = [(int(i) // len(blocks), int(i) % len(blocks)) for i in most_first if by_block.flat[i] > 1.0]
-    for k in {k for k, _ in chosen}:
-        start = x[k : k + 1]
-        fresh = Kept.of(start, theta, integrate(record, first + k, start, theta))
-        states = sorted({state for interval, b in chosen if interval == k for state in blocks[b].states})
-        kept = kept.renewed(k, tuple(states), fresh)
-    return kept
+    moved = np.max(np.abs(kept.moves(x, theta)) / record.weights.move, axis=1, initial=0.0)
+    if not np.any(moved > 1.0):
+        return kept
+    k = int(np.argmax(moved))
+    start = x[k : k + 1]
+    return kept.renewed(k, Kept.of(start, theta, integrate(record, first + k, start, theta)))
 
 
-def window_of(record: Record, first: int, x: Array, theta: Array, intervals: Linearised) -> Window:
-    """The problem about (x, theta) and the end of the newest interval, outputs linearised there."""
-    with np.errstate(all="ignore"):
-        nodes = np.vstack([x, intervals.x1[-1:]])
-        outputs = record.integrator.outputs(nodes, record.w[first : first + len(nodes)], theta)
-    return Window(first, nodes, theta, intervals, outputs)
-
-
-def dense_problem(record: Record, window: Window, arrival: Arrival) -> tuple[Array, Array]:
+def dense_problem(record: Record, window: Window, arrival: Gaussian, scales: Scales) -> tuple[Array, Array]:
     """Jacobian J and residual r of the window, so that the step d of (x_0, ..., x_n, theta) minimises |J d + r|^2.
 
-    Rows: arrival cost, then per node its measurement (if valid) and per interval its defect (paper, equations 10, 12).
+    Rows: arrival cost, then per node its reading (if valid) and per interval the valid readings inside of it and its
+    defect (paper, equations 10, 12).
     """
     weights = record.weights
     nodes, n_x = window.x.shape
@@ -203,14 +161,23 @@ def dense_problem(record: Record, window: Window, arrival: Arrival) -> tuple[Arr
     J_a = np.zeros((n_x + n_p, columns))
     J_a[:, :n_x], J_a[:, at_theta] = R_a[:, :n_x], R_a[:, n_x:]
     jacobians, residuals = [J_a], [R_a @ (np.concatenate([window.x[0], window.theta]) - arrival.mean)]
+
+    def measured(at_node: slice, outputs: Outputs, y: Array, sigma: Array) -> None:
+        rows = np.zeros((len(y), columns))
+        rows[:, at_node], rows[:, at_theta] = outputs.C, outputs.D
+        jacobians.append(rows / sigma[:, None])
+        residuals.append((outputs.y - y) / sigma)
+
     for k in range(nodes):
-        at_node = slice(k * n_x, (k + 1) * n_x)
-        if record.valid[window.first + k]:
-            row = np.zeros((1, columns))
-            row[0, at_node], row[0, at_theta] = window.outputs.C[k], window.outputs.D[k]
-            jacobians.append(row / weights.sigma_y)
-            residuals.append((window.outputs.y[k : k + 1] - record.y[window.first + k]) / weights.sigma_y)
+        at_node, node = slice(k * n_x, (k + 1) * n_x), window.first + k
+        if record.valid[node] and np.isfinite(scales.end[node]):
+            at_end = window.outputs.part(slice(k, k + 1))
+            measured(at_node, at_end, record.y[node : node + 1], weights.sigma_y * scales.end[node : node + 1])
         if k + 1 < nodes:
+            inside = record.inner_valid[node]
+            sigma = weights.sigma_y * scales.inner[node][inside]
+            inner = Outputs(*(array[k][inside] for array in window.intervals.inner))
+            measured(at_node, inner, record.inner_y[node][inside], sigma)
             block = np.zeros((n_x, columns))
             block[:, at_node], block[:, at_theta] = -window.intervals.A[k], -window.intervals.B[k]
             block[:, (k + 1) * n_x : (k + 2) * n_x] = np.eye(n_x)
@@ -219,14 +186,33 @@ def dense_problem(record: Record, window: Window, arrival: Arrival) -> tuple[Arr
     return np.vstack(jacobians), np.concatenate(residuals)
 
 
+def take_newest(record: Record, window: Window, arrival: Gaussian, scaling: Scaling, scales: Scales) -> Taken | None:
+    """Readings of the newest interval, each predicted from all before it; None where that is not finite.
+
+    What they are to count goes to `scales`.
+    """
+    n_x, n_p = record.model.n_x, record.model.n_p
+    J, r = dense_problem(record, window.before_newest, arrival, scales)
+    if not (np.all(np.isfinite(J)) and np.all(np.isfinite(r))):
+        return None
+    R, b = triangular_factor(J, r)
+    n = n_x + n_p
+    spread = np.linalg.inv(R[-n:, -n:])
+    newest = window.newest
+    mean = np.concatenate([newest.x[0], newest.theta]) + spread @ b[-n:]
+    taken = take_interval(record, newest, Gaussian(mean, spread @ spread.T), scaling)
+    scales.inner[newest.first], scales.end[newest.first + 1] = taken.inner_scales, taken.end_scale
+    return taken
+
+
 def _solve(
-    record: Record, window: Window, arrival: Arrival, active: NDArray[np.bool_]
+    record: Record, window: Window, arrival: Gaussian, scales: Scales, active: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]] | None:
     """(x, theta, std of theta, bounds active) of one update; None where it is not finite."""
     weights = record.weights
     nodes, n_x = window.x.shape
     n_p = len(window.theta)
-    J, r = dense_problem(record, window, arrival)
+    J, r = dense_problem(record, window, arrival, scales)
     if not (np.all(np.isfinite(J)) and np.all(np.isfinite(r))):
         return None
     R, b = triangular_factor(J, r)
@@ -250,30 +236,25 @@ def _solve(
     return x, theta, std, is_active
 
 
-def arrival_update(record: Record, arrival: Arrival, window: Window, owed: int) -> Arrival:
+def arrival_update(record: Record, arrival: Gaussian, window: Window, scales: Scales, owed: int) -> Gaussian:
     """Kalman update and prediction of (x, theta) over the interval that leaves, linearised as the window was.
 
-    Covariance form: measurement of the oldest node (Joseph), prediction with state noise, then the drift of theta that
-    is owed for so many intervals.
+    Covariance form: readings of the oldest node and inside of its interval (Joseph), prediction with state noise, then
+    the drift of theta that is owed for so many intervals.
     """
-    weights, n_x = record.weights, window.x.shape[1]
+    weights, n_x, first = record.weights, window.x.shape[1], window.first
     point = np.concatenate([window.x[0], window.theta])
-    mean, P = arrival.mean, arrival.covariance
-    if record.valid[window.first]:
-        C = np.concatenate([window.outputs.C[0], window.outputs.D[0]])
-        innovation = record.y[window.first] - window.outputs.y[0] - C @ (mean - point)
-        mean, P = measurement_update(mean, P, C, float(innovation), weights.sigma_y)
-    F = np.eye(len(mean))
-    F[:n_x, :n_x], F[:n_x, n_x:] = window.intervals.A[0], window.intervals.B[0]
-    image = np.concatenate([window.intervals.x1[0], window.theta])
-    mean, P = image + F @ (mean - point), F @ P @ F.T
+    mean, P = arrival
+    outputs, inner = window.outputs, window.intervals.inner
+    rows = [(outputs.y[0], outputs.C[0], outputs.D[0], record.y[first], record.valid[first], scales.end[first])]
+    inside = record.inner_y[first], record.inner_valid[first], scales.inner[first]
+    rows += zip(*(array[0] for array in inner), *inside, strict=True)
+    for predicted, by_x, by_theta, y, valid, scale in rows:
+        if valid and np.isfinite(scale):
+            C = np.concatenate([by_x, by_theta])
+            innovation = float(y - predicted - C @ (mean - point))
+            mean, P = fold(Gaussian(mean, P), C, innovation, (weights.sigma_y * scale) ** 2)
+    mean, P = predict(window, 0, Gaussian(mean, P))
     growth = np.concatenate([weights.sigma_x**2, weights.drift_variance(np.diag(P)[n_x:], owed)])
     P = P + np.diag(growth)
-    return Arrival(mean, 0.5 * (P + P.T))
-
-
-def measurement_update(mean: Array, P: Array, C: Array, innovation: float, sigma: float) -> tuple[Array, Array]:
-    """Kalman update of a scalar measurement in Joseph's form, which keeps P positive definite."""
-    gain = P @ C / (C @ P @ C + sigma**2)
-    keep = np.eye(len(mean)) - np.outer(gain, C)
-    return mean + gain * innovation, keep @ P @ keep.T + sigma**2 * np.outer(gain, gain)
+    return Gaussian(mean, 0.5 * (P + P.T))

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.machine import Sampling
 from sgms_mhe.reference.blocks import Block, Blocks
 from sgms_mhe.signals.chain import Signals, signal_array
 
@@ -52,6 +53,8 @@ class Plan:
             not let an element slide through it.
         path: sum |v_k| h of each interval [m].
         fastest: largest |v_k| of each interval [m/s].
+        readings: R, friction readings of an interval at equal distances, the last one at its end.
+        inner_w: signals w at those inside (intervals, R - 1, 5).
     """
 
     steps: int
@@ -67,6 +70,14 @@ class Plan:
     slide: Array
     path: Array
     fastest: Array
+    readings: int
+    inner_w: Array
+
+
+def inner_readings(sampling: Sampling) -> slice:
+    """The samples of an interval (0 is the first after its start) at which its readings but the last one stand."""
+    spacing = sampling.samples_per_update // sampling.readings_per_update
+    return slice(spacing - 1, sampling.samples_per_update - 1, spacing)
 
 
 class Planner:
@@ -128,6 +139,10 @@ class Planner:
             slide=slide,
             path=velocities.sum(axis=1) * h,
             fastest=velocities.max(axis=1, initial=0.0),
+            readings=self._sampling.readings_per_update,
+            inner_w=np.ascontiguousarray(
+                w[1:].reshape(intervals, samples, w.shape[1])[:, inner_readings(self._sampling)]
+            ),
         )
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from sgms_mhe.model import Model
 from sgms_mhe.reference.integrator import Integrator
-from sgms_mhe.reference.plan import Plan
+from sgms_mhe.reference.plan import Plan, inner_readings
+from sgms_mhe.reference.readings import Reading
 from sgms_mhe.signals.chain import Signals, signal_array
 from sgms_mhe.signals.estimates import Estimates
 
@@ -35,6 +36,7 @@ class Status(IntFlag):
     HOLD = 4
     BOUND = 8
     SPEED = 16
+    DOUBT = 64
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,7 @@ class Weights:
         parameter: prior of theta (n_p).
         drift: random walk of theta per update (n_p).
         lower, upper: bounds on theta (n_p), infinite where there are none.
+        self_scaling: whether readings are weighed by how well they were predicted.
         hold_path: path of an interval below which theta does not drift [m].
         max_velocity: speed beyond which the estimate is flagged [m/s].
     """
@@ -65,6 +68,7 @@ class Weights:
     drift: Array
     lower: Array
     upper: Array
+    self_scaling: bool
     hold_path: float
     max_velocity: float
 
@@ -86,6 +90,7 @@ class Weights:
             drift=np.full(model.n_p, noise.parameter_drift),
             lower=np.array([p.lower for p in model.parameters]),
             upper=np.array([p.upper for p in model.parameters]),
+            self_scaling=noise.self_scaling,
             hold_path=HOLD_PART * float(scales.min()),
             max_velocity=machine.sampling.max_velocity,
         )
@@ -106,7 +111,10 @@ class Weights:
 
 
 class Record:
-    """A record as the estimators see it: plan of its intervals, signals and measurements at its nodes 0 .. updates."""
+    """A record as the estimators see it: plan of its intervals, signals and measurements.
+
+    Readings y, valid: at the nodes 0 .. updates; inner_y, inner_valid (updates, R - 1): inside of the intervals.
+    """
 
     def __init__(self, model: Model, signals: Signals, integrator: Integrator) -> None:
         self.model = model
@@ -120,6 +128,11 @@ class Record:
         self.time: Array = signals.time[nodes]
         self.y: Array = signals.friction[nodes]
         self.valid: NDArray[np.bool_] = signals.valid[nodes] & np.isfinite(self.y)
+        inside = (slice(None), inner_readings(model.machine.sampling))
+        after = slice(1, self.updates * samples + 1)
+        self.inner_y: Array = signals.friction[after].reshape(self.updates, samples)[inside]
+        valid = signals.valid[after].reshape(self.updates, samples)[inside]
+        self.inner_valid: NDArray[np.bool_] = valid & np.isfinite(self.inner_y)
 
     def moves(self, interval: int) -> bool:
         """Whether the axis moves far enough in an interval for theta to drift."""
@@ -135,8 +148,15 @@ class Record:
         return int(status)
 
 
-def estimates(record: Record, x: Array, theta: Array, std: Array, status: NDArray[np.int64]) -> Estimates:
-    """Results of all updates: x (u, n_x), theta, std in scaled units (u, n_p)."""
+def estimates(
+    record: Record,
+    x: Array,
+    theta: Array,
+    std: Array,
+    status: NDArray[np.int64],
+    readings: Sequence[Reading] | None = None,
+) -> Estimates:
+    """Results of all updates: x (u, n_x), theta, std in scaled units (u, n_p); the newest reading of each, if known."""
     model, u = record.model, record.updates
     chi = model.function("from_node").map(max(u, 1))
     output, deflection = (model.function(name).map(max(u, 1)) for name in ("output", "deflection"))
@@ -145,6 +165,7 @@ def estimates(record: Record, x: Array, theta: Array, std: Array, status: NDArra
         states = chi(x.T, theta.T)
         friction = np.array(output(states, record.w[1:].T, theta.T)).reshape(u)
         z = np.array(deflection(states, theta.T)).T
+    newest = np.full((u, 3), np.nan) if readings is None else np.array(readings, dtype=float).reshape(u, 3)
     return Estimates(
         time_s=record.time[1:],
         friction_measured_N=record.y[1:],
@@ -153,6 +174,9 @@ def estimates(record: Record, x: Array, theta: Array, std: Array, status: NDArra
         parameters=model.to_si(theta),
         std=std * np.abs([p.scale for p in model.parameters]),
         status=status,
+        innovation_N=newest[:, 0],
+        test_ratio=newest[:, 1],
+        noise_scale=newest[:, 2],
         parameter_names=tuple(p.column for p in model.parameters),
         extra={"x": x, "theta": theta, "theta_std": std},
     )

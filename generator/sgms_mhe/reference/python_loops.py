@@ -36,9 +36,21 @@ class PythonLoops:
 
     def intervals(self, plan: Plan, first: int, x: Array, theta: Array) -> Linearised:
         """Integrate intervals first, first + 1, ... (0 leads from node 0) from the node states x (n, n_x)."""
-        offsets = (first + np.arange(len(x), dtype=np.int64)) * plan.steps
-        results = [self._interval(plan, int(k), start, theta) for k, start in zip(offsets, x, strict=True)]
-        return Linearised(*(np.array(part) for part in zip(*results, strict=True)))
+        n_x, n_p, readings = self._model.n_x, self._model.n_p, plan.readings
+        ends = np.empty((len(x), n_x)), np.empty((len(x), n_x, n_x)), np.empty((len(x), n_x, n_p))
+        inside = (len(x), readings - 1)
+        inner = Outputs(np.empty(inside), np.empty((*inside, n_x)), np.empty((*inside, n_p)))
+        for k, start in enumerate(x):
+            *within, end = self._interval(plan, first + k, start, theta)
+            for store, value in zip(ends, end, strict=True):
+                store[k] = value
+            for r, (x_r, A, B) in enumerate(within):
+                y, C, D = (
+                    np.array(part) for part in self._functions["measure"](x_r, plan.inner_w[first + k, r], theta)
+                )
+                for store, value in zip(inner, (y.item(), C @ A, C @ B + D), strict=True):
+                    store[k, r] = value
+        return Linearised(*ends, inner)
 
     def outputs(self, x: Array, w: Array, theta: Array) -> Outputs:
         """Output and its sensitivities at nodes: x (n, n_x), w (n, 5)."""
@@ -47,23 +59,27 @@ class PythonLoops:
         y, C, D = (np.array([np.array(row[i]) for row in results]) for i in range(3))
         return Outputs(y.reshape(count), C.reshape(count, n_x), D.reshape(count, n_p))
 
-    def _interval(self, plan: Plan, k0: int, x: Array, theta: Array) -> tuple[Array, Array, Array]:
+    def _interval(self, plan: Plan, interval: int, x: Array, theta: Array) -> list[tuple[Array, Array, Array]]:
+        """Node states and their sensitivities to x and theta at the readings of an interval, the last one its end."""
         n_x, n_p, functions = self._model.n_x, self._model.n_p, self._functions
-        chi, F_x, F_t = (np.array(part) for part in functions["start"](x, theta))
-        chi = chi.reshape(n_x)
-        phi, psi = np.zeros((n_x, n_x)), np.zeros((n_x, n_p))
-        begin = chi.copy()
+        begin, F_x, F_t = (np.array(part) for part in functions["start"](x, theta))
+        begin = begin.reshape(n_x)
+        k0, spacing, readings = interval * plan.steps, plan.steps // plan.readings, plan.readings
+        chi, phi, psi = np.empty((readings, n_x)), np.zeros((readings, n_x, n_x)), np.zeros((readings, n_x, n_p))
         for b, block in enumerate(self._blocks.all):
             states = list(block.states)
             c, p, t = begin[states], np.eye(len(states)), np.zeros((len(states), n_p))
-            for k in range(k0, k0 + plan.steps):
-                for moved in self._step_of_block(plan, k, b, c, theta):
+            for k in range(plan.steps):
+                for moved in self._step_of_block(plan, k0 + k, b, c, theta):
                     c, p, t = moved.chi, moved.by_chi @ p, moved.by_chi @ t + moved.by_theta
-            chi[states] = c
-            phi[np.ix_(states, states)] = p
-            psi[states] = t
-        x1, T_x, T_t = (np.array(part) for part in functions["finish"](chi, theta))
-        return x1.reshape(n_x), T_x @ phi @ F_x, T_x @ (phi @ F_t + psi) + T_t
+                if (k + 1) % spacing == 0:
+                    r = (k + 1) // spacing - 1
+                    chi[r, states], phi[r][np.ix_(states, states)], psi[r, states] = c, p, t
+        reached = []
+        for c, p, t in zip(chi, phi, psi, strict=True):
+            x_r, T_x, T_t = (np.array(part) for part in functions["finish"](c, theta))
+            reached.append((x_r.reshape(n_x), T_x @ p @ F_x, T_x @ (p @ F_t + t) + T_t))
+        return reached
 
     def _step_of_block(self, plan: Plan, k: int, b: int, chi: Array, theta: Array) -> Iterator[Moved]:
         """One step of one block, in as many parts as it takes."""

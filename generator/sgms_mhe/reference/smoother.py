@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import block_diag, csc_matrix, diags, vstack
+from scipy.sparse import csc_matrix, csr_matrix, diags, vstack
 from scipy.sparse.linalg import splu
 
 from sgms_mhe.reference.least_squares import solve_bounded
@@ -112,6 +112,7 @@ def _linearise(record: Record, x: Array, theta: Array) -> _Problem:
                 x[0] / weights.initial_state,
                 (theta - 1.0) / weights.parameter,
                 (outputs.y - record.y)[valid] / weights.sigma_y,
+                (intervals.inner.y - record.inner_y)[record.inner_valid] / weights.sigma_y,
                 ((x[1:] - intervals.x1) / weights.sigma_x).ravel(),
             ]
         )
@@ -119,28 +120,31 @@ def _linearise(record: Record, x: Array, theta: Array) -> _Problem:
         return _Problem(np.inf, csc_matrix((0, 0)), np.empty((0, n_p)), r)
     width = nodes * n_x
     first = csc_matrix((1.0 / weights.initial_state, (np.arange(n_x), np.arange(n_x))), shape=(n_x, width))
-    measured = block_diag([row[None, :] / weights.sigma_y for row in outputs.C], format="csr")[valid]
+    measured = _block_diagonal(outputs.C[:, None, :] / weights.sigma_y, width)[valid]
+    # Readings inside an interval see the node where it starts.
+    inner = _block_diagonal(intervals.inner.C / weights.sigma_y, width)[record.inner_valid.ravel()]
     scale = 1.0 / np.tile(weights.sigma_x, nodes - 1)
-    transitions = block_diag([A / weights.sigma_x[:, None] for A in intervals.A], format="csr")
-    defects = csc_matrix(
-        (scale, (np.arange(width - n_x), np.arange(n_x, width))), shape=(width - n_x, width)
-    ) - csc_matrix(_widen(transitions, width))
-    J_x = vstack([first, csc_matrix((n_p, width)), measured, defects], format="csc")
+    ends = csr_matrix((scale, (np.arange(width - n_x), np.arange(n_x, width))), shape=(width - n_x, width))
+    defects = ends - _block_diagonal(intervals.A / weights.sigma_x[:, None], width)
+    J_x = vstack([first, csc_matrix((n_p, width)), measured, inner, defects], format="csc")
     J_t = np.vstack(
         [
             np.zeros((n_x, n_p)),
             np.diag(1.0 / weights.parameter),
             outputs.D[valid] / weights.sigma_y,
+            intervals.inner.D[record.inner_valid] / weights.sigma_y,
             -(intervals.B / weights.sigma_x[:, None]).reshape(-1, n_p),
         ]
     )
     return _Problem(float(r @ r), J_x, J_t, r)
 
 
-def _widen(matrix: csc_matrix, width: int) -> csc_matrix:
-    """The same matrix with empty columns on its right."""
-    matrix = matrix.tocoo()
-    return csc_matrix((matrix.data, (matrix.row, matrix.col)), shape=(matrix.shape[0], width))
+def _block_diagonal(blocks: Array, width: int) -> csr_matrix:
+    """Blocks (n, rows, columns) along the diagonal of a matrix with so many columns."""
+    n, rows, columns = blocks.shape
+    row, column = np.arange(n * rows).reshape(n, rows, 1), np.arange(n * columns).reshape(n, 1, columns)
+    at = tuple(np.broadcast_to(index, blocks.shape).ravel() for index in (row, column))
+    return csr_matrix((blocks.ravel(), at), shape=(n * rows, width))
 
 
 def _condense(problem: _Problem, damping: float) -> tuple[Array, Array, Array]:

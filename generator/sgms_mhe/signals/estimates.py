@@ -5,22 +5,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.signals.formats import read_columns, write_columns
+from sgms_mhe.signals.columns import read_columns, write_columns
 from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
+
+
+READING_COLUMNS: Final = ("innovation_N", "test_ratio", "noise_scale")
+"""Of the newest reading; files that were written without them read as NaN."""
 
 
 @dataclass(frozen=True)
 class Estimates:
     """One row per update; u updates, n_z elements, n_p estimated parameters, all in SI units.
 
-    time_s, friction_measured_N, friction_N (u,); z_m (u, n_z); parameters, std (u, n_p); status (u,) int;
+    time_s, friction_measured_N, friction_N (u,); z_m (u, n_z); parameters, std (u, n_p); status (u,) int; of the newest
+    reading innovation_N, test_ratio (its square over the variance predicted for it), noise_scale (u,), NaN where an
+    observer does not predict readings;
     parameter_names (n_p) as in the file's header (`stiffness_1`, ..., `coulomb`). `extra` holds what a solver wants to
     hand on besides (arrays by name); it is not written.
     """
@@ -32,6 +38,9 @@ class Estimates:
     parameters: Array
     std: Array
     status: NDArray[np.int64]
+    innovation_N: Array
+    test_ratio: Array
+    noise_scale: Array
     parameter_names: tuple[str, ...]
     extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
@@ -51,6 +60,7 @@ def write_estimates(path: str | Path, estimates: Estimates) -> None:
     columns |= dict(zip(names, estimates.parameters.T, strict=True))
     columns |= {f"std_{name}": std for name, std in zip(names, estimates.std.T, strict=True)}
     columns["status"] = estimates.status.astype(np.int64)
+    columns |= {name: getattr(estimates, name) for name in READING_COLUMNS}
     write_columns(path, columns)
 
 
@@ -68,6 +78,7 @@ def read_estimates(path: str | Path) -> Estimates:
         if name not in columns:
             raise InputError(path, f"column {name}", None, f"missing: std_{name} is there")
     length = len(columns["time_s"])
+    unknown: Array = np.full(length, np.nan)
 
     def matrix(selected: list[str]) -> Array:
         return np.column_stack([columns[name] for name in selected]) if selected else np.empty((length, 0))
@@ -80,5 +91,8 @@ def read_estimates(path: str | Path) -> Estimates:
         parameters=matrix(list(names)),
         std=matrix([f"std_{name}" for name in names]),
         status=columns["status"].astype(np.int64),
+        innovation_N=columns.get("innovation_N", unknown),
+        test_ratio=columns.get("test_ratio", unknown),
+        noise_scale=columns.get("noise_scale", unknown),
         parameter_names=names,
     )

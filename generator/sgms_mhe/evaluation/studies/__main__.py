@@ -2,8 +2,9 @@
 
 `coverage` draws data from the estimator's own noise model, `plant` asks the same of the axis in closed loop,
 `monte-carlo` compares MHE, EKF and batch smoother over random axes, `creep` follows the parameters over 10^5 updates,
-`relinearise` asks what it costs the estimate to keep linearisations, `speed` what fast moves cost the integrators,
-`identify` draws axes and identifies each from its log alone.
+`readings` asks what more friction readings per second gain, `relinearise` what it costs to keep linearisations,
+`faults` puts broken sensors into good logs, `speed` asks what fast moves cost the integrators, `identify` draws axes
+and identifies each from its log alone.
 All numbers are seeded; the same command prints the same table.
 """
 
@@ -16,9 +17,11 @@ from typing import Final
 
 from sgms_mhe.evaluation.studies.coverage import coverage_study
 from sgms_mhe.evaluation.studies.creep import creep_study
+from sgms_mhe.evaluation.studies.faults import faults_study
 from sgms_mhe.evaluation.studies.identification import identification_study
 from sgms_mhe.evaluation.studies.monte_carlo import monte_carlo_study
 from sgms_mhe.evaluation.studies.plant import plant_study
+from sgms_mhe.evaluation.studies.readings import readings_study
 from sgms_mhe.evaluation.studies.relinearise import relinearise_study
 from sgms_mhe.evaluation.studies.speed import speed_study
 from sgms_mhe.support.tables import Table
@@ -29,6 +32,8 @@ STUDIES: Final[Mapping[str, tuple[Callable[[int, int], Table], int, int]]] = {
     "plant": (lambda runs, updates: plant_study(runs, updates / 100.0), 20, 2000),
     "creep": (lambda runs, updates: creep_study(updates), 1, 100_000),
     "relinearise": (lambda runs, updates: relinearise_study(runs, updates / 100.0), 10, 800),
+    "readings": (lambda runs, updates: readings_study(runs, updates / 100.0), 6, 2000),
+    "faults": (lambda runs, updates: faults_study(runs), 20, 1800),
     "identify": (lambda runs, updates: identification_study(runs, updates / 100.0), 40, 2500),
     "speed": (lambda runs, updates: speed_study(updates), 1, 150),
 }

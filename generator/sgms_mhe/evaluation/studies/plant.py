@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.evaluation.experiment import PAPER_WEIGHTS
+from sgms_mhe.evaluation.experiment import PAPER_WEIGHTS, papers
 from sgms_mhe.evaluation.studies.cases import (
     Case,
     factor_of_two,
@@ -35,7 +35,7 @@ def plant_study(seeds: int, duration_s: float = 20.0) -> Table:
         Case("the same, measurement = 0.5", weighted(measurement=0.5), spread, 1.6),
         Case("prior 0.3", weighted(parameter=0.3), spread),
         Case("no drift", weighted(parameter_drift=0.0), spread),
-        Case("the paper's weights", {"estimator": PAPER_WEIGHTS}, spread),
+        Case("the paper's weights", papers(PAPER_WEIGHTS), spread),
     )
     rows = []
     for case in cases:

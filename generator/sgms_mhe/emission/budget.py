@@ -1,0 +1,63 @@
+"""The budget of a tick: a machine whose longest tick takes more is refused, with what to change."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from sgms_mhe.emission.work import Part, Work
+from sgms_mhe.machine import Machine
+from sgms_mhe.support.errors import InputError
+
+OPERATION_RATE: Final = 250e6
+"""Operations per second of the default budget: a Cortex-M7 at 600 MHz, single precision, 2.4 cycles each."""
+
+
+def tick_budget(machine: Machine) -> float:
+    """Operations that a tick may take: the stated budget, or what the default rate does in a sample period."""
+    return machine.code.tick_budget or OPERATION_RATE / machine.sampling.rate
+
+
+def check_budget(machine: Machine, work: Work) -> None:
+    """Refuse a machine whose longest tick takes more than its budget.
+
+    Raises:
+        InputError: it does; the message says what takes most, and what to change.
+    """
+    budget = tick_budget(machine)
+    if work.tick <= budget:
+        return
+    part = work.parts[0]
+    share = 100.0 * part.operations / work.tick
+    default = "" if machine.code.tick_budget else f", what {OPERATION_RATE:g} operations per second leave at this rate"
+    allowed = (
+        f"at least the {work.tick:.4g} operations that the longest tick takes{default}; most of them ({share:.0f} %) "
+        f"go into {_called(machine, part)}. {_remedies(machine, part)}; or state code.tick_budget for the processor "
+        "that it runs on"
+    )
+    raise InputError(machine.source, "code.tick_budget", budget, allowed)
+
+
+def _called(machine: Machine, part: Part) -> str:
+    """A group by the effects in it and its states."""
+    effects = [e.label for e in machine.effects if any(state.startswith(f"{e.label}_") for state in part.states)]
+    title = f"the block of {', '.join(effects)}" if effects else "the elements"
+    return f"{title} (states {', '.join(part.states)})"
+
+
+def _remedies(machine: Machine, part: Part) -> str:
+    """What makes it less."""
+    sampling, estimator = machine.sampling, machine.estimator
+    if part.in_closed_form:
+        what = ["lower sampling.integrator.substeps, so that samples merge"]
+    else:
+        what = [
+            f"{part.substeps} Runge-Kutta substeps of a step at max_velocity: lower sampling.max_velocity "
+            f"({sampling.max_velocity:g} m/s), raise sampling.integrator.displacement "
+            f"({sampling.integrator.displacement:g})"
+        ]
+        effects = any(not state.startswith("z_") for state in part.states)
+        what.append("leave the effect out" if effects else 'take scheme = "flow"')
+    if estimator.kind == "mhe" and estimator.relinearise != "newest":
+        what.append(f'take relinearise = "{"auto" if estimator.relinearise == "all" else "newest"}"')
+    text = ", ".join(what)
+    return text[0].upper() + text[1:]

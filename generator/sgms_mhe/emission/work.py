@@ -1,0 +1,268 @@
+"""Worst-case work of a package, in operations, from its structure: nothing that comes in makes more of it.
+
+Counted as a processor without vector registers does them. With vectors several are done at once, also in lanes that no
+one needs; docs/emission.md tells what an operation is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sgms_mhe.emission.block_work import GroupWork, Ingredients, group_work
+from sgms_mhe.emission.groups import GroupView
+from sgms_mhe.emission.operations import (
+    SQRT,
+    added_row,
+    back_substitution,
+    box_least_squares,
+    grown,
+    reflection,
+    variances,
+)
+from sgms_mhe.emission.schedule import Costs
+
+FILTERS = 150
+"""Signal chain, and the lag of the newest position."""
+SAMPLE = 60
+"""What a sample takes beside: checks, path, course ahead, ramp, limit."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What one group of blocks adds to the longest tick.
+
+    Attributes:
+        states: of its blocks, by name.
+        operations: of a tick.
+        substeps: Runge-Kutta substeps of a step of the block that takes most of them.
+        in_closed_form: steps are taken by the displacement flow or by clips.
+    """
+
+    states: tuple[str, ...]
+    operations: int
+    substeps: int
+    in_closed_form: bool
+
+
+@dataclass(frozen=True)
+class Work:
+    """Operations at most.
+
+    Attributes:
+        sample: of sample() or insert().
+        tick: of tick().
+        unit: of the largest unit of prepare().
+        prepare: of prepare(). feedback: of feedback() where prepare() ran before any reading inside the interval came.
+        update: of all calls of one interval.
+        parts: what of a tick the groups of blocks take, largest first.
+    """
+
+    sample: int
+    tick: int
+    unit: int
+    prepare: int
+    feedback: int
+    update: int
+    parts: tuple[Part, ...]
+
+
+@dataclass(frozen=True)
+class Units:
+    """Operations of the units of prepare(), and how many of each there are at most."""
+
+    expand: int
+    start: int
+    step: int
+    readings: int
+    condense: int
+    fold: int
+    nodes: int
+    steps: int
+    inner: int
+
+    @property
+    def largest(self) -> int:
+        """Of the largest unit."""
+        return max(self.expand, self.start, self.step, self.readings, self.condense, self.fold)
+
+    @property
+    def all(self) -> int:
+        """Of all of them."""
+        of_nodes = self.nodes * (self.expand + self.readings + self.condense)
+        return of_nodes + self.start + self.steps * self.step + self.inner * self.fold
+
+
+def work_of(views: Sequence[GroupView], of: Ingredients) -> Work:
+    """The work of a package."""
+    sizes, variant = of.sizes, of.variant
+    groups = [(g, group_work(g, of)) for g in views]
+    least_squares = _LeastSquares(of)
+    newest = {g.name: work.shared + work.together for g, work in groups}
+    ahead = {g.name: work.ahead for g, work in groups}
+    without_step = FILTERS + SAMPLE + of.compensation.moves * of.terms + of.feed_forward + sizes.states
+    without_step += 4 * of.signals + sum(ahead.values())
+    newest_step = sizes.nodes * (of.terms + 3 * of.signals) + sum(newest.values())
+    reading = least_squares.taken() if sizes.inner else 0
+    sample = without_step + newest_step + reading
+    step, of_step = _step(groups, of, least_squares)
+    names = [state.name for state in of.structure.model.states]
+    units = least_squares.units(step)
+    feedback = least_squares.feedback()
+    prepare, left_over, in_sample, steps_in_sample = 0, 0, 0, 0
+    if variant.horizon:
+        prepare, left_over = units.all, sizes.inner * units.fold
+        in_sample, steps_in_sample = _most_in_sample(units, of.schedule)
+    if sizes.samples == 1:  # every sample is an update: nothing to share out over
+        tick = sample + prepare + feedback
+    elif variant.merges:  # a sample that takes a step does no units
+        tick = max(without_step + in_sample, sample + feedback)
+    else:
+        tick = sample + max(in_sample, feedback)
+    parts = tuple(
+        Part(
+            states=tuple(names[i] for b in g.blocks for i in b.states),
+            operations=newest[g.name] + ahead[g.name] + steps_in_sample * of_step.get(g.name, 0),
+            substeps=max(work.substeps),
+            in_closed_form=g.follows_flow or g.switches,
+        )
+        for g, work in groups
+    )
+    of_samples = sizes.samples * without_step + sizes.steps * newest_step + sizes.inner * reading
+    return Work(
+        sample=sample,
+        tick=tick,
+        unit=units.largest if variant.horizon else 0,
+        prepare=prepare,
+        feedback=feedback + left_over,
+        update=of_samples + prepare + feedback,
+        parts=tuple(sorted(parts, key=lambda part: -part.operations)),
+    )
+
+
+def _step(
+    groups: Sequence[tuple[GroupView, GroupWork]], of: Ingredients, least_squares: _LeastSquares
+) -> tuple[int, dict[str, int]]:
+    """A unit of the steps of older intervals, and what of it the groups take."""
+    sizes, variant = of.sizes, of.variant
+    if variant.relinearise == "newest":
+        return 0, {}
+    intervals = sizes.slots if variant.relinearise == "all" else 1
+    parts = {g.name: intervals * (work.shared + work.together) for g, work in groups}
+    return sum(parts.values()) + least_squares.after_step(), parts
+
+
+class _LeastSquares:
+    """Costs of readings, of the sweep and of the feedback."""
+
+    def __init__(self, of: Ingredients) -> None:
+        self.of, self.sizes, self.variant = of, of.sizes, of.variant
+        sizes, n_x, n_p = of.sizes, of.sizes.states, of.sizes.parameters
+        kept, factor = sizes.kept_width, sizes.factor_rows
+        width = factor + 1
+        self.condensed = sum(reflection(rows, kept, c) for c, rows in enumerate(of.reach))
+        self.condensed += sum(reflection(n_x - 1 - c, width, c) for c in range(n_x - 1))
+        self.node_row = of.output + 2 * factor + 1
+        self.inner_row = of.output + 1 + 2 * n_x * (sizes.coupled + 1) + 2 * n_p * (n_x + 1)
+        weighed = sum(2 * i + 5 for i in range(factor)) + 28 + SQRT
+        self.folded = weighed + width + added_row(factor)
+        self.start_row = self.node_row + width
+        self.fold_start = self.start_row + added_row(factor)
+        self.defect = 3 * sizes.coupled + 4 * n_p + 2
+        self.drift = variances(n_p) + 6 * n_p + 30 * n_p + grown(factor, n_p) if of.variant.drifts else 0
+        self.map = sum(g.n_blocks * self._end(g.m, g.n_q) for g in sizes.groups)
+
+    def _end(self, m: int, n_q: int) -> int:
+        n_p = self.sizes.parameters
+        return m * (1 + n_p + n_q * (1 + 2 * n_p) + m * (4 + 2 * n_p))
+
+    def ends(self) -> int:
+        """Map of an interval from its blocks, and its defects."""
+        return self.map + self.sizes.states * self.defect
+
+    def taken(self) -> int:
+        """A reading inside the newest interval; a filter folds it at once."""
+        return self.map + self.inner_row + (0 if self.variant.horizon else self.folded)
+
+    def kept(self) -> int:
+        """The triangle of an interval's rows."""
+        rows, width = self.sizes.inner, self.sizes.factor_rows + 1
+        return sum(reflection(rows - 1 - c, width, c) for c in range(min(rows, width - 1)))
+
+    def after_step(self) -> int:
+        """What a unit of steps does beside them, at worst: a reading, or the end of the interval."""
+        sizes = self.sizes
+        renewed = self.map + self.inner_row + sizes.factor_rows + 1 if sizes.inner else 0
+        if self.variant.relinearise == "all":
+            return sizes.slots * renewed
+        blocks = 2 * sum(len(own) for own in sizes.block_states)
+        return blocks + max(renewed, self.ends() + (self.kept() if sizes.inner else 0))
+
+    def readings(self) -> int:
+        """Readings of an older interval into the factor."""
+        sizes, width = self.sizes, self.sizes.factor_rows + 1
+        if not sizes.inner:
+            return self.fold_start
+        is_triangle = self.variant.relinearise != "all"
+        rows = 1 + (sizes.inner_rows if is_triangle else sizes.inner)
+        reach = (min(c + 2, rows) if is_triangle else rows for c in range(sizes.factor_rows))
+        folded: int = sum(reflection(below, width, c) for c, below in enumerate(reach))
+        return self.start_row + folded
+
+    def units(self, step: int) -> Units:
+        """Units of prepare()."""
+        sizes, variant = self.sizes, self.variant
+        n_x, n_p = sizes.states, sizes.parameters
+        expand = 2 * n_x * (n_x + n_p) + back_substitution(n_x)
+        if variant.relinearise == "auto":
+            expand += n_x * (2 * sizes.coupled + 2 * n_p + 4) + 1
+        start = self.fold_start + self.drift + (n_x + n_p if variant.fixed else 0)
+        if variant.relinearise == "all":
+            start += sizes.slots * sum(len(own) for own in sizes.block_states)
+        elif sizes.inner:
+            start += self.kept()
+        condense = self.condensed + self.fold_start + (self.ends() if variant.relinearise == "all" else 0)
+        steps = 0 if variant.relinearise == "newest" or sizes.slots == 1 else sizes.steps
+        return Units(
+            expand=expand,
+            start=start,
+            step=step,
+            readings=self.readings(),
+            condense=condense,
+            fold=self.folded,
+            nodes=sizes.slots - 1,
+            steps=steps,
+            inner=sizes.inner,
+        )
+
+    def feedback(self) -> int:
+        """An update whose preparation is done."""
+        sizes, variant = self.sizes, self.variant
+        n_x, n_p = sizes.states, sizes.parameters
+        solved = box_least_squares(n_p) if variant.bounded else back_substitution(n_p)
+        checked = variances(n_p) + 3 * n_x + 4 * n_p + 14 + self.of.output
+        again = n_x + n_p + sizes.factor_rows**2 * 2 + self.of.parameter_terms + sum(map(len, sizes.block_states))
+        newest = self.ends() + self.condensed + (0 if variant.horizon else self.drift)
+        reading = self.node_row + self.folded
+        return newest + reading + solved + 2 * n_x * (n_p + n_x) + back_substitution(n_x) + checked + again
+
+
+def _most_in_sample(units: Units, costs: Costs) -> tuple[int, int]:
+    """Operations of the units that tick() does in one sample, and how many of them are steps."""
+    kinds = (
+        (units.nodes, costs.expand, units.expand),
+        (1, costs.condense, units.start),
+        (units.steps, costs.step, units.step),
+        (units.nodes, costs.readings, units.readings),
+        (units.nodes, costs.condense, units.condense),
+        (units.inner, costs.fold, units.fold),
+    )
+    # A knapsack, bounded by that of what can be divided: what is dearest by its cost first.
+    left, most, steps = float(costs.per_sample), 0.0, 0
+    for count, cost, operations in sorted(kinds, key=lambda kind: -kind[2] / kind[1]):
+        done = min(count, left / cost)
+        left -= done * cost
+        most += done * operations
+        steps += math.ceil(done) if operations == units.step else 0
+    return math.ceil(most), steps

@@ -1,0 +1,91 @@
+"""Readings one after the other: innovation, test ratio, and the noise that each is taken with (docs/weights.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FAST, SLOW = 0.1, 0.003
+"""Weight of the newest test ratio in the two means of them."""
+MOST = 1000.0
+"""A test ratio counts no more than this in the means."""
+FREE = 9.0
+"""A test ratio of three standard deviations, squared: what is beyond it weighs a reading down at once."""
+
+
+DOUBTED_FAST, DOUBTED_SLOW = 5.0, 2.0
+"""Means of the test ratios beyond which the readings contradict the predictions."""
+
+
+class Gaussian(NamedTuple):
+    """Mean (n,) and covariance (n, n) of what is estimated."""
+
+    mean: Array
+    covariance: Array
+
+
+class Reading(NamedTuple):
+    """What became of a reading.
+
+    Attributes:
+        innovation: reading minus its prediction [N].
+        test_ratio: its square over its predicted variance.
+        scale: factor on the stated standard deviation that it was taken with.
+    """
+
+    innovation: float
+    test_ratio: float
+    scale: float
+
+    @classmethod
+    def none(cls) -> Reading:
+        """Before the first one."""
+        return cls(0.0, 0.0, 1.0)
+
+
+@dataclass
+class Scaling:
+    """The two means of the test ratios, from which the noise of the next reading follows."""
+
+    enabled: bool
+    fast: float = 1.0
+    slow: float = 1.0
+
+    @property
+    def doubts(self) -> bool:
+        """Whether the readings contradict the predictions."""
+        return self.fast > DOUBTED_FAST or self.slow > DOUBTED_SLOW
+
+    def need(self, test_ratio: float) -> float:
+        """How many times larger than predicted the innovation's variance has to be for this reading, >= 1."""
+        counted = min(test_ratio, MOST)
+        self.fast += FAST * (counted - self.fast)
+        self.slow += SLOW * (counted - self.slow)
+        if not self.enabled:
+            return 1.0
+        return max(1.0, test_ratio / FREE * max(1.0, self.fast), self.fast, self.slow)
+
+
+def take_reading(
+    belief: Gaussian, C: Array, innovation: float, sigma: float, scaling: Scaling
+) -> tuple[Gaussian, Reading]:
+    """Fold a scalar reading, C (n,) its sensitivity, with the noise that its innovation asks for."""
+    spread = float(C @ belief.covariance @ C)
+    predicted = spread + sigma**2
+    test_ratio = innovation**2 / predicted
+    # The variance of the reading at which the innovation's is `need` times the predicted one.
+    variance = sigma**2 + (scaling.need(test_ratio) - 1.0) * predicted
+    return fold(belief, C, innovation, variance), Reading(innovation, test_ratio, float(np.sqrt(variance)) / sigma)
+
+
+def fold(belief: Gaussian, C: Array, innovation: float, variance: float) -> Gaussian:
+    """Kalman update of a scalar reading in Joseph's form, which keeps the covariance positive definite."""
+    mean, P = belief
+    gain = P @ C / (C @ P @ C + variance)
+    keep = np.eye(len(mean)) - np.outer(gain, C)
+    return Gaussian(mean + gain * innovation, keep @ P @ keep.T + variance * np.outer(gain, gain))

@@ -1,0 +1,84 @@
+"""Emitted packages and the runtime headers are C++17 as well as C99, with the same numbers."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from c_packages import PRECISIONS, PROBES, Array, run, written
+from package_variants import VARIANTS
+from sgms_mhe.host.compiled import replay_definitions
+from sgms_mhe.support.paths import runtime_dir
+from sgms_mhe.support.toolchain import WARNING_FLAGS
+
+Tool = Callable[[str], str]
+
+LANGUAGE = ("-x", "c++", "-std=c++17", "-Wpedantic", *(w for w in WARNING_FLAGS if w != "-Wmissing-prototypes"))
+NUMBERS = ("-O2", "-ffp-contract=off", "-fPIC")
+PACKAGES = (
+    "machine etel_xy", "machine etel_xy_controller", "machine etel_xy_paper", "machine emps",
+    "machine etel_xy_switching", "switching, 5 merged", "switching, levels, 5 merged",
+    "flow, ekf", "flow, 5 merged, auto", "rk4, linear, auto", "euler, fixed",
+    "horizon 1", "bounds of two, auto, 5 merged", "linear model", "compensation, effects",
+    "every effect, single", "every effect, fixed, rk4, 4 merged",
+    "effects: time", "effects: upstream, auto, 5 merged, single", "toy, states", "toy, single",
+)  # fmt: skip
+"""Variants whose code differs in kind: double and single precision, MHE and filter, effects."""
+
+
+@pytest.mark.parametrize("title", PACKAGES)
+def test_package_is_cplusplus(title: str, require_tool: Tool, tmp_path: Path) -> None:
+    package = VARIANTS[title].emit()
+    source = written(package, tmp_path) / f"{package.machine.name}.c"
+    run(require_tool("clang++"), LANGUAGE, "-fsyntax-only", source)
+    # gcc finds some of what it warns of only as it optimises.
+    run(require_tool("g++"), LANGUAGE, "-O1", "-c", source, "-o", tmp_path / "object.o")
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("header", sorted(path.name for path in runtime_dir().glob("sgms_*.h")))
+def test_runtime_header_is_cplusplus(header: str, precision: str, require_tool: Tool, tmp_path: Path) -> None:
+    source = tmp_path / "alone.cpp"
+    source.write_text(f'#include "{header}"\n')
+    single = f"-DSGMS_SINGLE={int(precision == 'single')}"
+    unused = "-Wno-unused-function"  # nothing calls what the header brings
+    run(require_tool("g++"), LANGUAGE, unused, single, f"-I{runtime_dir()}", "-c", source, "-o", tmp_path / "object.o")
+
+
+def estimates(library: Path) -> Array:
+    """What every update of a motion through a package gives, compensation of every sample behind it."""
+    c = ctypes.CDLL(str(library))
+    c.probe_size.restype = ctypes.c_size_t
+    c.probe_tick.restype = ctypes.c_double
+    c.probe_tick.argtypes = [ctypes.c_void_p, ctypes.c_double, ctypes.c_double]
+    memory = ctypes.create_string_buffer(c.probe_size())
+    row = (ctypes.c_double * c.probe_numbers())()
+    c.probe_init(memory)
+    c.probe_compensate(memory, 1)
+    numbers: list[float] = []
+    for k in range(1201):
+        position, velocity = 4e-5 * np.sin(0.01 * k) + 2e-3 * np.sin(0.002 * k), np.cos(0.01 * k)
+        numbers.append(c.probe_tick(memory, position, 3.0 * np.tanh(4.0 * velocity) + velocity))
+        status = c.probe_estimate(memory, row)
+        numbers += [*row, status]
+    return np.array(numbers)
+
+
+@pytest.mark.parametrize("title", ["machine etel_xy", "machine etel_xy_controller", "flow, ekf", "toy, states"])
+def test_compiled_as_cplusplus_it_gives_the_same_bits(title: str, require_tool: Tool, tmp_path: Path) -> None:
+    package = VARIANTS[title].emit()
+    name = package.machine.name
+    folder = written(package, tmp_path)
+    probe = (require_tool("gcc"), "-shared", f"-I{folder}", *replay_definitions(name), *NUMBERS)
+    found = []
+    for language, compiler, standard in (("c", "gcc", "c99"), ("c++", "g++", "c++17")):
+        code, library = tmp_path / f"{compiler}.o", tmp_path / f"{compiler}.so"
+        run(require_tool(compiler), "-x", language, f"-std={standard}", NUMBERS, "-c", folder / f"{name}.c", "-o", code)
+        run(probe, PROBES / "estimator_probe.c", code, "-o", library)
+        found.append(estimates(library))
+    assert np.isfinite(found[0]).all() and np.ptp(found[0]) > 1.0
+    assert found[0].tobytes() == found[1].tobytes()
