@@ -309,6 +309,11 @@ def test_no_motion(log: Log, tmp_path: Path) -> None:
     assert "axis moves" in refusal(dataclasses.replace(log, position_m=quiet), tmp_path)
 
 
+def test_presliding_alone(tmp_path: Path) -> None:
+    said = refusal(moved(strokes=False), tmp_path, "--mass", str(MASS))
+    assert "beyond break-away" in said
+
+
 def test_force_that_is_constant(log: Log, tmp_path: Path) -> None:
     assert "force that changes" in refusal(dataclasses.replace(log, force_N=np.ones(len(log))), tmp_path)
 

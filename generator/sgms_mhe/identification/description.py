@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -29,6 +29,7 @@ SLID: Final = 0.1
 """Break-away distance over the travel up to which an element slips on both ways and some way beyond."""
 OPEN_LEVEL: Final = 0.15
 """Share of the level in elements beyond that from which a record counts as one of presliding alone."""
+SPRING: Final = "position_spring"
 CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
     "coulomb": ("coulomb",),
     "viscous": ("viscous",),
@@ -38,19 +39,32 @@ CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
 """Numbers by the cause whose excitation says what a motion must hold to show them."""
 
 
-def check_slides(view: View, fit: AxisFit, source: str) -> None:
+def check_slides(view: View, fit: AxisFit, shown: Collection[str], source: str) -> None:
     """Refuse records that stay below break-away: no level is seen in them, and any would do.
+
+    An element that never breaks away is a spring over the travel. So a spring counts as one, unless the motion is such
+    that it shows springs.
+
+    Args:
+        view: the records.
+        fit: of all of them.
+        shown: effects that the motion can show.
+        source: of the refusal.
 
     Raises:
         InputError: what is needed.
     """
     travel = view.rows.extents.travel
     open_level = float(fit.levels[fit.shape.distances > SLID * travel].sum())
-    if open_level > OPEN_LEVEL * fit.coulomb:
+    level = fit.coulomb
+    if SPRING not in shown and fit.place(SPRING).stop:
+        spring = 0.5 * travel * max(0.0, float(fit.coefficient(SPRING)[0]))
+        open_level, level = open_level + spring, level + spring
+    if open_level > OPEN_LEVEL * level:
         raise InputError(
             source,
             "motion",
-            f"{travel:.3g} m of travel, {100.0 * open_level / fit.coulomb:.0f} % of the friction a spring over it",
+            f"{travel:.3g} m of travel, {100.0 * open_level / level:.0f} % of the friction a spring over it",
             "motion well beyond break-away, in both directions: below it friction is a spring, and its level is open "
             f"({MOVES['speeds']}; {MOVES['loops']})",
         )

@@ -104,11 +104,13 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
     limits = float(grid[0]), float(grid[-1])
     views = Views(View(rows, records.coarse, noise, limits), View(rows, records.fine, noise, limits))
     found = search(views, (*base, *companions), spectrum, wanted.elements, report)
-    check_slides(views.fine, found.fit, records.names[0])
     measured = _measured(records, found)
     excited = tuple(term for term in companions if _is_excited(effect_definition(term.name), measured))
+    shown = [term.name for term in excited]
+    check_slides(views.fine, found.fit, shown, records.names[0])
     known = Known(wanted.mass is not None, wanted.elements is not None)
     settled = settle(views, found.fit, base, excited, known, report)
+    check_slides(views.fine, settled.fit, shown, records.names[0])  # elements took what springs had
     return Explored(records, views, found, settled, measured)
 
 
