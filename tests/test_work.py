@@ -70,9 +70,10 @@ def test_what_comes_in_does_not_make_more_work(
     steps = np.concatenate([speed * np.sin(0.02 * np.arange(800)) for speed in (0.01, 0.5, 1.0, 1.0)]) * MAX_VELOCITY
     steps = np.concatenate([steps, np.full(600, 0.999 * MAX_VELOCITY), np.full(600, -0.999 * MAX_VELOCITY)])
     regular = work(np.cumsum(steps) * settings.sampling.step)
-    # Elements that a jump takes over many deflection scales ask for more steps ahead than at this speed; blocks that
-    # are neither elements nor follow the flow, whose work is the largest, for none.
-    allowed = 1.05 if "effects" in changes else 2.0
+    # Elements that a jump takes over many deflection scales ask for more steps ahead than at this speed, which is most
+    # of all work where few intervals are linearised anew; blocks that are neither elements nor follow the flow, whose
+    # work is the largest, for none.
+    allowed = 1.05 if "effects" in changes else 2.0 if relinearise == "all" else 3.0
     slow = np.cumsum(1e-3 * np.sin(0.02 * np.arange(1500))) * settings.sampling.step
     for kind in ("jump", "far jump", "from end to end", "missing"):
         worst = work(jumping(slow, kind))
