@@ -25,7 +25,7 @@ ROUNDING: Final = 1e-12
 NEXT_TO_NOTHING: Final = 1.01
 """Of the smallest break-away distance that the encoder tells: no larger, and it is none."""
 STAND_IN: Final = "not determined: a stand-in"
-SLID: Final = 0.1
+SLID: Final = 0.25
 """Break-away distance over the travel up to which an element slips on both ways and some way beyond."""
 OPEN_LEVEL: Final = 0.15
 """Share of the level in elements beyond that from which a record counts as one of presliding alone."""
