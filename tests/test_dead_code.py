@@ -21,7 +21,6 @@ USED_FROM_OUTSIDE = {
     "get_command": "click",
     "filter_stream": "jinja2",
     "read_estimates": "Python code of users, for the files that estimate writes",
-    "read_log": "Python code of users, for logs of any format",
     "cascade": "Python code of users, as a controller of the simulated axis",
     "ideal_log": "Python code of users, as a log of the simulated axis",
     "sinusoidal_drift": "Python code of users, as a drift of the simulated axis",

