@@ -352,7 +352,7 @@ def test_a_thinned_record_agrees_with_the_whole_at_the_fit(machine: Machine, rec
 
 def test_the_timing_of_force_and_position_is_no_cause(machine: Machine, recording: Recording) -> None:
     jerk = recording.reduce(np.gradient(recording.signals.acceleration) / machine.sampling.step)
-    late = 0.05 * machine.sampling.step * machine.plant.mass
+    late = 0.05 * machine.sampling.step * machine.plant.moved
 
     def left(share: float) -> float:
         subject = Subject.of(machine, replace(recording, friction=recording.friction + share * late * jerk))

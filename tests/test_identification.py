@@ -266,7 +266,7 @@ def test_number_of_elements_can_be_given(log: Log) -> None:
 
 def test_wrong_mass_is_said(log: Log) -> None:
     found = identify([log], Wanted("a", 1.2 * MASS))
-    assert found.machine.plant.mass == pytest.approx(MASS, rel=5e-3)
+    assert found.machine.plant.moved == pytest.approx(MASS, rel=5e-3)
     (sentence,) = [text for text in found.limits if text.startswith("mass")]
     assert "3.6 kg was given" in sentence
     assert found.number("coulomb").value == pytest.approx(TRUTH["coulomb"], rel=0.02)

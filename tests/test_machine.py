@@ -45,7 +45,7 @@ def refused(path: Path | str) -> InputError:
 def test_etel_xy_holds_table_one_of_the_paper() -> None:
     machine = load_machine("etel_xy")
     friction, smoothing = machine.friction, machine.friction.smoothing
-    assert machine.plant.mass == 20.0
+    assert machine.plant.moved == 20.0
     assert friction.stiffness == (120e3, 25e3, 7.1e3, 7.9e3)
     assert friction.fraction == (0.067, 0.056, 0.047, 0.83)
     assert (friction.viscous, friction.coulomb) == (20.0, 4.0)
@@ -80,7 +80,7 @@ def test_etel_xy_paper_differs_only_in_the_estimator() -> None:
 
 def test_emps_holds_the_published_fit() -> None:
     machine = load_machine("emps")
-    assert (machine.plant.mass, machine.friction.coulomb, machine.friction.viscous) == (95.1089, 20.3935, 203.5034)
+    assert (machine.plant.moved, machine.friction.coulomb, machine.friction.viscous) == (95.1089, 20.3935, 203.5034)
     assert machine.sampling.samples_per_update == 10
     assert machine.log is not None and machine.log.force_N is not None
     assert (machine.log.force_N.variable, machine.log.force_N.scale) == ("vir", 35.15065188248547)
@@ -150,7 +150,7 @@ def test_default_scheme_is_the_one_that_the_law_and_the_velocity_allow(
 
 
 def test_numbers_may_be_written_as_integers(tmp_path: Path) -> None:
-    mass = load_machine(write(tmp_path, MINIMAL.replace("20.0", "20"))).plant.mass
+    mass = load_machine(write(tmp_path, MINIMAL.replace("20.0", "20"))).plant.moved
     assert isinstance(mass, float)
     assert mass == 20.0
 
@@ -158,7 +158,7 @@ def test_numbers_may_be_written_as_integers(tmp_path: Path) -> None:
 def test_machine_is_frozen() -> None:
     machine = load_machine("etel_xy")
     with pytest.raises(ValidationError):
-        machine.plant.mass = 1.0  # type: ignore[misc]
+        machine.plant.moved = 1.0  # type: ignore[misc]
 
 
 def test_byte_order_mark_and_crlf_are_read(tmp_path: Path) -> None:
@@ -202,7 +202,7 @@ def test_extends_merges_tables_and_replaces_arrays(tmp_path: Path) -> None:
     write(tmp_path, 'extends = "base"\n[friction]\nstiffness = [9e4]\nfraction = [1.0]\n', "middle.toml")
     path = write(tmp_path, 'extends = "middle.toml"\nname = "top"\n[estimator.noise]\nmeasurement = 2.0\n')
     machine = load_machine(path)
-    assert (machine.name, machine.plant.mass, machine.friction.viscous) == ("top", 20.0, 7.0)
+    assert (machine.name, machine.plant.moved, machine.friction.viscous) == ("top", 20.0, 7.0)
     assert machine.friction.stiffness == (9e4,)
     assert machine.friction.micro_viscous == (0.0,)
     assert (machine.estimator.noise.state, machine.estimator.noise.measurement) == (0.03, 2.0)

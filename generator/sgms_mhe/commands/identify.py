@@ -22,6 +22,7 @@ from sgms_mhe.support.errors import InputError
 
 if TYPE_CHECKING:
     from sgms_mhe.identification import Identification
+    from sgms_mhe.machine import Units
 
 HEAVIEST: Final = 1e6
 """kg, as in a machine file."""
@@ -48,7 +49,12 @@ def _elements(ctx: click.Context, param: click.Parameter, text: str) -> int | No
 @click.option(
     "--mass", type=Number(1e-9, HEAVIEST), metavar="KG", help="Moved mass; default: the one that the motion shows."
 )
-@click.option("--inertia", type=Number(1e-12, HEAVIEST), metavar="KG_M2", help="Of an axis that turns; refused as yet.")
+@click.option(
+    "--inertia",
+    type=Number(1e-12, HEAVIEST),
+    metavar="KG_M2",
+    help="The same of an axis that turns; its logs say it does.",
+)
 @click.option(
     "--elements", callback=_elements, metavar="N|auto", default="auto", show_default=True, help="Friction elements."
 )
@@ -68,9 +74,6 @@ def command(
     No starting values are asked for. Prints what the logs determine, with intervals of two standard deviations, and
     what they do not, with the move that would.
     """
-    if inertia is not None:
-        allowed = "a linear axis with --mass: machine files have no axes that turn yet"
-        raise InputError("identify", "--inertia", inertia, allowed)
     check_output_file(out, (".toml",))
 
     from sgms_mhe.configuration import load_machine
@@ -80,20 +83,33 @@ def command(
 
     model = load_machine(like) if like is not None else None
     read = [read_log(path, model) for path in logs]
-    found = identify(read, Wanted(out.stem, mass, elements, model), note)
+    found = identify(read, Wanted(out.stem, _moved(read[0].units, mass, inertia), elements, model), note)
     write_text(out, found.toml)
     show(json_text(found.to_json() | {"file": str(out)}) if as_json else _text(found, out), out)
+
+
+def _moved(units: Units, mass: float | None, inertia: float | None) -> float | None:
+    """What was given of what the axis moves, which has to be of the logs' kind."""
+    own, other, value = (mass, inertia, "--inertia") if units.kind == "linear" else (inertia, mass, "--mass")
+    if other is not None:
+        raise InputError(
+            "identify", value, other, f"--{units.inert} [{units.mass}]: the logs are of a {units.kind} axis"
+        )
+    return own
 
 
 def _text(found: Identification, out: Path) -> str:
     from sgms_mhe.identification import interval
 
-    rows = [[n.name, interval(n), n.note or ("" if n.determined else "not determined")] for n in found.numbers]
+    units = found.machine.plant.units
+    rows = [
+        [units.named(n.name), interval(n), n.note or ("" if n.determined else "not determined")] for n in found.numbers
+    ]
     lines = [
         table_text(["number", "value", ""], rows),
         f"law: {found.law}{'' if found.law_decided else ' (default)'}",
-        f"held-out residual: {found.held_out_rms_N:.3g} N of {found.friction_rms_N:.3g} N rms; "
-        f"noise {found.noise_floor_N:.3g} N",
+        f"held-out residual: {found.held_out_rms_N:.3g} {units.force} of {found.friction_rms_N:.3g} {units.force} rms; "
+        f"noise {found.noise_floor_N:.3g} {units.force}",
     ]
     lines += [f"open: {sentence}" for sentence in found.limits]
     lines += [f"note: {warning}" for warning in found.warnings]

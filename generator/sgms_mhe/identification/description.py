@@ -15,6 +15,7 @@ from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.search import Found
 from sgms_mhe.identification.settling import CERTAIN, Settled
 from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING
+from sgms_mhe.machine import Units
 from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition
 from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.support.errors import InputError
@@ -54,7 +55,7 @@ def check_slides(view: View, fit: AxisFit, shown: Collection[str], source: str) 
     Raises:
         InputError: what is needed.
     """
-    travel = view.rows.extents.travel
+    travel, length = view.rows.extents.travel, view.rows.machine.plant.units.position
     open_level = float(fit.levels[fit.shape.distances > SLID * travel].sum())
     level = fit.coulomb
     if SPRING not in shown and fit.place(SPRING).stop:
@@ -64,7 +65,7 @@ def check_slides(view: View, fit: AxisFit, shown: Collection[str], source: str) 
         raise InputError(
             source,
             "motion",
-            f"{travel:.3g} m of travel, {100.0 * open_level / level:.0f} % of the friction a spring over it",
+            f"{travel:.3g} {length} of travel, {100.0 * open_level / level:.0f} % of the friction a spring over it",
             "motion well beyond break-away, in both directions: below it friction is a spring, and its level is open "
             f"({MOVES['speeds']}; {MOVES['loops']})",
         )
@@ -141,35 +142,36 @@ def _to(count: int) -> range:
     return range(1, count + 1)
 
 
-def mass_number(settled: Settled, given: float | None, adopted: float) -> tuple[Number, tuple[str, ...]]:
-    """The mass that is written, and what is to be said of it."""
-    seen = settled.mass
+def mass_number(settled: Settled, given: float | None, adopted: float, units: Units) -> tuple[Number, tuple[str, ...]]:
+    """The mass, or inertia, that is written, and what is to be said of it."""
+    seen, inert, unit = settled.mass, units.inert, units.mass
     if given is None:
         if seen is None:  # refused before
             raise ValueError("neither a mass nor a motion that shows one")
-        return Number("mass", adopted, seen.std, True, "of the motion, as the force's scale has it"), ()
+        return Number("mass", adopted, seen.std, True, f"of the motion, as the {units.push}'s scale has it"), ()
     if seen is None:
-        sentence = f"mass: as given, the motion does not show it. Needed: {MOVES['jerks']} (sgms-mhe plan)"
+        sentence = f"{inert}: as given, the motion does not show it. Needed: {MOVES['jerks']} (sgms-mhe plan)"
         return Number("mass", adopted, math.nan, False, "as given; the motion does not show it"), (sentence,)
     if adopted == given:
         shown = f"as given; the motion shows {seen.value:.5g} +- {2.0 * seen.std:.2g}"
         return Number("mass", given, math.nan, True, shown), ()
     ratio = adopted / given
     sentence = (
-        f"mass: {given:g} kg was given, and the motion shows {seen.value:.5g} +- {2.0 * seen.std:.2g} kg. Either the "
-        f"mass is that, or the logged force is {ratio:.4g} times the real one: then scale it in [log] and identify "
-        "again. The file has the mass that goes with the force as logged"
+        f"{inert}: {given:g} {unit} was given, and the motion shows {seen.value:.5g} +- {2.0 * seen.std:.2g} {unit}. "
+        f"Either the {inert} is that, or the logged {units.push} is {ratio:.4g} times the real one: then scale it in "
+        f"[log] and identify again. The file has the {inert} that goes with the {units.push} as logged"
     )
     return Number("mass", adopted, seen.std, True, f"of the motion; {given:g} was given"), (sentence,)
 
 
-def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, view: View) -> list[str]:
+def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, view: View, units: Units) -> list[str]:
     """What the records leave open, with the move that would tell."""
+    length = units.position
     said = []
     if not found.decided:
         said.append(
             f"law: the logs do not tell elements that switch from smooth ones ({found.other.cross_rms:.3g} and "
-            f"{found.fit.cross_rms:.3g} N are left); sgms is the default. {_needed('stiffness')}"
+            f"{found.fit.cross_rms:.3g} {units.force} are left); sgms is the default. {_needed('stiffness')}"
         )
     unknown = {number.name for number in numbers if not number.determined}
     said += [
@@ -177,20 +179,25 @@ def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, view: V
         for name in ("coulomb", "viscous", "stribeck")
         if unknown & set(CONTROLLED[name])
     ]
-    said += _late(settled, view)
+    said += _late(settled, view, units)
     travel, fit = view.rows.extents.travel, settled.fit
     for k, (distance, level) in enumerate(zip(fit.shape.distances.tolist(), fit.levels.tolist(), strict=True), start=1):
-        element = f"element {k} (breaks away after {distance:.2g} m)"
+        element = f"element {k} (breaks away after {distance:.2g} {length})"
         if distance <= NEXT_TO_NOTHING * view.limits[0]:
-            said.append(f"{element}: about what the encoder resolves; it is at least {level / distance:.2g} N/m stiff")
+            stiff = f"{level / distance:.2g} {units.stiffness}"
+            said.append(f"{element}: about what the encoder resolves; it is at least {stiff} stiff")
         elif distance > SLID * travel:
-            said.append(f"{element}: its level is open, {travel:.2g} m of travel are too few; it may be a spring")
+            said.append(
+                f"{element}: its level is open, {travel:.2g} {length} of travel are too few; it may be a spring"
+            )
         elif unknown & {f"stiffness_{k}", f"fraction_{k}"}:
-            said.append(f"{element}: not determined by itself. {_needed('stiffness')}, about {distance:.1g} m wide")
+            said.append(
+                f"{element}: not determined by itself. {_needed('stiffness')}, about {distance:.1g} {length} wide"
+            )
     return said
 
 
-def _late(settled: Settled, view: View) -> list[str]:
+def _late(settled: Settled, view: View, units: Units) -> list[str]:
     """What is to be said where force and position are apart in time: it is in no number, and in no machine either."""
     fit, place = settled.fit, settled.fit.place(LATE)
     late, std = float(fit.coefficient(LATE)[0]), math.sqrt(float(settled.cov[place.start, place.start]))
@@ -199,8 +206,8 @@ def _late(settled: Settled, view: View) -> list[str]:
         return []
     which = "after" if late > 0.0 else "before"
     return [
-        f"the force comes {1e3 * abs(late):.2g} ms {which} the motion that it makes: {size:.2g} N rms the file has "
-        "not; sgms-mhe diagnose tells a delay from a lag"
+        f"the {units.push} comes {1e3 * abs(late):.2g} ms {which} the motion that it makes: {size:.2g} {units.force} "
+        "rms the file has not; sgms-mhe diagnose tells a delay from a lag"
     ]
 
 

@@ -26,7 +26,7 @@ from sgms_mhe.identification.terms import Term, companion_terms, mass_term, samp
 from sgms_mhe.identification.weights import measurement_noise
 from sgms_mhe.identification.writing import checked, machine_content, machine_toml
 from sgms_mhe.logfiles.plausibility import check_plausible
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.model.effects import MOVES, Measure, effect_definition
 from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.signals.logs import Log
@@ -45,7 +45,7 @@ class Wanted:
 
     Attributes:
         name: of the machine.
-        mass: moved mass [kg]; None: that of the motion.
+        mass: moved mass [kg], or inertia [kg m^2]; None: that of the motion.
         elements: their number; None: what the records show.
         like: a machine whose sampling, estimator, code and `[log]` are taken over; None: none.
         per_decade: distances of the convex start's grid; the result does not depend on it.
@@ -138,6 +138,7 @@ def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
     """The logs behind the chain, those refused that hold no motion."""
     common_rate(logs)
     for log in logs:
+        _check_kind(log, logs[0].kind if wanted.like is None else wanted.like.plant.kind)
         _check_moves(log)
     machine = unknown_axis(logs, wanted.name, wanted.mass or 1.0, wanted.like)
     mass = rough_mass(machine, logs) if wanted.mass is None else wanted.mass
@@ -149,20 +150,29 @@ def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
     return records
 
 
+def _check_kind(log: Log, kind: Kind) -> None:
+    if log.kind != kind:
+        raise InputError(
+            log.source or "log", "columns", f"of a {log.kind} axis", f"those of a {kind} axis, as the others"
+        )
+
+
 def _check_moves(log: Log) -> None:
     """Refuse a log without motion, or without a force that makes it."""
     if not np.ptp(log.force_N[np.isfinite(log.force_N)]) > 0.0:
-        allowed = "a force that changes: what moves an axis does"
-        raise InputError(log.source or "log", "column force_N, every row", float(log.force_N[0]), allowed)
+        allowed = f"a {log.units.push} that changes: what moves an axis does"
+        column = f"column {log.units.named('force_N')}, every row"
+        raise InputError(log.source or "log", column, float(log.force_N[0]), allowed)
     position = log.position_m[np.isfinite(log.position_m)]
     steps = np.abs(np.diff(position))
     step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
     travel = float(np.ptp(position)) if len(position) else 0.0
+    unit = log.units.position
     if travel <= LEAST_TRAVEL * step and travel <= LEAST_TRAVEL * float(np.std(np.diff(position))):
         raise InputError(
             log.source or "log",
-            "column position_m",
-            f"a range of {travel:.3g} m, {step:.3g} m from sample to sample",
+            f"column {log.units.named('position_m')}",
+            f"a range of {travel:.3g} {unit}, {step:.3g} {unit} from sample to sample",
             f"a log in which the axis moves ({MOVES['speeds']}; {MOVES['loops']})",
         )
 
@@ -172,13 +182,15 @@ def _check_dissipates(records: Records) -> None:
     rows = records.rows
     power = rows.friction * rows.velocity
     mean, size = float(np.mean(power[rows.used])), float(np.mean(np.abs(power[rows.used])))
+    units = rows.machine.plant.units
+    force = units.named("force_N")
     if mean < -DRIVEN * size:
         raise InputError(
             records.names[0],
-            "columns position_m and force_N",
+            f"columns {units.named('position_m')} and {force}",
             f"{mean:.3g} W of friction, which drives the axis",
-            "a force of the position's sign: is one of them turned round? Then force_N has scale = -1 in [log]; or a "
-            f"mass that goes with the force, not {rows.machine.plant.mass:.4g} kg",
+            f"a {units.push} of the position's sign: is one of them turned round? Then {force} has scale = -1 in "
+            f"[log]; or {units.inert} that goes with the {units.push}, not {rows.machine.plant.moved:.4g} {units.mass}",
         )
 
 
@@ -208,20 +220,20 @@ def _fractions(levels: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> lis
 def _described(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: Progress) -> Identification:
     """The numbers, the file and what is to be said of both."""
     records, views, found, settled = explored.records, explored.views, explored.found, explored.settled
-    fit, given = settled.fit, wanted.mass
+    fit, given, units = settled.fit, wanted.mass, records.machine.plant.units
     seen = settled.mass
     if given is None and seen is None:
         raise InputError(
             records.names[0],
-            "mass",
+            units.inert,
             None,
-            f"--mass: the motion does not show it; or a log with {MOVES['jerks']}, which do",
+            f"--{units.inert}: the motion does not show it; or a log with {MOVES['jerks']}, which do",
         )
     adopted = given if given is not None and (seen is None or "mass" not in settled.numbers) else seen
     mass_kg = adopted if isinstance(adopted, float) else adopted.value if adopted is not None else math.nan
-    mass, said = mass_number(settled, given, mass_kg)
+    mass, said = mass_number(settled, given, mass_kg, units)
     numbers: tuple[Number, ...] = (mass, *law_numbers(settled, unexcited(explored.measured)))
-    limits = [*said, *limits_of(numbers, found, settled, views.fine)]
+    limits = [*said, *limits_of(numbers, found, settled, views.fine, units)]
     law = fit.shape.law
     path = Path(f"{wanted.name}.toml")
     report("weights")
@@ -231,10 +243,11 @@ def _described(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: 
     head = [
         f"Written by sgms-mhe identify over {', '.join(Path(name).name for name in sorted(records.names))}.",
         "Intervals are two standard deviations.",
-        f"On blocks that the fit had not seen {settled.held_out_rms:.3g} N rms are left; noise is {floor:.3g} N.",
+        f"On blocks that the fit had not seen {settled.held_out_rms:.3g} {units.force} rms are left; noise is "
+        f"{floor:.3g} {units.force}.",
         *limits,
     ]
-    toml = machine_toml(content, numbers, head)
+    toml = machine_toml(units, content, numbers, head)
     used = views.fine.rows.used
     return Identification(
         machine=checked(toml, content, path),

@@ -205,7 +205,7 @@ def started(records: Records, distance: float) -> Records:
         records: all logs.
         distance: of the element that breaks away last [m].
     """
-    rows = records.rows
+    rows, length = records.rows, records.machine.plant.units.position
     unknown, first, kept = np.zeros(len(rows.time), dtype=np.bool_), 0, []
     for name, motion in zip(records.names, records.fine, strict=True):
         position = rows.position[first : first + motion.rows]
@@ -215,7 +215,7 @@ def started(records: Records, distance: float) -> Records:
             unknown[first : first + known] = True
         else:
             kept.append(
-                f"{name}: no excursion of {FORGOTTEN * distance:.2g} m soon; friction is taken to begin relaxed"
+                f"{name}: no excursion of {FORGOTTEN * distance:.2g} {length} soon; friction is taken to begin relaxed"
             )
         first += motion.rows
     used = rows.used & ~unknown

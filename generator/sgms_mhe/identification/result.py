@@ -16,7 +16,8 @@ class Number:
     """A number of the machine file.
 
     Attributes:
-        name: as in the file, with an index for arrays (`stiffness_1`) and an effect's name before its parameters.
+        name: as in the file of a linear axis, with an index for arrays (`stiffness_1`) and an effect's name before its
+            parameters.
         value: SI; the default where the records do not determine it.
         std: one standard deviation; NaN where the number is a default or was given.
         determined: whether the records determine it.
@@ -73,13 +74,20 @@ class Identification:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; NaN where a number has no deviation."""
-        return {
+        units = self.machine.plant.units
+        content = {
             "machine": self.machine.name,
             "law": self.law,
             "law_decided": self.law_decided,
             "elements": self.machine.friction.n_z,
             "numbers": [
-                {"name": n.name, "value": n.value, "std": n.std, "identified": n.determined, "note": n.note}
+                {
+                    "name": units.named(n.name),
+                    "value": n.value,
+                    "std": n.std,
+                    "identified": n.determined,
+                    "note": n.note,
+                }
                 for n in self.numbers
             ],
             "residual_rms_N": {
@@ -93,6 +101,8 @@ class Identification:
             "warnings": list(self.warnings),
             "logs": list(self.sources),
         }
+        keyed: dict[str, Any] = units.keyed(content)
+        return keyed
 
 
 def interval(number: Number, digits: int = 2) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine, override_machine
 from sgms_mhe.diagnosis.recording import prepare
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Machine, plant_content
 from sgms_mhe.model.effects import MOVES
 from sgms_mhe.signals.logs import JITTER, Log
 from sgms_mhe.support.errors import InputError
@@ -61,7 +61,7 @@ def unknown_axis(logs: Sequence[Log], name: str, mass: float, like: Machine | No
     Args:
         logs: the records, at least one.
         name: of the machine.
-        mass: moved mass [kg].
+        mass: moved mass [kg], or inertia [kg m^2].
         like: whose sampling, estimator, code and `[log]` are taken over; None: none.
 
     Raises:
@@ -69,7 +69,7 @@ def unknown_axis(logs: Sequence[Log], name: str, mass: float, like: Machine | No
     """
     rate = common_rate(logs)
     fastest = max(_fastest(log, rate) for log in logs)
-    content: dict[str, Any] = {"name": name, "plant": {"mass": mass}, "friction": _stand_in(logs)}
+    content: dict[str, Any] = {"name": name, "plant": plant_content(logs[0].kind, mass), "friction": _stand_in(logs)}
     if like is not None:
         if abs(like.sampling.rate - rate) > JITTER * like.sampling.rate:
             allowed = f"sampling.rate of {like.name}, {like.sampling.rate:g} Hz"
@@ -143,7 +143,7 @@ def _noise_share(machine: Machine, log: Log) -> float:
 
 
 def rough_mass(machine: Machine, logs: Sequence[Log]) -> float:
-    """Moved mass [kg] by least squares of the force on acceleration, speed, direction and a constant.
+    """Moved mass [kg, kg m^2] by least squares of the force on acceleration, speed, direction and a constant.
 
     Raises:
         InputError: the motion asks for no mass, or one below 0.
@@ -158,12 +158,13 @@ def rough_mass(machine: Machine, logs: Sequence[Log]) -> float:
     X, y = np.concatenate(columns), np.concatenate(forces)
     mass = float(np.linalg.lstsq(X / np.maximum(np.abs(X).max(axis=0), 1e-300), y, rcond=1e-9)[0][0])
     mass /= float(np.abs(X[:, 0]).max())
+    units = machine.plant.units
     if not mass > 0.0:
         raise InputError(
             logs[0].source or "log",
-            "force over acceleration",
-            f"{mass:.3g} kg",
-            f"--mass: this motion shows none ({MOVES['jerks']} would); or is the force's sign not the position's? "
-            "Then force_N has scale = -1 in [log]",
+            f"{units.push} over acceleration",
+            f"{mass:.3g} {units.mass}",
+            f"--{units.inert}: this motion shows none ({MOVES['jerks']} would); or is the {units.push}'s sign not the "
+            f"position's? Then {units.named('force_N')} has scale = -1 in [log]",
         )
     return mass

@@ -90,7 +90,7 @@ def settle(
     cov = covariance(views.fine, fit)
     wide = quantities(fit, cov)
     mass = _mass(views.fine.rows, wide["mass"])
-    dropped = _unseen(fit, cov, wide, views.fine.rows.machine.plant.mass if wanted.mass else None)
+    dropped = _unseen(fit, cov, wide, views.fine.rows.machine.plant.moved if wanted.mass else None)
     if dropped:
         terms = tuple(term for term in fit.terms if term.name not in dropped)
         fit = fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS)
@@ -144,7 +144,7 @@ def _with_rise(views: Views, fit: AxisFit) -> AxisFit:
 
 
 def _mass(rows: Recording, extra: Quantity) -> Quantity | None:
-    mass = Quantity(rows.machine.plant.mass + extra.value, extra.std)
+    mass = Quantity(rows.machine.plant.moved + extra.value, extra.std)
     return mass if mass.value > 0.0 and mass.relative <= MASS_SEEN else None
 
 

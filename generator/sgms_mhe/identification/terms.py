@@ -59,7 +59,7 @@ def sampling_terms(rows: Recording) -> tuple[Term, ...]:
     order the inertial force is off by half the second derivative of the acceleration times h^2, beside which the
     h^2 / 12 by which a second difference is low are little.
     """
-    step, mass = rows.machine.sampling.step, rows.machine.plant.mass
+    step, mass = rows.machine.sampling.step, rows.machine.plant.moved
     rate = -np.gradient(rows.signals.force) / step
     snap = np.gradient(np.gradient(rows.signals.acceleration)) / step**2
     return (
@@ -80,7 +80,7 @@ def companion_terms(rows: Recording) -> tuple[Term, ...]:
         friction=nothing,
         level=nothing,
         damping=0.0,
-        mass=rows.machine.plant.mass,
+        mass=rows.machine.plant.moved,
         deflection=0.0,
         extents=rows.extents,
     )

@@ -14,7 +14,7 @@ from sgms_mhe.configuration import make_machine
 from sgms_mhe.identification.description import STAND_IN
 from sgms_mhe.identification.elements import Law
 from sgms_mhe.identification.result import Number, interval, rounded
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Machine, Units, plant_content
 
 COMMENT_COLUMN: Final = 40
 COLUMNS: Final = 100
@@ -34,9 +34,10 @@ def machine_content(base: Machine, law: Law, numbers: Sequence[Number], measurem
         base: name, rates and what was taken over from another file.
         law: of the elements.
         numbers: as described.
-        measurement: noise of the measured friction [N]; None: not known yet.
+        measurement: noise of the measured friction [N, N m]; None: not known yet.
     """
     by_name = {number.name: number for number in numbers}
+    units = base.plant.units
     value = {name: rounded(number.value, number.std) for name, number in by_name.items()}
     count = sum(name.startswith("stiffness_") for name in value)
     friction: dict[str, Any] = {
@@ -59,11 +60,11 @@ def machine_content(base: Machine, law: Law, numbers: Sequence[Number], measurem
     for name, number in value.items():
         effect, dot, parameter = name.partition(".")
         if dot:
-            effects.setdefault(effect, {"name": effect})[parameter] = number
+            effects.setdefault(effect, {"name": effect})[units.named(parameter)] = number
     content: dict[str, Any] = {
         "name": base.name,
         "description": base.description or "identified from measurements",
-        "plant": {"mass": value["mass"]},
+        "plant": plant_content(units.kind, value["mass"]),
         "friction": friction,
         "sampling": sampling,
         "estimator": estimator,
@@ -82,16 +83,16 @@ def _shares(values: Sequence[float]) -> list[float]:
     return shares
 
 
-def machine_toml(content: Mapping[str, Any], numbers: Sequence[Number], head: Sequence[str]) -> str:
+def machine_toml(units: Units, content: Mapping[str, Any], numbers: Sequence[Number], head: Sequence[str]) -> str:
     """The file: `head` as comments, then the content, numbers with their intervals."""
-    notes = _notes(numbers)
+    notes = _notes(units, numbers)
     lines = [line for text in head for line in wrapped(text)]
     lines += [f"{key} = {_value(content[key])}" for key in ("name", "description")]
     for table in ("plant", "friction", "sampling", "estimator", "compensation", "code", "diagnosis", "log"):
         if table in content:
             lines += _table(table, content[table], notes)
         if table == "friction":
-            lines += _elements(numbers)
+            lines += _elements(units, numbers)
     for effect in content.get("effects", ()):
         lines += ["", "[[effects]]"]
         lines += [_line(key, entry, notes.get(f"{effect['name']}.{key}", "")) for key, entry in effect.items()]
@@ -121,33 +122,40 @@ def _inline(name: str) -> bool:
     return name != "estimator"
 
 
-def _notes(numbers: Sequence[Number]) -> dict[str, str]:
+def _notes(units: Units, numbers: Sequence[Number]) -> dict[str, str]:
     """Comments by key of the file: intervals of two standard deviations, or why there is none."""
-    units = {"mass": "kg", "coulomb": "N", "viscous": "N s/m", "stribeck_velocity": "m/s"}
+    unit_of = {
+        "mass": units.mass,
+        "coulomb": units.force,
+        "viscous": units.damping,
+        "stribeck_velocity": units.velocity,
+    }
     notes: dict[str, str] = {}
     for number in numbers:
         said = number.note if not math.isfinite(number.std) else interval(number)
         if math.isfinite(number.std) and number.note:
             said += f", {number.note}"
         if "." in number.name:
-            notes[number.name] = said
+            notes[units.named(number.name)] = said
         elif not number.name.startswith(ELEMENTS):
             table = "plant" if number.name == "mass" else "friction"
-            unit = units.get(number.name, "")
-            notes[f"{table}.{number.name}"] = f"{unit}: {said}" if unit else said
-    notes["friction.stiffness"] = "N/m"
-    notes["estimator.noise.measurement"] = "N, 1 sigma: what the model leaves of the logs, sample by sample"
+            unit = unit_of.get(number.name, "")
+            notes[f"{table}.{units.named(number.name)}"] = f"{unit}: {said}" if unit else said
+    notes["friction.stiffness"] = units.stiffness
+    notes["estimator.noise.measurement"] = (
+        f"{units.force}, 1 sigma: what the model leaves of the logs, sample by sample"
+    )
     return notes
 
 
-def _elements(numbers: Sequence[Number]) -> list[str]:
+def _elements(units: Units, numbers: Sequence[Number]) -> list[str]:
     """A comment for each element: intervals of its stiffness and its share."""
     by_name = {number.name: number for number in numbers}
     lines, k = [], 1
     while f"stiffness_{k}" in by_name:
         stiffness, share = by_name[f"stiffness_{k}"], by_name[f"fraction_{k}"]
         open_ = "" if stiffness.determined and share.determined else f"; {STAND_IN}"
-        lines.append(f"# element {k}: {interval(stiffness)} N/m, share {interval(share)}{open_}")
+        lines.append(f"# element {k}: {interval(stiffness)} {units.stiffness}, share {interval(share)}{open_}")
         k += 1
     return lines
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from sgms_mhe.logfiles.plausibility import check_plausible
-from sgms_mhe.logfiles.reading import Reading, check_kind, log_of
+from sgms_mhe.logfiles.reading import Reading, log_of
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -88,12 +88,10 @@ def inspect_reading(reading: Reading, machine: Machine | None) -> Inspection:
     """Judge a reading as the commands would, going on where they stop."""
     problems: list[str] = []
     log: Log | None = None
-    if machine is not None or reading.kind == "linear":
-        try:
-            check_kind(reading, machine)
-            log = log_of(reading, machine)
-        except InputError as error:
-            problems.append(str(error))
+    try:
+        log = log_of(reading, machine)
+    except InputError as error:
+        problems.append(str(error))
     if log is not None:
         try:
             check_plausible(log, machine)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.logfiles.newton import force_balance, since_reversal
-from sgms_mhe.machine import QUANTITIES, Machine
+from sgms_mhe.machine import QUANTITIES, Kind, Machine
 from sgms_mhe.signals.chain import readings
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -44,9 +44,8 @@ _TRAVEL: Final = 0.01
 """Of the travel: how far behind a reversal friction has its new direction at the least."""
 
 _MAPPING = "[log] of the machine file says which variable a column is and in what unit"
-_UNITS: Final[Mapping[str, Mapping[str, tuple[float, float]]]] = {
-    quantity.column: quantity.units for quantity in QUANTITIES["linear"]
-}
+_SMALL: Final[Mapping[Kind, tuple[str, ...]]] = {"linear": ("mm", "um", "nm"), "rotary": ("deg", "mrad", "urad")}
+"""Units that people leave out, the usual one first."""
 
 
 def check_plausible(log: Log, machine: Machine | None) -> None:
@@ -74,6 +73,12 @@ def check_plausible(log: Log, machine: Machine | None) -> None:
         _check_force(log, machine, motion)
 
 
+def _units(log: Log, name: str) -> Mapping[str, tuple[float, float]]:
+    """Units in which a column may be, with their factors; the column by its name on a linear axis."""
+    own = log.units.named(name)
+    return next(quantity.units for quantity in QUANTITIES[log.kind] if quantity.column == own)
+
+
 def _refused(log: Log, where: str, seen: object, allowed: str) -> InputError:
     return InputError(log.source or "log", where, seen, allowed)
 
@@ -83,7 +88,7 @@ def _check_constant(log: Log) -> None:
         values = log.columns[name]
         finite = values[np.isfinite(values)]
         if len(finite) and finite.min() == finite.max():
-            raise _refused(log, f"column {name}, every row", float(finite[0]), f"{what}; {_MAPPING}")
+            raise _refused(log, f"column {log.units.named(name)}, every row", float(finite[0]), f"{what}; {_MAPPING}")
 
 
 _CHANGING: Final = {
@@ -101,9 +106,13 @@ def _check_copies(log: Log) -> None:
         steps = (1.0, 1e3, 1e6, 1e9, log.rate)
         if slope is not None and (name == "force_N" or any(math.isclose(slope, s, rel_tol=1e-6) for s in steps)):
             seen = f"grows by {slope:.6g} every second"
-            raise _refused(log, f"column {name}", seen, f"no time and no row number; {_MAPPING}")
+            raise _refused(log, f"column {log.units.named(name)}", seen, f"no time and no row number; {_MAPPING}")
     if _slope(log.position_m, log.force_N) is not None:
-        raise _refused(log, "columns position_m and force_N", "the same signal", f"two signals; {_MAPPING}")
+        raise _refused(log, _both(log), "the same signal", f"two signals; {_MAPPING}")
+
+
+def _both(log: Log) -> str:
+    return f"columns {log.units.named('position_m')} and {log.units.named('force_N')}"
 
 
 def _slope(x: Array, y: Array) -> float | None:
@@ -121,20 +130,22 @@ def _slope(x: Array, y: Array) -> float | None:
 
 def _check_speed(log: Log, machine: Machine) -> None:
     """Refuse a motion that is too fast for the axis."""
-    samples, highest = machine.sampling.samples_per_update, machine.sampling.max_velocity
+    samples, highest, units = machine.sampling.samples_per_update, machine.sampling.max_velocity, machine.plant.units
+    position, force = units.named("position_m"), units.named("force_N")
     fastest = _fastest(log.position_m, samples, log.rate)
     if not fastest > TOO_FAST * highest:
         return
-    seen = f"beyond {fastest:.3g} m/s in a twentieth of the record"
-    known = f"sampling.max_velocity of {machine.name} is {highest:g} m/s"
+    seen = f"beyond {fastest:.3g} {units.velocity} in a twentieth of the record"
+    known = f"sampling.max_velocity of {machine.name} is {highest:g} {units.velocity}"
     if _fastest(log.force_N, samples, log.rate) <= TOO_FAST * highest:
-        remedy = 'swapped with force_N? Then [log] has position_m = "force_N" and force_N = "position_m"'
+        remedy = f'swapped with {force}? Then [log] has {position} = "{force}" and {force} = "{position}"'
     else:
-        # Millimetres are what people have; the others where only they are slow enough.
-        units = ("mm", "um", "nm")
-        unit = next((unit for unit in units if fastest * _UNITS["position_m"][unit][0] <= highest), "mm")
-        remedy = f'another column or unit? [log] has position_m = {{ variable = "...", unit = "{unit}" }}'
-    raise _refused(log, "column position_m", seen, f"a position in metres; {known}; {remedy}")
+        # Millimetres and degrees are what people have; the others where only they are slow enough.
+        usual = _SMALL[machine.plant.kind]
+        known_units = _units(log, "position_m")
+        unit = next((unit for unit in usual if fastest * known_units[unit][0] <= highest), usual[0])
+        remedy = f'another column or unit? [log] has {position} = {{ variable = "...", unit = "{unit}" }}'
+    raise _refused(log, f"column {position}", seen, f"a position in {units.metres}; {known}; {remedy}")
 
 
 def _fastest(position: Array, samples: int, rate: float) -> float:
@@ -202,16 +213,15 @@ def _check_derivatives(log: Log, samples: int) -> None:
         ratio = float(mean @ expected / (expected @ expected))
         if 1.0 / APART <= ratio <= APART:
             continue
-        remedy = "scale = -1.0" if -APART <= ratio <= -1.0 / APART else _unit_near(name, ratio) or "scale = ..."
-        allowed = (
-            f'{name} as position_m has it; [log] of the machine file has {name} = {{ variable = "...", {remedy} }}'
-        )
-        raise _refused(log, f"column {name}", f"{ratio:.3g} times the rate of change of position_m", allowed)
+        remedy = "scale = -1.0" if -APART <= ratio <= -1.0 / APART else _unit_near(log, name, ratio) or "scale = ..."
+        own, position = log.units.named(name), log.units.named("position_m")
+        allowed = f'{own} as {position} has it; [log] of the machine file has {own} = {{ variable = "...", {remedy} }}'
+        raise _refused(log, f"column {own}", f"{ratio:.3g} times the rate of change of {position}", allowed)
 
 
-def _unit_near(name: str, ratio: float) -> str:
+def _unit_near(log: Log, name: str, ratio: float) -> str:
     """The unit in which a column would be right that is `ratio` times what it should be; empty where there is none."""
-    units = _UNITS[name].items()
+    units = _units(log, name).items()
     found = next((unit for unit, (factor, _) in units if factor != 1.0 and 1 / NEAR <= ratio * factor <= NEAR), None)
     return "" if found is None else f'unit = "{found}"'
 
@@ -223,23 +233,24 @@ def _check_balance(log: Log, machine: Machine | None, motion: _Motion) -> None:
     if machine is not None:
         distance = max(distance, _breakaway(machine))
     balance = force_balance(motion.position, motion.velocity, motion.acceleration, motion.force, distance)
+    units = log.units
+    position, force = units.named("position_m"), units.named("force_N")
+    share = f"{balance.inertia:.3g} {units.force} per {units.acceleration}"
     if balance.reversed:
-        seen = (
-            f"{balance.inertia:.3g} N per m/s^2" if balance.inertia < 0.0 else "drives the motion as no friction does"
-        )
+        seen = share if balance.inertia < 0.0 else "drives the motion as no friction does"
         allowed = (
-            "a force that accelerates the axis the way that position_m counts; of the other sign "
-            '[log] of the machine file has force_N = { variable = "...", scale = -1.0 }, or the same for position_m'
+            f"a {units.push} that accelerates the axis the way that {position} counts; of the other sign "
+            f'[log] of the machine file has {force} = {{ variable = "...", scale = -1.0 }}, or the same for {position}'
         )
-        raise _refused(log, "column force_N", seen, allowed)
+        raise _refused(log, f"column {force}", seen, allowed)
     if machine is None or balance.inertia == 0.0:
         return
-    ratio = balance.inertia / machine.plant.mass
+    ratio = balance.inertia / machine.plant.moved
     if 1.0 / WRONG_SCALE <= ratio <= WRONG_SCALE:
         return
-    seen = f"{balance.inertia:.3g} N per m/s^2"
-    allowed = f"about plant.mass of {machine.name}, {machine.plant.mass:g} kg; {_remedy(log, machine, ratio)}"
-    raise _refused(log, "columns position_m and force_N", seen, allowed)
+    moved = f"{machine.plant.moved:g} {units.mass}"
+    allowed = f"about plant.{units.inert} of {machine.name}, {moved}; {_remedy(log, machine, ratio)}"
+    raise _refused(log, _both(log), share, allowed)
 
 
 def _breakaway(machine: Machine) -> float:
@@ -252,17 +263,17 @@ def _breakaway(machine: Machine) -> float:
 def _remedy(log: Log, machine: Machine, ratio: float) -> str:
     """What to write where force over acceleration is `ratio` times the mass: units that would put it right."""
     fastest = _fastest(log.position_m, machine.sampling.samples_per_update, log.rate)
-    highest, found = machine.sampling.max_velocity, []
-    for unit in ("mm", "um", "nm", "cm", "in"):
-        factor = _UNITS["position_m"][unit][0]
-        if 1 / NEAR <= ratio / factor <= NEAR and fastest * factor <= highest:
-            found.append(f'position_m = {{ variable = "...", unit = "{unit}" }}')
+    highest, found, units = machine.sampling.max_velocity, [], log.units
+    position, force = units.named("position_m"), units.named("force_N")
+    for unit, (factor, _) in _units(log, "position_m").items():
+        if factor != 1.0 and 1 / NEAR <= ratio / factor <= NEAR and fastest * factor <= highest:
+            found.append(f'{position} = {{ variable = "...", unit = "{unit}" }}')
     found += [
-        f'force_N = {{ variable = "...", unit = "{unit}" }}'
-        for unit, (factor, _) in _UNITS["force_N"].items()
+        f'{force} = {{ variable = "...", unit = "{unit}" }}'
+        for unit, (factor, _) in _units(log, "force_N").items()
         if factor != 1.0 and 1 / NEAR <= ratio * factor <= NEAR
     ]
-    found = found or ['force_N = { variable = "...", scale = ... } if it is no force in N']
+    found = found or [f'{force} = {{ variable = "...", scale = ... }} if it is no {units.push} in {units.force}']
     return f"[log] of the machine file has {' or '.join(found)}"
 
 
@@ -271,7 +282,7 @@ def _check_force(log: Log, machine: Machine, motion: _Motion) -> None:
     friction = machine.friction
     fastest = _fastest(log.position_m, machine.sampling.samples_per_update, log.rate)
     resisting = friction.coulomb * (1.0 + friction.stribeck_ratio) + friction.viscous * fastest
-    needed = machine.plant.mass * float(np.sqrt(np.mean(motion.acceleration**2)))
+    needed = machine.plant.moved * float(np.sqrt(np.mean(motion.acceleration**2)))
     measured = float(np.std(motion.force))
     sliding = since_reversal(motion.position, _breakaway(machine)) > _breakaway(machine)
     rubbing = friction.coulomb * float(np.std(np.sign(motion.velocity) * sliding))
@@ -283,13 +294,16 @@ def _check_force(log: Log, machine: Machine, motion: _Motion) -> None:
 
     if fits():
         return
-    lengths, strengths = _UNITS["position_m"], _UNITS["force_N"]
-    remedies = [("position_m", unit) for unit in ("mm", "um") if fits(length=lengths[unit][0])][:1]
-    remedies += [("force_N", unit) for unit in ("kN", "mN") if fits(strength=strengths[unit][0])]
+    units = log.units
+    lengths, strengths = _units(log, "position_m"), _units(log, "force_N")
+    position, force = units.named("position_m"), units.named("force_N")
+    small, strong = _SMALL[log.kind], [unit for unit, (factor, _) in strengths.items() if factor != 1.0]
+    remedies = [(position, unit) for unit in small if fits(length=lengths[unit][0])][:1]
+    remedies += [(force, unit) for unit in strong if fits(strength=strengths[unit][0])]
     lines = [f'{name} = {{ variable = "...", unit = "{unit}" }}' for name, unit in remedies]
     seen = (
-        f"{needed:.3g} N rms for plant.mass = {machine.plant.mass:g} kg to move so and {rubbing:.3g} N rms for "
-        f"friction.coulomb, {measured:.3g} N rms measured"
+        f"{needed:.3g} {units.force} rms for plant.{units.inert} = {machine.plant.moved:g} {units.mass} to move so and "
+        f"{rubbing:.3g} {units.force} rms for friction.coulomb, {measured:.3g} {units.force} rms measured"
     )
     remedy = f"[log] of the machine file has {' or '.join(lines)}" if lines else _MAPPING
-    raise _refused(log, "columns position_m and force_N", seen, f"a motion and the force that makes it; {remedy}")
+    raise _refused(log, _both(log), seen, f"a motion and the {units.push} that makes it; {remedy}")

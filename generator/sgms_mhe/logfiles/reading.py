@@ -82,7 +82,7 @@ def understand(path: str | Path, machine: Machine | None = None) -> Reading:
     path = Path(path)
     mapping = machine.log if machine is not None else None
     table = _table(path, mapping)
-    kind, sources = choose_sources(path, table, mapping, axis_kind(machine) if machine is not None else None)
+    kind, sources = choose_sources(path, table, mapping, machine.plant.kind if machine is not None else None)
     columns = si_values(path, table, sources)
     timing = measure_time(path, columns["time_s"], table.row)
     rate = machine.sampling.rate if machine is not None else None
@@ -94,32 +94,31 @@ def understand(path: str | Path, machine: Machine | None = None) -> Reading:
 
 
 def log_of(reading: Reading, machine: Machine | None = None) -> Log:
-    """The log of a linear axis. Raises InputError for one of a rotary axis, uneven time, and another rate."""
-    check_kind(reading, machine)
+    """The log. Raises InputError for one of another kind of axis than the machine's, uneven time, and another rate."""
+    if machine is not None:
+        check_kind(reading, machine)
     if reading.resampling is None:
         check_uniform(reading.path, reading.columns["time_s"], reading.timing, reading.table.row)
     rate = reading.timing.rate if reading.resampling is None else reading.resampling.rate
-    columns: dict[str, Any] = dict(reading.columns)
-    log = Log(**columns, rate=rate, source=str(reading.path))
+    own = {quantity.column: quantity.role for quantity in QUANTITIES[reading.kind]}
+    field = {quantity.role: quantity.column for quantity in QUANTITIES["linear"]}
+    columns: dict[str, Any] = {field[own[name]]: values for name, values in reading.columns.items()}
+    log = Log(**columns, rate=rate, source=str(reading.path), kind=reading.kind)
     if machine is not None:
         check_rate(log, machine)
     return log
 
 
-def axis_kind(machine: Machine) -> Kind:
-    """The kind of a machine's axis: linear, the one that [plant] describes."""
-    return "linear"
-
-
-def check_kind(reading: Reading, machine: Machine | None = None) -> None:
+def check_kind(reading: Reading, machine: Machine) -> None:
     """Refuse a log of another kind of axis than the machine's."""
-    wanted = axis_kind(machine) if machine is not None else "linear"
+    wanted = machine.plant.kind
     if reading.kind == wanted:
         return
-    name = machine.name if machine is not None else "an axis that no machine file describes"
     names = ", ".join(source.quantity.column for source in reading.sources)
     needed = ", ".join(quantity.column for quantity in QUANTITIES[wanted] if quantity.role in REQUIRED)
-    allowed = f"columns of a {wanted} axis, as {name} is; [log] of the machine file maps {needed}"
+    allowed = (
+        f"columns of a {wanted} axis, as {machine.name} is ([plant] kind); [log] of the machine file maps {needed}"
+    )
     raise InputError(reading.path, "columns", f"{names} of a {reading.kind} axis", allowed)
 
 

@@ -7,7 +7,8 @@ from typing import Annotated, Any, Final, Literal, Self
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from sgms_mhe.machine.fields import Table, listing, quantity, refusal, text
-from sgms_mhe.machine.log_units import BY_COLUMN, COUNTS, QUANTITIES, Kind, Quantity, normal_unit
+from sgms_mhe.machine.log_units import BY_COLUMN, COUNTS, QUANTITIES, Quantity, normal_unit
+from sgms_mhe.machine.units import Kind
 
 SEPARATORS: Final = (",", ";", "\t", "|", " ")
 """What stands between the fields of a text; the space for any number of spaces and tabs."""

@@ -1,6 +1,6 @@
 """Quantities of a log, linear and rotary, and the units in which a recorded file may hold them.
 
-The one place where the two kinds of axis differ for a reader of logs: which column a quantity has, and in what SI unit.
+Where the two kinds of axis differ for a reader of logs: which column a quantity has, and in what SI unit.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Final, Literal
 
-Kind = Literal["linear", "rotary"]
-"""Kinds of axis."""
+from sgms_mhe.machine.units import Kind
 
 Role = Literal["time", "position", "force", "velocity", "acceleration", "friction", "temperature"]
 """What a quantity is on either kind of axis; the force of a rotary one is its torque."""

@@ -91,7 +91,7 @@ class Sampling(Table):
         "divides rate; default: the largest up to 2 velocity_cutoff",
     )
     velocity_cutoff: float = quantity("second-order low-pass; < rate / 2", "Hz", 500.0, gt=0)
-    max_velocity: float = quantity("speed up to which the estimate is right", "m/s", 1.0, gt=0, le=1e3)
+    max_velocity: float = quantity("speed up to which the estimate is right", "m/s, rad/s", 1.0, gt=0, le=1e3)
     integrator: Integrator = Field(Integrator(), description="integration scheme; default flow, one step per sample")
 
     @property

@@ -101,7 +101,7 @@ def signals_from_log(log: Log, machine: Machine) -> Signals:
         acceleration = lowpass(lowpass(_delay(_hold(log.acceleration_m_s2, before=0.0), 0.0)))
     position, force = _at_rest(coefficients, delayed_position), behind_chain(machine, force)
     if log.friction_N is None:
-        friction = force - machine.plant.mass * acceleration
+        friction = force - machine.plant.moved * acceleration
     else:
         friction = behind_chain(machine, _hold(log.friction_N))
     valid = _samples_since(missing) > settle

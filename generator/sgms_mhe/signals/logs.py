@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.machine import QUANTITIES, Machine
+from sgms_mhe.machine import OF_KIND, QUANTITIES, Kind, Machine, Units
 from sgms_mhe.signals.columns import write_columns
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
@@ -28,6 +28,7 @@ JITTER: Final = 0.01
 class Log:
     """A log in SI units; all arrays (n,), NaN where a sample is missing (never in time_s).
 
+    Of a rotary axis `position_m` is its angle [rad], `force_N` the torque [N m], and so on: `kind` says which it is.
     `rate` [Hz] is measured from time_s. The optional columns are used in place of what would be computed.
     """
 
@@ -40,13 +41,19 @@ class Log:
     friction_N: Array | None = None
     temperature_degC: Array | None = None
     source: str = ""
+    kind: Kind = "linear"
 
     def __len__(self) -> int:
         return len(self.time_s)
 
     @property
+    def units(self) -> Units:
+        """What this kind of axis calls its quantities."""
+        return OF_KIND[self.kind]
+
+    @property
     def columns(self) -> dict[str, Array]:
-        """The columns that are present, by name, in the order of a log file."""
+        """The columns that are present, by the names of a linear axis, in the order of a log file."""
         present = {name: getattr(self, name) for name in COLUMNS}
         return {name: values for name, values in present.items() if values is not None}
 
@@ -86,9 +93,10 @@ _CLOCKS: Final = {unit: factor for unit, (factor, _) in QUANTITIES["linear"][0].
 
 
 def write_log(path: str | Path, log: Log) -> None:
-    """Write a log atomically as CSV (numbers by shortest round-trip) or, by its suffix, as NPZ."""
+    """Write a log atomically as CSV (numbers by shortest round-trip) or, by its suffix, as NPZ; columns of its kind."""
+    columns = log.units.keyed(log.columns)
     if Path(path).suffix.lower() == ".npz":
         with atomic_write(path) as stream:
-            np.savez(stream, allow_pickle=False, **log.columns)
+            np.savez(stream, allow_pickle=False, **columns)
     else:
-        write_columns(path, log.columns)
+        write_columns(path, columns)

@@ -127,7 +127,7 @@ def true_residual(axis: Axis, explored: Explored) -> Array:
     rows = view.rows
     model = np.sum([level * run.chi for level, run in zip(levels.tolist(), runs, strict=True)], axis=0)
     model += friction.viscous * (rows.velocity + 0.5 * rows.machine.sampling.step * rows.acceleration)
-    model += (axis.machine.plant.mass - rows.machine.plant.mass) * rows.acceleration
+    model += (axis.machine.plant.moved - rows.machine.plant.moved) * rows.acceleration
     residual = rows.friction - model
     # What sampling leaves is no number of an axis: the truth is spared it as the fit is.
     sampling = np.column_stack([term.columns for term in sampling_terms(rows)])
@@ -147,7 +147,7 @@ def scored(axis: Axis, explored: Explored) -> dict[str, tuple[float, Quantity]]:
             truth |= {f"stiffness_{k + 1}": friction.stiffness[k], f"fraction_{k + 1}": friction.fraction[k]}
     found = {name: (truth[name], settled.numbers[name]) for name in truth if name in settled.numbers}
     if settled.mass is not None:
-        found["mass"] = axis.machine.plant.mass, settled.mass
+        found["mass"] = axis.machine.plant.moved, settled.mass
     return {name: pair for name, pair in found.items() if pair[1].std > 1e-12 * abs(pair[1].value)}
 
 
@@ -159,7 +159,7 @@ def identification_study(axes: int, seconds: float = 25.0, first: int = 0) -> Ta
 def identified_axis(seed: int, seconds: float) -> dict[str, Any]:
     """One row of the study: what was drawn and what was found."""
     axis = draw_axis(seed, seconds)
-    friction, mass = axis.machine.friction, axis.machine.plant.mass
+    friction, mass = axis.machine.friction, axis.machine.plant.moved
     row: dict[str, Any] = {
         "axis": seed,
         "law": friction.law,
