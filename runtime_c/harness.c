@@ -1,13 +1,14 @@
 /* Host program around one emitted package: replays a log or a motion of its own, prints estimates or times.
  *
- *     harness --log FILE      position_m and force_N of a CSV log; time_s where it is there
+ *     harness --log FILE      position_m and force_N (position_rad, torque_Nm) of a CSV log; time_s where it is there
  *     harness --motion N      a motion of its own that lasts N updates; needs no file
  *       ... --time            prints microseconds per update instead of estimates
  *     harness --selftest      replays the vectors that come with the package
  *
  * Compiled together with a package:
  *     -DSGMS_MACHINE=etel_xy -DSGMS_MACHINE_UPPER=ETEL_XY -DSGMS_MACHINE_HEADER='"etel_xy.h"'
- *     -DSGMS_CONFIG_HEADER='"etel_xy_config.h"' and, for the vectors, -DSGMS_SELFTEST_HEADER='"etel_xy_selftest.h"'
+ *     -DSGMS_CONFIG_HEADER='"etel_xy_config.h"' and, for the vectors, -DSGMS_SELFTEST_HEADER='"etel_xy_selftest.h"';
+ *     -DSGMS_ROTARY for an axis that turns
  *
  * Exit codes: 0 done, 1 the self-test failed, 2 bad input. */
 #define _POSIX_C_SOURCE 199309L
@@ -27,6 +28,20 @@
 #define JOIN2(a, b) a##_##b
 #define JOIN(a, b) JOIN2(a, b)
 #define CALL(name) JOIN(SGMS_MACHINE, name)
+
+#ifdef SGMS_ROTARY
+#define POSITION_FROM position_from_radians
+#define POSITION_COLUMN "position_rad"
+#define FORCE_COLUMN "torque_Nm"
+#define LENGTH_UNIT "rad"
+#define FORCE_UNIT "Nm"
+#else
+#define POSITION_FROM position_from_metres
+#define POSITION_COLUMN "position_m"
+#define FORCE_COLUMN "force_N"
+#define LENGTH_UNIT "m"
+#define FORCE_UNIT "N"
+#endif
 
 typedef CALL(t) machine;
 typedef CALL(real) machine_real;
@@ -72,7 +87,7 @@ static void reserve(series *s, long n)
 static void put(series *s, long k, double time, double position, double force)
 {
     s->time[k] = time;
-    s->position[k] = CALL(position_from_metres)(position);
+    s->position[k] = CALL(POSITION_FROM)(position);
     s->force[k] = (machine_real)force;
 }
 
@@ -108,7 +123,7 @@ static int next_line(FILE *file, const char *path, char *line)
 static series read_log(const char *path)
 {
     enum { TIME, POSITION, FORCE, COLUMNS };
-    static const char *const names[COLUMNS] = {"time_s", "position_m", "force_N"};
+    static const char *const names[COLUMNS] = {"time_s", POSITION_COLUMN, FORCE_COLUMN};
     int column[COLUMNS] = {-1, -1, -1};
     char line[LINE_LENGTH];
     long room = 0;
@@ -127,7 +142,7 @@ static series read_log(const char *path)
         }
     }
     if (column[POSITION] < 0 || column[FORCE] < 0) {
-        fail(path, "has no columns position_m and force_N");
+        fail(path, "has no columns " POSITION_COLUMN " and " FORCE_COLUMN);
     }
     while (next_line(file, path, line)) {
         double value[COLUMNS] = {(double)s.n * (double)SAMPLE_TIME, (double)NAN, (double)NAN};
@@ -208,9 +223,9 @@ void harness_update(machine *self, const machine_position *position, const machi
 
 static void print_header(void)
 {
-    printf("time_s,friction_measured_N,friction_N");
+    printf("time_s,friction_measured_" FORCE_UNIT ",friction_" FORCE_UNIT);
     for (int i = 1; i <= ELEMENTS; i++) {
-        printf(",z_%d_m", i);
+        printf(",z_%d_" LENGTH_UNIT, i);
     }
     for (int i = 1; i <= PARAMETERS; i++) {
         printf(",parameter_%d", i);
@@ -218,7 +233,7 @@ static void print_header(void)
     for (int i = 1; i <= PARAMETERS; i++) {
         printf(",std_parameter_%d", i);
     }
-    printf(",status,innovation_N,test_ratio,noise_scale\n");
+    printf(",status,innovation_" FORCE_UNIT ",test_ratio,noise_scale\n");
 }
 
 static void print_estimate(const machine *self, double time)
@@ -279,8 +294,7 @@ static int selftest(void)
     double worst = 0.0, range = 0.0;
     long k = 1;
     CALL(init)(&axis);
-    (void)CALL(sample)(
-        &axis, CALL(position_from_metres)((double)selftest_position[0]), (machine_real)selftest_force[0]);
+    (void)CALL(sample)(&axis, CALL(POSITION_FROM)((double)selftest_position[0]), (machine_real)selftest_force[0]);
     for (int u = 0; u < SELFTEST_UPDATES; u++) {
         range = fmax(range, fabs((double)selftest_friction[u]));
     }
@@ -288,7 +302,7 @@ static int selftest(void)
         machine_estimate estimate;
         for (int i = 0; i < SAMPLES; i++, k++) {
             (void)CALL(sample)(
-                &axis, CALL(position_from_metres)((double)selftest_position[k]), (machine_real)selftest_force[k]);
+                &axis, CALL(POSITION_FROM)((double)selftest_position[k]), (machine_real)selftest_force[k]);
         }
         (void)CALL(feedback)(&axis);
         CALL(prepare)(&axis);

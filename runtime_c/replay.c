@@ -9,6 +9,12 @@
 #define SGMS_JOIN(a, b) SGMS_JOIN2(a, b)
 #define CALL(name) SGMS_JOIN(SGMS_MACHINE, name)
 
+#ifdef SGMS_ROTARY
+#define POSITION_FROM position_from_radians
+#else
+#define POSITION_FROM position_from_metres
+#endif
+
 typedef CALL(t) machine;
 typedef CALL(real) machine_real;
 typedef CALL(signals) machine_signals;
@@ -79,7 +85,7 @@ static machine_real one_sample(machine *self, const sgms_series *series, long k)
             .delay = (machine_real)series->delay};
         return CALL(insert)(self, &signals);
     }
-    return CALL(sample)(self, CALL(position_from_metres)(series->position[k]), (machine_real)series->force[k]);
+    return CALL(sample)(self, CALL(POSITION_FROM)(series->position[k]), (machine_real)series->force[k]);
 }
 
 long sgms_replay_run(
@@ -97,8 +103,7 @@ long sgms_replay_run(
         int updated;
         if (mode == SGMS_REPLAY_TICK) {
             const int before = self->started ? (int)self->step : -1;
-            friction = CALL(tick)(
-                self, CALL(position_from_metres)(series->position[k]), (machine_real)series->force[k]);
+            friction = CALL(tick)(self, CALL(POSITION_FROM)(series->position[k]), (machine_real)series->force[k]);
             updated = before >= 0 && self->step == 0 && self->merged_count == 0;
         } else {
             friction = one_sample(self, series, k);

@@ -20,9 +20,9 @@ from cli_cases import SMALL, done, files, refused, run
 from sgms_mhe.cli import COMMANDS, cli
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
+from sgms_mhe.logfiles.reading import read_log
+from sgms_mhe.signals.columns import read_columns
 from sgms_mhe.signals.estimates import read_estimates
-from sgms_mhe.signals.formats import read_columns
-from sgms_mhe.signals.logs import read_log
 
 
 @pytest.fixture(scope="session")
@@ -406,9 +406,12 @@ BAD_LOGS: dict[str, tuple[Callable[[list[str]], list[str]], list[str]]] = {
     "time that is not uniform": (_scrambled_time, ["row 500", "time_s"]),
     "a time twice": (with_field(500, 0, "0.498"), ["row 500", "time_s"]),
     "empty": (lambda lines: [], ["at least 2 rows"]),
-    "only a header": (lambda lines: lines[:1], ["header but no row", "at least 2 rows"]),
+    "only a header": (lambda lines: lines[:1], ["no row of numbers", "at least 2 rows"]),
     "a row cut short": (lambda lines: [*lines[:300], lines[300].split(",")[0]], ["row 300", "1 fields", "3 fields"]),
-    "text": (with_field(77, 1, "n/a"), ["row 77", "column position_m", "'n/a'", "a number, or NaN"]),
+    "text": (
+        with_field(77, 1, "late"),
+        ["row 77", "column position_m", "'late'", "a number with a decimal point, or NaN"],
+    ),
     "nothing but NaN": (
         lambda lines: [lines[0], *(f"{line.rsplit(',', 1)[0]},nan" for line in lines[1:])],
         ["column force_N", "NaN throughout"],
@@ -446,11 +449,11 @@ def test_bad_logs_are_refused(name: str, command: str, small: Path, log: Path, t
 @pytest.mark.parametrize(
     ("name", "content", "expected"),
     [
-        ("x.mat", b"MATLAB 7.3 MAT-file, no more than its first words", "MAT v5"),
-        ("x.mat", bytes(200), "MAT v5"),
+        ("x.mat", b"MATLAB 7.3 MAT-file, no more than its first words", "whole MAT file"),
+        ("x.mat", bytes(200), "whole MAT file"),
         ("x.npz", b"PK\x03\x04 cut off", "NPZ"),
-        ("x.csv", b"\xff\xfe\x00position_m", "column"),
-        ("x.parquet", b"PAR1", ".csv"),
+        ("x.csv", b"\xff\xfe\x00position_m", "utf-16 text"),
+        ("x.xlsx", b"PK", ".csv"),
         ("absent.csv", None, "No such file"),
     ],
 )
@@ -504,7 +507,7 @@ def _forbid_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def forbidden(*arguments: object, **options: object) -> None:
         raise AssertionError("work began before the output was tried")
 
-    for name in ("plant.simulation.simulate_axis", "signals.logs.read_log", "emission.package.emit_package"):
+    for name in ("plant.simulation.simulate_axis", "logfiles.reading.read_log", "emission.package.emit_package"):
         monkeypatch.setattr(f"sgms_mhe.{name}", forbidden)
 
 

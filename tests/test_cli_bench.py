@@ -21,12 +21,12 @@ from sgms_mhe.evaluation.harness import build_harness
 from sgms_mhe.evaluation.integration_errors import Recording, emitted_errors
 from sgms_mhe.evaluation.peers import KINDS, Evaluation, Kind, PeerExport
 from sgms_mhe.host.compiled import CompiledEstimator
+from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.reference import Integrator
 from sgms_mhe.reference.linearised import Linearised, Outputs
-from sgms_mhe.signals.logs import read_log
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS, WARNING_FLAGS
 
 

@@ -22,12 +22,13 @@ from sgms_mhe.diagnosis.plan import make_plan, write_plan
 from sgms_mhe.diagnosis.recording import Recording, prepare
 from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.evaluation.prediction import force_error, predict_log
+from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.signals.logs import Log, read_log
+from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
 Hidden = list[tuple[str, Mapping[str, float]]]
@@ -351,7 +352,7 @@ def test_a_thinned_record_agrees_with_the_whole_at_the_fit(machine: Machine, rec
 
 def test_the_timing_of_force_and_position_is_no_cause(machine: Machine, recording: Recording) -> None:
     jerk = recording.reduce(np.gradient(recording.signals.acceleration) / machine.sampling.step)
-    late = 0.05 * machine.sampling.step * machine.plant.mass
+    late = 0.05 * machine.sampling.step * machine.plant.moved
 
     def left(share: float) -> float:
         subject = Subject.of(machine, replace(recording, friction=recording.friction + share * late * jerk))

@@ -94,7 +94,7 @@ def test_wrong_mass_hides_nothing(quick: Machine, slow: Machine, name: str, para
     diagnosis = diagnose(slow, log)
     assert names(diagnosis) == {"mass_mismatch", name}, diagnosis.summary
     found = {cause.name: cause.parameters for cause in diagnosis.causes}
-    assert found["mass_mismatch"]["mass_kg"] == pytest.approx(0.1 * quick.plant.mass, rel=0.03)
+    assert found["mass_mismatch"]["mass_kg"] == pytest.approx(0.1 * quick.plant.moved, rel=0.03)
     main = next(iter(parameters))
     assert found[name][main] == pytest.approx(parameters[main], rel=0.1)
 
@@ -253,7 +253,7 @@ import resource, sys
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.recording import prepare
 from sgms_mhe.diagnosis.subject import Subject
-from sgms_mhe.signals.logs import read_log
+from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.configuration import load_machine
 machine = load_machine(sys.argv[1])
 recording = prepare(machine, read_log(sys.argv[2], machine))

@@ -160,7 +160,7 @@ def simulated(machine: Machine, *, as_read: bool, noise_N: float = 0.0) -> Signa
         velocity=np.diff(position, prepend=position[:1]) * rate,
         acceleration=acceleration,
         force=run.log.force_N,
-        friction=run.log.force_N - machine.plant.mass * acceleration,
+        friction=run.log.force_N - machine.plant.moved * acceleration,
         valid=good,
         missing=~good,
     )
@@ -269,11 +269,11 @@ def record_of(machine: Machine) -> MotionRecord:
         position=moves.position_m,
         velocity=moves.velocity_m_s,
         acceleration=moves.acceleration_m_s2,
-        force=machine.plant.mass * moves.acceleration_m_s2 + machine.friction.coulomb * direction,
+        force=machine.plant.moved * moves.acceleration_m_s2 + machine.friction.coulomb * direction,
         friction=machine.friction.coulomb * direction,
         level=machine.friction.coulomb * direction,
         damping=20.0,
-        mass=machine.plant.mass,
+        mass=machine.plant.moved,
         deflection=scales_of(machine).deflection,
         extents=Extents(
             float(np.ptp(moves.position_m)),

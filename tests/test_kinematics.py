@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 MACHINE = load_machine("etel_xy")
 RATE = MACHINE.sampling.rate
 STEP = MACHINE.sampling.step
-MASS = MACHINE.plant.mass
+MASS = MACHINE.plant.moved
 SETTLE = settle_samples(MACHINE)
 
 
@@ -207,7 +207,7 @@ def twin_chain(log: Log, machine: Machine) -> Signals:
     acceleration = lowpass((once - late) * rate)
     force = u_first + lowpass(lowpass(rows[:, 2] - u_first))
     position = rows[0, 0] + lowpass(lowpass(rows[:, 0] - rows[0, 0]))
-    friction = force - machine.plant.mass * acceleration
+    friction = force - machine.plant.moved * acceleration
     return Signals(log.time_s, position, lowpass(late), acceleration, force, friction, valid, missing)
 
 

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from scipy.io import savemat
 
 from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.estimates import Estimates, read_estimates, write_estimates
-from sgms_mhe.signals.logs import COLUMNS, Log, read_log, write_log
+from sgms_mhe.signals.logs import COLUMNS, Log, write_log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write, write_text
 
@@ -341,9 +342,7 @@ def test_column_without_a_number_is_refused(tmp_path: Path, column: str) -> None
     assert (error.where, error.value) == (f"column {column}", "NaN throughout")
 
 
-@pytest.mark.parametrize(
-    "content", ["", "\n\n", "time_s,position_m,force_N\n", "time_s,position_m,force_N\n\n", "0.0,1.0,2.0\n"]
-)
+@pytest.mark.parametrize("content", ["", "\n\n", "time_s,position_m,force_N\n", "time_s,position_m,force_N\n\n"])
 def test_empty_csv_is_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / "log.csv").write_text(content, encoding="utf-8")
     assert "header" in refused(tmp_path / "log.csv").allowed
@@ -356,14 +355,14 @@ def test_single_row_is_refused(tmp_path: Path) -> None:
 def test_csv_without_header_is_refused(tmp_path: Path) -> None:
     error = refused(write_rows(tmp_path / "log.csv", rows_of(a_log())[1:], header="0.0,1.0,2.0"))
     assert error.where == "column time_s"
-    assert "the file has 0.0, 1.0, 2.0" in error.allowed
+    assert "the file has column 1, column 2, column 3" in error.allowed
 
 
 def test_column_named_twice_is_refused(tmp_path: Path) -> None:
     path = write_rows(tmp_path / "log.csv", ["0,1,2,3", "1,1,2,3"], "time_s,position_m,force_N,force_N")
     assert refused(path).value == "force_N"
     path = write_rows(tmp_path / "log.csv", ["0,1,2,3,4", "1,1,2,3,4"], "time_s,position_m,force_N,,")
-    assert refused(path).value == ""
+    np.testing.assert_array_equal(read_log(path).force_N, [2, 2])
 
 
 def test_a_header_of_many_names_is_read_in_no_time(tmp_path: Path) -> None:
@@ -433,10 +432,10 @@ def test_damaged_file_is_read_or_refused_but_never_trips(tmp_path: Path, suffix:
     assert refusals > 20
 
 
-def test_mat_v73_names_the_way_out(tmp_path: Path) -> None:
+def test_damaged_mat_v73_is_refused(tmp_path: Path) -> None:
     header = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + b"\x00" * 400
     (tmp_path / "log.mat").write_bytes(header)
-    assert "-v7" in refused(tmp_path / "log.mat").allowed
+    assert "whole HDF5 file" in refused(tmp_path / "log.mat").allowed
 
 
 @pytest.mark.parametrize("bad", [np.ones((5, 4)), np.array(["a"] * 20), np.ones(20) * 1j, np.array([{}] * 20)])

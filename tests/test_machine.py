@@ -45,7 +45,7 @@ def refused(path: Path | str) -> InputError:
 def test_etel_xy_holds_table_one_of_the_paper() -> None:
     machine = load_machine("etel_xy")
     friction, smoothing = machine.friction, machine.friction.smoothing
-    assert machine.plant.mass == 20.0
+    assert machine.plant.moved == 20.0
     assert friction.stiffness == (120e3, 25e3, 7.1e3, 7.9e3)
     assert friction.fraction == (0.067, 0.056, 0.047, 0.83)
     assert (friction.viscous, friction.coulomb) == (20.0, 4.0)
@@ -80,7 +80,7 @@ def test_etel_xy_paper_differs_only_in_the_estimator() -> None:
 
 def test_emps_holds_the_published_fit() -> None:
     machine = load_machine("emps")
-    assert (machine.plant.mass, machine.friction.coulomb, machine.friction.viscous) == (95.1089, 20.3935, 203.5034)
+    assert (machine.plant.moved, machine.friction.coulomb, machine.friction.viscous) == (95.1089, 20.3935, 203.5034)
     assert machine.sampling.samples_per_update == 10
     assert machine.log is not None and machine.log.force_N is not None
     assert (machine.log.force_N.variable, machine.log.force_N.scale) == ("vir", 35.15065188248547)
@@ -100,10 +100,10 @@ def test_defaults_are_resolved(tmp_path: Path) -> None:
     assert machine.friction.micro_viscous == (0.0, 0.0)
     assert machine.friction.viscous == 0.0
     assert machine.sampling.integrator.model_dump() == {
-        "scheme": "rk4",
+        "scheme": "flow",
         "substeps": 100,
         "velocity": "constant",
-        "displacement": 0.03,
+        "displacement": 0.1,
         "slow_displacement": 0.02,
         "tolerance": None,
     }
@@ -115,8 +115,9 @@ def test_defaults_are_resolved(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("sampling", "substeps", "displacement"),
     [
-        ("rate = 1000.0", 10, 0.03),
-        ("rate = 8000\nupdate_rate = 250", 32, 0.03),
+        ("rate = 1000.0", 10, 0.1),
+        ("rate = 8000\nupdate_rate = 250", 32, 0.1),
+        ('integrator = { velocity = "linear" }', 100, 0.03),
         ('integrator = { scheme = "euler" }', 100, 0.01),
         ('integrator = { scheme = "bs23", substeps = 20 }', 20, 0.02),
         ('integrator = { scheme = "rk2", substeps = 300, displacement = 0.02 }', 300, 0.02),
@@ -130,8 +131,26 @@ def test_integrator_defaults_follow_rates_and_scheme(
     assert (integrator.substeps, integrator.displacement) == (substeps, displacement)
 
 
+@pytest.mark.parametrize(
+    ("written", "scheme"),
+    [
+        ("", "flow"),
+        ("[sampling]\nintegrator = { substeps = 20 }\n", "flow"),
+        ('[sampling]\nintegrator = { velocity = "linear" }\n', "rk4"),
+        ("[friction.smoothing]\nzeta = 0.5\nlambda = 3.0\ngamma = 3.0\n", "rk4"),
+        ('[friction]\nlaw = "switching"\n', "clip"),
+        ("[sampling]\nintegrator = { tolerance = 1e-3 }\n", "flow"),
+    ],
+)
+def test_default_scheme_is_the_one_that_the_law_and_the_velocity_allow(
+    tmp_path: Path, written: str, scheme: str
+) -> None:
+    text = MINIMAL.replace("[friction]\n", written) if "law" in written else MINIMAL + written
+    assert load_machine(write(tmp_path, text)).sampling.integrator.scheme == scheme
+
+
 def test_numbers_may_be_written_as_integers(tmp_path: Path) -> None:
-    mass = load_machine(write(tmp_path, MINIMAL.replace("20.0", "20"))).plant.mass
+    mass = load_machine(write(tmp_path, MINIMAL.replace("20.0", "20"))).plant.moved
     assert isinstance(mass, float)
     assert mass == 20.0
 
@@ -139,7 +158,7 @@ def test_numbers_may_be_written_as_integers(tmp_path: Path) -> None:
 def test_machine_is_frozen() -> None:
     machine = load_machine("etel_xy")
     with pytest.raises(ValidationError):
-        machine.plant.mass = 1.0  # type: ignore[misc]
+        machine.plant.moved = 1.0  # type: ignore[misc]
 
 
 def test_byte_order_mark_and_crlf_are_read(tmp_path: Path) -> None:
@@ -183,7 +202,7 @@ def test_extends_merges_tables_and_replaces_arrays(tmp_path: Path) -> None:
     write(tmp_path, 'extends = "base"\n[friction]\nstiffness = [9e4]\nfraction = [1.0]\n', "middle.toml")
     path = write(tmp_path, 'extends = "middle.toml"\nname = "top"\n[estimator.noise]\nmeasurement = 2.0\n')
     machine = load_machine(path)
-    assert (machine.name, machine.plant.mass, machine.friction.viscous) == ("top", 20.0, 7.0)
+    assert (machine.name, machine.plant.moved, machine.friction.viscous) == ("top", 20.0, 7.0)
     assert machine.friction.stiffness == (9e4,)
     assert machine.friction.micro_viscous == (0.0,)
     assert (machine.estimator.noise.state, machine.estimator.noise.measurement) == (0.03, 2.0)
@@ -316,7 +335,7 @@ BAD_VALUES = [
     ("plant.mas = 20.0", "plant.mas", "did you mean mass?"),
     ("plants.mass = 20.0", "plants", "did you mean plant?"),
     ("friction.smoothing.lambda_ = 35.0", "friction.smoothing.lambda_", "did you mean lambda?"),
-    ("sampling.integrator.steps = 5", "sampling.integrator.steps", "scheme, substeps, velocity, displacement"),
+    ("sampling.integrator.steps = 5", "sampling.integrator.steps", "velocity, scheme, substeps, displacement"),
     ("estimator.noise.sigma = 0.5", "estimator.noise.sigma", "measurement, state"),
     ("colour = 3", "colour", "extends"),
     # between keys

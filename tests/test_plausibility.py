@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from cli_cases import SMALL, files, refused
-from sgms_mhe.configuration import load_machine
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.logfiles.plausibility import check_plausible
+from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.plant.trajectories import TRAJECTORIES, make_trajectory
 from sgms_mhe.signals.logs import Log, write_log
-from sgms_mhe.signals.plausibility import check_plausible
 from sgms_mhe.support.errors import InputError
 
 COMMANDS = ("estimate", "predict", "compare", "diagnose")
@@ -51,6 +52,21 @@ def with_gap(log: Log) -> Log:
     return replace(log, position_m=position)
 
 
+def with_velocity(factor: float) -> Callable[[Log], Log]:
+    """The log with a recorded velocity that is `factor` times the position's."""
+    return lambda log: replace(log, velocity_m_s=factor * np.gradient(log.position_m) * log.rate)
+
+
+def with_acceleration(factor: float) -> Callable[[Log], Log]:
+    """The log with a recorded acceleration that is `factor` times the position's, over a hundredth of a second."""
+
+    def change(log: Log) -> Log:
+        smooth = np.convolve(log.position_m, np.full(10, 0.1), mode="same")
+        return replace(log, acceleration_m_s2=factor * np.gradient(np.gradient(smooth)) * log.rate**2)
+
+    return change
+
+
 REFUSED: list[tuple[str, Callable[[Log], Log], str]] = [
     ("swapped", swapped, r"position_m = 'beyond .* m/s.*': a position in metres.*swapped with force_N"),
     ("constant position", lambda log: replace(log, position_m=np.full(len(log), 0.2)), "position_m, every row = 0.2"),
@@ -62,8 +78,16 @@ REFUSED: list[tuple[str, Callable[[Log], Log], str]] = [
     ("position twice", lambda log: replace(log, force_N=log.position_m), "the same signal"),
     ("position twice, scaled", lambda log: replace(log, force_N=3.0 - 7.0 * log.position_m), "the same signal"),
     ("micrometres", lambda log: replace(log, position_m=1e6 * log.position_m), "another column or unit"),
-    ("millimetres", lambda log: replace(log, position_m=1e3 * log.position_m), "rms for plant.mass = 20 kg"),
-    ("micronewtons", lambda log: replace(log, force_N=1e6 * log.force_N), "N rms measured"),
+    ("millimetres", lambda log: replace(log, position_m=1e3 * log.position_m), 'position_m = .*unit = "mm"'),
+    ("micronewtons", lambda log: replace(log, force_N=1e6 * log.force_N), "N rms measured|N per m/s"),
+    ("other force", lambda log: replace(log, force_N=-log.force_N), r"column force_N = .*scale = -1.0"),
+    ("other position", lambda log: replace(log, position_m=-log.position_m), r"column force_N = .*scale = -1.0"),
+    ("kilonewtons", lambda log: replace(log, force_N=1e-3 * log.force_N), 'force_N = .*unit = "kN"'),
+    ("millinewtons", lambda log: replace(log, force_N=1e3 * log.force_N), 'force_N = .*unit = "mN"'),
+    ("millimetres a second", with_velocity(1e3), 'velocity_m_s = .*unit = "mm/s"'),
+    ("other velocity", with_velocity(-1.0), "velocity_m_s = .*scale = -1.0"),
+    ("odd velocity", with_velocity(7.0), r"velocity_m_s = .*scale = \.\.\."),
+    ("millimetres a second squared", with_acceleration(1e3), 'acceleration_m_s2 = .*unit = "mm/s.2"'),
 ]
 
 
@@ -114,8 +138,57 @@ def test_what_an_axis_leaves_is_taken(name: str, trajectory: str, machine: Machi
     for config in (None, coarse):
         log = simulated(chosen, trajectory, config)
         check_plausible(log, chosen)
-        wrong = replace(log, position_m=-log.position_m, force_N=3.0 * log.force_N + 200.0)
+        wrong = replace(log, force_N=3.0 * log.force_N + 200.0)
         check_plausible(wrong, chosen)  # that is for a diagnosis to find
+
+
+@pytest.mark.parametrize("kind", ["force", "position"])
+def test_the_sign_needs_no_machine(kind: str, log: Log) -> None:
+    check_plausible(log, None)
+    name = f"{kind}_{'N' if kind == 'force' else 'm'}"
+    with pytest.raises(InputError, match="of the other sign"):
+        check_plausible(replace(log, **{name: -log.columns[name]}), None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("trajectory", TRAJECTORIES)
+@pytest.mark.parametrize(
+    ("hidden", "config"),
+    [
+        ((), AxisConfig(encoder_noise_m=3e-8, force_noise_N=0.5)),
+        ((("force_delay", {"delay_s": 2e-3}),), AxisConfig()),
+        ((("position_spring", {"stiffness_N_m": 2000.0, "centre_m": 0.0}),), AxisConfig()),
+        ((("constant_offset", {"force_N": 60.0}),), AxisConfig()),
+        ((("force_ripple", {"amplitude_N": 8.0, "pitch_m": 0.004, "phase_rad": 0.7}),), AxisConfig()),
+        ((("structural_resonance", {"frequency_Hz": 40.0, "damping_ratio": 0.03, "mass_kg": 8.0}),), AxisConfig()),
+    ],
+    ids=["noise", "late", "spring", "offset", "ripple", "resonance"],
+)
+def test_no_effect_passes_for_a_wrong_sign_or_unit(
+    trajectory: str, hidden: tuple[tuple[str, dict[str, float]], ...], config: AxisConfig, machine: Machine
+) -> None:
+    reference = make_trajectory(trajectory, 1000.0, max_velocity=0.1)
+    log = simulate_axis(machine, reference.repeated(min(reference.duration_s, 8.0)), config, hidden_effects=hidden).log
+    for judge in (machine, None, override_machine(machine, {"plant": {"mass": 60.0}, "friction": {"coulomb": 1.0}})):
+        check_plausible(log, judge)
+
+
+def test_recorded_columns_in_their_units_are_taken(machine: Machine, log: Log) -> None:
+    for change in (with_velocity(1.0), with_velocity(0.7), with_acceleration(1.0), with_acceleration(1.5)):
+        check_plausible(change(log), machine)
+    random = np.random.default_rng(2).normal(size=len(log))
+    check_plausible(replace(log, velocity_m_s=random), machine)  # nothing to judge a unit by
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_measured_axis_has_the_sign_that_it_has(sign: float, measured_data: Callable[[str], Path]) -> None:
+    emps = load_machine("emps")
+    log = read_log(measured_data("emps/DATA_EMPS.mat"), emps)
+    changed = replace(log, force_N=sign * log.force_N)
+    if sign > 0:
+        check_plausible(changed, emps)
+    else:
+        with pytest.raises(InputError, match=r"'-9\d\.\d N per m/s\^2'"):
+            check_plausible(changed, emps)
 
 
 def test_logs_too_short_for_an_interval_are_taken(machine: Machine, log: Log) -> None:

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from cli_cases import SMALL, done, refused
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.evaluation.prediction import ForceError, PredictedFriction, force_error, predict_log
+from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, make_trajectory
-from sgms_mhe.signals.logs import read_log, write_log
+from sgms_mhe.signals.logs import write_log
 from sgms_mhe.support.errors import InputError
 
 RATE = 1000.0

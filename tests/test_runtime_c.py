@@ -474,7 +474,7 @@ def chain(log: Log, axis: Machine, precision: str, wanted: int = sum(WANTED.valu
         ctypes.c_long(n),
         pointer(coefficients),
         ctypes.c_double(axis.sampling.rate),
-        ctypes.c_double(axis.plant.mass),
+        ctypes.c_double(axis.plant.moved),
         settle_samples(axis),
         wanted,
         pointer(position),
@@ -535,7 +535,7 @@ def compare_chains(log: Log, axis: Machine, precision: str) -> None:
     # low-passes remember it.
     low = lowpass_coefficients(axis)
     eps = float(np.finfo(REAL[precision]).eps) / (1.0 + low[3] + low[4])
-    rate, mass = axis.sampling.rate, axis.plant.mass
+    rate, mass = axis.sampling.rate, axis.plant.moved
     reach, speed = float(np.abs(expected.position).max()), float(np.abs(expected.velocity).max())
     steps = (4.0 * 2.3e-16 * reach + 1e-12 * (precision == "single")) * rate
     tolerance = {

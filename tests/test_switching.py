@@ -358,7 +358,7 @@ def test_a_law_replaces_the_smoothing_and_the_integrator_of_another(tmp_path: Pa
     assert read.friction.switches and read.friction.smoothing is None
     assert (read.sampling.integrator.scheme, read.sampling.merged) == ("clip", 5)
     back = override_machine(read, {"friction": {"law": "sgms"}})
-    assert back.sampling.integrator.scheme == "rk4" and back.friction.smoothed.lambda_ == 35.0
+    assert back.sampling.integrator.scheme == "flow" and back.friction.smoothed.lambda_ == 35.0
     assert load_machine("etel_xy").friction.law == "sgms"
     with pytest.raises(ValueError, match="has no smoothing"):
         _ = read.friction.smoothed

@@ -287,12 +287,39 @@ def diagnosis() -> Drawing:
     return d
 
 
+def identification() -> Drawing:
+    """From logs alone to a machine file."""
+    d = Drawing(960, 300, "From logs alone to a machine file")
+    w, h, gap = 160, 56, 186
+    columns = [24 + gap * i for i in range(5)]
+    upper, lower = 60, 190
+    d.text(24, 30, "no starting value goes in; every choice is made on rows that a fit has not seen", "small")
+    d.box(columns[0], upper, w, h, ["logs", "and a mass, or none"], "file")
+    d.box(columns[1], upper, w, h, ["rows", "behind the chain"])
+    d.box(columns[2], upper, w, h, ["convex start", "levels over distances"])
+    d.box(columns[3], upper, w, h, ["clusters", "1 to 10 elements"])
+    d.box(columns[4], upper, w, h, ["fits", "derivatives: emitted C"], "c")
+    d.box(columns[4], lower, w, h, ["choices", "law, elements, effects"], "judge")
+    d.box(columns[3], lower, w, h, ["numbers", "at the full rate"], "c")
+    d.box(columns[2], lower, w, h, ["intervals", "by blocks"], "judge")
+    d.box(columns[1], lower, w, h, ["weights", "what the model leaves"])
+    d.box(columns[0], lower, w, h, ["machine file", "and what is open"], "file")
+    for left in columns[:4]:
+        d.line((left + w, upper + h / 2), (left + gap, upper + h / 2))
+        d.line((left + gap, lower + h / 2), (left + w, lower + h / 2))
+    d.line((columns[4] + w / 2 - 20, upper + h), (columns[4] + w / 2 - 20, lower))
+    d.line((columns[4] + w / 2 + 20, lower), (columns[4] + w / 2 + 20, upper + h))
+    d.text(columns[4] + w / 2 + 28, (upper + h + lower) / 2 + 4, "again", "small")
+    return d
+
+
 DRAWINGS: dict[str, Callable[[], Drawing]] = {
     "flows": flows,
     "signal_chain": signal_chain,
     "window": window,
     "timing": timing,
     "diagnosis": diagnosis,
+    "identification": identification,
 }
 
 if __name__ == "__main__":

@@ -22,10 +22,12 @@ from sgms_mhe.support.errors import BuildError, InputError
 
 COMMANDS: Final = {
     "generate": "generate",
+    "inspect": "inspect",
     "simulate": "simulate",
     "predict": "predict",
     "estimate": "estimate",
     "compare": "compare",
+    "identify": "identify",
     "diagnose": "diagnose",
     "plan": "plan",
     "experiment": "experiment",
@@ -97,7 +99,7 @@ def cli() -> None:
     """Friction observers for motion control: from a machine file to embedded C, and its trials on a host.
 
     MACHINE is a machine file (TOML), or the name of one in machines/. LOG is a measured or simulated log with the
-    columns time_s, position_m, force_N (CSV, NPZ or MAT v5).
+    columns time_s, position_m, force_N; a text, NPZ, NPY, MAT, HDF5, Parquet or MDF file.
 
     Exit codes: 0 done, 1 done and the answer is no, 2 bad input.
     """

@@ -102,7 +102,7 @@ static double next_noise(void)
 /* So many samples at an acceleration, with a friction that turns round over some distance. */
 static void move(double acceleration, long count)
 {
-    const double level = 8.0 / (double)INVERSE_MEASUREMENT, reach = 100.0 * (double)HOLD_PATH;
+    const double level = 8.0 * (double)MEASUREMENT_SD, reach = 100.0 * (double)HOLD_PATH;
     for (long k = 0; k < count; k++) {
         double way;
         velocity += acceleration * (double)SAMPLE_TIME;
@@ -214,7 +214,7 @@ static void be_late(void)
 /* Signals of a chain of the controller's own, the set-point ahead, the force off and on. */
 static void insert_signals(long count)
 {
-    const double level = 8.0 / (double)INVERSE_MEASUREMENT, speed = 0.3 * (double)MAX_VELOCITY;
+    const double level = 8.0 * (double)MEASUREMENT_SD, speed = 0.3 * (double)MAX_VELOCITY;
     for (long k = 0; k < count; k++) {
         const int forth = k % 140 < 70;
         const double v = (forth ? speed : -speed) * (k % 35 < 30 ? 1.0 : 0.001);

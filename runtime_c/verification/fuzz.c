@@ -236,7 +236,7 @@ static void sample_by(machine *axis, int by_tasks, machine_position position, ma
 /* Sample k of a motion as an axis makes it: to and fro over hundreds of hold paths, a Coulomb level that follows. */
 static void next_good(machine_position *position, machine_real *force)
 {
-    const double wide = 300.0 * (double)HOLD_PATH, level = 8.0 / (double)INVERSE_MEASUREMENT;
+    const double wide = 300.0 * (double)HOLD_PATH, level = 8.0 * (double)MEASUREMENT_SD;
     const long period = 6L * SAMPLES + 40;
     const long k = sample_count++ % (2 * period);
     const double phase = (double)(k < period ? k : 2 * period - k) / (double)period; /* 0 to 1 to 0 */

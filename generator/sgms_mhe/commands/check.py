@@ -46,6 +46,7 @@ def _text(machine: Machine, package: Package) -> str:
     from sgms_mhe.signals.chain import settle_samples
 
     friction, sampling, estimator = machine.friction, machine.sampling, machine.estimator
+    units = machine.plant.units
     integrator, noise, smoothing = sampling.integrator, estimator.noise, friction.smoothing
     law = (
         f"smoothing zeta {smoothing.zeta:g}, lambda {smoothing.lambda_:g}, gamma {smoothing.gamma:g}"
@@ -60,7 +61,7 @@ def _text(machine: Machine, package: Package) -> str:
     ]
     parameters = [
         (
-            p.column,
+            units.named(p.column),
             f"{p.nominal:g}",
             f"{noise.parameter * abs(p.scale):g}",
             f"{_si(p, p.lower):g}",
@@ -78,38 +79,40 @@ def _text(machine: Machine, package: Package) -> str:
         f"{machine.name}: {machine.description}" if machine.description else machine.name,
         f"  file        {machine.source}",
         f"  digest      {machine.digest[:12]}",
-        f"  plant       mass {machine.plant.mass:g} kg",
-        f"  friction    coulomb {friction.coulomb:g} N, viscous {friction.viscous:g} N s/m, stribeck ratio "
-        f"{friction.stribeck_ratio:g} at {friction.stribeck_velocity:g} m/s, {law}",
-        _indented(table_text(("element", "N/m", "fraction", "N s/m", "deflection um"), elements)),
+        f"  plant       {units.inert} {machine.plant.moved:g} {units.mass}",
+        f"  friction    coulomb {friction.coulomb:g} {units.force}, viscous {friction.viscous:g} {units.damping}, "
+        f"stribeck ratio {friction.stribeck_ratio:g} at {friction.stribeck_velocity:g} {units.velocity}, {law}",
+        _indented(
+            table_text(
+                ("element", units.stiffness, "fraction", units.damping, f"deflection u{units.position}"), elements
+            )
+        ),
         f"  sampling    {sampling.rate:g} Hz, low-pass {sampling.velocity_cutoff:g} Hz "
-        f"(settles in {settle_samples(machine)} samples), up to {sampling.max_velocity:g} m/s, "
+        f"(settles in {settle_samples(machine)} samples), up to {sampling.max_velocity:g} {units.velocity}, "
         f"friction read at {sampling.readings_per_update * sampling.update_rate:g} Hz",
         f"  integrator  {integrator.scheme}, {integrator.substeps} steps per interval of {interval}, "
         f"velocity {integrator.velocity}, at most {integrator.displacement:g} deflection scales per substep",
         f"  estimator   {estimator.kind}{horizon}, arrival cost {estimator.arrival_cost.update}",
-        f"  noise       measurement {noise.measurement:g} N, state {noise.state:g} (as {noise.state_as}), "
+        f"  noise       measurement {noise.measurement:g} {units.force}, state {noise.state:g} (as {noise.state_as}), "
         f"first state {noise.initial_state:g}, parameter {noise.parameter:g}, "
         f"drift {noise.parameter_drift:g} per update, {'scaled by innovations' if noise.self_scaling else 'as stated'}",
         _indented(table_text(("parameter", "nominal", "prior std", "lower", "upper"), parameters)),
     ]
     fed = machine.compensation
     largest = force_limit(machine)
-    limit = "none" if largest is None else f"{largest:g} N"
+    limit = "none" if largest is None else f"{largest:g} {units.force}"
     lines.append(
         f"  fed forward {'on' if fed.enabled else 'off'} after init, {1e6 * fed.delay:g} us ahead, "
-        f"ramp {fed.ramp:g} s, limit {limit}, hold below {fed.hold:g} m/s"
+        f"ramp {fed.ramp:g} s, limit {limit}, hold below {fed.hold:g} {units.velocity}"
     )
     for effect in machine.effects:
-        numbers = ", ".join(f"{key} {value:g}" for key, value in effect.parameters.items())
+        numbers = ", ".join(f"{units.named(key)} {value:g}" for key, value in effect.parameters.items())
         lines.append(f"  effect      {effect.label}: {numbers}")
     changed = ", ".join(f"{key} {value:g}" for key, value in machine.diagnosis.changed.items())
     lines.append(f"  diagnosis   {changed or 'all thresholds at their defaults'}")
     if machine.log is not None:
-        sources = machine.log.model_dump(exclude_none=True)
-        lines.append(
-            "  log         " + ", ".join(f"{name} from {source['variable']}" for name, source in sources.items())
-        )
+        sources = ", ".join(f"{name} from {column.described}" for name, column in machine.log.columns.items())
+        lines.append(f"  log         {sources}")
     size = sum(len(text.encode()) for text in package.files.values())
     lines.append(f"  package     {len(package.files)} files, {size} bytes, {machine.code.precision} precision")
     return "\n".join(lines)

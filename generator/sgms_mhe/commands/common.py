@@ -89,11 +89,14 @@ def recorded_log(path: Path, machine: Machine, start_s: float = 0.0, end_s: floa
     Raises:
         InputError: it cannot be read, or its columns cannot be what they are called.
     """
-    from sgms_mhe.signals.logs import read_log
-    from sgms_mhe.signals.plausibility import check_plausible
+    from sgms_mhe.logfiles.plausibility import check_plausible
+    from sgms_mhe.logfiles.reading import log_of, understand
 
-    log = read_log(path, machine).part(start_s, end_s)
+    reading = understand(path, machine)
+    log = log_of(reading, machine).part(start_s, end_s)
     check_plausible(log, machine)
+    for sentence in reading.notes:
+        note(f"{path}: {sentence}")
     return log
 
 

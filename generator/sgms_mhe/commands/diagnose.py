@@ -89,8 +89,9 @@ def command(
         note("estimators of the machine and of the extended machine on the unseen log")
         gain = closed_loop_gain(resolved, found.extended, another)
     report = write_report(found, folder, estimator=gain)
+    units = resolved.plant.units
     if as_json:
-        show(json_text(found.to_json() | ({} if gain is None else {"unseen": _gain(gain)})))
+        show(json_text(found.to_json() | ({} if gain is None else {"unseen": units.keyed(_gain(gain))})))
     else:
         show(_text(found, folder, report, gain))
     if found.verdict == "unexplained":
@@ -109,12 +110,13 @@ def _gain(gain: EstimatorGain) -> dict[str, object]:
 
 def _text(diagnosis: Diagnosis, folder: Path, report: Path, gain: EstimatorGain | None) -> str:
     lines = [f"{diagnosis.verdict}: {diagnosis.summary}"]
+    units = diagnosis.machine.plant.units
     for cause in diagnosis.causes:
         values = ", ".join(
-            f"{name} = {value:.4g} +- {2.0 * cause.std.get(name, math.nan):.1g}"
+            f"{units.named(name)} = {value:.4g} +- {2.0 * cause.std.get(name, math.nan):.1g}"
             for name, value in cause.parameters.items()
         )
-        lines.append(f"  {cause.name}: {values}; explains {cause.gain_N:.3g} N rms on held-out data")
+        lines.append(f"  {cause.name}: {values}; explains {cause.gain_N:.3g} {units.force} rms on held-out data")
     lines += [
         f"  {a.name} in place of {a.instead_of}: {a.why_not}"
         for a in diagnosis.alternatives
@@ -126,7 +128,7 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path, gain: EstimatorGain 
         low, high = gain.reduction_interval
         lines.append(
             f"estimator on {gain.source}: error of the predicted friction {gain.base.predicted_rms_N:.3g} to "
-            f"{gain.extended.predicted_rms_N:.3g} N rms, {100.0 * gain.reduction:.0f} % less "
+            f"{gain.extended.predicted_rms_N:.3g} {units.force} rms, {100.0 * gain.reduction:.0f} % less "
             f"(95 %: {100.0 * low:.0f} to {100.0 * high:.0f} %)"
         )
     lines += [f"note: {warning}" for warning in diagnosis.warnings]

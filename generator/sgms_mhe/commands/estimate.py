@@ -80,7 +80,7 @@ def command(machine: str, log: Path, out: Path, solver: Solver, plot: Path | Non
     if plot is not None:
         _draw(resolved, estimates, plot)
     summary = summarise(resolved, estimates, solver)
-    show(json_text(summary) if as_json else summary_text(summary), out)
+    show(json_text(resolved.plant.units.keyed(summary)) if as_json else summary_text(resolved, summary), out)
 
 
 def check_length(log: Log, machine: Machine) -> None:
@@ -142,14 +142,25 @@ def summarise(machine: Machine, estimates: Estimates, solver: Solver) -> dict[st
     }
 
 
-def summary_text(summary: dict[str, Any]) -> str:
+def summary_text(machine: Machine, summary: dict[str, Any]) -> str:
     """The summary for people."""
+    units = machine.plant.units
     rms = summary["residual_rms_N"]
-    residual = "no update had a measurement" if rms is None else f"measured minus estimated friction {rms:.4g} N rms"
+    residual = (
+        "no update had a measurement"
+        if rms is None
+        else f"measured minus estimated friction {rms:.4g} {units.force} rms"
+    )
     rows = [
-        (name, f"{p['nominal']:.6g}", f"{p['estimate']:.6g}", f"{p['std']:.2g}", f"{p['estimate'] / p['nominal']:.4f}")
+        (
+            units.named(name),
+            f"{p['nominal']:.6g}",
+            f"{p['estimate']:.6g}",
+            f"{p['std']:.2g}",
+            f"{p['estimate'] / p['nominal']:.4f}",
+        )
         if p["nominal"]
-        else (name, "0", f"{p['estimate']:.6g}", f"{p['std']:.2g}", "")
+        else (units.named(name), "0", f"{p['estimate']:.6g}", f"{p['std']:.2g}", "")
         for name, p in summary["parameters"].items()
     ]
     counts = ", ".join(f"{count} {name}" for name, count in summary["status"].items() if count)

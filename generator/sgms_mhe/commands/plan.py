@@ -28,5 +28,5 @@ def command(machine: str, separate: tuple[str, str] | None, out: Path | None) ->
     from sgms_mhe.diagnosis.plan import make_plan, write_plan
 
     plan = make_plan(resolved, separate)
-    write_plan(path, plan)
+    write_plan(path, plan, resolved.plant.units)
     show(f"{path}: {plan.trajectory.duration_s:.1f} s; {plan.reason}", path)

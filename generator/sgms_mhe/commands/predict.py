@@ -31,7 +31,7 @@ from sgms_mhe.commands.common import (
 )
 @machine_argument
 @log_argument
-@out_option("CSV to write: time_s, friction_measured_N, friction_N at every sample.")
+@out_option("CSV to write: time_s, friction_measured_N, friction_N (of a rotary axis _Nm) at every sample.")
 @part_options("Compare from here on [s since the log's start]; the model runs through the whole log.")
 @click.option("--lowpass", type=Number(1e-3, 1e7), metavar="HZ", help="In place of the machine's velocity_cutoff.")
 @click.option(
@@ -72,8 +72,9 @@ def command(
     recorded = recorded_log(log, resolved)
     with progress_bar(f"predict {resolved.name}"):
         prediction = predict_log(resolved, recorded)
+    units = resolved.plant.units
     error = force_error(prediction, start_s=start_s, end_s=end_s, factor=factor)
-    write_prediction(out, prediction)
+    write_prediction(out, prediction, units)
     if as_json:
         result = {
             "machine": resolved.name,
@@ -84,12 +85,12 @@ def command(
             "force_rms_N": error.force_rms_N,
             "force_error": error.relative,
         }
-        show(json_text(result), out)
+        show(json_text(units.keyed(result)), out)
         return
     total = len(prediction.time_s)
     show(
-        f"measured minus simulated: {error.residual_rms_N:.6g} N rms over {error.rows} of {total} samples "
-        f"(measured friction: {error.friction_rms_N:.6g} N rms)\n"
-        f"force error: {100.0 * error.relative:.3g} % of {error.force_rms_N:.6g} N rms",
+        f"measured minus simulated: {error.residual_rms_N:.6g} {units.force} rms over {error.rows} of {total} samples "
+        f"(measured friction: {error.friction_rms_N:.6g} {units.force} rms)\n"
+        f"{units.push} error: {100.0 * error.relative:.3g} % of {error.force_rms_N:.6g} {units.force} rms",
         out,
     )

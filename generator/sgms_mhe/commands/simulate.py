@@ -62,9 +62,11 @@ def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
     type=click.Choice(["sgms", "maxwell_slip"]),
     help="Friction law of the plant; maxwell_slip switches instead of smoothing; default: the machine file's.",
 )
-@click.option("--force-noise", type=Number(0.0, 1e6), metavar="N", default=0.1, show_default=True, help="1 sigma [N].")
 @click.option(
-    "--encoder-resolution", type=Number(0.0, 1.0), metavar="M", default=1e-9, show_default=True, help="Step [m]."
+    "--force-noise", type=Number(0.0, 1e6), metavar="N", default=0.1, show_default=True, help="1 sigma [N, N m]."
+)
+@click.option(
+    "--encoder-resolution", type=Number(0.0, 1.0), metavar="M", default=1e-9, show_default=True, help="Step [m, rad]."
 )
 @click.option(
     "--scale",
@@ -72,8 +74,8 @@ def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
     metavar="NAME=FACTOR",
     callback=_scales,
     multiple=True,
-    help="True over nominal value of a parameter: mass, stiffness, stiffness_1, coulomb, effect.parameter, ... "
-    "Repeatable.",
+    help="True over nominal value of a parameter: mass (of a rotary axis inertia), stiffness, stiffness_1, coulomb, "
+    "effect.parameter, ... Repeatable.",
 )
 def command(
     machine: str,
@@ -95,6 +97,7 @@ def command(
     resolved = load_machine(machine)
     check_output_file(out, (".csv", ".npz"))
 
+    from sgms_mhe.machine import estimable_names
     from sgms_mhe.plant.axis_config import AxisConfig
     from sgms_mhe.plant.simulation import simulate_axis
     from sgms_mhe.plant.trajectories import make_trajectory
@@ -102,6 +105,8 @@ def command(
 
     sampling = resolved.sampling
     reference = make_trajectory(trajectory, sampling.rate, duration_s=duration, max_velocity=sampling.max_velocity)
+    names = {resolved.plant.units.named(name): name for name in ("mass", *estimable_names(resolved.effects))}
+    scales = {names.get(name, name): factor for name, factor in scales.items()}
     config = AxisConfig(law=law, force_noise_N=force_noise, encoder_resolution_m=encoder_resolution, seed=seed)
     with progress_bar(f"simulate {resolved.name}"):
         run = simulate_axis(resolved, reference, config, scale=scales, truth=False)
@@ -113,8 +118,10 @@ def describe(log: Log) -> str:
     """One line about a log."""
     import numpy as np
 
+    units = log.units
     position, force = log.position_m[np.isfinite(log.position_m)], log.force_N[np.isfinite(log.force_N)]
     return (
         f"{len(log)} samples at {log.rate:g} Hz ({len(log) / log.rate:g} s), "
-        f"position {position.min():.6g} to {position.max():.6g} m, force {force.min():.6g} to {force.max():.6g} N"
+        f"position {position.min():.6g} to {position.max():.6g} {units.position}, "
+        f"{units.push} {force.min():.6g} to {force.max():.6g} {units.force}"
     )

@@ -7,7 +7,7 @@ repeats one.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -17,6 +17,7 @@ from sgms_mhe.integration.flow_table import gate_saturates
 from sgms_mhe.integration.work_precision import ROUNDING, candidates, choose
 from sgms_mhe.machine import (
     BASE_PARAMETERS,
+    Estimator,
     Integrator,
     Layer,
     Machine,
@@ -60,14 +61,15 @@ def make_machine(content: Mapping[str, Any], source: Path) -> Machine:
 def _resolved(file: MachineFile) -> Machine:
     tables = file.tables
     effects = _effects(file)
-    _check_names(file, estimable_names(effects))
+    names = {tables.plant.units.named(name): name for name in estimable_names(effects)}
+    _check_names(file, names)
     return Machine(
         name=tables.name,
         description=tables.description,
         plant=tables.plant,
         friction=tables.friction,
         sampling=_sampling(file),
-        estimator=tables.estimator,
+        estimator=_estimator(tables.estimator, names),
         compensation=tables.compensation,
         code=tables.code,
         effects=effects,
@@ -106,7 +108,8 @@ def _check_effect(file: MachineFile, index: int) -> None:
 
 def _effect_parameters(file: MachineFile, index: int) -> dict[str, float]:
     entry = file.tables.effects[index]
-    definitions = {parameter.name: parameter for parameter in effect_definition(entry.name).parameters}
+    units = file.tables.plant.units
+    definitions = {units.named(parameter.name): parameter for parameter in effect_definition(entry.name).parameters}
     for key, value in entry.written.items():
         if key not in definitions:
             allowed = f"unknown key; {entry.name} has {listing(definitions)}"
@@ -117,12 +120,21 @@ def _effect_parameters(file: MachineFile, index: int) -> dict[str, float]:
         if type(value) in (int, float) and not parameter.lower <= value <= parameter.upper:
             raise file.refused(("effects", index, key), value, parameter.allowed)
     try:
-        return _PARAMETERS.validate_python(filled)
+        checked = _PARAMETERS.validate_python(filled)
     except ValidationError as error:
         raise file.invalid(error, ("effects", index)) from None
+    return {parameter.name: checked[key] for key, parameter in definitions.items()}
 
 
-def _check_names(file: MachineFile, names: tuple[str, ...]) -> None:
+def _estimator(written: Estimator, names: Mapping[str, str]) -> Estimator:
+    """The estimator with what it estimates by the catalogue's names."""
+    bounds = {names[name]: pair for name, pair in written.bounds.items()}
+    return written.model_copy(
+        update={"parameters": tuple(names[name] for name in written.parameters), "bounds": bounds}
+    )
+
+
+def _check_names(file: MachineFile, names: Collection[str]) -> None:
     """Refuse parameters and bounds of what cannot be estimated."""
     estimator = file.tables.estimator
     for index, name in enumerate(estimator.parameters):
@@ -146,9 +158,7 @@ def _sampling(file: MachineFile) -> Sampling:
         raise file.refused((*_INTEGRATOR, "scheme"), "clip", allowed)
     tolerance = sampling.integrator.tolerance
     if tolerance is None:
-        if sampling.integrator.scheme == "flow":
-            _check_gate(file)
-        return sampling
+        return sampling if sampling.integrator.scheme != "flow" else _flowing(file)
     found = candidates(file.tables.friction, sampling, precision)
     chosen = choose(found, tolerance, precision)
     if chosen is None:
@@ -171,9 +181,17 @@ def _clipping(file: MachineFile) -> Integrator:
     return Integrator.model_validate({**given, "scheme": "clip"})
 
 
-def _check_gate(file: MachineFile) -> None:
-    """Refuse the displacement flow where the direction gate saturates at no speed: it would never be taken."""
-    smoothing = file.tables.friction.smoothed
-    if not gate_saturates(smoothing.zeta, smoothing.lambda_, smoothing.gamma):
+def _flowing(file: MachineFile) -> Sampling:
+    """The rates with the displacement flow, or by default with rk4 where it would never be taken.
+
+    Where the direction gate saturates at no speed the flow holds at none. Raises InputError where the file asks for it.
+    """
+    sampling, smoothing = file.tables.sampling, file.tables.friction.smoothed
+    if gate_saturates(smoothing.zeta, smoothing.lambda_, smoothing.gamma):
+        return sampling
+    integrator = sampling.integrator
+    if "scheme" in integrator.model_fields_set:
         allowed = "rk4: with a smoothing as soft as [friction] smoothing has, the flow holds at no speed"
         raise file.refused((*_INTEGRATOR, "scheme"), "flow", allowed)
+    given = {key: getattr(integrator, key) for key in integrator.model_fields_set}
+    return sampling.model_copy(update={"integrator": Integrator.model_validate({**given, "scheme": "rk4"})})

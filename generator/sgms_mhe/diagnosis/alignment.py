@@ -143,7 +143,7 @@ def _sampling(whole: Subject, fit: Fit, residual: Array) -> Array:
     sampled in a point.
     """
     used = whole.recording.used
-    step, mass = whole.machine.sampling.step, whole.machine.plant.mass
+    step, mass = whole.machine.sampling.step, whole.machine.plant.moved
     free = nuisance(fit.slopes[used][:, fit.loose])
     scale = mass * np.array([whole.thresholds.timing * step, step**2 / 12.0])
     Z = free.project(_jerk_and_snap(whole.recording)[used] * scale)

@@ -163,8 +163,9 @@ def _with_everything_free(
     machine: Machine, extras: Sequence[tuple[str, Nominal]], friction: Mapping[str, float]
 ) -> Machine:
     """The machine with effects added and numbers of [friction] replaced, all its numbers to be estimated."""
-    effects = [{"name": e.name, **e.parameters} for e in machine.effects]
-    effects += [{"name": name, **dict(values)} for name, values in extras]
+    units = machine.plant.units
+    effects = [{"name": e.name} | units.keyed(e.parameters) for e in machine.effects]
+    effects += [{"name": name} | units.keyed(dict(values)) for name, values in extras]
     names = [name for cause in BASE_CAUSES.values() for name in cause.frees]
     changes: dict[str, Any] = {
         "name": "fit",
@@ -176,7 +177,7 @@ def _with_everything_free(
         "sampling": _integrator(machine, [name for name, _ in extras]),
     }
     extended = override_machine(without_bounds(machine), changes)
-    names += [f"{e.label}.{p}" for e in extended.effects for p in e.parameters]
+    names += [units.named(f"{e.label}.{p}") for e in extended.effects for p in e.parameters]
     return override_machine(extended, {"estimator": {"parameters": names}})
 
 

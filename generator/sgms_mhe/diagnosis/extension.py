@@ -42,15 +42,16 @@ def extend_machine(
     if name == machine.name:
         name = f"{machine.name[: NAME_LENGTH - 9]}_extended"
     description = f"{machine.description or machine.name}, extended by {', '.join(names)}"[:200]
+    units = machine.plant.units
     changes: dict[str, Any] = {"name": name, "description": description}
     if friction:
         changes["friction"] = dict(friction)
     if effects is not None:
-        changes["effects"] = [_within(effect) for effect in effects]
+        changes["effects"] = [units.keyed(_within(effect)) for effect in effects]
         # Bounds are multiples of nominal values: those of an effect that the base has stay.
     estimated = _estimable(machine, changes)
     if estimated != machine.estimator.parameters:
-        changes["estimator"] = {"parameters": list(estimated or Estimator().parameters)}
+        changes["estimator"] = {"parameters": [units.named(name) for name in estimated or Estimator().parameters]}
     extended = override_machine(machine, changes)
     return extended, _toml(machine, changes)
 
@@ -68,7 +69,9 @@ def _estimable(machine: Machine, changes: Mapping[str, Any]) -> tuple[str, ...]:
     """What the machine estimates, without the base numbers and the bounded ones of effects that are 0 now."""
     zero = {key for key, value in changes.get("friction", {}).items() if value == 0.0}
     for effect, entry in zip(machine.effects, changes.get("effects", ()), strict=False):  # new ones come behind
-        zero |= {f"{effect.label}.{key}" for key, value in entry.items() if value == 0.0}
+        zero |= {
+            f"{effect.label}.{key}" for key in effect.parameters if entry.get(machine.plant.units.named(key)) == 0.0
+        }
     bounded = machine.estimator.bounds
     return tuple(
         name for name in machine.estimator.parameters if name not in zero or ("." in name and name not in bounded)
@@ -86,7 +89,8 @@ def _toml(machine: Machine, changes: Mapping[str, Any]) -> str:
         lines += ["", "[friction]"]
         lines += [f"{key} = {_value(value)}" for key, value in changes["friction"].items()]
     if "estimator" in changes:
-        left_out = [name for name in machine.estimator.parameters if name not in changes["estimator"]["parameters"]]
+        before = [machine.plant.units.named(name) for name in machine.estimator.parameters]
+        left_out = [name for name in before if name not in changes["estimator"]["parameters"]]
         lines += ["", "[estimator]", f"# Without {', '.join(left_out)}: 0 is no scale for an estimate."]
         lines += [f"{key} = {_value(value)}" for key, value in changes["estimator"].items()]
     for effect in changes.get("effects", ()):

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Machine, Units
 from sgms_mhe.model.effects import MOVES, Move, cause, cause_names, separating_moves
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.trajectories import Motion, Trajectory
@@ -142,10 +142,10 @@ def make_plan(machine: Machine, separate: tuple[str, str] | None = None) -> Plan
     return Plan(path.trajectory(f"{machine.name}_plan"), reason, tuple(MOVES[move] for move in moves))
 
 
-def write_plan(path: str | Path, plan: Plan) -> None:
-    """Write the trajectory as CSV: time_s, position_m."""
+def write_plan(path: str | Path, plan: Plan, units: Units) -> None:
+    """Write the trajectory as CSV: time_s, position_m (position_rad of a rotary axis)."""
     trajectory = plan.trajectory
     table = np.column_stack((trajectory.time_s, trajectory.position_m))
     with atomic_write(path) as stream:
-        stream.write(b"time_s,position_m\n")
+        stream.write(f"time_s,{units.named('position_m')}\n".encode())
         stream.write("".join(f"{t!r},{q!r}\n" for t, q in table.tolist()).encode())

@@ -134,19 +134,20 @@ def _usable(machine: Machine, log: Log, signals: Signals) -> tuple[Mask, tuple[s
     """Samples that a model can be compared with (n), and what a user should know of the others."""
     warnings: list[str] = []
     good = signals.valid.copy()
-    settle, n = settle_samples(machine), len(signals)
+    settle, n, units = settle_samples(machine), len(signals), machine.plant.units
     gaps = int(signals.missing.sum())
     if gaps:
         warnings.append(f"{gaps} of {n} samples are missing; they and {settle} samples after each gap are left out")
     saturated = _saturated(log.force_N, machine.diagnosis.saturated_run)
     if saturated.any():
         near = _dilate(saturated, settle)
-        warnings.append(f"the force is saturated in {int(saturated.sum())} of {n} samples; they are left out")
+        warnings.append(f"the {units.push} is saturated in {int(saturated.sum())} of {n} samples; they are left out")
         good &= ~near
     fast = np.abs(signals.velocity) > machine.sampling.max_velocity
     if fast.any():
         warnings.append(
-            f"faster than max_velocity = {machine.sampling.max_velocity:g} m/s in {int(fast.sum())} samples: left out"
+            f"faster than max_velocity = {machine.sampling.max_velocity:g} {units.velocity} in {int(fast.sum())} "
+            "samples: left out"
         )
         good &= ~fast
     good &= _remembered(signals, machine, good)

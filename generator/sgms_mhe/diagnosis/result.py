@@ -167,7 +167,7 @@ class Traces:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Verdict, causes and evidence.
+    """Verdict, causes and evidence. Parameters and numbers have a linear axis's names; files have those of the axis.
 
     Attributes:
         machine: as given.
@@ -257,10 +257,18 @@ class Diagnosis:
                 {"coordinate": s.coordinate, "rms_N": s.rms_N, "p_value": s.p_value, "peak": s.peak}
                 for s in self.structure_after
             ],
-            "base": [{"name": b.name, "nominal": b.nominal, "refitted": b.refitted, "std": b.std} for b in self.base],
+            "base": [
+                {
+                    "name": self.machine.plant.units.named(b.name),
+                    "nominal": b.nominal,
+                    "refitted": b.refitted,
+                    "std": b.std,
+                }
+                for b in self.base
+            ],
             "warnings": list(self.warnings),
         }
-        finite: dict[str, Any] = _finite(content)
+        finite: dict[str, Any] = _finite(self.machine.plant.units.keyed(content))
         return finite
 
 

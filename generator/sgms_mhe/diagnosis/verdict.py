@@ -152,13 +152,13 @@ def _diagnosis(machine: Machine, log: Log, settled: Settled, judged: _Judged) ->
     rms_after, held_after = split_rms(unseen, record)
     extended, toml = extended_machine(machine, settled, selection, causes) if named else (None, None)
     held = record.held_out
-    alternatives = alternatives_of(selection)
+    alternatives = alternatives_of(selection, machine.plant.units)
     rivals = [alternative for alternative in alternatives if alternative.rival]
     return Diagnosis(
         machine=machine,
         source=log.source,
         verdict=verdict,
-        summary=summary_of(verdict, causes, rivals, held_before, held_after),
+        summary=summary_of(verdict, causes, rivals, held_before, held_after, machine.plant.units),
         causes=causes,
         alternatives=alternatives,
         separating_experiment=experiment_of(verdict, rivals),
@@ -190,8 +190,9 @@ def _transition_notes(settled: Settled, plain: Fit) -> tuple[str, ...]:
     """What a user should know of an axis that slips more sharply than its machine file says."""
     if settled.smoothing == "machine":
         return ()
+    unit = settled.record.machine.plant.units.force
     numbers = ", ".join(f"{key} = {value:g}" for key, value in sharp_smoothing(settled.thresholds).items())
-    return (f"elements slip more sharply than [friction.smoothing] says: {numbers} alone leave {plain.rms:.3g} N",)
+    return (f"elements slip more sharply than [friction.smoothing] says: {numbers} alone leave {plain.rms:.3g} {unit}",)
 
 
 def _law_notes(machine: Machine) -> tuple[str, ...]:

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from sgms_mhe.diagnosis.causes import reported_values
 from sgms_mhe.diagnosis.result import Alternative, Cause, Verdict
 from sgms_mhe.diagnosis.selection import Selection
+from sgms_mhe.machine import Units
 from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.model.effects import separating_moves
 
 TWICE = "the same motion twice, and once at half the speed: what stays in place, in time or in velocity shows"
 
 
-def alternatives_of(selection: Selection) -> tuple[Alternative, ...]:
+def alternatives_of(selection: Selection, units: Units) -> tuple[Alternative, ...]:
     """What was not named, and why; the rivals first."""
     found = [
         Alternative(
@@ -35,20 +36,20 @@ def alternatives_of(selection: Selection) -> tuple[Alternative, ...]:
         if name not in taken:
             taken.add(name)
             instead_of = None if name == lost.instead_of else lost.instead_of
-            found.append(Alternative(name, _why_not(selection, name), False, instead_of, {}, lost.excess_N))
+            found.append(Alternative(name, _why_not(selection, name, units), False, instead_of, {}, lost.excess_N))
     for score in selection.scores:
         if score.name not in taken and score.outcome in ("redundant", "too small"):
             taken.add(score.name)
             why = (
                 "superfluous beside what is named"
                 if score.outcome == "redundant"
-                else f"would explain {score.gain_N:.2g} N, less than matters"
+                else f"would explain {score.gain_N:.2g} {units.force}, less than matters"
             )
             found.append(Alternative(score.name, why, False, None, dict(score.parameters)))
     return tuple(found)
 
 
-def _why_not(selection: Selection, name: str) -> str:
+def _why_not(selection: Selection, name: str, units: Units) -> str:
     """Why a candidate that was put in a cause's place, or was a cause for a while, is none."""
     lost = selection.rejected[name]
     if name in {group.cause for group in selection.unnamed}:
@@ -57,7 +58,7 @@ def _why_not(selection: Selection, name: str) -> str:
         return "its size is not the same all over the record"
     if name == lost.instead_of:
         return "its size, or its gain on data not used in the fit, may be zero"
-    return f"in place of {lost.instead_of} leaves {lost.excess_N:.3g} N more"
+    return f"in place of {lost.instead_of} leaves {lost.excess_N:.3g} {units.force} more"
 
 
 def experiment_of(verdict: Verdict, rivals: Sequence[Alternative]) -> str | None:
@@ -75,15 +76,16 @@ def experiment_of(verdict: Verdict, rivals: Sequence[Alternative]) -> str | None
 
 
 def summary_of(
-    verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Alternative], before: float, after: float
+    verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Alternative], before: float, after: float, units: Units
 ) -> str:
-    """One sentence; `before`, `after`: RMS on held-out data [N]."""
+    """One sentence; `before`, `after`: RMS on held-out data [N, N m]."""
+    unit = units.force
     names = [cause.name for cause in causes]
-    gain = f"the residual on data not used in the fit goes from {before:.3g} N to {after:.3g} N RMS"
+    gain = f"the residual on data not used in the fit goes from {before:.3g} {unit} to {after:.3g} {unit} RMS"
     if verdict == "adequate":
-        return f"The simulation explains the record; {before:.3g} N RMS are left, nothing is named."
+        return f"The simulation explains the record; {before:.3g} {unit} RMS are left, nothing is named."
     if verdict == "unexplained":
-        return f"{before:.3g} N RMS are left that no known effect accounts for; nothing is named."
+        return f"{before:.3g} {unit} RMS are left that no known effect accounts for; nothing is named."
     if verdict == "ambiguous":
         others = [name for name in dict.fromkeys(rival.name for rival in rivals) if name not in names]
         return f"{', '.join(names)}, but {', '.join(others)} would fit as well: {gain}."

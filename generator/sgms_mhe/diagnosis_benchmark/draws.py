@@ -180,7 +180,7 @@ def _in_turn(names: tuple[str, ...], number: int, seed: int) -> str:
 
 def _frame(machine: Machine, kind: str, index: int, random: Generator, style: str) -> Draw:
     """A draw without causes: motion, law and noise."""
-    coulomb, mass = machine.friction.coulomb, machine.plant.mass
+    coulomb, mass = machine.friction.coulomb, machine.plant.moved
     # What the encoder's noise makes of the inertial force behind the filters, roughly.
     gain = 0.3 * mass * (2.0 * math.pi * machine.sampling.velocity_cutoff) ** 2
     return Draw(

@@ -27,7 +27,7 @@ from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Variant, variant_of
 from sgms_mhe.emission.work import Work, work_of
 from sgms_mhe.integration.schemes import SCHEMES, Scheme
-from sgms_mhe.machine import Machine, runge_kutta_scheme
+from sgms_mhe.machine import Machine, Units, runge_kutta_scheme
 from sgms_mhe.model import SIGNAL_NAMES, FreeParameter, Model
 from sgms_mhe.signals.chain import lowpass_coefficients, settle_samples
 
@@ -206,6 +206,7 @@ class PackageView:
     """
 
     package: Identity
+    units: Units
     variant: Variant
     sizes: Sizes
     schedule: Costs
@@ -232,11 +233,8 @@ def package_view(structure: Structure) -> PackageView:
     sizes = sizes_of(structure, variant)
     groups = group_views(structure, sizes, functions)
     integrator = machine.sampling.integrator
-    signals, couplings, model_view = (
-        _signals(structure),
-        _couplings(structure, sizes),
-        _model_view(structure, functions),
-    )
+    signals, couplings = _signals(structure), _couplings(structure, sizes)
+    model_view = _model_view(structure, functions)
     ingredients = Ingredients(
         structure=structure,
         sizes=sizes,
@@ -254,6 +252,7 @@ def package_view(structure: Structure) -> PackageView:
     )
     return PackageView(
         package=_identity(machine, printer),
+        units=machine.plant.units,
         variant=variant,
         sizes=sizes,
         schedule=ingredients.schedule,
@@ -304,7 +303,7 @@ def _signals(structure: Structure) -> SignalView:
         sample_time=1.0 / sampling.rate,
         step_time=step_time,
         piece_time=sampling.step if merged > 1 else step_time,
-        mass=machine.plant.mass,
+        mass=machine.plant.moved,
         max_velocity=sampling.max_velocity,
         settle=settle_samples(machine),
         lowpass=lowpass_coefficients(machine),

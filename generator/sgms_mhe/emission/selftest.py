@@ -45,9 +45,9 @@ def selftest_vectors(model: Model) -> Vectors:
     velocity = np.gradient(position) * sampling.rate
     acceleration = np.gradient(velocity) * sampling.rate
     force = np.round(
-        machine.plant.mass * acceleration + friction.coulomb * np.tanh(velocity / (0.2 * np.abs(velocity).max())), 9
+        machine.plant.moved * acceleration + friction.coulomb * np.tanh(velocity / (0.2 * np.abs(velocity).max())), 9
     )
-    log = Log(np.arange(n) / sampling.rate, position, force, sampling.rate)
+    log = Log(np.arange(n) / sampling.rate, position, force, sampling.rate, kind=machine.plant.kind)
     kind = machine.estimator.kind
     found = estimate_model(model, signals_from_log(log, machine), kind, compiled=False)
     return Vectors(

@@ -122,12 +122,12 @@ def compare_estimates(
     """
     if len(generated) != len(reference):
         raise ValueError(f"{len(generated)} updates against {len(reference)}")
-    precision = machine.code.precision
+    precision, units = machine.code.precision, machine.plant.units
     tolerance = TOLERANCES[precision]
     everywhere = np.ones(len(reference), dtype=np.bool_)
     quantities = [
         _quantity(
-            "friction_N",
+            units.named("friction_N"),
             generated.friction_N,
             reference.friction_N,
             _range(reference.friction_N),
@@ -137,7 +137,7 @@ def compare_estimates(
     ]
     for i, (ours, theirs) in enumerate(zip(generated.z_m.T, reference.z_m.T, strict=True)):
         quantities.append(
-            _quantity(f"z_{i + 1}_m", ours, theirs, _range(theirs), tolerance.deflection, everywhere),
+            _quantity(units.named(f"z_{i + 1}_m"), ours, theirs, _range(theirs), tolerance.deflection, everywhere),
         )
     flags = generated.status ^ reference.status
     flags[(flags != 0) & (np.minimum(generated.status, reference.status) < 0)] = -1  # refused is no flag: all differ
@@ -148,7 +148,9 @@ def compare_estimates(
     for kind, prefix, allowed in (("parameters", "", tolerance.parameter), ("std", "std_", tolerance.deviation)):
         for k, name in enumerate(reference.parameter_names):
             ours, theirs = getattr(generated, kind)[:, k], getattr(reference, kind)[:, k]
-            quantities.append(_quantity(f"{prefix}{name}", ours, theirs, np.abs(theirs), allowed, excited[:, k]))
+            quantities.append(
+                _quantity(f"{prefix}{units.named(name)}", ours, theirs, np.abs(theirs), allowed, excited[:, k])
+            )
     return Comparison(
         machine=machine.name,
         precision=precision,

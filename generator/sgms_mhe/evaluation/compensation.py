@@ -91,7 +91,7 @@ def actuation_delay(machine: Machine) -> float:
 def axis_config(machine: Machine, seed: int) -> AxisConfig:
     """The simulated axis: switching law, encoder of 1 nm, current loop, PID with inertia feed-forward in time."""
     bandwidth = min(80.0, machine.sampling.rate / 40.0)
-    controller = Controller.pid(machine.plant.mass, bandwidth, feedforward_lead_s=actuation_delay(machine))
+    controller = Controller.pid(machine.plant.moved, bandwidth, feedforward_lead_s=actuation_delay(machine))
     return AxisConfig(law="maxwell_slip", controller=controller, current_loop_Hz=CURRENT_LOOP_Hz, seed=seed)
 
 
@@ -203,22 +203,27 @@ def compare_compensations(
         measures[f"{name}, contour", method] = measure_contour(*axes_run)
     nominal = {p.column: p.nominal for p in estimators[MHE].model.parameters}
     table = _table(machine, measures, truth, window_m, set_point)
-    comparison = Comparison(table, runs, measures, scenarios, nominal)
+    comparison = Comparison(table, runs, measures, scenarios, nominal, machine.plant.units)
     return comparison if out_dir is None else _written(comparison, out_dir)
+
+
+ERRORS: Final = ("RMS", "peak", "worst")
+"""Columns of errors."""
 
 
 def _table(
     machine: Machine, measures: Mapping[tuple[str, str], Measures], truth: Truth, window_m: float, set_point: bool
 ) -> Table:
-    formats = {"trajectory": "", "compensation": "", "RMS [nm]": ".1f", "peak [nm]": ".1f", "worst [nm]": ".1f"}
+    nano = f"n{machine.plant.units.position}"
+    formats = {"trajectory": "", "compensation": ""} | dict.fromkeys((f"{name} [{nano}]" for name in ERRORS), ".1f")
     formats |= {"of none": ".1%", "of static": ".1%", "settling [ms]": ".1f", "longest [ms]": ".1f"}
     rows: list[dict[str, Any]] = []
     for row in dict.fromkeys(name for name, _ in measures):
         for method in METHODS:
             found = measures[row, method]
-            entry: dict[str, Any] = {"trajectory": row, "compensation": method, "RMS [nm]": 1e9 * found.rms_m}
+            entry: dict[str, Any] = {"trajectory": row, "compensation": method, f"RMS [{nano}]": 1e9 * found.rms_m}
             if len(found.peaks_m):
-                entry |= {"peak [nm]": 1e9 * found.peak_m, "worst [nm]": 1e9 * found.worst_m}
+                entry |= {f"peak [{nano}]": 1e9 * found.peak_m, f"worst [{nano}]": 1e9 * found.worst_m}
                 entry["of none"] = found.peak_m / measures[row, NONE].peak_m
                 entry["of static"] = found.peak_m / measures[row, STATIC].peak_m
             if len(found.settling_s):
@@ -230,7 +235,7 @@ def _table(
     notes = (
         f"true over nominal at the start: {true}; change until the end: {change}; circle's y: the other way round",
         "peak: largest error after a reversal, mean over the reversals; worst: the largest of them",
-        f"settling: from the end of a move until the error stays within {1e9 * window_m:g} nm, mean and longest",
+        f"settling: from the end of a move until the error stays within {1e9 * window_m:g} {nano}, mean and longest",
         "true friction: the plant's own along the reference, ahead of the loop's delay: what no observer beats",
         f"loop: answers {1e6 * actuation_delay(machine):.0f} us after a sample, [compensation] delay "
         f"{1e6 * machine.compensation.delay:.0f} us; set-point ahead {'known' if set_point else 'not known'}",

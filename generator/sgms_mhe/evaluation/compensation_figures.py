@@ -72,8 +72,8 @@ def reversal_figure(comparison: Comparison) -> Figure:
         errors.set_title(name.replace("_", " "), loc="left")
         forces.set_xlabel("time after the reversal [ms]")
         forces.set_xlim(time[0], time[-1])
-    axes[0, 0].set_ylabel("true - reference position [nm]")
-    axes[1, 0].set_ylabel("force [N]")
+    axes[0, 0].set_ylabel(f"true - reference position [n{comparison.units.position}]")
+    axes[1, 0].set_ylabel(f"{comparison.units.push} [{comparison.units.force}]")
     _legend(figure, [*axes[0, 0].get_legend_handles_labels()], axes[1, 0])
     _open(axes.ravel())
     return figure
@@ -84,7 +84,7 @@ def circle_figure(comparison: Comparison) -> Figure:
     shown = {method: _last_lap(*comparison.runs["circle", method]) for method in METHODS}
     largest = 1e9 * max(float(np.abs(error).max()) for _, error in shown.values())
     step = _round(0.8 * largest)
-    zero = 3.0 * step
+    zero, nano = 3.0 * step, f"n{comparison.units.position}"
     figure = Figure(figsize=(8.6, 4.9), layout="constrained")
     left, right = figure.subplots(1, 2, subplot_kw={"projection": "polar"})
     for axis, methods in ((left, (NONE, STATIC, MHE)), (right, (EKF, MHE, TRUE))):
@@ -94,7 +94,9 @@ def circle_figure(comparison: Comparison) -> Figure:
             angle, error = shown[method]
             _draw(axis, method, angle, ring + 1e9 * error)
         axis.set_ylim(0.0, ring + 2.0 * tick)
-        axis.set_yticks([ring - tick, ring, ring + tick], [f"-{tick:g} nm", "0", f"+{tick:g} nm"], fontsize="x-small")
+        axis.set_yticks(
+            [ring - tick, ring, ring + tick], [f"-{tick:g} {nano}", "0", f"+{tick:g} {nano}"], fontsize="x-small"
+        )
         axis.set_rlabel_position(22.5)
         axis.set_xticks(np.arange(8) * np.pi / 4, [f"{45 * k}°" for k in range(8)], fontsize="x-small")
         axis.grid(color="0.85", linewidth=0.6)
@@ -120,7 +122,7 @@ def settling_figure(comparison: Comparison) -> Figure:
     axis.set_ylim(bottom=0.1)
     axis.set_xlim(0.0, time[-1])
     axis.set_xlabel("time after the end of the move [ms]")
-    axis.set_ylabel("|true - reference position| [nm]")
+    axis.set_ylabel(f"|true - reference position| [n{comparison.units.position}]")
     axis.set_title("median over the moves; thin: the largest", loc="left", fontsize="medium")
     axis.legend(loc="upper right", frameon=False)
     _open([axis])

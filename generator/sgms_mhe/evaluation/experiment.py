@@ -181,15 +181,15 @@ def _smoother(name: str, machine: Machine, record: Record) -> Outcome:
 
 
 def _table(title: str, outcomes: Sequence[Outcome], record: Record, notes: tuple[str, ...]) -> Table:
-    count = len(record.theta)
-    formats = {"estimator": "", "friction RMS [N]": ".4f", "coverage": ".0%", "time [us]": ".0f"}
+    count, error = len(record.theta), f"friction RMS [{record.run.log.units.force}]"
+    formats = {"estimator": "", error: ".4f", "coverage": ".0%", "time [us]": ".0f"}
     formats |= {f"error {k + 1}": "+.1f" for k in range(count)}
     formats |= {f"change {k + 1}": ".4f" for k in range(count)}
     rows = []
     for outcome in outcomes:
         row: dict[str, Any] = {
             "estimator": outcome.name,
-            "friction RMS [N]": friction_rms(outcome, record),
+            error: friction_rms(outcome, record),
             "coverage": float(coverage(outcome, record).mean()),
             "time [us]": 1e6 * outcome.seconds,
         }

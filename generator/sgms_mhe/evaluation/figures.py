@@ -57,17 +57,17 @@ def hysteresis_figure(machine: Machine) -> Figure:
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.25))
     left.plot(path.time_s, position, color=MHE, linewidth=1.2)
     left.set_xlabel("time [s]")
-    left.set_ylabel("displacement [µm]")
+    left.set_ylabel(f"displacement [µ{machine.plant.units.position}]")
     right.plot(position, friction, color=MHE, linewidth=1.2)
-    right.set_xlabel("displacement [µm]")
-    right.set_ylabel("friction [N]")
+    right.set_xlabel(f"displacement [µ{machine.plant.units.position}]")
+    right.set_ylabel(f"friction [{machine.plant.units.force}]")
     _open(left, right)
     return figure
 
 
 def signals_figure(record: Record) -> Figure:
     """The trajectory and the signals the estimator works on."""
-    signals = record.signals
+    signals, units = record.signals, record.run.log.units
     figure = Figure(figsize=(7.2, 6.2), layout="constrained")
     axes = figure.subplots(4, 1, sharex=True)
     thin = slice(None, None, 10)
@@ -81,7 +81,12 @@ def signals_figure(record: Record) -> Figure:
             signals.force[thin],
             signals.friction[thin] * valid,
         ),
-        ("position\n[mm]", "velocity\n[mm/s]", "drive force\n[N]", "friction,\nmeasured [N]"),
+        (
+            f"position\n[m{units.position}]",
+            f"velocity\n[m{units.velocity}]",
+            f"drive {units.push}\n[{units.force}]",
+            f"friction,\nmeasured [{units.force}]",
+        ),
         strict=True,
     ):
         axis.plot(time, values, color=MHE, linewidth=0.8)
@@ -108,7 +113,7 @@ def friction_figure(record: Record, mhe: Outcome, ekf: Outcome) -> Figure:
     for axis in (whole, near):
         for values, label, colour, width, style in lines:
             axis.plot(time, values, color=colour, linewidth=width, linestyle=style, label=label)
-        axis.set_ylabel("friction [N]")
+        axis.set_ylabel(f"friction [{record.run.log.units.force}]")
     whole.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, borderaxespad=0.2)
     whole.set_xlim(time[0], time[-1])
     start, end = _busiest(time, record.friction, 2.0)

@@ -122,7 +122,7 @@ def build_program(target: Target, package: Package, folder: Path, flags: Sequenc
     headers = folder / name
     write_package(package, headers)
     options: list[str | Path] = [*flags, "-ffreestanding", *target.flags]
-    definitions = [*replay_definitions(name), f"-DSGMS_LOOPS={','.join(map(str, LOOPS))}"]
+    definitions = [*replay_definitions(name, package.machine.plant.kind), f"-DSGMS_LOOPS={','.join(map(str, LOOPS))}"]
     parts: dict[str, list[str | Path]] = {
         "package.o": [*options, "-fcallgraph-info=su", headers / f"{name}.c"],
         # Otherwise a compiler recognises the loop in memcpy and calls memcpy for it.

@@ -29,7 +29,7 @@ def build_harness(machine: Machine, package: Package, flags: Sequence[str] = DEF
         BuildError: the compiler refused.
     """
     name = machine.name
-    definitions = [*replay_definitions(name), f'-DSGMS_CONFIG_HEADER="{name}_config.h"']
+    definitions = [*replay_definitions(name, machine.plant.kind), f'-DSGMS_CONFIG_HEADER="{name}_config.h"']
     if f"{name}_selftest.h" in package.files:
         definitions.append(f'-DSGMS_SELFTEST_HEADER="{name}_selftest.h"')
     with tempfile.TemporaryDirectory() as scratch:

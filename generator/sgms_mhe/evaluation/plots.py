@@ -12,9 +12,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from sgms_mhe.machine import OF_KIND
 from sgms_mhe.model import FreeParameter
 from sgms_mhe.model.effects import base_number
-from sgms_mhe.model.effects.units import UNITS
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.status import FLAGS, REFUSED, flagged, measured
 from sgms_mhe.support.files import atomic_write
@@ -26,21 +26,21 @@ WIDTH_IN = 9.0
 
 def friction_figure(estimates: Estimates, title: str) -> Figure:
     """Friction measured and estimated, their difference, and the status of every update."""
-    figure = _figure(6.6)
+    figure, unit = _figure(6.6), OF_KIND[estimates.kind].force
     axes = figure.subplots(3, 1, sharex=True, height_ratios=(4, 2, 1.6))
     counted = measured(estimates.status)
     taken = np.where(counted, estimates.friction_measured_N, np.nan)
     axes[0].plot(estimates.time_s, taken, color=MEASURED, linewidth=1.6, label="measured")
     axes[0].plot(estimates.time_s, estimates.friction_N, color=ESTIMATED, linewidth=0.9, label="estimated")
-    axes[0].set_ylabel("friction [N]")
+    axes[0].set_ylabel(f"friction [{unit}]")
     _head(axes[0], title, columns=2)
     difference = taken - estimates.friction_N
     axes[1].plot(estimates.time_s, difference, color=ESTIMATED, linewidth=0.7)
     axes[1].axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
-    axes[1].set_ylabel("measured -\nestimated [N]")
+    axes[1].set_ylabel(f"measured -\nestimated [{unit}]")
     if np.isfinite(difference).any():
         rms = float(np.sqrt(np.nanmean(difference**2)))
-        axes[1].text(0.99, 0.95, f"rms {rms:.3g} N", transform=axes[1].transAxes, ha="right", va="top")
+        axes[1].text(0.99, 0.95, f"rms {rms:.3g} {unit}", transform=axes[1].transAxes, ha="right", va="top")
     _draw_status(axes[2], estimates)
     axes[2].set_xlabel("time [s]")
     return figure
@@ -50,6 +50,7 @@ def parameter_figure(estimates: Estimates, parameters: Sequence[FreeParameter], 
     """Every estimated parameter with its band of two standard deviations and its nominal value."""
     figure = _figure(1.2 + 1.9 * len(parameters))
     axes = figure.subplots(len(parameters), 1, sharex=True, squeeze=False)[:, 0]
+    units = OF_KIND[estimates.kind]
     for axis, parameter, value, std in zip(axes, parameters, estimates.parameters.T, estimates.std.T, strict=True):
         axis.fill_between(
             estimates.time_s, value - 2 * std, value + 2 * std, color=BAND, linewidth=0, label="$\\pm 2\\sigma$"
@@ -58,8 +59,8 @@ def parameter_figure(estimates: Estimates, parameters: Sequence[FreeParameter], 
         axis.axhline(parameter.nominal, color=NOMINAL, linewidth=1.0, linestyle="--", label="nominal")
         # An effect's parameter has its unit in its name.
         number = base_number(parameter.name)
-        unit = "" if number is None else f"\n[{UNITS[number.suffix] if number.suffix else 1}]"
-        axis.set_ylabel(parameter.column.replace(".", "\n") + unit)
+        unit = "" if number is None else f"\n[{units.unit(number.name + number.suffix) or 1}]"
+        axis.set_ylabel(units.named(parameter.column).replace(".", "\n") + unit)
     _head(axes[0], title, columns=3)
     axes[-1].set_xlabel("time [s]")
     return figure

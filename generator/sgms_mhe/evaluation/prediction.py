@@ -13,9 +13,9 @@ from scipy.signal import decimate
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.host.compiled import CompiledModel
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Machine, Units
 from sgms_mhe.signals.chain import Signals, signals_from_log
-from sgms_mhe.signals.formats import write_columns
+from sgms_mhe.signals.columns import write_columns
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -124,11 +124,11 @@ def force_error(
     return ForceError(len(rows), residual, friction, force)
 
 
-def write_prediction(path: str | Path, prediction: PredictedFriction) -> None:
-    """Write time_s, friction_measured_N, friction_N as CSV, atomically."""
+def write_prediction(path: str | Path, prediction: PredictedFriction, units: Units) -> None:
+    """Write time_s, friction_measured_N, friction_N (as this kind of axis names them) as CSV, atomically."""
     columns = {
         "time_s": prediction.time_s,
         "friction_measured_N": prediction.friction_measured_N,
         "friction_N": prediction.friction_N,
     }
-    write_columns(path, columns)
+    write_columns(path, units.keyed(columns))

@@ -312,6 +312,7 @@ def _estimates(model: Model, rows: NDArray[Any], times: Array) -> Estimates:
         noise_scale=rows["noise_scale"].astype(np.float64),
         status=rows["status"].astype(np.int64),
         parameter_names=tuple(p.column for p in model.parameters),
+        kind=model.machine.plant.kind,
     )
 
 

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.machine import Units
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.support.tables import Table
@@ -94,6 +95,7 @@ class Comparison:
         measures: by row name (a scenario, or an axis or the contour of one) and method.
         scenarios: by name.
         nominal: value of every estimated parameter in the machine file.
+        units: of the axis.
         figures: files written.
     """
 
@@ -102,6 +104,7 @@ class Comparison:
     measures: Mapping[tuple[str, str], Measures]
     scenarios: Mapping[str, Scenario]
     nominal: Mapping[str, float]
+    units: Units
     figures: tuple[Path, ...] = ()
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.emission.package import Package, emit_package, write_package
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.plant.native import COMPENSATION, NativeCompensation
 from sgms_mhe.signals.chain import Signals, signal_array
@@ -287,6 +287,7 @@ class CompiledEstimator:
             noise_scale=columns[5][:, 2],
             status=run.status,
             parameter_names=tuple(p.column for p in self.model.parameters),
+            kind=self.model.machine.plant.kind,
             extra={"compensation_N": run.compensation},
         )
 
@@ -370,12 +371,15 @@ def _compile(machine: Machine, package: Package | None, flags: Sequence[str], *s
         folder = Path(scratch) / machine.name
         write_package(package, folder)
         paths = [folder / name if name in package.files else runtime_dir() / name for name in sources]
-        return shared_library(paths, include_dirs=[folder], flags=[*flags, *replay_definitions(machine.name)])
+        return shared_library(
+            paths, include_dirs=[folder], flags=[*flags, *replay_definitions(machine.name, machine.plant.kind)]
+        )
 
 
-def replay_definitions(name: str) -> list[str]:
+def replay_definitions(name: str, kind: Kind = "linear") -> list[str]:
     """Compiler definitions that bind the replay and the harness to a package."""
     return [
+        *(["-DSGMS_ROTARY"] if kind == "rotary" else []),
         f"-DSGMS_MACHINE={name}",
         f"-DSGMS_MACHINE_UPPER={name.upper()}",
         f'-DSGMS_MACHINE_HEADER="{name}.h"',

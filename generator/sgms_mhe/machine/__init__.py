@@ -1,27 +1,37 @@
 """The machine file: what a user writes, checked table by table, and the resolved machine that comes of it."""
 
-from sgms_mhe.machine.axis import BASE_PARAMETERS, Friction, Plant, Smoothing
+from sgms_mhe.machine.axis import BASE_PARAMETERS, Friction, Plant, Smoothing, plant_content
 from sgms_mhe.machine.code import Code, Compensation
 from sgms_mhe.machine.diagnosis import Thresholds
 from sgms_mhe.machine.estimator import ArrivalCost, Estimator, Noise
 from sgms_mhe.machine.fields import listing
 from sgms_mhe.machine.file import Tables, json_schema
-from sgms_mhe.machine.log_mapping import LOG_UNITS, LogColumn, LogMapping
+from sgms_mhe.machine.log_mapping import SEPARATORS, LogColumn, LogMapping
+from sgms_mhe.machine.log_units import BY_COLUMN, COUNTS, QUANTITIES, REQUIRED, Quantity, Role, normal_unit
 from sgms_mhe.machine.reading import Layer, MachineFile, machine_file, merged, read_machine_file
 from sgms_mhe.machine.resolved import Machine, ResolvedEffect, estimable_names
 from sgms_mhe.machine.sampling import CLOSED_FORMS, DISPLACEMENT, Integrator, Sampling, runge_kutta_scheme
+from sgms_mhe.machine.units import LINEAR, OF_KIND, ROTARY, Kind, Units
 
 __all__ = [
     "BASE_PARAMETERS",
+    "BY_COLUMN",
     "CLOSED_FORMS",
+    "COUNTS",
     "DISPLACEMENT",
-    "LOG_UNITS",
+    "LINEAR",
+    "OF_KIND",
+    "QUANTITIES",
+    "REQUIRED",
+    "ROTARY",
+    "SEPARATORS",
     "ArrivalCost",
     "Code",
     "Compensation",
     "Estimator",
     "Friction",
     "Integrator",
+    "Kind",
     "Layer",
     "LogColumn",
     "LogMapping",
@@ -29,16 +39,21 @@ __all__ = [
     "MachineFile",
     "Noise",
     "Plant",
+    "Quantity",
     "ResolvedEffect",
+    "Role",
     "Sampling",
     "Smoothing",
     "Tables",
     "Thresholds",
+    "Units",
     "estimable_names",
     "json_schema",
     "listing",
     "machine_file",
     "merged",
+    "normal_unit",
+    "plant_content",
     "read_machine_file",
     "runge_kutta_scheme",
 ]

@@ -8,6 +8,7 @@ from typing import Any, Final, Literal, Self
 from pydantic import Field, model_validator
 
 from sgms_mhe.machine.fields import NonNegatives, Positives, Table, quantity, refusal, text
+from sgms_mhe.machine.units import OF_KIND, Kind, Units
 
 BASE_PARAMETERS: Final = ("stiffness", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity")
 """Parameters of the base model that can be estimated."""
@@ -18,7 +19,42 @@ SUM_TOLERANCE: Final = 1e-6
 class Plant(Table):
     """What moves."""
 
-    mass: float = quantity("moved mass", "kg", gt=0, le=1e6)
+    kind: Kind = text("what the axis does: moves along, or turns", "linear or rotary", "linear")
+    mass: float | None = Field(None, gt=0, le=1e6, description="moved mass [kg]; > 0 and <= 1e+06; of a linear axis")
+    inertia: float | None = Field(
+        None, gt=0, le=1e6, description="moved inertia [kg m^2]; > 0 and <= 1e+06; of a rotary axis"
+    )
+
+    @property
+    def units(self) -> Units:
+        """What this kind of axis calls its quantities."""
+        return OF_KIND[self.kind]
+
+    @property
+    def moved(self) -> float:
+        """Moved mass [kg], or inertia [kg m^2]; ValueError where there is none."""
+        value = self.mass if self.kind == "linear" else self.inertia
+        if value is None:
+            raise ValueError("a plant has what its kind of axis moves")
+        return value
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        own, other = ("mass", "inertia") if self.kind == "linear" else ("inertia", "mass")
+        if getattr(self, own) is None:
+            raise refusal(own, None, f"required of a {self.kind} axis: moved {own} [{self.units.mass}], > 0")
+        if getattr(self, other) is not None:
+            allowed = f'{own} [{self.units.mass}] of a {self.kind} axis, or kind = "{_OTHER[self.kind]}"'
+            raise refusal(other, getattr(self, other), allowed)
+        return self
+
+
+def plant_content(kind: Kind, moved: float) -> dict[str, Any]:
+    """[plant] of an axis that moves so much [kg, or kg m^2]."""
+    return {"mass": moved} if kind == "linear" else {"kind": kind, "inertia": moved}
+
+
+_OTHER: Final[dict[Kind, Kind]] = {"linear": "rotary", "rotary": "linear"}
 
 
 class Smoothing(Table):
@@ -35,15 +71,15 @@ class Friction(Table):
     law: Literal["sgms", "switching"] = text(
         "how an element goes over from sticking to slipping", "sgms (smoothed) or switching (at once)", "sgms"
     )
-    stiffness: Positives = text("kappa_i, element stiffness [N/m]", "1 to 10 numbers > 0", min_length=1, max_length=10)
+    stiffness: Positives = text("kappa_i, element stiffness [N/m, N m/rad]", "1 to 10 numbers > 0", min_length=1, max_length=10)
     fraction: Positives = text("nu_i, share of the Coulomb level [1]", "as many as stiffness, > 0, sum 1")
     micro_viscous: NonNegatives = Field(
-        (), description="sigma_i, element damping [N s/m]; as many as stiffness, >= 0; default 0 each"
+        (), description="sigma_i, element damping [N s/m, N m s/rad]; as many as stiffness, >= 0; default 0 each"
     )
-    viscous: float = quantity("sigma_v, viscous damping", "N s/m", 0.0, ge=0, le=1e9)
-    coulomb: float = quantity("f_C, Coulomb level", "N", gt=0, le=1e7)
+    viscous: float = quantity("sigma_v, viscous damping", "N s/m, N m s/rad", 0.0, ge=0, le=1e9)
+    coulomb: float = quantity("f_C, Coulomb level", "N, N m", gt=0, le=1e7)
     stribeck_ratio: float = quantity("beta, static over Coulomb level minus one", "1", 0.0, ge=0, le=100)
-    stribeck_velocity: float = quantity("v_s, Stribeck velocity", "m/s", 1e-3, gt=0, le=10)
+    stribeck_velocity: float = quantity("v_s, Stribeck velocity", "m/s, rad/s", 1e-3, gt=0, le=10)
     smoothing: Smoothing | None = Field(
         default_factory=lambda data: Smoothing() if data.get("law", "sgms") == "sgms" else None,
         description="smoothing of the slip switches, of law sgms alone; default zeta 0.9, 35, 35",

@@ -15,7 +15,7 @@ from sgms_mhe.machine.fields import Names, Pair, Table, listing, quantity, refus
 class Noise(Table):
     """Weights of the estimator, all one standard deviation."""
 
-    measurement: float = quantity("sigma_y, friction measurement", "N", 0.5, gt=0, le=1e6)
+    measurement: float = quantity("sigma_y, friction measurement", "N, N m", 0.5, gt=0, le=1e6)
     state: float = quantity("sigma_x per interval, as a fraction of nu_i f_C", "1", 0.02, gt=0, le=1e3)
     parameter: float = quantity("prior of a parameter, relative", "1", 0.3, gt=0, le=1e3)
     parameter_drift: float = quantity("random walk of a parameter per update, relative", "1", 0.002, ge=0, le=1e3)

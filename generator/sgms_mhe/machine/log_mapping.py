@@ -2,37 +2,90 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Self
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from sgms_mhe.machine.fields import Table, listing, quantity, refusal, text
+from sgms_mhe.machine.log_units import BY_COLUMN, COUNTS, QUANTITIES, Quantity, normal_unit
+from sgms_mhe.machine.units import Kind
 
-LOG_UNITS: Final[dict[str, dict[str, tuple[float, float]]]] = {
-    "time_s": {"s": (1.0, 0.0), "ms": (1e-3, 0.0), "us": (1e-6, 0.0), "min": (60.0, 0.0)},
-    "position_m": {"m": (1.0, 0.0), "mm": (1e-3, 0.0), "um": (1e-6, 0.0), "nm": (1e-9, 0.0)},
-    "force_N": {"N": (1.0, 0.0), "mN": (1e-3, 0.0), "kN": (1e3, 0.0)},
-    "velocity_m_s": {"m/s": (1.0, 0.0), "mm/s": (1e-3, 0.0), "um/s": (1e-6, 0.0)},
-    "acceleration_m_s2": {"m/s^2": (1.0, 0.0), "mm/s^2": (1e-3, 0.0)},
-    "friction_N": {"N": (1.0, 0.0), "mN": (1e-3, 0.0), "kN": (1e3, 0.0)},
-    "temperature_degC": {"degC": (1.0, 0.0), "K": (1.0, -273.15)},
-}
-"""Columns of a log, and the units in which a recorded file may hold them: SI value = factor * value + shift."""
+SEPARATORS: Final = (",", ";", "\t", "|", " ")
+"""What stands between the fields of a text; the space for any number of spaces and tabs."""
 
 
-class LogColumn(Table):
+class _Spare(Table):
+    """A table that is written back without those of its later keys that say nothing, so that digests stay."""
+
+    @model_serializer(mode="wrap")
+    def _write(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        silent = {key for key, field in type(self).model_fields.items() if getattr(self, key) == field.default}
+        return {key: value for key, value in write(self).items() if key in _ALWAYS or key not in silent}
+
+
+class LogColumn(_Spare):
     """Where a log's column comes from: column = scale * variable + offset, given in `unit`."""
 
-    variable: str = text("variable or header of the measured file", "a name", min_length=1)
+    variable: str | None = text("variable or header of the measured file", "a name", None, min_length=1)
     scale: float = quantity("factor on the variable; not 0", "unit per recorded unit", 1.0)
     offset: float = quantity("added after scaling", "unit", 0.0)
-    unit: str | None = text("unit after scale and offset", "see the column; the column's own where absent", None)
+    unit: str | None = text("unit after scale and offset", "see the column; what the file states where absent", None)
+    member: str | None = text(
+        "member of a struct or group, its path with dots, `variable` before it if given", "a name", None, min_length=1
+    )
+    row: int | None = Field(
+        None, ge=1, le=1_000_000, description="row of a matrix [1], counted from 1; default none: a vector"
+    )
+    counts_per: float | None = Field(
+        None,
+        gt=0,
+        le=1e15,
+        description="counts of an encoder per metre, or per revolution of a rotary axis [1]; with unit counts; "
+        "default none",
+    )
+    wrap: float | None = Field(
+        None,
+        gt=0,
+        le=1e15,
+        description="period after which the recorded variable starts over, in its own unit (65536 counts, 360 deg); "
+        "default none",
+    )
+
+    @property
+    def name(self) -> str:
+        """The variable with its member, as one path with dots; empty where a row alone is named."""
+        return ".".join(part for part in (self.variable, self.member) if part)
+
+    @property
+    def described(self) -> str:
+        """Name and row, as messages say them."""
+        row = "" if self.row is None else f"row {self.row}"
+        return f"{self.name}, {row}" if self.name and row else self.name or row
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         if self.scale == 0.0:
             raise refusal("scale", self.scale, "a number other than 0")
+        if self.variable is None and self.member is None and self.row is None:
+            raise refusal("variable", None, "required key is missing: a variable, a member or a row")
         return self
+
+    def check_unit(self, where: str, quantity: Quantity) -> None:
+        """Refuse a unit that the quantity does not have, or one without the number that it needs."""
+        if self.unit is None:
+            if self.counts_per is not None:
+                raise refusal(f"{where}.unit", None, f"{COUNTS[0]}, where counts_per is given")
+            return
+        unit = normal_unit(self.unit)
+        if unit not in quantity.allowed:
+            raise refusal(f"{where}.unit", self.unit, f"one of {listing(quantity.allowed)}")
+        if unit in COUNTS and self.counts_per is None:
+            per = "revolution" if quantity.unit.startswith("rad") else "metre"
+            raise refusal(f"{where}.counts_per", None, f"counts per {per}, where unit is {unit}")
+        if unit not in COUNTS and self.counts_per is not None:
+            raise refusal(f"{where}.unit", self.unit, f"{COUNTS[0]}, where counts_per is given")
+        if unit in quantity.recorded and "scale" not in self.model_fields_set:
+            raise refusal(f"{where}.scale", None, f"{quantity.unit} per {unit}, where unit is {unit}")
 
 
 def _as_column(data: Any) -> Any:
@@ -43,11 +96,12 @@ Source = Annotated[LogColumn | None, BeforeValidator(_as_column, json_schema_inp
 
 
 def _column(name: str) -> Any:
-    allowed = f"a variable's name or {{ variable, scale, offset, unit }} with unit {listing(LOG_UNITS[name])}"
+    units = listing(BY_COLUMN[name].allowed)
+    allowed = f"a variable's name or {{ variable, member, row, scale, offset, unit, counts_per, wrap }}; unit {units}"
     return Field(None, description=f"source of the log's column {name}; {allowed}; default: a variable named {name}")
 
 
-class LogMapping(Table):
+class LogMapping(_Spare):
     """Variables, scales and units of a measured file, for recorded files that are read as they are."""
 
     time_s: Source = _column("time_s")
@@ -57,11 +111,48 @@ class LogMapping(Table):
     acceleration_m_s2: Source = _column("acceleration_m_s2")
     friction_N: Source = _column("friction_N")
     temperature_degC: Source = _column("temperature_degC")
+    position_rad: Source = _column("position_rad")
+    torque_Nm: Source = _column("torque_Nm")
+    velocity_rad_s: Source = _column("velocity_rad_s")
+    acceleration_rad_s2: Source = _column("acceleration_rad_s2")
+    friction_Nm: Source = _column("friction_Nm")
+    resample: bool = text("uneven time, or another rate, interpolated to the machine's", "true or false", False)
+    separator: Literal[",", ";", "\t", "|", " "] | None = text(
+        "between the fields of a text", "one of , ; | tab, or a space for any number of them", None
+    )
+    decimal: Literal[".", ","] | None = text("decimal mark of a text", ". or ,", None)
+    encoding: str | None = text("of a text", "utf-8, utf-16, latin-1, ...: a name that Python knows", None)
+    dates: Literal["dmy", "mdy"] | None = text("order in dates with slashes", "dmy or mdy", None)
+    header_line: int | None = Field(
+        None, ge=1, description="line of a text that holds the columns' names [1], counted from 1; default: found"
+    )
+
+    @property
+    def columns(self) -> dict[str, LogColumn]:
+        """The columns that the file maps, by name."""
+        found = {name: getattr(self, name) for name in BY_COLUMN}
+        return {name: column for name, column in found.items() if column is not None}
+
+    @property
+    def kind(self) -> Kind | None:
+        """The kind of axis whose columns are mapped; None where only columns of both are."""
+        own = {kind: {q.column for q in quantities} for kind, quantities in QUANTITIES.items()}
+        shared = own["linear"] & own["rotary"]
+        return next((kind for kind in own if (own[kind] - shared) & set(self.columns)), None)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        for name, units in LOG_UNITS.items():
-            column: LogColumn | None = getattr(self, name)
-            if column is not None and column.unit is not None and column.unit not in units:
-                raise refusal(f"{name}.unit", column.unit, f"one of {listing(units)}")
+        for name, column in self.columns.items():
+            column.check_unit(name, BY_COLUMN[name])
+        known = [quantity.column for quantity in QUANTITIES[self.kind]] if self.kind else list(self.columns)
+        for name in self.columns:
+            if name not in known:
+                raise refusal(name, getattr(self, name).described, f"columns of one kind of axis: {listing(known)}")
         return self
+
+
+_ALWAYS: Final = frozenset(
+    "variable scale offset unit time_s position_m force_N velocity_m_s acceleration_m_s2 friction_N "
+    "temperature_degC".split()
+)
+"""Keys that a table is always written with."""

@@ -24,7 +24,8 @@ class ResolvedEffect:
     Attributes:
         name: of the effect.
         label: unique within the machine: the name; of the second effect of that name, `name_2`.
-        parameters: value of every parameter, in the catalogue's order and in the units of their names.
+        parameters: value of every parameter, in the catalogue's order and by the catalogue's names, those of a linear
+            axis; in SI units.
     """
 
     name: str
@@ -43,7 +44,8 @@ class Machine:
 
     Attributes:
         source: the file that this machine was read from.
-        content: what the file says, `extends` merged, defaults not filled in.
+        estimator: what it estimates has the catalogue's names, those of a linear axis, as `effects` has.
+        content: what the file says, `extends` merged, defaults not filled in, in the names of this kind of axis.
     """
 
     name: str
@@ -72,6 +74,7 @@ class Machine:
 
     def as_dict(self, *, by_alias: bool = False) -> dict[str, Any]:
         """The resolved content as plain data; `by_alias`: keys as a machine file spells them (`lambda`)."""
+        units = self.plant.units
         tables = {
             "plant": self.plant,
             "friction": self.friction,
@@ -81,10 +84,15 @@ class Machine:
             "code": self.code,
             "diagnosis": self.diagnosis,
         }
+        content = {key: table.model_dump(mode="json", by_alias=by_alias) for key, table in tables.items()}
+        content["plant"] = {key: value for key, value in content["plant"].items() if value is not None}
+        estimator = content["estimator"]
+        estimator["parameters"] = [units.named(name) for name in estimator["parameters"]]
+        estimator["bounds"] = units.keyed(estimator["bounds"])
         return {
             "name": self.name,
             "description": self.description,
-            **{key: table.model_dump(mode="json", by_alias=by_alias) for key, table in tables.items()},
-            "effects": [{"name": effect.name, **effect.parameters} for effect in self.effects],
+            **content,
+            "effects": [{"name": effect.name} | units.keyed(effect.parameters) for effect in self.effects],
             "log": None if self.log is None else self.log.model_dump(mode="json", by_alias=by_alias),
         }

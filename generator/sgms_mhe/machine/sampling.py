@@ -40,10 +40,16 @@ def runge_kutta_scheme(scheme: str) -> str:
 class Integrator(Table):
     """How one shooting interval is integrated."""
 
-    scheme: Literal["rk4", "rk2", "bs23", "euler", "flow", "clip"] = text(
-        "integration scheme",
-        "rk4, rk2, bs23, euler or flow; clip where, and only where, [friction] law is switching",
-        "rk4",
+    velocity: Literal["constant", "linear"] = text(
+        "velocity between two samples",
+        "constant or linear (linear: at least one substep per sample, neither flow nor clip)",
+        "constant",
+    )
+    scheme: Literal["rk4", "rk2", "bs23", "euler", "flow", "clip"] = Field(
+        default_factory=lambda data: "rk4" if data.get("velocity") == "linear" else "flow",
+        description="integration scheme; rk4, rk2, bs23, euler or flow; clip where, and only where, [friction] law is "
+        "switching; default 'flow', 'clip' where law is switching, 'rk4' where velocity is linear or the smoothing too "
+        "soft for the flow",
     )
     substeps: int = Field(
         1,
@@ -51,11 +57,6 @@ class Integrator(Table):
         le=1_000_000,
         description="least number of steps per shooting interval [1]; a multiple or a divisor of rate / update_rate; "
         "default: rate / update_rate",
-    )
-    velocity: Literal["constant", "linear"] = text(
-        "velocity between two samples",
-        "constant or linear (linear: at least one substep per sample, neither flow nor clip)",
-        "constant",
     )
     displacement: float = Field(
         default_factory=lambda data: DISPLACEMENT[data["scheme"]],
@@ -90,8 +91,8 @@ class Sampling(Table):
         "divides rate; default: the largest up to 2 velocity_cutoff",
     )
     velocity_cutoff: float = quantity("second-order low-pass; < rate / 2", "Hz", 500.0, gt=0)
-    max_velocity: float = quantity("speed up to which the estimate is right", "m/s", 1.0, gt=0, le=1e3)
-    integrator: Integrator = Field(Integrator(), description="integration scheme; default rk4, one substep per sample")
+    max_velocity: float = quantity("speed up to which the estimate is right", "m/s, rad/s", 1.0, gt=0, le=1e3)
+    integrator: Integrator = Field(Integrator(), description="integration scheme; default flow, one step per sample")
 
     @property
     def samples_per_update(self) -> int:

@@ -265,7 +265,7 @@ def build_model(machine: Machine) -> Model:
     parameters = _Parameters(machine)
     integrator, sampling = machine.sampling.integrator, machine.sampling
     axis = SymbolicAxis(
-        machine.plant.mass,
+        machine.plant.moved,
         friction.coulomb,
         step=sampling.step,
         # Lines through merged samples have them in the middle of their times: half a sample ahead, as held ones are.

@@ -18,7 +18,7 @@ def scales_of(machine: Machine) -> Scales:
         coulomb=friction.coulomb,
         damping=friction.viscous or friction.coulomb / machine.sampling.max_velocity,
         stiffness=math.fsum(friction.stiffness),
-        mass=machine.plant.mass,
+        mass=machine.plant.moved,
         step=machine.sampling.step,
         deflection=max(deflections),
         least_deflection=min(deflections),

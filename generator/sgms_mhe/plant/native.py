@@ -145,7 +145,7 @@ def _base_limits() -> Mapping[str, _Limits]:
     limits = {}
     for table in (Plant, Friction, Smoothing):
         for name, key in table.model_json_schema()["properties"].items():
-            spec = key.get("items", key)
+            spec = key.get("items", key.get("anyOf", [key])[0])  # what may be left out is a number or nothing
             if spec.get("type") != "number":
                 continue
             least, most = spec.get("minimum", -math.inf), spec.get("maximum", math.inf)
@@ -193,7 +193,7 @@ class NativeAxis:
         # Of a machine file that says nothing of it: for a plant that obeys the other law.
         smoothing = friction.smoothing or Smoothing()
         plant = {
-            "mass": machine.plant.mass,
+            "mass": machine.plant.moved,
             "zeta": smoothing.zeta,
             "lambda": smoothing.lambda_,
             "gamma": smoothing.gamma,
@@ -219,7 +219,7 @@ class NativeAxis:
 
     @staticmethod
     def _fixed(machine: Machine, config: AxisConfig) -> dict[str, float]:
-        rate, mass = machine.sampling.rate, machine.plant.mass
+        rate, mass = machine.sampling.rate, machine.plant.moved
         controller = config.controller or Controller.pid(mass, config.bandwidth_Hz or min(80.0, rate / 40.0))
         needed = math.ceil(1.0 / (rate * SUBSTEP_S) - 1e-9)
         own = "maxwell_slip" if machine.friction.switches else "sgms"

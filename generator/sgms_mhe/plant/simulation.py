@@ -162,12 +162,13 @@ def simulate_axis(
         force_N=columns["force_N"],
         rate=trajectory.rate,
         source=f"simulated {machine.name}, {trajectory.name}",
+        kind=machine.plant.kind,
     )
     if not truth:
-        return SimulatedRun(log, machine.plant.mass)
+        return SimulatedRun(log, machine.plant.moved)
     known = {name.removeprefix("true_"): columns[name] for name in TRUTH_COLUMNS}
     deflection = columns["true_deflection_m"].reshape(n, n_z)
-    return SimulatedRun(log, machine.plant.mass, Truth(time_s=time, deflection_m=deflection, **known))
+    return SimulatedRun(log, machine.plant.moved, Truth(time_s=time, deflection_m=deflection, **known))
 
 
 def plant_effects() -> dict[str, tuple[str, ...]]:

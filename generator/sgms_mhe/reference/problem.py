@@ -178,5 +178,6 @@ def estimates(
         test_ratio=newest[:, 1],
         noise_scale=newest[:, 2],
         parameter_names=tuple(p.column for p in model.parameters),
+        kind=model.machine.plant.kind,
         extra={"x": x, "theta": theta, "theta_std": std},
     )

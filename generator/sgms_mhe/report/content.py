@@ -12,9 +12,8 @@ from sgms_mhe.model.effects import BASE_CAUSES, separating_moves
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.ranking import NAMED, bar_width, explained_force, ranked_scores, score_rounds, score_rows
 from sgms_mhe.report.series import View
-from sgms_mhe.report.units import force, percent, plain, probability, quantity, split_name
+from sgms_mhe.report.units import after_force, axis_units, force, percent, plain, probability, quantity, split_name
 from sgms_mhe.report.words import (
-    NEWTON,
     base_words,
     between,
     capital,
@@ -204,7 +203,7 @@ def _tiles(d: Diagnosis, gain: EstimatorGain | None) -> list[dict[str, str]]:
         tiles.append(
             {
                 "label": "Residual, data kept from the fit",
-                "before": force(rms.held_out_before).removesuffix(NEWTON),
+                "before": force(rms.held_out_before).removesuffix(after_force()),
                 "value": force(rms.held_out_after),
                 "kind": "after",
                 "note": f"RMS, {relative_change(rms.held_out_before, rms.held_out_after)}",
@@ -212,7 +211,7 @@ def _tiles(d: Diagnosis, gain: EstimatorGain | None) -> list[dict[str, str]]:
         )
         tiles.append(
             {
-                "label": "Force newly explained there",
+                "label": f"{capital(axis_units().push)} newly explained there",
                 "before": "",
                 "value": between(low, high),
                 "kind": "",
@@ -243,7 +242,7 @@ def _tiles(d: Diagnosis, gain: EstimatorGain | None) -> list[dict[str, str]]:
         tiles.append(
             {
                 "label": "Estimator on a log it has not seen",
-                "before": force(gain.base.predicted_rms_N).removesuffix(NEWTON),
+                "before": force(gain.base.predicted_rms_N).removesuffix(after_force()),
                 "value": force(gain.extended.predicted_rms_N),
                 "kind": "after",
                 "note": "error of predicted friction, RMS, "
@@ -330,7 +329,8 @@ def _gain_note(d: Diagnosis) -> str:
     floor = f"Dashed: noise of the measurement, {force(d.noise_floor_N)} RMS; no model gets below it."
     if d.extended is None:
         return floor
-    return f"Force explained on data kept from the fit, 95 %: {between(*d.gain_interval_N)} RMS. {floor}"
+    explained = f"{capital(axis_units().push)} explained on data kept from the fit"
+    return f"{explained}, 95 %: {between(*d.gain_interval_N)} RMS. {floor}"
 
 
 def _estimator(gain: EstimatorGain) -> dict[str, Any]:
@@ -353,7 +353,11 @@ def _estimator(gain: EstimatorGain) -> dict[str, Any]:
         f"what friction compensation feeds forward. Its error falls by {percent(gain.reduction)} "
         f"(95 %: {percent(low)} to {percent(high)}).",
         "parameters": [
-            {"name": p.name, "before": f"± {percent(p.wander)}", "after": f"± {percent(after[p.name].wander)}"}
+            {
+                "name": axis_units().named(p.name),
+                "before": f"± {percent(p.wander)}",
+                "after": f"± {percent(after[p.name].wander)}",
+            }
             for p in gain.base.parameters
             if p.name in after
         ],

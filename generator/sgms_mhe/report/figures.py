@@ -13,6 +13,7 @@ from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.plots import AFTER, BEFORE, MEASURED
 from sgms_mhe.report.ranking import NAMED, ranked_scores
 from sgms_mhe.report.series import View, runs
+from sgms_mhe.report.units import axis_units
 
 WIDTH_IN: Final = 9.0
 HELD_OUT: Final = "#efeee2"
@@ -39,8 +40,8 @@ def measured_figure(diagnosis: Diagnosis) -> Figure:
         for a, b in runs(t.held_out):
             axis.axvspan(t.time_s[a], t.time_s[b - 1], color=HELD_OUT, linewidth=0, zorder=0)
         axis.margins(x=0)
-    top.set_ylabel("friction [N]")
-    bottom.set_ylabel("measured -\nsimulated [N]")
+    top.set_ylabel(f"friction [{axis_units().force}]")
+    bottom.set_ylabel(f"measured -\nsimulated [{axis_units().force}]")
     bottom.set_xlabel("time [s]; shaded: kept from the fit")
     top.set_title(diagnosis.machine.name, loc="left")
     top.legend(
@@ -65,7 +66,8 @@ def residual_figure(diagnosis: Diagnosis, views: Sequence[View]) -> Figure:
         if view.key == "frequency" and any((m > 0).any() for _, _, _, m in pairs):
             axis.set_yscale("log")
         axis.set_xlabel(f"{view.title} [{view.unit}]")
-        axis.set_ylabel("amplitude [N]" if view.key == "frequency" else "residual [N]")
+        said = "amplitude" if view.key == "frequency" else "residual"
+        axis.set_ylabel(f"{said} [{axis_units().force}]")
         axis.grid(color="0.92")
         axis.set_axisbelow(True)
     axis.legend(frameon=False, fontsize="small")
@@ -82,7 +84,7 @@ def candidates_figure(diagnosis: Diagnosis) -> Figure:
         [np.nan_to_num(s.gain_N if np.isnan(s.refit_gain_N) else s.refit_gain_N) for s in scores],
         color=[AFTER if s.outcome == NAMED else "0.7" for s in scores],
     )
-    axis.set_xlabel("force explained on data kept from its fit, RMS [N]; blue: named")
+    axis.set_xlabel(f"{axis_units().push} explained on data kept from its fit, RMS [{axis_units().force}]; blue: named")
     axis.tick_params(axis="y", labelsize="small")
     axis.margins(y=0.01)
     return figure
@@ -105,6 +107,6 @@ def gain_figure(diagnosis: Diagnosis, estimator: EstimatorGain | None) -> Figure
     axis.axhline(diagnosis.noise_floor_N, color="0.3", linestyle="--", linewidth=1.0, label="noise of the measurement")
     axis.set_xticks(at, names)
     axis.set_xlim(-0.6, len(names) - 0.4)
-    axis.set_ylabel("RMS [N]")
+    axis.set_ylabel(f"RMS [{axis_units().force}]")
     axis.legend(frameon=False, fontsize="small")
     return figure

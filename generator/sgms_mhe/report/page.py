@@ -17,6 +17,7 @@ from sgms_mhe.report import content, figures
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.plots import plots
 from sgms_mhe.report.series import views
+from sgms_mhe.report.units import in_units
 from sgms_mhe.support.files import write_text
 
 Progress = Callable[[str, float], None]
@@ -47,6 +48,11 @@ def write_report(
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
     tell("residuals", 0.0)
+    with in_units(diagnosis.machine.plant.units):
+        return _written(diagnosis, folder, estimator, tell)
+
+
+def _written(diagnosis: Diagnosis, folder: Path, estimator: EstimatorGain | None, tell: Progress) -> Path:
     shown = views(diagnosis.traces)
     drawings: dict[str, Callable[[], Figure]] = {
         "measured.png": lambda: figures.measured_figure(diagnosis),

@@ -9,6 +9,7 @@ import numpy as np
 
 from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.report.series import View, numbers, pack, runs
+from sgms_mhe.report.units import axis_units
 
 MEASURED, BEFORE, AFTER = "#374151", "#c2540a", "#0b6aa8"
 
@@ -17,7 +18,7 @@ def plots(diagnosis: Diagnosis, views: Sequence[View]) -> dict[str, Any]:
     """What the page's plots draw, by their names."""
     t = diagnosis.traces
     extended = diagnosis.extended is not None
-    step = 1.0 / t.rate
+    step, unit, length = 1.0 / t.rate, axis_units().force, axis_units().position
 
     def masked(values: Any) -> Any:
         return np.where(t.used, values, np.nan)
@@ -29,7 +30,7 @@ def plots(diagnosis: Diagnosis, views: Sequence[View]) -> dict[str, Any]:
         "group": "time",
         "xLabel": "time [s]",
         "xUnit": "s",
-        "unit": "N",
+        "unit": unit,
         "shaded": [(float(t.time_s[a]), float(t.time_s[b - 1]) + step) for a, b in runs(t.held_out)],
     }
     simulated = [_line("simulated, machine file as it is", pack(masked(t.nominal_N)), BEFORE)]
@@ -40,15 +41,15 @@ def plots(diagnosis: Diagnosis, views: Sequence[View]) -> dict[str, Any]:
     content: dict[str, Any] = {
         "friction": common
         | {
-            "yLabel": "friction [N]",
+            "yLabel": f"friction [{unit}]",
             "series": [_line("measured", pack(masked(t.friction_N)), MEASURED, 1.8), *simulated],
         },
-        "residual": common | {"yLabel": "residual [N]", "zero": True, "series": residuals},
+        "residual": common | {"yLabel": f"residual [{unit}]", "zero": True, "series": residuals},
     }
-    factor, unit = (1e3, "mm") if np.ptp(t.position_m) > 1e-3 else (1e6, "µm")
+    factor, small = (1e3, f"m{length}") if np.ptp(t.position_m) > 1e-3 else (1e6, f"µ{length}")
     content["motion"] = common | {
-        "yLabel": f"position [{unit}]",
-        "unit": unit,
+        "yLabel": f"position [{small}]",
+        "unit": small,
         "series": [_line("position", pack(t.position_m * factor), MEASURED)],
     }
     for view in views:
@@ -86,7 +87,7 @@ def _view(view: View, extended: bool) -> dict[str, Any]:
             {"name": name, "label": labels[name], "x": numbers(view.centres), "y": numbers(means), "colour": colour}
             | ({"width": 2.2, "cased": True} if view.key != "frequency" else {"width": 1.3})
         )
-    spectrum = view.key == "frequency"
+    spectrum, unit = view.key == "frequency", axis_units().force
     return {
         "series": series,
         "xLog": view.logarithmic,
@@ -94,6 +95,6 @@ def _view(view: View, extended: bool) -> dict[str, Any]:
         "zero": not spectrum,
         "xLabel": f"{view.title} [{view.unit}]",
         "xUnit": view.unit,
-        "yLabel": "amplitude [N]" if spectrum else "residual [N]",
-        "unit": "N",
+        "yLabel": f"amplitude [{unit}]" if spectrum else f"residual [{unit}]",
+        "unit": unit,
     }

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from sgms_mhe.diagnosis import Traces
+from sgms_mhe.report.units import axis_units
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -61,14 +62,14 @@ def since_reversal(traces: Traces) -> Array:
 
 def views(traces: Traces) -> list[View]:
     """Residual before and after over position, velocity, acceleration, time, way since a reversal, and frequency."""
-    used = traces.used
+    used, length = traces.used, axis_units().position
     shown: list[View] = []
     coordinates = (
-        ("position", "position", traces.position_m, "m", False),
-        ("velocity", "velocity", traces.velocity_m_s, "m/s", False),
-        ("acceleration", "acceleration", traces.acceleration_m_s2, "m/s²", False),
+        ("position", "position", traces.position_m, length, False),
+        ("velocity", "velocity", traces.velocity_m_s, f"{length}/s", False),
+        ("acceleration", "acceleration", traces.acceleration_m_s2, f"{length}/s²", False),
         ("time", "time", traces.time_s, "s", False),
-        ("after_reversal", "way since the last reversal", since_reversal(traces), "m", True),
+        ("after_reversal", "way since the last reversal", since_reversal(traces), length, True),
     )
     before, after = traces.residual_before, traces.residual_after
     for key, title, x, unit, logarithmic in coordinates:
@@ -153,7 +154,7 @@ def runs(mask: Mask) -> list[tuple[int, int]]:
 def _scaled(unit: str, x: Array) -> tuple[float, str]:
     """Factor and unit in which the largest value reads well."""
     largest = float(np.max(np.abs(x))) if len(x) else 0.0
-    if unit in ("m", "m/s", "m/s²") and 0.0 < largest < 1.0:
+    if unit.startswith(axis_units().position) and 0.0 < largest < 1.0:
         return (1e3, "m" + unit) if largest >= 1e-3 else (1e6, "µ" + unit)
     return 1.0, unit
 

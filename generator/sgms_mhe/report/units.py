@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Final
 
+from sgms_mhe.machine import LINEAR, Units
+from sgms_mhe.machine.units import is_ratio, suffix_of
 from sgms_mhe.model.effects import base_number
-from sgms_mhe.model.effects.units import UNITS, is_ratio, suffix_of
 
 _PREFIXES: Final = {
     "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm")),
@@ -15,13 +19,38 @@ _PREFIXES: Final = {
     "m/s": ((1.0, "m/s"), (1e-3, "mm/s"), (1e-6, "µm/s")),
     "N": ((1.0, "N"), (1e-3, "mN"), (1e-6, "µN")),
     "N/m": ((1e6, "N/µm"), (1e3, "N/mm"), (1.0, "N/m")),
+    "rad/s": ((1.0, "rad/s"), (1e-3, "mrad/s"), (1e-6, "µrad/s")),
+    "N m": ((1.0, "N m"), (1e-3, "mN m"), (1e-6, "µN m")),
+    "N m/rad": ((1e6, "N m/µrad"), (1e3, "N m/mrad"), (1.0, "N m/rad")),
 }
+_FORCES: Final = ("N", "N m")
+_axis: ContextVar[Units] = ContextVar("axis", default=LINEAR)
 COVERAGE: Final = 1.96
 """Standard deviations on either side that 95 % lie within."""
 _RAISED: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 MINUS: Final = "\N{MINUS SIGN}"
 SPACE: Final = "\N{NO-BREAK SPACE}"
 """Between a number and its unit."""
+
+
+@contextmanager
+def in_units(units: Units) -> Iterator[None]:
+    """Write what follows in the units of one kind of axis."""
+    token = _axis.set(units)
+    try:
+        yield
+    finally:
+        _axis.reset(token)
+
+
+def axis_units() -> Units:
+    """Units of the axis that is reported on."""
+    return _axis.get()
+
+
+def after_force() -> str:
+    """What stands after a force: its unit, and the space before it."""
+    return f"{SPACE}{_axis.get().force}"
 
 
 @dataclass(frozen=True)
@@ -38,12 +67,12 @@ class Reading:
 
 
 def split_name(name: str) -> tuple[str, str]:
-    """(words, unit) of a parameter's name: `amplitude_N` -> ("amplitude", "N")."""
-    number = base_number(name)
-    suffix = number.suffix if number is not None else suffix_of(name)
-    stem = name if number is not None else name.removesuffix(suffix)
-    percent = not suffix and is_ratio(name)
-    return stem.replace("_", " "), UNITS[suffix] if suffix else "%" if percent else ""
+    """(words, unit) of a parameter's name on a linear axis: `amplitude_N` -> ("amplitude", "N"), or "N m"."""
+    units, number = _axis.get(), base_number(name)
+    own = name + number.suffix if number is not None else name
+    stem = name if number is not None else units.named(name).removesuffix(suffix_of(units.named(name)))
+    unit = units.unit(own)
+    return stem.replace("_", " "), unit or ("%" if is_ratio(name) else "")
 
 
 def quantity(name: str, value: float, std: float = math.nan) -> Reading:
@@ -90,11 +119,11 @@ def plain(number: float, digits: int = 3) -> str:
 
 
 def force(newton: float) -> str:
-    """A force in N with three digits, to the millinewton: forces in one report are to be compared."""
+    """A force in N, or a torque in N m, with three digits, to a thousandth: those of one report are to be compared."""
     if not math.isfinite(newton):
         return "–"
     decimals = sum(abs(newton) < limit for limit in (0.9995, 9.995, 99.95))
-    return f"{_fixed(newton, decimals)}{SPACE}N"
+    return f"{_fixed(newton, decimals)}{after_force()}"
 
 
 def percent(share: float) -> str:
@@ -118,7 +147,7 @@ def _prefix(value: float, unit: str) -> tuple[float, str]:
     size = abs(value)
     for factor, shown in _PREFIXES[unit]:
         # Forces of a report are to be compared: a tenth of a newton stays one.
-        if size >= (0.01 if unit == "N" else 0.9995) * factor:
+        if size >= (0.01 if unit in _FORCES else 0.9995) * factor:
             return factor, shown
     return _PREFIXES[unit][-1 if size > 0.0 else 0]
 

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
 
 from sgms_mhe.diagnosis import Cause
 from sgms_mhe.model.effects import BASE_CAUSES, base_number, cause, cause_names
-from sgms_mhe.report.units import SPACE, force, percent, quantity
-
-NEWTON: Final = f"{SPACE}N"
+from sgms_mhe.report.units import after_force, force, percent, quantity
 
 
 def title(name: str, *, own: bool = False) -> str:
@@ -49,10 +46,10 @@ def relative_change(before: float, after: float) -> str:
 
 
 def between(low: float, high: float) -> str:
-    """An interval of forces."""
+    """An interval of forces, or torques."""
     if not (math.isfinite(low) and math.isfinite(high)):
         return "not known"
-    return f"{force(low).removesuffix(NEWTON)} to {force(high)}"
+    return f"{force(low).removesuffix(after_force())} to {force(high)}"
 
 
 def listed(parts: Sequence[str], last: str = "and") -> str:

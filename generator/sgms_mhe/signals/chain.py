@@ -92,10 +92,6 @@ def signals_from_log(log: Log, machine: Machine) -> Signals:
     def lowpass(signal: Array) -> Array:
         return _lowpass(coefficients, signal)
 
-    def at_rest(delayed: Array) -> Array:
-        # Both filters are linear: about the first value they start at zero, which is at rest to the last bit.
-        return float(delayed[0]) + lowpass(lowpass(delayed - delayed[0]))
-
     raw_velocity = difference * rate if log.velocity_m_s is None else _hold(log.velocity_m_s, before=0.0)
     once = lowpass(raw_velocity)
     velocity = lowpass(_delay(once, 0.0))
@@ -103,12 +99,11 @@ def signals_from_log(log: Log, machine: Machine) -> Signals:
         acceleration = lowpass((once - _delay(once, 0.0)) * rate)
     else:
         acceleration = lowpass(lowpass(_delay(_hold(log.acceleration_m_s2, before=0.0), 0.0)))
-    position, force = at_rest(delayed_position), at_rest(_delay(force, float(force[0])))
+    position, force = _at_rest(coefficients, delayed_position), behind_chain(machine, force)
     if log.friction_N is None:
-        friction = force - machine.plant.mass * acceleration
+        friction = force - machine.plant.moved * acceleration
     else:
-        held = _hold(log.friction_N)
-        friction = at_rest(_delay(held, float(held[0])))
+        friction = behind_chain(machine, _hold(log.friction_N))
     valid = _samples_since(missing) > settle
     valid[:settle] = False
     delay = chain_delay(machine)
@@ -131,6 +126,11 @@ def signals_of_record(log: Log, machine: Machine) -> Signals:
     signals = signals_from_log(_bridged(log), machine)
     after = 0 if bypassed else 2 * settle_samples(machine)
     return replace(signals, valid=signals.valid & (_samples_since(missing) > after), missing=missing)
+
+
+def behind_chain(machine: Machine, series: Array) -> Array:
+    """What the chain makes of forces (n, ...): both low-passes and one sample, at rest before the first sample."""
+    return _at_rest(lowpass_coefficients(machine), np.concatenate((series[:1], series[:-1])))
 
 
 def lowpass_coefficients(machine: Machine) -> tuple[float, float, float, float, float]:
@@ -232,8 +232,14 @@ def _settle(cutoff: float) -> int:
 
 def _lowpass(coefficients: tuple[float, float, float, float, float], signal: Array) -> Array:
     b0, b1, b2, a1, a2 = coefficients
-    filtered: Array = lfilter([b0, b1, b2], [1.0, a1, a2], signal)
+    filtered: Array = lfilter([b0, b1, b2], [1.0, a1, a2], signal, axis=0)
     return filtered
+
+
+def _at_rest(coefficients: tuple[float, float, float, float, float], delayed: Array) -> Array:
+    """Delayed signals (n, ...) behind both low-passes, at rest on their first values."""
+    # Both filters are linear: about the first value they start at zero, which is at rest to the last bit.
+    return np.asarray(delayed[0] + _lowpass(coefficients, _lowpass(coefficients, delayed - delayed[0])))
 
 
 def _delay(signal: Array, first: float) -> Array:

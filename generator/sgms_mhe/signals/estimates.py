@@ -10,7 +10,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.signals.formats import read_columns, write_columns
+from sgms_mhe.machine import LINEAR, OF_KIND, ROTARY, Kind
+from sgms_mhe.signals.columns import read_columns, write_columns
 from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
@@ -27,8 +28,9 @@ class Estimates:
     time_s, friction_measured_N, friction_N (u,); z_m (u, n_z); parameters, std (u, n_p); status (u,) int; of the newest
     reading innovation_N, test_ratio (its square over the variance predicted for it), noise_scale (u,), NaN where an
     observer does not predict readings;
-    parameter_names (n_p) as in the file's header (`stiffness_1`, ..., `coulomb`). `extra` holds what a solver wants to
-    hand on besides (arrays by name); it is not written.
+    parameter_names (n_p): `stiffness_1`, ..., `coulomb`. Of a rotary axis angles and torques stand where this says m
+    and N; `kind` says which it is, and a file's columns are named so. `extra` holds what a solver wants to hand on
+    besides (arrays by name); it is not written.
     """
 
     time_s: Array
@@ -42,6 +44,7 @@ class Estimates:
     test_ratio: Array
     noise_scale: Array
     parameter_names: tuple[str, ...]
+    kind: Kind = "linear"
     extra: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -61,38 +64,43 @@ def write_estimates(path: str | Path, estimates: Estimates) -> None:
     columns |= {f"std_{name}": std for name, std in zip(names, estimates.std.T, strict=True)}
     columns["status"] = estimates.status.astype(np.int64)
     columns |= {name: getattr(estimates, name) for name in READING_COLUMNS}
-    write_columns(path, columns)
+    write_columns(path, OF_KIND[estimates.kind].keyed(columns))
 
 
 def read_estimates(path: str | Path) -> Estimates:
     """Read an estimates' CSV."""
     columns = read_columns(path)
-    for name in ("time_s", "friction_measured_N", "friction_N", "z_1_m", "status"):
-        if name not in columns:
-            raise InputError(path, f"column {name}", None, "missing: an estimates file has it")
+    units = ROTARY if ROTARY.named("friction_N") in columns else LINEAR
+
+    def column(name: str) -> Array:
+        if units.named(name) not in columns:
+            raise InputError(path, f"column {units.named(name)}", None, "missing: an estimates file has it")
+        return columns[units.named(name)]
+
     n_z = 1
-    while f"z_{n_z + 1}_m" in columns:
+    while units.named(f"z_{n_z + 1}_m") in columns:
         n_z += 1
     names = tuple(name.removeprefix("std_") for name in columns if name.startswith("std_"))
     for name in names:
         if name not in columns:
             raise InputError(path, f"column {name}", None, f"missing: std_{name} is there")
-    length = len(columns["time_s"])
+    length = len(column("time_s"))
     unknown: Array = np.full(length, np.nan)
 
     def matrix(selected: list[str]) -> Array:
         return np.column_stack([columns[name] for name in selected]) if selected else np.empty((length, 0))
 
     return Estimates(
-        time_s=columns["time_s"],
-        friction_measured_N=columns["friction_measured_N"],
-        friction_N=columns["friction_N"],
-        z_m=matrix([f"z_{i + 1}_m" for i in range(n_z)]),
+        time_s=column("time_s"),
+        friction_measured_N=column("friction_measured_N"),
+        friction_N=column("friction_N"),
+        z_m=np.column_stack([column(f"z_{i + 1}_m") for i in range(n_z)]),
         parameters=matrix(list(names)),
         std=matrix([f"std_{name}" for name in names]),
-        status=columns["status"].astype(np.int64),
-        innovation_N=columns.get("innovation_N", unknown),
+        status=column("status").astype(np.int64),
+        innovation_N=columns.get(units.named("innovation_N"), unknown),
         test_ratio=columns.get("test_ratio", unknown),
         noise_scale=columns.get("noise_scale", unknown),
         parameter_names=names,
+        kind=units.kind,
     )

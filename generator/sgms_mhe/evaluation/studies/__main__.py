@@ -3,7 +3,8 @@
 `coverage` draws data from the estimator's own noise model, `plant` asks the same of the axis in closed loop,
 `monte-carlo` compares MHE, EKF and batch smoother over random axes, `creep` follows the parameters over 10^5 updates,
 `readings` asks what more friction readings per second gain, `relinearise` what it costs to keep linearisations,
-`faults` puts broken sensors into good logs, `speed` asks what fast moves cost the integrators.
+`faults` puts broken sensors into good logs, `speed` asks what fast moves cost the integrators, `identify` draws axes
+and identifies each from its log alone.
 All numbers are seeded; the same command prints the same table.
 """
 
@@ -17,6 +18,7 @@ from typing import Final
 from sgms_mhe.evaluation.studies.coverage import coverage_study
 from sgms_mhe.evaluation.studies.creep import creep_study
 from sgms_mhe.evaluation.studies.faults import faults_study
+from sgms_mhe.evaluation.studies.identification import identification_study
 from sgms_mhe.evaluation.studies.monte_carlo import monte_carlo_study
 from sgms_mhe.evaluation.studies.plant import plant_study
 from sgms_mhe.evaluation.studies.readings import readings_study
@@ -32,6 +34,7 @@ STUDIES: Final[Mapping[str, tuple[Callable[[int, int], Table], int, int]]] = {
     "relinearise": (lambda runs, updates: relinearise_study(runs, updates / 100.0), 10, 800),
     "readings": (lambda runs, updates: readings_study(runs, updates / 100.0), 6, 2000),
     "faults": (lambda runs, updates: faults_study(runs), 20, 1800),
+    "identify": (lambda runs, updates: identification_study(runs, updates / 100.0), 40, 2500),
     "speed": (lambda runs, updates: speed_study(updates), 1, 150),
 }
 """Studies by name, with their numbers of runs and updates."""

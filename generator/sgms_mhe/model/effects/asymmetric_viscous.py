@@ -36,6 +36,7 @@ DEFINITION = EffectDefinition(
     moves=("speeds",),
     search=Columns(lambda m, _: np.abs(m.velocity)[:, None], one_size("difference_N_s_m")),
     linear=True,
+    companion=True,
     specimen=one_number(
         "difference_N_s_m",
         lambda scene: scene.scales.coulomb / scene.speed,

@@ -11,13 +11,13 @@ from typing import Final
 import casadi as ca
 import numpy as np
 
+from sgms_mhe.machine.units import PURE_NUMBERS, UNITS, is_pure_number, suffix_of
 from sgms_mhe.model.axis import SIGNAL_NAMES, SymbolicAxis
 from sgms_mhe.model.effects.causes import MOVES
 from sgms_mhe.model.effects.definition import STAGES, EffectDefinition
 from sgms_mhe.model.effects.excitation import MEASURES
 from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Step
-from sgms_mhe.model.effects.units import PURE_NUMBERS, UNITS, is_pure_number, suffix_of
 
 _NAME: Final = re.compile(r"[a-z][a-z0-9]*(_[a-zA-Z0-9]+)*")
 _TRIALS: Final = 5  # random signals that an effect of default size is tried at

@@ -37,6 +37,7 @@ DEFINITION = EffectDefinition(
     moves=("speeds", "loops"),
     search=Columns(lambda m, _: np.ones((len(m.time), 1)), one_size("force_N")),
     linear=True,
+    companion=True,
     specimen=one_number(
         "force_N",
         lambda scene: scene.scales.coulomb,

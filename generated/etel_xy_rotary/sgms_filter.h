@@ -1,0 +1,217 @@
+/* Kinematics and friction from position and force: blocks V and Y of the signal chain.
+ *
+ * Everything leaves the chain with the delay the acceleration cannot avoid (two low-passes and one sample), so that
+ * u - m a carries no transient that is not friction. Single precision takes the position as an integer number of
+ * picometres: a float resolves no more than 20 nm at 0.3 m, and the velocity is made of differences. */
+#ifndef SGMS_FILTER_H
+#define SGMS_FILTER_H
+
+#include "sgms_math.h"
+
+/* Second-order low-pass, y = (b0 + b1/z + b2/z^2) / (1 + a1/z + a2/z^2) u; state holds 2 numbers. */
+typedef struct {
+    sgms_real b0, b1, b2, a1, a2;
+} sgms_lowpass;
+
+static inline sgms_real sgms_lowpass_step(const sgms_lowpass *filter, sgms_real *state, sgms_real input)
+{
+    const sgms_real output = filter->b0 * input + state[0];
+    state[0] = state[1] + filter->b1 * input - filter->a1 * output;
+    state[1] = filter->b2 * input - filter->a2 * output;
+    return output;
+}
+
+/* Add to the state that of a constant input which has been there forever. */
+static inline void sgms_lowpass_rest(const sgms_lowpass *filter, sgms_real *state, sgms_real input)
+{
+    state[1] += (filter->b2 - filter->a2) * input;
+    state[0] += (SGMS_R(1.0) - filter->b0) * input;
+}
+
+/* A reading at or beyond these is no reading, whatever its bits say: it counts as missing, as NaN does. */
+#define SGMS_FARTHEST SGMS_R(4e6)       /* m */
+#define SGMS_LARGEST_SIGNAL SGMS_R(1e9) /* N, m/s, m/s^2 */
+
+static inline int sgms_is_reading(sgms_real x)
+{
+    return sgms_fabs(x) < SGMS_LARGEST_SIGNAL; /* false for NaN */
+}
+
+#if SGMS_SINGLE
+typedef int64_t sgms_position; /* pm */
+/* What moves in a sample mostly fits 32 bits, which a small processor converts in one instruction. */
+static inline sgms_real sgms_metres(sgms_position p)
+{
+    const sgms_real picometres = p >= INT32_MIN && p <= INT32_MAX ? (sgms_real)(int32_t)p : (sgms_real)p;
+    return picometres * SGMS_R(1e-12);
+}
+
+#define SGMS_FARTHEST_PICOMETRES INT64_C(4000000000000000000)
+
+static inline int sgms_position_is_good(sgms_position p)
+{
+    return p > -SGMS_FARTHEST_PICOMETRES && p < SGMS_FARTHEST_PICOMETRES;
+}
+
+/* p + d for a good p, which a continued motion does not take out of the range: it stays there. */
+static inline sgms_position sgms_position_ahead(sgms_position p, sgms_position d)
+{
+    const int is_within = d < 0 ? p > -SGMS_FARTHEST_PICOMETRES - d : p < SGMS_FARTHEST_PICOMETRES - d;
+    return is_within ? p + d : p;
+}
+
+/* a - b of two differences of good positions, exact but where a 64-bit integer cannot hold it. */
+static inline sgms_real sgms_metres_between(sgms_position a, sgms_position b)
+{
+    const int may_overflow = (a ^ b) < 0 && !(sgms_position_is_good(a) && sgms_position_is_good(b));
+    return may_overflow ? sgms_metres(a) - sgms_metres(b) : sgms_metres(a - b);
+}
+#else
+typedef double sgms_position; /* m */
+static inline sgms_real sgms_metres(sgms_position p)
+{
+    return p;
+}
+
+static inline int sgms_position_is_good(sgms_position p)
+{
+    return sgms_fabs(p) < SGMS_FARTHEST;
+}
+
+static inline sgms_position sgms_position_ahead(sgms_position p, sgms_position d)
+{
+    return p + d;
+}
+
+static inline sgms_real sgms_metres_between(sgms_position a, sgms_position b)
+{
+    return a - b;
+}
+#endif
+
+enum {
+    SGMS_FILTER_STATES = 16, /* eight low-passes of two states */
+    SGMS_FILTER_LAST = 4,
+    SGMS_FILTER_COUNTS = 3
+};
+
+/* What of the chain is asked for beside velocity and friction, a sum. The rest is left out, and is zero. */
+enum { SGMS_POSITION = 1, SGMS_FORCE = 2, SGMS_ACCELERATION = 4 };
+
+/* A chain, always the same. */
+typedef struct {
+    sgms_lowpass lowpass;
+    sgms_real rate, mass; /* Hz, kg */
+    int32_t settle;       /* samples that a disturbance of the filters lasts */
+    int wanted;           /* what is asked for */
+} sgms_chain;
+
+/* Memory of the chain. Plain arrays, so that the public header of a package can declare it without this one. */
+typedef struct {
+    sgms_position *position; /* [2] last position, last raw difference */
+    sgms_real *lowpass;      /* [SGMS_FILTER_STATES] */
+    sgms_real *last; /* [SGMS_FILTER_LAST] last force, last filtered velocity, force and position one sample ago */
+    int32_t *counts; /* [SGMS_FILTER_COUNTS] channels seen (1 force, 2 position), length of the gap, samples since
+                        friction was spoilt */
+} sgms_filter_memory;
+
+typedef struct {
+    sgms_real position, velocity, acceleration, force, friction;
+    int valid; /* whether friction may be used as a measurement */
+} sgms_aligned;
+
+/* One sample through the chain. */
+static inline sgms_aligned sgms_filter_step(
+    const sgms_chain *chain,
+    const sgms_filter_memory *m,
+    sgms_position position,
+    sgms_real force)
+{
+    const sgms_lowpass *const filter = &chain->lowpass;
+    const sgms_real rate = chain->rate;
+    const int32_t settle = chain->settle;
+    const int wanted = chain->wanted;
+    const int position_good = sgms_position_is_good(position);
+    const int force_good = sgms_is_reading(force);
+    const int apart = wanted & (SGMS_FORCE | SGMS_ACCELERATION);
+    sgms_real *const f = m->lowpass;
+    sgms_real *const of_force = apart ? f + 8 : f + 4;
+    const sgms_position earlier = m->position[1]; /* difference */
+    sgms_real velocity, acceleration;
+    sgms_aligned out;
+    out.position = SGMS_R(0.0);
+    out.acceleration = SGMS_R(0.0);
+    out.force = SGMS_R(0.0);
+
+    if ((m->counts[0] & 1) == 0 && force_good) { /* first good force */
+        m->counts[0] |= 1;
+        m->last[0] = force;
+        m->last[2] = force;
+        sgms_lowpass_rest(filter, of_force, force);
+        sgms_lowpass_rest(filter, of_force + 2, force);
+        m->counts[2] = 0;
+    }
+    if ((m->counts[0] & 2) == 0 && position_good) { /* first good position */
+        m->counts[0] |= 2;
+        m->position[0] = position;
+        m->position[1] = 0;
+        if (wanted & SGMS_POSITION) {
+            m->last[3] = sgms_metres(position);
+            sgms_lowpass_rest(filter, f + 12, m->last[3]);
+            sgms_lowpass_rest(filter, f + 14, m->last[3]);
+        }
+        m->counts[1] = 0;
+        m->counts[2] = 0;
+    }
+    if (!position_good) {
+        position = sgms_position_ahead(m->position[0], m->position[1]);
+        if (m->counts[1] <= settle) {
+            m->counts[1]++;
+        }
+    } else {
+        m->position[1] = position - m->position[0];
+        if (m->counts[1] > settle) { /* what was travelled unseen is not a velocity */
+            m->position[1] = 0;
+            m->last[3] = wanted & SGMS_POSITION ? sgms_metres(position) : SGMS_R(0.0);
+        }
+        m->counts[1] = 0;
+    }
+    m->position[0] = position;
+    if (!force_good) {
+        force = m->last[0];
+    }
+    m->last[0] = force;
+
+    /* The filters are linear, so the difference of two filtered velocities is the filtered second difference of the
+     * position, which is exact: at 1 m/s the other order costs single precision 0.03 N. */
+    velocity = sgms_lowpass_step(filter, f, sgms_metres(m->position[1]) * rate);
+    acceleration = sgms_metres_between(m->position[1], earlier) * rate * rate;
+    out.velocity = sgms_lowpass_step(filter, f + 2, m->last[1]);
+    if (apart) {
+        out.acceleration = sgms_lowpass_step(filter, f + 6, sgms_lowpass_step(filter, f + 4, acceleration));
+        out.force = sgms_lowpass_step(filter, f + 10, sgms_lowpass_step(filter, f + 8, m->last[2]));
+        out.friction = out.force - chain->mass * out.acceleration;
+    } else { /* linear again: what is not asked for apart goes through one pair of filters */
+        const sgms_real friction = m->last[2] - chain->mass * acceleration;
+        out.friction = sgms_lowpass_step(filter, f + 6, sgms_lowpass_step(filter, f + 4, friction));
+    }
+    m->last[1] = velocity;
+    m->last[2] = force;
+    if (wanted & SGMS_POSITION) {
+        out.position = sgms_lowpass_step(filter, f + 14, sgms_lowpass_step(filter, f + 12, m->last[3]));
+        m->last[3] = sgms_metres(position);
+    }
+
+    if (!position_good || !force_good || m->counts[0] != 3) {
+        m->counts[2] = 0;
+        out.valid = 0;
+    } else {
+        out.valid = m->counts[2] >= settle;
+        if (m->counts[2] < settle) {
+            m->counts[2]++;
+        }
+    }
+    return out;
+}
+
+#endif

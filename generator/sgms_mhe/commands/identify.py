@@ -1,0 +1,117 @@
+"""`sgms-mhe identify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import click
+
+from sgms_mhe.commands.common import (
+    Number,
+    check_output_file,
+    example,
+    json_option,
+    json_text,
+    note,
+    out_option,
+    show,
+    table_text,
+)
+from sgms_mhe.support.errors import InputError
+
+if TYPE_CHECKING:
+    from sgms_mhe.identification import Identification
+    from sgms_mhe.machine import Units
+
+HEAVIEST: Final = 1e6
+"""kg, as in a machine file."""
+
+
+def _elements(ctx: click.Context, param: click.Parameter, text: str) -> int | None:
+    """The option --elements: a number, or None for auto."""
+    if text == "auto":
+        return None
+    if text.isdecimal() and 1 <= int(text) <= 10:
+        return int(text)
+    raise click.BadParameter(f"{text!r} is neither auto nor a number from 1 to 10.", ctx, param)
+
+
+@click.command(
+    short_help="A machine file from measurements alone.",
+    epilog=example(
+        "identify log.csv --out my_axis.toml --mass 20",
+        "identify first.csv second.csv --out my_axis.toml --like etel_xy",
+    ),
+)
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@out_option("The machine file to write; its stem is the machine's name.", metavar="MACHINE.toml")
+@click.option(
+    "--mass", type=Number(1e-9, HEAVIEST), metavar="KG", help="Moved mass; default: the one that the motion shows."
+)
+@click.option(
+    "--inertia",
+    type=Number(1e-12, HEAVIEST),
+    metavar="KG_M2",
+    help="The same of an axis that turns; its logs say it does.",
+)
+@click.option(
+    "--elements", callback=_elements, metavar="N|auto", default="auto", show_default=True, help="Friction elements."
+)
+@click.option("--like", metavar="MACHINE", help="Take sampling, estimator, code and [log] from this machine.")
+@json_option
+def command(
+    logs: tuple[Path, ...],
+    out: Path,
+    mass: float | None,
+    inertia: float | None,
+    elements: int | None,
+    like: str | None,
+    as_json: bool,
+) -> None:
+    """Identify an axis from its logs alone and write its machine file.
+
+    No starting values are asked for. Prints what the logs determine, with intervals of two standard deviations, and
+    what they do not, with the move that would.
+    """
+    check_output_file(out, (".toml",))
+
+    from sgms_mhe.configuration import load_machine
+    from sgms_mhe.identification import Wanted, identify
+    from sgms_mhe.logfiles.reading import read_log
+    from sgms_mhe.support.files import write_text
+
+    model = load_machine(like) if like is not None else None
+    read = [read_log(path, model) for path in logs]
+    found = identify(read, Wanted(out.stem, _moved(read[0].units, mass, inertia), elements, model), note)
+    write_text(out, found.toml)
+    show(json_text(found.to_json() | {"file": str(out)}) if as_json else _text(found, out), out)
+
+
+def _moved(units: Units, mass: float | None, inertia: float | None) -> float | None:
+    """What was given of what the axis moves, which has to be of the logs' kind."""
+    own, other, value = (mass, inertia, "--inertia") if units.kind == "linear" else (inertia, mass, "--mass")
+    if other is not None:
+        raise InputError(
+            "identify", value, other, f"--{units.inert} [{units.mass}]: the logs are of a {units.kind} axis"
+        )
+    return own
+
+
+def _text(found: Identification, out: Path) -> str:
+    from sgms_mhe.identification import interval
+
+    units = found.machine.plant.units
+    rows = [
+        [units.named(n.name), interval(n), n.note or ("" if n.determined else "not determined")] for n in found.numbers
+    ]
+    lines = [
+        table_text(["number", "value", ""], rows),
+        f"law: {found.law}{'' if found.law_decided else ' (default)'}",
+        f"held-out residual: {found.held_out_rms_N:.3g} {units.force} of {found.friction_rms_N:.3g} {units.force} rms; "
+        f"noise {found.noise_floor_N:.3g} {units.force}",
+    ]
+    lines += [f"open: {sentence}" for sentence in found.limits]
+    lines += [f"note: {warning}" for warning in found.warnings]
+    lines.append(f"machine file: {out}")
+    return "\n".join(lines)

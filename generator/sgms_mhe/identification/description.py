@@ -1,0 +1,216 @@
+"""The numbers of a settled fit as those of a machine file, and sentences on what the records leave open."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from sgms_mhe.identification.fitting import AxisFit, View
+from sgms_mhe.identification.intervals import Quantity
+from sgms_mhe.identification.result import Number
+from sgms_mhe.identification.search import Found
+from sgms_mhe.identification.settling import CERTAIN, Settled
+from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING
+from sgms_mhe.machine import Units
+from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition
+from sgms_mhe.model.effects.search import Columns
+from sgms_mhe.support.errors import InputError
+
+KNOWN: Final = 0.25
+"""Deviation over value up to which a number counts as determined."""
+ROUNDING: Final = 1e-12
+NEXT_TO_NOTHING: Final = 1.01
+"""Of the smallest break-away distance that the encoder tells: no larger, and it is none."""
+STAND_IN: Final = "not determined: a stand-in"
+SLID: Final = 0.25
+"""Break-away distance over the travel up to which an element slips on both ways and some way beyond."""
+OPEN_LEVEL: Final = 0.15
+"""Share of the level in elements beyond that from which a record counts as one of presliding alone."""
+SPRING: Final = "position_spring"
+CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
+    "coulomb": ("coulomb",),
+    "viscous": ("viscous",),
+    "stribeck": ("stribeck_ratio", "stribeck_velocity"),
+    "stiffness": ("stiffness", "fraction"),
+}
+"""Numbers by the cause whose excitation says what a motion must hold to show them."""
+
+
+def check_slides(view: View, fit: AxisFit, shown: Collection[str], source: str) -> None:
+    """Refuse records that stay below break-away: no level is seen in them, and any would do.
+
+    An element that never breaks away is a spring over the travel. So a spring counts as one, unless the motion is such
+    that it shows springs.
+
+    Args:
+        view: the records.
+        fit: of all of them.
+        shown: effects that the motion can show.
+        source: of the refusal.
+
+    Raises:
+        InputError: what is needed.
+    """
+    travel, length = view.rows.extents.travel, view.rows.machine.plant.units.position
+    open_level = float(fit.levels[fit.shape.distances > SLID * travel].sum())
+    level = fit.coulomb
+    if SPRING not in shown and fit.place(SPRING).stop:
+        spring = 0.5 * travel * max(0.0, float(fit.coefficient(SPRING)[0]))
+        open_level, level = open_level + spring, level + spring
+    if open_level > OPEN_LEVEL * level:
+        raise InputError(
+            source,
+            "motion",
+            f"{travel:.3g} {length} of travel, {100.0 * open_level / level:.0f} % of the friction a spring over it",
+            "motion well beyond break-away, in both directions: below it friction is a spring, and its level is open "
+            f"({MOVES['speeds']}; {MOVES['loops']})",
+        )
+
+
+def unexcited(measured: Mapping[Measure, float]) -> tuple[str, ...]:
+    """Numbers of the law (arrays without index) that a motion of these measures cannot show, whatever fits it."""
+    return tuple(
+        name
+        for known, names in CONTROLLED.items()
+        for name in names
+        if any(need.times is None for need in cause(known).excitation.unmet(measured, {}))
+    )
+
+
+def law_numbers(settled: Settled, unseen: Sequence[str]) -> tuple[Number, ...]:
+    """Numbers of [friction] and of the effects, in the file's order; `unseen`: see `unexcited`."""
+    found, count = settled.numbers, len(settled.fit.levels)
+    numbers = [_number(name, found[name]) for name in ("coulomb",)]
+    numbers += [_number(f"{name}_{k}", found[f"{name}_{k}"]) for name in ("stiffness", "fraction") for k in _to(count)]
+    if "viscous" in found:
+        numbers.append(_number("viscous", found["viscous"]))
+    else:
+        numbers.append(Number("viscous", 0.0, math.nan, False, "default: the motion shows none"))
+    if settled.fit.shape.rise is None:
+        none = "default: the motion shows no rise towards low speed"
+        numbers.append(Number("stribeck_ratio", 0.0, math.nan, False, none))
+        numbers.append(Number("stribeck_velocity", 1e-3, math.nan, False, "default"))
+    else:
+        numbers += [_number(name, found[name]) for name in ("stribeck_ratio", "stribeck_velocity")]
+    numbers = [replace(n, determined=False, note=n.note or STAND_IN) if _stem(n.name) in unseen else n for n in numbers]
+    return (*numbers, *effect_numbers(settled))
+
+
+def _stem(name: str) -> str:
+    """A number's name without its index."""
+    stem, _, index = name.rpartition("_")
+    return stem if index.isdecimal() else name
+
+
+def effect_numbers(settled: Settled) -> tuple[Number, ...]:
+    """Numbers of the effects that stand beside the elements, their names before those of their parameters."""
+    numbers = []
+    for term in settled.fit.terms:
+        if term.name in LAW_AND_SAMPLING:
+            continue
+        search = effect_definition(term.name).search
+        if not isinstance(search, Columns):
+            continue
+        place = settled.fit.place(term.name)
+        sizes, cov = settled.fit.coefficient(term.name), settled.cov[place, place]
+        values = search.parameters({}, sizes)
+        for key, value in values.items():
+            steps = np.sqrt(np.diag(cov))
+            slope = np.array(
+                [
+                    (search.parameters({}, sizes + step)[key] - value) / step.max() if step.max() > 0.0 else 0.0
+                    for step in np.diag(1e-3 * steps)
+                ]
+            )
+            std = math.sqrt(max(0.0, float(slope @ cov @ slope)))
+            numbers.append(_number(f"{term.name}.{key}", Quantity(float(value), std)))
+    return tuple(numbers)
+
+
+def _number(name: str, quantity: Quantity) -> Number:
+    if quantity.std <= ROUNDING * abs(quantity.value):  # the share of an only element
+        return Number(name, quantity.value, math.nan, True)
+    known = quantity.relative <= KNOWN
+    return Number(name, quantity.value, quantity.std, known, "" if known else STAND_IN)
+
+
+def _to(count: int) -> range:
+    return range(1, count + 1)
+
+
+def mass_number(settled: Settled, given: float | None, adopted: float, units: Units) -> tuple[Number, tuple[str, ...]]:
+    """The mass, or inertia, that is written, and what is to be said of it."""
+    seen, inert, unit = settled.mass, units.inert, units.mass
+    if given is None:
+        if seen is None:  # refused before
+            raise ValueError("neither a mass nor a motion that shows one")
+        return Number("mass", adopted, seen.std, True, f"of the motion, as the {units.push}'s scale has it"), ()
+    if seen is None:
+        sentence = f"{inert}: as given, the motion does not show it. Needed: {MOVES['jerks']} (sgms-mhe plan)"
+        return Number("mass", adopted, math.nan, False, "as given; the motion does not show it"), (sentence,)
+    if adopted == given:
+        shown = f"as given; the motion shows {seen.value:.5g} +- {2.0 * seen.std:.2g}"
+        return Number("mass", given, math.nan, True, shown), ()
+    ratio = adopted / given
+    sentence = (
+        f"{inert}: {given:g} {unit} was given, and the motion shows {seen.value:.5g} +- {2.0 * seen.std:.2g} {unit}. "
+        f"Either the {inert} is that, or the logged {units.push} is {ratio:.4g} times the real one: then scale it in "
+        f"[log] and identify again. The file has the {inert} that goes with the {units.push} as logged"
+    )
+    return Number("mass", adopted, seen.std, True, f"of the motion; {given:g} was given"), (sentence,)
+
+
+def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, view: View, units: Units) -> list[str]:
+    """What the records leave open, with the move that would tell."""
+    length = units.position
+    said = []
+    if not found.decided:
+        said.append(
+            f"law: the logs do not tell elements that switch from smooth ones ({found.other.cross_rms:.3g} and "
+            f"{found.fit.cross_rms:.3g} {units.force} are left); sgms is the default. {_needed('stiffness')}"
+        )
+    unknown = {number.name for number in numbers if not number.determined}
+    said += [
+        f"{name}: not determined. {_needed(name)}"
+        for name in ("coulomb", "viscous", "stribeck")
+        if unknown & set(CONTROLLED[name])
+    ]
+    said += _late(settled, view, units)
+    travel, fit = view.rows.extents.travel, settled.fit
+    for k, (distance, level) in enumerate(zip(fit.shape.distances.tolist(), fit.levels.tolist(), strict=True), start=1):
+        element = f"element {k} (breaks away after {distance:.2g} {length})"
+        if distance <= NEXT_TO_NOTHING * view.limits[0]:
+            stiff = f"{level / distance:.2g} {units.stiffness}"
+            said.append(f"{element}: about what the encoder resolves; it is at least {stiff} stiff")
+        elif distance > SLID * travel:
+            said.append(
+                f"{element}: its level is open, {travel:.2g} {length} of travel are too few; it may be a spring"
+            )
+        elif unknown & {f"stiffness_{k}", f"fraction_{k}"}:
+            said.append(
+                f"{element}: not determined by itself. {_needed('stiffness')}, about {distance:.1g} {length} wide"
+            )
+    return said
+
+
+def _late(settled: Settled, view: View, units: Units) -> list[str]:
+    """What is to be said where force and position are apart in time: it is in no number, and in no machine either."""
+    fit, place = settled.fit, settled.fit.place(LATE)
+    late, std = float(fit.coefficient(LATE)[0]), math.sqrt(float(settled.cov[place.start, place.start]))
+    size = abs(late) * float(np.std(fit.slopes[view.rows.used, place.start]))
+    if abs(late) <= CERTAIN * std or size <= fit.rms:
+        return []
+    which = "after" if late > 0.0 else "before"
+    return [
+        f"the {units.push} comes {1e3 * abs(late):.2g} ms {which} the motion that it makes: {size:.2g} {units.force} "
+        "rms the file has not; sgms-mhe diagnose tells a delay from a lag"
+    ]
+
+
+def _needed(name: str) -> str:
+    """What a motion must hold for a cause to be seen, and how to get one."""
+    return f"Needed (sgms-mhe plan makes such a motion): {cause(name).excitation.text}"

@@ -1,0 +1,127 @@
+"""Single friction elements along a motion, with derivatives, by the emitted C of an axis of one element.
+
+The elements of an axis know nothing of one another: each obeys its own equation, given the velocity. With unit level
+
+    y = sum_k L_k chi(D_k, beta, v_s),    L_k = nu_k f_C,    D_k = nu_k f_C / kappa_k
+
+so that one compiled element of level 1 serves any number of them, and levels are linear.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.configuration import make_machine
+from sgms_mhe.diagnosis.compiling import cached_package
+from sgms_mhe.host.compiled import CompiledModel
+from sgms_mhe.identification.records import Motion
+
+Array = NDArray[np.float64]
+Law = Literal["sgms", "switching"]
+
+RATIO_SCALE: Final = 1e-3
+"""Nominal ratio of the Stribeck rise: what scales its parameter, no value of its own."""
+COARSE: Final = 2.0
+"""Factor between the Stribeck velocities that elements are compiled for: few serve all fits."""
+DISTANCE: Final = 1e-9
+SLOW_STEP: Final = 0.05
+"""Longest step of smooth elements below the gate, in break-away distances: off by 2e-5 of a level at most."""
+RATE: Final = 1000.0
+"""Break-away distance [m] and sample rate [Hz] that elements are compiled for."""
+
+
+@dataclass(frozen=True)
+class Stribeck:
+    """Rise of the level towards low speed: s(v) = 1 + ratio exp(-(v / velocity)^2)."""
+
+    ratio: float
+    velocity: float
+
+
+NO_RISE: Final = Stribeck(0.0, 1e-3)
+"""Of an axis without one; the velocity [m/s], the machine file's default, still sets how soon smooth elements turn."""
+
+
+@dataclass(frozen=True, eq=False)
+class ElementRun:
+    """One element of unit level along rows: chi (m), and its derivatives in log D, beta and log v_s (m, 3)."""
+
+    chi: Array
+    slopes: Array
+
+
+def run_element(motion: Motion, law: Law, distance: float, rise: Stribeck, *, slopes: bool = True) -> ElementRun:
+    """An element that breaks away after `distance` [m], relaxed at first, along a motion.
+
+    It runs in a unit of length in which that is DISTANCE, and of time in which a sample is 1 / RATE: one compiled
+    element then serves all that have about the same Stribeck velocity in these.
+    """
+    unit = DISTANCE / distance * RATE / motion.rate
+    code = _compiled(law, _nominal(law, rise.velocity * unit))
+    nominal = np.array([p.nominal for p in code.model.parameters])
+    values = np.array([1.0 / DISTANCE, rise.ratio, rise.velocity * unit])
+    n = len(motion.velocity)
+    w = np.zeros((n, 5))
+    w[:, 1] = motion.velocity * unit
+    chi, d = np.empty(n), np.empty((n, 3)) if slopes else None
+    code.advance(w, values / nominal, np.zeros(1), np.zeros((1, 3)), chi, d)
+    if d is None:
+        return ElementRun(motion.to_rows(chi), np.empty((motion.rows, 0)))
+    # d/d(log D) = -(1/D) d/d(1/D); the others in their own units.
+    d *= np.array([-values[0], 1.0, values[2]]) / nominal
+    columns = motion.to_rows(np.column_stack((chi, d)))
+    return ElementRun(columns[:, 0], columns[:, 1:])
+
+
+def run_elements(
+    motions: Sequence[Motion], law: Law, distances: Array, rise: Stribeck, *, slopes: bool = True
+) -> list[ElementRun]:
+    """Elements of these distances (k) along all logs, their rows behind one another."""
+    found = []
+    for distance in distances.tolist():
+        runs = [run_element(motion, law, distance, rise, slopes=slopes) for motion in motions]
+        found.append(ElementRun(np.concatenate([r.chi for r in runs]), np.concatenate([r.slopes for r in runs])))
+    return found
+
+
+def _nominal(law: Law, velocity: float) -> float:
+    """Stribeck velocity that an element is compiled for.
+
+    Not below its own, or a smooth one would be taken for slipping freely too early. Elements that switch are exact
+    whatever it is.
+    """
+    return 1.0 if law == "switching" else COARSE ** math.ceil(math.log(velocity, COARSE))
+
+
+@lru_cache(maxsize=64)
+def _compiled(law: Law, velocity: float) -> CompiledModel:
+    """The emitted model of an axis with one element of level 1 and nothing else."""
+    content = {
+        "name": "one_element",
+        "plant": {"mass": 1.0},
+        "friction": {
+            "law": law,
+            "stiffness": [1.0 / DISTANCE],
+            "fraction": [1.0],
+            "coulomb": 1.0,
+            "stribeck_ratio": RATIO_SCALE,
+            "stribeck_velocity": velocity,
+        },
+        "sampling": {
+            "rate": RATE,
+            "update_rate": RATE,
+            "velocity_cutoff": 0.2 * RATE,
+            "integrator": {"scheme": "flow", "slow_displacement": SLOW_STEP} if law == "sgms" else {},
+        },
+        "estimator": {"parameters": ["stiffness", "stribeck_ratio", "stribeck_velocity"]},
+    }
+    machine = make_machine(content, Path("one_element.toml"))
+    return CompiledModel(machine, cached_package(machine))

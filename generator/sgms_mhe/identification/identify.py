@@ -1,0 +1,266 @@
+"""From logs, and a mass or none, to a machine file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from sgms_mhe.configuration import make_machine
+from sgms_mhe.diagnosis.evidence import noise_floor
+from sgms_mhe.diagnosis.excitation import measures
+from sgms_mhe.diagnosis.recording import Recording
+from sgms_mhe.identification.description import check_slides, law_numbers, limits_of, mass_number, unexcited
+from sgms_mhe.identification.fitting import View
+from sgms_mhe.identification.records import Records, in_order, records_of, started
+from sgms_mhe.identification.result import Identification, Number
+from sgms_mhe.identification.sampling import common_rate, rough_mass, unknown_axis
+from sgms_mhe.identification.search import MOST_ELEMENTS, Found, Progress, Views, search
+from sgms_mhe.identification.settling import Known, Settled, settle
+from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid, find_spectrum
+from sgms_mhe.identification.terms import Term, companion_terms, mass_term, sampling_terms, viscous_term
+from sgms_mhe.identification.weights import measurement_noise
+from sgms_mhe.identification.writing import checked, machine_content, machine_toml
+from sgms_mhe.logfiles.plausibility import check_plausible
+from sgms_mhe.machine import Kind, Machine
+from sgms_mhe.model.effects import MOVES, Measure, effect_definition
+from sgms_mhe.model.effects.causes import CauseDefinition
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
+
+LEAST_TRAVEL: Final = 20.0
+"""Travel over the resolution of the position below which nothing moved."""
+
+DRIVEN: Final = 0.2
+"""Mean power of friction over its mean size below minus which a sign is wrong: friction takes power."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is asked for.
+
+    Attributes:
+        name: of the machine.
+        mass: moved mass [kg], or inertia [kg m^2]; None: that of the motion.
+        elements: their number; None: what the records show.
+        like: a machine whose sampling, estimator, code and `[log]` are taken over; None: none.
+        per_decade: distances of the convex start's grid; the result does not depend on it.
+    """
+
+    name: str
+    mass: float | None = None
+    elements: int | None = None
+    like: Machine | None = None
+    per_decade: float = PER_DECADE
+
+
+def _silent(_: str) -> None:
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class Explored:
+    """Everything that an identification knows before it is written down.
+
+    Attributes:
+        records: the logs behind the chain.
+        views: their rows.
+        found: law and elements.
+        settled: the numbers.
+        measured: what the motion holds, by measure.
+    """
+
+    records: Records
+    views: Views
+    found: Found
+    settled: Settled
+    measured: Mapping[Measure, float]
+
+
+def identify(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> Identification:
+    """Identify an axis from measurements alone. The order of the logs does not matter.
+
+    Raises:
+        InputError: logs that cannot tell: without motion, below break-away, of different rates, ...
+    """
+    return _described(explore(logs, wanted, report), in_order(logs), wanted, report)
+
+
+def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> Explored:
+    """Find law, elements and numbers of an axis; raises as `identify` does."""
+    if wanted.elements is not None and not 1 <= wanted.elements <= MOST_ELEMENTS:
+        raise InputError("identify", "elements", wanted.elements, f"1 to {MOST_ELEMENTS}, or auto")
+    records = _records(in_order(logs), wanted)
+    report("convex start")
+    records = started(records, _spectrum(records, wanted).reach)
+    spectrum = _spectrum(records, wanted)
+    rows = records.rows
+    base, companions = _base_terms(rows), companion_terms(rows)
+    noise, grid = noise_floor(rows, rows.friction), distance_grid(records, wanted.per_decade)
+    limits = float(grid[0]), float(grid[-1])
+    views = Views(View(rows, records.coarse, noise, limits), View(rows, records.fine, noise, limits))
+    found = search(views, (*base, *companions), spectrum, wanted.elements, report)
+    measured = _measured(records, found)
+    excited = tuple(term for term in companions if _is_excited(effect_definition(term.name), measured))
+    shown = [term.name for term in excited]
+    check_slides(views.fine, found.fit, shown, records.names[0])
+    known = Known(wanted.mass is not None, wanted.elements is not None)
+    settled = settle(views, found.fit, base, excited, known, report)
+    check_slides(views.fine, settled.fit, shown, records.names[0])  # elements took what springs had
+    return Explored(records, views, found, settled, measured)
+
+
+def _base_terms(rows: Recording) -> tuple[Term, ...]:
+    return (viscous_term(rows), mass_term(rows), *sampling_terms(rows))
+
+
+def _spectrum(records: Records, wanted: Wanted) -> Spectrum:
+    """The convex start.
+
+    Raises:
+        InputError: there is no friction.
+    """
+    rows = records.rows
+    terms = (*_base_terms(rows), *companion_terms(rows))
+    spectrum = find_spectrum(
+        records, terms, noise_floor(rows, rows.friction), distance_grid(records, wanted.per_decade)
+    )
+    if not len(spectrum.distances):
+        raise InputError(records.names[0], "friction", 0.0, "a log with friction in it: the force is all inertia")
+    return spectrum
+
+
+def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
+    """The logs behind the chain, those refused that hold no motion."""
+    common_rate(logs)
+    for log in logs:
+        _check_kind(log, logs[0].kind if wanted.like is None else wanted.like.plant.kind)
+        _check_moves(log)
+    machine = unknown_axis(logs, wanted.name, wanted.mass or 1.0, wanted.like)
+    mass = rough_mass(machine, logs) if wanted.mass is None else wanted.mass
+    machine = unknown_axis(logs, wanted.name, mass, wanted.like)
+    for log in logs:
+        check_plausible(log, machine)
+    records = records_of(machine, logs)
+    _check_dissipates(records)
+    return records
+
+
+def _check_kind(log: Log, kind: Kind) -> None:
+    if log.kind != kind:
+        raise InputError(
+            log.source or "log", "columns", f"of a {log.kind} axis", f"those of a {kind} axis, as the others"
+        )
+
+
+def _check_moves(log: Log) -> None:
+    """Refuse a log without motion, or without a force that makes it."""
+    if not np.ptp(log.force_N[np.isfinite(log.force_N)]) > 0.0:
+        allowed = f"a {log.units.push} that changes: what moves an axis does"
+        column = f"column {log.units.named('force_N')}, every row"
+        raise InputError(log.source or "log", column, float(log.force_N[0]), allowed)
+    position = log.position_m[np.isfinite(log.position_m)]
+    steps = np.abs(np.diff(position))
+    step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    travel = float(np.ptp(position)) if len(position) else 0.0
+    unit = log.units.position
+    if travel <= LEAST_TRAVEL * step and travel <= LEAST_TRAVEL * float(np.std(np.diff(position))):
+        raise InputError(
+            log.source or "log",
+            f"column {log.units.named('position_m')}",
+            f"a range of {travel:.3g} {unit}, {step:.3g} {unit} from sample to sample",
+            f"a log in which the axis moves ({MOVES['speeds']}; {MOVES['loops']})",
+        )
+
+
+def _check_dissipates(records: Records) -> None:
+    """Refuse logs in which friction drives the axis: nothing passive does."""
+    rows = records.rows
+    power = rows.friction * rows.velocity
+    mean, size = float(np.mean(power[rows.used])), float(np.mean(np.abs(power[rows.used])))
+    units = rows.machine.plant.units
+    force = units.named("force_N")
+    if mean < -DRIVEN * size:
+        raise InputError(
+            records.names[0],
+            f"columns {units.named('position_m')} and {force}",
+            f"{mean:.3g} W of friction, which drives the axis",
+            f"a {units.push} of the position's sign: is one of them turned round? Then {force} has scale = -1 in "
+            f"[log]; or {units.inert} that goes with the {units.push}, not {rows.machine.plant.moved:.4g} {units.mass}",
+        )
+
+
+def _measured(records: Records, found: Found) -> Mapping[Measure, float]:
+    """What the motion holds, on the scale of the friction found."""
+    fit = found.fit
+    content = {
+        "law": "switching",
+        "stiffness": (np.maximum(fit.levels, 1e-9 * fit.coulomb) / fit.shape.distances).tolist(),
+        "fraction": _fractions(fit.levels),
+        "coulomb": fit.coulomb,
+    }
+    machine = make_machine({**records.machine.content, "friction": content}, records.machine.source)
+    return measures(records.rows.signals, machine)
+
+
+def _is_excited(definition: CauseDefinition, measured: Mapping[Measure, float]) -> bool:
+    """Whether a motion can show an effect, as far as that does not depend on its size."""
+    return not any(need.times is None for need in definition.excitation.unmet(measured, {}))
+
+
+def _fractions(levels: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> list[float]:
+    shares = np.maximum(levels, 1e-9 * levels.sum())
+    return [float(share) for share in shares / shares.sum()]
+
+
+def _described(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: Progress) -> Identification:
+    """The numbers, the file and what is to be said of both."""
+    records, views, found, settled = explored.records, explored.views, explored.found, explored.settled
+    fit, given, units = settled.fit, wanted.mass, records.machine.plant.units
+    seen = settled.mass
+    if given is None and seen is None:
+        raise InputError(
+            records.names[0],
+            units.inert,
+            None,
+            f"--{units.inert}: the motion does not show it; or a log with {MOVES['jerks']}, which do",
+        )
+    adopted = given if given is not None and (seen is None or "mass" not in settled.numbers) else seen
+    mass_kg = adopted if isinstance(adopted, float) else adopted.value if adopted is not None else math.nan
+    mass, said = mass_number(settled, given, mass_kg, units)
+    numbers: tuple[Number, ...] = (mass, *law_numbers(settled, unexcited(explored.measured)))
+    limits = [*said, *limits_of(numbers, found, settled, views.fine, units)]
+    law = fit.shape.law
+    path = Path(f"{wanted.name}.toml")
+    report("weights")
+    draft = make_machine(machine_content(records.machine, law, numbers, None), path)
+    content = machine_content(records.machine, law, numbers, measurement_noise(draft, logs))
+    floor = noise_floor(views.fine.rows, fit.residual)
+    head = [
+        f"Written by sgms-mhe identify over {', '.join(Path(name).name for name in sorted(records.names))}.",
+        "Intervals are two standard deviations.",
+        f"On blocks that the fit had not seen {settled.held_out_rms:.3g} {units.force} rms are left; noise is "
+        f"{floor:.3g} {units.force}.",
+        *limits,
+    ]
+    toml = machine_toml(units, content, numbers, head)
+    used = views.fine.rows.used
+    return Identification(
+        machine=checked(toml, content, path),
+        toml=toml,
+        law=law,
+        law_decided=found.decided,
+        numbers=numbers,
+        limits=tuple(limits),
+        warnings=records.warnings,
+        rms_N=fit.rms,
+        held_out_rms_N=settled.held_out_rms,
+        noise_floor_N=floor,
+        friction_rms_N=float(np.std(views.fine.rows.friction[used])),
+        by_count=found.counts,
+        sources=records.names,
+    )

@@ -1,0 +1,232 @@
+"""Logs prepared for identification: rows of the signal chain, and the motion that friction elements run along."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.diagnosis.recording import Recording, prepare
+from sgms_mhe.machine import Machine
+from sgms_mhe.signals.chain import Signals, behind_chain, readings
+from sgms_mhe.signals.logs import Log
+
+Array = NDArray[np.float64]
+
+MEDIAN_OF_NORMAL: Final = 0.6745
+"""Median size of a normal number over its deviation."""
+FORGOTTEN: Final = 2.0
+"""Excursion after which an element does not remember its start, over its break-away distance."""
+LEAD: Final = 0.6
+"""Largest share of a log that is left out for that."""
+ROUNDING: Final = 1e-9
+"""Of the largest step of a position: smaller ones are none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What elements see of one log: displacements at some rate, and what becomes of a force on its way to the rows.
+
+    Attributes:
+        machine: whose chain the log went through.
+        rate: of the displacements [Hz].
+        velocity: over the sample that ends at each instant (n) [m/s].
+        factor: samples per row.
+        rows: of the log.
+        filtered: whether a force passes the chain before it is compared: displacements are those of the encoder then,
+            else those behind the filters.
+    """
+
+    machine: Machine
+    rate: float
+    velocity: Array
+    factor: int
+    rows: int
+    filtered: bool
+
+    def to_rows(self, series: Array) -> Array:
+        """A force, or columns of forces, at the rows: (n, ...) to (rows, ...)."""
+        if self.filtered:
+            series = behind_chain(self.machine, series)
+        series = series[: self.rows * self.factor]
+        return np.asarray(series.reshape(self.rows, self.factor, *series.shape[1:]).mean(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Records:
+    """All logs as one, in an order of their own.
+
+    Attributes:
+        machine: with the rates of the records; of its friction nothing counts.
+        names: of the logs.
+        rows: all rows one log behind the other; blocks, folds and what is held out as a diagnosis has them.
+        coarse: motion behind the filters at the rate of the rows, a log each.
+        fine: the encoder's motion at the logs' rate, a log each.
+        resolution: of the position [m], noise of a reading included.
+        warnings: what a user should know of the logs.
+    """
+
+    machine: Machine
+    names: tuple[str, ...]
+    rows: Recording
+    coarse: tuple[Motion, ...]
+    fine: tuple[Motion, ...]
+    resolution: float
+    warnings: tuple[str, ...]
+
+
+def in_order(logs: Sequence[Log]) -> list[Log]:
+    """Logs in the order of a digest of what they hold: in which order they were given says nothing."""
+
+    def key(log: Log) -> str:
+        digest = hashlib.sha256(np.ascontiguousarray(log.position_m).tobytes())
+        digest.update(np.ascontiguousarray(log.force_N).tobytes())
+        return digest.hexdigest()
+
+    return sorted(logs, key=key)
+
+
+def records_of(machine: Machine, logs: Sequence[Log]) -> Records:
+    """Send logs through the chain of a machine and put them behind one another.
+
+    Raises:
+        InputError: a log with fewer rows than a fit needs.
+    """
+    recordings = [prepare(machine, log) for log in logs]
+    names = tuple(log.source or "log" for log in logs)
+    several = len(logs) > 1
+    warnings = tuple(
+        f"{name}: {warning}" if several else warning
+        for name, recording in zip(names, recordings, strict=True)
+        for warning in recording.warnings
+    )
+    return Records(
+        machine=machine,
+        names=names,
+        rows=_joined(recordings),
+        coarse=tuple(_behind_filters(recording) for recording in recordings),
+        fine=tuple(_at_encoder(recording, log) for recording, log in zip(recordings, logs, strict=True)),
+        resolution=max(_resolution(log) for log in logs),
+        warnings=warnings,
+    )
+
+
+def _joined(recordings: Sequence[Recording]) -> Recording:
+    """Rows of several recordings behind one another, blocks numbered through."""
+    first = recordings[0]
+    if len(recordings) == 1:
+        return first
+    offsets = np.cumsum([0, *(r.blocks for r in recordings)])
+
+    def joined(name: str) -> Array:
+        return np.concatenate([getattr(r, name) for r in recordings])
+
+    signals: dict[str, Any] = {
+        name: np.concatenate([getattr(r.signals, name) for r in recordings])
+        for name, value in vars(first.signals).items()
+        if isinstance(value, np.ndarray)
+    }
+    arrays: dict[str, Any] = {
+        name: joined(name)
+        for name in ("clock", "time", "position", "velocity", "acceleration", "force", "friction", "used", "fold")
+    }
+    blocks = [np.where(r.block >= 0, r.block + k, -1) for r, k in zip(recordings, offsets[:-1], strict=True)]
+    return replace(
+        first,
+        **arrays,
+        signals=Signals(**signals, delay=first.signals.delay),
+        block=np.concatenate(blocks),
+        held_out=np.concatenate([r.held_out for r in recordings]),
+        warnings=tuple(w for r in recordings for w in r.warnings),
+    )
+
+
+def _behind_filters(recording: Recording) -> Motion:
+    """Mean velocities of rows: means keep displacements exact."""
+    return Motion(
+        machine=recording.machine,
+        rate=recording.rate,
+        velocity=np.ascontiguousarray(recording.velocity),
+        factor=1,
+        rows=len(recording.time),
+        filtered=False,
+    )
+
+
+def _at_encoder(recording: Recording, log: Log) -> Motion:
+    """The encoder's own steps; of a log that brings its velocity, that."""
+    bypassed = log.velocity_m_s is not None
+    if bypassed:
+        velocity = recording.signals.velocity
+    else:
+        position = readings(log).position_m
+        good = np.isfinite(position)
+        at = np.arange(len(position))
+        bridged = position if good.all() else np.interp(at, at[good], position[good])
+        velocity = np.diff(bridged, prepend=bridged[:1]) * recording.machine.sampling.rate
+    return Motion(
+        machine=recording.machine,
+        rate=recording.machine.sampling.rate,
+        velocity=np.ascontiguousarray(velocity),
+        factor=recording.factor,
+        rows=len(recording.time),
+        filtered=not bypassed,
+    )
+
+
+def _resolution(log: Log) -> float:
+    """How finely position is read [m], one standard deviation: the larger of noise and of the encoder's step.
+
+    Noise is the median size of third differences over that of white noise (a motion is smooth over four samples where
+    it is slow, and most of a record is); the step is the smallest change but for one in a hundred.
+    """
+    position = readings(log).position_m
+    third, first = (np.abs(np.diff(position, n=n)) for n in (3, 1))
+    third, first = third[np.isfinite(third)], first[first > ROUNDING * float(np.nanmax(first, initial=0.0))]
+    if not len(third) or not len(first):
+        return 0.0
+    noise = float(np.median(third)) / (MEDIAN_OF_NORMAL * math.sqrt(20.0))
+    return max(noise, float(np.quantile(first, 0.01)) / math.sqrt(12.0))
+
+
+def started(records: Records, distance: float) -> Records:
+    """The records without the rows at which elements may still remember how a log began.
+
+    An axis is not at rest, relaxed, where a log begins. After an excursion of twice the largest break-away distance no
+    element knows. A log that would lose too much keeps its rows, with a warning: its elements are taken to begin
+    relaxed.
+
+    Args:
+        records: all logs.
+        distance: of the element that breaks away last [m].
+    """
+    rows, length = records.rows, records.machine.plant.units.position
+    unknown, first, kept = np.zeros(len(rows.time), dtype=np.bool_), 0, []
+    for name, motion in zip(records.names, records.fine, strict=True):
+        position = rows.position[first : first + motion.rows]
+        excursion = np.maximum.accumulate(position) - np.minimum.accumulate(position)
+        known = int(np.searchsorted(excursion, FORGOTTEN * distance))
+        if known <= LEAD * motion.rows:
+            unknown[first : first + known] = True
+        else:
+            kept.append(
+                f"{name}: no excursion of {FORGOTTEN * distance:.2g} {length} soon; friction is taken to begin relaxed"
+            )
+        first += motion.rows
+    used = rows.used & ~unknown
+    left = np.unique(rows.block[used])
+    number = np.full(rows.blocks, -1)
+    number[left] = np.arange(len(left))
+    fewer = replace(
+        rows,
+        used=used,
+        block=np.where(used, number[rows.block], -1),
+        fold=rows.fold[left],
+        held_out=rows.held_out[left],
+    )
+    return replace(records, rows=fewer, warnings=(*records.warnings, *kept))

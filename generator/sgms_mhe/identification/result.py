@@ -1,0 +1,130 @@
+"""What an identification found: the machine, its numbers with intervals, and what the records leave open."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sgms_mhe.identification.elements import Law
+from sgms_mhe.machine import Machine
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of the machine file.
+
+    Attributes:
+        name: as in the file of a linear axis, with an index for arrays (`stiffness_1`) and an effect's name before its
+            parameters.
+        value: SI; the default where the records do not determine it.
+        std: one standard deviation; NaN where the number is a default or was given.
+        determined: whether the records determine it.
+        note: why not, or where it comes from; empty where there is nothing to say.
+    """
+
+    name: str
+    value: float
+    std: float
+    determined: bool
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Identification:
+    """A machine from measurements alone.
+
+    Attributes:
+        machine: as it is written.
+        toml: its file.
+        law: of its elements.
+        law_decided: whether the records tell the laws apart.
+        numbers: with intervals.
+        limits: sentences on what the records do not determine, with the move that would.
+        warnings: what a user should know about the logs.
+        rms_N: residual of all rows.
+        held_out_rms_N: on a third of the blocks that the fit had not seen.
+        noise_floor_N: of a row.
+        friction_rms_N: of the measured friction.
+        by_count: cross-validated residual by number of elements tried [N].
+        sources: the logs, in the order of their content.
+    """
+
+    machine: Machine
+    toml: str
+    law: Law
+    law_decided: bool
+    numbers: tuple[Number, ...]
+    limits: tuple[str, ...]
+    warnings: tuple[str, ...]
+    rms_N: float
+    held_out_rms_N: float
+    noise_floor_N: float
+    friction_rms_N: float
+    by_count: Mapping[int, float]
+    sources: tuple[str, ...]
+
+    def number(self, name: str) -> Number:
+        """The number of a name; KeyError if there is none."""
+        for number in self.numbers:
+            if number.name == name:
+                return number
+        raise KeyError(name)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; NaN where a number has no deviation."""
+        units = self.machine.plant.units
+        content = {
+            "machine": self.machine.name,
+            "law": self.law,
+            "law_decided": self.law_decided,
+            "elements": self.machine.friction.n_z,
+            "numbers": [
+                {
+                    "name": units.named(n.name),
+                    "value": n.value,
+                    "std": n.std,
+                    "identified": n.determined,
+                    "note": n.note,
+                }
+                for n in self.numbers
+            ],
+            "residual_rms_N": {
+                "all": self.rms_N,
+                "held_out": self.held_out_rms_N,
+                "noise_floor": self.noise_floor_N,
+                "friction": self.friction_rms_N,
+                "by_elements": {str(count): rms for count, rms in self.by_count.items()},
+            },
+            "limits": list(self.limits),
+            "warnings": list(self.warnings),
+            "logs": list(self.sources),
+        }
+        keyed: dict[str, Any] = units.keyed(content)
+        return keyed
+
+
+def interval(number: Number, digits: int = 2) -> str:
+    """A number with two standard deviations: `4.012 +- 0.015`."""
+    if not math.isfinite(number.std) or number.std <= 0.0:
+        return f"{number.value:.6g}"
+    wide = 2.0 * number.std
+    place = digits - 1 - math.floor(math.log10(wide))
+    if abs(number.value) < 1e4 and 0 <= place <= 6:
+        return f"{number.value:.{place}f} +- {wide:.{place}f}"
+    return f"{number.value:.{_significant(number.value, wide)}g} +- {wide:.{digits}g}"
+
+
+def rounded(value: float, std: float) -> float:
+    """A value with as many digits as its deviation has meaning, two more for safety; at most twelve."""
+    if value == 0.0 or not math.isfinite(std) or std <= 0.0:
+        return float(f"{value:.12g}")
+    return float(f"{value:.{min(12, _significant(value, std) + 1)}g}")
+
+
+def _significant(value: float, std: float) -> int:
+    """Digits of a value down to the second one of its deviation."""
+    if value == 0.0:
+        return 2
+    return max(3, math.floor(math.log10(abs(value))) - math.floor(math.log10(std)) + 2)

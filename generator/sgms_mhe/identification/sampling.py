@@ -1,0 +1,170 @@
+"""The axis before anything is known of its friction: rates, filter and largest speed, as the records show them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.configuration import make_machine, override_machine
+from sgms_mhe.diagnosis.recording import prepare
+from sgms_mhe.machine import Machine, plant_content
+from sgms_mhe.model.effects import MOVES
+from sgms_mhe.signals.logs import JITTER, Log
+from sgms_mhe.support.errors import InputError
+
+Array = NDArray[np.float64]
+
+UPDATE_RATE: Final = 100.0
+"""Estimates per second [Hz], or next to it what divides the sample rate."""
+CUTOFFS: Final = (500.0, 350.0, 250.0, 180.0, 120.0, 90.0, 60.0, 40.0, 25.0, 15.0)
+"""Low-passes [Hz] to choose from, the fastest first."""
+HIGHEST_CUTOFF: Final = 0.16
+LOWEST_CUTOFF: Final = 0.02
+"""Of the sample rate: above, the differences are noise; below, what follows a reversal is smeared away."""
+QUIET: Final = 0.02
+"""Noise of the measured friction over its RMS that a low-pass may let through."""
+HEADROOM: Final = 1.2
+"""`max_velocity` over the fastest speed of the records."""
+NOT_A_ROUND_RATE: Final = 1e-4
+"""Relative distance from a rounder number within which the clock's own error is to blame."""
+KEPT: Final = ("sampling", "estimator", "compensation", "code", "diagnosis", "log")
+"""Tables that come from another machine file where one is given."""
+
+
+def common_rate(logs: Sequence[Log]) -> float:
+    """Sample rate [Hz] of all logs, as round as their clocks allow.
+
+    Raises:
+        InputError: a log of another rate than the others.
+    """
+    rate = logs[0].rate
+    for log in logs[1:]:
+        if abs(log.rate - rate) > JITTER * rate:
+            allowed = f"{rate:.6g} Hz, the rate of {logs[0].source or 'the first log'}; logs of one call share a rate"
+            raise InputError(log.source or "log", "time_s", f"{log.rate:.6g} Hz", allowed)
+    rate = float(np.median([log.rate for log in logs]))
+    for digits in range(1, 6):
+        rounded = float(f"{rate:.{digits}g}")
+        if abs(rounded - rate) <= NOT_A_ROUND_RATE * rate:
+            return rounded
+    return rate
+
+
+def unknown_axis(logs: Sequence[Log], name: str, mass: float, like: Machine | None) -> Machine:
+    """A machine with the records' rates and a stand-in for its friction, which elements of no size make up.
+
+    Args:
+        logs: the records, at least one.
+        name: of the machine.
+        mass: moved mass [kg], or inertia [kg m^2].
+        like: whose sampling, estimator, code and `[log]` are taken over; None: none.
+
+    Raises:
+        InputError: logs of different rates, or a rate that is not that of `like`.
+    """
+    rate = common_rate(logs)
+    fastest = max(_fastest(log, rate) for log in logs)
+    content: dict[str, Any] = {"name": name, "plant": plant_content(logs[0].kind, mass), "friction": _stand_in(logs)}
+    if like is not None:
+        if abs(like.sampling.rate - rate) > JITTER * like.sampling.rate:
+            allowed = f"sampling.rate of {like.name}, {like.sampling.rate:g} Hz"
+            raise InputError(logs[0].source or "log", "time_s", f"{rate:.6g} Hz", allowed)
+        content |= {key: like.content[key] for key in KEPT if key in like.content}
+        # What is estimated and within what bounds follows from what is found.
+        estimator = dict(content.get("estimator", {}))
+        content["estimator"] = {k: v for k, v in estimator.items() if k not in ("parameters", "bounds")}
+        sampling = dict(content.get("sampling", {}))
+        sampling.pop("integrator", None)
+        content["sampling"] = sampling
+        return make_machine(content, Path(f"{name}.toml"))
+    samples = max(1, round(rate / UPDATE_RATE))
+    sampling = {
+        "rate": rate,
+        "update_rate": rate / samples,
+        "velocity_cutoff": HIGHEST_CUTOFF * rate,
+        "max_velocity": rounded_up(HEADROOM * fastest),
+    }
+    machine = make_machine({**content, "sampling": sampling}, Path(f"{name}.toml"))
+    return _with_quiet_filter(machine, logs)
+
+
+def rounded_up(value: float) -> float:
+    """The next larger number of two digits."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1) if value > 0.0 else 1.0
+    return float(f"{math.ceil(value / unit - 1e-9) * unit:.3g}") if value > 0.0 else 1.0
+
+
+def _stand_in(logs: Sequence[Log]) -> Mapping[str, Any]:
+    """Friction of about the right size, for what asks for scales before any is known."""
+    level = max(float(np.nanstd(log.force_N)) for log in logs) or 1.0
+    travel = max(float(np.nanmax(log.position_m) - np.nanmin(log.position_m)) for log in logs) or 1.0
+    return {"law": "switching", "stiffness": [100.0 * level / travel], "fraction": [1.0], "coulomb": level}
+
+
+def _fastest(log: Log, rate: float) -> float:
+    """Speed [m/s] that a record exceeds in one sample of a thousand, over means of 5 ms."""
+    width = max(1, round(0.005 * rate))
+    nodes = log.position_m[::width]
+    speed = np.abs(np.diff(nodes)) * rate / width
+    speed = speed[np.isfinite(speed)]
+    return float(np.quantile(speed, 0.999)) if len(speed) else 0.0
+
+
+def _with_quiet_filter(machine: Machine, logs: Sequence[Log]) -> Machine:
+    """The machine with the fastest low-pass behind which noise is small beside friction."""
+    rate = machine.sampling.rate
+    allowed = [c for c in CUTOFFS if LOWEST_CUTOFF * rate <= c <= HIGHEST_CUTOFF * rate] or [0.1 * rate]
+    for cutoff in allowed:
+        machine = override_machine(machine, {"sampling": {"velocity_cutoff": cutoff}})
+        if all(_noise_share(machine, log) <= QUIET for log in logs):
+            break
+    return machine
+
+
+def _noise_share(machine: Machine, log: Log) -> float:
+    """Scatter of the measured friction about curves through a few samples of the filter's own length, over its RMS."""
+    signals = prepare(machine, log).signals
+    friction = signals.friction[signals.valid]
+    width = max(6, round(2.0 * machine.sampling.rate / machine.sampling.velocity_cutoff))
+    count = len(friction) // width
+    if count < 4:
+        return 0.0
+    pieces = friction[: count * width].reshape(count, width)
+    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), 3))[0]
+    rest = pieces - pieces @ basis @ basis.T
+    scatter = math.sqrt(float(np.median(np.mean(rest**2, axis=1))))
+    size = float(np.std(friction))
+    return scatter / size if size > 0.0 else 0.0
+
+
+def rough_mass(machine: Machine, logs: Sequence[Log]) -> float:
+    """Moved mass [kg, kg m^2] by least squares of the force on acceleration, speed, direction and a constant.
+
+    Raises:
+        InputError: the motion asks for no mass, or one below 0.
+    """
+    columns, forces = [], []
+    for log in logs:
+        signals = prepare(machine, log).signals
+        v, a = signals.velocity[signals.valid], signals.acceleration[signals.valid]
+        slow = 1e-2 * float(np.max(np.abs(v), initial=1e-12))
+        columns.append(np.column_stack((a, v, np.tanh(v / slow), np.ones(len(v)))))
+        forces.append(signals.force[signals.valid])
+    X, y = np.concatenate(columns), np.concatenate(forces)
+    mass = float(np.linalg.lstsq(X / np.maximum(np.abs(X).max(axis=0), 1e-300), y, rcond=1e-9)[0][0])
+    mass /= float(np.abs(X[:, 0]).max())
+    units = machine.plant.units
+    if not mass > 0.0:
+        raise InputError(
+            logs[0].source or "log",
+            f"{units.push} over acceleration",
+            f"{mass:.3g} {units.mass}",
+            f"--{units.inert}: this motion shows none ({MOVES['jerks']} would); or is the {units.push}'s sign not the "
+            f"position's? Then {units.named('force_N')} has scale = -1 in [log]",
+        )
+    return mass

@@ -1,0 +1,212 @@
+"""Which law, how many elements, what beside them: what held-out rows gain by, and nothing that they do not.
+
+Choices are made at the rate of the rows. What the longer steps change there is taken out by lining the measured
+friction up with the fine model at a fit: the residual is then the fine one's, but for the change away from that fit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.identification.elements import NO_RISE, Law, Stribeck, run_elements
+from sgms_mhe.identification.fitting import AxisFit, Shape, View, fit_axis
+from sgms_mhe.identification.spectrum import Spectrum, clustered
+from sgms_mhe.identification.terms import Term
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+LAWS: Final[tuple[Law, ...]] = ("switching", "sgms")
+MOST_ELEMENTS: Final = 10
+FIRST_COUNT: Final = 5
+"""Elements at which laws are compared: enough to bend as any virgin curve does."""
+MATERIAL: Final = 0.01
+"""Share of the residual's RMS by which a richer model must leave less on rows that it has not seen."""
+SIGNIFICANT: Final = 2.5
+"""Mean over deviation of that gain over blocks."""
+LIKELY: Final = 1.05
+"""Residual of the other law over the chosen one's up to which its own number of elements is looked for."""
+IN_VAIN: Final = 1
+"""Counts of elements tried in a row without a gain before the search ends."""
+CHOICE_ITERATIONS: Final = 12
+RISE: Final = 0.1
+"""Stribeck ratio that a fit starts from where the spectrum shows none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """The records at the rate of the rows, and at the logs' own."""
+
+    coarse: View
+    fine: View
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What was chosen.
+
+    Attributes:
+        fit: at the records' full rate, of all used rows.
+        other: the best fit under the other law.
+        decided: whether the records tell the laws apart.
+        counts: cross-validated RMS [N] by number of elements tried, under the chosen law.
+    """
+
+    fit: AxisFit
+    other: AxisFit
+    decided: bool
+    counts: dict[int, float]
+
+
+def fit_in_line(views: Views, terms: Sequence[Term], start: Shape, rounds: int = 2) -> AxisFit:
+    """Fit at the rate of the rows, in line with the fine model; the fit that is returned is the fine model's."""
+    shape = start
+    anchor = fit_axis(views.fine, terms, shape, iterations=0)
+    for _ in range(rounds):
+        lined = _in_line(views, anchor)
+        shape = fit_axis(lined, terms, anchor.shape, iterations=CHOICE_ITERATIONS).shape
+        there = fit_axis(views.fine, terms, shape, iterations=0)
+        if there.rms >= anchor.rms:
+            break
+        anchor = there
+    return anchor
+
+
+def _in_line(views: Views, anchor: AxisFit) -> View:
+    """The coarse view whose friction leaves the residual of the fine one at a fit."""
+    rows, shape = views.coarse.rows, anchor.shape
+    rise = shape.rise or NO_RISE
+    coarse = run_elements(views.coarse.motions, shape.law, shape.distances, rise, slopes=False)
+    change = anchor.elements @ anchor.levels - np.column_stack([run.chi for run in coarse]) @ anchor.levels
+    return replace(views.coarse, rows=replace(rows, friction=rows.friction - change))
+
+
+def search(views: Views, terms: Sequence[Term], spectrum: Spectrum, elements: int | None, report: Progress) -> Found:
+    """The law and the elements that the records show.
+
+    Args:
+        views: the records.
+        terms: all that may stand beside elements.
+        spectrum: the convex start.
+        elements: how many; None: as many as held-out rows gain by.
+        report: called with each step.
+    """
+    rise = spectrum.rise or Stribeck(RISE, NO_RISE.velocity)
+    count = min(elements or FIRST_COUNT, MOST_ELEMENTS)
+    first = {}
+    for law in LAWS:
+        report(f"{law}: {count} elements")
+        first[law] = fit_in_line(views, terms, Shape(law, _split(spectrum, count), rise))
+    law, other = sorted(LAWS, key=lambda law: first[law].cross_rms)
+    fits: dict[Law, dict[int, AxisFit]] = {law: {len(fit.levels): fit} for law, fit in first.items()}
+    chosen = _settled_count(views, terms, spectrum, fits[law], elements, report)
+    # With too few elements the wrong law may bend better: asked again where there are enough.
+    report(f"{other}: {len(chosen.levels)} elements")
+    again = fit_in_line(views, terms, Shape(other, chosen.shape.distances, chosen.shape.rise))
+    fits[other][len(again.levels)] = min(again, fits[other].get(len(again.levels), again), key=lambda fit: fit.rms)
+    rival = min(fits[other].values(), key=lambda fit: fit.cross_rms)
+    if rival.cross_rms < LIKELY * chosen.cross_rms:
+        rival = _settled_count(views, terms, spectrum, fits[other], elements, report)
+        if rival.cross_rms < chosen.cross_rms:
+            law, other, chosen, rival = other, law, rival, chosen
+    decided = gains(chosen, rival)
+    if not decided and law == "switching":
+        law, other, chosen, rival = other, law, rival, chosen
+    return Found(chosen, rival, decided, {k: fits[law][k].cross_rms for k in sorted(fits[law])})
+
+
+def _settled_count(
+    views: Views,
+    terms: Sequence[Term],
+    spectrum: Spectrum,
+    fits: dict[int, AxisFit],
+    elements: int | None,
+    report: Progress,
+) -> AxisFit:
+    """The fit with as many elements as the records show under the law of the fits so far, which grow."""
+    if elements is not None:
+        return fits[elements]
+    _try_counts(views, terms, spectrum, fits, report)
+    return fits[simplest(fits)]
+
+
+def gains(richer: AxisFit, simpler: AxisFit) -> bool:
+    """Whether one fit leaves less than another on rows that neither has seen, by what matters and beyond chance."""
+    gain = simpler.cross - richer.cross
+    total = float(gain.sum())
+    scatter = float(np.std(gain, ddof=1)) * math.sqrt(len(gain))
+    return richer.cross_rms < (1.0 - MATERIAL) * simpler.cross_rms and total > SIGNIFICANT * scatter
+
+
+def simplest(fits: dict[int, AxisFit]) -> int:
+    """The fewest elements than which no larger number gains."""
+    for count in sorted(fits):
+        if not any(gains(fits[more], fits[count]) for more in fits if more > count):
+            return count
+    return max(fits)
+
+
+def _try_counts(
+    views: Views, terms: Sequence[Term], spectrum: Spectrum, fits: dict[int, AxisFit], report: Progress
+) -> None:
+    """Fit more elements, then fewer, until neither changes anything."""
+    first = max(fits)
+    law = fits[first].shape.law
+    in_vain = 0
+    for count in range(first + 1, MOST_ELEMENTS + 1):
+        report(f"{law}: {count} elements")
+        fits[count] = _best(views, terms, spectrum, fits[count - 1], count)
+        in_vain = 0 if gains(fits[count], fits[count - 1]) else in_vain + 1
+        if in_vain == IN_VAIN:
+            break
+    in_vain = 0
+    for count in range(first - 1, 0, -1):
+        if count not in fits:
+            report(f"{law}: {count} elements")
+            fits[count] = _best(views, terms, spectrum, fits[count + 1], count)
+        in_vain = in_vain + 1 if any(gains(fits[more], fits[count]) for more in fits if more > count) else 0
+        if in_vain == IN_VAIN:
+            break
+
+
+def _best(views: Views, terms: Sequence[Term], spectrum: Spectrum, near: AxisFit, count: int) -> AxisFit:
+    """The better of two fits: from the clusters of the spectrum, and from a fit with one element more or less."""
+    starts = [_split(spectrum, count), _changed(near, count)]
+    lined = _in_line(views, near)
+    tried = [
+        fit_axis(lined, terms, Shape(near.shape.law, start, near.shape.rise), iterations=CHOICE_ITERATIONS)
+        for start in starts
+    ]
+    return fit_in_line(views, terms, min(tried, key=lambda fit: fit.rms).shape)
+
+
+def _split(spectrum: Spectrum, count: int) -> Array:
+    """So many break-away distances: clusters of the spectrum, the widest gaps filled where these are few."""
+    distances = clustered(spectrum, count)[0]
+    while len(distances) < count:
+        distances = _filled(distances)
+    return distances
+
+
+def _filled(distances: Array) -> Array:
+    """One distance more, in the middle of the widest gap; of a single one, below it."""
+    if len(distances) == 1:
+        return np.array([0.3 * distances[0], distances[0]])
+    ratios = distances[1:] / distances[:-1]
+    k = int(np.argmax(ratios))
+    return np.insert(distances, k + 1, math.sqrt(distances[k] * distances[k + 1]))
+
+
+def _changed(near: AxisFit, count: int) -> Array:
+    """Distances of a fit with its closest two elements merged, or with one more."""
+    distances = near.shape.distances
+    if count > len(distances):
+        return _filled(distances)
+    merged = clustered(Spectrum(distances, np.maximum(near.levels, 1e-9 * near.coulomb), None), count)
+    return merged[0]

@@ -1,0 +1,161 @@
+"""From the elements that were chosen to the numbers that are reported: only what the records show stays in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.diagnosis.recording import Recording
+from sgms_mhe.identification.fitting import AxisFit, Shape, View, fit_axis
+from sgms_mhe.identification.intervals import Quantity, covariance, quantities
+from sgms_mhe.identification.search import Progress, Views, fit_in_line, gains
+from sgms_mhe.identification.terms import LAW_AND_SAMPLING, Term
+
+Array = NDArray[np.float64]
+
+SHOWN: Final = 2.0
+"""Standard deviations by which a number differs from none."""
+CERTAIN: Final = 3.0
+"""Standard deviations by which a mass differs from the one that was given."""
+MASS_OFF: Final = 0.02
+"""Of the mass that was given: less is what an actuator's lag makes of it."""
+MASS_SEEN: Final = 0.2
+"""Deviation over value up to which a mass is known."""
+TRACE: Final = 0.02
+"""Share of the level below which an element is a trace of something else, where it is not sure either."""
+UNSURE: Final = 0.25
+"""Deviation of such a level over its value."""
+FINAL_ITERATIONS: Final = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """What is reported.
+
+    Attributes:
+        fit: at the full rate, of all used rows, with what the records show alone.
+        cov: covariance of its numbers (p, p).
+        numbers: of the law, with deviations; those of numbers held at a default are not among them.
+        mass: that the motion shows [kg]; None: it shows none.
+        held_out_rms: residual of a fit of two thirds on the last third of the blocks [N].
+        view: the records as they were fitted.
+    """
+
+    fit: AxisFit
+    cov: Array
+    numbers: dict[str, Quantity]
+    mass: Quantity | None
+    held_out_rms: float
+    view: View
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a user gave, and stays where the motion does not contradict it: the mass, the number of elements."""
+
+    mass: bool
+    count: bool
+
+
+def settle(
+    views: Views,
+    fit: AxisFit,
+    base: Sequence[Term],
+    companions: Sequence[Term],
+    wanted: Known,
+    report: Progress,
+) -> Settled:
+    """Choose what stands beside the elements and fit all of it at the full rate.
+
+    Args:
+        views: the records.
+        fit: chosen elements, with every term.
+        base: viscous, inertial and sampling terms.
+        companions: effects that the motion excites.
+        wanted: what was given.
+        report: called with each step.
+    """
+    report("what stands beside the elements")
+    fit = fit_in_line(views, base, fit.shape)
+    fit = _with_companions(views, fit, companions)
+    fit = _with_rise(views, fit)
+    report("numbers at the full rate")
+    fit = fit_axis(views.fine, fit.terms, fit.shape, iterations=FINAL_ITERATIONS)
+    if not wanted.count:
+        fit = _without_traces(views, fit)
+    cov = covariance(views.fine, fit)
+    wide = quantities(fit, cov)
+    mass = _mass(views.fine.rows, wide["mass"])
+    dropped = _unseen(fit, cov, wide, views.fine.rows.machine.plant.moved if wanted.mass else None)
+    if dropped:
+        terms = tuple(term for term in fit.terms if term.name not in dropped)
+        fit = fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS)
+        cov = covariance(views.fine, fit)
+    numbers = quantities(fit, cov)
+    if "viscous" in dropped:  # held at 0 it would make the level look surer than it is
+        numbers["coulomb"] = replace(numbers["coulomb"], std=wide["coulomb"].std)
+    rows = views.fine.rows
+    held_out = rows.rows_held_out()
+    judge = fit_axis(views.fine, fit.terms, fit.shape, rows.used & ~held_out, iterations=2)
+    held_out_rms = float(np.sqrt(np.mean(judge.residual[held_out] ** 2)))
+    return Settled(fit, cov, numbers, mass, held_out_rms, views.fine)
+
+
+def _without_traces(views: Views, fit: AxisFit) -> AxisFit:
+    """The fit without elements of next to no level that it is not sure of either."""
+    while len(fit.levels) > 1:
+        count = len(fit.levels)
+        deviation = np.sqrt(np.diag(covariance(views.fine, fit))[count : 2 * count])
+        unsure = (fit.levels < TRACE * fit.coulomb) & (deviation >= UNSURE * fit.levels)
+        if not unsure.any():
+            break
+        shape = Shape(fit.shape.law, fit.shape.distances[~unsure], fit.shape.rise)
+        fit = fit_axis(views.fine, fit.terms, shape, iterations=FINAL_ITERATIONS)
+    return fit
+
+
+def _with_companions(views: Views, fit: AxisFit, companions: Sequence[Term]) -> AxisFit:
+    """The fit with the effects that it gains by, the best first; of two that gain as much the one of fewer sizes."""
+    left = sorted(companions, key=lambda term: term.columns.shape[1])
+    while left:
+        tried = [fit_in_line(views, (*fit.terms, term), fit.shape, rounds=1) for term in left]
+        better = [i for i, other in enumerate(tried) if gains(other, fit)]
+        if not better:
+            break
+        best = better[0]
+        for i in better[1:]:
+            if gains(tried[i], tried[best]):
+                best = i
+        fit = tried[best]
+        left.pop(best)
+    return fit
+
+
+def _with_rise(views: Views, fit: AxisFit) -> AxisFit:
+    """The fit without its rise where that leaves no more."""
+    if fit.shape.rise is None:
+        return fit
+    level = fit_in_line(views, fit.terms, Shape(fit.shape.law, fit.shape.distances, None))
+    return fit if gains(fit, level) else level
+
+
+def _mass(rows: Recording, extra: Quantity) -> Quantity | None:
+    mass = Quantity(rows.machine.plant.moved + extra.value, extra.std)
+    return mass if mass.value > 0.0 and mass.relative <= MASS_SEEN else None
+
+
+def _unseen(fit: AxisFit, cov: Array, numbers: dict[str, Quantity], given_mass: float | None) -> set[str]:
+    """Terms whose numbers the records do not show, and the mass where the one given will do."""
+    viscous, mass = numbers["viscous"], numbers["mass"]
+    dropped = set() if viscous.value > SHOWN * viscous.std else {"viscous"}
+    for term in fit.terms:
+        sizes, place = fit.coefficient(term.name), fit.place(term.name)
+        if term.name not in LAW_AND_SAMPLING and np.all(np.abs(sizes) <= SHOWN * np.sqrt(np.diag(cov[place, place]))):
+            dropped.add(term.name)
+    if given_mass is not None and abs(mass.value) <= max(CERTAIN * mass.std, MASS_OFF * given_mass):
+        dropped.add("mass")
+    return dropped

@@ -1,0 +1,132 @@
+"""The convex start: how the level of friction is spread over break-away distances, from no guess at all.
+
+Stop operators of a grid of break-away distances D run along the measured motion,
+
+    s <- clip(s + dq, -D, D),    column s / D
+
+and nonnegative least squares of the measured friction on these columns and the other linear terms gives a level for
+each. A rise towards low speed is a stop times exp(-(v / v_s)^2), v_s out of a short list.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.identification.elements import NO_RISE, Stribeck, run_elements
+from sgms_mhe.identification.linear import solve_bounded
+from sgms_mhe.identification.records import Records
+from sgms_mhe.identification.terms import Term
+
+Array = NDArray[np.float64]
+
+SMALLEST: Final = 20e-9
+"""Smallest break-away distance [m], where the encoder tells that much."""
+RESOLVED: Final = 3.0
+"""Smallest break-away distance over the scatter of position readings."""
+LARGEST: Final = 0.25
+"""Largest break-away distance over the travel: an element that breaks away later is a spring to this record."""
+PER_DECADE: Final = 7.0
+"""Distances of the grid."""
+RISING: Final = 6
+"""One distance of so many also gets a rise towards low speed."""
+SPEEDS: Final = (1e-3, 0.3)
+"""Stribeck velocities tried, over the fastest speed."""
+SPEED_RATIO: Final = 2.5
+LAST: Final = 0.03
+"""Share of all levels that says how far elements reach."""
+NEGLIGIBLE: Final = 2e-3
+"""Share of all levels below which an entry of the spectrum is none."""
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Levels (k) [N] over break-away distances (k) [m] that are not 0, and the rise towards low speed (None: none)."""
+
+    distances: Array
+    levels: Array
+    rise: Stribeck | None
+
+    @property
+    def reach(self) -> float:
+        """Distance [m] beyond which next to nothing breaks away; 0 where there is nothing."""
+        beyond = np.cumsum(self.levels[::-1])[::-1]
+        far = self.distances[beyond > LAST * self.levels.sum()]
+        return float(far.max(initial=0.0))
+
+
+def distance_grid(records: Records, per_decade: float = PER_DECADE) -> Array:
+    """Break-away distances [m] that the records can tell of, geometric."""
+    low = max(SMALLEST, RESOLVED * records.resolution)
+    high = max(2.0 * low, LARGEST * records.rows.extents.travel)
+    return np.geomspace(low, high, max(2, 1 + math.ceil(per_decade * math.log10(high / low))))
+
+
+def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: Array) -> Spectrum:
+    """Nonnegative least squares over a grid of distances (g) [m]; `noise` [N] weighs the priors of terms."""
+    rows = records.rows
+    used = rows.used
+    stops = run_elements(records.coarse, "switching", grid, NO_RISE, slopes=False)
+    stop = np.column_stack([run.chi for run in stops])[used]
+    columns = np.column_stack([term.columns for term in terms])[used]
+    positive = np.concatenate([np.full(term.columns.shape[1], term.positive) for term in terms])
+    deviation = np.concatenate([np.full(term.columns.shape[1], term.deviation) for term in terms])
+    fold, y = rows.fold[rows.block[used]], rows.friction[used]
+    speeds = rows.extents.speed * np.geomspace(*SPEEDS, 1 + math.ceil(math.log(SPEEDS[1] / SPEEDS[0], SPEED_RATIO)))
+    tried: list[tuple[float, float | None, Array]] = []
+    for speed in (None, *speeds.tolist()):
+        rising = stop[:, ::RISING] * np.exp(-((rows.velocity[used] / speed) ** 2))[:, None] if speed else stop[:, :0]
+        X = np.column_stack((stop, rising, columns))
+        nonnegative = np.concatenate((np.ones(stop.shape[1] + rising.shape[1], dtype=np.bool_), positive))
+        information = np.concatenate((np.zeros(stop.shape[1] + rising.shape[1]), (noise / deviation) ** 2))
+        loss, coefficients = _cross_validated(X, y, fold, nonnegative, information)
+        tried.append((loss, speed, coefficients))
+    _, speed, coefficients = min(tried, key=lambda entry: entry[0])
+    levels = coefficients[: len(grid)]
+    rise = None
+    if speed is not None:
+        count = len(range(0, len(grid), RISING))
+        ratio = float(coefficients[len(grid) : len(grid) + count].sum() / max(levels.sum(), 1e-300))
+        rise = Stribeck(ratio, speed) if ratio > 0.0 else None
+    kept = levels > NEGLIGIBLE * levels.sum()
+    return Spectrum(grid[kept], levels[kept], rise)
+
+
+def clustered(spectrum: Spectrum, count: int) -> tuple[Array, Array]:
+    """Distances (k) and levels (k) of at most `count` clusters: neighbours that are nearest merge first.
+
+    What is nearest is Ward's: the growth of the sum of squares of log D about the clusters' means, weighted by levels.
+    """
+    logs, levels = list(np.log(spectrum.distances)), list(spectrum.levels)
+    while len(logs) > count:
+        costs = [
+            levels[i] * levels[i + 1] / (levels[i] + levels[i + 1]) * (logs[i + 1] - logs[i]) ** 2
+            for i in range(len(logs) - 1)
+        ]
+        i = int(np.argmin(costs))
+        total = levels[i] + levels[i + 1]
+        logs[i : i + 2] = [(levels[i] * logs[i] + levels[i + 1] * logs[i + 1]) / total]
+        levels[i : i + 2] = [total]
+    return np.exp(np.array(logs)), np.array(levels)
+
+
+def _cross_validated(
+    X: Array, y: Array, fold: NDArray[np.int64], positive: NDArray[np.bool_], information: Array
+) -> tuple[float, Array]:
+    """Sum of squares that fits without a fold leave on it, and the coefficients of all rows."""
+    folds = np.unique(fold)
+    grams = [X[fold == f].T @ X[fold == f] for f in folds]
+    moments = [X[fold == f].T @ y[fold == f] for f in folds]
+    gram, moment = np.sum(grams, axis=0), np.sum(moments, axis=0)
+    loss = float(y @ y)
+    for i, (G, g) in enumerate(zip(grams, moments, strict=True)):
+        # Sums of the others, not a difference: that of a column seen in one fold alone would be rounding.
+        others, seen = (np.sum(parts[:i] + parts[i + 1 :], axis=0) for parts in (grams, moments))
+        b = solve_bounded(others, seen, positive, information)
+        loss += float(b @ G @ b - 2.0 * b @ g)
+    return loss, solve_bounded(gram, moment, positive, information)

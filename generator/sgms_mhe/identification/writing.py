@@ -1,0 +1,186 @@
+"""The machine file: every number with its interval beside it, and whatever stands at a default marked as such."""
+
+from __future__ import annotations
+
+import json
+import math
+import textwrap
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from sgms_mhe.configuration import make_machine
+from sgms_mhe.identification.description import STAND_IN
+from sgms_mhe.identification.elements import Law
+from sgms_mhe.identification.result import Number, interval, rounded
+from sgms_mhe.machine import Machine, Units, plant_content
+
+COMMENT_COLUMN: Final = 40
+COLUMNS: Final = 100
+ELEMENTS: Final = ("stiffness_", "fraction_")
+SHARE_DIGITS: Final = 9
+ESTIMATED: Final = ("coulomb", "viscous")
+"""What changes on an axis with temperature and wear; of these the ones that the records determine are estimated."""
+BOUNDS: Final = {"coulomb": [0.3, 3.0], "viscous": [0.1, 5.0]}
+"""Of nominal."""
+KEPT_ESTIMATOR: Final = ("kind", "horizon", "relinearise", "arrival_cost")
+
+
+def machine_content(base: Machine, law: Law, numbers: Sequence[Number], measurement: float | None) -> dict[str, Any]:
+    """Content of the machine file.
+
+    Args:
+        base: name, rates and what was taken over from another file.
+        law: of the elements.
+        numbers: as described.
+        measurement: noise of the measured friction [N, N m]; None: not known yet.
+    """
+    by_name = {number.name: number for number in numbers}
+    units = base.plant.units
+    value = {name: rounded(number.value, number.std) for name, number in by_name.items()}
+    count = sum(name.startswith("stiffness_") for name in value)
+    friction: dict[str, Any] = {
+        "law": law,
+        "stiffness": [value[f"stiffness_{k}"] for k in range(1, count + 1)],
+        "fraction": _shares([by_name[f"fraction_{k}"].value for k in range(1, count + 1)]),
+        **{name: value[name] for name in ("viscous", "coulomb", "stribeck_ratio", "stribeck_velocity")},
+    }
+    sampling = {key: getattr(base.sampling, key) for key in ("rate", "update_rate", "velocity_cutoff", "max_velocity")}
+    if law == "sgms":
+        sampling["integrator"] = {"scheme": "flow"}
+    estimated = [name for name in ESTIMATED if by_name[name].determined] or ["coulomb"]
+    estimator = {key: entry for key, entry in base.content.get("estimator", {}).items() if key in KEPT_ESTIMATOR}
+    estimator["parameters"] = estimated
+    estimator["noise"] = dict(base.content.get("estimator", {}).get("noise", {}))
+    if measurement is not None:
+        estimator["noise"]["measurement"] = float(f"{measurement:.3g}")
+    estimator["bounds"] = {name: BOUNDS[name] for name in estimated}
+    effects: dict[str, dict[str, Any]] = {}
+    for name, number in value.items():
+        effect, dot, parameter = name.partition(".")
+        if dot:
+            effects.setdefault(effect, {"name": effect})[units.named(parameter)] = number
+    content: dict[str, Any] = {
+        "name": base.name,
+        "description": base.description or "identified from measurements",
+        "plant": plant_content(units.kind, value["mass"]),
+        "friction": friction,
+        "sampling": sampling,
+        "estimator": estimator,
+    }
+    content |= {key: base.content[key] for key in ("compensation", "code", "diagnosis", "log") if key in base.content}
+    if effects:
+        content["effects"] = list(effects.values())
+    return content
+
+
+def _shares(values: Sequence[float]) -> list[float]:
+    """Fractions of so many digits that sum to 1: the largest makes up for rounding."""
+    shares = [float(f"{value:.{SHARE_DIGITS}f}") for value in values]
+    k = shares.index(max(shares))
+    shares[k] = round(1.0 - math.fsum(shares[:k] + shares[k + 1 :]), SHARE_DIGITS)
+    return shares
+
+
+def machine_toml(units: Units, content: Mapping[str, Any], numbers: Sequence[Number], head: Sequence[str]) -> str:
+    """The file: `head` as comments, then the content, numbers with their intervals."""
+    notes = _notes(units, numbers)
+    lines = [line for text in head for line in wrapped(text)]
+    lines += [f"{key} = {_value(content[key])}" for key in ("name", "description")]
+    for table in ("plant", "friction", "sampling", "estimator", "compensation", "code", "diagnosis", "log"):
+        if table in content:
+            lines += _table(table, content[table], notes)
+        if table == "friction":
+            lines += _elements(units, numbers)
+    for effect in content.get("effects", ()):
+        lines += ["", "[[effects]]"]
+        lines += [_line(key, entry, notes.get(f"{effect['name']}.{key}", "")) for key, entry in effect.items()]
+    return "\n".join(lines) + "\n"
+
+
+def checked(toml: str, content: Mapping[str, Any], path: Path) -> Machine:
+    """The machine that the text describes, which has to be that of the content."""
+    read = tomllib.loads(toml)
+    if read != json.loads(json.dumps(content)):
+        raise ValueError("a machine file that does not say what it should")
+    return make_machine(read, path)
+
+
+def _table(name: str, table: Mapping[str, Any], notes: Mapping[str, str]) -> list[str]:
+    plain = {key: entry for key, entry in table.items() if not isinstance(entry, Mapping) or _inline(name)}
+    lines = ["", f"[{name}]"] if plain else []
+    lines += [_line(key, entry, notes.get(f"{name}.{key}", "")) for key, entry in plain.items()]
+    for key, entry in table.items():
+        if key not in plain and entry:
+            lines += _table(f"{name}.{key}", entry, notes)
+    return lines
+
+
+def _inline(name: str) -> bool:
+    """Whether tables within this one stand on one line."""
+    return name != "estimator"
+
+
+def _notes(units: Units, numbers: Sequence[Number]) -> dict[str, str]:
+    """Comments by key of the file: intervals of two standard deviations, or why there is none."""
+    unit_of = {
+        "mass": units.mass,
+        "coulomb": units.force,
+        "viscous": units.damping,
+        "stribeck_velocity": units.velocity,
+    }
+    notes: dict[str, str] = {}
+    for number in numbers:
+        said = number.note if not math.isfinite(number.std) else interval(number)
+        if math.isfinite(number.std) and number.note:
+            said += f", {number.note}"
+        if "." in number.name:
+            notes[units.named(number.name)] = said
+        elif not number.name.startswith(ELEMENTS):
+            table = "plant" if number.name == "mass" else "friction"
+            unit = unit_of.get(number.name, "")
+            notes[f"{table}.{units.named(number.name)}"] = f"{unit}: {said}" if unit else said
+    notes["friction.stiffness"] = units.stiffness
+    notes["estimator.noise.measurement"] = (
+        f"{units.force}, 1 sigma: what the model leaves of the logs, sample by sample"
+    )
+    return notes
+
+
+def _elements(units: Units, numbers: Sequence[Number]) -> list[str]:
+    """A comment for each element: intervals of its stiffness and its share."""
+    by_name = {number.name: number for number in numbers}
+    lines, k = [], 1
+    while f"stiffness_{k}" in by_name:
+        stiffness, share = by_name[f"stiffness_{k}"], by_name[f"fraction_{k}"]
+        open_ = "" if stiffness.determined and share.determined else f"; {STAND_IN}"
+        lines.append(f"# element {k}: {interval(stiffness)} {units.stiffness}, share {interval(share)}{open_}")
+        k += 1
+    return lines
+
+
+def wrapped(text: str) -> list[str]:
+    """A comment in lines of the file's width."""
+    return textwrap.wrap(text, COLUMNS, initial_indent="# ", subsequent_indent="#   ")
+
+
+def _line(key: str, value: Any, note: str) -> str:
+    line = f"{_key(key)} = {_value(value)}"
+    return f"{line:<{COMMENT_COLUMN}} # {note}".rstrip() if note else line
+
+
+def _key(key: str) -> str:
+    return key if key.replace("_", "").replace("-", "").isalnum() else json.dumps(key)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(k)} = {_value(entry)}" for k, entry in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_value(entry) for entry in value) + "]"
+    return repr(value)

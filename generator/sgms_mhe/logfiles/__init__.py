@@ -1,0 +1,17 @@
+"""Log files as people have them: a file of any format and dialect into a log in SI units, step by step.
+
+Each step is a pure function whose result is a frozen dataclass, which `sgms-mhe inspect` prints:
+
+    bytes -> text (encoding)                                          encoding
+    text -> dialect: header, unit row, separator, decimal mark        dialect, decimals, stamps
+    file -> table of named columns                                    text, mat, hdf5, numpy_files, parquet, mdf
+    table + [log] -> which column is which quantity, in what unit     sources
+    values -> SI units                                                quantities
+    time -> rate, jitter, gaps; uneven time onto a grid               timing, resampling
+    log + machine -> what this axis cannot have left                  plausibility
+
+No library reads text as this room has to: pandas and polars take a dialect that somebody states, and neither of them
+tells a unit row from data, a decimal comma from a separator, or a summary from a sample; guessing an encoding is not
+needed where files are UTF-8, UTF-16 or Latin-1. What is left for a library is the fast loop over numbers, numpy's
+loadtxt. Formats with containers of their own are read by the libraries that define them (h5py, pyarrow, asammdf).
+"""

@@ -1,0 +1,75 @@
+"""Numbers in a text: what is one, what its decimal mark is, and its value."""
+
+from __future__ import annotations
+
+import re
+from typing import Final, Literal
+
+Mark = Literal[".", ","]
+
+MISSING: Final = frozenset(
+    ("", "-", "--", "---", "nan", "na", "n/a", "#n/a", "null", "none", "nil", "missing", "1.#qnan", "-1.#ind", "-nan")
+)
+"""How a missing sample is written, in lower case."""
+
+_EXPONENT: Final = r"(?:[eEdD][+-]?\d+)?"
+_PLAIN: Final = re.compile(rf"[+-]?(?:\d+[.,]?\d*|[.,]\d+){_EXPONENT}", re.ASCII)
+_GROUPED: Final = re.compile(rf"[+-]?\d{{1,3}}(?:(?:,\d{{3}})+(?:\.\d*)?|(?:\.\d{{3}})+(?:,\d*)?){_EXPONENT}", re.ASCII)
+_INFINITE: Final = re.compile(r"[+-]?inf(?:inity)?", re.IGNORECASE)
+_QUICK: Final = re.compile(r"-?\d+\.?\d*(?:[eE][+-]?\d+)?", re.ASCII)
+_COULD_BE_GROUPS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
+_WITHOUT_GROUPS: Final = {
+    ".": re.compile(rf"[+-]?(?:\d+\.?\d*|\.\d+){_EXPONENT}", re.ASCII),
+    ",": re.compile(rf"[+-]?(?:\d+,?\d*|,\d+){_EXPONENT}", re.ASCII),
+}
+_WITH_GROUPS: Final = {
+    ".": re.compile(rf"[+-]?\d{{1,3}}(?:,\d{{3}})+(?:\.\d*)?{_EXPONENT}", re.ASCII),
+    ",": re.compile(rf"[+-]?\d{{1,3}}(?:\.\d{{3}})+(?:,\d*)?{_EXPONENT}", re.ASCII),
+}
+
+
+def is_missing(token: str) -> bool:
+    """Whether a field says that there is no sample."""
+    return token.lower() in MISSING
+
+
+def is_number(token: str) -> bool:
+    """Whether a field is a number by one of the decimal marks."""
+    return bool(_PLAIN.fullmatch(token) or _GROUPED.fullmatch(token) or _INFINITE.fullmatch(token))
+
+
+def value_of(token: str, mark: Mark) -> float:
+    """A field's value by a decimal mark; groups of three digits are those of the other. ValueError for no number."""
+    if mark == "." and _QUICK.fullmatch(token):
+        return float(token)
+    if is_missing(token):
+        return float("nan")
+    if _INFINITE.fullmatch(token):
+        return float(token)
+    other = "," if mark == "." else "."
+    if _WITHOUT_GROUPS[mark].fullmatch(token):
+        plain = token
+    elif _WITH_GROUPS[mark].fullmatch(token):
+        plain = token.replace(other, "")
+    else:
+        raise ValueError(f"{token!r} is no number")
+    return float(plain.replace(mark, ".").replace("d", "e").replace("D", "e"))
+
+
+def told_by(token: str) -> Mark | Literal["either"] | None:
+    """The decimal mark that a field tells; `either` for 1,234, which may be both; None where it tells nothing.
+
+    A comma with other than three digits behind it, with a zero or nothing before it, or with an exponent, is a decimal
+    mark, and so is one after groups by points. A point is one by the same rules; commas that occur twice or stand
+    before a point are groups. 1.234 alone tells nothing: where nothing else is told, a point is the decimal mark.
+    """
+    if not ("," in token or "." in token) or not is_number(token):
+        return None
+    last = max(token.rfind(","), token.rfind("."))
+    mark: Mark = "," if token[last] == "," else "."
+    other: Mark = "." if mark == "," else ","
+    if token.count(mark) > 1:
+        return other
+    if other not in token and _COULD_BE_GROUPS.fullmatch(token):
+        return "either" if mark == "," else None
+    return mark

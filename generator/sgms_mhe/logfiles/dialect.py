@@ -1,0 +1,267 @@
+"""How a text holds a table: separator, where the data begin and end, names, units, decimal mark."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from sgms_mhe.logfiles.decimals import Mark, is_missing, is_number, told_by
+from sgms_mhe.logfiles.stamps import stamp_form
+from sgms_mhe.machine import BY_COLUMN, SEPARATORS, LogMapping, normal_unit
+from sgms_mhe.support.errors import InputError
+
+UNITS: Final = frozenset(unit for quantity in BY_COLUMN.values() for unit in quantity.allowed)
+"""Every unit that any quantity of a log may have."""
+
+_COMMENT: Final = ("#", "%", "//", "!")
+_NO_UNIT: Final = ("", "-", "1")
+_LABELS: Final = ("unit", "units", "einheit", "einheiten")
+"""What the first field of a unit row may say instead of a unit."""
+_TYPES: Final = frozenset("REAL LREAL FLOAT DOUBLE BOOL BYTE WORD SINT USINT INT UINT DINT UDINT LINT".split())
+"""Data types that a controller's export may have a row of."""
+_TRIAL: Final = 50
+"""Rows behind the first that a separator is tried on."""
+_SEARCHED: Final = 2000
+"""Lines in which the first sample is looked for before the whole file is."""
+_SAYS: Final = "[log] of the machine file has"
+UNTOLD: Final = f'a number that is told: a decimal mark, or groups of thousands? {_SAYS} decimal = "," or decimal = "."'
+"""What is wanted instead of 1,234, where nothing tells which of the two it is."""
+_LONGEST_SUMMARY: Final = 200
+"""Lines after the data that may hold something else."""
+_NAMED: Final = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "spaces"}
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """What was understood of a text.
+
+    Attributes:
+        separator: between fields; a space for any number of spaces and tabs.
+        decimal: the decimal mark.
+        names: of the columns, as they stand in the header; `column 1`, ... where there is none.
+        units: of the unit row, as many as names; empty where there is none.
+        header_line: number of the line that names stand in; 0 where there is none.
+        rows: (line number, line) of every sample.
+        before: lines before the header; `after`: lines after the last sample; `comments`: lines between samples that
+            are none.
+    """
+
+    separator: str
+    decimal: Mark
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    header_line: int
+    rows: tuple[tuple[int, str], ...]
+    before: int
+    after: tuple[str, ...]
+    comments: int
+
+    @property
+    def described(self) -> tuple[tuple[str, str], ...]:
+        """The same for people."""
+        header = f"line {self.header_line}" if self.header_line else "none"
+        rows = f"{len(self.rows)}, lines {self.rows[0][0]} to {self.rows[-1][0]}"
+        return (
+            ("separator", _NAMED[self.separator]),
+            ("decimal mark", "comma" if self.decimal == "," else "point"),
+            *((("preamble", f"{self.before} lines"),) if self.before else ()),
+            ("header", header),
+            ("unit row", "yes" if self.units else "no"),
+            ("rows", f"{rows}; {len(self.after)} lines after them" if self.after else rows),
+            *((("comments", f"{self.comments} lines"),) if self.comments else ()),
+        )
+
+
+def fields_of(line: str, separator: str) -> list[str]:
+    """Fields of a line, without the spaces and quotation marks around them."""
+    if separator == " ":
+        parts = re.findall(r'"[^"]*"|\S+', line) if '"' in line else line.split()
+    elif '"' in line:
+        parts = next(csv.reader([line.strip()], delimiter=separator, skipinitialspace=True), [])
+    else:
+        parts = line.split(separator)
+    return [part.strip().strip('"').strip() for part in parts]
+
+
+def find_dialect(path: Path, text: str, hints: LogMapping | None) -> Dialect:
+    """Understand a text; `hints` are what [log] states of it. Raises InputError, with what to write where."""
+    lines = re.split(r"\r\n|\n|\r", text)
+    if not any(line.strip() for line in lines):
+        raise InputError(path, "file", "nothing", "a header line with the columns' names and at least 2 rows")
+    stated = None if hints is None else hints.header_line
+    filled = [(k + 1, line) for k, line in enumerate(lines) if k >= (stated or 0) and not _is_empty(line)]
+    separator, first, count = _data(path, filled, hints)
+    last = _last(filled, first, separator)
+    rows = tuple(filled[first : last + 1])
+    # Rows that all end in a separator have a field more than names; any other field without a name is refused.
+    closed = separator != " " and all(line.rstrip(" ").endswith(separator) for _, line in rows)
+    above = lines[: rows[0][0] - 1]
+    header_line, names, units = _header(path, above, separator, count, closed, stated)
+    between = sum(1 for line in lines[rows[0][0] - 1 : rows[-1][0]] if line.strip()) - len(rows)
+    before = lines[: header_line - 1] if header_line else above
+    return Dialect(
+        separator,
+        _decimal(path, rows, separator, hints),
+        names,
+        units,
+        header_line,
+        rows,
+        sum(1 for line in before if line.strip()),
+        tuple(line.strip() for line in lines[rows[-1][0] :] if not _is_empty(line)),
+        between,
+    )
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith(_COMMENT)
+
+
+def _is_empty(line: str) -> bool:
+    """Whether a line is no row: blank, a comment, or separators alone, as spreadsheets write below their last row."""
+    return not line.strip(" \t,;|") or _is_comment(line)
+
+
+def _is_value(field: str) -> bool:
+    return is_number(field) or stamp_form(field) is not None
+
+
+def _data(path: Path, filled: Sequence[tuple[int, str]], hints: LogMapping | None) -> tuple[str, int, int]:
+    """(separator, index of the first sample, fields in it): the separator that leaves most fields values."""
+    separators = (hints.separator,) if hints is not None and hints.separator else SEPARATORS
+    for limit in (_SEARCHED, len(filled)):
+        best: tuple[float, int, str, int] | None = None
+        for separator in separators:
+            found = _first_sample(filled[:limit], separator)
+            if found is None:
+                continue
+            following = [fields_of(line, separator) for _, line in filled[found : found + _TRIAL]]
+            count = len(following[0])
+            full = [fields for fields in following if len(fields) == count]
+            entries = [field for fields in full for field in fields if field]
+            share = sum(map(_is_value, entries)) / len(entries) * len(full) / len(following)
+            if best is None or (share, count) > best[:2]:
+                best = (share, count, separator, found)
+        if best is not None:
+            return best[2], best[3], best[1]
+    allowed = (
+        "a header line with the columns' names and at least 2 rows of numbers, with , ; | tab or spaces between "
+        f'them; {_SAYS} separator = "..."'
+    )
+    raise InputError(path, "file", "no row of numbers", allowed)
+
+
+def _first_sample(filled: Sequence[tuple[int, str]], separator: str) -> int | None:
+    """Index of the first sample: two or more values, and the row after it has as many fields."""
+    waiting: tuple[int, int] | None = None
+    for k, (_, line) in enumerate(filled):
+        fields = fields_of(line, separator) if separator == " " or separator in line else []
+        values = sum(map(_is_value, fields))
+        if values >= 2:
+            if waiting is not None and waiting[1] == len(fields):
+                return waiting[0]
+            waiting = (k, len(fields))
+        elif not values:
+            waiting = None
+    return waiting[0] if waiting is not None else None
+
+
+def _last(filled: Sequence[tuple[int, str]], first: int, separator: str) -> int:
+    """Index of the last sample: lines after it begin with words where the data have values."""
+    lead = next(k for k, field in enumerate(fields_of(filled[first][1], separator)) if _is_value(field))
+    for k in range(len(filled) - 1, max(first, len(filled) - _LONGEST_SUMMARY), -1):
+        begins = next((field for field in fields_of(filled[k][1], separator)[lead:] if field), "")
+        if _is_value(begins) or is_missing(begins):
+            return k
+    return first if len(filled) - first <= _LONGEST_SUMMARY else len(filled) - 1
+
+
+def _header(
+    path: Path, above: Sequence[str], separator: str, count: int, closed: bool, stated: int | None
+) -> tuple[int, tuple[str, ...], tuple[str, ...]]:
+    """(line of the header, 0 where there is none; names; units) from the lines above the first sample."""
+    numbered = tuple(f"column {k + 1}" for k in range(count))
+    if stated == 0:
+        return 0, numbered, ()
+    units: tuple[str, ...] = ()
+    for number, fields in _candidates(above, separator, count, closed):
+        if stated is not None and number != stated and not _is_unit_row(fields):
+            continue
+        if len(fields) != count:
+            found = f"{len(fields)} names"
+            allowed = f"{count} names, as many as the rows have fields; {_SAYS} separator, decimal or header_line"
+            raise InputError(path, f"line {number}", found, allowed)
+        if any(map(is_number, fields)):
+            break
+        if number != stated and not units and _is_unit_row(fields):
+            units = tuple("" if field.casefold().rstrip(":") in _LABELS else field for field in fields)
+        elif number == stated or not _is_row_of_types(fields):
+            return number, tuple(fields), units
+    if stated is not None:
+        raise InputError(path, "[log] header_line", stated, f"a line above the rows with {count} names")
+    return (0, numbered, ()) if not units else (0, units, ())
+
+
+def _candidates(above: Sequence[str], separator: str, count: int, closed: bool) -> Iterator[tuple[int, list[str]]]:
+    """(line number, fields) that may be header or unit row, the nearest first; comments only with as many fields."""
+    for number in range(len(above), 0, -1):
+        line = above[number - 1]
+        if not line.strip():
+            continue
+        is_comment = _is_comment(line)
+        fields = _named(line.lstrip().lstrip("#%!/").strip() if is_comment else line, separator, count, closed)
+        if is_comment and len(fields) != count:
+            continue
+        if len(fields) < 2 <= count:
+            return
+        yield number, fields
+
+
+def _named(line: str, separator: str, count: int, closed: bool) -> list[str]:
+    """Names of a header; between spaces, names of several words hold together where the number of columns says so."""
+    fields = fields_of(line, separator)
+    if len(fields) == count + 1 and not fields[-1]:
+        return fields[:-1]
+    if len(fields) == count - 1 and closed:
+        return [*fields, ""]
+    if separator == " " and len(fields) != count:
+        for pattern in (r"\s+(?![\[(])", r"\t+|\s{2,}", r"\t+|\s{2,}(?![\[(])"):
+            joined = [part.strip().strip('"') for part in re.split(pattern, line.strip())]
+            if len(joined) == count:
+                return joined
+    return fields
+
+
+def _is_unit_row(fields: Sequence[str]) -> bool:
+    """Whether all fields are units, but for a first one that says so."""
+    own = fields[1:] if fields and fields[0].casefold().rstrip(":") in _LABELS else fields
+    plain = [normal_unit(field) for field in own]
+    return all(unit in UNITS or unit in _NO_UNIT for unit in plain) and any(unit in UNITS for unit in plain)
+
+
+def _is_row_of_types(fields: Sequence[str]) -> bool:
+    """Whether a row says of what data type the columns are, as controllers export it."""
+    return len(fields) > 1 and all(field.upper() in _TYPES for field in fields[1:])
+
+
+def _decimal(path: Path, rows: Sequence[tuple[int, str]], separator: str, hints: LogMapping | None) -> Mark:
+    if hints is not None and hints.decimal is not None:
+        return hints.decimal
+    if separator == "," and not any('"' in line for _, line in rows):
+        return "."
+    either: tuple[int, str] | None = None
+    for number, line in rows:
+        if "," not in line and "." not in line:
+            continue
+        for field in fields_of(line, separator):
+            told = told_by(field)
+            if told is not None and told != "either":
+                return told
+            if told is not None and either is None:
+                either = (number, field)
+    if either is None:
+        return "."
+    raise InputError(path, f"line {either[0]}", either[1], UNTOLD)

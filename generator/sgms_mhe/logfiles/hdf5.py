@@ -1,0 +1,68 @@
+"""HDF5, and MATLAB's MAT files of version 7.3, which are HDF5; by h5py."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damaged, extra, real
+from sgms_mhe.support.errors import InputError
+
+_WHOLE = "a whole HDF5 file, its columns arrays of real numbers"
+
+
+def read_hdf5(path: Path, form: str = "HDF5") -> Table:
+    """The table of every array below the file's root, groups as paths with dots. A unit is an attribute `unit(s)`.
+
+    MATLAB writes its matrices' columns as rows, so those of a MAT file are turned. Raises InputError for a damaged file
+    and where h5py is absent, OSError as open does.
+    """
+    h5py = extra(path, "h5py", "h5py", form)
+    turned = form != "HDF5"
+    with path.open("rb"):
+        pass  # a file that cannot be opened is told from one that is no HDF5
+    found: dict[str, tuple[str, Column]] = {}
+
+    def note(name: str, node: Any) -> None:
+        if not isinstance(node, h5py.Dataset) or name.startswith("#"):
+            return
+        if node.dtype.names:
+            for member in node.dtype.names:
+                column = f"{_dotted(name)}.{member}"
+                found[column] = (name, Column(column, column, shape=node.shape))
+        elif node.dtype.kind in "fiub":
+            column = _dotted(name)
+            shape = node.shape[::-1] if turned else node.shape
+            found[column] = (name, Column(column, column, _unit(node), shape))
+
+    try:
+        with h5py.File(path, "r") as content:
+            content.visititems(note)
+    except Exception as error:  # the readers of a damaged file stumble in many ways
+        raise damaged(path, _WHOLE, error) from None
+
+    def read(names: Sequence[str]) -> Mapping[str, Array]:
+        try:
+            with h5py.File(path, "r") as content:
+                values = {}
+                for name in names:
+                    node = content[found[name][0]]
+                    value = node[name.rsplit(".", 1)[1]] if node.dtype.names else node[()]
+                    values[name] = real(path, name, value.T if turned else value)
+                return values
+        except InputError:
+            raise
+        except Exception as error:
+            raise damaged(path, _WHOLE, error) from None
+
+    return Table(form, tuple(column for _, column in found.values()), read, array_row)
+
+
+def _dotted(name: str) -> str:
+    return name.strip("/").replace("/", ".")
+
+
+def _unit(node: Any) -> str:
+    value = next((node.attrs[key] for key in ("unit", "units", "Unit", "Units") if key in node.attrs), "")
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)

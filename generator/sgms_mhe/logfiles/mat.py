@@ -1,0 +1,173 @@
+"""Real numeric variables of a MAT file, version 5 (what MATLAB saves with -v6 and -v7), members of structs among them.
+
+scipy.io.loadmat is not used: it looks a data-type code up without checking it (scipy 1.17), so that one wrong byte in a
+damaged file ends the process where a user needs a message. Numeric arrays and structs are all that a log holds.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sgms_mhe.logfiles.hdf5 import read_hdf5
+from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damaged
+
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_MATRIX, _COMPRESSED = 14, 15
+_STRUCT, _OPAQUE = 2, 17
+_NUMERIC_CLASSES = range(6, 16)  # double, single, the integers
+_COMPLEX = 0x0800
+_HEADER = 128
+_PEEK = 4096  # bytes of a variable that hold its flags, dimensions and name
+_DEEPEST = 16  # structs within structs
+_V5, _V73 = 0x0100, 0x0200
+
+
+@dataclass(frozen=True)
+class MatVariable:
+    """A variable, or a member of a struct, that has been found and not yet read."""
+
+    name: str
+    shape: tuple[int, ...]
+    order: str
+    packed: bool
+    body: memoryview
+
+    def read(self) -> Array:
+        """The values in the variable's own shape; ValueError or zlib.error where they are damaged or not real."""
+        elements = _elements(_unpacked(self.body, self.packed), self.order)
+        flags, shape, _ = _description(elements, self.order)
+        if flags & 0xFF not in _NUMERIC_CLASSES or flags & _COMPLEX:
+            raise ValueError(f"{self.name} is no array of real numbers")
+        kind, data = next(elements, (0, memoryview(b"")))
+        if kind not in _TYPES:
+            raise ValueError(f"{self.name} has the unknown data type {kind}")
+        values = np.frombuffer(data, dtype=self.order + _TYPES[kind])
+        if values.size != math.prod(shape):
+            raise ValueError(f"{self.name} holds {values.size} numbers for the shape {shape}")
+        return values.astype(np.float64).reshape(shape, order="F")
+
+
+def read_mat(path: Path) -> Table:
+    """The table of a MAT file, one of v7.3 by HDF5. Raises InputError for a damaged file, OSError as open does."""
+    content = path.read_bytes()
+    whole = "a whole MAT file, its columns arrays of real numbers"
+    try:
+        if _version(content) == _V73:
+            return read_hdf5(path, "MAT v7.3")
+        found = mat_variables(content)
+    except (ValueError, zlib.error) as error:
+        raise damaged(path, whole, error) from None
+
+    def read(names: Sequence[str]) -> Mapping[str, Array]:
+        try:
+            return {name: found[name].read() for name in names}
+        except (ValueError, zlib.error) as error:
+            raise damaged(path, whole, error) from None
+
+    columns = tuple(Column(name, name, shape=variable.shape) for name, variable in found.items())
+    return Table("MAT v5", columns, read, array_row)
+
+
+def _version(content: bytes) -> int:
+    """The version that a header states; ValueError where there is no header."""
+    if len(content) < _HEADER or content[126:128] not in (b"IM", b"MI"):
+        raise ValueError("no MAT header")
+    order = "<" if content[126:128] == b"IM" else ">"
+    version = int(struct.unpack_from(order + "H", content, 124)[0])
+    if version not in (_V5, _V73):
+        raise ValueError(f"unknown version {version:#06x}")
+    return version
+
+
+def mat_variables(content: bytes) -> dict[str, MatVariable]:
+    """The variables of a MAT v5 file by name, members of structs as paths with dots; ValueError where it is damaged."""
+    whole = memoryview(content)
+    order = "<" if content[126:128] == b"IM" else ">"
+    variables: dict[str, MatVariable] = {}
+    for kind, body in _elements(whole[_HEADER:], order):
+        packed = kind == _COMPRESSED
+        if not packed and kind != _MATRIX:
+            raise ValueError(f"unknown element {kind}")
+        start = memoryview(zlib.decompressobj().decompress(body, _PEEK))[8:] if packed else body
+        flags = _flags(start, order)
+        if flags & 0xFF == _OPAQUE:
+            continue  # an object of MATLAB's own, which no other program reads
+        _, shape, name = _description(_elements(start, order), order)
+        if flags & 0xFF == _STRUCT:
+            variables |= _members(_unpacked(body, packed), order, name, 0)
+        elif name:  # what has none is MATLAB's own
+            variables[name] = MatVariable(name, shape, order, packed, body)
+    return variables
+
+
+def _unpacked(body: memoryview, packed: bool) -> memoryview:
+    return memoryview(zlib.decompress(body))[8:] if packed else body
+
+
+def _members(matrix: memoryview, order: str, path: str, depth: int) -> dict[str, MatVariable]:
+    """Numeric members of one struct, and of those inside it; those of an array of structs are nobody's column."""
+    elements = _elements(matrix, order)
+    _, shape, _ = _description(elements, order)
+    if math.prod(shape) != 1 or depth > _DEEPEST:
+        return {}
+    try:
+        (_, width), (_, names) = next(elements), next(elements)
+        size = int(struct.unpack_from(order + "i", width)[0])
+    except (RuntimeError, StopIteration, struct.error) as error:
+        raise ValueError("cut off within a struct") from error
+    if size <= 0 or len(names) % size:
+        raise ValueError("a struct whose names are damaged")
+    fields = [bytes(names[k : k + size]).partition(b"\0")[0].decode("latin-1") for k in range(0, len(names), size)]
+    found: dict[str, MatVariable] = {}
+    for field, (kind, body) in zip(fields, elements, strict=False):
+        if kind != _MATRIX or not len(body):
+            continue
+        own = _flags(body, order) & 0xFF
+        if own == _STRUCT:
+            found |= _members(body, order, f"{path}.{field}", depth + 1)
+        elif own in _NUMERIC_CLASSES:
+            member = _description(_elements(body, order), order)[1]
+            found[f"{path}.{field}"] = MatVariable(f"{path}.{field}", member, order, False, body)
+    return found
+
+
+def _flags(matrix: memoryview, order: str) -> int:
+    try:
+        _, flags = next(_elements(matrix, order))
+        return int(struct.unpack_from(order + "I", flags)[0])
+    except (StopIteration, struct.error) as error:
+        raise ValueError("cut off within a variable's description") from error
+
+
+def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
+    """(type, content) of one element after the other; content of up to four bytes shares the tag's eight."""
+    at = 0
+    while at < len(data):
+        if at + 8 > len(data):
+            raise ValueError("cut off within a tag")
+        kind, size = struct.unpack_from(order + "II", data, at)
+        start, small = at + 8, kind >> 16
+        if small:
+            kind, size, start = kind & 0xFFFF, small, at + 4
+        if start + size > len(data) or small > 4:
+            raise ValueError("cut off within an element")
+        yield kind, data[start : start + size]
+        # Elements begin at multiples of eight bytes, but what follows a compressed one does so at once.
+        at = start + size if kind == _COMPRESSED else at + 8 if small else start + -(-size // 8) * 8
+
+
+def _description(elements: Iterator[tuple[int, memoryview]], order: str) -> tuple[int, tuple[int, ...], str]:
+    """(flags, shape, name): the first three elements of every variable."""
+    try:
+        (_, flags), (_, shape), (_, name) = (next(elements) for _ in range(3))
+        sizes = tuple(np.frombuffer(shape, dtype=order + "i4").tolist())
+        return int(struct.unpack_from(order + "I", flags)[0]), sizes, bytes(name).decode("latin-1")
+    except (RuntimeError, struct.error) as error:  # a generator turns its inner StopIteration into RuntimeError
+        raise ValueError("cut off within a variable's description") from error

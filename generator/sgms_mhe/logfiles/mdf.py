@@ -1,0 +1,77 @@
+"""Measurement data of ASAM's format MDF 4 (and 3), by asammdf."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sgms_mhe.logfiles.table import Array, Table, array_row, columns_of, damaged, extra, real
+from sgms_mhe.support.errors import InputError
+
+_WHOLE = "a whole MDF file of numeric channels"
+
+
+def read_mdf(path: Path) -> Table:
+    """The table of all channels, the time of each group among them; the file states their units.
+
+    Wanted channels have to be of one group, or sampled at the same times. Raises InputError for a damaged file and
+    where asammdf is absent, OSError as open does.
+    """
+    asammdf = extra(path, "asammdf", "asammdf", "MDF")
+    with path.open("rb"):
+        pass  # a file that cannot be opened is told from one that is no MDF
+
+    def opened() -> Any:
+        hook, sys.unraisablehook = sys.unraisablehook, _silent
+        try:
+            try:
+                return asammdf.MDF(path)
+            except Exception as error:  # whatever a damaged file makes it stumble over
+                refusal = damaged(path, _WHOLE, error)
+            gc.collect()
+        finally:
+            sys.unraisablehook = hook
+        raise refusal
+
+    with opened() as content:
+        places = [(g, c) for g, group in enumerate(content.groups) for c in range(len(group.channels))]
+        channels = [content.groups[g].channels[c] for g, c in places]
+        columns = columns_of([channel.name for channel in channels], [channel.unit or "" for channel in channels])
+        masters = {g: content.masters_db.get(g) for g in range(len(content.groups))}
+    where = {column.name: place for column, place in zip(columns, places, strict=True)}
+
+    def read(names: Sequence[str]) -> Mapping[str, Array]:
+        values: dict[str, Array] = {}
+        times: dict[str, Array] = {}
+        with opened() as content:
+            for name in names:
+                group, channel = where[name]
+                try:
+                    signal = content.get(group=group, index=channel)
+                except Exception as error:
+                    raise damaged(path, _WHOLE, error) from None
+                is_master = masters[group] == channel
+                times[name] = np.asarray(signal.timestamps, dtype=np.float64)
+                values[name] = times[name] if is_master else real(path, f"channel {name}", signal.samples)
+        _check_times(path, times)
+        return values
+
+    return Table("MDF", columns, read, array_row)
+
+
+def _silent(unraisable: Any) -> None:
+    """What asammdf leaves half made of a damaged file complains of itself when it goes; the refusal says it."""
+
+
+def _check_times(path: Path, times: Mapping[str, Array]) -> None:
+    """Refuse channels that were not sampled together."""
+    first, *others = times
+    for name in others:
+        if not np.array_equal(times[name], times[first]):
+            allowed = f"channels sampled together; {first} has {len(times[first])} samples at other times"
+            raise InputError(path, f"channel {name}", f"{len(times[name])} samples", allowed)

@@ -1,0 +1,309 @@
+"""Whether a log's columns can be what they are called, on the machine that they are read for.
+
+A log with its columns mixed up, of the other sign, or in a unit that nobody stated, still holds numbers: an estimator
+would follow them and say nothing. What no axis can have measured is refused here, with what was seen and what to write.
+The limits are far from anything that a real axis, a wrong number of the machine or a coarse encoder would come to.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.logfiles.newton import force_balance, since_reversal
+from sgms_mhe.machine import QUANTITIES, Kind, Machine
+from sgms_mhe.signals.chain import readings
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
+
+Array = NDArray[np.float64]
+
+TOO_FAST: Final = 5.0
+"""Of max_velocity: a speed that a twentieth of a record exceeds is no speed of this axis."""
+TOO_WEAK: Final = 4.0
+"""RMS force that the motion needs over the one that was measured, friction added to it."""
+TOO_STRONG: Final = 100.0
+"""RMS force that was measured over the one that the motion needs, friction added to it; and the other way round."""
+WRONG_SCALE: Final = 20.0
+"""Force over acceleration, over the machine's mass: beyond it, or below its inverse, a unit is wrong, not the mass."""
+NEAR: Final = 3.0
+"""Within this factor of the machine's mass a unit is a remedy."""
+ALIKE: Final = 0.9
+"""Correlation with what position says from which a recorded velocity or acceleration is that of this motion."""
+APART: Final = 2.0
+"""Factor between the two from which its unit or sign is wrong."""
+STRAIGHT: Final = 1e-9
+"""Deviation from a line, over the range: less than any measured signal has."""
+INTERVAL: Final = 0.01
+"""Seconds over which means are taken where no machine says."""
+_TRAVEL: Final = 0.01
+"""Of the travel: how far behind a reversal friction has its new direction at the least."""
+
+_MAPPING = "[log] of the machine file says which variable a column is and in what unit"
+_SMALL: Final[Mapping[Kind, tuple[str, ...]]] = {"linear": ("mm", "um", "nm"), "rotary": ("deg", "mrad", "urad")}
+"""Units that people leave out, the usual one first."""
+
+
+def check_plausible(log: Log, machine: Machine | None) -> None:
+    """Refuse a log that this machine's axis, or without one no axis, can have left.
+
+    Raises:
+        InputError: a column that never changes, a column that is time or another column, columns that are swapped, a
+            motion that has nothing to do with the force, a force or a recorded velocity of the other sign, a unit that
+            is off by orders of magnitude.
+    """
+    samples = _samples(log, machine)
+    if len(log) <= samples:
+        return  # too short to tell, and for most else
+    log = readings(log)
+    _check_constant(log)
+    _check_copies(log)
+    if machine is not None:
+        _check_speed(log, machine)
+    motion = _motion(log, samples)
+    _check_derivatives(log, samples)
+    if len(motion) == 0:
+        return
+    _check_balance(log, machine, motion)
+    if machine is not None:
+        _check_force(log, machine, motion)
+
+
+def _units(log: Log, name: str) -> Mapping[str, tuple[float, float]]:
+    """Units in which a column may be, with their factors; the column by its name on a linear axis."""
+    own = log.units.named(name)
+    return next(quantity.units for quantity in QUANTITIES[log.kind] if quantity.column == own)
+
+
+def _refused(log: Log, where: str, seen: object, allowed: str) -> InputError:
+    return InputError(log.source or "log", where, seen, allowed)
+
+
+def _check_constant(log: Log) -> None:
+    for name, what in _CHANGING.items():
+        values = log.columns[name]
+        finite = values[np.isfinite(values)]
+        if len(finite) and finite.min() == finite.max():
+            raise _refused(log, f"column {log.units.named(name)}, every row", float(finite[0]), f"{what}; {_MAPPING}")
+
+
+_CHANGING: Final = {
+    "position_m": "a position that changes: without motion there is nothing to learn",
+    "force_N": "a force that changes: what moves an axis does",
+}
+"""What is wanted of columns that no motion leaves constant."""
+
+
+def _check_copies(log: Log) -> None:
+    """Refuse columns that are time, a row number, or one another."""
+    for name, values in (("position_m", log.position_m), ("force_N", log.force_N)):
+        slope = _slope(log.time_s, values)
+        # A motion at constant speed is straight too; but not at just one metre per second, or per row.
+        steps = (1.0, 1e3, 1e6, 1e9, log.rate)
+        if slope is not None and (name == "force_N" or any(math.isclose(slope, s, rel_tol=1e-6) for s in steps)):
+            seen = f"grows by {slope:.6g} every second"
+            raise _refused(log, f"column {log.units.named(name)}", seen, f"no time and no row number; {_MAPPING}")
+    if _slope(log.position_m, log.force_N) is not None:
+        raise _refused(log, _both(log), "the same signal", f"two signals; {_MAPPING}")
+
+
+def _both(log: Log) -> str:
+    return f"columns {log.units.named('position_m')} and {log.units.named('force_N')}"
+
+
+def _slope(x: Array, y: Array) -> float | None:
+    """Slope of y over x where y is a line in x; None where it is not."""
+    both = np.isfinite(x) & np.isfinite(y)
+    if both.sum() < 3:
+        return None
+    x, y = x[both] - x[both][0], y[both] - y[both][0]
+    last = int(np.argmax(np.abs(x)))
+    if x[last] == 0.0:
+        return None
+    slope = float(y[last] / x[last])
+    return slope if float(np.max(np.abs(y - slope * x))) <= STRAIGHT * float(np.ptp(y)) else None
+
+
+def _check_speed(log: Log, machine: Machine) -> None:
+    """Refuse a motion that is too fast for the axis."""
+    samples, highest, units = machine.sampling.samples_per_update, machine.sampling.max_velocity, machine.plant.units
+    position, force = units.named("position_m"), units.named("force_N")
+    fastest = _fastest(log.position_m, samples, log.rate)
+    if not fastest > TOO_FAST * highest:
+        return
+    seen = f"beyond {fastest:.3g} {units.velocity} in a twentieth of the record"
+    known = f"sampling.max_velocity of {machine.name} is {highest:g} {units.velocity}"
+    if _fastest(log.force_N, samples, log.rate) <= TOO_FAST * highest:
+        remedy = f'swapped with {force}? Then [log] has {position} = "{force}" and {force} = "{position}"'
+    else:
+        # Millimetres and degrees are what people have; the others where only they are slow enough.
+        usual = _SMALL[machine.plant.kind]
+        known_units = _units(log, "position_m")
+        unit = next((unit for unit in usual if fastest * known_units[unit][0] <= highest), usual[0])
+        remedy = f'another column or unit? [log] has {position} = {{ variable = "...", unit = "{unit}" }}'
+    raise _refused(log, f"column {position}", seen, f"a position in {units.metres}; {known}; {remedy}")
+
+
+def _fastest(position: Array, samples: int, rate: float) -> float:
+    """Mean speed in an interval that a twentieth of them exceeds; NaN where there is none without a gap."""
+    speed = np.abs(np.diff(position[::samples])) * rate / samples
+    speed = speed[np.isfinite(speed)]
+    return float(np.quantile(speed, 0.95)) if len(speed) else math.nan
+
+
+class _Motion:
+    """Means of a log over two intervals around each node, without gaps: position, velocity, acceleration, force (n,).
+
+    The second difference of position over an interval is a mean of the acceleration with triangular weights; so is the
+    force here. Over an interval neither noise nor quantisation count for much.
+    """
+
+    def __init__(self, position: Array, force: Array, samples: int, rate: float) -> None:
+        nodes, per_second = position[::samples], rate / samples
+        acceleration = np.diff(nodes, n=2) * per_second**2
+        mean = triangular_mean(force, samples)
+        sound = np.isfinite(acceleration) & np.isfinite(mean)
+        self.position, self.velocity = nodes[1:-1][sound], (nodes[2:] - nodes[:-2])[sound] * per_second / 2.0
+        self.acceleration, self.force = acceleration[sound], mean[sound]
+
+    def __len__(self) -> int:
+        return len(self.force)
+
+
+def triangular_mean(values: Array, samples: int) -> Array:
+    """Means over two intervals with weights that rise to the node between them, and fall again (nodes - 2,)."""
+    count = (len(values) - 1) // samples
+    rows = values[: count * samples].reshape(count, samples)
+    rise = (np.arange(samples) + 0.5) / samples**2
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(rows[:-1] @ rise + rows[1:] @ rise[::-1])
+
+
+def _samples(log: Log, machine: Machine | None) -> int:
+    return machine.sampling.samples_per_update if machine is not None else max(1, round(INTERVAL * log.rate))
+
+
+def _motion(log: Log, samples: int) -> _Motion:
+    return _Motion(log.position_m, log.force_N, samples, log.rate)
+
+
+def _check_derivatives(log: Log, samples: int) -> None:
+    """Refuse a recorded velocity or acceleration whose sign or unit is not that of the recorded position."""
+    per_second, nodes = log.rate / samples, log.position_m[::samples]
+    count = (len(log) - 1) // samples
+    moved = np.diff(nodes)[:count] * per_second
+    for name, expected in (("velocity_m_s", moved), ("acceleration_m_s2", np.diff(nodes, n=2) * per_second**2)):
+        recorded = log.columns.get(name)
+        if recorded is None:
+            continue
+        if name == "velocity_m_s":
+            mean = recorded[: count * samples].reshape(count, samples).mean(axis=1)
+        else:
+            mean = triangular_mean(recorded, samples)
+        both = np.isfinite(mean) & np.isfinite(expected)
+        mean, expected = mean[both], expected[both]
+        if len(mean) < 3 or not np.std(mean) > 0.0 or not np.std(expected) > 0.0:
+            continue
+        if abs(float(np.corrcoef(mean, expected)[0, 1])) < ALIKE:
+            continue  # noise, or a delay: nothing to judge a unit by
+        ratio = float(mean @ expected / (expected @ expected))
+        if 1.0 / APART <= ratio <= APART:
+            continue
+        remedy = "scale = -1.0" if -APART <= ratio <= -1.0 / APART else _unit_near(log, name, ratio) or "scale = ..."
+        own, position = log.units.named(name), log.units.named("position_m")
+        allowed = f'{own} as {position} has it; [log] of the machine file has {own} = {{ variable = "...", {remedy} }}'
+        raise _refused(log, f"column {own}", f"{ratio:.3g} times the rate of change of {position}", allowed)
+
+
+def _unit_near(log: Log, name: str, ratio: float) -> str:
+    """The unit in which a column would be right that is `ratio` times what it should be; empty where there is none."""
+    units = _units(log, name).items()
+    found = next((unit for unit, (factor, _) in units if factor != 1.0 and 1 / NEAR <= ratio * factor <= NEAR), None)
+    return "" if found is None else f'unit = "{found}"'
+
+
+def _check_balance(log: Log, machine: Machine | None, motion: _Motion) -> None:
+    """Refuse a force of the other sign, or whose ratio to the acceleration is no mass of this axis."""
+    travel = float(np.ptp(motion.position))
+    distance = _TRAVEL * travel
+    if machine is not None:
+        distance = max(distance, _breakaway(machine))
+    balance = force_balance(motion.position, motion.velocity, motion.acceleration, motion.force, distance)
+    units = log.units
+    position, force = units.named("position_m"), units.named("force_N")
+    share = f"{balance.inertia:.3g} {units.force} per {units.acceleration}"
+    if balance.reversed:
+        seen = share if balance.inertia < 0.0 else "drives the motion as no friction does"
+        allowed = (
+            f"a {units.push} that accelerates the axis the way that {position} counts; of the other sign "
+            f'[log] of the machine file has {force} = {{ variable = "...", scale = -1.0 }}, or the same for {position}'
+        )
+        raise _refused(log, f"column {force}", seen, allowed)
+    if machine is None or balance.inertia == 0.0:
+        return
+    ratio = balance.inertia / machine.plant.moved
+    if 1.0 / WRONG_SCALE <= ratio <= WRONG_SCALE:
+        return
+    moved = f"{machine.plant.moved:g} {units.mass}"
+    allowed = f"about plant.{units.inert} of {machine.name}, {moved}; {_remedy(log, machine, ratio)}"
+    raise _refused(log, _both(log), share, allowed)
+
+
+def _breakaway(machine: Machine) -> float:
+    """Twice the distance after which the last element slips [m]: the machine's numbers may be wrong."""
+    friction = machine.friction
+    level = friction.coulomb * (1.0 + friction.stribeck_ratio)
+    return 2.0 * max(nu * level / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True))
+
+
+def _remedy(log: Log, machine: Machine, ratio: float) -> str:
+    """What to write where force over acceleration is `ratio` times the mass: units that would put it right."""
+    fastest = _fastest(log.position_m, machine.sampling.samples_per_update, log.rate)
+    highest, found, units = machine.sampling.max_velocity, [], log.units
+    position, force = units.named("position_m"), units.named("force_N")
+    for unit, (factor, _) in _units(log, "position_m").items():
+        if factor != 1.0 and 1 / NEAR <= ratio / factor <= NEAR and fastest * factor <= highest:
+            found.append(f'{position} = {{ variable = "...", unit = "{unit}" }}')
+    found += [
+        f'{force} = {{ variable = "...", unit = "{unit}" }}'
+        for unit, (factor, _) in _units(log, "force_N").items()
+        if factor != 1.0 and 1 / NEAR <= ratio * factor <= NEAR
+    ]
+    found = found or [f'{force} = {{ variable = "...", scale = ... }} if it is no {units.push} in {units.force}']
+    return f"[log] of the machine file has {' or '.join(found)}"
+
+
+def _check_force(log: Log, machine: Machine, motion: _Motion) -> None:
+    """Refuse a motion that this force cannot have made, or a force beyond all that the motion takes."""
+    friction = machine.friction
+    fastest = _fastest(log.position_m, machine.sampling.samples_per_update, log.rate)
+    resisting = friction.coulomb * (1.0 + friction.stribeck_ratio) + friction.viscous * fastest
+    needed = machine.plant.moved * float(np.sqrt(np.mean(motion.acceleration**2)))
+    measured = float(np.std(motion.force))
+    sliding = since_reversal(motion.position, _breakaway(machine)) > _breakaway(machine)
+    rubbing = friction.coulomb * float(np.std(np.sign(motion.velocity) * sliding))
+
+    def fits(length: float = 1.0, strength: float = 1.0) -> bool:
+        inertial, taken = length * needed, strength * measured
+        too_weak = inertial > TOO_WEAK * (taken + resisting) or rubbing > TOO_STRONG * taken
+        return not too_weak and taken <= TOO_STRONG * (inertial + resisting)
+
+    if fits():
+        return
+    units = log.units
+    lengths, strengths = _units(log, "position_m"), _units(log, "force_N")
+    position, force = units.named("position_m"), units.named("force_N")
+    small, strong = _SMALL[log.kind], [unit for unit, (factor, _) in strengths.items() if factor != 1.0]
+    remedies = [(position, unit) for unit in small if fits(length=lengths[unit][0])][:1]
+    remedies += [(force, unit) for unit in strong if fits(strength=strengths[unit][0])]
+    lines = [f'{name} = {{ variable = "...", unit = "{unit}" }}' for name, unit in remedies]
+    seen = (
+        f"{needed:.3g} {units.force} rms for plant.{units.inert} = {machine.plant.moved:g} {units.mass} to move so and "
+        f"{rubbing:.3g} {units.force} rms for friction.coulomb, {measured:.3g} {units.force} rms measured"
+    )
+    remedy = f"[log] of the machine file has {' or '.join(lines)}" if lines else _MAPPING
+    raise _refused(log, _both(log), seen, f"a motion and the {units.push} that makes it; {remedy}")

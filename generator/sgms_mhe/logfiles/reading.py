@@ -1,0 +1,137 @@
+"""A file read: each step's result, and the log that comes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+from sgms_mhe.logfiles.hdf5 import read_hdf5
+from sgms_mhe.logfiles.mat import read_mat
+from sgms_mhe.logfiles.mdf import read_mdf
+from sgms_mhe.logfiles.numpy_files import read_numpy
+from sgms_mhe.logfiles.parquet import read_parquet
+from sgms_mhe.logfiles.quantities import si_values
+from sgms_mhe.logfiles.resampling import Resampling, resample
+from sgms_mhe.logfiles.sources import Source, choose_sources
+from sgms_mhe.logfiles.table import Array, Table
+from sgms_mhe.logfiles.text import read_text
+from sgms_mhe.logfiles.timing import Timing, check_uniform, measure_time
+from sgms_mhe.machine import QUANTITIES, REQUIRED, Kind, LogMapping, Machine
+from sgms_mhe.signals.logs import JITTER, Log, check_rate
+from sgms_mhe.support.errors import InputError
+
+READERS: Final[Mapping[str, Callable[[Path], Table]]] = MappingProxyType(
+    {
+        ".mat": read_mat,
+        ".npz": read_numpy,
+        ".npy": read_numpy,
+        **dict.fromkeys((".h5", ".hdf5", ".hdf"), read_hdf5),
+        **dict.fromkeys((".parquet", ".pq"), read_parquet),
+        **dict.fromkeys((".mf4", ".mdf"), read_mdf),
+    }
+)
+"""Reader of each format that is no text, by the suffix of the file's name, in lower case."""
+
+TEXTS: Final = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn", ".log")
+"""Suffixes of delimited text."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What was understood of a file, not yet judged.
+
+    Attributes:
+        table: the file, its format and dialect understood.
+        kind: of the axis whose quantities it holds.
+        sources: where each quantity comes from.
+        timing: the clock as it was recorded.
+        resampling: of uneven time, where [log] asks for it; else None.
+        columns: the quantities (n,) by their columns' names, in SI units, on the grid where there is one.
+    """
+
+    path: Path
+    table: Table
+    kind: Kind
+    sources: tuple[Source, ...]
+    timing: Timing
+    resampling: Resampling | None
+    columns: Mapping[str, Array]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on what was left out or changed."""
+        return (*self.table.notes, *(() if self.resampling is None else (self.resampling.note,)))
+
+
+def read_log(path: str | Path, machine: Machine | None = None) -> Log:
+    """Read and check a log; `[log]` of the machine maps the file's variables, scales and units.
+
+    A column whose mapped variable is not in the file is taken from the variable of the column's own name, so that a
+    simulated log is read with the machine file that maps a measured one. Raises InputError, which names the first
+    offending row, for time that is not uniform within 1 %, for a column that is missing or has no number at all, and
+    for files that cannot be read.
+    """
+    return log_of(understand(path, machine), machine)
+
+
+def understand(path: str | Path, machine: Machine | None = None) -> Reading:
+    """Read a file as far as it can be understood. Raises InputError, with what to write where, for what cannot."""
+    path = Path(path)
+    mapping = machine.log if machine is not None else None
+    table = _table(path, mapping)
+    kind, sources = choose_sources(path, table, mapping, machine.plant.kind if machine is not None else None)
+    columns = si_values(path, table, sources)
+    timing = measure_time(path, columns["time_s"], table.row)
+    rate = machine.sampling.rate if machine is not None else None
+    resampling = None
+    if mapping is not None and mapping.resample and not _on_grid(timing, rate):
+        resampling = resample(path, columns, timing, rate)
+        columns = dict(resampling.columns)
+    return Reading(path, table, kind, sources, timing, resampling, columns)
+
+
+def log_of(reading: Reading, machine: Machine | None = None) -> Log:
+    """The log. Raises InputError for one of another kind of axis than the machine's, uneven time, and another rate."""
+    if machine is not None:
+        check_kind(reading, machine)
+    if reading.resampling is None:
+        check_uniform(reading.path, reading.columns["time_s"], reading.timing, reading.table.row)
+    rate = reading.timing.rate if reading.resampling is None else reading.resampling.rate
+    own = {quantity.column: quantity.role for quantity in QUANTITIES[reading.kind]}
+    field = {quantity.role: quantity.column for quantity in QUANTITIES["linear"]}
+    columns: dict[str, Any] = {field[own[name]]: values for name, values in reading.columns.items()}
+    log = Log(**columns, rate=rate, source=str(reading.path), kind=reading.kind)
+    if machine is not None:
+        check_rate(log, machine)
+    return log
+
+
+def check_kind(reading: Reading, machine: Machine) -> None:
+    """Refuse a log of another kind of axis than the machine's."""
+    wanted = machine.plant.kind
+    if reading.kind == wanted:
+        return
+    names = ", ".join(source.quantity.column for source in reading.sources)
+    needed = ", ".join(quantity.column for quantity in QUANTITIES[wanted] if quantity.role in REQUIRED)
+    allowed = (
+        f"columns of a {wanted} axis, as {machine.name} is ([plant] kind); [log] of the machine file maps {needed}"
+    )
+    raise InputError(reading.path, "columns", f"{names} of a {reading.kind} axis", allowed)
+
+
+def _table(path: Path, mapping: LogMapping | None) -> Table:
+    suffix = path.suffix.lower()
+    if suffix not in READERS and suffix not in TEXTS:
+        allowed = f"a log with one of the suffixes {', '.join((*TEXTS, *READERS))}"
+        raise InputError(path, "file name", path.name, allowed)
+    try:
+        return read_text(path, mapping) if suffix in TEXTS else READERS[suffix](path)
+    except OSError as error:
+        raise InputError(path, "file", None, f"a readable log ({error.strerror or error})") from None
+
+
+def _on_grid(timing: Timing, rate: float | None) -> bool:
+    return timing.uniform and (rate is None or abs(timing.rate - rate) <= JITTER * rate)

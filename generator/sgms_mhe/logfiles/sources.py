@@ -1,0 +1,265 @@
+"""Which column of a file is which quantity, and in what unit: by `[log]`, by the log's own names, by name and unit.
+
+A name alone is never enough: `position` without a unit is refused with the line that would say it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from sgms_mhe.logfiles.dialect import UNITS
+from sgms_mhe.logfiles.table import Column, Table
+from sgms_mhe.machine import COUNTS, QUANTITIES, REQUIRED, Kind, LogColumn, LogMapping, Quantity, Role, normal_unit
+from sgms_mhe.support.errors import InputError
+
+ALIASES: Final[Mapping[Role, frozenset[str]]] = {
+    "time": frozenset("t time zeit timestamp datetime elapsed".split()),
+    "position": frozenset("x q pos position actpos actualposition positionactual lage angle phi theta".split()),
+    "force": frozenset(
+        "f u force driveforce motorforce actforce actualforce kraft torque drivetorque motortorque".split()
+    )
+    | frozenset("acttorque actualtorque moment m tau".split()),
+}
+"""Names that are the required quantities where their unit is stated; without spaces, marks and capitals."""
+
+SHOWN: Final = 20
+"""Names of a file that a message repeats."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a quantity comes from: SI value = (scale * variable + offset) * factor + shift of the unit.
+
+    Attributes:
+        column: name in the file's table.
+        row: of a matrix, from 1; None for a vector.
+        unit: as this package spells it.
+        because: what said so, for people.
+    """
+
+    quantity: Quantity
+    column: str
+    unit: str
+    because: str
+    row: int | None = None
+    scale: float = 1.0
+    offset: float = 0.0
+    counts_per: float | None = None
+    wrap: float | None = None
+
+    @property
+    def described(self) -> str:
+        """Column and row, for people."""
+        return self.column if self.row is None else f"{self.column}, row {self.row}"
+
+
+def choose_sources(
+    path: Path, table: Table, mapping: LogMapping | None, preferred: Kind | None
+) -> tuple[Kind, tuple[Source, ...]]:
+    """(kind of axis, sources of its quantities, the required ones first).
+
+    `preferred` is the machine's kind, which decides where the file has the columns of both. Raises InputError for a
+    quantity that is missing or found twice, and for a unit that is not stated or not one of the quantity's.
+    """
+    kind = _kind(path, table, mapping, preferred)
+    mapped = mapping.columns if mapping is not None else {}
+    sources = []
+    for quantity in QUANTITIES[kind]:
+        source = _source(path, table, quantity, mapped.get(quantity.column))
+        if source is not None:
+            sources.append(source)
+    return kind, tuple(sources)
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """(name without its unit, that unit as it stands) of 'Position [mm]', 'F (N)', 't/ms', 'pos_mm', 'Pos., mm'.
+
+    The unit is empty where there is none; in brackets it may be anything.
+    """
+    if found := re.fullmatch(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]", name):
+        return found[1], found[2]
+    for pattern in (
+        r"(.*[^\s/])\s*/\s*([^/\s][^/]*(?:/.+)?)",
+        r"(.*\S)\s*,\s*(\S+)",
+        r"(.*\S)\s+in\s+(\S+)",
+        r"(.+?)_(.+)",
+    ):
+        if (found := re.fullmatch(pattern, name)) and normal_unit(found[2].replace("_", "/")) in UNITS:
+            return found[1], found[2].replace("_", "/")
+    while "_" in name:  # act_pos_mm: the unit is the last part
+        head, _, tail = name.rpartition("_")
+        return (head, tail) if normal_unit(tail) in UNITS else (name, "")
+    return name, ""
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\s_.,\-/]+", "", name).casefold()
+
+
+def _is_alias(column: Column, quantity: Quantity) -> bool:
+    last = split_name(column.header)[0].rpartition(".")[2]
+    return _plain(last) in ALIASES.get(quantity.role, ())
+
+
+def _stated(column: Column, quantity: Quantity) -> str:
+    """The unit that the file states for a column, beside the name or in it, as this package spells it."""
+    beside = normal_unit(column.unit)
+    unit = beside if beside not in ("", "-") else normal_unit(split_name(column.header)[1])
+    return "N m" if unit in ("nm", "NM") and quantity.unit == "N m" else unit  # no torque is in nanometres
+
+
+def _candidates(table: Table, quantity: Quantity) -> list[Column]:
+    """Columns that are this quantity by the log's own name, or else by a usual name with one of its units."""
+    own = [column for column in table.columns if column.header == quantity.column]
+    if own or quantity.role not in REQUIRED:
+        return own
+    named = [column for column in table.columns if _is_alias(column, quantity)]
+    stamps = [column for column in named if column.name in table.stamped] if quantity.role == "time" else []
+    sound = [column for column in named if _stated(column, quantity) in quantity.units]
+    return stamps or sound or [column for column in named if _stated(column, quantity) in quantity.allowed]
+
+
+def _kind(path: Path, table: Table, mapping: LogMapping | None, preferred: Kind | None) -> Kind:
+    if mapping is not None and mapping.kind is not None:
+        return mapping.kind
+    found = _kinds(table, sure=True) or _kinds(table, sure=False)
+    if len(found) == 2 and preferred is None:
+        allowed = "columns of one kind of axis; [log] of the machine file says which: position_m or position_rad = ..."
+        raise InputError(path, "columns", _shown(table), allowed)
+    return preferred if preferred is not None and (preferred in found or not found) else [*found, "linear"][0]
+
+
+def _kinds(table: Table, *, sure: bool) -> list[Kind]:
+    """Kinds of axis whose position or force the file has; `sure`: in a unit that no other kind has."""
+    return [
+        kind
+        for kind, quantities in QUANTITIES.items()
+        if any(
+            not sure or column.header == quantity.column or _stated(column, quantity) in quantity.units
+            for quantity in quantities
+            if quantity.role in ("position", "force")
+            for column in _candidates(table, quantity)
+        )
+    ]
+
+
+def _shown(table: Table) -> str:
+    names = [column.name for column in table.columns]
+    shown = ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "") or "none"
+    return f"{shown} (no header was found above its rows)" if dict(table.dialect).get("header") == "none" else shown
+
+
+def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | None) -> Source | None:
+    column = None if mapped is None else _named(path, table, quantity, mapped)
+    if mapped is not None and column is not None:
+        return Source(
+            quantity,
+            column.name,
+            *_mapped_unit(path, quantity, mapped, column, column.name in table.stamped),
+            mapped.row,
+            mapped.scale,
+            mapped.offset,
+            mapped.counts_per,
+            mapped.wrap,
+        )
+    found = _candidates(table, quantity)
+    if mapped is not None:  # what [log] names is not there: only a log of this package's own takes its place
+        found = [candidate for candidate in found if candidate.header == quantity.column]
+    if len(found) > 1:
+        names = ", ".join(candidate.name for candidate in found)
+        allowed = f"one column; [log] of the machine file says which: {_line(quantity, found[0].name)}"
+        raise InputError(path, f"column {quantity.column}", found[0].header if _same(found) else names, allowed)
+    if not found:
+        if quantity.role in REQUIRED or mapped is not None:
+            raise _missing(path, table, quantity, mapped)
+        return None
+    return _own(path, quantity, found[0], found[0].name in table.stamped)
+
+
+def _same(columns: Sequence[Column]) -> bool:
+    return len({column.header for column in columns}) == 1
+
+
+def _line(quantity: Quantity, name: str, unit: str = "") -> str:
+    """The line of [log] that a user may write."""
+    return f'{quantity.column} = {{ variable = "{name}", unit = "{unit or "..."}" }}'
+
+
+def _missing(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | None) -> InputError:
+    wanted = quantity.column
+    if mapped is not None:
+        wanted = f"{mapped.described} (log.{quantity.column}) or {quantity.column}"
+    named = next((column for column in table.columns if _is_alias(column, quantity)), None)
+    if named is not None:
+        stated = _stated(named, quantity)
+        seen = f"in {stated}, which is none of {', '.join(quantity.allowed)}" if stated else "without a unit"
+        hint = f"{named.name} is there {seen}; [log] of the machine file says: {_line(quantity, named.name)}"
+    else:
+        hint = f"[log] of the machine file says where it is: {_line(quantity, '...')}"
+    allowed = f"missing: a column {wanted}; the file has {_shown(table)}. {hint}"
+    return InputError(path, f"column {quantity.column}", None, allowed)
+
+
+def _named(path: Path, table: Table, quantity: Quantity, mapped: LogColumn) -> Column | None:
+    """The column that [log] names: exactly, else by its name without the unit; None where there is none."""
+    columns = table.columns
+    if not mapped.name:
+        if len(columns) == 1:
+            return columns[0]
+        allowed = f"a variable beside the row; the file has {_shown(table)}"
+        raise InputError(path, f"[log] {quantity.column}", mapped.described, allowed)
+    name = mapped.name
+    exact = [column for column in columns if name in (column.name, column.header)]
+    found = exact or [c for c in columns if _plain(split_name(c.header)[0]) == _plain(name)]
+    if len(found) > 1 and name not in {column.name for column in found}:
+        names = " or ".join(column.name for column in found)
+        allowed = f'a name that the file has once; [log] says which: variable = "{names}"'
+        raise InputError(path, f"[log] {quantity.column}", name, allowed)
+    return found[0] if found else None
+
+
+def _mapped_unit(path: Path, quantity: Quantity, mapped: LogColumn, column: Column, stamped: bool) -> tuple[str, str]:
+    """(unit, what said so) of a column that [log] maps: its unit, else the file's, else the SI unit."""
+    if stamped:
+        return quantity.unit, "time stamps"
+    if mapped.unit is not None:
+        return normal_unit(mapped.unit), "[log]"
+    stated = _stated(column, quantity)
+    if mapped.scale != 1.0 or not stated:
+        return quantity.unit, "[log]"
+    return _checked(path, quantity, column, stated), "[log], its unit by the file"
+
+
+def _own(path: Path, quantity: Quantity, column: Column, stamped: bool) -> Source:
+    """The source of a column that no [log] maps."""
+    if stamped and quantity.role == "time":
+        return Source(quantity, column.name, quantity.unit, "time stamps")
+    if column.header == quantity.column:
+        beside = normal_unit(column.unit)
+        if beside not in ("", "-", quantity.unit):
+            line = _line(quantity, column.name, beside if beside in quantity.allowed else quantity.unit)
+            allowed = f"the unit {quantity.unit}, as in its name; which holds? [log] of the machine file says: {line}"
+            raise InputError(path, f"column {column.name}, unit", column.unit, allowed)
+        return Source(quantity, column.name, quantity.unit, "its name")
+    stated = _checked(path, quantity, column, _stated(column, quantity))
+    return Source(quantity, column.name, stated, "name and unit")
+
+
+def _checked(path: Path, quantity: Quantity, column: Column, unit: str) -> str:
+    """A unit that the file states, where it alone makes SI values; else refused with what [log] has to say."""
+    if unit in quantity.units:
+        return unit
+    where = f"column {column.name}, unit"
+    if unit in COUNTS and unit in quantity.allowed:
+        per = "revolution" if quantity.unit.startswith("rad") else "metre"
+        line = f'{quantity.column} = {{ variable = "{column.name}", unit = "{unit}", counts_per = ... }}'
+        raise InputError(path, where, unit, f"how many make a {per}; [log] of the machine file says: {line}")
+    if unit in quantity.recorded:
+        line = f'{quantity.column} = {{ variable = "{column.name}", unit = "{unit}", scale = ... }}'
+        raise InputError(path, where, unit, f"{quantity.unit} per {unit}; [log] of the machine file says: {line}")
+    allowed = f"one of {', '.join(quantity.allowed)}; [log] of the machine file says: {_line(quantity, column.name)}"
+    raise InputError(path, where, unit, allowed)

@@ -1,0 +1,106 @@
+"""What every reader of a file gives: named columns, read when they are asked for, and where their rows stand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.support.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column, variable or channel that was found in a file.
+
+    Attributes:
+        name: unique within the file; of names that occur twice `name (1)`, `name (2)`.
+        header: the name as it stands there.
+        unit: what the file states beside the name (a unit row, an attribute); empty where it states nothing.
+        shape: of the values where it is known before reading, else empty.
+    """
+
+    name: str
+    header: str
+    unit: str = ""
+    shape: tuple[int, ...] = ()
+
+
+def columns_of(headers: Sequence[str], units: Sequence[str] = ()) -> tuple[Column, ...]:
+    """Columns of these names, made unique."""
+    totals = {header: headers.count(header) for header in set(headers)} if len(set(headers)) < len(headers) else {}
+    seen: dict[str, int] = {}
+    columns = []
+    for k, header in enumerate(headers):
+        seen[header] = seen.get(header, 0) + 1
+        name = f"{header} ({seen[header]})" if totals.get(header, 1) > 1 else header
+        columns.append(Column(name, header, units[k] if units else ""))
+    return tuple(columns)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A file, its format understood.
+
+    Attributes:
+        form: the format, for people.
+        dialect: what was understood of the format, as (what, how) for people; empty where there is nothing to choose.
+        columns: everything that was found, in the file's order.
+        read: values of columns by name: real numbers (n,) or (rows, n), or seconds since the first time stamp (n,);
+            raises InputError for what is neither.
+        row: where sample i (from 0) stands in the file.
+        stamped: names of the columns that hold time stamps.
+        notes: sentences on what was left out.
+    """
+
+    form: str
+    columns: tuple[Column, ...]
+    read: Callable[[Sequence[str]], Mapping[str, NDArray[Any]]]
+    row: Callable[[int], str]
+    dialect: tuple[tuple[str, str], ...] = ()
+    stamped: frozenset[str] = field(default=frozenset())
+    notes: tuple[str, ...] = ()
+
+
+def damaged(path: Path, allowed: str, error: Exception) -> InputError:
+    """The error of a file that its reader stumbles over."""
+    return InputError(path, "file", None, f"{allowed} ({type(error).__name__}: {error})")
+
+
+def array_row(index: int) -> str:
+    """Where a row stands in a file of arrays."""
+    return f"row {index + 1}"
+
+
+def real(path: Path, name: str, value: Any) -> Array:
+    """Values as real numbers in their own shape. Raises InputError for anything else."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiub":
+        raise InputError(path, f"variable {name}", f"{array.dtype} array of shape {array.shape}", "real numbers")
+    return array.astype(np.float64)
+
+
+def seconds(stamps: NDArray[Any]) -> Array:
+    """datetime64 (n,) as seconds since the first; NaN where there is none."""
+    whole = stamps.astype("datetime64[ns]")
+    known = ~np.isnat(whole)
+    if not known.any():
+        return np.full(len(whole), np.nan)
+    since = (whole - whole[known][0]).astype(np.int64) / 1e9
+    return np.where(known, since, np.nan)
+
+
+def extra(path: Path, module: str, package: str, form: str) -> Any:
+    """A library that is not among this package's own. Raises InputError, with how to install it, where it is absent."""
+    try:
+        return import_module(module)
+    except ImportError:
+        allowed = f"the library {package} for {form}, which is not installed: pip install {package}"
+        raise InputError(path, "file", path.name, allowed) from None
