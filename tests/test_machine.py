@@ -190,7 +190,9 @@ def test_unknown_machine_is_refused(name: str) -> None:
 
 
 def test_unknown_name_lists_the_known_ones() -> None:
-    shipped = r"\bemps, etel_xy, etel_xy_compensation, etel_xy_controller, etel_xy_paper, etel_xy_switching\b"
+    shipped = (
+        r"\bemps, etel_xy, etel_xy_compensation, etel_xy_controller, etel_xy_paper, etel_xy_rotary, etel_xy_switching\b"
+    )
     assert re.search(shipped, refused("etel_yx").allowed)
 
 
@@ -287,16 +289,16 @@ BAD_VALUES = [
     ("friction.coulomb = 0.0", "friction.coulomb", "greater than 0"),
     ("friction.viscous = -1.0", "friction.viscous", "greater than or equal to 0"),
     ("friction.stribeck_ratio = -0.1", "friction.stribeck_ratio", "greater than or equal to 0"),
-    ("friction.stribeck_velocity = 0.0", "friction.stribeck_velocity", "[m/s]"),
+    ("friction.stribeck_velocity = 0.0", "friction.stribeck_velocity", "[m/s, rad/s]"),
     ("friction.smoothing.zeta = 1.0", "friction.smoothing.zeta", "less than 1"),
     ("friction.smoothing.lambda = -35.0", "friction.smoothing.lambda", "greater than 0"),
     ("friction.stiffness = [120e3, -25e3, 7.1e3, 7.9e3]", "friction.stiffness[2]", "greater than 0"),
     ("friction.micro_viscous = [0.0, 0.0, -1.0, 0.0]", "friction.micro_viscous[3]", "greater than or equal to 0"),
-    ("sampling.max_velocity = 0.0", "sampling.max_velocity", "[m/s]"),
+    ("sampling.max_velocity = 0.0", "sampling.max_velocity", "[m/s, rad/s]"),
     ("sampling.rate = 0.0", "sampling.rate", "[Hz]"),
     ("sampling.update_rate = -100.0", "sampling.update_rate", "greater than 0"),
     ("estimator.horizon = 0", "estimator.horizon", "greater than or equal to 1"),
-    ("estimator.noise.measurement = 0.0", "estimator.noise.measurement", "[N]"),
+    ("estimator.noise.measurement = 0.0", "estimator.noise.measurement", "[N, N m]"),
     ("estimator.noise.state = 0.0", "estimator.noise.state", "greater than 0"),
     ("estimator.noise.parameter_drift = -0.1", "estimator.noise.parameter_drift", "greater than or equal to 0"),
     # numbers that are none

@@ -1,7 +1,7 @@
 /* Every public call of one package along a motion that asks for much, on two axes, one task and two: presliding, moves
  * up to speed and beyond, standstill, gaps, readings that are none, samples lost, resets, signals of a chain of its
  * own. Prints digest of the bits of all that came out, numbers that it is of, statuses that were seen (one bit each: 0
- * OK, 1 to 6 the flags in their order, 7 to 9 the refusals) the same wherever arithmetic is that of IEEE 754 and
+ * OK, 1 to 7 the flags in their order, 8 to 10 the refusals) the same wherever arithmetic is that of IEEE 754 and
  * nothing contracts it. Compiled as package.h says; on an emulated microcontroller (-DON_TARGET) the three go to
  * results.bin, 64 bits each. */
 #include "package.h"
@@ -41,7 +41,7 @@ static void take_status(int status)
 {
     const int32_t value = status;
     take_bytes(&value, sizeof value);
-    statuses |= status < 0 ? UINT64_C(1) << (6 - status) : status == 0 ? 1u : (uint64_t)status << 1;
+    statuses |= status < 0 ? UINT64_C(1) << (7 - status) : status == 0 ? 1u : (uint64_t)status << 1;
     for (const char *text = CALL(status_text)(status); *text; text++) {
         take_bytes(text, 1);
     }
@@ -166,6 +166,15 @@ static void begin(void)
             take_bytes(&of_counts[i], sizeof of_counts[i]);
         }
     }
+}
+
+/* On and on at a low speed, until all doubt is gone. */
+static void glide(void)
+{
+    const double speed = 0.05 * (double)MAX_VELOCITY;
+    velocity = 0.0;
+    move(speed / ((double)SAMPLES * (double)SAMPLE_TIME), SAMPLES);
+    move(0.0, 150L * SAMPLES);
 }
 
 /* Loops of growing size through presliding, then moves up to the largest speed. */
@@ -305,6 +314,7 @@ static void exercise(void)
     stand(3L * SAMPLES);
     obeys_model = 1;
     stand((HORIZON + 3L) * SAMPLES);
+    glide();
     go_round();
     stand_and_wait(100);
     obeys_model = 0;

@@ -21,7 +21,7 @@ typedef CALL(estimate_t) machine_estimate;
 /* What statuses may be: a sum of these flags, or one of three refusals. */
 enum {
     FLAGS = CONSTANT(FILLING) + CONSTANT(MISSING) + CONSTANT(HOLD) + CONSTANT(BOUND) + CONSTANT(SPEED) +
-    CONSTANT(OVERRUN)
+    CONSTANT(OVERRUN) + CONSTANT(DOUBT)
 };
 
 static inline int is_status(int status)

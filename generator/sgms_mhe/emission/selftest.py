@@ -40,8 +40,12 @@ def selftest_vectors(model: Model) -> Vectors:
     size = max(nu * friction.coulomb / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True))
     phase = np.linspace(0.0, 2.0 * math.pi * _PERIODS, n)
     growth = np.linspace(0.0, 1.0, n) ** 2
+    position = 0.8 * size * growth * np.sin(phase)
+    # Faster than it may be the axis would show nothing but parameters at their bounds.
+    fastest = float(np.abs(np.gradient(position)).max()) * sampling.rate
+    position *= min(1.0, 0.9 * sampling.max_velocity / fastest)
     # Picometres are whole numbers in a single-precision package's input too.
-    position = np.round(0.8 * size * growth * np.sin(phase), 12)
+    position = np.round(position, 12)
     velocity = np.gradient(position) * sampling.rate
     acceleration = np.gradient(velocity) * sampling.rate
     force = np.round(

@@ -20,9 +20,11 @@ class Plant(Table):
     """What moves."""
 
     kind: Kind = text("what the axis does: moves along, or turns", "linear or rotary", "linear")
-    mass: float | None = Field(None, gt=0, le=1e6, description="moved mass [kg]; > 0 and <= 1e+06; of a linear axis")
+    mass: float | None = Field(
+        None, gt=0, le=1e6, description="moved mass [kg]; > 0 and <= 1e+06; required of a linear axis"
+    )
     inertia: float | None = Field(
-        None, gt=0, le=1e6, description="moved inertia [kg m^2]; > 0 and <= 1e+06; of a rotary axis"
+        None, gt=0, le=1e6, description="moved inertia [kg m^2]; > 0 and <= 1e+06; required of a rotary axis"
     )
 
     @property
@@ -71,7 +73,9 @@ class Friction(Table):
     law: Literal["sgms", "switching"] = text(
         "how an element goes over from sticking to slipping", "sgms (smoothed) or switching (at once)", "sgms"
     )
-    stiffness: Positives = text("kappa_i, element stiffness [N/m, N m/rad]", "1 to 10 numbers > 0", min_length=1, max_length=10)
+    stiffness: Positives = text(
+        "kappa_i, element stiffness [N/m, N m/rad]", "1 to 10 numbers > 0", min_length=1, max_length=10
+    )
     fraction: Positives = text("nu_i, share of the Coulomb level [1]", "as many as stiffness, > 0, sum 1")
     micro_viscous: NonNegatives = Field(
         (), description="sigma_i, element damping [N s/m, N m s/rad]; as many as stiffness, >= 0; default 0 each"

@@ -13,6 +13,8 @@ SMALL: Final[Mapping[str, Any]] = {
     "estimator": {"horizon": 4, "relinearise": "all"},
 }
 SINGLE: Final = {"code": {"precision": "single"}}
+BELIEVING: Final = {"noise": {"self_scaling": False}}
+"""Of [estimator]: every reading is believed, so that wild ones get as far as they can."""
 COMPENSATED: Final = {"compensation": {"delay": 210e-6, "limit": 20.0, "hold": 5e-6, "ramp": 0.01}}
 
 
@@ -27,11 +29,14 @@ def _scheme(name: str, **settings: Any) -> dict[str, Any]:
 SPECIMENS: Final[Mapping[str, Mapping[str, Any]]] = {
     "flow": COMPENSATED,
     "merged_auto": _merged(4, estimator={"relinearise": "auto"}, **SINGLE, **COMPENSATED),
-    "merged_all": _merged(4),
-    "newest": {"estimator": {"relinearise": "newest"}, **_scheme("rk4", velocity="linear"), **SINGLE},
+    "merged_all": _merged(4, estimator=BELIEVING),
+    "newest": {"estimator": {"relinearise": "newest", **BELIEVING}, **_scheme("rk4", velocity="linear"), **SINGLE},
     "auto": {"estimator": {"relinearise": "auto", "parameters": ["coulomb", "viscous"]}, **_scheme("rk2")},
-    "fixed": {"estimator": {"arrival_cost": {"update": "fixed"}, "horizon": 6}, **_scheme("bs23", substeps=4)},
-    "ekf": {"estimator": {"kind": "ekf", "bounds": {}}, **_scheme("euler"), **SINGLE},
+    "fixed": {
+        "estimator": {"arrival_cost": {"update": "fixed"}, "horizon": 6, **BELIEVING},
+        **_scheme("bs23", substeps=4),
+    },
+    "ekf": {"estimator": {"kind": "ekf", "bounds": {}, **BELIEVING}, **_scheme("euler"), **SINGLE},
     "groups": _merged(
         4,
         estimator={"relinearise": "auto"},
@@ -52,7 +57,7 @@ SPECIMENS: Final[Mapping[str, Mapping[str, Any]]] = {
         **SINGLE,
     },
     "switching": {"friction": {"law": "switching"}, **SINGLE, **COMPENSATED},
-    "switching_merged": {"friction": {"law": "switching"}, **_merged(4)},
+    "switching_merged": {"friction": {"law": "switching"}, **_merged(4, estimator=BELIEVING)},
     "switching_levels": {
         "friction": {"law": "switching"},
         "effects": [{"name": "dwell_dependence"}, {"name": "encoder_periodic_error", "amplitude_m": 5e-7}],
