@@ -318,6 +318,7 @@ def _machines() -> dict[str, Variant]:
         "etel_xy_compensation",
         "etel_xy_controller",
         "etel_xy_paper",
+        "etel_xy_rotary",
         "etel_xy_switching",
     )
     variants = {f"machine {name}": Variant(machine=name, selftest=name != "etel_xy_paper") for name in committed}

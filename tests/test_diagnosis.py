@@ -414,7 +414,7 @@ def test_plan_is_a_trajectory_within_limits(machine: Machine, separate: tuple[st
     speed = np.abs(plan.trajectory.velocity_m_s).max()
     assert 0.0 < speed <= machine.sampling.max_velocity
     assert plan.trajectory.position_m[-1] == pytest.approx(0.0, abs=1e-9)
-    write_plan(tmp_path / "plan.csv", plan)
+    write_plan(tmp_path / "plan.csv", plan, machine.plant.units)
     lines = (tmp_path / "plan.csv").read_text().splitlines()
     assert lines[0] == "time_s,position_m"
     assert len(lines) == 1 + len(plan.trajectory.position_m)

@@ -28,6 +28,7 @@ COMMANDS: Final = {
     "estimate": "estimate",
     "compare": "compare",
     "identify": "identify",
+    "tune": "tune",
     "diagnose": "diagnose",
     "plan": "plan",
     "experiment": "experiment",

@@ -79,8 +79,24 @@ def command(machine: str, log: Path, out: Path, solver: Solver, plot: Path | Non
     write_estimates(out, estimates)
     if plot is not None:
         _draw(resolved, estimates, plot)
+    note_wrong_noise(resolved, estimates)
     summary = summarise(resolved, estimates, solver)
     show(json_text(resolved.plant.units.keyed(summary)) if as_json else summary_text(resolved, summary), out)
+
+
+def note_wrong_noise(machine: Machine, estimates: Estimates) -> None:
+    """Say where the innovations contradict the noise that the machine file states."""
+    from sgms_mhe.evaluation.tuning import NOISE_FITS, stated_noise
+
+    share, unit = stated_noise(estimates), machine.plant.units.force
+    least, most = NOISE_FITS
+    if least <= share <= most or share != share:
+        return
+    stated = machine.estimator.noise.measurement
+    note(
+        f"the file states noise of {stated:g} {unit} (estimator.noise.measurement); the readings speak for "
+        f"{share * stated:.2g} {unit}: sgms-mhe tune finds weights that suit a log"
+    )
 
 
 def check_length(log: Log, machine: Machine) -> None:

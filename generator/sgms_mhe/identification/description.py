@@ -30,7 +30,6 @@ SLID: Final = 0.25
 """Break-away distance over the travel up to which an element slips on both ways and some way beyond."""
 OPEN_LEVEL: Final = 0.15
 """Share of the level in elements beyond that from which a record counts as one of presliding alone."""
-SPRING: Final = "position_spring"
 CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
     "coulomb": ("coulomb",),
     "viscous": ("viscous",),
@@ -58,8 +57,10 @@ def check_slides(view: View, fit: AxisFit, shown: Collection[str], source: str) 
     travel, length = view.rows.extents.travel, view.rows.machine.plant.units.position
     open_level = float(fit.levels[fit.shape.distances > SLID * travel].sum())
     level = fit.coulomb
-    if SPRING not in shown and fit.place(SPRING).stop:
-        spring = 0.5 * travel * max(0.0, float(fit.coefficient(SPRING)[0]))
+    for term in fit.terms:
+        if term.name in LAW_AND_SAMPLING or term.name in shown or not effect_definition(term.name).elastic:
+            continue
+        spring = 0.5 * travel * max(0.0, float(fit.coefficient(term.name)[0]))
         open_level, level = open_level + spring, level + spring
     if open_level > OPEN_LEVEL * level:
         raise InputError(

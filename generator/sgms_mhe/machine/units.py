@@ -56,6 +56,9 @@ _ROTARY_NAMES: Final[Mapping[str, str]] = MappingProxyType(
 )
 """Names of which more than the unit differs."""
 
+CATALOGUE_ENDS: Final = tuple(end for end in UNITS if end == "_rad" or end not in _ROTARY_ENDS.values())
+"""Ends of names in the catalogue of effects, which names things as a linear axis does."""
+
 PURE_NUMBERS: Final = ("ratio", "gain")
 """What the name of a number without a unit ends in."""
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FLAGS: Final[Mapping[str, int]] = MappingProxyType(
-    {"filling": 1, "missing": 2, "hold": 4, "bound": 8, "speed": 16, "overrun": 32}
+    {"filling": 1, "missing": 2, "hold": 4, "bound": 8, "speed": 16, "overrun": 32, "doubt": 64}
 )
 """Flags of a status that is not negative; 0 is good."""
 

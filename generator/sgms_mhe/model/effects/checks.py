@@ -11,7 +11,7 @@ from typing import Final
 import casadi as ca
 import numpy as np
 
-from sgms_mhe.machine.units import PURE_NUMBERS, UNITS, is_pure_number, suffix_of
+from sgms_mhe.machine.units import CATALOGUE_ENDS, PURE_NUMBERS, is_pure_number, suffix_of
 from sgms_mhe.model.axis import SIGNAL_NAMES, SymbolicAxis
 from sgms_mhe.model.effects.causes import MOVES
 from sgms_mhe.model.effects.definition import STAGES, EffectDefinition
@@ -75,8 +75,8 @@ def _parameter(parameter: EffectParameter) -> Iterator[Fault]:
     where = f"parameters.{parameter.name}"
     if not _NAME.fullmatch(parameter.name) or parameter.name == "name":
         yield Fault("parameters", parameter.name, "a name of words joined by underscores, other than `name`")
-    elif not suffix_of(parameter.name) and not is_pure_number(parameter.name):
-        units, pure = ", ".join(UNITS), " or ".join(PURE_NUMBERS)
+    elif suffix_of(parameter.name) not in CATALOGUE_ENDS and not is_pure_number(parameter.name):
+        units, pure = ", ".join(CATALOGUE_ENDS), " or ".join(PURE_NUMBERS)
         allowed = f"a name that ends in its unit ({units}); of a pure number in {pure}"
         yield Fault("parameters", parameter.name, allowed)
     if not (math.isfinite(parameter.default) and parameter.lower <= parameter.default <= parameter.upper):

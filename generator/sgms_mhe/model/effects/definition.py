@@ -39,6 +39,8 @@ class EffectDefinition(CauseDefinition):
         linear: whether the search's columns times its sizes are all of its force: what it would gain is then known
             without a refit.
         repeatable: whether an axis may have two of it.
+        elastic: whether its force goes with the position alone: over a short travel it looks like an element that has
+            not broken away.
         companion: whether an identification from nothing looks for it beside friction; its search's columns need no
             model.
         full_rate: whether it is about as fast as a sample of the record, or jumps: fitted at the record's full rate,
@@ -61,6 +63,7 @@ class EffectDefinition(CauseDefinition):
     linear: bool = False
     repeatable: bool = False
     full_rate: bool = False
+    elastic: bool = False
     companion: bool = False
     fit_displacement: float | None = None
     smooth_only: str = ""

@@ -1,0 +1,121 @@
+"""`sgms-mhe tune`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sgms_mhe.commands.common import (
+    check_output_file,
+    example,
+    json_option,
+    json_text,
+    log_argument,
+    machine_argument,
+    note,
+    out_option,
+    recorded_log,
+    show,
+    table_text,
+)
+
+if TYPE_CHECKING:
+    from sgms_mhe.evaluation.tuning import Tuned
+
+
+@click.command(
+    short_help="Noise weights and horizon from a log.",
+    epilog=example("tune etel_xy log.csv --out tuned.toml", "tune my_axis.toml log.csv --plot trade_off.png"),
+)
+@machine_argument
+@log_argument
+@out_option("A machine file that extends MACHINE by the weights.", metavar="MACHINE.toml", required=False)
+@click.option("--plot", type=click.Path(path_type=Path), metavar="PNG", help="Draw what every weight was worth.")
+@json_option
+def command(machine: str, log: Path, out: Path | None, plot: Path | None, as_json: bool) -> None:
+    """Find the noise weights and the horizon under which LOG is likeliest.
+
+    The innovations are then as large as the estimator says they are: the mean test ratio is near 1. Weights that the
+    log cannot tell from the file's stay as they are. What the estimator shall be allowed to believe at its start
+    (parameter, initial_state) is the user's to say, and not touched.
+    """
+    from sgms_mhe.configuration import load_machine
+
+    resolved = load_machine(machine)
+    if out is not None:
+        check_output_file(out, (".toml",))
+    if plot is not None:
+        check_output_file(plot, (".png", ".svg"))
+
+    from sgms_mhe.evaluation.plots import save_figure
+    from sgms_mhe.evaluation.tuning import trade_off_figure, tune
+    from sgms_mhe.support.files import write_text
+
+    tuned = tune(resolved, recorded_log(log, resolved), note)
+    if out is not None:
+        write_text(out, _toml(tuned, out.stem, log.name))
+    if plot is not None:
+        save_figure(plot, trade_off_figure(tuned))
+    outputs = [path for path in (out, plot) if path is not None]
+    show(json_text(_content(tuned)) if as_json else _text(tuned, outputs), *outputs)
+
+
+def _content(tuned: Tuned) -> dict[str, Any]:
+    return {
+        "machine": tuned.machine.name,
+        "changes": tuned.changes(),
+        "loss": {"before": tuned.start.mean, "after": tuned.best.mean},
+        "test_ratio": {"before": tuned.start.ratio, "after": tuned.best.ratio},
+        "better_by_sigmas": tuned.best.better_by(tuned.start) if tuned.best.changes else 0.0,
+        "kept": list(tuned.kept),
+    }
+
+
+def _rows(tuned: Tuned) -> list[tuple[str, str, str]]:
+    rows = []
+    for name, tried in tuned.trials.items():
+        own = next((value for value, trial in tried if trial is tuned.start), float(tuned.machine.estimator.horizon))
+        chosen = tuned.best.changes.get(name, own)
+        if name == "horizon" and tuned.horizon is not None:
+            chosen = float(tuned.horizon)
+        if len(tried) > 1:
+            rows.append((name, f"{own:g}", f"{chosen:g}" if chosen != own else "as it is"))
+    return rows
+
+
+def _text(tuned: Tuned, outputs: list[Path]) -> str:
+    start, best = tuned.start, tuned.best
+    lines = [
+        table_text(("weight", "file", "log"), _rows(tuned)),
+        f"mean test ratio {start.ratio:.3g} before, {best.ratio:.3g} after; loss {start.mean:.4f} before, "
+        f"{best.mean:.4f} after",
+    ]
+    if not tuned.changes():
+        lines.append("the log asks for no other weights")
+    if tuned.crowded:
+        lines.append("sampling.measurement_rate is beyond twice velocity_cutoff: such readings share their noise")
+    lines += [f"written: {path}" for path in outputs]
+    return "\n".join(lines)
+
+
+def _toml(tuned: Tuned, name: str, log: str) -> str:
+    """A machine file with the weights alone."""
+    source = tuned.machine.source
+    base = source.resolve().as_posix() if source.is_file() else tuned.machine.name
+    lines = [
+        f"# Weights by sgms-mhe tune over {log}.",
+        f"# Mean test ratio {tuned.best.ratio:.3g}, before {tuned.start.ratio:.3g}.",
+        f"extends = {json.dumps(base)}",
+        f"name = {json.dumps(name)}",
+    ]
+    changes = tuned.changes()
+    estimator = changes.get("estimator", {})
+    if "horizon" in estimator:
+        lines += ["", "[estimator]", f"horizon = {estimator['horizon']}"]
+    if "noise" in estimator:
+        lines += ["", "[estimator.noise]"]
+        lines += [f"{key} = {float(value)!r}" for key, value in estimator["noise"].items()]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,285 @@
+"""Noise weights out of a log: those under which the innovations are as likely as they can be.
+
+An estimator that predicts a reading with the variance S and misses it by e finds that with the likelihood of a normal
+number of that variance. Its mean over a record,
+
+    L = mean( log(S) + min(e^2 / S, 25) ) / 2
+
+is least for the weights that describe the axis: with too small a variance misses are punished, with too large a one the
+variance is. A reading five deviations off counts no more than that: it is a fault, and no reason to believe in noise.
+The estimator that is asked is the filter without self-scaling, which carries the information of the window, with one
+reading per update: readings that follow each other closely share their noise, and what predicts the next one best then
+believes too much. How many readings an update may take is a matter of the signal chain, not of likelihood.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.host.compiled import CompiledEstimator
+from sgms_mhe.machine import Machine
+from sgms_mhe.signals.chain import Signals, signals_from_log
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.status import FLAGS, measured
+from sgms_mhe.support.errors import InputError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Progress = Callable[[str], None]
+
+MOST_RATIO: Final = 25.0
+LEAST_UPDATES: Final = 100
+"""Updates with a reading in motion that it takes to tell weights apart."""
+STEPS: Final = (10.0, 10.0**0.5, 10.0**0.25)
+"""Factors by which a weight is moved, one after the other, until neither way is better."""
+ROUNDS: Final = 4
+"""Over all weights, at the most."""
+WORTH: Final = 2.0
+"""Standard errors by which another weight has to be more likely than the file's."""
+LIMITS: Final[Mapping[str, tuple[float, float]]] = {
+    "measurement": (1e-6, 1e6),
+    "state": (1e-3, 1.0),
+    "parameter_drift": (0.0, 0.1),
+}
+"""Weights that are tuned, in this order, within these limits: no friction law is right to less than a thousandth."""
+DRIFT: Final = "parameter_drift"
+NOISE_FITS: Final = (0.1, 3.0)
+"""Noise that innovations speak for, over the stated one, within which there is nothing to say: room is no mistake."""
+HORIZONS: Final = (5, 10, 20, 40)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One set of weights on the log.
+
+    Attributes:
+        changes: over the machine's [estimator.noise], and `horizon`.
+        loss: L of each counted update (u).
+        ratio: mean test ratio.
+    """
+
+    changes: Mapping[str, float]
+    loss: Array
+    ratio: float
+
+    @property
+    def mean(self) -> float:
+        """L."""
+        return float(self.loss.mean())
+
+    def better_by(self, other: Trial) -> float:
+        """How much more likely than another, in standard errors of the difference over stretches of the log."""
+        gain = np.array([part.mean() for part in np.array_split(other.loss - self.loss, 20)])
+        error = float(gain.std(ddof=1)) / math.sqrt(len(gain))
+        return float(gain.mean()) / max(error, 1e-300)
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """Weights that suit a log.
+
+    Attributes:
+        machine: as it was.
+        start: its own weights.
+        best: the likeliest.
+        horizon: that of the window with the likeliest weights; None: the machine's own will do, or it has no window.
+        trials: everything that was tried, by weight: (value, trial).
+        kept: weights that were moved, but by less than the log can tell: they stay as they are.
+    """
+
+    machine: Machine
+    start: Trial
+    best: Trial
+    horizon: int | None
+    trials: Mapping[str, tuple[tuple[float, Trial], ...]]
+    kept: tuple[str, ...]
+
+    @property
+    def crowded(self) -> bool:
+        """Whether the machine takes readings that follow each other more closely than the low-pass lets them differ."""
+        sampling = self.machine.sampling
+        return sampling.readings_per_update * sampling.update_rate > 2.0 * sampling.velocity_cutoff
+
+    def changes(self) -> dict[str, Any]:
+        """What a machine file that extends the machine says of it; empty where nothing is to be changed."""
+        noise = {name: value for name, value in self.best.changes.items() if name in LIMITS}
+        content: dict[str, Any] = {"estimator": {"noise": noise}} if noise else {}
+        if self.horizon is not None:
+            content.setdefault("estimator", {})["horizon"] = self.horizon
+        return content
+
+
+def tune(machine: Machine, log: Log, report: Progress = lambda _: None) -> Tuned:
+    """Find the weights of a machine under which a log is likeliest, and the horizon that goes with them.
+
+    One weight after the other is moved by falling factors until neither way is better, then all of them again. What is
+    not better by `WORTH` standard errors stays as it is.
+
+    Raises:
+        InputError: the log has too few updates in motion.
+    """
+    search = _Search(machine, signals_from_log(log, machine), log.source or "log", report)
+    start = best = search.trial({})
+    for _ in range(ROUNDS):
+        before = best
+        for name in LIMITS:
+            best = search.along(name, best)
+        if best is before:
+            break
+    final = dict(best.changes)
+    kept = []
+    for name in list(final):  # what is worth nothing by itself goes back to the file's
+        without = search.trial({key: value for key, value in final.items() if key != name})
+        if search.trial(final).better_by(without) < WORTH:
+            del final[name]
+            kept.append(name)
+    best = search.trial(final)
+    horizon = search.horizon(best)
+    return Tuned(machine, start, best, horizon, search.tried(), tuple(kept))
+
+
+class _Search:
+    """Trials on one log, each made once."""
+
+    def __init__(self, machine: Machine, signals: Signals, source: str, report: Progress) -> None:
+        self._machine, self._signals, self._source, self._report = machine, signals, source, report
+        self._trials: dict[tuple[tuple[str, float], ...], Trial] = {}
+        self._counted: Mask | None = None
+
+    def value(self, name: str, changes: Mapping[str, float]) -> float:
+        """A weight as it is under these changes."""
+        return changes[name] if name in changes else float(getattr(self._machine.estimator.noise, name))
+
+    def trial(self, changes: Mapping[str, float]) -> Trial:
+        """Run the estimator with these weights."""
+        key = tuple(sorted(changes.items()))
+        if key not in self._trials:
+            said = ", ".join(f"{name} {value:.3g}" for name, value in key) or "the file's weights"
+            loss, ratio = self._loss(changes)
+            self._report(f"{said}: {loss.mean():.4f}")
+            self._trials[key] = Trial(dict(changes), loss, ratio)
+        return self._trials[key]
+
+    def along(self, name: str, best: Trial) -> Trial:
+        """The best trial along one weight."""
+        low, high = LIMITS[name]
+        if name == DRIFT:  # no log is long enough to say that nothing will ever drift
+            low = self.value(name, {})
+        for step in STEPS:
+            for factor in (step, 1.0 / step):
+                while True:
+                    value = float(f"{self.value(name, best.changes) * factor:.3g}")
+                    if not low <= value <= high:
+                        break
+                    tried = self.trial({**best.changes, name: value})
+                    if not tried.mean < best.mean:
+                        break
+                    best = tried
+        return best
+
+    def horizon(self, best: Trial) -> int | None:
+        """The shortest window than which none is likelier, of a machine that has one; None: its own."""
+        own = self._machine.estimator.horizon
+        if self._machine.estimator.kind != "mhe":
+            return None
+        trials = {n: self.trial({**best.changes, "horizon": float(n)}) for n in sorted({*HORIZONS, own})}
+        likeliest = min(trials.values(), key=lambda trial: trial.mean)
+        shortest = next(n for n, trial in trials.items() if likeliest.better_by(trial) < WORTH)
+        return None if shortest == own else shortest
+
+    def tried(self) -> dict[str, tuple[tuple[float, Trial], ...]]:
+        """Every trial by the weight in which it differs from the others that were made for it."""
+        found: dict[str, tuple[tuple[float, Trial], ...]] = {}
+        for name in (*LIMITS, "horizon"):
+            own = [trial for trial in self._trials.values() if name in trial.changes]
+            own += [self.trial({})] if name != "horizon" else []  # whose estimator has no window
+            by_value: dict[float, Trial] = {}
+            for trial in own:
+                value = self.value(name, trial.changes)
+                if value not in by_value or trial.mean < by_value[value].mean:
+                    by_value[value] = trial
+            found[name] = tuple(sorted(by_value.items()))
+        return found
+
+    def _loss(self, changes: Mapping[str, float]) -> tuple[Array, float]:
+        noise = {name: value for name, value in changes.items() if name in LIMITS}
+        estimator: dict[str, Any] = {"noise": {**noise, "self_scaling": False}}
+        if "horizon" in changes:
+            estimator["horizon"] = int(changes["horizon"])
+        else:
+            estimator["kind"] = "ekf"
+        content = {
+            "estimator": estimator,
+            "code": {"precision": "double"},
+            "sampling": {"measurement_rate": self._machine.sampling.update_rate},
+        }
+        estimates = CompiledEstimator(override_machine(self._machine, content)).estimate(self._signals)
+        if self._counted is None:  # by the file's own weights, the same for all
+            self._counted = moving_updates(estimates)
+            if int(self._counted.sum()) < LEAST_UPDATES:
+                allowed = f"at least {LEAST_UPDATES}: a log in which the axis moves for longer"
+                raise InputError(self._source, "updates with a reading in motion", int(self._counted.sum()), allowed)
+        return innovation_loss(estimates, self._counted)
+
+
+def innovation_loss(estimates: Estimates, counted: Mask) -> tuple[Array, float]:
+    """L of every counted update (u), and their mean test ratio. An update that was refused could not be worse."""
+    refused = estimates.status[counted] < 0
+    ratio = np.maximum(estimates.test_ratio[counted], 1e-12)
+    variance = np.maximum(estimates.innovation_N[counted] ** 2, 1e-300) / ratio
+    ratio = np.where(refused, MOST_RATIO, np.minimum(ratio, MOST_RATIO))
+    loss: Array = 0.5 * (np.log(variance) + ratio)
+    return loss, float(ratio.mean())
+
+
+def moving_updates(estimates: Estimates) -> Mask:
+    """Updates (u) that took a reading in while the axis moved, the first of them left out."""
+    left_out = FLAGS["filling"] | FLAGS["hold"] | FLAGS["speed"]
+    counted: Mask = measured(estimates.status) & (estimates.status & left_out == 0)
+    counted &= np.isfinite(estimates.test_ratio) & (estimates.innovation_N != 0.0)
+    counted[: min(len(counted), 10)] = False
+    return counted
+
+
+def trade_off_figure(tuned: Tuned) -> Figure:
+    """L over every weight that was tried, the file's and the chosen one marked."""
+    names = [name for name, tried in tuned.trials.items() if len(tried) > 1]
+    figure = Figure(figsize=(9.0, 2.6 * math.ceil(len(names) / 2)), layout="constrained")
+    axes = figure.subplots(math.ceil(len(names) / 2), 2, squeeze=False).ravel()
+    for axis, name in zip(axes, names, strict=False):
+        values = [value for value, _ in tuned.trials[name]]
+        axis.plot(values, [trial.mean for _, trial in tuned.trials[name]], "o-", color="0.4", markersize=3)
+        chosen = tuned.best.changes.get(name)
+        if chosen is not None:
+            axis.axvline(chosen, color="#0b5394", linewidth=1.4, label="chosen")
+        own = next((value for value, trial in tuned.trials[name] if trial is tuned.start), None)
+        if own is not None:
+            axis.axvline(own, color="#b45f06", linewidth=1.0, linestyle="--", label="file")
+        axis.set_xscale("log")
+        axis.set_xlabel(name)
+        axis.set_ylabel("L")
+        if chosen is not None or own is not None:
+            axis.legend(frameon=False, fontsize="small")
+    for axis in axes[len(names) :]:
+        axis.set_visible(False)
+    return figure
+
+
+def stated_noise(estimates: Estimates) -> float:
+    """Measurement noise that the innovations speak for over the one that the machine file states; NaN: cannot tell.
+
+    By their median, which faults do not move: of a normal number's square it is 0.455.
+    """
+    counted = moving_updates(estimates)
+    if int(counted.sum()) < LEAST_UPDATES:
+        return math.nan
+    return math.sqrt(float(np.median(estimates.test_ratio[counted])) / 0.455)

@@ -1,0 +1,136 @@
+"""Weights out of a log: those of the noise that is there, nothing where the file is right, and what `estimate` says."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cli_cases import SMALL, done, refused, run
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.evaluation.tuning import (
+    LEAST_UPDATES,
+    Trial,
+    innovation_loss,
+    moving_updates,
+    stated_noise,
+    trade_off_figure,
+    tune,
+)
+from sgms_mhe.host.compiled import CompiledEstimator
+from sgms_mhe.machine import Machine
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.signals.chain import signals_from_log
+from sgms_mhe.signals.logs import Log, write_log
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("tuning") / "small.toml"
+    path.write_text(SMALL)
+    return path
+
+
+def moved(machine: Machine, noise: float, seconds: float = 8.0) -> Log:
+    path = make_trajectory("paper", machine.sampling.rate, duration_s=seconds)
+    return simulate_axis(machine, path, AxisConfig(force_noise_N=noise, seed=1), truth=False).log
+
+
+def stated(path: Path, measurement: float) -> Machine:
+    return override_machine(load_machine(path), {"estimator": {"noise": {"measurement": measurement}}})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("measurement", [2.0, 0.003])
+def test_the_noise_that_is_there_is_found(small: Path, measurement: float) -> None:
+    machine = stated(small, measurement)
+    log = moved(machine, 0.3)
+    # Behind the chain: what is left of white noise of the force.
+    quiet, noisy = (signals_from_log(moved(machine, noise), machine) for noise in (0.0, 0.3))
+    both = quiet.valid & noisy.valid
+    true = float(np.std((noisy.friction - quiet.friction)[both]))
+    tuned = tune(machine, log)
+    found = tuned.best.changes["measurement"]
+    assert true / 1.5 < found < 1.5 * true
+    assert tuned.best.ratio == pytest.approx(1.0, abs=0.6)
+    assert abs(math.log(tuned.start.ratio)) > 1.5
+    assert tuned.best.better_by(tuned.start) > 5.0
+    assert set(tuned.changes()) == {"estimator"}
+    # Tuned once more there is nothing left that the log could tell.
+    again = tune(override_machine(machine, tuned.changes()), log)
+    assert again.best.better_by(again.start) < 3.0
+    assert again.best.changes.get("measurement", found) == pytest.approx(found, rel=0.5)
+    assert len(trade_off_figure(tuned).axes) >= 3
+
+
+@pytest.mark.slow
+def test_the_file_that_is_written_extends_the_machine(small: Path, tmp_path: Path) -> None:
+    loud = tmp_path / "loud.toml"
+    loud.write_text(SMALL + "[estimator.noise]\nmeasurement = 3.0\n")
+    machine = load_machine(loud)
+    write_log(tmp_path / "log.csv", moved(machine, 0.1))
+    result = run(
+        "tune", loud, tmp_path / "log.csv", "--out", tmp_path / "tuned.toml", "--plot", tmp_path / "t.png", "--json"
+    )
+    assert result.exit_code == 0, result.output
+    content = json.loads(result.stdout)
+    tuned = load_machine(tmp_path / "tuned.toml")
+    assert tuned.estimator.noise.measurement == content["changes"]["estimator"]["noise"]["measurement"] < 1.0
+    assert tuned.friction == machine.friction
+    assert content["loss"]["after"] < content["loss"]["before"]
+    assert (tmp_path / "t.png").stat().st_size > 10_000
+    # What the file states is said by estimate until then.
+    said = run("estimate", loud, tmp_path / "log.csv", "--out", tmp_path / "e.csv").stderr
+    assert "the file states noise of 3 N" in said and "sgms-mhe tune" in said
+    assert (
+        "states noise"
+        not in run("estimate", tmp_path / "tuned.toml", tmp_path / "log.csv", "--out", tmp_path / "e.csv").stderr
+    )
+
+
+def test_a_log_without_motion_is_refused(small: Path, tmp_path: Path) -> None:
+    machine = load_machine(small)
+    write_log(tmp_path / "short.csv", moved(machine, 0.1, 1.0))
+    said = refused("tune", small, tmp_path / "short.csv", "--out", tmp_path / "t.toml")
+    assert f"at least {LEAST_UPDATES}" in said
+    assert not (tmp_path / "t.toml").exists()
+
+
+def test_wild_readings_do_not_count_for_more_than_they_are(small: Path) -> None:
+    machine = stated(small, 0.1)
+    log = moved(machine, 0.1)
+    wild = log.force_N.copy()
+    wild[np.random.default_rng(0).integers(1000, len(wild), 5)] += 50.0
+    estimator = CompiledEstimator(
+        override_machine(machine, {"estimator": {"kind": "ekf", "noise": {"self_scaling": False}}})
+    )
+    changes: dict[str, Any] = vars(log) | {"force_N": wild}
+    clean, dirty = estimator.estimate_log(log), estimator.estimate_log(Log(**changes))
+    assert stated_noise(dirty) == pytest.approx(stated_noise(clean), rel=0.3)
+    loss, ratio = innovation_loss(dirty, moving_updates(dirty))
+    assert np.all(np.isfinite(loss)) and 0.0 < ratio <= 25.0
+
+
+def test_stretches_say_how_sure_a_gain_is() -> None:
+    random = np.random.default_rng(2)
+    loss = random.standard_normal(4000)
+    a, b = Trial({}, loss, 1.0), Trial({}, loss + 0.1 * random.standard_normal(4000), 1.0)
+    c = Trial({}, loss - 0.1 + 0.1 * random.standard_normal(4000), 1.0)
+    assert abs(b.better_by(a)) < 3.0
+    assert c.better_by(a) > 10.0 > -10.0 > a.better_by(c)
+
+
+def test_too_few_updates_say_so(small: Path) -> None:
+    machine = load_machine(small)
+    estimates = CompiledEstimator(machine).estimate_log(moved(machine, 0.1, 1.0))
+    assert math.isnan(stated_noise(estimates))
+
+
+def test_help_names_the_command() -> None:
+    assert "Noise weights and horizon from a log" in done("--help").stdout
