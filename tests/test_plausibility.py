@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli_cases import SMALL, files, refused
+from cli_cases import SMALL, files, refused, run
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import read_log
@@ -22,7 +24,7 @@ from sgms_mhe.plant.trajectories import TRAJECTORIES, make_trajectory
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.support.errors import InputError
 
-COMMANDS = ("estimate", "predict", "compare", "diagnose")
+COMMANDS = ("estimate", "predict", "compare")
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +112,26 @@ def test_every_command_refuses(
     options = [] if command == "compare" else ["--out", out]
     assert str(path) in refused(command, machine.source, path, *options)
     assert files(tmp_path) == {"log.npz"}
+
+
+@pytest.mark.parametrize("case", REFUSED, ids=lambda case: str(case[0]))
+def test_a_diagnosis_says_what_cannot_be_meant(
+    case: tuple[str, Callable[[Log], Log], str], machine: Machine, log: Log, tmp_path: Path
+) -> None:
+    write_log(tmp_path / "log.npz", case[1](log))
+    arguments = ("diagnose", machine.source, tmp_path / "log.npz", "--out", tmp_path / "out")
+    result = run(*arguments)
+    if any(
+        word in case[0] for word in ("constant", "time for", "milliseconds", "row for", "twice")
+    ):  # no signal at all
+        assert result.exit_code == 2 and not (tmp_path / "out").exists()
+        return
+    assert result.exit_code == 1
+    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert found["verdict"] == "unexplained" and found["causes"] == []
+    assert found["limits"] == [found["summary"]] and re.search(case[2], found["summary"])
+    assert f"unexplained: {found['summary']}" in result.stdout
+    assert json.loads(run(*arguments, "--json").stdout) == found
 
 
 @pytest.mark.parametrize("column", ["position_m", "force_N"])

@@ -24,9 +24,11 @@ from sgms_mhe.commands.common import (
     recorded_log,
     show,
 )
+from sgms_mhe.support.errors import ImplausibleError
 
 if TYPE_CHECKING:
     from sgms_mhe.diagnosis.result import Diagnosis
+    from sgms_mhe.machine import Machine
     from sgms_mhe.report import EstimatorGain
 
 
@@ -68,7 +70,7 @@ def command(
     verdict is explained, adequate (nothing is missing), ambiguous (the record cannot tell causes apart; the report has
     the move that does) or unexplained (structure is left that no known effect accounts for; nothing is invented).
 
-    Exit code 1: unexplained.
+    Exit code 1: unexplained; so is a log whose force or position has another sign, scale or unit, which is said.
     """
     from sgms_mhe.configuration import load_machine
 
@@ -80,7 +82,11 @@ def command(
     from sgms_mhe.diagnosis import diagnose, write_diagnosis
     from sgms_mhe.report import closed_loop_gain, write_report
 
-    recorded = recorded_log(log, resolved, start_s, end_s)
+    try:
+        recorded = recorded_log(log, resolved, start_s, end_s)
+    except ImplausibleError as error:
+        _say_implausible(error, resolved, folder, as_json)
+        return
     another = recorded_log(unseen, resolved) if unseen else None
     found = diagnose(resolved, recorded, progress=note, held_out_s=held_out or None)
     write_diagnosis(found, folder)
@@ -96,6 +102,15 @@ def command(
         show(_text(found, folder, report, gain))
     if found.verdict == "unexplained":
         click.get_current_context().exit(1)
+
+
+def _say_implausible(error: ImplausibleError, machine: Machine, folder: Path, as_json: bool) -> None:
+    """The verdict on a log whose columns cannot be what they are called: nothing is fitted to it."""
+    from sgms_mhe.diagnosis import write_refusal
+
+    content = write_refusal(str(error), machine, folder)
+    show(json_text(content) if as_json else f"unexplained: {error}")
+    click.get_current_context().exit(1)
 
 
 def _gain(gain: EstimatorGain) -> dict[str, object]:

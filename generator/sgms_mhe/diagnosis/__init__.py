@@ -12,6 +12,7 @@ from sgms_mhe.diagnosis.result import (
     Structure,
     Traces,
     write_diagnosis,
+    write_refusal,
 )
 from sgms_mhe.diagnosis.verdict import diagnose
 
@@ -26,4 +27,5 @@ __all__ = [
     "Traces",
     "diagnose",
     "write_diagnosis",
+    "write_refusal",
 ]

@@ -214,6 +214,13 @@ class Diagnosis:
     seconds: float
 
     @property
+    def limits(self) -> tuple[str, ...]:
+        """Sentences on what this record cannot decide."""
+        pairs = [f"{a.instead_of} or {a.name}: {a.why_not}" for a in self.alternatives if a.rival and a.instead_of]
+        unknown = [f"{b.name}: the record does not show it" for b in self.base if not math.isfinite(b.std)]
+        return (*pairs, *unknown)
+
+    @property
     def extended_name(self) -> str | None:
         """File name of the extended machine."""
         return None if self.extended is None else f"{self.extended.name}.toml"
@@ -266,6 +273,7 @@ class Diagnosis:
                 }
                 for b in self.base
             ],
+            "limits": list(self.limits),
             "warnings": list(self.warnings),
         }
         finite: dict[str, Any] = _finite(self.machine.plant.units.keyed(content))
@@ -280,6 +288,29 @@ def write_diagnosis(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
         write_text(folder / diagnosis.extended_name, diagnosis.extended_toml)
     write_text(folder / "diagnosis.json", json.dumps(diagnosis.to_json(), indent=2) + "\n")
     return folder
+
+
+def write_refusal(sentence: str, machine: Machine, out_dir: str | Path) -> dict[str, Any]:
+    """Write diagnosis.json of a log that cannot be what it says, and nothing else; return its content."""
+    unknown = dict.fromkeys(("before", "after", "held_out_before", "held_out_after", "noise_floor"))
+    content = {
+        "verdict": "unexplained",
+        "summary": sentence,
+        "causes": [],
+        "alternatives": [],
+        "separating_experiment": None,
+        "residual_rms_N": unknown,
+        "extended_machine": None,
+        "structure_left": [],
+        "base": [],
+        "limits": [sentence],
+        "warnings": [],
+    }
+    keyed: dict[str, Any] = machine.plant.units.keyed(content)
+    folder = Path(out_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / "diagnosis.json", json.dumps(keyed, indent=2) + "\n")
+    return keyed
 
 
 def _finite(value: Any) -> Any:

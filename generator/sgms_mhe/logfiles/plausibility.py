@@ -18,7 +18,7 @@ from sgms_mhe.logfiles.newton import force_balance, since_reversal
 from sgms_mhe.machine import QUANTITIES, Kind, Machine
 from sgms_mhe.signals.chain import readings
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.errors import ImplausibleError, InputError
 
 Array = NDArray[np.float64]
 
@@ -52,9 +52,9 @@ def check_plausible(log: Log, machine: Machine | None) -> None:
     """Refuse a log that this machine's axis, or without one no axis, can have left.
 
     Raises:
-        InputError: a column that never changes, a column that is time or another column, columns that are swapped, a
-            motion that has nothing to do with the force, a force or a recorded velocity of the other sign, a unit that
-            is off by orders of magnitude.
+        InputError: a column that never changes, or is time or another column.
+        ImplausibleError: columns that are swapped, a motion that has nothing to do with the force, a force or a
+            recorded velocity of the other sign, a unit that is off by orders of magnitude.
     """
     samples = _samples(log, machine)
     if len(log) <= samples:
@@ -81,6 +81,10 @@ def _units(log: Log, name: str) -> Mapping[str, tuple[float, float]]:
 
 def _refused(log: Log, where: str, seen: object, allowed: str) -> InputError:
     return InputError(log.source or "log", where, seen, allowed)
+
+
+def _implausible(log: Log, where: str, seen: object, allowed: str) -> ImplausibleError:
+    return ImplausibleError(log.source or "log", where, seen, allowed)
 
 
 def _check_constant(log: Log) -> None:
@@ -145,7 +149,7 @@ def _check_speed(log: Log, machine: Machine) -> None:
         known_units = _units(log, "position_m")
         unit = next((unit for unit in usual if fastest * known_units[unit][0] <= highest), usual[0])
         remedy = f'another column or unit? [log] has {position} = {{ variable = "...", unit = "{unit}" }}'
-    raise _refused(log, f"column {position}", seen, f"a position in {units.metres}; {known}; {remedy}")
+    raise _implausible(log, f"column {position}", seen, f"a position in {units.metres}; {known}; {remedy}")
 
 
 def _fastest(position: Array, samples: int, rate: float) -> float:
@@ -216,7 +220,7 @@ def _check_derivatives(log: Log, samples: int) -> None:
         remedy = "scale = -1.0" if -APART <= ratio <= -1.0 / APART else _unit_near(log, name, ratio) or "scale = ..."
         own, position = log.units.named(name), log.units.named("position_m")
         allowed = f'{own} as {position} has it; [log] of the machine file has {own} = {{ variable = "...", {remedy} }}'
-        raise _refused(log, f"column {own}", f"{ratio:.3g} times the rate of change of {position}", allowed)
+        raise _implausible(log, f"column {own}", f"{ratio:.3g} times the rate of change of {position}", allowed)
 
 
 def _unit_near(log: Log, name: str, ratio: float) -> str:
@@ -242,7 +246,7 @@ def _check_balance(log: Log, machine: Machine | None, motion: _Motion) -> None:
             f"a {units.push} that accelerates the axis the way that {position} counts; of the other sign "
             f'[log] of the machine file has {force} = {{ variable = "...", scale = -1.0 }}, or the same for {position}'
         )
-        raise _refused(log, f"column {force}", seen, allowed)
+        raise _implausible(log, f"column {force}", seen, allowed)
     if machine is None or balance.inertia == 0.0:
         return
     ratio = balance.inertia / machine.plant.moved
@@ -250,7 +254,7 @@ def _check_balance(log: Log, machine: Machine | None, motion: _Motion) -> None:
         return
     moved = f"{machine.plant.moved:g} {units.mass}"
     allowed = f"about plant.{units.inert} of {machine.name}, {moved}; {_remedy(log, machine, ratio)}"
-    raise _refused(log, _both(log), share, allowed)
+    raise _implausible(log, _both(log), share, allowed)
 
 
 def _breakaway(machine: Machine) -> float:
@@ -306,4 +310,4 @@ def _check_force(log: Log, machine: Machine, motion: _Motion) -> None:
         f"{rubbing:.3g} {units.force} rms for friction.coulomb, {measured:.3g} {units.force} rms measured"
     )
     remedy = f"[log] of the machine file has {' or '.join(lines)}" if lines else _MAPPING
-    raise _refused(log, _both(log), seen, f"a motion and the {units.push} that makes it; {remedy}")
+    raise _implausible(log, _both(log), seen, f"a motion and the {units.push} that makes it; {remedy}")

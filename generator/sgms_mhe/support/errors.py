@@ -24,6 +24,10 @@ class InputError(Exception):
         super().__init__(f"{self.source}: {_shortened(where)}{shown}: {allowed}")
 
 
+class ImplausibleError(InputError):
+    """Columns of a log that cannot be what they are called: of another sign, scale or unit."""
+
+
 def _shortened(text: str) -> str:
     return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
 
