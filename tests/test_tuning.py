@@ -12,21 +12,14 @@ import pytest
 
 from cli_cases import SMALL, done, refused, run
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.evaluation.tuning import (
-    LEAST_UPDATES,
-    Trial,
-    innovation_loss,
-    moving_updates,
-    stated_noise,
-    trade_off_figure,
-    tune,
-)
+from sgms_mhe.evaluation.tuning import Trial, trade_off_figure, tune
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.chain import signals_from_log
+from sgms_mhe.signals.innovations import LEAST_UPDATES, innovation_loss, moving_updates, stated_noise
 from sgms_mhe.signals.logs import Log, write_log
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -86,11 +87,11 @@ def command(machine: str, log: Path, out: Path, solver: Solver, plot: Path | Non
 
 def note_wrong_noise(machine: Machine, estimates: Estimates) -> None:
     """Say where the innovations contradict the noise that the machine file states."""
-    from sgms_mhe.evaluation.tuning import NOISE_FITS, stated_noise
+    from sgms_mhe.signals.innovations import NOISE_FITS, stated_noise
 
     share, unit = stated_noise(estimates), machine.plant.units.force
     least, most = NOISE_FITS
-    if least <= share <= most or share != share:
+    if least <= share <= most or math.isnan(share):
         return
     stated = machine.estimator.noise.measurement
     note(

@@ -27,18 +27,13 @@ from sgms_mhe.configuration import override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import Signals, signals_from_log
-from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.signals.innovations import LEAST_UPDATES, Mask, innovation_loss, moving_updates
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.signals.status import FLAGS, measured
 from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Progress = Callable[[str], None]
 
-MOST_RATIO: Final = 25.0
-LEAST_UPDATES: Final = 100
-"""Updates with a reading in motion that it takes to tell weights apart."""
 STEPS: Final = (10.0, 10.0**0.5, 10.0**0.25)
 """Factors by which a weight is moved, one after the other, until neither way is better."""
 ROUNDS: Final = 4
@@ -52,8 +47,6 @@ LIMITS: Final[Mapping[str, tuple[float, float]]] = {
 }
 """Weights that are tuned, in this order, within these limits: no friction law is right to less than a thousandth."""
 DRIFT: Final = "parameter_drift"
-NOISE_FITS: Final = (0.1, 3.0)
-"""Noise that innovations speak for, over the stated one, within which there is nothing to say: room is no mistake."""
 HORIZONS: Final = (5, 10, 20, 40)
 
 
@@ -231,25 +224,6 @@ class _Search:
         return innovation_loss(estimates, self._counted)
 
 
-def innovation_loss(estimates: Estimates, counted: Mask) -> tuple[Array, float]:
-    """L of every counted update (u), and their mean test ratio. An update that was refused could not be worse."""
-    refused = estimates.status[counted] < 0
-    ratio = np.maximum(estimates.test_ratio[counted], 1e-12)
-    variance = np.maximum(estimates.innovation_N[counted] ** 2, 1e-300) / ratio
-    ratio = np.where(refused, MOST_RATIO, np.minimum(ratio, MOST_RATIO))
-    loss: Array = 0.5 * (np.log(variance) + ratio)
-    return loss, float(ratio.mean())
-
-
-def moving_updates(estimates: Estimates) -> Mask:
-    """Updates (u) that took a reading in while the axis moved, the first of them left out."""
-    left_out = FLAGS["filling"] | FLAGS["hold"] | FLAGS["speed"]
-    counted: Mask = measured(estimates.status) & (estimates.status & left_out == 0)
-    counted &= np.isfinite(estimates.test_ratio) & (estimates.innovation_N != 0.0)
-    counted[: min(len(counted), 10)] = False
-    return counted
-
-
 def trade_off_figure(tuned: Tuned) -> Figure:
     """L over every weight that was tried, the file's and the chosen one marked."""
     names = [name for name, tried in tuned.trials.items() if len(tried) > 1]
@@ -272,14 +246,3 @@ def trade_off_figure(tuned: Tuned) -> Figure:
     for axis in axes[len(names) :]:
         axis.set_visible(False)
     return figure
-
-
-def stated_noise(estimates: Estimates) -> float:
-    """Measurement noise that the innovations speak for over the one that the machine file states; NaN: cannot tell.
-
-    By their median, which faults do not move: of a normal number's square it is 0.455.
-    """
-    counted = moving_updates(estimates)
-    if int(counted.sum()) < LEAST_UPDATES:
-        return math.nan
-    return math.sqrt(float(np.median(estimates.test_ratio[counted])) / 0.455)

@@ -18,6 +18,7 @@ from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.status import FLAGS
 from sgms_mhe.support.tables import Table
 
 Array = NDArray[np.float64]
@@ -30,8 +31,6 @@ START_S: Final = (8.0, 9.0)
 """When a fault begins, drawn from here: the parameters have been learned."""
 AXES: Final = 3
 TRUE_STIFFNESS: Final = (1.2, 0.85, 1.1, 0.95)
-MISSING: Final = 2
-DOUBT: Final = 64
 BEYOND: Final = 5.0
 """Stated deviations by which a reading departs that contradicts a good log."""
 
@@ -215,7 +214,7 @@ class Trial:
 
     def doubted_when_clean(self) -> float:
         """Share of the updates of good logs that say DOUBT."""
-        return float(np.mean([np.mean((good.status & DOUBT) > 0) for good in self._good]))
+        return float(np.mean([np.mean((good.status & FLAGS["doubt"]) > 0) for good in self._good]))
 
     def run(self, fault: Fault, seed: int) -> Outcome:
         """One injection."""
@@ -226,11 +225,11 @@ class Trial:
         time, back = found.time_s, start_s + fault.duration_s
         theta, std = found.parameters / self._nominal, found.std / self._nominal
         sigmas = np.max(np.abs(theta - record.theta) / std, axis=1)
-        lost = (found.status < 0) | (found.status & MISSING > 0)
+        lost = (found.status < 0) | (found.status & FLAGS["missing"] > 0)
         departed = np.abs(found.friction_measured_N - good.friction_measured_N) > BEYOND * self._stated
         wrong = np.flatnonzero((lost | departed) & (time >= start_s))
         first = int(wrong[0]) if len(wrong) else len(time)
-        said = np.flatnonzero((found.status & DOUBT > 0) | lost)
+        said = np.flatnonzero((found.status & FLAGS["doubt"] > 0) | lost)
         said = said[said >= np.searchsorted(time, start_s)]
         return Outcome(
             sigmas=float(sigmas[time > back + 1.0].max()),
