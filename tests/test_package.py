@@ -249,7 +249,7 @@ def test_freestanding(compiler: str, level: str, precision: str, require_tool: T
     assert {name for kind, name in found if kind == "U"} <= {"memcpy", "memset"}
     assert not [(kind, name) for kind, name in found if kind in "BbDdCcGgSs"], "writable globals"
     exported = {name for kind, name in found if kind.isupper() and kind != "U"}
-    public = "init reset tick sample insert ahead compensate share due prepare feedback estimate status_text"
+    public = "check init reset tick sample insert ahead compensate share due prepare feedback estimate status_text"
     assert exported == {f"etel_xy_{name}" for name in public.split()}
     # The program brings its own two functions only where the compiler wants them.
     (tmp_path / "memory.c").write_text(
@@ -300,7 +300,7 @@ def test_two_machines_in_one_program(language: str, require_tool: Tool, tmp_path
 
 # --- calls -------------------------------------------------------------------------------------------------------
 
-STATUSES = ("OK", "FILLING", "MISSING", "HOLD", "BOUND", "SPEED", "OVERRUN", "EARLY", "NUMERIC", "OVERLAP")
+STATUSES = ("OK", "FILLING", "MISSING", "HOLD", "BOUND", "SPEED", "OVERRUN", "EARLY", "NUMERIC", "OVERLAP", "MISMATCH")
 
 
 class Axis:
@@ -702,6 +702,7 @@ def test_status_texts(axis: Any) -> None:
         ("EARLY", "not complete"),
         ("NUMERIC", "not finite"),
         ("OVERLAP", "overlapped"),
+        ("MISMATCH", "another header"),
     ):
         assert word in texts[name]
     # Sums say their gravest part, and every number has a text.

@@ -1,7 +1,7 @@
 /* Every public call of one package along a motion that asks for much, on two axes, one task and two: presliding, moves
  * up to speed and beyond, standstill, gaps, readings that are none, samples lost, resets, signals of a chain of its
  * own. Prints digest of the bits of all that came out, numbers that it is of, statuses that were seen (one bit each: 0
- * OK, 1 to 7 the flags in their order, 8 to 10 the refusals) the same wherever arithmetic is that of IEEE 754 and
+ * OK, 1 to 7 the flags in their order, 8 to 11 the refusals) the same wherever arithmetic is that of IEEE 754 and
  * nothing contracts it. Compiled as package.h says; on an emulated microcontroller (-DON_TARGET) the three go to
  * results.bin, 64 bits each. */
 #include "package.h"
@@ -307,6 +307,9 @@ static void start_anew(void)
 
 static void exercise(void)
 {
+    take_status(CALL(check)(sizeof by_tick, CONSTANT(HEADER)));
+    take_status(CALL(check)(sizeof by_tick, CONSTANT(HEADER) + 1u));
+    take_status(CALL(check)(sizeof by_tick - 1, CONSTANT(HEADER)));
     begin();
     take_sample(CALL(position_from_metres)(5e6), (machine_real)1); /* the first readings come one by one */
     start_anew();

@@ -113,7 +113,8 @@ int probe_numbers(void)
 int probe_status(int which)
 {
     const int values[] = {CONSTANT(OK),    CONSTANT(FILLING), CONSTANT(MISSING), CONSTANT(HOLD),   CONSTANT(BOUND),
-                          CONSTANT(SPEED), CONSTANT(OVERRUN), CONSTANT(EARLY),   CONSTANT(NUMERIC), CONSTANT(OVERLAP)};
+                          CONSTANT(SPEED), CONSTANT(OVERRUN), CONSTANT(EARLY),   CONSTANT(NUMERIC), CONSTANT(OVERLAP),
+                          CONSTANT(MISMATCH)};
     return values[which];
 }
 

@@ -23,6 +23,7 @@ from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.emission.schedule import Costs, schedule_of
 from sgms_mhe.emission.selftest import Vectors
 from sgms_mhe.emission.sizes import Sizes, couplings, sizes_of
+from sgms_mhe.emission.statuses import Status, statuses_of
 from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Variant, variant_of
 from sgms_mhe.emission.work import Work, work_of
@@ -70,6 +71,7 @@ class Identity:
         machine_digest, sources_digest: what it was generated from.
         version: of the generator. runtime_version: of the runtime headers.
         real: C type of its numbers.
+        header_digest: eight hexadecimal digits of all that the public header declares; zeros until it is rendered.
     """
 
     name: str
@@ -79,6 +81,7 @@ class Identity:
     version: str
     runtime_version: int
     real: str
+    header_digest: str = "00000000"
 
     @property
     def NAME(self) -> str:
@@ -201,6 +204,7 @@ class PackageView:
     Attributes:
         law: constants of the law, where a group is emitted as it.
         flow: constants of the displacement flow, where a group follows it.
+        statuses: of an update, and what each asks for.
         vectors: self-test vectors, where the package has them.
         work: what the calls take at most.
     """
@@ -219,6 +223,7 @@ class PackageView:
     law: ElementLaw | None
     flow: Flow | None
     compensation: Compensation
+    statuses: tuple[Status, ...]
     vectors: Vectors | None
     work: Work
 
@@ -265,6 +270,7 @@ def package_view(structure: Structure) -> PackageView:
         law=element_law(machine) if any(g.obeys_law for g in groups) else None,
         flow=ingredients.flow,
         compensation=ingredients.compensation,
+        statuses=statuses_of(machine, variant),
         vectors=None,
         work=work_of(groups, ingredients),
     )

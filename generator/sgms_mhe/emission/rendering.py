@@ -13,9 +13,10 @@ package's precision. Numbers that Python computed are printed by a filter:
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -65,10 +66,22 @@ def render(view: PackageView) -> dict[str, str]:
         files[f"{name}_flow.h"] = "flow.h"
     if view.vectors is not None:
         files[f"{name}_selftest.h"] = "selftest.h"
-    environment = _environment("single" if view.variant.single else "double")
+    view = replace(view, package=replace(view.package, header_digest=declared_digest(_rendered(view, "machine.h"))))
+    return {file: _rendered(view, template) for file, template in files.items()}
+
+
+def declared_digest(header: str) -> str:
+    """Eight hexadecimal digits of all that a header declares and defines, comments and layout left out."""
+    code = re.sub(r"/\*.*?\*/", " ", header, flags=re.DOTALL)
+    return hashlib.sha256(" ".join(code.split()).encode()).hexdigest()[:8]
+
+
+def _rendered(view: PackageView, template: str) -> str:
+    """One template's text."""
     subjects = {field.name: getattr(view, field.name) for field in fields(view)}
-    subjects |= {"name": name, "NAME": name.upper()}
-    return {file: environment.get_template(f"{template}.jinja").render(subjects) for file, template in files.items()}
+    subjects |= {"name": view.package.name, "NAME": view.package.NAME}
+    environment = _environment("single" if view.variant.single else "double")
+    return environment.get_template(f"{template}.jinja").render(subjects)
 
 
 @lru_cache(maxsize=2)
