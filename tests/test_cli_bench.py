@@ -109,14 +109,14 @@ def test_harness_times_every_update(harness: Path) -> None:
     assert times.sum() > 0.0
 
 
-def test_harness_runs_the_vectors_of_the_package(machine: Machine, package: Package, harness: Path) -> None:
+def test_harness_runs_the_self_test_of_the_package(machine: Machine, package: Package, harness: Path) -> None:
     result = ran(harness, "--selftest")
-    if f"{machine.name}_selftest.h" in package.files:
+    if f"{machine.name}_selftest.c" in package.files:
         assert result.returncode == 0, result.stdout
         assert result.stdout.startswith("selftest passed")
     else:
         assert result.returncode == 2
-        assert "without vectors" in result.stderr
+        assert "without the package's self-test" in result.stderr
 
 
 @pytest.mark.parametrize(

@@ -176,13 +176,14 @@ def test_helpers_of_the_host_without_a_warning(precision: str, require_tool: Too
 
 @pytest.mark.parametrize("kind", ["mhe", "ekf"])
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_harness_passes_the_vectors_of_its_package(
+def test_harness_passes_the_self_test_of_its_package(
     precision: str, kind: str, require_tool: Tool, tmp_path: Path
 ) -> None:
     folder = written(emit_package(machine(code={"precision": precision}, estimator={"kind": kind})), tmp_path)
-    own = [f'-DSGMS_CONFIG_HEADER="{folder.name}_config.h"', f'-DSGMS_SELFTEST_HEADER="{folder.name}_selftest.h"']
+    own = [f'-DSGMS_CONFIG_HEADER="{folder.name}_config.h"', "-DSGMS_SELFTEST"]
     harness = tmp_path / "harness"
-    files = [f"-I{folder}", folder / "etel_xy.c", runtime_dir() / "harness.c", "-o", harness, "-lm"]
+    sources = [folder / "etel_xy.c", folder / "etel_xy_selftest.c", runtime_dir() / "harness.c"]
+    files = [f"-I{folder}", sources, "-o", harness, "-lm"]
     run(require_tool("gcc"), STRICT, "-O1", replay_definitions("etel_xy"), own, files)
     assert "selftest passed" in run(harness, "--selftest")
     rows = run(harness, "--motion", "30").splitlines()

@@ -66,6 +66,7 @@ def render(view: PackageView) -> dict[str, str]:
         files[f"{name}_flow.h"] = "flow.h"
     if view.vectors is not None:
         files[f"{name}_selftest.h"] = "selftest.h"
+        files[f"{name}_selftest.c"] = "selftest.c"
     view = replace(view, package=replace(view.package, header_digest=declared_digest(_rendered(view, "machine.h"))))
     return {file: _rendered(view, template) for file, template in files.items()}
 

@@ -17,13 +17,22 @@ _PERIODS = 2.5
 
 @dataclass(frozen=True)
 class Vectors:
-    """Numbers as text, rounded so that every machine prints the same."""
+    """Numbers, rounded so that every machine prints the same.
+
+    Attributes:
+        updates: of the motion.
+        position: of its samples [pm].
+        force: of its samples [N].
+        friction: estimated at each update [N]. largest: of them.
+        parameters: estimated at each update [SI].
+    """
 
     updates: int
-    position: tuple[str, ...]
-    force: tuple[str, ...]
-    friction: tuple[str, ...]
-    parameters: tuple[tuple[str, ...], ...]
+    position: tuple[int, ...]
+    force: tuple[float, ...]
+    friction: tuple[float, ...]
+    largest: float
+    parameters: tuple[tuple[float, ...], ...]
 
 
 def selftest_vectors(model: Model) -> Vectors:
@@ -54,16 +63,17 @@ def selftest_vectors(model: Model) -> Vectors:
     log = Log(np.arange(n) / sampling.rate, position, force, sampling.rate, kind=machine.plant.kind)
     kind = machine.estimator.kind
     found = estimate_model(model, signals_from_log(log, machine), kind, compiled=False)
+    friction_N = tuple(_rounded(f) for f in found.friction_N)
     return Vectors(
         updates=updates,
-        position=tuple(repr(float(p)) for p in position),
-        force=tuple(repr(float(f)) for f in force),
-        friction=tuple(_rounded(f) for f in found.friction_N),
+        position=tuple(round(1e12 * float(p)) for p in position),
+        force=tuple(float(f) for f in force),
+        friction=friction_N,
+        largest=max(map(abs, friction_N)),
         parameters=tuple(tuple(_rounded(p) for p in row) for row in found.parameters),
     )
 
 
-def _rounded(value: float) -> str:
+def _rounded(value: float) -> float:
     """Eight significant digits: far from the last ones, which depend on the machine."""
-    text = f"{value:.8g}"
-    return text if any(c in text for c in ".en") else text + ".0"
+    return float(f"{value:.8g}")

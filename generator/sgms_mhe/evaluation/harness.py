@@ -23,19 +23,20 @@ Array = NDArray[np.float64]
 
 
 def build_harness(machine: Machine, package: Package, flags: Sequence[str] = DEFAULT_FLAGS) -> Path:
-    """Compile `runtime_c/harness.c` with a package; with its self-test vectors where it brings them.
+    """Compile `runtime_c/harness.c` with a package; with its self-test where it brings one.
 
     Raises:
         BuildError: the compiler refused.
     """
     name = machine.name
     definitions = [*replay_definitions(name, machine.plant.kind), f'-DSGMS_CONFIG_HEADER="{name}_config.h"']
-    if f"{name}_selftest.h" in package.files:
-        definitions.append(f'-DSGMS_SELFTEST_HEADER="{name}_selftest.h"')
+    own = [file for file in package.files if file.endswith(".c")]
+    if f"{name}_selftest.c" in own:
+        definitions.append("-DSGMS_SELFTEST")
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / name
         write_package(package, folder)
-        sources = [runtime_dir() / "harness.c", folder / f"{name}.c"]
+        sources = [runtime_dir() / "harness.c", *(folder / file for file in own)]
         return program(sources, include_dirs=[folder], flags=[*flags, *definitions], libraries=["m"])
 
 

@@ -115,17 +115,18 @@ def measure(package: Package, *, exercised: bool = True) -> Coverage:
         write_package(package, folder / name)
         header = folder / name / "sgms_real.h"
         header.write_text(header.read_text().replace(INLINED, "inline"))
-        vectors = f'-DSGMS_SELFTEST_HEADER="{name}_selftest.h"'
-        options: list[str | Path] = [*FLAGS, *definitions(package), vectors, f"-I{folder / name}"]
+        options: list[str | Path] = [*FLAGS, *definitions(package), f"-I{folder / name}"]
         _succeed(["gcc", *options, "-c", folder / name / f"{name}.c", "-o", folder / "package.o"])
-        programs: dict[str, tuple[Path, list[str]]] = {"selftest": (runtime_dir() / "harness.c", ["--selftest"])}
+        selftest: list[str | Path] = [runtime_dir() / "harness.c", folder / name / f"{name}_selftest.c"]
+        programs = {"selftest": (selftest, ["-DSGMS_SELFTEST"], ["--selftest"])}
         if exercised:
-            programs["exercise"] = (sources() / "exercise.c", [])
-        for program, (source, arguments) in programs.items():
-            bare: list[str | Path] = [option for option in options if option != "--coverage"]
-            _succeed(["gcc", *bare, source, "-c", "-o", folder / f"{program}.o"])
-            parts: list[str | Path] = [folder / f"{program}.o", folder / "package.o", "-o", folder / program]
-            _succeed(["gcc", "--coverage", *parts, "-lm"])
+            programs["exercise"] = ([sources() / "exercise.c"], [], [])
+        for program, (parts, defined, arguments) in programs.items():
+            bare: list[str | Path] = [*(option for option in options if option != "--coverage"), *defined]
+            objects: list[str | Path] = [folder / f"{program}_{part}.o" for part in range(len(parts))]
+            for source, compiled in zip(parts, objects, strict=True):
+                _succeed(["gcc", *bare, source, "-c", "-o", compiled])
+            _succeed(["gcc", "--coverage", *objects, folder / "package.o", "-o", folder / program, "-lm"])
             _succeed([folder / program, *arguments])
         _succeed(["gcov", "--json-format", "--branch-probabilities", "-o", folder, folder / "package.o"], folder)
         reports = list(folder.glob("*.gcov.json.gz"))
