@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from sgms_mhe.configuration import load_machine
+from sgms_mhe.emission.delivery import MANIFEST
 from sgms_mhe.emission.package import emit_package
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -26,7 +27,8 @@ DIFF_LINES = 200
 
 def emitted(name: str) -> dict[str, str]:
     """Files of a machine's package. The digest of the generator's sources would change with every one of them."""
-    files = emit_package(load_machine(GOLDEN / f"{name}.toml")).files
+    files = dict(emit_package(load_machine(GOLDEN / f"{name}.toml")).files)
+    del files[MANIFEST]  # digests of the others, banners included
     return {file: re.sub(r"with sources [0-9a-f]{12}", "with sources (any)", text) for file, text in files.items()}
 
 

@@ -129,15 +129,15 @@ def test_names_that_would_collide_are_refused() -> None:
     variants = ["flow", "linear", "merged", "auto", "ekf", "level of its own"]
     changes = [VARIANTS[v] for v in variants] + [{"effects": [{"name": "backlash"}, {"name": "actuator_lag"}]}]
     for package in (package_of(**c, code={"precision": p}) for c in changes for p in PRECISIONS):
-        public = set(re.findall(r"\b(?:etel_xy|ETEL_XY)_(\w+)\b(?!\.h)", "".join(package.files.values())))
-        ending = re.compile(rf"\b(?!etel_xy|ETEL_XY)([A-Za-z]\w*?)_(?:{'|'.join(sorted(public))})\b")
         code = "".join(text for file, text in package.files.items() if file.endswith((".c", ".h")))
+        public = set(re.findall(r"\b(?:etel_xy|ETEL_XY)_(\w+)\b(?!\.h)", code))
+        ending = re.compile(rf"\b(?!etel_xy|ETEL_XY)([A-Za-z]\w*?)_(?:{'|'.join(sorted(public))})\b")
         code = re.sub(r"/\*.*?\*/", "", code, flags=re.DOTALL)
         begins = {match.group(1) for match in ending.finditer(code)}
         assert {"take", "int32"} <= {name.lower() for name in begins}
         assert not [name for name in begins if not RESERVED_NAMES.fullmatch(name)]
-        files = {file.removesuffix(".h").lower() for file in package.files if not file.startswith("etel_xy")}
-        assert all(RESERVED_NAMES.fullmatch(file) for file in files - {"structure.txt"})
+        headers = [file for file in package.files if file.endswith(".h") and not file.startswith("etel_xy")]
+        assert all(RESERVED_NAMES.fullmatch(file.removesuffix(".h").lower()) for file in headers)
 
 
 # --- compilers ---------------------------------------------------------------------------------------------------
@@ -183,7 +183,7 @@ def test_harness_passes_the_self_test_of_its_package(
     own = [f'-DSGMS_CONFIG_HEADER="{folder.name}_config.h"', "-DSGMS_SELFTEST"]
     harness = tmp_path / "harness"
     sources = [folder / "etel_xy.c", folder / "etel_xy_selftest.c", runtime_dir() / "harness.c"]
-    files = [f"-I{folder}", sources, "-o", harness, "-lm"]
+    files = [f"-I{folder}", *sources, "-o", harness, "-lm"]
     run(require_tool("gcc"), STRICT, "-O1", replay_definitions("etel_xy"), own, files)
     assert "selftest passed" in run(harness, "--selftest")
     rows = run(harness, "--motion", "30").splitlines()

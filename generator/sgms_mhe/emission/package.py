@@ -1,4 +1,4 @@
-"""A machine's package: the emitted C, its runtime headers and the structure report, as text by file name."""
+"""A machine's package: the emitted C, its runtime headers, reports and build files, as text by file name."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 from sgms_mhe.emission.budget import check_budget
 from sgms_mhe.emission.context import PackageView, package_view
+from sgms_mhe.emission.delivery import accompany, memory_of_package
 from sgms_mhe.emission.rendering import render
 from sgms_mhe.emission.selftest import selftest_vectors
 from sgms_mhe.emission.structure import analyse, report
@@ -53,11 +54,13 @@ def emit_package(
         check_budget(machine, view.work)
     if selftest:
         view = replace(view, vectors=selftest_vectors(model))
-    files = render(view) | _runtime(view)
+    files = render(view)
+    memory = memory_of_package(view, files)
+    files |= _runtime(view)
     files["structure.txt"] = report(structure)
     if machine.sampling.integrator.tolerance is not None:
         files["work_precision.txt"] = table_text(machine)
-    return Package(machine, dict(sorted(files.items())))
+    return Package(machine, dict(sorted(accompany(view, files, memory).items())))
 
 
 def _runtime(view: PackageView) -> dict[str, str]:

@@ -28,6 +28,8 @@ from sgms_mhe.emission.c_source import CPrinter
 from sgms_mhe.emission.context import PackageView
 from sgms_mhe.support.paths import templates_dir
 
+Precision = Literal["double", "single"]
+
 _PIECE = re.compile(
     r"""(?P<open>/\*) | (?P<close>\*/) | "(?:[^"\\\n]|\\.)*"
     | (?<![\w.])(?P<literal>\d+\.\d*(?:e[+-]?\d+)?|\d+e[+-]?\d+)(?![\w.])""",
@@ -67,8 +69,26 @@ def render(view: PackageView) -> dict[str, str]:
     if view.vectors is not None:
         files[f"{name}_selftest.h"] = "selftest.h"
         files[f"{name}_selftest.c"] = "selftest.c"
-    view = replace(view, package=replace(view.package, header_digest=declared_digest(_rendered(view, "machine.h"))))
-    return {file: _rendered(view, template) for file, template in files.items()}
+    view = _stamped(view)
+    precision: Precision = "single" if view.variant.single else "double"
+    return {file: _rendered(view, template, precision) for file, template in files.items()}
+
+
+def render_page(view: PackageView, template: str, delivery: object) -> str:
+    """A file of a package that is no C.
+
+    Args:
+        view: of the package.
+        template: without its suffix.
+        delivery: the package's C as templates name it.
+    """
+    return _rendered(view, template, "double", delivery=delivery)
+
+
+def _stamped(view: PackageView) -> PackageView:
+    """The view with the digest of what the public header declares."""
+    header = _rendered(view, "machine.h", "double")
+    return replace(view, package=replace(view.package, header_digest=declared_digest(header)))
 
 
 def declared_digest(header: str) -> str:
@@ -77,16 +97,15 @@ def declared_digest(header: str) -> str:
     return hashlib.sha256(" ".join(code.split()).encode()).hexdigest()[:8]
 
 
-def _rendered(view: PackageView, template: str) -> str:
-    """One template's text."""
+def _rendered(view: PackageView, template: str, precision: Precision, **more: object) -> str:
+    """One template's text; literals in it as those of a precision."""
     subjects = {field.name: getattr(view, field.name) for field in fields(view)}
-    subjects |= {"name": view.package.name, "NAME": view.package.NAME}
-    environment = _environment("single" if view.variant.single else "double")
-    return environment.get_template(f"{template}.jinja").render(subjects)
+    subjects |= {"name": view.package.name, "NAME": view.package.NAME, **more}
+    return _environment(precision).get_template(f"{template}.jinja").render(subjects)
 
 
 @lru_cache(maxsize=2)
-def _environment(precision: Literal["double", "single"]) -> jinja2.Environment:
+def _environment(precision: Precision) -> jinja2.Environment:
     """Templates and what they call; compiled templates stay with it."""
     printer = CPrinter(precision)
     environment = jinja2.Environment(

@@ -44,7 +44,7 @@ def statuses_of(machine: Machine, variant: Variant) -> tuple[Status, ...]:
         "hold": ("the axis hardly moved: parameters hold", "Nothing: friction goes on, parameters wait for motion."),
         "bound": (
             "a parameter is at its bound",
-            "Do not trust that parameter. Where it stays, the machine file is another axis's, or its bounds too narrow.",
+            "Do not trust that parameter. Where it stays: another axis's machine file, or bounds too narrow.",
         ),
         "speed": (
             f"faster than max_velocity, {limit} {unit}",

@@ -67,6 +67,17 @@ class Work:
     update: int
     parts: tuple[Part, ...]
 
+    @property
+    def stated(self) -> tuple[tuple[str, int, str], ...]:
+        """(call, operations, remark), as header and page state them."""
+        return (
+            ("tick()", self.tick, ""),
+            ("sample()", self.sample, "insert() too"),
+            ("prepare()", self.prepare, f"in units of at most {self.unit}"),
+            ("feedback()", self.feedback, "after prepare()"),
+            ("an update", self.update, "all calls of an interval"),
+        )
+
 
 @dataclass(frozen=True)
 class Units:

@@ -7,9 +7,11 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+from sgms_mhe.emission.delivery import MANIFEST, manifested
 from sgms_mhe.support.errors import InputError
 
-EMITTED_SUFFIXES = (".c", ".h", ".txt")
+EARLIER_SUFFIXES = (".c", ".h", ".txt")
+"""Of the files of packages that had no manifest."""
 
 
 def write_folder(files: Mapping[str, str], folder: Path) -> None:
@@ -21,7 +23,7 @@ def write_folder(files: Mapping[str, str], folder: Path) -> None:
         InputError: the folder cannot be written, or holds files that no package emits.
     """
     parent = folder.parent
-    foreign = [p.name for p in folder.iterdir() if p.suffix not in EMITTED_SUFFIXES] if folder.is_dir() else []
+    foreign = _foreign(folder) if folder.is_dir() else []
     if foreign:
         raise InputError(folder, "output folder", sorted(foreign)[0], "an empty folder or an earlier package")
     try:
@@ -38,3 +40,12 @@ def write_folder(files: Mapping[str, str], folder: Path) -> None:
             shutil.rmtree(scratch, ignore_errors=True)
     except OSError as error:
         raise InputError(folder, "output folder", None, f"cannot be written: {error.strerror}") from None
+
+
+def _foreign(folder: Path) -> list[str]:
+    """Names of what is in a folder and belongs to no package: its manifest lists what does."""
+    listed = folder / MANIFEST
+    names = {path.name for path in folder.iterdir()}
+    if listed.is_file():
+        return list(names - manifested(listed.read_text(encoding="utf-8", errors="replace")))
+    return [name for name in names if not name.endswith(EARLIER_SUFFIXES) or name == "CMakeLists.txt"]
