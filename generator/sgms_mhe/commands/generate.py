@@ -25,8 +25,9 @@ from sgms_mhe.commands.common import (
 )
 @machine_argument
 @out_option("The package's folder; default generated/NAME below the working directory.", metavar="DIR", required=False)
+@click.option("--amalgamate", is_flag=True, help="All C in one source and one header.")
 @json_option
-def command(machine: str, out: Path | None, as_json: bool) -> None:
+def command(machine: str, out: Path | None, amalgamate: bool, as_json: bool) -> None:
     """Emit MACHINE's estimator as a folder of C99 that needs no library.
 
     The folder is replaced as a whole, and only if nothing but an earlier package is in it.
@@ -40,7 +41,7 @@ def command(machine: str, out: Path | None, as_json: bool) -> None:
     from sgms_mhe.emission.package import emit_package, write_package
 
     with progress_bar(f"generate {resolved.name}"):
-        package = emit_package(resolved, within_budget=True)
+        package = emit_package(resolved, within_budget=True, amalgamate=amalgamate)
         write_package(package, folder)
     sizes = {name: len(text.encode()) for name, text in package.files.items()}
     if as_json:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from sgms_mhe.emission.amalgamation import amalgamated
 from sgms_mhe.emission.budget import check_budget
 from sgms_mhe.emission.context import PackageView, package_view
 from sgms_mhe.emission.delivery import accompany, memory_of_package
@@ -32,7 +33,12 @@ class Package:
 
 
 def emit_package(
-    machine: Machine, model: Model | None = None, *, selftest: bool = True, within_budget: bool = False
+    machine: Machine,
+    model: Model | None = None,
+    *,
+    selftest: bool = True,
+    within_budget: bool = False,
+    amalgamate: bool = False,
 ) -> Package:
     """Generate the C of a machine.
 
@@ -41,6 +47,7 @@ def emit_package(
         model: its symbolic model, where that is not what `build_model` makes of the machine.
         selftest: with the self-test vectors, for which the reference solver has to run.
         within_budget: refuse a machine whose longest tick takes more operations than its budget.
+        amalgamate: all C in one source and one header.
 
     Raises:
         InputError: the machine asks for something that cannot be emitted; the message says what.
@@ -57,6 +64,8 @@ def emit_package(
     files = render(view)
     memory = memory_of_package(view, files)
     files |= _runtime(view)
+    if amalgamate:
+        files = amalgamated(files, machine.name)
     files["structure.txt"] = report(structure)
     if machine.sampling.integrator.tolerance is not None:
         files["work_precision.txt"] = table_text(machine)
