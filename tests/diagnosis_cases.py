@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.diagnosis import Alternative, BaseParameter, Cause, Diagnosis, Rms, Score, Structure, Traces
+from sgms_mhe.diagnosis import Alternative, BaseParameter, Cause, Diagnosis, RivalFit, Rms, Score, Structure, Traces
 from sgms_mhe.machine import Machine
 
 Array = NDArray[np.float64]
@@ -136,6 +136,12 @@ def explained(machine: Machine, **changes: Any) -> Diagnosis:
     return replace(diagnosis, **changes)
 
 
+def certain(machine: Machine) -> Diagnosis:
+    """The same along a record that shows every number of the machine."""
+    first = explained(machine)
+    return replace(first, base=tuple(b for b in first.base if math.isfinite(b.std)))
+
+
 def adequate(machine: Machine, **changes: Any) -> Diagnosis:
     """Nothing to find."""
     shown = traces(ripple=0.0)
@@ -171,8 +177,12 @@ def ambiguous(machine: Machine) -> Diagnosis:
     cause = Cause(
         "constant_offset", "constant_offset", {"force_N": 0.41}, {"force_N": 0.02}, {}, rms, 0.40, (0.37, 0.43), 1e-9
     )
+    shown = first.traces
+    rival = shown.residual_after + 0.02 * np.sign(shown.velocity_m_s)
+    held_out = float(np.sqrt(np.mean(rival[shown.held_out] ** 2)))
     return replace(
         first,
+        rival_fits=(RivalFit("asymmetric_coulomb", "constant_offset", 0.113, held_out, rival),),
         verdict="ambiguous",
         summary="A constant offset of 0.41 N or an asymmetric Coulomb level of 10 % is missing: this record cannot say",
         causes=(cause,),

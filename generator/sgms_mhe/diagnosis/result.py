@@ -97,6 +97,25 @@ class Alternative:
     excess_N: float = math.nan
 
 
+@dataclass(frozen=True, eq=False)
+class RivalFit:
+    """What a rival leaves in a cause's place, of a fit that did not see the held-out segments.
+
+    Attributes:
+        name: of the rival.
+        instead_of: cause whose place it takes.
+        rms_N, held_out_rms_N: RMS of measured minus simulated friction on the segments that the fit saw, and on those
+            it did not.
+        residual_N: measured minus simulated (m), in step with `Traces`.
+    """
+
+    name: str
+    instead_of: str
+    rms_N: float
+    held_out_rms_N: float
+    residual_N: Array
+
+
 @dataclass(frozen=True)
 class BaseParameter:
     """A number of the base model, as the file has it and as the refit found it (`std` robust; NaN: not excited)."""
@@ -189,6 +208,7 @@ class Diagnosis:
         excited: whether the axis moved.
         warnings: what the user should know about the record (gaps, saturation, too fast, too short).
         seconds: computing time.
+        rival_fits: of the alternatives that are rivals.
     """
 
     machine: Machine
@@ -212,6 +232,7 @@ class Diagnosis:
     excited: bool
     warnings: tuple[str, ...]
     seconds: float
+    rival_fits: tuple[RivalFit, ...] = ()
 
     @property
     def limits(self) -> tuple[str, ...]:
