@@ -79,9 +79,8 @@ def explained(machine: Machine, **changes: Any) -> Diagnosis:
     std = {"amplitude_N": 0.006, "pitch_m": 2.1e-5, "phase_rad": 0.011}
     before, after = shown.residual_before[shown.held_out], shown.residual_after[shown.held_out]
     rms = Rms(0.581, 0.112, float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2))))
-    extended = override_machine(
-        machine, {"name": f"{machine.name}_force_ripple", "effects": [{"name": "force_ripple", **values}]}
-    )
+    entry = machine.plant.units.keyed({"name": "force_ripple", **values})
+    extended = override_machine(machine, {"name": f"{machine.name}_force_ripple", "effects": [entry]})
     toml = (
         f'# Found by sgms-mhe diagnose in axis.csv.\nextends = "{machine.name}"\nname = "{extended.name}"\n\n'
         '[[effects]]\nname = "force_ripple"\namplitude_N = 0.797   # +- 0.012\npitch_m = 0.032003\nphase_rad = 0.598\n'
@@ -136,9 +135,8 @@ def explained(machine: Machine, **changes: Any) -> Diagnosis:
     return replace(diagnosis, **changes)
 
 
-def certain(machine: Machine) -> Diagnosis:
+def certain(first: Diagnosis) -> Diagnosis:
     """The same along a record that shows every number of the machine."""
-    first = explained(machine)
     return replace(first, base=tuple(b for b in first.base if math.isfinite(b.std)))
 
 
