@@ -10,7 +10,7 @@ BIN := .venv/bin
 RUN := $(BIN)/sgms-mhe
 STAMP := .venv/.installed
 MACHINES := $(sort $(patsubst machines/%.toml,%,$(wildcard machines/*.toml)))
-RUNTIME_C = $(sort $(shell find runtime_c -name '*.[ch]'))
+WRITTEN_C = $(sort $(shell find runtime_c tests/c -name '*.[ch]' -o -name '*.[ch]pp'))
 
 # Strict enough for a firmware project's own rules.
 CFLAGS ?= -O2
@@ -130,12 +130,12 @@ lint-types: $(STAMP)
 	$(BIN)/mypy
 
 lint-c: $(STAMP)
-	$(if $(RUNTIME_C),$(BIN)/clang-format --dry-run -Werror $(RUNTIME_C),@echo "runtime_c/ holds no C")
+	$(BIN)/clang-format --dry-run -Werror $(WRITTEN_C)
 
 format: $(STAMP) ## let ruff and clang-format rewrite the sources
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
-	$(if $(RUNTIME_C),$(BIN)/clang-format -i $(RUNTIME_C))
+	$(BIN)/clang-format -i $(WRITTEN_C)
 
 # --- packaging -------------------------------------------------------------------------------------------------------
 

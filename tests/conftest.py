@@ -70,6 +70,16 @@ def require_tool() -> Callable[[str], str]:
     return locate
 
 
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The machine file of the command line's tests, in a folder of its own."""
+    from cli_cases import SMALL  # beside this file in the repository only, not where a test copies it to
+
+    path = tmp_path_factory.mktemp("machine") / "small.toml"
+    path.write_text(SMALL)
+    return path
+
+
 # --- markers ----------------------------------------------------------------------------------------------------
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.diagnosis import Alternative, BaseParameter, Cause, Diagnosis, Rms, Score, Structure, Traces
+from sgms_mhe.diagnosis import Alternative, BaseParameter, Cause, Diagnosis, RivalFit, Rms, Score, Structure, Traces
 from sgms_mhe.machine import Machine
 
 Array = NDArray[np.float64]
@@ -79,9 +79,8 @@ def explained(machine: Machine, **changes: Any) -> Diagnosis:
     std = {"amplitude_N": 0.006, "pitch_m": 2.1e-5, "phase_rad": 0.011}
     before, after = shown.residual_before[shown.held_out], shown.residual_after[shown.held_out]
     rms = Rms(0.581, 0.112, float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2))))
-    extended = override_machine(
-        machine, {"name": f"{machine.name}_force_ripple", "effects": [{"name": "force_ripple", **values}]}
-    )
+    entry = machine.plant.units.keyed({"name": "force_ripple", **values})
+    extended = override_machine(machine, {"name": f"{machine.name}_force_ripple", "effects": [entry]})
     toml = (
         f'# Found by sgms-mhe diagnose in axis.csv.\nextends = "{machine.name}"\nname = "{extended.name}"\n\n'
         '[[effects]]\nname = "force_ripple"\namplitude_N = 0.797   # +- 0.012\npitch_m = 0.032003\nphase_rad = 0.598\n'
@@ -136,6 +135,11 @@ def explained(machine: Machine, **changes: Any) -> Diagnosis:
     return replace(diagnosis, **changes)
 
 
+def certain(first: Diagnosis) -> Diagnosis:
+    """The same along a record that shows every number of the machine."""
+    return replace(first, base=tuple(b for b in first.base if math.isfinite(b.std)))
+
+
 def adequate(machine: Machine, **changes: Any) -> Diagnosis:
     """Nothing to find."""
     shown = traces(ripple=0.0)
@@ -171,8 +175,12 @@ def ambiguous(machine: Machine) -> Diagnosis:
     cause = Cause(
         "constant_offset", "constant_offset", {"force_N": 0.41}, {"force_N": 0.02}, {}, rms, 0.40, (0.37, 0.43), 1e-9
     )
+    shown = first.traces
+    rival = shown.residual_after + 0.02 * np.sign(shown.velocity_m_s)
+    held_out = float(np.sqrt(np.mean(rival[shown.held_out] ** 2)))
     return replace(
         first,
+        rival_fits=(RivalFit("asymmetric_coulomb", "constant_offset", 0.113, held_out, rival),),
         verdict="ambiguous",
         summary="A constant offset of 0.41 N or an asymmetric Coulomb level of 10 % is missing: this record cannot say",
         causes=(cause,),

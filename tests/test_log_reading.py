@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cli_cases import SMALL, refused, run
+from cli_cases import refused, run
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.logfiles import table as tables
 from sgms_mhe.logfiles.decimals import told_by, value_of
@@ -29,13 +29,6 @@ from sgms_mhe.support.errors import InputError
 
 Row = Callable[[int], Sequence[str]]
 PLAIN = "t [s];x [m];F [N]"
-
-
-@pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("machine") / "small.toml"
-    path.write_text(SMALL)
-    return path
 
 
 @pytest.fixture(scope="module")

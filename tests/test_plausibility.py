@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from markupsafe import escape
 
 from cli_cases import SMALL, files, refused, run
 from sgms_mhe.configuration import load_machine, override_machine
@@ -131,6 +132,8 @@ def test_a_diagnosis_says_what_cannot_be_meant(
     assert found["verdict"] == "unexplained" and found["causes"] == []
     assert found["limits"] == [found["summary"]] and re.search(case[2], found["summary"])
     assert f"unexplained: {found['summary']}" in result.stdout
+    report = (tmp_path / "out" / "report.html").read_text()
+    assert "cannot be what they are called" in report and str(escape(found["summary"])) in report
     assert json.loads(run(*arguments, "--json").stdout) == found
 
 

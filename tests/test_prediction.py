@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cli_cases import SMALL, done, refused
+from cli_cases import done, refused
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.evaluation.prediction import ForceError, PredictedFriction, force_error, predict_log
 from sgms_mhe.logfiles.reading import read_log
@@ -33,13 +33,6 @@ def predicted(residual: NDArray[np.float64], force: float = 2.0) -> PredictedFri
 
 def sine(frequency: float) -> NDArray[np.float64]:
     return math.sqrt(2.0) * np.sin(2.0 * np.pi * frequency * TIME)
-
-
-@pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("machine") / "small.toml"
-    path.write_text(SMALL)
-    return path
 
 
 @pytest.fixture(scope="module")

@@ -43,6 +43,18 @@ def machine() -> Machine:
     return load_machine("etel_xy")
 
 
+@pytest.fixture
+def pictures() -> None:
+    """For tests that look at the pictures: they take most of a report's time."""
+
+
+@pytest.fixture(autouse=True)
+def blank_pictures(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Empty files in place of pictures, for all other tests."""
+    if "pictures" not in request.fixturenames:
+        monkeypatch.setattr("sgms_mhe.report.page.save_figure", lambda path, figure: path.write_bytes(b""))
+
+
 class Page(HTMLParser):
     """Checks that tags nest; collects text, links, sources and the embedded data."""
 
@@ -106,6 +118,7 @@ def test_report_is_one_valid_page_without_a_network(name: str, machine: Machine,
     assert "nan" not in page.words.lower().split()
 
 
+@pytest.mark.usefixtures("pictures")
 @pytest.mark.parametrize("name", CASES)
 def test_pictures_lie_beside_the_report(name: str, machine: Machine, tmp_path: Path) -> None:
     write_report(CASES[name](machine), tmp_path)
@@ -119,6 +132,7 @@ def test_pictures_lie_beside_the_report(name: str, machine: Machine, tmp_path: P
     assert not list(tmp_path.glob(".*")), "a temporary file is left"
 
 
+@pytest.mark.usefixtures("pictures")
 def test_same_diagnosis_gives_the_same_bytes(machine: Machine, tmp_path: Path) -> None:
     first, second = (write_report(cases.explained(machine), tmp_path / k).parent for k in "ab")
     for path in first.iterdir():
@@ -161,13 +175,53 @@ def test_explained_says_cause_numbers_and_file(machine: Machine, tmp_path: Path)
 
 def test_ambiguous_shows_the_rival_and_the_next_step(machine: Machine, tmp_path: Path) -> None:
     words = read(write_report(cases.ambiguous(machine), tmp_path)).words
-    assert "Found: constant force, independent of motion (0.410 N)." in words
-    assert "open Constant force, independent of motion or Coulomb level different in the two directions?" in words
-    assert "In its place this fits as well: Coulomb level different in the two directions asymmetric_coulomb" in words
+    assert "axis.csv Constant force, independent of motion or Coulomb level different in the two directions?" in words
+    assert "Found:" not in words
+    choice = "Constant force, independent of motion, or Coulomb level different in the two directions?"
+    move = "Loops below break-away: an offset shifts them, an asymmetric level does not."
+    command = "sgms-mhe plan etel_xy --separate constant_offset asymmetric_coulomb --out plan.csv"
+    assert f"What this record cannot decide {choice} {move} {command}" in words
+    assert "not rule out in its place: Coulomb level different in the two directions asymmetric_coulomb" in words
     assert "(ratio 10.2 %)" in words
-    assert "Next step Record one of these" in words
-    assert "Loops below break-away: an offset shifts them, an asymmetric level does not." in words
-    assert "sgms-mhe plan etel_xy --separate constant_offset asymmetric_coulomb --out plan.csv" in words
+    assert "Next step Record one of the moves above" in words
+
+
+def test_a_rival_is_shown_with_its_fit_and_what_it_leaves(machine: Machine, tmp_path: Path) -> None:
+    diagnosis = cases.ambiguous(machine)
+    (rival,) = diagnosis.rival_fits
+    page = read(write_report(diagnosis, tmp_path))
+    assert "In place of constant force, independent of motion: ratio 10.2 %" in page.words
+    for words, left in (
+        ("constant force, independent of motion", diagnosis.rms.held_out_after),
+        ("Coulomb level different in the two directions", rival.held_out_rms_N),
+    ):
+        assert f"With {words} {force(left)}".replace(SPACE, " ") in page.words
+    plots = json.loads(page.data)["plots"]
+    shown = plots["rival_1_residual"]["series"]
+    packed = next(series["packed"] for series in shown if series["role"] == "rival")
+    integers = np.frombuffer(base64.b64decode(packed["data"]), dtype="<i2")
+    used = diagnosis.traces.used
+    back = packed["offset"] + packed["scale"] * integers
+    np.testing.assert_allclose(back[used], rival.residual_N[used], atol=packed["scale"])
+    assert (integers[~used] == MISSING).all()
+    means = {series["role"]: series for series in plots["rival_1_velocity"]["series"] if "x" in series}
+    # What the rival gets wrong follows the sign of velocity; the cause's residual does not.
+    assert np.mean(np.sign(means["rival"]["x"]) * means["rival"]["y"]) > 0.015
+    assert abs(np.mean(np.sign(means["after"]["x"]) * means["after"]["y"])) < 0.01
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_nothing_is_called_significant_that_is_nothing(name: str, machine: Machine, tmp_path: Path) -> None:
+    words = read(write_report(CASES[name](machine), tmp_path)).words
+    assert "No candidate was tried" not in words
+    assert "Depends on" not in words or name != "adequate"
+    assert not re.search(r"(?<![\d.])0\.000 N(?! RMS)", words)
+
+
+def test_limits_of_any_wording_are_shown(machine: Machine, tmp_path: Path) -> None:
+    words = read(write_report(cases.explained(machine), tmp_path)).words
+    assert "What this record cannot decide Stiffness of element 4: the record does not show it." in words
+    assert "cannot decide" not in read(write_report(cases.certain(cases.explained(machine)), tmp_path)).words
 
 
 def test_numbers_of_the_machine_file_are_named_in_words(machine: Machine, tmp_path: Path) -> None:
@@ -187,8 +241,8 @@ def test_numbers_of_the_machine_file_are_named_in_words(machine: Machine, tmp_pa
     )
     words = read(write_report(diagnosis, tmp_path)).words
     assert "Found: force periodic in position (0.797 N)." in words
-    assert "open Constant force, independent of motion or force proportional to position?" in words
-    assert words.count("In its place this fits as well: force proportional to position position_spring") == 1
+    assert "Constant force, independent of motion or force proportional to position?" in words
+    assert words.count("not rule out in its place: force proportional to position position_spring") == 1
     assert "another value than the machine file's" in words
     assert "−3.16 N 0.410 ± 0.039 N" in words
     assert "The same move at two ends of the travel." in words

@@ -23,13 +23,6 @@ from sgms_mhe.signals.innovations import LEAST_UPDATES, innovation_loss, moving_
 from sgms_mhe.signals.logs import Log, write_log
 
 
-@pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("tuning") / "small.toml"
-    path.write_text(SMALL)
-    return path
-
-
 def moved(machine: Machine, noise: float, seconds: float = 8.0) -> Log:
     path = make_trajectory("paper", machine.sampling.rate, duration_s=seconds)
     return simulate_axis(machine, path, AxisConfig(force_noise_N=noise, seed=1), truth=False).log

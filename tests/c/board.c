@@ -2,8 +2,8 @@
  * into the slow one where a function of the package is entered. The package is compiled with -finstrument-functions.
  *
  *     program             the slow task is never interrupted
- *     program everywhere  it is at every entry at which none was interrupted yet, while samples of the interval are left
- *     program late N      in every N-th update it is interrupted until feedback is due, and beyond
+ *     program everywhere  it is at every entry at which none was interrupted yet, while samples of the interval are
+ * left program late N      in every N-th update it is interrupted until feedback is due, and beyond
  *
  * Prints the bits of every force fed forward; then how often the slow task was interrupted, entries of the longest one,
  * and updates whose entries were all interrupted, in one update or another. */

@@ -10,8 +10,19 @@ enum { SAMPLES = 300000, SETTLE = 20 };
 int main(void)
 {
     static const int64_t positions[] = {
-        0, 1, -1, INT32_MAX, INT32_MIN, 300000000000, -300000000000, SGMS_FARTHEST_PICOMETRES - 1, 1 - SGMS_FARTHEST_PICOMETRES,
-        SGMS_FARTHEST_PICOMETRES, -SGMS_FARTHEST_PICOMETRES, INT64_MAX, INT64_MIN};
+        0,
+        1,
+        -1,
+        INT32_MAX,
+        INT32_MIN,
+        300000000000,
+        -300000000000,
+        SGMS_FARTHEST_PICOMETRES - 1,
+        1 - SGMS_FARTHEST_PICOMETRES,
+        SGMS_FARTHEST_PICOMETRES,
+        -SGMS_FARTHEST_PICOMETRES,
+        INT64_MAX,
+        INT64_MIN};
     const uint32_t count = sizeof positions / sizeof positions[0];
     const sgms_chain chain = {
         .lowpass = {.b0 = 0.02f, .b1 = 0.04f, .b2 = 0.02f, .a1 = -1.56f, .a2 = 0.64f},

@@ -2,7 +2,8 @@
  * -finstrument-functions, and the n-th function entered inside of a call is where the other task comes in. Every update
  * another place.
  *
- *     preemption NAME     feedback, reset, prepare or sample inside of prepare; prepare_in_feedback, estimate_in_feedback
+ *     preemption NAME     feedback, reset, prepare or sample inside of prepare;
+ *                         prepare_in_feedback, estimate_in_feedback
  *
  * Prints how often the other task came in, how often it was refused (status OVERLAP), and how many estimates after
  * updates are not, bit by bit, those of calls one after the other. Compiled with a package, itself not instrumented:

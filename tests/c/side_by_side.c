@@ -48,8 +48,7 @@ static void step(int axis, long k, char (*lines)[200])
     if (axis < 2) {
         JOIN(FIRST, t) *self = axis == 0 ? &first : &twin;
         JOIN(FIRST, estimate_t) e;
-        const double back = (double)JOIN(FIRST, tick)(
-            self, JOIN(FIRST, position_from_metres)(q), (JOIN(FIRST, real))u);
+        const double back = (double)JOIN(FIRST, tick)(self, JOIN(FIRST, position_from_metres)(q), (JOIN(FIRST, real))u);
         JOIN(FIRST, estimate)(self, &e);
         sprintf(
             line, "%.17g %.17g %.17g %.17g %d", back, (double)e.friction, (double)e.parameter[0],

@@ -7,7 +7,7 @@ import math
 import shlex
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import click
 
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.json_values import finite
 
 if TYPE_CHECKING:
     from sgms_mhe.machine import Machine
@@ -90,11 +91,22 @@ def recorded_log(path: Path, machine: Machine, start_s: float = 0.0, end_s: floa
         InputError: it cannot be read, or its columns cannot be what they are called.
     """
     from sgms_mhe.logfiles.plausibility import check_plausible
+
+    log = read_log(path, machine, start_s, end_s)
+    check_plausible(log, machine)
+    return log
+
+
+def read_log(path: Path, machine: Machine, start_s: float, end_s: float) -> Log:
+    """Read a log, whatever its columns may be, and note what was understood of it.
+
+    Raises:
+        InputError: it cannot be read.
+    """
     from sgms_mhe.logfiles.reading import log_of, understand
 
     reading = understand(path, machine)
     log = log_of(reading, machine).part(start_s, end_s)
-    check_plausible(log, machine)
     for sentence in reading.notes:
         note(f"{path}: {sentence}")
     return log
@@ -179,15 +191,7 @@ def note_broken_effects() -> None:
 
 def json_text(content: Any) -> str:
     """JSON with every number that is not finite as null."""
-    return json.dumps(_finite(content), indent=2, allow_nan=False)
-
-
-def _finite(content: Any) -> Any:
-    if isinstance(content, Mapping):
-        return {key: _finite(value) for key, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [_finite(value) for value in content]
-    return None if isinstance(content, float) and not math.isfinite(content) else content
+    return json.dumps(finite(content), indent=2, allow_nan=False)
 
 
 def table_text(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

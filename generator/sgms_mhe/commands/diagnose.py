@@ -21,6 +21,7 @@ from sgms_mhe.commands.common import (
     note_broken_effects,
     out_option,
     part_options,
+    read_log,
     recorded_log,
     show,
 )
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from sgms_mhe.diagnosis.result import Diagnosis
     from sgms_mhe.machine import Machine
     from sgms_mhe.report import EstimatorGain
+    from sgms_mhe.signals.logs import Log
 
 
 @click.command(
@@ -80,12 +82,14 @@ def command(
     check_output_folder(folder)
 
     from sgms_mhe.diagnosis import diagnose, write_diagnosis
+    from sgms_mhe.logfiles.plausibility import check_plausible
     from sgms_mhe.report import closed_loop_gain, write_report
 
+    recorded = read_log(log, resolved, start_s, end_s)
     try:
-        recorded = recorded_log(log, resolved, start_s, end_s)
+        check_plausible(recorded, resolved)
     except ImplausibleError as error:
-        _say_implausible(error, resolved, folder, as_json)
+        _say_implausible(error, resolved, recorded, folder, as_json)
         return
     another = recorded_log(unseen, resolved) if unseen else None
     found = diagnose(resolved, recorded, progress=note, held_out_s=held_out or None)
@@ -104,12 +108,14 @@ def command(
         click.get_current_context().exit(1)
 
 
-def _say_implausible(error: ImplausibleError, machine: Machine, folder: Path, as_json: bool) -> None:
+def _say_implausible(error: ImplausibleError, machine: Machine, log: Log, folder: Path, as_json: bool) -> None:
     """The verdict on a log whose columns cannot be what they are called: nothing is fitted to it."""
     from sgms_mhe.diagnosis import write_refusal
+    from sgms_mhe.report import write_refusal_report
 
     content = write_refusal(str(error), machine, folder)
-    show(json_text(content) if as_json else f"unexplained: {error}")
+    report = write_refusal_report(str(error), machine, log, folder)
+    show(json_text(content) if as_json else f"unexplained: {error}\nreport: {report}")
     click.get_current_context().exit(1)
 
 

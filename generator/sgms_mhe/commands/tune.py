@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,19 +102,17 @@ def _text(tuned: Tuned, outputs: list[Path]) -> str:
 
 def _toml(tuned: Tuned, name: str, log: str) -> str:
     """A machine file with the weights alone."""
-    source = tuned.machine.source
-    base = source.resolve().as_posix() if source.is_file() else tuned.machine.name
+    from sgms_mhe.machine.writing import toml_extends, toml_line, toml_table
+
     lines = [
         f"# Weights by sgms-mhe tune over {log}.",
         f"# Mean test ratio {tuned.best.ratio:.3g}, before {tuned.start.ratio:.3g}.",
-        f"extends = {json.dumps(base)}",
-        f"name = {json.dumps(name)}",
+        toml_extends(tuned.machine),
+        toml_line("name", name),
     ]
-    changes = tuned.changes()
-    estimator = changes.get("estimator", {})
+    estimator = tuned.changes().get("estimator", {})
     if "horizon" in estimator:
-        lines += ["", "[estimator]", f"horizon = {estimator['horizon']}"]
+        lines += toml_table("[estimator]", {"horizon": estimator["horizon"]})
     if "noise" in estimator:
-        lines += ["", "[estimator.noise]"]
-        lines += [f"{key} = {float(value)!r}" for key, value in estimator["noise"].items()]
+        lines += toml_table("[estimator.noise]", estimator["noise"])
     return "\n".join(lines) + "\n"

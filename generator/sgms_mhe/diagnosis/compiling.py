@@ -164,7 +164,7 @@ def _with_everything_free(
 ) -> Machine:
     """The machine with effects added and numbers of [friction] replaced, all its numbers to be estimated."""
     units = machine.plant.units
-    effects = [{"name": e.name} | units.keyed(e.parameters) for e in machine.effects]
+    effects = [e.entry(units) for e in machine.effects]
     effects += [{"name": name} | units.keyed(dict(values)) for name, values in extras]
     names = [name for cause in BASE_CAUSES.values() for name in cause.frees]
     changes: dict[str, Any] = {

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.machine import Estimator, Machine
+from sgms_mhe.machine.writing import toml_extends, toml_line, toml_table
 from sgms_mhe.model.effects import effect_definition
-from sgms_mhe.support.paths import machines_dir
 
 NAME_LENGTH = 48
 
@@ -81,37 +80,16 @@ def _estimable(machine: Machine, changes: Mapping[str, Any]) -> tuple[str, ...]:
 def _toml(machine: Machine, changes: Mapping[str, Any]) -> str:
     lines = [
         f"# Written by sgms-mhe diagnose over {machine.source.name or machine.name}.",
-        f"extends = {_value(_reference(machine))}",
-        f"name = {_value(changes['name'])}",
-        f"description = {_value(changes['description'])}",
+        toml_extends(machine),
+        *(toml_line(key, changes[key]) for key in ("name", "description")),
     ]
     if "friction" in changes:
-        lines += ["", "[friction]"]
-        lines += [f"{key} = {_value(value)}" for key, value in changes["friction"].items()]
+        lines += toml_table("[friction]", changes["friction"])
     if "estimator" in changes:
         before = [machine.plant.units.named(name) for name in machine.estimator.parameters]
         left_out = [name for name in before if name not in changes["estimator"]["parameters"]]
-        lines += ["", "[estimator]", f"# Without {', '.join(left_out)}: 0 is no scale for an estimate."]
-        lines += [f"{key} = {_value(value)}" for key, value in changes["estimator"].items()]
+        why = f"Without {', '.join(left_out)}: 0 is no scale for an estimate."
+        lines += toml_table("[estimator]", changes["estimator"], why)
     for effect in changes.get("effects", ()):
-        lines += ["", "[[effects]]"]
-        lines += [f"{key} = {_value(value)}" for key, value in effect.items()]
+        lines += toml_table("[[effects]]", effect)
     return "\n".join(lines) + "\n"
-
-
-def _reference(machine: Machine) -> str:
-    """How the extended file finds its base: by name where everybody does, otherwise by path."""
-    source = machine.source
-    if source.name and (source.resolve().parent == machines_dir().resolve()):
-        return source.stem
-    return source.resolve().as_posix() if source.name else machine.name
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {_value(entry)}" for key, entry in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_value(entry) for entry in value) + "]"
-    return repr(float(value))

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.files import write_text
+from sgms_mhe.support.json_values import finite
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -95,6 +96,25 @@ class Alternative:
     instead_of: str | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     excess_N: float = math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class RivalFit:
+    """What a rival leaves in a cause's place, of a fit that did not see the held-out segments.
+
+    Attributes:
+        name: of the rival.
+        instead_of: cause whose place it takes.
+        rms_N, held_out_rms_N: RMS of measured minus simulated friction on the segments that the fit saw, and on those
+            it did not.
+        residual_N: measured minus simulated (m), in step with `Traces`.
+    """
+
+    name: str
+    instead_of: str
+    rms_N: float
+    held_out_rms_N: float
+    residual_N: Array
 
 
 @dataclass(frozen=True)
@@ -189,6 +209,7 @@ class Diagnosis:
         excited: whether the axis moved.
         warnings: what the user should know about the record (gaps, saturation, too fast, too short).
         seconds: computing time.
+        rival_fits: of the alternatives that are rivals.
     """
 
     machine: Machine
@@ -212,6 +233,7 @@ class Diagnosis:
     excited: bool
     warnings: tuple[str, ...]
     seconds: float
+    rival_fits: tuple[RivalFit, ...] = ()
 
     @property
     def limits(self) -> tuple[str, ...]:
@@ -228,10 +250,12 @@ class Diagnosis:
     def to_json(self) -> dict[str, Any]:
         """Content of diagnosis.json (docs/files.md); what is not finite becomes null."""
         rms = self.rms
-        content = {
-            "verdict": self.verdict,
-            "summary": self.summary,
-            "causes": [
+        return _document(
+            self.machine,
+            self.verdict,
+            self.summary,
+            self.limits,
+            causes=[
                 {
                     "name": cause.name,
                     "parameters": dict(cause.parameters),
@@ -247,24 +271,24 @@ class Diagnosis:
                 }
                 for cause in self.causes
             ],
-            "alternatives": [
+            alternatives=[
                 {"name": a.name, "why_not": a.why_not, "rival": a.rival, "parameters": dict(a.parameters)}
                 for a in self.alternatives
             ],
-            "separating_experiment": self.separating_experiment,
-            "residual_rms_N": {
+            separating_experiment=self.separating_experiment,
+            residual_rms_N={
                 "before": rms.before,
                 "after": rms.after,
                 "held_out_before": rms.held_out_before,
                 "held_out_after": rms.held_out_after,
                 "noise_floor": self.noise_floor_N,
             },
-            "extended_machine": self.extended_name,
-            "structure_left": [
+            extended_machine=self.extended_name,
+            structure_left=[
                 {"coordinate": s.coordinate, "rms_N": s.rms_N, "p_value": s.p_value, "peak": s.peak}
                 for s in self.structure_after
             ],
-            "base": [
+            base=[
                 {
                     "name": self.machine.plant.units.named(b.name),
                     "nominal": b.nominal,
@@ -273,11 +297,8 @@ class Diagnosis:
                 }
                 for b in self.base
             ],
-            "limits": list(self.limits),
-            "warnings": list(self.warnings),
-        }
-        finite: dict[str, Any] = _finite(self.machine.plant.units.keyed(content))
-        return finite
+            warnings=self.warnings,
+        )
 
 
 def write_diagnosis(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
@@ -292,33 +313,44 @@ def write_diagnosis(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
 
 def write_refusal(sentence: str, machine: Machine, out_dir: str | Path) -> dict[str, Any]:
     """Write diagnosis.json of a log that cannot be what it says, and nothing else; return its content."""
-    unknown = dict.fromkeys(("before", "after", "held_out_before", "held_out_after", "noise_floor"))
-    content = {
-        "verdict": "unexplained",
-        "summary": sentence,
-        "causes": [],
-        "alternatives": [],
-        "separating_experiment": None,
-        "residual_rms_N": unknown,
-        "extended_machine": None,
-        "structure_left": [],
-        "base": [],
-        "limits": [sentence],
-        "warnings": [],
-    }
-    keyed: dict[str, Any] = machine.plant.units.keyed(content)
+    content = _document(machine, "unexplained", sentence, [sentence])
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "diagnosis.json", json.dumps(keyed, indent=2) + "\n")
+    write_text(folder / "diagnosis.json", json.dumps(content, indent=2) + "\n")
+    return content
+
+
+_NO_RMS: Final = dict.fromkeys(("before", "after", "held_out_before", "held_out_after", "noise_floor"))
+
+
+def _document(
+    machine: Machine,
+    verdict: Verdict,
+    summary: str,
+    limits: Sequence[str],
+    *,
+    causes: Sequence[Mapping[str, Any]] = (),
+    alternatives: Sequence[Mapping[str, Any]] = (),
+    separating_experiment: str | None = None,
+    residual_rms_N: Mapping[str, float | None] = _NO_RMS,
+    extended_machine: str | None = None,
+    structure_left: Sequence[Mapping[str, Any]] = (),
+    base: Sequence[Mapping[str, Any]] = (),
+    warnings: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Content of diagnosis.json, keys in the units of the machine's axis; what is left out is not known."""
+    content = {
+        "verdict": verdict,
+        "summary": summary,
+        "causes": causes,
+        "alternatives": alternatives,
+        "separating_experiment": separating_experiment,
+        "residual_rms_N": residual_rms_N,
+        "extended_machine": extended_machine,
+        "structure_left": structure_left,
+        "base": base,
+        "limits": limits,
+        "warnings": warnings,
+    }
+    keyed: dict[str, Any] = finite(machine.plant.units.keyed(content))
     return keyed
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no NaN and no infinity."""
-    if isinstance(value, Mapping):
-        return {key: _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if math.isfinite(value) else None
-    return value

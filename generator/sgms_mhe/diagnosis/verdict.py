@@ -23,6 +23,7 @@ from sgms_mhe.diagnosis.recording import Recording, prepare
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
 from sgms_mhe.diagnosis.selection import search_causes, select_causes
 from sgms_mhe.diagnosis.settling import Left, Settled, settle, split_rms
+from sgms_mhe.diagnosis.standins import rival_fits
 from sgms_mhe.diagnosis.structure import structure_map
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.diagnosis.wording import alternatives_of, experiment_of, summary_of
@@ -183,6 +184,7 @@ def _diagnosis(machine: Machine, log: Log, settled: Settled, judged: _Judged) ->
             *_estimation_notes(machine, extended),
         ),
         seconds=0.0,
+        rival_fits=rival_fits(settled, selection),
     )
 
 

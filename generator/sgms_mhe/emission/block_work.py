@@ -225,7 +225,11 @@ class _Costs:
 
     def _flow_step(self) -> int:
         """psi, its inverse and their derivatives, or what lies beside the table."""
-        return 12 + EXP + LOG + 30 + EXP + 4 * self._degree()
+        return self._psi_and_back(EXP, 4)
+
+    def _psi_and_back(self, inverse: int, polynomials: int) -> int:
+        """psi, its inverse (an exponential of this cost) and so many polynomials, or what lies beside the table."""
+        return 12 + EXP + LOG + 30 + inverse + polynomials * self._degree()
 
     def _degree(self) -> int:
         """Multiplications and additions of one polynomial of the table."""
@@ -247,7 +251,7 @@ class _Costs:
         if ahead is None:
             return upstream + self.level + 10
         per_metre, per_second = g.blocks[k].ahead_steps
-        flowed = 12 + EXP + LOG + 30 + EXP2 + 2 * self._degree()
+        flowed = self._psi_and_back(EXP2, 2)
         speed = sampling.max_velocity
         if g.slow_ahead:
             steps = 1 + int(ahead.gate_velocity * ahead.longest * per_metre)

@@ -15,10 +15,10 @@ from sgms_mhe.diagnosis.recording import Recording, prepare
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import Signals, behind_chain, readings
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.noise import position_noise
 
 Array = NDArray[np.float64]
 
-MEDIAN_OF_NORMAL: Final = 0.6745
 """Median size of a normal number over its deviation."""
 FORGOTTEN: Final = 2.0
 """Excursion after which an element does not remember its start, over its break-away distance."""
@@ -182,16 +182,14 @@ def _at_encoder(recording: Recording, log: Log) -> Motion:
 def _resolution(log: Log) -> float:
     """How finely position is read [m], one standard deviation: the larger of noise and of the encoder's step.
 
-    Noise is the median size of third differences over that of white noise (a motion is smooth over four samples where
-    it is slow, and most of a record is); the step is the smallest change but for one in a hundred.
+    The step is the smallest change but for one in a hundred.
     """
     position = readings(log).position_m
-    third, first = (np.abs(np.diff(position, n=n)) for n in (3, 1))
-    third, first = third[np.isfinite(third)], first[first > ROUNDING * float(np.nanmax(first, initial=0.0))]
-    if not len(third) or not len(first):
+    first = np.abs(np.diff(position))
+    first = first[first > ROUNDING * float(np.nanmax(first, initial=0.0))]
+    if not len(first):
         return 0.0
-    noise = float(np.median(third)) / (MEDIAN_OF_NORMAL * math.sqrt(20.0))
-    return max(noise, float(np.quantile(first, 0.01)) / math.sqrt(12.0))
+    return max(position_noise(position), float(np.quantile(first, 0.01)) / math.sqrt(12.0))
 
 
 def started(records: Records, distance: float) -> Records:

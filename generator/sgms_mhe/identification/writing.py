@@ -15,6 +15,7 @@ from sgms_mhe.identification.description import STAND_IN
 from sgms_mhe.identification.elements import Law
 from sgms_mhe.identification.result import Number, interval, rounded
 from sgms_mhe.machine import Machine, Units, plant_content
+from sgms_mhe.machine.writing import toml_line
 
 COMMENT_COLUMN: Final = 40
 COLUMNS: Final = 100
@@ -87,7 +88,7 @@ def machine_toml(units: Units, content: Mapping[str, Any], numbers: Sequence[Num
     """The file: `head` as comments, then the content, numbers with their intervals."""
     notes = _notes(units, numbers)
     lines = [line for text in head for line in wrapped(text)]
-    lines += [f"{key} = {_value(content[key])}" for key in ("name", "description")]
+    lines += [toml_line(key, content[key]) for key in ("name", "description")]
     for table in ("plant", "friction", "sampling", "estimator", "compensation", "code", "diagnosis", "log"):
         if table in content:
             lines += _table(table, content[table], notes)
@@ -166,21 +167,5 @@ def wrapped(text: str) -> list[str]:
 
 
 def _line(key: str, value: Any, note: str) -> str:
-    line = f"{_key(key)} = {_value(value)}"
+    line = toml_line(key, value)
     return f"{line:<{COMMENT_COLUMN}} # {note}".rstrip() if note else line
-
-
-def _key(key: str) -> str:
-    return key if key.replace("_", "").replace("-", "").isalnum() else json.dumps(key)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(k)} = {_value(entry)}" for k, entry in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_value(entry) for entry in value) + "]"
-    return repr(value)

@@ -15,6 +15,7 @@ from sgms_mhe.machine.diagnosis import Thresholds
 from sgms_mhe.machine.estimator import Estimator
 from sgms_mhe.machine.log_mapping import LogMapping
 from sgms_mhe.machine.sampling import Sampling
+from sgms_mhe.machine.units import Units
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,10 @@ class ResolvedEffect:
     name: str
     label: str
     parameters: Mapping[str, float]
+
+    def entry(self, units: Units) -> dict[str, Any]:
+        """The effect as [[effects]] of a file has it, keys in the units of its axis."""
+        return {"name": self.name, **units.keyed(self.parameters)}
 
 
 def estimable_names(effects: Sequence[ResolvedEffect]) -> tuple[str, ...]:
@@ -93,6 +98,6 @@ class Machine:
             "name": self.name,
             "description": self.description,
             **content,
-            "effects": [{"name": effect.name} | units.keyed(effect.parameters) for effect in self.effects],
+            "effects": [effect.entry(units) for effect in self.effects],
             "log": None if self.log is None else self.log.model_dump(mode="json", by_alias=by_alias),
         }

@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from sgms_mhe.report.estimator import EstimatorGain, EstimatorRun, Wander, closed_loop_gain
-from sgms_mhe.report.page import write_report
+from sgms_mhe.report.page import write_refusal_report, write_report
 
-__all__ = ["EstimatorGain", "EstimatorRun", "Wander", "closed_loop_gain", "write_report"]
+__all__ = ["EstimatorGain", "EstimatorRun", "Wander", "closed_loop_gain", "write_refusal_report", "write_report"]

@@ -8,9 +8,11 @@ from typing import Any, Final
 
 from sgms_mhe import __version__
 from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, Structure, Traces
-from sgms_mhe.model.effects import BASE_CAUSES, separating_moves
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.ranking import NAMED, bar_width, explained_force, ranked_scores, score_rounds, score_rows
+from sgms_mhe.report.rivals import InPlace, rival_blocks, rivals_by_cause, undecided
 from sgms_mhe.report.series import View
 from sgms_mhe.report.units import after_force, axis_units, force, percent, plain, probability, quantity, split_name
 from sgms_mhe.report.words import (
@@ -28,18 +30,13 @@ from sgms_mhe.report.words import (
 SIGNIFICANT: Final = 0.01
 IDLE: Final = 0.02  # of the best candidate's gain
 
-_VERDICTS: Final = {
-    "adequate": (
-        "✓",
-        "The simulation explains the record down to the noise of the measurement. Nothing is missing from it.",
-    ),
-    "explained": ("✓", "Each cause removes some of it there."),
-    "ambiguous": (
-        "?",
-        "Where a cause is open, something else in its place fits this record equally well. The extended machine file "
-        "holds the cause that is listed; along another motion the two differ, and the next step tells which one it is.",
-    ),
-    "unexplained": ("!", "The plots show where it lives; no name is invented."),
+_BADGES: Final = {"certain": "✓", "limited": "✓", "undecided": "?", "failed": "!", "nothing": "–"}
+"""Classes of the badge and their signs; only what is `certain` is green."""
+_MEANINGS: Final = {
+    "adequate": "The simulation explains the record down to the noise of the measurement. Nothing is missing from it.",
+    "explained": "Each cause removes some of it there.",
+    "ambiguous": "Another cause may stand where one is open: this record does not rule it out, another motion does.",
+    "unexplained": "The plots show where it lives; no name is invented.",
 }
 _SAYS: Final = {
     "position": "Residual over position",
@@ -52,30 +49,31 @@ _SAYS: Final = {
 
 
 def page(
-    diagnosis: Diagnosis, views: Sequence[View], gain: EstimatorGain | None, figures: Sequence[str]
+    diagnosis: Diagnosis,
+    views: Sequence[View],
+    in_place: Sequence[InPlace],
+    gain: EstimatorGain | None,
+    figures: Sequence[str],
 ) -> dict[str, Any]:
     """Everything that the template asks for, but for data, style and script."""
     d, t = diagnosis, diagnosis.traces
-    sign, meaning = _VERDICTS[d.verdict]
-    shown: str = d.verdict
-    if not d.excited:
-        shown, sign, meaning = "not excited", "–", "Nothing is named and nothing is confirmed."
-    rivals = _rivals(d)
-    scores = ranked_scores(d.scores)
+    rivals = rivals_by_cause(d)
+    scores, as_good = ranked_scores(d.scores), {r.name for found in rivals.values() for r in found}
     most = max((explained_force(s) for s in scores), default=0.0)
-    idle = [s for s in scores if s.outcome != NAMED and explained_force(s) < IDLE * most]
+    idle = [s for s in scores if s.outcome != NAMED and s.name not in as_good and explained_force(s) < IDLE * most]
     return {
         "machine": d.machine.name,
         "description": d.machine.description,
         "source": d.source,
-        "verdict": {"name": shown, "style": shown.replace(" ", "-"), "sign": sign, "meaning": meaning},
+        "badge": _badge(d),
         "headline": _headline(d),
-        "open": _open(d),
-        "summary": _lead(d),
+        "summary": f"{_lead(d)} {_MEANINGS[d.verdict] if d.excited else 'Nothing is named and nothing is confirmed.'}",
+        "limits": undecided(d),
         "tiles": _tiles(d, gain),
         "next": _next(d),
         "warnings": [sentence(w) for w in d.warnings],
         "causes": [_cause(c, rivals.get(c.label, [])) for c in d.causes],
+        "rivals": rival_blocks(d, in_place),
         "alternatives": [
             {"title": capital(title(a.name)), "name": a.name, "why_not": a.why_not}
             for a in d.alternatives
@@ -91,21 +89,27 @@ def page(
             {
                 "key": f"view_{v.key}",
                 "title": _SAYS[v.key],
-                "says": _says(v.key, d.structure_before, d.structure_after if d.extended is not None else ()),
+                "says": _says(v.key, d),
                 "empty": len(v.centres) == 0,
             }
             for v in views
         ],
-        "candidates": score_rows([s for s in scores if s not in idle]),
+        "candidates_ranked": score_rows([s for s in scores if s not in idle], as_good),
         "idle": listed([s.name for s in idle]) if idle else "",
-        "rounds": score_rounds(d.scores),
+        "not_searched": _not_searched(d),
+        "rounds": score_rounds(d.scores, as_good),
         "gain_rows": _gain_rows(d),
         "floor_at": bar_width(d.noise_floor_N, _largest_rms(d)),
         "gain_note": _gain_note(d),
         "estimator": None if gain is None else _estimator(gain),
         "extended": None
         if d.extended is None
-        else {"file": d.extended_name, "name": d.extended.name, "toml": d.extended_toml or ""},
+        else {
+            "file": d.extended_name,
+            "name": d.extended.name,
+            "toml": d.extended_toml or "",
+            "holds": "It has the causes that are listed, not what may stand in their place." if rivals else "",
+        },
         "base": [
             {
                 "words": base_words(b.name),
@@ -120,14 +124,35 @@ def page(
     }
 
 
-def _rivals(d: Diagnosis) -> dict[str, list[Alternative]]:
-    """What fits as well as a named cause, by that cause's label."""
-    labels = [c.label for c in d.causes]
-    found: dict[str, list[Alternative]] = {}
-    for a in d.alternatives:
-        if a.rival and a.instead_of is not None and a.name not in labels:
-            found.setdefault(a.instead_of, []).append(a)
-    return {label: rivals for label, rivals in found.items() if label in labels}
+def refusal(sentence_: str, machine: Machine, source: str) -> dict[str, Any]:
+    """What the page of a log says that cannot be what its columns are called."""
+    return {
+        "machine": machine.name,
+        "description": machine.description,
+        "source": source,
+        "badge": {"name": "unexplained", "style": "failed", "sign": _BADGES["failed"]},
+        "headline": "This log's columns cannot be what they are called: nothing was fitted to it.",
+        "limits": {"title": "What is wrong with this record", "choices": [], "others": [sentence_]},
+        "time_plots": [
+            {"key": "log_force", "size": "", "aria": f"{capital(axis_units().push)} over time, as read from the log"},
+            {"key": "log_position", "size": "low", "aria": "Position over time, as read from the log"},
+        ],
+        "about": [
+            ("Record", source),
+            ("Machine file", f"{machine.name}, sha256 {machine.digest[:16]}"),
+            ("Computed by", f"sgms-mhe {__version__}"),
+        ],
+    }
+
+
+def _badge(d: Diagnosis) -> dict[str, str]:
+    """The verdict as a badge: green only where the record leaves nothing open."""
+    style, name = {"unexplained": "failed", "ambiguous": "undecided"}.get(d.verdict, "certain"), str(d.verdict)
+    if not d.excited:
+        style, name = "nothing", "not excited"
+    elif style == "certain" and d.limits:
+        style, name = "limited", f"{name}, with limits"
+    return {"name": name, "style": style, "sign": _BADGES[style]}
 
 
 def _headline(d: Diagnosis) -> str:
@@ -138,20 +163,17 @@ def _headline(d: Diagnosis) -> str:
     if not d.causes:
         known = "The simulation explains this record down to the noise of the measurement."
         return f"{rest}." if d.verdict == "unexplained" else known
-    rivals = _rivals(d)
-    settled = [with_size(c) for c in d.causes if c.label not in rivals] or [with_size(c) for c in d.causes]
-    found = f"Found: {listed(shortened(settled))}."
-    return f"{found} {rest}, too." if d.verdict == "unexplained" else found
-
-
-def _open(d: Diagnosis) -> list[str]:
-    """The choices that the record leaves, each as a question."""
-    rivals = _rivals(d)
-    return [
+    rivals = rivals_by_cause(d)
+    settled = [with_size(c) for c in d.causes if c.label not in rivals]
+    choices = [
         f"{capital(listed([title(c.name), *(title(r.name) for r in rivals[c.label])], 'or'))}?"
         for c in d.causes
         if c.label in rivals
     ]
+    found = f"Found: {listed(shortened(settled))}." if settled else ""
+    if d.verdict == "unexplained":
+        found = f"{found} {rest}, too."
+    return " ".join((found, *choices)).strip()
 
 
 def shortened(parts: Sequence[str]) -> list[str]:
@@ -170,29 +192,19 @@ def _lead(d: Diagnosis) -> str:
     return f"On data that the fit has not seen, measured minus simulated friction falls from {before} to {after} RMS."
 
 
-def _next(d: Diagnosis) -> dict[str, Any] | None:
-    """What to do next: the moves that tell open causes apart, or how to confirm."""
-    moves = [
-        {
-            "choice": f"{capital(title(c.name))}, or {title(rival.name)}?",
-            "move": sentence(next(iter(separating_moves(c.name, rival.name)), rival.why_not)),
-            "command": f"sgms-mhe plan {d.machine.name} --separate {c.name} {rival.name} --out plan.csv",
-        }
-        for c in d.causes
-        for rival in _rivals(d).get(c.label, [])
-        if c.name != rival.name
-    ]
+def _next(d: Diagnosis) -> dict[str, str] | None:
+    """What to do next: how to confirm, or to find out more; what is open has its moves where it stands."""
     text, command = "", ""
-    if not moves and d.separating_experiment:
+    if rivals_by_cause(d):
+        text = "Record one of the moves above, then diagnose the new log."
+    elif d.separating_experiment:
         text = sentence(d.separating_experiment)
-    elif moves:
-        text = "Record one of these, then diagnose the new log."
     elif d.extended is not None:
         text = "Confirm it on another record. This prints what the extended simulation leaves there:"
         command = f"sgms-mhe predict {d.extended_name} ANOTHER_LOG --out friction.csv"
     else:
         return None
-    return {"text": text, "command": command, "moves": moves}
+    return {"text": text, "command": command}
 
 
 def _tiles(d: Diagnosis, gain: EstimatorGain | None) -> list[dict[str, str]]:
@@ -282,29 +294,54 @@ def _cause(c: Cause, rivals: Sequence[Alternative]) -> dict[str, Any]:
     }
 
 
+def _material(d: Diagnosis) -> float:
+    """RMS that matters, as the search for causes counts it [N]."""
+    thresholds = d.machine.diagnosis
+    return max(thresholds.material * d.machine.friction.coulomb, thresholds.material_noise * d.noise_floor_N)
+
+
+def _depends(s: Structure, d: Diagnosis) -> bool:
+    """Whether the residual is a function of a coordinate: not by chance, and by an amount that matters."""
+    return s.p_value < SIGNIFICANT and s.rms_N >= _material(d)
+
+
 def _left(d: Diagnosis) -> str:
     """What is left, strongest first, in one sentence."""
-    left = sorted((s for s in d.structure_after if s.p_value < SIGNIFICANT), key=lambda s: -s.rms_N)
-    if not left:
+    left = sorted((s for s in d.structure_after if _depends(s, d)), key=lambda s: -s.rms_N)
+    parts = [f"{_coordinate(s.coordinate)} ({force(s.rms_N)} RMS)" for s in left if s.coordinate != "frequency"]
+    lines = [
+        f"Its largest line is {force(s.rms_N)} at {plain(s.peak)} Hz." for s in left if s.coordinate == "frequency"
+    ]
+    return " ".join(([f"What is left depends most on {listed(parts[:3])}."] if parts else []) + lines)
+
+
+def _says(key: str, d: Diagnosis) -> str:
+    """How much of the residual depends on a coordinate, before and after."""
+
+    def amount(structures: Sequence[Structure]) -> str:
+        found = next((s for s in structures if s.coordinate == key), None)
+        return "" if found is None or not _depends(found, d) else force(found.rms_N)
+
+    if not any(s.coordinate == key for s in d.structure_before):
         return ""
-    parts = [f"{_coordinate(s.coordinate)} ({force(s.rms_N)} RMS)" for s in left[:3]]
-    return f"What is left depends most on {listed(parts)}."
+    before = amount(d.structure_before)
+    after = amount(d.structure_after) if d.extended is not None else before
+    what = "Largest line" if key == "frequency" else f"Depends on {_coordinate(key)}"
+    if not before and not after:
+        return "No line that matters." if key == "frequency" else "No dependence that matters."
+    if d.extended is None:
+        return f"{what}: {before}."
+    return f"{what}: {before or 'less than matters'} before, {after or 'less than matters'} after."
 
 
-def _says(key: str, before: Sequence[Structure], after: Sequence[Structure]) -> str:
-    def find(structures: Sequence[Structure]) -> Structure | None:
-        return next((s for s in structures if s.coordinate == key), None)
-
-    first, last = find(before), find(after)
-    if first is None:
-        return ""
-    kind = "largest line" if key == "frequency" else f"depends on {_coordinate(key)}"
-    text = f"{capital(kind)}: {force(first.rms_N)}"
-    if last is not None and last is not first:
-        text += f" before, {force(last.rms_N)} after"
-    if (last or first).p_value < SIGNIFICANT:
-        return f"{text}; significant."
-    return f"{text}; no more than noise{' is left' if last is not None else ''}."
+def _not_searched(d: Diagnosis) -> str:
+    """Why no effect was looked for."""
+    if not d.excited:
+        return "No effect was looked for: without motion there is nothing to find one in."
+    return (
+        f"With the machine's own numbers refitted less than {force(_material(d))} RMS is left beyond the noise: "
+        "less than matters, so there was nothing for an effect to explain."
+    )
 
 
 def _coordinate(key: str) -> str:

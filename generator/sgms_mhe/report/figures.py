@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 
 from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.report.estimator import EstimatorGain
-from sgms_mhe.report.plots import AFTER, BEFORE, MEASURED
 from sgms_mhe.report.ranking import NAMED, ranked_scores
 from sgms_mhe.report.series import View, runs
 from sgms_mhe.report.units import axis_units
 
+MEASURED, BEFORE, AFTER = "#374151", "#c2540a", "#0b6aa8"
 WIDTH_IN: Final = 9.0
 HELD_OUT: Final = "#efeee2"
 

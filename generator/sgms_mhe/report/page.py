@@ -13,11 +13,14 @@ from matplotlib.figure import Figure
 
 from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.evaluation.plots import save_figure
+from sgms_mhe.machine import Machine
 from sgms_mhe.report import content, figures
 from sgms_mhe.report.estimator import EstimatorGain
-from sgms_mhe.report.plots import plots
+from sgms_mhe.report.plots import log_plots, plots
+from sgms_mhe.report.rivals import rivals_in_place
 from sgms_mhe.report.series import views
 from sgms_mhe.report.units import in_units
+from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.files import write_text
 
 Progress = Callable[[str, float], None]
@@ -52,8 +55,28 @@ def write_report(
         return _written(diagnosis, folder, estimator, tell)
 
 
+def write_refusal_report(sentence: str, machine: Machine, log: Log, out_dir: str | Path) -> Path:
+    """Write report.html of a log whose columns cannot be what they are called: what is wrong, and what was read.
+
+    Args:
+        sentence: what is wrong.
+        machine: that the log was to be diagnosed with.
+        log: as it was read.
+        out_dir: folder; made where it does not exist.
+
+    Returns:
+        Path of report.html.
+    """
+    path = Path(out_dir) / "report.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with in_units(machine.plant.units):
+        page, drawn = content.refusal(sentence, machine, log.source), log_plots(log)
+        write_text(path, _html("refusal.html.jinja", page, drawn))
+    return path
+
+
 def _written(diagnosis: Diagnosis, folder: Path, estimator: EstimatorGain | None, tell: Progress) -> Path:
-    shown = views(diagnosis.traces)
+    shown, rivals = views(diagnosis.traces), rivals_in_place(diagnosis)
     drawings: dict[str, Callable[[], Figure]] = {
         "measured.png": lambda: figures.measured_figure(diagnosis),
         "residual.png": lambda: figures.residual_figure(diagnosis, shown),
@@ -68,12 +91,13 @@ def _written(diagnosis: Diagnosis, folder: Path, estimator: EstimatorGain | None
     tell("report.html", 0.8)
     path = folder / "report.html"
     # Last: where it is, everything that it links to is.
-    write_text(path, _html(content.page(diagnosis, shown, estimator, list(drawings)), plots(diagnosis, shown)))
+    page = content.page(diagnosis, shown, rivals, estimator, list(drawings))
+    write_text(path, _html("report.html.jinja", page, plots(diagnosis, shown, rivals)))
     tell("report.html", 1.0)
     return path
 
 
-def _html(page: dict[str, Any], drawn: dict[str, Any]) -> str:
+def _html(template: str, page: dict[str, Any], drawn: dict[str, Any]) -> str:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_HERE),
         undefined=jinja2.StrictUndefined,
@@ -84,7 +108,7 @@ def _html(page: dict[str, Any], drawn: dict[str, Any]) -> str:
     )
     # Within a script element only "</" could end it.
     data = json.dumps({"plots": drawn}, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
-    return environment.get_template("report.html.jinja").render(
+    return environment.get_template(template).render(
         page,
         css=_safe("report.css"),
         script=_safe("report.js"),

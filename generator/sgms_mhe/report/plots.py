@@ -1,95 +1,145 @@
-"""What the page's plots draw."""
+"""What the page's plots draw. Series have roles; the page's style sheet says which colour a role has."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis import Diagnosis
+from sgms_mhe.diagnosis import Diagnosis, Traces
+from sgms_mhe.report.rivals import InPlace
 from sgms_mhe.report.series import View, numbers, pack, runs
 from sgms_mhe.report.units import axis_units
+from sgms_mhe.signals.logs import Log
 
-MEASURED, BEFORE, AFTER = "#374151", "#c2540a", "#0b6aa8"
+Array = NDArray[np.float64]
+Role = Literal["measured", "before", "after", "rival"]
+
+MOST_SAMPLES: Final = 20_000
+"""Of a log that nothing was fitted to."""
 
 
-def plots(diagnosis: Diagnosis, views: Sequence[View]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class _Pair:
+    """How the two residuals of a `View` are told apart on a plot: roles and labels."""
+
+    first: tuple[Role, str]
+    second: tuple[Role, str] | None
+
+
+def plots(diagnosis: Diagnosis, views: Sequence[View], rivals: Sequence[InPlace]) -> dict[str, Any]:
     """What the page's plots draw, by their names."""
-    t = diagnosis.traces
+    t, unit = diagnosis.traces, axis_units().force
     extended = diagnosis.extended is not None
-    step, unit, length = 1.0 / t.rate, axis_units().force, axis_units().position
-
-    def masked(values: Any) -> Any:
-        return np.where(t.used, values, np.nan)
-
-    common = {
-        "uniform": True,
-        "start": float(t.time_s[0]) if len(t.time_s) else 0.0,
-        "step": step,
-        "group": "time",
-        "xLabel": "time [s]",
-        "xUnit": "s",
-        "unit": unit,
-        "shaded": [(float(t.time_s[a]), float(t.time_s[b - 1]) + step) for a, b in runs(t.held_out)],
-    }
-    simulated = [_line("simulated, machine file as it is", pack(masked(t.nominal_N)), BEFORE)]
-    residuals = [_line("residual, machine file as it is", pack(masked(t.residual_before)), BEFORE, 1.0)]
+    common = _over_time(t)
+    simulated = [_line("simulated, machine file as it is", _masked(t, t.nominal_N), "before")]
+    residuals = [_line("residual, machine file as it is", _masked(t, t.residual_before), "before", 1.0)]
     if extended:
-        simulated.append(_line("simulated, extended", pack(masked(t.held_out_fit_N)), AFTER, dash=[7, 4], width=1.6))
-        residuals.append(_line("residual, extended", pack(masked(t.residual_after)), AFTER, 1.0))
+        after = _masked(t, t.held_out_fit_N)
+        simulated.append(_line("simulated, extended", after, "after", dash=[7, 4], width=1.6))
+        residuals.append(_line("residual, extended", _masked(t, t.residual_after), "after", 1.0))
     content: dict[str, Any] = {
         "friction": common
         | {
             "yLabel": f"friction [{unit}]",
-            "series": [_line("measured", pack(masked(t.friction_N)), MEASURED, 1.8), *simulated],
+            "series": [_line("measured", _masked(t, t.friction_N), "measured", 1.8), *simulated],
         },
         "residual": common | {"yLabel": f"residual [{unit}]", "zero": True, "series": residuals},
+        "motion": common | _position(t.position_m),
     }
-    factor, small = (1e3, f"m{length}") if np.ptp(t.position_m) > 1e-3 else (1e6, f"µ{length}")
-    content["motion"] = common | {
-        "yLabel": f"position [{small}]",
-        "unit": small,
-        "series": [_line("position", pack(t.position_m * factor), MEASURED)],
-    }
-    for view in views:
-        if len(view.centres):
-            content[f"view_{view.key}"] = _view(view, extended)
+    pair = _Pair(("before", "machine file as it is"), ("after", "extended") if extended else None)
+    content |= {f"view_{view.key}": _view(view, pair) for view in views if len(view.centres)}
+    for rival in rivals:
+        content |= _rival(rival, t, common)
     return content
 
 
-def _line(
-    name: str, packed: Mapping[str, Any], colour: str, width: float = 1.3, dash: Sequence[int] | None = None
-) -> dict[str, Any]:
-    return {"name": name, "packed": packed, "colour": colour, "width": width} | ({"dash": dash} if dash else {})
+def log_plots(log: Log) -> dict[str, Any]:
+    """Force and position of a log that nothing was fitted to."""
+    every = -(-len(log) // MOST_SAMPLES)
+    units = axis_units()
+    common = _uniform(0.0, every / log.rate)
+    force = {
+        "yLabel": f"{units.push} [{units.force}]",
+        "unit": units.force,
+        "zero": True,
+        "series": [_line(units.push, log.force_N[::every], "measured")],
+    }
+    return {"log_force": common | force, "log_position": common | _position(log.position_m[::every])}
 
 
-def _view(view: View, extended: bool) -> dict[str, Any]:
-    series: list[dict[str, Any]] = []
-    pairs = [("before", BEFORE, view.before, view.mean_before)]
-    if extended:
-        pairs.append(("after", AFTER, view.after, view.mean_after))
-    for name, colour, cloud, _ in pairs:
-        if len(cloud):
-            series.append(
-                {
-                    "name": name,
-                    "cloud": True,
-                    "packedX": pack(view.x),
-                    "packed": pack(cloud),
-                    "colour": colour,
-                    "alpha": 0.13,
-                }
-            )
-    labels = {"before": "machine file as it is", "after": "extended"}
-    for name, colour, _, means in pairs:
-        series.append(
-            {"name": name, "label": labels[name], "x": numbers(view.centres), "y": numbers(means), "colour": colour}
-            | ({"width": 2.2, "cased": True} if view.key != "frequency" else {"width": 1.3})
-        )
-    spectrum, unit = view.key == "frequency", axis_units().force
+def _rival(rival: InPlace, t: Traces, common: Mapping[str, Any]) -> dict[str, Any]:
+    """Residuals with the cause that is listed and with a rival in its place."""
+    residual = {
+        "yLabel": f"residual [{axis_units().force}]",
+        "zero": True,
+        "series": [
+            # The one that leaves less hides less of the other.
+            _line(f"residual with {rival.words}", _masked(t, rival.fit.residual_N), "rival", 1.0),
+            _line(f"residual with {rival.cause_words}", _masked(t, t.residual_after), "after", 1.0),
+        ],
+    }
+    pair = _Pair(("after", rival.cause_words), ("rival", rival.words))
+    drawn = {rival.plot(view.key): _view(view, pair) for view in rival.views if len(view.centres)}
+    return {rival.plot("residual"): {**common, **residual}, **drawn}
+
+
+def _over_time(t: Traces) -> dict[str, Any]:
+    step = 1.0 / t.rate
+    return _uniform(float(t.time_s[0]) if len(t.time_s) else 0.0, step) | {
+        "shaded": [(float(t.time_s[a]), float(t.time_s[b - 1]) + step) for a, b in runs(t.held_out)]
+    }
+
+
+def _uniform(start: float, step: float) -> dict[str, Any]:
+    """What plots over a uniform time share."""
     return {
-        "series": series,
+        "uniform": True,
+        "start": start,
+        "step": step,
+        "group": "time",
+        "xLabel": "time [s]",
+        "xUnit": "s",
+        "unit": axis_units().force,
+    }
+
+
+def _position(position: Array) -> dict[str, Any]:
+    length = axis_units().position
+    factor, unit = (1e3, f"m{length}") if np.nanmax(position) - np.nanmin(position) > 1e-3 else (1e6, f"µ{length}")
+    series = [_line("position", position * factor, "measured")]
+    return {"yLabel": f"position [{unit}]", "unit": unit, "series": series}
+
+
+def _masked(t: Traces, values: Array) -> Array:
+    return np.where(t.used, values, np.nan)
+
+
+def _line(
+    name: str, values: Array, role: Role, width: float = 1.3, dash: Sequence[int] | None = None
+) -> dict[str, Any]:
+    return {"name": name, "packed": pack(values), "role": role, "width": width} | ({"dash": dash} if dash else {})
+
+
+def _view(view: View, pair: _Pair) -> dict[str, Any]:
+    spectrum, unit = view.key == "frequency", axis_units().force
+    shown = [(*pair.first, view.before, view.mean_before)]
+    if pair.second is not None:
+        shown.append((*pair.second, view.after, view.mean_after))
+    x = pack(view.x)
+    clouds = [
+        {"name": label, "cloud": True, "packedX": x, "packed": pack(cloud), "role": role, "alpha": 0.13}
+        for role, label, cloud, _ in shown
+        if len(cloud)
+    ]
+    width = {"width": 1.3} if spectrum else {"width": 2.2, "cased": True}
+    centres = numbers(view.centres)
+    means = [{"name": label, "x": centres, "y": numbers(mean), "role": role, **width} for role, label, _, mean in shown]
+    return {
+        "series": [*clouds, *means],
         "xLog": view.logarithmic,
         "yLog": spectrum,
         "zero": not spectrum,

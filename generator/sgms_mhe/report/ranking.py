@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, Final
 
 from sgms_mhe.diagnosis import Score
@@ -15,6 +15,8 @@ from sgms_mhe.report.words import (
 )
 
 NAMED: Final = "named"
+LEAST: Final = 5e-4
+"""Of a gain: less is zero at the digits that forces are written with."""
 
 
 def ranked_scores(scores: Sequence[Score]) -> list[Score]:
@@ -36,8 +38,8 @@ def explained_force(score: Score) -> float:
     return first_finite(score.refit_gain_N, score.gain_N)
 
 
-def score_rounds(scores: Sequence[Score]) -> list[dict[str, Any]]:
-    """The rounds of a search, each with its candidates; empty where there was but one."""
+def score_rounds(scores: Sequence[Score], as_good: Collection[str]) -> list[dict[str, Any]]:
+    """The rounds of a search, each with its candidates; empty where there was but one. `as_good` as in `score_rows`."""
     rounds = []
     for number in sorted({s.round for s in scores}):
         names = [s.name for s in scores if s.round < number and s.outcome == NAMED]
@@ -45,28 +47,33 @@ def score_rounds(scores: Sequence[Score]) -> list[dict[str, Any]]:
         rounds.append(
             {
                 "title": f"Round {number}{done}",
-                "rows": score_rows(ranked_among([s for s in scores if s.round == number])),
+                "rows": score_rows(ranked_among([s for s in scores if s.round == number]), as_good),
             }
         )
     return rounds if len(rounds) > 1 else []
 
 
-def score_rows(scores: Sequence[Score]) -> list[dict[str, Any]]:
-    """Rows of a table of candidates."""
+def score_rows(scores: Sequence[Score], as_good: Collection[str]) -> list[dict[str, Any]]:
+    """Rows of a table of candidates; `as_good`: names of those that fit as well as what is named."""
     most = max((explained_force(s) for s in scores), default=0.0)
     return [
         {
             "title": capital(title(s.name)),
             "name": s.name,
-            "gain": force(s.gain_N),
-            "refit": force(s.refit_gain_N),
+            "gain": _amount(s.gain_N),
+            "refit": _amount(s.refit_gain_N),
             "chance": probability(s.p_value),
-            "outcome": s.outcome,
-            "kind": s.outcome if s.outcome == NAMED else "other",
+            "outcome": "not ruled out" if s.name in as_good else s.outcome,
+            "kind": "open" if s.name in as_good else s.outcome if s.outcome == NAMED else "other",
             "width": bar_width(explained_force(s), most),
         }
         for s in scores
     ]
+
+
+def _amount(gain: float) -> str:
+    """A gain; of one that would be written as zeros, that there is none."""
+    return "none" if abs(gain) < LEAST else force(gain)
 
 
 def bar_width(value: float, most: float) -> float:

@@ -3,10 +3,12 @@
    Keys in a focused plot: arrows move, + and - zoom, 0 shows all. Plots of one group share their horizontal axis. */
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
-  const INK = "#1f2937", GRID = "#e5e7eb", AXIS = "#6b7280", HELD = "rgba(120, 113, 60, 0.12)";
-  const FONT = "12px system-ui, -apple-system, 'Segoe UI', Roboto, 'Liberation Sans', sans-serif";
-  const MARGIN = { left: 64, right: 12, top: 8, bottom: 38 };
+  const FONT = "12px system-ui, -apple-system, 'Segoe UI', Roboto, 'Liberation Sans', sans-serif"; /* as .stage text */
+  const MARGIN = { left: 64, right: 12, top: 8, bottom: 38 }, NARROW = { ...MARGIN, left: 52 };
   const MISSING = -32768;
+  /* Colours are those of the style sheet, in whichever mode the page is shown. */
+  const style = getComputedStyle(document.documentElement);
+  const paint = name => style.getPropertyValue(`--${name}`).trim();
 
   const unpack = ({ offset, scale, data }) => {
     const bytes = Uint8Array.from(atob(data), c => c.charCodeAt(0));
@@ -37,7 +39,7 @@
   };
   const decades = (low, high, room) => {
     const whole = Math.log10(high) - Math.log10(low), values = [];
-    const steps = whole > room ? [1] : whole > 0.4 * room ? [1, 3] : [1, 2, 5];
+    const steps = whole > 0.6 * room ? [1] : whole > 0.3 * room ? [1, 3] : [1, 2, 5];
     if (whole < 0.8) return ticks(low, high, room);
     for (let p = Math.floor(Math.log10(low)); p <= Math.log10(high); p++)
       for (const m of steps) {
@@ -51,6 +53,7 @@
     constructor(canvas, spec, group) {
       this.canvas = canvas; this.spec = spec; this.group = group;
       this.context = canvas.getContext("2d");
+      this.labels = canvas.parentElement.querySelector("svg");
       this.hidden = new Set();
       this.xScale = spec.xLog ? Math.log : v => v; this.xBack = spec.xLog ? Math.exp : v => v;
       this.yScale = spec.yLog ? Math.log : v => v; this.yBack = spec.yLog ? Math.exp : v => v;
@@ -113,38 +116,33 @@
       }
       c.setTransform(ratio, 0, 0, ratio, 0, 0);
       c.clearRect(0, 0, width, height);
-      const box = this.box = { left: MARGIN.left, top: MARGIN.top,
-        right: width - MARGIN.right, bottom: height - MARGIN.bottom };
       const [x0, x1] = this.x, [y0, y1] = this.shown = this.range();
+      const margin = width < 420 ? NARROW : MARGIN, box = this.box = { top: margin.top, bottom: height - margin.bottom };
+      const high = Math.max(3, Math.floor((box.bottom - box.top) / 30));
+      const yTicks = spec.yLog ? decades(Math.exp(y0), Math.exp(y1), high) : ticks(y0, y1, high);
+      c.font = FONT;
+      const widest = Math.max(...yTicks.map(({ text }) => c.measureText(text).width), 0);
+      box.left = Math.max(margin.left, Math.ceil(widest) + 27); box.right = width - margin.right;
+      const wide = Math.max(2, Math.floor((box.right - box.left) / 60));
+      const xTicks = spec.xLog ? decades(Math.exp(x0), Math.exp(x1), wide) : ticks(x0, x1, wide);
       const px = v => box.left + (this.xScale(v) - x0) / (x1 - x0) * (box.right - box.left);
       const py = v => box.bottom - (this.yScale(v) - y0) / (y1 - y0) * (box.bottom - box.top);
       this.px = px; this.py = py;
 
       for (const [a, b] of spec.shaded || []) {
         const l = clamp(px(a), box.left, box.right), r = clamp(px(b), box.left, box.right);
-        if (r > l) { c.fillStyle = HELD; c.fillRect(l, box.top, Math.max(r - l, 0.5), box.bottom - box.top); }
+        if (r > l) { c.fillStyle = paint("held"); c.fillRect(l, box.top, Math.max(r - l, 0.5), box.bottom - box.top); }
       }
-      c.font = FONT; c.lineWidth = 1; c.strokeStyle = GRID; c.fillStyle = AXIS;
-      const wide = Math.max(2, Math.floor((box.right - box.left) / 95));
-      const high = Math.max(3, Math.floor((box.bottom - box.top) / 30));
-      const xTicks = spec.xLog ? decades(Math.exp(x0), Math.exp(x1), wide) : ticks(x0, x1, wide);
-      const yTicks = spec.yLog ? decades(Math.exp(y0), Math.exp(y1), high) : ticks(y0, y1, high);
+      c.lineWidth = 1; c.strokeStyle = paint("grid");
       c.beginPath();
       for (const { v } of xTicks) { const p = Math.round(px(v)) + 0.5; c.moveTo(p, box.top); c.lineTo(p, box.bottom); }
       for (const { v } of yTicks) { const p = Math.round(py(v)) + 0.5; c.moveTo(box.left, p); c.lineTo(box.right, p); }
       c.stroke();
       if (!spec.yLog && y0 < 0 && y1 > 0) {
-        c.strokeStyle = "#9ca3af"; c.beginPath();
+        c.strokeStyle = paint("zero"); c.beginPath();
         c.moveTo(box.left, Math.round(py(0)) + 0.5); c.lineTo(box.right, Math.round(py(0)) + 0.5); c.stroke();
       }
-      c.textBaseline = "top"; c.textAlign = "center";
-      for (const { v, text } of xTicks) c.fillText(text, px(v), box.bottom + 5);
-      c.textAlign = "right"; c.textBaseline = "middle";
-      for (const { v, text } of yTicks) c.fillText(text, box.left - 7, py(v));
-      c.fillStyle = INK; c.textAlign = "center"; c.textBaseline = "bottom";
-      c.fillText(spec.xLabel, (box.left + box.right) / 2, height - 2);
-      c.save(); c.translate(12, (box.top + box.bottom) / 2); c.rotate(-Math.PI / 2);
-      c.textBaseline = "middle"; c.fillText(spec.yLabel, 0, 0); c.restore();
+      this.label(width, height, xTicks, yTicks);
 
       c.save(); c.beginPath();
       c.rect(box.left, box.top, box.right - box.left, box.bottom - box.top); c.clip();
@@ -152,12 +150,43 @@
         if (s.cloud) this.cloud(s); else if (s.x) this.curve(s); else this.line(s);
       }
       c.restore();
-      c.strokeStyle = "#9ca3af"; c.strokeRect(box.left + 0.5, box.top + 0.5, box.right - box.left - 1, box.bottom - box.top - 1);
+      c.strokeStyle = paint("zero"); c.strokeRect(box.left + 0.5, box.top + 0.5, box.right - box.left - 1, box.bottom - box.top - 1);
       this.overlay();
+    }
+    /* Text is SVG over the canvas: it takes the page's colours, and none of it leaves the plot or covers another. */
+    label(width, height, xTicks, yTicks) {
+      const { box, context: c, spec } = this, texts = [], half = text => c.measureText(text).width / 2 + 1;
+      const put = (kind, text, x, y, turned) => {
+        const node = document.createElementNS(this.labels.namespaceURI, "text");
+        node.setAttribute("class", kind); node.setAttribute("x", x); node.setAttribute("y", y);
+        node.setAttribute("text-anchor", kind === "y tick" ? "end" : "middle");
+        if (turned) node.setAttribute("transform", `rotate(-90 ${x} ${y})`);
+        node.textContent = text; texts.push(node);
+      };
+      c.font = FONT;
+      let end = -Infinity;
+      for (const { v, text } of xTicks) {
+        const x = clamp(this.px(v), half(text), width - half(text));
+        if (x - half(text) < end + 8) continue;
+        end = x + half(text);
+        put("x tick", text, x, box.bottom + 15);
+      }
+      let above = Infinity;
+      for (const { v, text } of yTicks) {
+        const y = clamp(this.py(v) + 4, 11, height - 3);
+        if (y > above - 13) continue;
+        above = y;
+        put("y tick", text, box.left - 7, y);
+      }
+      const middle = (low, high, text, whole) => clamp((low + high) / 2, half(text), Math.max(half(text), whole - half(text)));
+      put("axis", spec.xLabel, middle(box.left, box.right, spec.xLabel, width), height - 5);
+      put("axis", spec.yLabel, 14, middle(box.top, box.bottom, spec.yLabel, height), true);
+      this.labels.setAttribute("viewBox", `0 0 ${width} ${height}`);
+      this.labels.replaceChildren(...texts);
     }
     cloud(s) {
       const { context: c } = this;
-      c.fillStyle = s.colour; c.globalAlpha = s.alpha || 0.16;
+      c.fillStyle = paint(s.role); c.globalAlpha = s.alpha || 0.16;
       for (let i = 0; i < s.y.length; i++) if (isFinite(s.y[i])) c.fillRect(this.px(s.x[i]) - 1, this.py(s.y[i]) - 1, 2, 2);
       c.globalAlpha = 1;
     }
@@ -173,13 +202,13 @@
         }
       };
       c.lineJoin = "round";
-      if (s.cased) { path(); c.strokeStyle = "#fff"; c.lineWidth = (s.width || 1.5) + 2; c.stroke(); }
-      path(); c.strokeStyle = s.colour; c.lineWidth = s.width || 1.5; c.setLineDash(s.dash || []); c.stroke(); c.setLineDash([]);
+      if (s.cased) { path(); c.strokeStyle = paint("paper"); c.lineWidth = (s.width || 1.5) + 2; c.stroke(); }
+      path(); c.strokeStyle = paint(s.role); c.lineWidth = s.width || 1.5; c.setLineDash(s.dash || []); c.stroke(); c.setLineDash([]);
     }
     /* Uniform samples: per pixel column from least to largest, so that no peak is lost. */
     line(s) {
       const { context: c, spec } = this, [x0, x1] = this.x, [first, last] = this.visible(s, x0, x1);
-      c.strokeStyle = s.colour; c.lineWidth = s.width || 1.2; c.lineJoin = "round"; c.setLineDash(s.dash || []);
+      c.strokeStyle = paint(s.role); c.lineWidth = s.width || 1.2; c.lineJoin = "round"; c.setLineDash(s.dash || []);
       c.beginPath();
       const columns = Math.max(1, Math.round(this.box.right - this.box.left)), per = (last - first) / columns;
       let on = false;
@@ -212,7 +241,7 @@
       const { context: c, box, group } = this;
       if (this.drag && this.drag.zoom) {
         const { from, to } = this.drag;
-        c.fillStyle = "rgba(0, 114, 178, 0.12)"; c.strokeStyle = "#0072b2";
+        c.fillStyle = paint("held"); c.strokeStyle = paint("after");
         const l = Math.min(from.x, to.x), w = Math.abs(to.x - from.x);
         const t = this.drag.tall ? Math.min(from.y, to.y) : box.top, h = this.drag.tall ? Math.abs(to.y - from.y) : box.bottom - box.top;
         c.fillRect(l, t, w, h); c.strokeRect(l + 0.5, t + 0.5, w, h);
@@ -220,7 +249,7 @@
       if (group.cursor !== null && !this.drag) {
         const p = box.left + (group.cursor - this.x[0]) / (this.x[1] - this.x[0]) * (box.right - box.left);
         if (p >= box.left && p <= box.right) {
-          c.strokeStyle = "rgba(31, 41, 55, 0.45)"; c.lineWidth = 1; c.beginPath();
+          c.strokeStyle = paint("cursor"); c.lineWidth = 1; c.beginPath();
           c.moveTo(Math.round(p) + 0.5, box.top); c.lineTo(Math.round(p) + 0.5, box.bottom); c.stroke();
         }
       }
@@ -249,13 +278,14 @@
         this.where.textContent = cursor === null ? "" : number(this.xBack(cursor), spec.xLog ? this.xBack(cursor) / 100 : (this.x[1] - this.x[0]) / 2000) + " " + spec.xUnit;
     }
     legend() {
-      const node = this.canvas.parentElement.querySelector(".legend");
+      const node = this.canvas.closest(".plot").querySelector(".legend");
       if (!node) return;
       this.values = [];
       const { spec } = this;
       for (const s of spec.series.filter(s => !s.cloud)) {
         const button = document.createElement("button"), swatch = document.createElement("i"), value = document.createElement("output");
-        swatch.style.background = s.dash ? `repeating-linear-gradient(90deg, ${s.colour} 0 5px, transparent 5px 8px)` : s.colour;
+        const ink = `var(--${s.role})`;
+        swatch.style.background = s.dash ? `repeating-linear-gradient(90deg, ${ink} 0 5px, transparent 5px 8px)` : ink;
         button.type = "button"; button.setAttribute("aria-pressed", "true"); button.title = "show or hide";
         button.append(swatch, s.label || s.name, value);
         button.addEventListener("click", () => {
@@ -359,14 +389,15 @@
     }
   }
 
-  const groups = {};
+  const groups = {}, plots = [];
   const grouped = name => groups[name] || (groups[name] = { x: null, plots: [], cursor: null });
   const decode = series => series.map(s => ({ ...s, y: s.packed ? unpack(s.packed) : list(s.y),
     x: s.packedX ? unpack(s.packedX) : s.x ? list(s.x) : null }));
   for (const canvas of document.querySelectorAll("canvas[data-plot]")) {
     const spec = data.plots[canvas.dataset.plot];
-    new Plot(canvas, { ...spec, series: decode(spec.series) }, grouped(spec.group || canvas.dataset.plot));
+    plots.push(new Plot(canvas, { ...spec, series: decode(spec.series) }, grouped(spec.group || canvas.dataset.plot)));
   }
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => plots.forEach(plot => plot.draw()));
 
   for (const button of document.querySelectorAll("button[data-copy]"))
     button.addEventListener("click", async () => {

@@ -14,6 +14,7 @@ from scipy.signal import welch
 
 from sgms_mhe.diagnosis import Traces
 from sgms_mhe.report.units import axis_units
+from sgms_mhe.signals.noise import position_noise
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -53,7 +54,7 @@ def since_reversal(traces: Traces) -> Array:
     """Way covered since the direction last changed (m) [m]; NaN before the first change."""
     # Noise at rest is no reversal: the position has to come back by more than its own jitter.
     position = traces.position_m
-    threshold = max(5.0 * _jitter(position), 1e-12)
+    threshold = max(5.0 * position_noise(position), 1e-12)
     way, turns = np.full(len(position), np.nan), _turning_points(position, threshold)
     for start, end in pairwise([*turns, len(position)]):
         way[start:end] = np.abs(position[start:end] - position[start])
@@ -157,13 +158,6 @@ def _scaled(unit: str, x: Array) -> tuple[float, str]:
     if unit.startswith(axis_units().position) and 0.0 < largest < 1.0:
         return (1e3, "m" + unit) if largest >= 1e-3 else (1e6, "µ" + unit)
     return 1.0, unit
-
-
-def _jitter(position: Array) -> float:
-    """Standard deviation of the noise in a position, from its third differences."""
-    if len(position) < 8:
-        return 0.0
-    return float(np.median(np.abs(np.diff(position, n=3)))) / (0.6745 * math.sqrt(20.0))
 
 
 def _turning_points(position: Array, threshold: float) -> list[int]:

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 from sgms_mhe.diagnosis import Cause
 from sgms_mhe.model.effects import BASE_CAUSES, base_number, cause, cause_names
 from sgms_mhe.report.units import after_force, force, percent, quantity
+
+LEAST_CHANGE: Final = 5e-4
+"""Of a change: less is zero at the digits that it is written with."""
 
 
 def title(name: str, *, own: bool = False) -> str:
@@ -42,6 +46,8 @@ def relative_change(before: float, after: float) -> str:
     if not (math.isfinite(before) and math.isfinite(after)) or before == 0.0:
         return "–"
     change = after / before - 1.0
+    if abs(change) < LEAST_CHANGE:
+        return percent(0.0)
     return ("+" if change >= 0.0 else "−") + percent(abs(change))
 
 

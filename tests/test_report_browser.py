@@ -1,0 +1,365 @@
+"""Reports as a browser shows them: wide and narrow, light and dark, nothing clipped, faint, fetched or wrong."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import pytest
+from selenium import webdriver
+from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+
+import diagnosis_cases as cases
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.report import write_refusal_report, write_report
+from sgms_mhe.signals.logs import Log
+
+Mode = Literal["light", "dark"]
+WIDE, NARROW, HIGH = 1200, 400, 900
+CONTRAST: Final = 4.5
+"""Least contrast of text and its ground: AA of the Web Content Accessibility Guidelines."""
+FLAGS = """--headless=new --no-sandbox --disable-gpu --disable-dev-shm-usage --disable-quic --no-first-run
+--disable-background-networking --disable-component-update --disable-sync --hide-scrollbars"""
+BADGES = {
+    "certain explained": ("certain", "explained"),
+    "certain adequate": ("certain", "adequate"),
+    "adequate": ("limited", "adequate, with limits"),
+    "explained": ("limited", "explained, with limits"),
+    "ambiguous": ("undecided", "ambiguous"),
+    "unexplained": ("failed", "unexplained"),
+    "refused": ("failed", "unexplained"),
+    "motionless": ("nothing", "not excited"),
+    "rotary": ("undecided", "ambiguous"),
+}
+"""Class and words of each page's badge."""
+
+
+class Browser:
+    """Chromium without a window, and what it says of the pages that it shows."""
+
+    def __init__(self, binary: str, driver: str, profile: Path) -> None:
+        options = webdriver.ChromeOptions()
+        options.binary_location = binary
+        for flag in (*FLAGS.split(), f"--user-data-dir={profile}"):
+            options.add_argument(flag)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+        self.driver = webdriver.Chrome(options=options, service=Service(driver))
+
+    def show(self, path: Path, width: int = WIDE, mode: Mode = "light") -> None:
+        """Open a page in a window of this width, with everything in it unfolded and drawn."""
+        size = {"width": width, "height": HIGH, "deviceScaleFactor": 1, "mobile": False}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        self.prefer(mode)
+        self.driver.get(path.as_uri())
+        self.unfold()
+
+    def prefer(self, mode: Mode) -> None:
+        """Light or dark, as a user's system says."""
+        self.driver.execute_cdp_cmd(
+            "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": mode}]}
+        )
+        self.settle()
+
+    def unfold(self) -> None:
+        """Open what is folded."""
+        self.driver.execute_script("document.querySelectorAll('details').forEach(d => { d.open = true; })")
+        self.settle()
+
+    def settle(self) -> None:
+        """Wait until the page has been laid out and drawn: two frames."""
+        self.driver.execute_async_script(
+            "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 0)))"
+        )
+
+    def ask(self, script: str, *arguments: Any) -> Any:
+        """What a piece of JavaScript returns on the page."""
+        return self.driver.execute_script(script, *arguments)
+
+    def requests(self) -> list[str]:
+        """Addresses that were asked for since the last call."""
+        messages = [json.loads(entry["message"])["message"] for entry in self.driver.get_log("performance")]
+        sent = [m["params"]["request"]["url"] for m in messages if m["method"] == "Network.requestWillBeSent"]
+        return [address for address in sent if not address.startswith("data:")]
+
+    def complaints(self) -> list[str]:
+        """What stands on the console since the last call."""
+        return [entry["message"] for entry in self.driver.get_log("browser")]
+
+
+@pytest.fixture(scope="module")
+def browser(require_tool: Callable[[str], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    shown = Browser(require_tool("chromium"), require_tool("chromedriver"), tmp_path_factory.mktemp("profile"))
+    yield shown
+    shown.driver.quit()
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A report of every verdict."""
+    machine, rotary = load_machine("etel_xy"), load_machine("etel_xy_rotary")
+    folder = tmp_path_factory.mktemp("reports")
+    diagnoses = {name: getattr(cases, name)(machine) for name in BADGES if hasattr(cases, name)}
+    diagnoses["rotary"] = cases.ambiguous(rotary)
+    diagnoses |= {f"certain {name}": cases.certain(diagnoses[name]) for name in ("explained", "adequate")}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sgms_mhe.report.page.save_figure", lambda path, figure: path.write_bytes(b""))
+        written = {name: write_report(diagnosis, folder / name) for name, diagnosis in diagnoses.items()}
+    sentence = f"axis.csv: column force_N = '-20 N per m/s^2': {'of the other sign ' * 12}[log] has scale = -1.0"
+    written["refused"] = write_refusal_report(sentence, machine, negated_log(), folder / "refused")
+    assert set(written) == set(BADGES)
+    return written
+
+
+def negated_log() -> Log:
+    shown = cases.traces()
+    return Log(shown.time_s, shown.position_m, -shown.force_N, shown.rate, source="axis.csv")
+
+
+ANY_PAGE = pytest.mark.parametrize("name", BADGES)
+ANY_WIDTH = pytest.mark.parametrize("width", [WIDE, NARROW])
+EITHER_MODE = pytest.mark.parametrize("mode", ["light", "dark"])
+
+
+# --- layout ---------------------------------------------------------------------------------------------------------
+
+BEYOND_THE_WINDOW = """
+const wide = document.documentElement.clientWidth, found = [];
+for (const e of document.body.querySelectorAll("*:not(text)")) {
+  const r = e.getBoundingClientRect(), said = `${e.tagName} ${e.getAttribute("class")}: ${e.textContent.slice(0, 40)}`;
+  if (r.width > 0 && (r.right > wide + 0.5 || r.left < -0.5)) found.push(`${r.left} to ${r.right}: ${said}`);
+  const [inside, room] = [e.scrollWidth, e.clientWidth];
+  if (room > 0 && inside > room + 1) found.push(`${inside} in ${room}: ${said}`);
+}
+return found;
+"""
+
+LABELS = """
+return [...document.querySelectorAll(".stage svg")].map(svg => {
+  const [x, y, width, height] = svg.getAttribute("viewBox").split(" ").map(Number);
+  const whole = svg.getBoundingClientRect();
+  return { key: svg.parentElement.querySelector("canvas").dataset.plot, viewBox: [x, y, width, height],
+    shown: [whole.width, whole.height],
+    texts: [...svg.querySelectorAll("text")].map(t => { const r = t.getBoundingClientRect();
+      return { text: t.textContent, kind: t.getAttribute("class"),
+        box: [r.left - whole.left, r.top - whole.top, r.right - whole.left, r.bottom - whole.top] }; }) };
+});
+"""
+
+
+@ANY_PAGE
+@ANY_WIDTH
+def test_nothing_is_wider_than_the_window(browser: Browser, pages: dict[str, Path], name: str, width: int) -> None:
+    browser.show(pages[name], width)
+    assert browser.ask("return document.documentElement.clientWidth") == width
+    assert browser.ask(BEYOND_THE_WINDOW) == []
+
+
+@ANY_PAGE
+@ANY_WIDTH
+def test_no_label_is_clipped_or_covered(browser: Browser, pages: dict[str, Path], name: str, width: int) -> None:
+    browser.show(pages[name], width)
+    plots = browser.ask(LABELS)
+    assert len(plots) == len(browser.driver.find_elements(By.TAG_NAME, "canvas"))
+    for plot in plots:
+        left, top, wide, high = plot["viewBox"]
+        assert [wide, high] == pytest.approx(plot["shown"], abs=1.0), plot["key"]
+        kinds = [text["kind"] for text in plot["texts"]]
+        assert kinds.count("axis") == 2 and "x tick" in kinds and "y tick" in kinds, plot["key"]
+        for text in plot["texts"]:
+            x0, y0, x1, y1 = text["box"]
+            assert left - 0.5 <= x0 < x1 <= wide + 0.5 and top - 0.5 <= y0 < y1 <= high + 0.5, (plot["key"], text)
+        for i, one in enumerate(plot["texts"]):
+            assert not any(meet(one["box"], other["box"]) for other in plot["texts"][:i]), (plot["key"], one)
+
+
+def meet(a: list[float], b: list[float]) -> bool:
+    # Rows of text may touch: the box of a line is higher than its letters.
+    return min(a[2], b[2]) - max(a[0], b[0]) > 0.5 and min(a[3], b[3]) - max(a[1], b[1]) > 3.0
+
+
+# --- colours --------------------------------------------------------------------------------------------------------
+
+TEXTS = """
+const rgba = text => { const [r, g, b, a = 1] = text.match(/[\\d.]+/g).map(Number); return [r, g, b, a]; };
+const over = ([r, g, b, a], [R, G, B]) => [r * a + R * (1 - a), g * a + G * (1 - a), b * a + B * (1 - a)];
+const ground = e => {
+  const layers = [];
+  for (let n = e; n; n = n.parentElement) {
+    const c = rgba(getComputedStyle(n).backgroundColor);
+    if (c[3] > 0) layers.push(c);
+    if (c[3] === 1) break;
+  }
+  return layers.reverse().reduce((below, layer) => over(layer, below), [255, 255, 255]);
+};
+const opacity = e => (e ? Number(getComputedStyle(e).opacity) * opacity(e.parentElement) : 1);
+const found = new Map(), walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+for (let n = walk.nextNode(); n; n = walk.nextNode()) {
+  const e = n.parentElement, style = getComputedStyle(e);
+  if (!n.data.trim() || ["SCRIPT", "STYLE"].includes(e.tagName) || !e.getClientRects().length) continue;
+  const ink = rgba(e.tagName === "text" ? style.fill : style.color), below = ground(e);
+  const key = [e.tagName + "." + (e.getAttribute("class") || ""), ink, below].join(" ");
+  const what = key + ": " + n.data.trim().slice(0, 40);
+  found.set(key, { what, ink: over(ink, below), ground: below, opacity: opacity(e) });
+}
+return [...found.values()];
+"""
+
+# Where the page's curves are drawn in the colours of the mode: pixels of each role.
+DRAWN = """
+const style = getComputedStyle(document.documentElement);
+const pixels = (canvas, role) => {
+  const [r, g, b] = style.getPropertyValue("--" + role).trim().match(/[0-9a-f]{2}/g).map(v => parseInt(v, 16));
+  const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+  let count = 0;
+  for (let i = 0; i < data.length; i += 4) {
+    const off = Math.abs(data[i] - r) + Math.abs(data[i + 1] - g) + Math.abs(data[i + 2] - b);
+    if (data[i + 3] === 255 && off < 12) count++;
+  }
+  return count;
+};
+return Object.fromEntries([...document.querySelectorAll("canvas")].map(c => [c.dataset.plot,
+  Object.fromEntries(["measured", "before", "after", "rival"].map(role => [role, pixels(c, role)]))]));
+"""
+
+
+def contrast(first: list[float], second: list[float]) -> float:
+    """(L1 + 0.05) / (L2 + 0.05) of the relative luminances of two sRGB colours, 0 to 255."""
+
+    def luminance(colour: list[float]) -> float:
+        c = np.array(colour[:3]) / 255.0
+        linear = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+        return float(linear @ [0.2126, 0.7152, 0.0722])
+
+    high, low = sorted((luminance(first), luminance(second)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_contrast_is_that_of_the_guidelines() -> None:
+    assert contrast([0, 0, 0], [255, 255, 255]) == pytest.approx(21.0)
+    assert contrast([118, 118, 118], [255, 255, 255]) == pytest.approx(4.54, abs=0.01)
+
+
+@ANY_PAGE
+@EITHER_MODE
+def test_text_stands_out_from_its_ground(browser: Browser, pages: dict[str, Path], name: str, mode: Mode) -> None:
+    browser.show(pages[name], WIDE, mode)
+    texts = browser.ask(TEXTS)
+    assert len(texts) > 10
+    for text in texts:
+        assert text["opacity"] == 1.0, text["what"]
+        assert contrast(text["ink"], text["ground"]) >= CONTRAST, text["what"]
+    ground = browser.ask("return getComputedStyle(document.body).backgroundColor.match(/\\d+/g).map(Number)")
+    assert (max(ground) < 64) == (mode == "dark")
+
+
+def test_curves_take_the_colours_of_the_mode(browser: Browser, pages: dict[str, Path]) -> None:
+    browser.show(pages["ambiguous"], WIDE, "light")
+    light = browser.ask("return getComputedStyle(document.documentElement).getPropertyValue('--rival')")
+    for mode in ("light", "dark"):  # the second one while the page is shown
+        browser.prefer(mode)
+        drawn = browser.ask(DRAWN)
+        assert drawn["motion"]["measured"] > 100 and drawn["friction"]["after"] > 20
+        assert drawn["residual"]["before"] > 100
+        assert drawn["rival_1_residual"]["rival"] > 100
+    assert browser.ask("return getComputedStyle(document.documentElement).getPropertyValue('--rival')") != light
+
+
+# --- what stands where ----------------------------------------------------------------------------------------------
+
+
+@ANY_PAGE
+def test_badge_is_green_only_for_what_is_certain(browser: Browser, pages: dict[str, Path], name: str) -> None:
+    browser.show(pages[name])
+    badge = browser.driver.find_element(By.CLASS_NAME, "pill")
+    kind, words = BADGES[name]
+    assert badge.get_attribute("class") == f"pill {kind}"
+    assert badge.text.split("\n")[-1].endswith(words)
+    red, green, blue = browser.ask(
+        "return getComputedStyle(arguments[0]).backgroundColor.match(/\\d+/g).map(Number)", badge
+    )
+    assert (green > 1.2 * max(red, blue)) == (kind == "certain")
+
+
+@ANY_PAGE
+@ANY_WIDTH
+def test_limits_stand_before_all_that_was_found(
+    browser: Browser, pages: dict[str, Path], name: str, width: int
+) -> None:
+    browser.show(pages[name], width)
+    limits = browser.driver.find_elements(By.ID, "limits")
+    assert bool(limits) == (BADGES[name][0] != "certain")
+    if not limits:
+        return
+    # On the first screen, and above key figures, causes and plots.
+    top = limits[0].rect["y"]
+    assert top < HIGH - 200
+    found = browser.driver.find_elements(By.CSS_SELECTOR, ".tile, .cause, .rival-fit, .plot, .next")
+    assert found and all(element.rect["y"] >= top + limits[0].rect["height"] for element in found)
+
+
+def test_every_rival_has_its_fit_and_its_views(browser: Browser, pages: dict[str, Path]) -> None:
+    browser.show(pages["ambiguous"])
+    (rival,) = browser.driver.find_elements(By.CSS_SELECTOR, ".rival-fit")
+    keys = [canvas.get_attribute("data-plot") for canvas in rival.find_elements(By.TAG_NAME, "canvas")]
+    coordinates = ("velocity", "position", "acceleration", "time", "after_reversal", "frequency")
+    # What the rival gets wrong follows the direction: that view comes first.
+    assert keys[:2] == ["rival_1_residual", "rival_1_velocity"]
+    assert set(keys) == {f"rival_1_{key}" for key in ("residual", *coordinates)}
+    drawn = browser.ask(DRAWN)
+    assert all(drawn[key]["rival"] > 20 for key in keys)
+
+
+def test_a_curve_is_hidden_by_its_name_and_a_view_zoomed_by_its_keys(browser: Browser, pages: dict[str, Path]) -> None:
+    browser.show(pages["ambiguous"])
+    canvas = browser.driver.find_element(By.CSS_SELECTOR, "canvas[data-plot=residual]")
+    plot = canvas.find_element(By.XPATH, "ancestor::div[contains(@class, 'plot')]")
+    before = browser.ask(DRAWN)["residual"]["before"]
+    button = next(b for b in plot.find_elements(By.TAG_NAME, "button") if "machine file" in b.text)
+    button.click()
+    browser.settle()
+    assert browser.ask(DRAWN)["residual"]["before"] < 0.05 * before
+    assert button.get_attribute("aria-pressed") == "false"
+
+    def last_tick() -> float:
+        ticks = plot.find_elements(By.CSS_SELECTOR, "text[class='x tick']")
+        return float(ticks[-1].text.replace("−", "-"))
+
+    whole = last_tick()
+    canvas.send_keys("+")
+    browser.settle()
+    assert last_tick() < whole
+    reset = plot.find_element(By.CLASS_NAME, "reset")
+    assert reset.is_displayed()
+    reset.click()
+    browser.settle()
+    assert last_tick() == whole and not reset.is_displayed()
+
+
+# --- alone ----------------------------------------------------------------------------------------------------------
+
+
+@ANY_PAGE
+def test_page_asks_for_nothing_and_complains_of_nothing(browser: Browser, pages: dict[str, Path], name: str) -> None:
+    browser.requests(), browser.complaints()
+    browser.show(pages[name], NARROW, "dark")
+    assert browser.requests() == [pages[name].as_uri()]
+    assert browser.complaints() == []
+
+
+def test_a_page_that_asks_or_complains_is_noticed(browser: Browser, pages: dict[str, Path], tmp_path: Path) -> None:
+    text = pages["adequate"].read_text(encoding="utf-8")
+    spoilt = tmp_path / "spoilt.html"
+    spoilt.write_text(text.replace("<main>", "<main><script>nothing.at.all</script>", 1))
+    browser.requests(), browser.complaints()
+    browser.show(spoilt)
+    assert any("nothing is not defined" in complaint for complaint in browser.complaints())
+    spoilt.write_text(
+        text.replace("img-src data:", "img-src file:").replace("<main>", '<main><img src="beside.png">', 1)
+    )
+    browser.requests()
+    browser.show(spoilt)
+    assert (tmp_path / "beside.png").as_uri() in browser.requests()
