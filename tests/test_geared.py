@@ -190,7 +190,7 @@ def test_a_move_tells_rivals_apart(
 
 
 def test_a_weight_let_down_tells_a_drive_from_a_friction() -> None:
-    """Where the drive drives all the time, a loss is a friction that the load raises; where the load drives, it is less."""
+    """Where the drive drives all the time a loss is a friction that the load raises; where the load drives, less."""
     machine, motion = override_machine(joint(), {"effects": [HELD]}), Motion(RATE, 0.3)
     motion.wait(0.1)
     for reach, speed, acceleration in GENTLE:
