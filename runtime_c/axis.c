@@ -43,6 +43,9 @@ enum effect_kind {
     FRICTIONAL_LAG,
     DWELL_DEPENDENCE,
     MICRO_VISCOUS,
+    UNBALANCE,
+    LOAD_DEPENDENT_FRICTION,
+    DRIVE_EFFICIENCY,
     EFFECT_KINDS
 };
 
@@ -98,6 +101,12 @@ static const struct {
     [DWELL_DEPENDENCE] = {"dwell_dependence", {"ratio", "time_constant_s", "length_m"}},
     /* sigma_i + nu_i damping */
     [MICRO_VISCOUS] = {"micro_viscous", {"damping_N_s_m"}},
+    /* force = amplitude sin(q + phase), q an angle */
+    [UNBALANCE] = {"unbalance", {"amplitude_N", "phase_rad"}},
+    /* s(v) + ratio |T|, T: what the drive transmits */
+    [LOAD_DEPENDENT_FRICTION] = {"load_dependent_friction", {"ratio"}},
+    /* s(v) + |T| (1 / efficiency - 1) where T drives the motion, s(v) + |T| (1 - efficiency) where it brakes it */
+    [DRIVE_EFFICIENCY] = {"drive_efficiency", {"efficiency_ratio"}},
 };
 
 static const struct {
@@ -318,6 +327,26 @@ static double level_factor(const struct axis *axis, double v, double position)
     return factor;
 }
 
+/* What the torque transmitted adds to the level, N. */
+static double load_level(const struct axis *axis, double v)
+{
+    double level = 0.0;
+    for (size_t i = 0; i < axis->effects; ++i) {
+        const double *p = axis->effect[i].parameter;
+        switch (axis->effect[i].kind) {
+        case LOAD_DEPENDENT_FRICTION:
+            level += p[0] * fabs(axis->transmitted);
+            break;
+        case DRIVE_EFFICIENCY:
+            level += fabs(axis->transmitted) * (axis->transmitted * v > 0.0 ? 1.0 / p[0] - 1.0 : 1.0 - p[0]);
+            break;
+        default:
+            break;
+        }
+    }
+    return level;
+}
+
 /* Viscous coefficient sigma_v. */
 static double viscous(const struct axis *axis, double v)
 {
@@ -350,22 +379,45 @@ static double micro_viscous(const struct axis *axis, int element)
     return result;
 }
 
+/* Forces on the load from outside: what a drive transmits beside the inertial force. */
+static double outside_force(const struct axis *axis)
+{
+    double force = 0.0;
+    for (size_t i = 0; i < axis->effects; ++i) {
+        const double *p = axis->effect[i].parameter;
+        switch (axis->effect[i].kind) {
+        case CONSTANT_OFFSET:
+            force += p[0];
+            break;
+        case POSITION_SPRING:
+            force += p[0] * (axis->position - p[1]);
+            break;
+        case PERIODIC_DISTURBANCE:
+            force += p[0] * sin(TWO_PI * p[1] * now(axis) + p[2]);
+            break;
+        case STEP_DISTURBANCE:
+            force += now(axis) >= p[1] ? p[0] : 0.0;
+            break;
+        case UNBALANCE:
+            force += p[0] * sin(axis->position + p[1]);
+            break;
+        default:
+            break;
+        }
+    }
+    return force;
+}
+
 /* Sum of the effects' forces, friction-like in sign. */
 static double effect_force(const struct axis *axis, double v)
 {
-    double force = 0.0;
+    double force = outside_force(axis);
     for (size_t i = 0; i < axis->effects; ++i) {
         const struct axis_effect *effect = &axis->effect[i];
         const double *p = effect->parameter;
         switch (effect->kind) {
-        case CONSTANT_OFFSET:
-            force += p[0];
-            break;
         case FORCE_RIPPLE:
             force += periodic(p[0], axis->position, p[1], p[2]);
-            break;
-        case POSITION_SPRING:
-            force += p[0] * (axis->position - p[1]);
             break;
         case HOSE_HYSTERESIS:
             force += effect->state[0];
@@ -375,12 +427,6 @@ static double effect_force(const struct axis *axis, double v)
             break;
         case EDDY_CURRENT_DAMPING:
             force += p[0] * v / (1.0 + (v / p[1]) * (v / p[1]));
-            break;
-        case PERIODIC_DISTURBANCE:
-            force += p[0] * sin(TWO_PI * p[1] * now(axis) + p[2]);
-            break;
-        case STEP_DISTURBANCE:
-            force += now(axis) >= p[1] ? p[0] : 0.0;
             break;
         case STRUCTURAL_RESONANCE: {
             const double omega = TWO_PI * p[0];
@@ -484,6 +530,19 @@ static double stribeck(const struct axis *axis, double v)
     return axis->set.coulomb * (1.0 + axis->set.stribeck_ratio * rise);
 }
 
+/* Let the torque transmitted follow that of the present acceleration, halfway in a substep. The level sets the
+ * acceleration and the torque sets the level: taken whole, a step would overshoot where a loss is near the torque. */
+static void move_transmitted(struct axis *axis)
+{
+    double inertia = axis->set.mass;
+    for (size_t i = 0; i < axis->effects; ++i) {
+        if (axis->effect[i].kind == MASS_MISMATCH) {
+            inertia += axis->effect[i].parameter[0];
+        }
+    }
+    axis->transmitted += 0.5 * (inertia * axis->acceleration + outside_force(axis) - axis->transmitted);
+}
+
 /* Move s(v) with its factors through a drift at mean velocity v, which ends at velocity `end`. A smoothed element sees
  * the level in the middle; one that slips by the switching law ends at the last. A frictional lag keeps s as a state.
  */
@@ -501,7 +560,7 @@ static void move_level(struct axis *axis, double v, double end)
     }
     const double position = at_end ? axis->position : axis->position - axis->half_step * v;
     /* the direction is that of the drift, which moves the elements */
-    axis->level = level * level_factor(axis, v, position);
+    axis->level = level * level_factor(axis, v, position) + load_level(axis, v);
 }
 
 /* Whether friction is in contact with the mass, and the crossing of the gap (state: side -1, 0, 1; where it left). */
@@ -738,7 +797,8 @@ void axis_place(struct axis *axis, double position)
             effect->state[1] = position + 0.5 * effect->parameter[0];
         }
     }
-    axis->level = stribeck(axis, 0.0) * level_factor(axis, 0.0, position);
+    axis->transmitted = outside_force(axis);
+    axis->level = stribeck(axis, 0.0) * level_factor(axis, 0.0, position) + load_level(axis, 0.0);
 }
 
 /* ---- a sample ----------------------------------------------------------------------------------------------- */
@@ -835,6 +895,9 @@ static void drift(struct axis *axis, double v, double end, double command)
     const double force = axis->force;
     axis->position += axis->step * v;
     ++axis->substep_count;
+    if (axis->effects > 0) {
+        move_transmitted(axis);
+    }
     move_level(axis, v, end);
     move_elements(axis, engaged_velocity(axis, v));
     axis->force = command + (force - command) * axis->decay;

@@ -103,8 +103,9 @@ struct axis {
     double position, velocity, acceleration, force;
     double deflection[AXIS_MAX_ELEMENTS];
     double deflection_rate[AXIS_MAX_ELEMENTS];
-    double level;    /* s(v) with all factors, N, of the latest substep */
-    double integral; /* of the position error, m s */
+    double level;       /* s(v) with all factors, N, of the latest substep */
+    double transmitted; /* what the drive delivers behind friction: inertial force and forces on the load, N */
+    double integral;    /* of the position error, m s */
     double measured, derivative;
     uint64_t substep_count;
     double history[AXIS_HISTORY];

@@ -59,7 +59,14 @@ EFFECTS: dict[str, dict[str, float]] = {
     "dwell_dependence": {"ratio": 0.3, "time_constant_s": 0.3, "length_m": 1e-4},
     "micro_viscous": {"damping_N_s_m": 30.0},
 }
-"""Every effect of the catalogue, of a size that matters."""
+"""Every effect that any axis may have, of a size that matters."""
+
+GEARED: dict[str, dict[str, float]] = {
+    "unbalance": {"amplitude_Nm": 1.5, "phase_rad": 0.7},
+    "load_dependent_friction": {"ratio": 0.1},
+    "drive_efficiency": {"efficiency_ratio": 0.8},
+}
+"""The effects of axes that turn alone, likewise."""
 
 BASE_PARAMETERS = ("stiffness", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity")
 FORCES = ("force_ripple", "constant_offset", "position_spring", "quadratic_drag")
@@ -99,7 +106,7 @@ ESTIMATORS: dict[str, dict[str, Any]] = {
 
 
 def _entries(*names: str) -> list[dict[str, Any]]:
-    return [{"name": name, **EFFECTS[name]} for name in names]
+    return [{"name": name, **EFFECTS.get(name, GEARED.get(name, {}))} for name in names]
 
 
 def _estimating(*parameters: str, **more: Any) -> dict[str, Any]:
@@ -244,6 +251,32 @@ def _effects() -> dict[str, Variant]:
     }
 
 
+def _geared() -> dict[str, Variant]:
+    """Levels that hang on acceleration and position, on their own and together."""
+    freed = {
+        name: _estimating("stiffness", *(f"{name}.{parameter}" for parameter in parameters))
+        for name, parameters in GEARED.items()
+    }
+    variants = {
+        name: Variant({"effects": _entries(name), "estimator": estimator}, "etel_xy_rotary")
+        for name, estimator in freed.items()
+    }
+    merged = INTEGRATORS["flow, 5 merged"]
+    kept: dict[str, dict[str, Any]] = {
+        "": {},
+        ", auto, 5 merged": {"estimator": {"relinearise": "auto"}, "sampling": merged},
+        ", newest, linear": {"estimator": {"relinearise": "newest"}, "sampling": INTEGRATORS["rk4, linear"]},
+        ", ekf": {"estimator": {"kind": "ekf"}},
+        ", switching, 5 merged": {"friction": {"law": "switching"}, "sampling": {"integrator": {"substeps": 20}}},
+        ", compensation": {"compensation": {"delay": 210e-6, "limit": 20.0, "hold": 5e-6}},
+        ", single": {"code": {"precision": "single"}},
+    }
+    together = {"effects": _entries(*GEARED)}
+    return variants | {
+        f"geared{name}": Variant({**together, **changes}, "etel_xy_rotary") for name, changes in kept.items()
+    }
+
+
 def _compensation() -> dict[str, Variant]:
     late = {"delay": 210e-6, "ramp": 0.05, "limit": 20.0, "hold": 5e-6}
     effects = {"effects": _entries("force_ripple", "force_delay", "asymmetric_coulomb")}
@@ -337,7 +370,7 @@ def _machines() -> dict[str, Variant]:
 
 
 def _all() -> dict[str, Variant]:
-    double = _integration() | _elements() | _estimation() | _effects() | _compensation() | _switching()
+    double = _integration() | _elements() | _estimation() | _effects() | _geared() | _compensation() | _switching()
     return double | _single(double) | _machines()
 
 

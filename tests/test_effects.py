@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.emission.structure import analyse
 from sgms_mhe.evaluation.comparison import TOLERANCES
 from sgms_mhe.host.compiled import CompiledEstimator
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.model.effects import (
     BASE_CAUSES,
@@ -29,6 +29,8 @@ from sgms_mhe.model.effects import (
     base_number,
     cause,
     effect_definition,
+    effect_names,
+    own_effects,
     reported_name,
     separating_moves,
 )
@@ -96,6 +98,10 @@ CASES = {
     "frictional_lag": Case({"time_constant_s": 0.02}),
     "dwell_dependence": Case({"ratio": 0.3, "time_constant_s": 0.3, "length_m": 1e-4}),
     "micro_viscous": Case({"damping_N_s_m": 30.0}, 3e-3, 2e-2),
+    "unbalance": Case({"amplitude_N": 1.5, "phase_rad": 0.7}),
+    # The level follows the acceleration, which changes within a sample.
+    "load_dependent_friction": Case({"ratio": 0.1}, 4e-3, 3e-2),
+    "drive_efficiency": Case({"efficiency_ratio": 0.8}, 8e-3, 5e-2),
 }
 
 
@@ -115,10 +121,11 @@ def trajectory(rate: float = RATE) -> Trajectory:
     return motion.trajectory("mixed")
 
 
-@lru_cache(maxsize=1)
-def base() -> Machine:
+@cache
+def base(kind: Kind = "linear") -> Machine:
+    """The machine that effects are added to, as an axis of either kind."""
     return override_machine(
-        load_machine("etel_xy"),
+        load_machine({"linear": "etel_xy", "rotary": "etel_xy_rotary"}[kind]),
         {
             "sampling": {"rate": RATE, "update_rate": 100.0, "integrator": {"scheme": "flow"}},
             "estimator": {"horizon": 3, "bounds": {}},
@@ -127,9 +134,18 @@ def base() -> Machine:
 
 
 def extended(*effects: tuple[str, dict[str, float]], free: tuple[str, ...], **changes: Any) -> Machine:
-    """The base machine with effects, stiffness and `free` estimated."""
-    entries = [{"name": name, **parameters} for name, parameters in effects]
-    return override_machine(base(), {"effects": entries, "estimator": {"parameters": ["stiffness", *free]}, **changes})
+    """The base machine that may have them with effects, stiffness and `free` estimated."""
+    machine = base_for(*(name for name, _ in effects))
+    units = machine.plant.units
+    entries = [{"name": name, **units.keyed(parameters)} for name, parameters in effects]
+    estimator = {"parameters": ["stiffness", *map(units.named, free)]}
+    return override_machine(machine, {"effects": entries, "estimator": estimator, **changes})
+
+
+def base_for(*names: str) -> Machine:
+    """The base machine of the first kind that may have all of these effects."""
+    kinds: tuple[Kind, ...] = ("linear", "rotary")
+    return base(next(kind for kind in kinds if all(kind in effect_definition(name).kinds for name in names)))
 
 
 @cache
@@ -188,7 +204,7 @@ def test_model_and_plant_know_the_same_effects() -> None:
     of_model = {name: tuple(p.name for p in effect_definition(name).parameters) for name in EFFECT_NAMES}
     assert of_model == plant_effects()
     assert set(CASES) == set(EFFECT_NAMES)
-    assert len(EFFECT_NAMES) == 24
+    assert len(EFFECT_NAMES) == 27
 
 
 @pytest.mark.parametrize("name", CAUSE_NAMES)
@@ -356,7 +372,7 @@ def test_excitation_is_measured() -> None:
 
 @pytest.mark.parametrize("name", EFFECT_NAMES)
 def test_effect_of_size_zero_is_the_base_model(name: str) -> None:
-    without, with_effect = build_model(base()), build_model(extended((name, {}), free=()))
+    without, with_effect = build_model(base_for(name)), build_model(extended((name, {}), free=()))
     rng = np.random.default_rng(3)
     for _ in range(20):
         chi, theta = rng.uniform(-1.0, 1.0, 4), rng.uniform(0.9, 1.1, 4)
@@ -405,16 +421,16 @@ def test_emitted_c_agrees_with_the_reference(name: str) -> None:
 def test_prediction_matches_the_plant(name: str) -> None:
     signals = simulated(machine_of(name), as_read=name == "encoder_periodic_error")
     error = deviation(integrator_of(name), signals)[START:]
-    without = deviation(base_integrator(), signals)[START:]
+    without = deviation(base_integrator(base_for(name).plant.kind), signals)[START:]
     assert rms(error) < CASES[name].rms_N
     assert np.abs(error).max() < CASES[name].largest_N
     # The test would not see an effect that is missing altogether, were it small beside the tolerance.
     assert rms(without) > 5.0 * rms(error)
 
 
-@lru_cache(maxsize=1)
-def base_integrator() -> Integrator:
-    return Integrator(build_model(base()))
+@cache
+def base_integrator(kind: Kind = "linear") -> Integrator:
+    return Integrator(build_model(base(kind)))
 
 
 TOGETHER = ("encoder_periodic_error", "asymmetric_coulomb", "force_ripple", "hose_hysteresis", "structural_resonance",
@@ -511,9 +527,9 @@ def test_sensitivities_of_a_level_with_states_are_derivatives(name: str) -> None
 # --- wrong input ------------------------------------------------------------------------------------------------
 
 
-def refused(folder: Path, text: str) -> str:
+def refused(folder: Path, text: str, machine: str = "etel_xy") -> str:
     path = folder / "bad.toml"
-    path.write_text(f'extends = "etel_xy"\nname = "bad"\n{text}', encoding="utf-8")
+    path.write_text(f'extends = "{machine}"\nname = "bad"\n{text}', encoding="utf-8")
     with pytest.raises(InputError) as error:
         build_model(load_machine(path))
     return str(error.value)
@@ -521,22 +537,33 @@ def refused(folder: Path, text: str) -> str:
 
 @pytest.mark.parametrize("name", EFFECT_NAMES)
 def test_wrong_parameters_are_refused(name: str, tmp_path: Path) -> None:
-    entry = f'[[effects]]\nname = "{name}"\n'
-    message = refused(tmp_path, entry + "size = 1.0\n")
-    assert "size = 1.0" in message and all(p.name in message for p in effect_definition(name).parameters)
-    first = effect_definition(name).parameters[0].name
-    assert first in refused(tmp_path, f'{entry}{first} = "much"\n')
-    assert first in refused(tmp_path, f"{entry}{first} = nan\n")
-    assert f"{name}.size" in refused(tmp_path, f'[estimator]\nparameters = ["{name}.size"]\n{entry}')
+    entry, units = f'[[effects]]\nname = "{name}"\n', base_for(name).plant.units
+    machine = {"linear": "etel_xy", "rotary": "etel_xy_rotary"}[units.kind]
+    message = refused(tmp_path, entry + "size = 1.0\n", machine)
+    assert "size = 1.0" in message and all(units.named(p.name) in message for p in effect_definition(name).parameters)
+    first = units.named(effect_definition(name).parameters[0].name)
+    assert first in refused(tmp_path, f'{entry}{first} = "much"\n', machine)
+    assert first in refused(tmp_path, f"{entry}{first} = nan\n", machine)
+    assert f"{name}.size" in refused(tmp_path, f'[estimator]\nparameters = ["{name}.size"]\n{entry}', machine)
     for parameter in effect_definition(name).parameters:
         if math.isfinite(parameter.lower):
-            message = refused(tmp_path, f"{entry}{parameter.name} = {parameter.lower - 1.0}\n")
-            assert parameter.name in message
+            message = refused(tmp_path, f"{entry}{units.named(parameter.name)} = {parameter.lower - 1.0}\n", machine)
+            assert units.named(parameter.name) in message
+
+
+@pytest.mark.parametrize("name", sorted(set(EFFECT_NAMES) - set(own_effects("linear"))))
+def test_effects_of_axes_that_turn_are_refused_of_others(name: str, tmp_path: Path) -> None:
+    message = refused(tmp_path, f'[[effects]]\nname = "{name}"\n')
+    assert f"effects[1].name = '{name}'" in message and f"{name} is for [plant] kind = rotary" in message
+    with pytest.raises(InputError, match=rf"{name}.*this is for rotary"):
+        simulate_axis(base(), trajectory(), AxisConfig(), hidden_effects=[(name, CASES[name].parameters)])
+    assert name not in effect_names("linear") and name in effect_names("rotary")
+    assert name in refused(tmp_path, '[[effects]]\nname = "gremlins"\n', "etel_xy_rotary")
 
 
 def test_unknown_effect_is_refused_with_the_catalogue(tmp_path: Path) -> None:
     message = refused(tmp_path, '[[effects]]\nname = "gremlins"\n')
-    assert all(name in message for name in EFFECT_NAMES)
+    assert all((name in message) == (name in own_effects("linear")) for name in EFFECT_NAMES)
 
 
 def test_bounds_need_a_nominal_value_to_multiply(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from package_variants import EFFECTS, VARIANTS
+from package_variants import EFFECTS, GEARED, VARIANTS
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.delivery import MANIFEST
 from sgms_mhe.model.effects import EFFECT_NAMES
@@ -69,7 +69,7 @@ def test_every_variant_is_recorded_and_no_two_are_the_same() -> None:
 
 
 def test_every_effect_and_every_committed_machine_is_a_variant(repo_root: Path) -> None:
-    assert set(EFFECTS) == set(EFFECT_NAMES) <= set(VARIANTS)
+    assert {*EFFECTS, *GEARED} == set(EFFECT_NAMES) <= set(VARIANTS)
     committed = {load_machine(path).name for path in (repo_root / "machines").glob("*.toml")}
     assert committed == {v.machine for v in VARIANTS.values() if not v.changes} & committed
 

@@ -423,8 +423,14 @@ def sweep() -> Trajectory:
     return motion.trajectory(SWEEP)
 
 
+def as_the_effect_wants(machine: Machine, name: str) -> Machine:
+    """The machine, or its rotary twin where it may not have the effect."""
+    return machine if machine.plant.kind in effect_definition(name).kinds else load_machine("etel_xy_rotary")
+
+
 def forces(machine: Machine, name: str, parameters: Mapping[str, float], **options: Any) -> tuple[Array, Truth]:
     """Change of the logged force by an effect under prescribed motion, and the truth with it."""
+    machine = as_the_effect_wants(machine, name)
     plain = simulate_axis(machine, sweep(), prescribed(), **options)
     run = simulate_axis(machine, sweep(), prescribed(), hidden_effects=[(name, parameters)], **options)
     assert run.truth is not None
@@ -458,7 +464,10 @@ ADDED_FORCES: list[tuple[str, dict[str, float], Callable[[Truth], Array]]] = [
         lambda w: 0.5 * np.sin(2 * np.pi * 17.0 * w.time_s - 0.4),
     ),
     ("step_disturbance", {"force_N": -2.0, "time_s": 0.3}, lambda w: np.where(w.time_s >= 0.3 - 1e-9, -2.0, 0.0)),
+    ("unbalance", {"amplitude_N": 1.2, "phase_rad": 0.4}, lambda w: 1.2 * np.sin(w.position_m + 0.4)),
     ("asymmetric_coulomb", {"ratio": 0.0}, lambda w: np.zeros_like(w.time_s)),
+    ("load_dependent_friction", {"ratio": 0.0}, lambda w: np.zeros_like(w.time_s)),
+    ("drive_efficiency", {"efficiency_ratio": 1.0}, lambda w: np.zeros_like(w.time_s)),
     ("micro_viscous", {"damping_N_s_m": 0.0}, lambda w: np.zeros_like(w.time_s)),
 ]
 
@@ -493,6 +502,47 @@ def test_effect_changes_the_level(
     tolerance = 0.012 if law == "sgms" else 1e-3
     level = (truth.friction_N - 20.0 * truth.velocity_m_s) * np.sign(truth.velocity_m_s)
     np.testing.assert_allclose(level[sliding], 4.0 * (1.0 + relative(truth)[sliding]), rtol=tolerance)
+
+
+def lost(torque: Array, velocity: Array, efficiency: float) -> Array:
+    """What a drive takes beyond a torque, from what it gives out for what is put in on either side."""
+    drives = torque * velocity > 0.0
+    return np.abs(np.where(drives, torque / efficiency, torque * efficiency) - torque)
+
+
+LOAD_LEVELS: list[tuple[list[tuple[str, dict[str, float]]], Callable[[Array, Array], Array]]] = [
+    ([("load_dependent_friction", {"ratio": 0.2})], lambda torque, _: 0.2 * np.abs(torque)),
+    ([("drive_efficiency", {"efficiency_ratio": 0.6})], lambda torque, v: lost(torque, v, 0.6)),
+    (
+        [("load_dependent_friction", {"ratio": 0.3}), ("drive_efficiency", {"efficiency_ratio": 0.7})],
+        lambda torque, v: 0.3 * np.abs(torque) + lost(torque, v, 0.7),
+    ),
+]
+
+
+@pytest.mark.parametrize(("effects", "added"), LOAD_LEVELS, ids=["load", "efficiency", "both"])
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("control", ["prescribed", "position"])
+def test_the_torque_transmitted_raises_the_level(
+    control: str, law: str, effects: list[tuple[str, dict[str, float]]], added: Callable[[Array, Array], Array]
+) -> None:
+    """Where inertia and what acts on the load hardly change: there the level has come up to them."""
+    machine = load_machine("etel_xy_rotary")
+    outside = [("unbalance", {"amplitude_N": 9.0, "phase_rad": 0.3}), ("constant_offset", {"force_N": 2.0})]
+    more = [
+        ("mass_mismatch", {"mass_kg": 5.0}),
+        ("force_ripple", {"amplitude_N": 3.0, "pitch_m": 0.1, "phase_rad": 0.0}),
+    ]
+    config = clean(law=law, control=control)
+    # Stiff elements come up to a level within a millimetre.
+    truth = truth_of(machine, sweep(), config, hidden_effects=[*outside, *more, *effects], scale={"stiffness": 50.0})
+    v, a = truth.velocity_m_s, truth.acceleration_m_s2
+    torque = 25.0 * a + 9.0 * np.sin(truth.position_m + 0.3) + 2.0  # no ripple: that is the motor's
+    before = np.convolve(np.abs(np.gradient(torque)), np.ones(100))[: len(v)]
+    steady = (np.abs(v) > 0.15) & (before < 0.2)
+    assert np.ptp(torque[steady]) > 150.0 and steady.sum() > 500
+    level = (truth.friction_N - 20.0 * v) * np.sign(v)
+    np.testing.assert_allclose(level[steady], 4.0 + added(torque, v)[steady], rtol=0.02)
 
 
 def test_force_constant_gain_and_delay(machine: Machine) -> None:
@@ -642,7 +692,9 @@ def test_closed_loop_with_every_effect(machine: Machine, name: str, law: str) ->
     }  # fmt: skip
     if name in ("friction_drift", "viscous_drift", "dwell_dependence"):
         typical["time_constant_s"] = 5e-3
+    typical["efficiency_ratio"] = 0.8
     effect = (name, {parameter: typical[parameter] for parameter in plant_effects()[name]})
+    machine = as_the_effect_wants(machine, name)
     trajectory = make_trajectory("mixed", 1e4, duration_s=3.0)
     run = simulate_axis(machine, trajectory, AxisConfig(law=law), hidden_effects=[effect])  # type: ignore[arg-type]
     truth = run.truth

@@ -93,15 +93,19 @@ def _effects(file: MachineFile) -> tuple[ResolvedEffect, ...]:
 
 
 def _check_effect(file: MachineFile, index: int) -> None:
-    """Refuse an effect that the catalogue does not have, or that another distribution brings and that is broken."""
+    """Refuse an effect that the catalogue does not have, or not for this axis, or that another distribution broke."""
     where, name = ("effects", index, "name"), file.tables.effects[index].name
+    kind = file.tables.plant.kind
     try:
-        effect_definition(name)
+        definition = effect_definition(name)
     except KeyError:
-        raise file.refused(where, name, f"one of {listing(effect_names())}") from None
+        raise file.refused(where, name, f"one of {listing(effect_names(kind))}") from None
     except InputError as error:
         raise file.refused(where, name, f"an effect that works; {error}") from None
-    why = effect_definition(name).smooth_only
+    if kind not in definition.kinds:
+        allowed = f"an effect of a {kind} axis; {name} is for [plant] kind = {' or '.join(definition.kinds)}"
+        raise file.refused(where, name, allowed)
+    why = definition.smooth_only
     if why and file.tables.friction.switches:
         raise file.refused(where, name, f"an effect that stands with [friction] law = switching; {why}")
 

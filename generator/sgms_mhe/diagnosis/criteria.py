@@ -51,8 +51,8 @@ class Criteria:
 
 def barred_by_law(machine: Machine) -> tuple[str, ...]:
     """Effects that cannot stand with a machine's friction law, so that none of its records can show them."""
-    switches = machine.friction.switches
-    return tuple(name for name in effect_names() if switches and effect_definition(name).smooth_only)
+    names = effect_names(machine.plant.kind) if machine.friction.switches else ()
+    return tuple(name for name in names if effect_definition(name).smooth_only)
 
 
 def criteria_of(machine: Machine, floor: float, excitation: Mapping[Measure, float], report: Progress) -> Criteria:
@@ -62,7 +62,7 @@ def criteria_of(machine: Machine, floor: float, excitation: Mapping[Measure, flo
     # What a record does not excite cannot be found in it; what only imitates it can. Nor can what the law cannot bear.
     excited = tuple(
         name
-        for name in effect_names()
+        for name in effect_names(machine.plant.kind)
         if name not in barred
         and not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
     )

@@ -32,6 +32,9 @@ def measures(signals: Signals, machine: Machine) -> dict[Measure, float]:
         "inertial_ratio": float(np.percentile(np.abs(signals.acceleration), 99.0) * scales.mass / scales.coulomb)
         if len(velocity)
         else 0.0,
+        "load_ratio": float(np.percentile(np.abs(signals.force), 99.0) / scales.coulomb) - 1.0
+        if len(velocity)
+        else 0.0,
         "standstill_s": longest,
         "standstill_ratio": longest / float(rests[min(4, len(rests) - 1)]) if longest > 0.0 else 0.0,
         "moving_s": float(np.count_nonzero(moving)) / rate,

@@ -121,8 +121,8 @@ def make_plan(machine: Machine, separate: tuple[str, str] | None = None) -> Plan
         InputError: a cause that does not exist.
     """
     for name in separate or ():
-        if name not in cause_names():
-            raise InputError("plan", "separate", name, f"two of {', '.join(cause_names())}")
+        if name not in (known := cause_names(machine.plant.kind)):
+            raise InputError("plan", "separate", name, f"two of {', '.join(known)}, as a {machine.plant.kind} axis has")
     speed = 0.9 * machine.sampling.max_velocity
     # Half a second at full speed, reached within a tenth of a second.
     axis = _Axis(speed, 10.0 * speed, 400.0 * speed, scales_of(machine).deflection, 0.5 * speed)

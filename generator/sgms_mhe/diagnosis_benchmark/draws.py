@@ -22,7 +22,7 @@ from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, draw_motio
 from sgms_mhe.diagnosis_benchmark.unmodelled import UNMODELLED
 from sgms_mhe.diagnosis_benchmark.visibility import sensitivities, visible_share
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition
+from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition, own_effects
 from sgms_mhe.model.effects.specimen import log_uniform
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -164,9 +164,9 @@ def _attempt(machine: Machine, kind: str, number: int, seed: int, index: int, ra
     if kind == "base":
         return _with_causes(machine, draw, (_in_turn(tuple(BASE_CAUSES), number, seed),), random)
     if kind == "single":
-        name = _in_turn(EFFECT_NAMES, number, seed)
+        name = _in_turn(own_effects(machine.plant.kind), number, seed)
         return _with_causes(machine, draw, (name,), random)
-    first, second = random.choice(EFFECT_NAMES, 2, replace=False).tolist()
+    first, second = random.choice(own_effects(machine.plant.kind), 2, replace=False).tolist()
     if second in cause(first).confused_with or first in cause(second).confused_with:
         return None
     return _with_causes(machine, draw, (first, second), random)
@@ -236,7 +236,7 @@ def _weak(machine: Machine, index: int, number: int, random: Generator) -> Draw 
         return draw
     concealed = {
         name: found
-        for name in sorted(EFFECT_NAMES, reverse=True)
+        for name in sorted(own_effects(machine.plant.kind), reverse=True)
         if (specimen := effect_definition(name).specimen) and (found := specimen.concealed) and found.motion == style
     }
     name = str(random.choice(list(concealed)))

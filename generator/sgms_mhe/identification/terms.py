@@ -85,7 +85,7 @@ def companion_terms(rows: Recording) -> tuple[Term, ...]:
         extents=rows.extents,
     )
     found = []
-    for name in effect_names():
+    for name in effect_names(rows.machine.plant.kind):
         definition = effect_definition(name)
         if definition.companion and isinstance(definition.search, Columns):
             found.append(Term(name, definition.search.columns(motion, {})))

@@ -70,7 +70,10 @@ class SymbolicAxis:
         stribeck_level: s(v) / f_C, which an effect may replace by the level that the elements really have.
         rest_level: the same at v = 0, 1 + beta.
         gate_per_velocity: gamma / v_s [s/m], how sharply directions are told apart.
+        level_force: what the level that elements slip at has beyond its factors [N].
         engagement: share of the velocity that reaches the friction elements.
+        load: what acts on the axis from outside, and what its mass is more than the machine file's [N]; friction-like
+            in sign, complete from the stage `level` on.
         output: what the model predicts, the logged force minus mass * measured acceleration [N].
         element_force: sum of nu_i chi_i, the elements' force over f_C, from when they are declared.
         states: elements first.
@@ -89,7 +92,9 @@ class SymbolicAxis:
         self.coulomb_factor: ca.SX = ca.SX(1.0)
         self.viscous_factor: ca.SX = ca.SX(1.0)
         self.micro_viscous: ca.SX = ca.SX(0.0)
+        self.level_force: ca.SX = ca.SX(0.0)
         self.engagement: ca.SX = ca.SX(1.0)
+        self.load: ca.SX = ca.SX(0.0)
         self.stribeck_level: ca.SX = ca.SX(1.0)
         self.rest_level: ca.SX = ca.SX(1.0)
         self.element_force: ca.SX = ca.SX(0.0)
@@ -105,6 +110,11 @@ class SymbolicAxis:
     @drive.setter
     def drive(self, force: ca.SX) -> None:
         self.output = force - self.mass * self.measured[2]
+
+    @property
+    def transmitted(self) -> ca.SX:
+        """What the drive delivers behind friction, mass * acceleration + load [N]: of known signals alone."""
+        return self.mass * self.acceleration + self.load
 
     def add_force(self, force: ca.SX) -> None:
         """Add a force [N] to the friction force that the axis shows."""

@@ -243,6 +243,16 @@ def _contribute(effects: Sequence[_Effect], axis: SymbolicAxis, *stages: Stage) 
                 effect.contribute(axis)
 
 
+def _load(effects: Sequence[_Effect], axis: SymbolicAxis) -> ca.SX:
+    """The forces of the effects that act on the load [N], known before any level is set that hangs on them."""
+    before, axis.output = axis.output, ca.SX(0.0)
+    for effect in effects:
+        if effect.definition.loads:
+            effect.contribute(axis)
+    load, axis.output = axis.output, before
+    return load
+
+
 def _prompt_drive(effects: Sequence[_Effect], axis: SymbolicAxis) -> ca.SX:
     """The drive's force behind all stages, effects with states left out: these make the log late."""
     logged = axis.drive
@@ -291,6 +301,7 @@ def build_model(machine: Machine) -> Model:
         state_noise=noise.state,
         initial_state=noise.initial_state,
     )
+    axis.load = _load(effects, axis)
     _contribute(effects, axis, "level")
     elements = add_friction(axis, friction.fraction, symbols, smoothing)
     _contribute(effects, axis, "force", "motor")
@@ -314,7 +325,7 @@ def build_model(machine: Machine) -> Model:
         to_node=ca.vertcat(*(state.to_node for state in axis.states)),
         from_node=ca.vertcat(*(state.from_node for state in axis.states)),
         output=axis.output,
-        feed_forward=_at_rest(prompt - axis.mass * axis.measured[2], rhs, chi, axis.measured),
+        feed_forward=_at_rest(prompt - axis.mass * axis.measured[2], rhs, chi, axis.measured, len(friction.stiffness)),
         deflection=elements.deflection,
         level=elements.level,
         rho=elements.rho,
@@ -322,13 +333,14 @@ def build_model(machine: Machine) -> Model:
     )
 
 
-def _at_rest(force: ca.SX, rhs: ca.SX, chi: ca.SX, w: ca.SX) -> ca.SX:
+def _at_rest(force: ca.SX, rhs: ca.SX, chi: ca.SX, w: ca.SX, elements: int) -> ca.SX:
     """A force with the states that acceleration or drive force move where they come to rest while these hold.
 
     A force that answers the drive's own force is no friction: fed forward it would feed back. Such states obey linear
-    equations; with them go the states that they read, J chi + c = 0 for all.
+    equations; with them go the states that they read, J chi + c = 0 for all. Elements, the first states, are friction
+    whatever their level hangs on.
     """
-    driven = {i for i in range(chi.numel()) if ca.depends_on(rhs[i], w[2:4])}
+    driven = {i for i in range(elements, chi.numel()) if ca.depends_on(rhs[i], w[2:4])}
     while more := [j for j in range(chi.numel()) if j not in driven and _reads(rhs, driven, chi[j])]:
         driven |= set(more)
     if not any(ca.depends_on(force, chi[i]) for i in driven):

@@ -106,7 +106,7 @@ def add_friction(
     Without smoothing they switch: an element moves with the axis, and slips where the axis pushes it on at its level.
     """
     v = axis.engagement * axis.velocity
-    level = axis.stribeck_level * axis.coulomb_factor
+    level = axis.stribeck_level * axis.coulomb_factor + axis.level_force / symbols.coulomb
     deflections: list[ca.SX] = []
     rhos: list[ca.SX] = []
     for i, nu in enumerate(fraction):

@@ -215,6 +215,13 @@ class NativeAxis:
         seen: Counter[str] = Counter()
         for effect, values in [*((e.name, e.parameters) for e in machine.effects), *hidden_effects]:
             seen[effect] += 1
+            if effect in effect_names() and machine.plant.kind not in (kinds := effect_definition(effect).kinds):
+                raise InputError(
+                    "simulation",
+                    "effect",
+                    effect,
+                    f"one for a {machine.plant.kind} axis; this is for {' or '.join(kinds)} ones",
+                )
             self._add_effect(effect, effect if seen[effect] == 1 else f"{effect}_{seen[effect]}", values)
 
     @staticmethod

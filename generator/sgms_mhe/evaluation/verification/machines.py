@@ -10,7 +10,7 @@ from numpy.random import Generator
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects.catalogue import EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects.catalogue import effect_definition, own_effects
 from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.support.errors import InputError
@@ -96,7 +96,7 @@ def _sampling(random: Generator, law: str) -> dict[str, Any]:
 
 def _effects(random: Generator, base: Machine) -> list[dict[str, Any]]:
     count = int(random.choice([0, 0, 1, MOST_EFFECTS]))
-    names = random.choice(EFFECT_NAMES, size=count, replace=False)
+    names = random.choice(own_effects(base.plant.kind), size=count, replace=False)
     return [{"name": str(name), **_values(random, str(name), base)} for name in names]
 
 

@@ -19,6 +19,7 @@ from sgms_mhe.model.effects.catalogue import (
     effect_definition,
     effect_names,
     outside_sources,
+    own_effects,
     separating_moves,
 )
 from sgms_mhe.model.effects.causes import MOVES, CauseDefinition, Move, Simpler
@@ -58,6 +59,7 @@ __all__ = [
     "effect_definition",
     "effect_names",
     "outside_sources",
+    "own_effects",
     "reported_name",
     "separating_moves",
 ]

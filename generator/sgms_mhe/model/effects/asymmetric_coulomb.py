@@ -5,26 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
-import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.motion import direction
 from sgms_mhe.model.effects.parameters import EffectParameter
-from sgms_mhe.model.effects.search import Array, Columns, one_size
+from sgms_mhe.model.effects.search import Columns, one_size
 from sgms_mhe.model.effects.specimen import Concealed, one_number
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
     axis.coulomb_factor = axis.coulomb_factor * (1.0 + p["ratio"] * ca.sign(axis.velocity))
-
-
-# Slower is rest [m/s].
-_REST = 1e-9
-
-
-def _direction(velocity: Array) -> Array:
-    return np.asarray(np.sign(np.where(np.abs(velocity) > _REST, velocity, 0.0)))
 
 
 DEFINITION = EffectDefinition(
@@ -39,7 +31,7 @@ DEFINITION = EffectDefinition(
         "position_spring": "both directions at the same place",
     },
     moves=("speeds", "loops"),
-    search=Columns(lambda m, _: (m.level * _direction(m.velocity))[:, None], one_size("ratio"), exact="ratio"),
+    search=Columns(lambda m, _: (m.level * direction(m.velocity))[:, None], one_size("ratio"), exact="ratio"),
     linear=True,
     full_rate=True,
     stage="level",

@@ -16,6 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
+from sgms_mhe.machine.units import Kind
 from sgms_mhe.model.effects.base import BASE_CAUSES, base_cause
 from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.model.effects.checks import faults_of
@@ -50,6 +51,9 @@ EFFECT_NAMES: Final[tuple[str, ...]] = (
     "frictional_lag",
     "dwell_dependence",
     "micro_viscous",
+    "unbalance",
+    "load_dependent_friction",
+    "drive_efficiency",
 )
 """The effects of this package, each the module of the same name in this folder."""
 
@@ -132,14 +136,20 @@ def effect_definition(name: str) -> EffectDefinition:
     return outcome
 
 
-def effect_names() -> tuple[str, ...]:
-    """All effects that can be used: this package's, then those of other distributions."""
-    return (*EFFECT_NAMES, *(name for name in _offers() if isinstance(_outcome(name), EffectDefinition)))
+def own_effects(kind: Kind) -> tuple[str, ...]:
+    """This package's effects that an axis of a kind may have."""
+    return tuple(name for name in EFFECT_NAMES if kind in effect_definition(name).kinds)
 
 
-def cause_names() -> tuple[str, ...]:
-    """All that a diagnosis may name: effects, then wrong numbers of the base model."""
-    return (*effect_names(), *BASE_CAUSES)
+def effect_names(kind: Kind | None = None) -> tuple[str, ...]:
+    """All effects that can be used, or that an axis of a kind may have: this package's, then other distributions'."""
+    usable = (*EFFECT_NAMES, *(name for name in _offers() if isinstance(_outcome(name), EffectDefinition)))
+    return tuple(name for name in usable if kind is None or kind in effect_definition(name).kinds)
+
+
+def cause_names(kind: Kind | None = None) -> tuple[str, ...]:
+    """All that a diagnosis may name, or name of an axis of a kind: effects, then wrong numbers of the base model."""
+    return (*effect_names(kind), *BASE_CAUSES)
 
 
 def broken_effects() -> tuple[InputError, ...]:

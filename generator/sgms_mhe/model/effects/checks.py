@@ -11,7 +11,7 @@ from typing import Final
 import casadi as ca
 import numpy as np
 
-from sgms_mhe.machine.units import CATALOGUE_ENDS, PURE_NUMBERS, is_pure_number, suffix_of
+from sgms_mhe.machine.units import CATALOGUE_ENDS, OF_KIND, PURE_NUMBERS, is_pure_number, suffix_of
 from sgms_mhe.model.axis import SIGNAL_NAMES, SymbolicAxis
 from sgms_mhe.model.effects.causes import MOVES
 from sgms_mhe.model.effects.definition import STAGES, EffectDefinition
@@ -39,6 +39,10 @@ def faults_of(definition: EffectDefinition, causes: Container[str]) -> Iterator[
         yield Fault("name", definition.name, "a name of lower-case words joined by underscores")
     if definition.stage not in STAGES:
         yield Fault("stage", definition.stage, f"one of {', '.join(STAGES)}")
+    if not definition.kinds or not set(definition.kinds) <= set(OF_KIND):
+        yield Fault("kinds", definition.kinds, f"at least one of {', '.join(OF_KIND)}")
+    if definition.loads and (definition.stage != "force" or definition.states):
+        yield Fault("loads", definition.loads, "False but for a force without states of its own")
     if not definition.moves or not set(definition.moves) <= set(MOVES):
         yield Fault("moves", definition.moves, f"at least one of {', '.join(MOVES)}")
     yield from _references(definition, causes)
@@ -144,6 +148,7 @@ def _quantities(axis: SymbolicAxis) -> ca.SX:
         axis.coulomb_factor,
         axis.viscous_factor,
         axis.micro_viscous,
+        axis.level_force,
         axis.engagement,
         axis.stribeck_level,
     )

@@ -24,6 +24,7 @@ DEFINITION = EffectDefinition(
     summary="constant force, independent of motion",
     parameters=(EffectParameter("force_N", 0.0, 0.1, "force opposing positive drive force", unit="coulomb"),),
     contribute=_contribute,
+    loads=True,
     excitation=Excitation(
         "sliding in both directions, and reversals: below break-away only an offset is left",
         (Need("both_directions", 0.1), Need("reversals", 2.0)),

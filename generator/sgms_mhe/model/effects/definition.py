@@ -9,6 +9,7 @@ from typing import Final, Literal
 
 import casadi as ca
 
+from sgms_mhe.machine.units import Kind
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.model.effects.parameters import EffectParameter
@@ -34,8 +35,11 @@ class EffectDefinition(CauseDefinition):
         parameters: in the order of reports.
         contribute: adds the effect to the axis, given its parameters as expressions and their nominal values.
         stage: see STAGES.
+        kinds: of axis that may have it.
         states: names of its own states.
         search: how a diagnosis looks for it; by its derivative in its first size unless something says more.
+        loads: whether its force acts on the load, so that the drive has to transmit it (`SymbolicAxis.transmitted`).
+        polar: names of size and angle where it is a sine that its search does not look for the period of.
         linear: whether the search's columns times its sizes are all of its force: what it would gain is then known
             without a refit.
         repeatable: whether an axis may have two of it.
@@ -58,7 +62,10 @@ class EffectDefinition(CauseDefinition):
     parameters: tuple[EffectParameter, ...]
     contribute: Contribution
     stage: Stage = "force"
+    kinds: tuple[Kind, ...] = ("linear", "rotary")
     states: tuple[str, ...] = ()
+    loads: bool = False
+    polar: tuple[str, str] | None = None
     search: Search = field(default_factory=Derivative)
     linear: bool = False
     repeatable: bool = False
@@ -100,8 +107,8 @@ class EffectDefinition(CauseDefinition):
     def tidy(self, values: Mapping[str, float]) -> dict[str, float]:
         """Parameters as a report states them: of a sine the size positive, the phase within one turn."""
         tidy = dict(values)
-        if self.sine is not None and self.sine.phase in tidy:
-            size, angle = self.sine.size, self.sine.phase
+        size, angle = (self.sine.size, self.sine.phase) if self.sine is not None else self.polar or ("", "")
+        if angle in tidy:
             if tidy.get(size, 0.0) < 0.0:
                 tidy[size], tidy[angle] = -tidy[size], tidy[angle] + math.pi
             tidy[angle] = math.remainder(tidy[angle], 2.0 * math.pi)

@@ -41,7 +41,7 @@ DEFINITION = EffectDefinition(
         "position_spring": "travel over several pitches",
     },
     moves=("travel",),
-    simpler=Simpler(("constant_offset", "position_spring")),
+    simpler=Simpler(("constant_offset", "position_spring", "unbalance")),
     search=ripple_search("amplitude_N", lambda m: np.ones(len(m.time))),
     repeatable=True,
     specimen=ripple("amplitude_N", lambda scene: scene.scales.coulomb),

@@ -23,6 +23,7 @@ DEFINITION = EffectDefinition(
     summary="moved mass differs from the machine file",
     parameters=(EffectParameter("mass_kg", 0.0, 0.05, "true mass minus mass", unit="mass"),),
     contribute=_contribute,
+    loads=True,
     excitation=Excitation("accelerations whose inertial force is seen", (Need("inertial_ratio", 0.5),)),
     confused_with={
         "force_gain": "constant speed with known friction, or a known extra mass: a gain scales friction too",

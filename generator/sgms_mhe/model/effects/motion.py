@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 PERIODS_TOLD = 1.5
 """Periods that a record must cover for a sine to be told from a slope."""
 SHORTEST_TRAVEL = 1e-9  # m; keeps quotients finite where nothing moved
+_REST = 1e-9  # m/s; slower is rest
 
 
 @dataclass(frozen=True)
@@ -68,3 +69,8 @@ class MotionRecord:
     mass: float
     deflection: float
     extents: Extents
+
+
+def direction(velocity: Array) -> Array:
+    """-1, 0 or 1: where an axis goes; 0 at rest."""
+    return np.asarray(np.sign(np.where(np.abs(velocity) > _REST, velocity, 0.0)))

@@ -40,6 +40,7 @@ DEFINITION = EffectDefinition(
         phase("time"),
     ),
     contribute=_contribute,
+    loads=True,
     excitation=Excitation("a log over several periods; motion is not needed", ()),
     confused_with={
         "force_ripple": "the same stroke at another speed: the pattern stays in place or stays in time",

@@ -28,6 +28,7 @@ DEFINITION = EffectDefinition(
         EffectParameter("centre_m", 0.0, 0.01, "position without force", role="place", main=False, step=step_by_factor),
     ),
     contribute=_contribute,
+    loads=True,
     excitation=Excitation(
         "travel over much more than the break-away distance, in both directions",
         (Need("travel_m", 0.01), Need("both_directions", 0.1)),

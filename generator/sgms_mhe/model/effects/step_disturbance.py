@@ -30,6 +30,7 @@ DEFINITION = EffectDefinition(
         EffectParameter("time_s", 0.0, 1e-3, "when it sets in", role="place", frozen=True),
     ),
     contribute=_contribute,
+    loads=True,
     excitation=Excitation("motion in both directions before and after", (Need("both_directions", 0.1),)),
     confused_with={
         "constant_offset": "the same move at the beginning and at the end of the log",

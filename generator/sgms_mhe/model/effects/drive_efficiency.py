@@ -1,0 +1,74 @@
+"""Losses of a gear's mesh: less arrives than is driven in, whichever side drives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.causes import Simpler
+from sgms_mhe.model.effects.definition import EffectDefinition
+from sgms_mhe.model.effects.motion import MotionRecord, direction
+from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects.search import Array, Columns, Values
+from sgms_mhe.model.effects.specimen import one_number
+from sgms_mhe.model.effects.transmission import loaded, transmitted
+
+_LEAST = 0.5
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+    """T = eta u where the drive drives, T = u / eta where the load does; what is lost is friction's.
+
+    Lost is |T| (1 / eta - 1) and |T| (1 - eta), by the sign of T v. Below break-away friction takes what it has to.
+    """
+    efficiency, torque = p["efficiency_ratio"], axis.transmitted
+    driving, driven = 1.0 / efficiency - 1.0, 1.0 - efficiency
+    lost = (driving + driven) * ca.fabs(torque) + (driving - driven) * torque * ca.sign(axis.velocity)
+    axis.level_force = axis.level_force + 0.5 * lost
+
+
+def _efficiencies(_: MotionRecord) -> list[Values]:
+    return [{"efficiency_ratio": e} for e in (0.98, 0.95, 0.9, 0.85, 0.8, 0.7, 0.6)]
+
+
+def _lost(motion: MotionRecord, given: Values) -> Array:
+    """Loss at an efficiency, over the efficiency (m, 1) [N]: the size of the right one comes out as itself."""
+    efficiency, torque, forth = given["efficiency_ratio"], transmitted(motion), direction(motion.velocity)
+    share = np.where(torque * forth > 0.0, 1.0 / efficiency - 1.0, 1.0 - efficiency)
+    return np.asarray((share * np.abs(torque) * forth / efficiency)[:, None])
+
+
+DEFINITION = EffectDefinition(
+    name="drive_efficiency",
+    summary="driving takes more than the load, braking less",
+    kinds=("rotary",),
+    parameters=(
+        # A drive that loses more than half locks itself: a load cannot drive it back.
+        EffectParameter(
+            "efficiency_ratio",
+            1.0,
+            0.1,
+            "torque that arrives over torque driven in, from either side",
+            lower=_LEAST,
+            upper=1.0,
+            none=1.0,
+        ),
+    ),
+    contribute=_contribute,
+    excitation=loaded("sliding both ways under loads that the drive drives, and under loads that drive it"),
+    confused_with={
+        "load_dependent_friction": "hard braking, or a weight let down: there a drive loses less than where it drives",
+        "force_gain": "constant speeds without a load: a gain scales friction too, a drive then loses nothing",
+        "mass_mismatch": "the same acceleration forth and back: losses brake both, a mass brakes one and drives one",
+        "coulomb": "the same speed under two loads: a Coulomb level does not change",
+    },
+    moves=("jerks", "speeds"),
+    inertial=True,
+    simpler=Simpler(("coulomb",)),
+    search=Columns(_lost, lambda given, _: given, _efficiencies, tests=3.0, own_size="efficiency_ratio"),
+    stage="level",
+    specimen=one_number("efficiency_ratio", lambda _: -0.1, none=1.0, signed=False),
+)

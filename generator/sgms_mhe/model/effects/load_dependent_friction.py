@@ -1,0 +1,49 @@
+"""Friction that grows with the torque transmitted: teeth and bearings of a gear, pressed on by the load."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.causes import Simpler
+from sgms_mhe.model.effects.definition import EffectDefinition
+from sgms_mhe.model.effects.motion import direction
+from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects.search import Columns, one_size
+from sgms_mhe.model.effects.specimen import one_number
+from sgms_mhe.model.effects.transmission import loaded, transmitted
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+    axis.level_force = axis.level_force + p["ratio"] * ca.fabs(axis.transmitted)
+
+
+DEFINITION = EffectDefinition(
+    name="load_dependent_friction",
+    summary="friction level grows with the torque transmitted",
+    kinds=("rotary",),
+    parameters=(
+        # From 1 on a load could not be driven back, and the friction that holds it would have no one value.
+        EffectParameter("ratio", 0.0, 0.1, "level added over the torque transmitted", lower=0.0, upper=0.95),
+    ),
+    contribute=_contribute,
+    excitation=loaded("sliding both ways under loads from none to several times the Coulomb level"),
+    confused_with={
+        "coulomb": "the same speed under two loads: a Coulomb level does not change",
+        "mass_mismatch": "the same acceleration forth and back: friction brakes both, a mass brakes one and drives one",
+        "force_gain": "constant speeds under gravity forth and back: friction changes sign, a gain scales gravity too",
+        "drive_efficiency": "hard braking, or a weight let down: there a drive loses less than where it drives",
+        "position_dependent_friction": "the same angles with another acceleration",
+    },
+    moves=("jerks", "speeds"),
+    inertial=True,
+    simpler=Simpler(("coulomb",)),
+    search=Columns(
+        lambda m, _: (np.abs(transmitted(m)) * direction(m.velocity))[:, None], one_size("ratio"), exact="ratio"
+    ),
+    stage="level",
+    specimen=one_number("ratio", lambda _: 0.1, signed=False),
+)

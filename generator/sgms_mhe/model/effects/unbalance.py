@@ -1,0 +1,58 @@
+"""Gravity on an arm, or on a rotor whose centre of mass is off the axis: a torque with the period of a turn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+
+from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.causes import Simpler
+from sgms_mhe.model.effects.definition import EffectDefinition
+from sgms_mhe.model.effects.excitation import Excitation, Need
+from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects.search import Columns
+from sgms_mhe.model.effects.sines import phase
+from sgms_mhe.model.effects.specimen import PHASE, Specimen
+
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+    axis.add_force(p["amplitude_N"] * ca.sin(axis.position + p["phase_rad"]))
+
+
+DEFINITION = EffectDefinition(
+    name="unbalance",
+    summary="gravity over the angle, one period a turn",
+    kinds=("rotary",),
+    parameters=(
+        EffectParameter("amplitude_N", 0.0, 0.1, "weight times its distance from the axis", unit="coulomb"),
+        phase("angle"),
+    ),
+    contribute=_contribute,
+    loads=True,
+    excitation=Excitation(
+        "turning through a quarter of a turn or more, forth and back",
+        (Need("travel_m", 0.5 * math.pi), Need("both_directions", 0.1), Need("moving_s", 0.3)),
+    ),
+    confused_with={
+        "force_ripple": "travel over one and a half turns: gravity has one period a turn, whatever drives the axis",
+        "constant_offset": "the same move at two angles half a turn apart: gravity has changed its sign",
+        "position_spring": "travel over a turn: gravity comes back, a spring goes on",
+        "position_dependent_friction": "the same angles in both directions: friction changes sign, gravity does not",
+    },
+    moves=("travel",),
+    # Over a small part of a turn a sine is an offset, or a line.
+    simpler=Simpler(("constant_offset", "position_spring")),
+    # Linear in the parts that go with the sine and with the cosine of the angle.
+    search=Columns(
+        lambda m, _: np.column_stack((np.sin(m.position), np.cos(m.position))),
+        lambda _, size: {"amplitude_N": math.hypot(*size), "phase_rad": math.atan2(float(size[1]), float(size[0]))},
+    ),
+    linear=True,
+    polar=("amplitude_N", "phase_rad"),
+    specimen=Specimen(
+        lambda scene, drawn, x: {"amplitude_N": x * scene.scales.coulomb, **drawn}, (PHASE,), signed=False
+    ),
+)
