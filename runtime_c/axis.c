@@ -43,6 +43,7 @@ enum effect_kind {
     FRICTIONAL_LAG,
     DWELL_DEPENDENCE,
     MICRO_VISCOUS,
+    POSITION_MAP,
     EFFECT_KINDS
 };
 
@@ -98,6 +99,8 @@ static const struct {
     [DWELL_DEPENDENCE] = {"dwell_dependence", {"ratio", "time_constant_s", "length_m"}},
     /* sigma_i + nu_i damping */
     [MICRO_VISCOUS] = {"micro_viscous", {"damping_N_s_m"}},
+    /* force = sum over its sines of sine sin(2 pi order q / pitch) + cosine cos(...); one effect of the plant each */
+    [POSITION_MAP] = {"position_map", {"pitch_m", "order", "sine_N", "cosine_N"}},
 };
 
 static const struct {
@@ -364,6 +367,11 @@ static double effect_force(const struct axis *axis, double v)
         case FORCE_RIPPLE:
             force += periodic(p[0], axis->position, p[1], p[2]);
             break;
+        case POSITION_MAP: {
+            const double turns = p[1] * fmod(axis->position, p[0]) / p[0];
+            force += p[2] * sin(TWO_PI * turns) + p[3] * cos(TWO_PI * turns);
+            break;
+        }
         case POSITION_SPRING:
             force += p[0] * (axis->position - p[1]);
             break;

@@ -61,7 +61,7 @@ class Case:
     The base model is apart from the plant by 1e-3 N RMS, 8e-3 N at most: velocity is the mean over a sample.
     """
 
-    parameters: dict[str, float]
+    parameters: dict[str, Any]
     rms_N: float = 2e-3
     largest_N: float = 1e-2
 
@@ -96,6 +96,9 @@ CASES = {
     "frictional_lag": Case({"time_constant_s": 0.02}),
     "dwell_dependence": Case({"ratio": 0.3, "time_constant_s": 0.3, "length_m": 1e-4}),
     "micro_viscous": Case({"damping_N_s_m": 30.0}, 3e-3, 2e-2),
+    "position_map": Case(
+        {"pitch_m": 0.004, "order": [1, 2, 6], "sine_N": [0.5, 0.1, 0.15], "cosine_N": [0.2, -0.3, 0.05]}
+    ),
 }
 
 
@@ -188,7 +191,7 @@ def test_model_and_plant_know_the_same_effects() -> None:
     of_model = {name: tuple(p.name for p in effect_definition(name).parameters) for name in EFFECT_NAMES}
     assert of_model == plant_effects()
     assert set(CASES) == set(EFFECT_NAMES)
-    assert len(EFFECT_NAMES) == 24
+    assert len(EFFECT_NAMES) == 25
 
 
 @pytest.mark.parametrize("name", CAUSE_NAMES)

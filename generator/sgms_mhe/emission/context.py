@@ -203,6 +203,7 @@ class PackageView:
         flow: constants of the displacement flow, where a group follows it.
         vectors: self-test vectors, where the package has them.
         work: what the calls take at most.
+        tables: (name, values) of what the model looks up by position.
     """
 
     package: Identity
@@ -221,6 +222,7 @@ class PackageView:
     compensation: Compensation
     vectors: Vectors | None
     work: Work
+    tables: tuple[tuple[str, tuple[float, ...]], ...]
 
 
 def package_view(structure: Structure) -> PackageView:
@@ -267,6 +269,7 @@ def package_view(structure: Structure) -> PackageView:
         compensation=ingredients.compensation,
         vectors=None,
         work=work_of(groups, ingredients),
+        tables=tuple((name, values) for values, name in printer.tables.items()),
     )
 
 

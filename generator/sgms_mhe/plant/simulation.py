@@ -100,7 +100,7 @@ def simulate_axis(
     scale: Mapping[str, float | Sequence[float]] = _EMPTY,
     drift: Mapping[str, Drift] = _EMPTY,
     drift_block_s: float = 0.01,
-    hidden_effects: Sequence[tuple[str, Mapping[str, float]]] = (),
+    hidden_effects: Sequence[tuple[str, Mapping[str, Value]]] = (),
     compensation: Compensation | None = None,
     truth: bool = True,
 ) -> SimulatedRun:

@@ -50,6 +50,7 @@ EFFECT_NAMES: Final[tuple[str, ...]] = (
     "frictional_lag",
     "dwell_dependence",
     "micro_viscous",
+    "position_map",
 )
 """The effects of this package, each the module of the same name in this folder."""
 
