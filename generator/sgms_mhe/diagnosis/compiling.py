@@ -210,7 +210,7 @@ def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
 def _nominal(machine: Machine, extra: Extra) -> Nominal:
     """Nominal values of an effect's compiled model: coarse, so that few are compiled, near where rates matter."""
     definition, scales = effect_definition(extra.name), scales_of(machine)
-    values = []
+    values: list[tuple[str, float]] = []
     for name in definition.names(extra.parameters):
         parameter = definition.parameter(name)
         size = parameter.default if parameter.default != 0.0 else abs(parameter.size(scales))

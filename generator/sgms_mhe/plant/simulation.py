@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import Value
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.native import (
     LOG_COLUMNS,

@@ -96,16 +96,15 @@ class EffectDefinition(CauseDefinition):
         for key, value in values.items():
             parameter = self.parameter(key)
             if parameter.array:
-                found[parameter.name] = tuple(values[name] for name in self.names(values) if parameter.holds(name))
+                entries = sorted((parameter.index(name), number) for name, number in values.items())
+                found[parameter.name] = tuple(number for index, number in entries if index > 0)
             else:
                 found[key] = value
         return found
 
     def names(self, values: Mapping[str, float]) -> tuple[str, ...]:
         """Names of all parameters in the order of reports, of the lists as many entries as the values have."""
-        count = 1
-        while any(p.array and p.entry(count + 1) in values for p in self.parameters):
-            count += 1
+        count = max((1, *(p.index(name) for p in self.parameters for name in values)))
         return tuple(p.entry(i) for p in self.parameters for i in range(1, count + 1 if p.array else 2))
 
     @property

@@ -112,13 +112,16 @@ class EffectParameter:
         unit = suffix_of(self.name)
         return f"{self.name.removesuffix(unit)}_{index}{unit}"
 
-    def holds(self, name: str) -> bool:
-        """Whether a name of results is this parameter or an entry of it."""
-        if name == self.name:
-            return True
+    def index(self, name: str) -> int:
+        """Which entry of it a name of results is of, from 1 on; 0: of none."""
         unit = suffix_of(self.name)
         stem, _, index = name.removesuffix(unit).rpartition("_")
-        return self.array and name.endswith(unit) and stem == self.name.removesuffix(unit) and index.isdecimal()
+        own = self.array and name.endswith(unit) and stem == self.name.removesuffix(unit)
+        return int(index) if own and index.isdecimal() else 0
+
+    def holds(self, name: str) -> bool:
+        """Whether a name of results is this parameter or an entry of it."""
+        return name == self.name or self.index(name) > 0
 
     @property
     def allowed(self) -> str:
