@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
+from sgms_mhe.diagnosis.candidates import search
+from sgms_mhe.diagnosis.evidence import nuisance
+from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.recording import prepare
+from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.emission.package import emit_package
+from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.effects.periodic_table import POINTS, periodic_spline, spline_coefficients
@@ -21,6 +30,8 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.support.errors import InputError
+
+Array = NDArray[np.float64]
 
 MAP: Mapping[str, Any] = {"order": (1, 2, 6), "sine_N": (0.5, 0.1, 0.15), "cosine_N": (0.2, -0.3, 0.05)}
 
@@ -149,3 +160,49 @@ def test_a_hidden_map_is_found_with_its_orders(name: str, pitch: float | None) -
     assert diagnosis.rms.held_out_after < 1.2 * diagnosis.noise_floor_N
     assert diagnosis.extended is not None and diagnosis.extended_toml is not None
     assert diagnosis.extended.effects[0].parameters["order"] == tuple(float(n) for n in orders)
+
+
+# --- measured ---------------------------------------------------------------------------------------------------
+
+MOTOR = """
+name = "motor"
+plant = { kind = "rotary", inertia = 1e-6 }
+friction = { stiffness = [0.2, 0.05], fraction = [0.5, 0.5], viscous = 1e-4, coulomb = 1.5e-3 }
+sampling = { rate = 440.0, update_rate = 44.0, velocity_cutoff = 50.0, max_velocity = 10.0 }
+
+[log]
+resample = true
+time_s = { row = 1 }
+position_rad = { row = 2, unit = "counts", counts_per = 8192.0 }
+torque_Nm = { row = 3, unit = "A", scale = 0.0083 }
+"""
+NOISE = 1e-3  # N m, of the weight of the prior
+
+
+def test_a_measured_motor_s_cogging_is_mapped_as_well_as_by_its_ten_strongest_harmonics(
+    measured_data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """One turn, one way: what the map leaves on blocks that its fit has not seen, and what plain least squares does."""
+    (tmp_path / "motor.toml").write_text(MOTOR, encoding="utf-8")
+    machine = load_machine(tmp_path / "motor.toml")
+    recording = prepare(machine, read_log(measured_data("odrive/slow2_slower_nocomp_0.npy"), machine))
+    subject = replace(Subject.of(machine, recording), noise=NOISE)
+    base, used, held = fit_model(subject, ()), recording.used, recording.rows_held_out()
+    (found,) = search(subject, base, ["position_map"], nuisance(base.slopes[used][:, base.loose]))
+    fit = fit_model(subject, (found.extra,), warm=base, rows=used & ~held)
+    left = float(np.sqrt(np.mean(fit.residual[held] ** 2)))
+
+    def harmonics(orders: Sequence[int]) -> Array:
+        angle = recording.position
+        return np.column_stack([np.ones(len(angle)), *(f(n * angle) for n in orders for f in (np.sin, np.cos))])
+
+    def fitted(orders: Sequence[int], rows: NDArray[np.bool_]) -> Array:
+        return np.asarray(np.linalg.lstsq(harmonics(orders)[rows], recording.friction[rows], rcond=None)[0])
+
+    everything = fitted(range(1, 81), used)
+    strongest = (1 + np.argsort(-np.hypot(everything[1::2], everything[2::2])))[:10].tolist()
+    rest = recording.friction - harmonics(strongest) @ fitted(strongest, used & ~held)
+    bar = float(np.sqrt(np.mean(rest[held] ** 2)))
+    assert left < bar < 0.2 * float(np.std(recording.friction[held]))
+    orders = {round(value) for key, value in found.parameters.items() if key.startswith("order")}
+    assert {7, 12, 14, 28, 36} <= orders

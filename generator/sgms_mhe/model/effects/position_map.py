@@ -57,11 +57,11 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
 
 
 def _hidden(scene: Scene, drawn: Values, x: float) -> Values:
-    """Three sines, each smaller than the one before; the second one of them the second order as often as not."""
+    """Three sines, each smaller than the one before."""
     values = {"pitch_m": drawn["pitch_m"]}
     orders = (1, round(drawn["second"]), round(drawn["third"]))
-    for i, (order, share) in enumerate(zip(orders, (1.0, drawn["share"], drawn["share"] ** 2), strict=True), start=1):
-        angle, size = scene.random.uniform(-math.pi, math.pi), x * share * scene.scales.coulomb
+    for i, order in enumerate(orders, start=1):
+        angle, size = drawn[f"angle_{i}"], x * drawn["share"] ** (i - 1) * scene.scales.coulomb
         values |= {
             _ORDER.entry(i): float(order),
             _SINE.entry(i): size * math.cos(angle),
@@ -108,6 +108,7 @@ DEFINITION = EffectDefinition(
             Range("second", 2.0, 4.4, spacing="linear"),
             Range("third", 4.6, 8.4, spacing="linear"),
             Range("share", 0.5, 0.8, spacing="linear"),
+            *(Range(f"angle_{i}", -math.pi, math.pi, spacing="linear") for i in (1, 2, 3)),
         ),
         signed=False,
     ),
