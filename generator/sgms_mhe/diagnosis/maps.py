@@ -47,17 +47,37 @@ class _Carried:
     left: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Moments:
-    """Products of the columns (sine and cosine of every order) per fold, the nuisance projected out.
+    """Sums over the bins of a period, by fold, from which products of its columns come, the nuisance projected out.
 
     Attributes:
-        square: (folds, 2 n, 2 n).
-        target: with the residual (folds, 2 n).
+        columns: sine and cosine of every order at the bins' middles (bins, 2 n).
+        count: rows in a bin (folds, bins).
+        target: products with the residual (folds, 2 n).
+        mixed: with the nuisance (folds, p, 2 n).
+        own: of the nuisance with itself (folds, p, p).
     """
 
-    square: Array
+    columns: Array
+    count: Array
     target: Array
+    mixed: Array
+    own: Array
+
+    def square(self) -> Array:
+        """Products of all columns over all rows (2 n, 2 n)."""
+        C = self.mixed.sum(axis=0)
+        return np.asarray(self.columns.T @ (self.count.sum(axis=0)[:, None] * self.columns) - C.T @ C)
+
+    def squares(self, places: list[int]) -> Array:
+        """Those of some columns by fold (folds, k, k)."""
+        F, C = self.columns[:, places], self.mixed.sum(axis=0)[:, places]
+        found = np.empty((len(self.count), len(places), len(places)))
+        for fold, count in enumerate(self.count):
+            mixed = self.mixed[fold][:, places].T @ C
+            found[fold] = F.T @ (count[:, None] * F) - mixed - mixed.T + C.T @ self.own[fold] @ C
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +113,7 @@ class _Search:
         if highest < 1 or not self.visited(period):
             return _Carried(period, (), left)
         moments = _moments(self.seen, self.x, self.slow, period, highest)
-        H, b = moments.square.sum(axis=0), moments.target.sum(axis=0)
+        H, b = moments.square(), moments.target.sum(axis=0)
         while len(taken) < min(highest, MOST_SINES):
             best = _most(H, b, taken)
             if best is None:
@@ -235,7 +255,7 @@ def _pair_energy(target: Array, square: Array, least: float) -> float:
 
 def _unseen_gain(moments: _Moments, places: list[int]) -> float:
     """Sum of squares that columns explain, each fold by a fit of the others."""
-    H = moments.square[:, places][:, :, places]
+    H = moments.squares(places)
     b = moments.target[:, places]
     total = 0.0
     for fold in range(len(b)):
@@ -260,12 +280,8 @@ def _moments(seen: Residual, x: Array, slow: Mask, period: float, highest: int) 
     F = _columns((np.arange(bins) + 0.5) / bins, 1.0, range(1, highest + 1))
     count, target = binned(None), binned(seen.e[slow])
     inside = np.stack([binned(Q[slow, j]) for j in range(Q.shape[1])]) if Q.shape[1] else np.zeros((0, folds, bins))
-    A = np.einsum("jfb,bc->fjc", inside, F)
-    C = A.sum(axis=0)
-    square, product = np.empty((folds, F.shape[1], F.shape[1])), np.empty((folds, F.shape[1]))
-    for f in range(folds):
-        rows = fold == f
-        mixed = A[f].T @ C
-        square[f] = F.T @ (count[f][:, None] * F) - mixed - mixed.T + C.T @ (Q[rows].T @ Q[rows]) @ C
-        product[f] = F.T @ target[f] - C.T @ (Q[rows].T @ seen.e[rows])
-    return _Moments(square, product)
+    mixed = np.asarray(inside.transpose(1, 0, 2) @ F)
+    own = np.stack([Q[fold == f].T @ Q[fold == f] for f in range(folds)])
+    seen_by = np.stack([Q[fold == f].T @ seen.e[fold == f] for f in range(folds)])
+    product = target @ F - seen_by @ mixed.sum(axis=0)
+    return _Moments(F, count, product, mixed, own)
