@@ -46,6 +46,7 @@ enum effect_kind {
     UNBALANCE,
     LOAD_DEPENDENT_FRICTION,
     DRIVE_EFFICIENCY,
+    POSITION_MAP,
     EFFECT_KINDS
 };
 
@@ -107,6 +108,8 @@ static const struct {
     [LOAD_DEPENDENT_FRICTION] = {"load_dependent_friction", {"ratio"}},
     /* s(v) + |T| (1 / efficiency - 1) where T drives the motion, s(v) + |T| (1 - efficiency) where it brakes it */
     [DRIVE_EFFICIENCY] = {"drive_efficiency", {"efficiency_ratio"}},
+    /* force = sum over its sines of sine sin(2 pi order q / pitch) + cosine cos(...); one effect of the plant each */
+    [POSITION_MAP] = {"position_map", {"pitch_m", "order", "sine_N", "cosine_N"}},
 };
 
 static const struct {
@@ -419,6 +422,11 @@ static double effect_force(const struct axis *axis, double v)
         case FORCE_RIPPLE:
             force += periodic(p[0], axis->position, p[1], p[2]);
             break;
+        case POSITION_MAP: {
+            const double turns = p[1] * fmod(axis->position, p[0]) / p[0];
+            force += p[2] * sin(TWO_PI * turns) + p[3] * cos(TWO_PI * turns);
+            break;
+        }
         case HOSE_HYSTERESIS:
             force += effect->state[0];
             break;

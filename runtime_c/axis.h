@@ -19,7 +19,7 @@ extern "C" {
 #endif
 
 #define AXIS_MAX_ELEMENTS 10
-#define AXIS_MAX_EFFECTS 32
+#define AXIS_MAX_EFFECTS 128
 #define AXIS_MAX_EFFECT_PARAMETERS 6
 #define AXIS_HISTORY 4096 /* substeps of drive force kept for a delayed measurement */
 #define AXIS_MAX_SUBSTEPS 256

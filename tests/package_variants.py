@@ -33,7 +33,7 @@ class Variant:
         return emit_package(override_machine(load_machine(self.machine), self.changes), selftest=self.selftest)
 
 
-EFFECTS: dict[str, dict[str, float]] = {
+EFFECTS: dict[str, dict[str, Any]] = {
     "force_ripple": {"amplitude_N": 0.6, "pitch_m": 0.004, "phase_rad": 0.7},
     "force_constant_ripple": {"ratio": 0.05, "pitch_m": 0.004, "phase_rad": 0.7},
     "constant_offset": {"force_N": 0.5},
@@ -58,6 +58,7 @@ EFFECTS: dict[str, dict[str, float]] = {
     "frictional_lag": {"time_constant_s": 0.02},
     "dwell_dependence": {"ratio": 0.3, "time_constant_s": 0.3, "length_m": 1e-4},
     "micro_viscous": {"damping_N_s_m": 30.0},
+    "position_map": {"pitch_m": 0.004, "order": [1, 2, 6], "sine_N": [0.5, 0.1, 0.15], "cosine_N": [0.2, -0.3, 0.05]},
 }
 """Every effect that any axis may have, of a size that matters."""
 
@@ -246,6 +247,7 @@ def _effects() -> dict[str, Variant]:
                 "sampling": INTEGRATORS["rk4, 4 merged"],
             }
         ),
+        "position map, from its table": Variant({"effects": _entries("position_map")}),
         "dwell dependence, n_z 10": Variant({"effects": _entries("dwell_dependence"), "friction": elements(10)}),
         "frictional lag, n_z 1": Variant({"effects": _entries("frictional_lag"), "friction": elements(1)}),
     }

@@ -63,7 +63,7 @@ class Case:
     The base model is apart from the plant by 1e-3 N RMS, 8e-3 N at most: velocity is the mean over a sample.
     """
 
-    parameters: dict[str, float]
+    parameters: dict[str, Any]
     rms_N: float = 2e-3
     largest_N: float = 1e-2
 
@@ -102,6 +102,9 @@ CASES = {
     # The level follows the acceleration, which changes within a sample.
     "load_dependent_friction": Case({"ratio": 0.1}, 4e-3, 3e-2),
     "drive_efficiency": Case({"efficiency_ratio": 0.8}, 8e-3, 5e-2),
+    "position_map": Case(
+        {"pitch_m": 0.004, "order": [1, 2, 6], "sine_N": [0.5, 0.1, 0.15], "cosine_N": [0.2, -0.3, 0.05]}
+    ),
 }
 
 
@@ -204,7 +207,7 @@ def test_model_and_plant_know_the_same_effects() -> None:
     of_model = {name: tuple(p.name for p in effect_definition(name).parameters) for name in EFFECT_NAMES}
     assert of_model == plant_effects()
     assert set(CASES) == set(EFFECT_NAMES)
-    assert len(EFFECT_NAMES) == 27
+    assert len(EFFECT_NAMES) == 28
 
 
 @pytest.mark.parametrize("name", CAUSE_NAMES)

@@ -159,6 +159,29 @@ def test_functions_are_odd_even_and_monotone(precision: str) -> None:
     assert np.abs(evaluate("tanh", precision, np.linspace(-100.0, 100.0, 20001))[1]).max() <= 1.0
 
 
+# --- tables ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_floor_is_exact_for_every_number(precision: str) -> None:
+    random = np.random.default_rng(2)
+    numbers = random.choice([-1.0, 1.0], POINTS) * 10.0 ** random.uniform(-30.0, 30.0, POINTS)
+    whole = np.concatenate([np.arange(-40.0, 40.0), 2.0 ** np.arange(60)])
+    near = np.concatenate([whole, -whole, whole + 0.5, np.nextafter(whole, 1e9), np.nextafter(whole, -1e9), [-0.0]])
+    x, y = evaluate("floor", precision, np.concatenate([numbers, near]))
+    np.testing.assert_array_equal(y, np.floor(x))
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_look_ups_stay_within_their_table(precision: str) -> None:
+    table = np.array([3.0, 5.0, 7.0], dtype=REAL[precision])
+    places = np.array([0, 1, 2, -1, 3, 1e30, -1e30, np.inf, -np.inf, np.nan], dtype=REAL[precision])
+    found = np.empty_like(places)
+    call = (pointer(table), ctypes.c_int(2), ctypes.c_long(len(places)), pointer(places), pointer(found))
+    runtime_probe(precision).probe_entry(*call)
+    np.testing.assert_array_equal(found, [3, 5, 7, 3, 7, 7, 3, 7, 3, 3])
+
+
 # --- triangular factors ------------------------------------------------------------------------------------------
 
 EPS = {"double": 2e-15, "single": 1e-6}

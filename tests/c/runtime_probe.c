@@ -1,9 +1,10 @@
 /* The runtime's static functions under exported names, over arrays. Compiled with -DSGMS_SINGLE=0 or 1.
  * Relies on: sgms_exp, sgms_exp2_core, sgms_tanh, sgms_sin, sgms_cos, sgms_log, sgms_sqrt, sgms_inverse_sqrt,
  * sgms_is_finite; sgms_qr, sgms_qr_add_row, sgms_qr_grow, sgms_back_substitute, sgms_variances, sgms_box,
- * sgms_box_least_squares; sgms_chain, sgms_filter_step, sgms_filter_memory. */
+ * sgms_box_least_squares; sgms_chain, sgms_filter_step, sgms_filter_memory; sgms_floor, sgms_entry. */
 #include "sgms_filter.h"
 #include "sgms_linalg.h"
+#include "sgms_table.h"
 
 #define OVER_ARRAYS(name)                                                                                              \
     void probe_##name(long n, const sgms_real *x, sgms_real *y)                                                        \
@@ -23,6 +24,14 @@ OVER_ARRAYS(sqrt)
 OVER_ARRAYS(inverse_sqrt)
 OVER_ARRAYS(fabs)
 OVER_ARRAYS(sign)
+OVER_ARRAYS(floor)
+
+void probe_entry(const sgms_real *table, int last, long n, const sgms_real *x, sgms_real *y)
+{
+    for (long i = 0; i < n; i++) {
+        y[i] = sgms_entry(table, last, x[i]);
+    }
+}
 
 void probe_is_finite(long n, const sgms_real *x, sgms_real *y)
 {

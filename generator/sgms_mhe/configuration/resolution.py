@@ -6,6 +6,7 @@ repeats one.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -30,11 +31,15 @@ from sgms_mhe.machine import (
     merged,
     read_machine_file,
 )
-from sgms_mhe.model.effects import effect_definition, effect_names
+from sgms_mhe.model.effects import EffectParameter, Value, effect_definition, effect_names
 from sgms_mhe.support.errors import InputError
 
 _INTEGRATOR: Final = ("sampling", "integrator")
-_PARAMETERS: Final = TypeAdapter(dict[str, Annotated[float, Field(strict=True, allow_inf_nan=False)]])
+_Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+_NUMBERS: Final = TypeAdapter(dict[str, _Number])
+_LISTS: Final = TypeAdapter(dict[str, list[_Number]])
+MOST_ENTRIES: Final = 64
+"""Entries that the lists of an effect may have."""
 
 
 def load_machine(machine: str | Path) -> Machine:
@@ -110,7 +115,7 @@ def _check_effect(file: MachineFile, index: int) -> None:
         raise file.refused(where, name, f"an effect that stands with [friction] law = switching; {why}")
 
 
-def _effect_parameters(file: MachineFile, index: int) -> dict[str, float]:
+def _effect_parameters(file: MachineFile, index: int) -> dict[str, Value]:
     entry = file.tables.effects[index]
     units = file.tables.plant.units
     definitions = {units.named(parameter.name): parameter for parameter in effect_definition(entry.name).parameters}
@@ -118,16 +123,34 @@ def _effect_parameters(file: MachineFile, index: int) -> dict[str, float]:
         if key not in definitions:
             allowed = f"unknown key; {entry.name} has {listing(definitions)}"
             raise file.refused(("effects", index, key), value, allowed)
-    filled = {}
+    count = max((1, *(len(value) for value in entry.written.values() if isinstance(value, list | tuple))))
+    filled: dict[str, Any] = {}
     for key, parameter in definitions.items():
-        value = filled[key] = entry.written.get(key, parameter.default)
-        if type(value) in (int, float) and not parameter.lower <= value <= parameter.upper:
-            raise file.refused(("effects", index, key), value, parameter.allowed)
+        value = entry.written.get(key, (parameter.default,) * count if parameter.array else parameter.default)
+        values = list(value) if parameter.array and isinstance(value, list | tuple) else [value]
+        for number in values:
+            if type(number) in (int, float) and not _is_within(number, parameter):
+                raise file.refused(("effects", index, key), value, parameter.allowed)
+        filled[key] = values if parameter.array else value
+        if parameter.array and not len(values) == count <= MOST_ENTRIES:
+            allowed = f"{count} entries, as many as its other lists have, at most {MOST_ENTRIES}"
+            raise file.refused(("effects", index, key), value, allowed)
+    lists = {key for key, parameter in definitions.items() if parameter.array}
     try:
-        checked = _PARAMETERS.validate_python(filled)
+        numbers = _NUMBERS.validate_python({key: value for key, value in filled.items() if key not in lists})
+        series = _LISTS.validate_python({key: filled[key] for key in lists})
     except ValidationError as error:
         raise file.invalid(error, ("effects", index)) from None
-    return {parameter.name: checked[key] for key, parameter in definitions.items()}
+    for key in lists:
+        if definitions[key].whole and len(set(series[key])) < count:
+            raise file.refused(("effects", index, key), list(series[key]), "each number once")
+    return {p.name: tuple(series[key]) if key in lists else numbers[key] for key, p in definitions.items()}
+
+
+def _is_within(number: float, parameter: EffectParameter) -> bool:
+    """Whether a number is one that the parameter may have."""
+    whole = not parameter.whole or (math.isfinite(number) and number == round(number))
+    return whole and parameter.lower <= number <= parameter.upper
 
 
 def _estimator(written: Estimator, names: Mapping[str, str]) -> Estimator:

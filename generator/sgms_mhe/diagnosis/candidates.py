@@ -18,6 +18,7 @@ from sgms_mhe.diagnosis.compiling import CompiledFit
 from sgms_mhe.diagnosis.evidence import Nuisance, score_test
 from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.harmonics import search_harmonic
+from sgms_mhe.diagnosis.maps import search_periodic
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
 from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.diagnosis.subject import Fit, Subject
@@ -28,7 +29,7 @@ from sgms_mhe.model.effects import (
     effect_definition,
 )
 from sgms_mhe.model.effects.base import DAMPING, LEVEL
-from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Step, Trials
+from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Periodic, Step, Trials
 from sgms_mhe.model.scales import scales_of
 
 Array = NDArray[np.float64]
@@ -68,6 +69,8 @@ def search(subject: Subject, fit: Fit, names: Sequence[str], free: Nuisance) -> 
             case Harmonic():
                 found += search_harmonic(definition, kind, seen)
                 continue
+            case Periodic():
+                proposal = search_periodic(definition, kind, seen)
             case Columns():
                 proposal = _search_columns(definition, kind, seen)
                 if proposal is not None and kind.exact is not None:

@@ -143,7 +143,7 @@ def compiled_structure(structure: Structure) -> CompiledFit:
     }
     columns = []
     for free in code.model.parameters:
-        label, _, parameter = free.name.partition(".")
+        label, _, parameter = free.column.partition(".")
         column = _effect_column(groups[label], parameter, free) if parameter else _base_column(free, zero)
         columns.append(column)
     return CompiledFit(code, tuple(columns))
@@ -165,7 +165,7 @@ def _with_everything_free(
     """The machine with effects added and numbers of [friction] replaced, all its numbers to be estimated."""
     units = machine.plant.units
     effects = [e.entry(units) for e in machine.effects]
-    effects += [{"name": name} | units.keyed(dict(values)) for name, values in extras]
+    effects += [{"name": name} | units.keyed(effect_definition(name).lists(dict(values))) for name, values in extras]
     names = [name for cause in BASE_CAUSES.values() for name in cause.frees]
     changes: dict[str, Any] = {
         "name": "fit",
@@ -210,13 +210,16 @@ def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
 def _nominal(machine: Machine, extra: Extra) -> Nominal:
     """Nominal values of an effect's compiled model: coarse, so that few are compiled, near where rates matter."""
     definition, scales = effect_definition(extra.name), scales_of(machine)
-    values = []
-    for parameter in definition.parameters:
+    values: list[tuple[str, float]] = []
+    for name in definition.names(extra.parameters):
+        parameter = definition.parameter(name)
         size = parameter.default if parameter.default != 0.0 else abs(parameter.size(scales))
-        wanted = extra.parameters.get(parameter.name, size)
+        if parameter.whole:  # each once; which they are, a fit says
+            size += sum(parameter.holds(known) for known, _ in values)
+        wanted = extra.parameters.get(name, size)
         if definition.states and wanted > 0.0 and size > 0.0:
             size *= COARSE ** round(math.log(wanted / size, COARSE))
-        values.append((parameter.name, float(min(max(size, parameter.lower), parameter.upper))))
+        values.append((name, float(min(max(size, parameter.lower), parameter.upper))))
     return tuple(values)
 
 

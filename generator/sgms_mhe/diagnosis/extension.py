@@ -57,11 +57,11 @@ def extend_machine(
 
 def _within(effect: Mapping[str, Any]) -> dict[str, Any]:
     """An effect's entry with its numbers within their limits, beyond which rounding takes one that a bound holds."""
-    definitions = {parameter.name: parameter for parameter in effect_definition(effect["name"]).parameters}
-    return {
-        key: value if key == "name" else min(max(value, definitions[key].lower), definitions[key].upper)
-        for key, value in effect.items()
-    }
+    definition = effect_definition(effect["name"])
+    numbers = definition.entries({key: value for key, value in effect.items() if key != "name"})
+    for key, value in numbers.items():
+        numbers[key] = min(max(value, definition.parameter(key).lower), definition.parameter(key).upper)
+    return {"name": effect["name"], **definition.lists(numbers)}
 
 
 def _estimable(machine: Machine, changes: Mapping[str, Any]) -> tuple[str, ...]:

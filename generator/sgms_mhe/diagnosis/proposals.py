@@ -89,8 +89,9 @@ def propose(
     values = parameters(size)
     feasible = True
     known = {}
-    for parameter in definition.parameters:
-        value = values.get(parameter.name, parameter.default)
+    for name in definition.names(values):
+        parameter = definition.parameter(name)
+        value = values.get(name, parameter.default)
         feasible &= bool(parameter.lower <= value <= parameter.upper) and math.isfinite(value)
-        known[parameter.name] = value
+        known[name] = value
     return Proposal(definition.name, known, Z, size, energy(Z, seen.e), tests, min(1.0, p * tests), feasible)

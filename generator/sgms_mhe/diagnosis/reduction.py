@@ -1,15 +1,20 @@
-"""Backwards: effects and numbers that a selection can do without."""
+"""Backwards: effects, entries of their lists and numbers that a selection can do without."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sgms_mhe.diagnosis.criteria import Criteria
-from sgms_mhe.diagnosis.evidence import gain_force
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.groups import Group, machine_groups, without_extra, without_group
-from sgms_mhe.diagnosis.subject import Fit, Subject
+import numpy as np
+from numpy.typing import NDArray
 
+from sgms_mhe.diagnosis.criteria import Criteria
+from sgms_mhe.diagnosis.evidence import cross_loss, gain_force
+from sgms_mhe.diagnosis.fitting import fit_model, prior_information
+from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extra, without_group
+from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.model.effects import effect_definition
+
+Array = NDArray[np.float64]
 Groups = tuple[Group, ...]
 
 
@@ -65,4 +70,50 @@ def wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Group
 def necessary(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Groups, Fit]:
     """The wrong numbers, and the fit without effects that are superfluous now that those are what they are."""
     refitted, fit = wrong_numbers(subject, fit, criteria)
-    return refitted, pruned(subject, fit, criteria, refitted=refitted)
+    return refitted, shortened(subject, pruned(subject, fit, criteria, refitted=refitted), criteria, refitted)
+
+
+def shortened(subject: Subject, fit: Fit, criteria: Criteria, refitted: Sequence[Group]) -> Fit:
+    """The fit without entries of lists that gain nothing on unseen folds, to first order; one entry stays."""
+    least = criteria.thresholds.entry * criteria.material
+    for group in fit.extra_groups:
+        definition = effect_definition(group.cause)
+        entries = _entries(fit, group)
+        dropped: list[int] = []
+        cross = fit.cross
+        while len(entries) - len(dropped) > 1:
+            left = {i: _cross_without(subject, fit, group, (*dropped, i)) for i in entries if i not in dropped}
+            weakest = min(left, key=lambda i: float(left[i].sum()))
+            if gain_force(cross, left[weakest], fit.rows) < -least:
+                break
+            dropped, cross = [*dropped, weakest], left[weakest]
+        if not dropped:
+            continue
+        values = fit.extras[group.index].parameters
+        names = [name for name in values if not any(name in entries[i] for i in dropped)]
+        short = definition.lists({name: values[name] for name in names})
+        extras = [Extra(e.name, definition.entries(short)) if i == group.index else e for i, e in enumerate(fit.extras)]
+        fit = fit_model(subject, extras, refitted=refitted, warm=fit)
+    return fit
+
+
+def _entries(fit: Fit, group: Group) -> dict[int, tuple[str, ...]]:
+    """Names of an effect's numbers by the entry of its lists that they are of; empty where it has none."""
+    lists = [p for p in effect_definition(group.cause).parameters if p.array]
+    values = fit.extras[group.index].parameters
+    count = sum(lists[0].holds(name) for name in values) if lists else 0
+    return {i: tuple(p.entry(i) for p in lists) for i in range(1, count + 1)}
+
+
+def _cross_without(subject: Subject, fit: Fit, group: Group, dropped: Sequence[int]) -> Array:
+    """Losses (blocks) by cross-validation where some entries of an effect's lists are none."""
+    entries = _entries(fit, group)
+    names = {name for i in dropped for name in entries[i]}
+    columns = fit.model.columns
+    inside = np.array([c.group == group and c.name in names for c in columns])
+    sizes = inside & np.array([c.proportional for c in columns])
+    shift = (fit.theta - np.array([c.theta(c.none) for c in columns]))[sizes]
+    kept = fit.loose & ~inside
+    residual = fit.residual + fit.slopes[:, sizes] @ shift
+    prior = prior_information(subject, fit.model, kept)
+    return cross_loss(subject.suited(fit.extras).recording, fit.slopes[:, kept], residual, prior)

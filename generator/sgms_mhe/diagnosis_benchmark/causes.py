@@ -80,8 +80,8 @@ def sized_cause(
 
 
 def _within_limits(name: str, values: Mapping[str, float]) -> Values:
-    limits = {p.name: (p.lower, p.upper) for p in effect_definition(name).parameters}
-    return {key: min(max(value, limits[key][0]), limits[key][1]) for key, value in values.items()}
+    known = {key: effect_definition(name).parameter(key) for key in values}
+    return {key: min(max(value, known[key].lower), known[key].upper) for key, value in values.items()}
 
 
 def _wrong_number(

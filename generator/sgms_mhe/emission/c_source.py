@@ -13,11 +13,15 @@ _LONGEST_INLINE = 72
 
 
 class CPrinter:
-    """Prints nodes as C99 of one precision."""
+    """Prints nodes as C99 of one precision.
+
+    tables: names of the arrays that what was printed looks up, by content.
+    """
 
     def __init__(self, precision: str) -> None:
         self.single = precision == "single"
         self.real = "float" if self.single else "double"
+        self.tables: dict[tuple[float, ...], str] = {}
 
     def number(self, value: float) -> str:
         """Shortest literal that reads back as the same number in the package's precision."""
@@ -120,6 +124,11 @@ class CPrinter:
             return f"{self.number(2.0)} * {operand(0, _UNARY)}", _PRODUCT
         if op == "inv":
             return f"{self.number(1.0)} / {operand(0, _UNARY)}", _PRODUCT
+        if op == "lookup":
+            values = dict(node.table)
+            table = tuple(values.get(k, 0.0) for k in range(max(values) + 1))
+            name = self.tables.setdefault(table, f"table_{len(self.tables) + 1}")
+            return f"sgms_entry({name}, {len(table) - 1}, {text[node.args[0]][0]})", _ATOM
         if op in ("lt", "le"):
             sign = "<" if op == "lt" else "<="
             return f"(sgms_real)({operand(0, _SUM)} {sign} {operand(1, _SUM)})", _UNARY

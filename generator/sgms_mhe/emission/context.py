@@ -207,6 +207,7 @@ class PackageView:
         statuses: of an update, and what each asks for.
         vectors: self-test vectors, where the package has them.
         work: what the calls take at most.
+        tables: (name, values) of what the model looks up by position.
     """
 
     package: Identity
@@ -226,6 +227,7 @@ class PackageView:
     statuses: tuple[Status, ...]
     vectors: Vectors | None
     work: Work
+    tables: tuple[tuple[str, tuple[float, ...]], ...]
 
 
 def package_view(structure: Structure) -> PackageView:
@@ -273,6 +275,7 @@ def package_view(structure: Structure) -> PackageView:
         statuses=statuses_of(machine, variant),
         vectors=None,
         work=work_of(groups, ingredients),
+        tables=tuple((name, values) for values, name in printer.tables.items()),
     )
 
 

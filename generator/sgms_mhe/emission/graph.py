@@ -22,6 +22,7 @@ _BINARY = {
     ca.OP_FMIN: "fmin",
     ca.OP_LT: "lt",
     ca.OP_LE: "le",
+    ca.OP_EQ: "eq",
 }
 _UNARY = {
     ca.OP_NEG: "neg",
@@ -36,6 +37,7 @@ _UNARY = {
     ca.OP_TWICE: "twice",
     ca.OP_INV: "inv",
     ca.OP_SIGN: "sign",
+    ca.OP_FLOOR: "floor",
     ca.OP_NOT: "not",
 }
 _CODES = {name: code for code, name in (_BINARY | _UNARY).items()}
@@ -47,13 +49,17 @@ EXPENSIVE = 10
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """One operation. `inputs` holds the names of the input vectors it depends on; equality is identity."""
+    """One operation. `inputs` holds the names of the input vectors it depends on; equality is identity.
+
+    `table`: of a look-up, (place, value) where it is not 0: the sum over k of (args[0] = k) value_k.
+    """
 
     op: str
     args: tuple[Node, ...]
     inputs: frozenset[str]
     value: float = 0.0
     label: str = ""
+    table: tuple[tuple[int, float], ...] = ()
 
     @property
     def is_expensive(self) -> bool:
@@ -83,6 +89,9 @@ class Graph:
 
     def apply(self, op: str, *args: Node) -> Node:
         """The operation `op` on `args`; operands of commuting operations are put in order."""
+        looked_up = self._look_up(op, args)
+        if looked_up is not None:
+            return looked_up
         if op == "div" and args[1].op == "const":
             return self.apply("mul", self.constant(1.0 / args[1].value), args[0])
         if op == "div" and args[1].inputs == {"w"} and not args[0].inputs <= {"w"}:
@@ -99,6 +108,31 @@ class Graph:
         inputs = frozenset().union(*(a.inputs for a in args))
         # The printed order stays the one CasADi gave: it is what the formula's author wrote.
         return self._intern((op, *map(id, ordered)), lambda: Node(op, args, inputs))
+
+    def _look_up(self, op: str, args: tuple[Node, ...]) -> Node | None:
+        """What is a look-up again: a comparison with a number, its multiples, and the sum of two at one place."""
+        if op == "eq":
+            number, place = args if args[0].op == "const" else args[::-1]
+            if number.op != "const":
+                raise InputError("symbolic model", "expression", ca.OP_EQ, "equality with a number alone")
+            return self._table_at(("eq", id(place), number.value), place, ((int(number.value), 1.0),))
+        tables = [a for a in args if a.op == "lookup"]
+        if not tables:
+            return None
+        first, key = tables[0], (op, *map(id, args))
+        if op in ("add", "sub") and len(tables) == 2 and args[0].args == args[1].args:
+            sign = 1.0 if op == "add" else -1.0
+            other = args[1].table if op == "add" else tuple((k, sign * c) for k, c in args[1].table)
+            return self._table_at(key, first.args[0], args[0].table + other)
+        factor = {"neg": -1.0, "twice": 2.0}.get(op)
+        if op == "mul" and len(tables) == 1:
+            factor = next((a.value for a in args if a.op == "const"), None)
+        if factor is None:
+            return None
+        return self._table_at(key, first.args[0], tuple((k, factor * c) for k, c in first.table))
+
+    def _table_at(self, key: tuple[object, ...], place: Node, table: tuple[tuple[int, float], ...]) -> Node:
+        return self._intern(key, lambda: Node("lookup", (place,), place.inputs, table=table))
 
     def read(self, outputs: ca.SX, vectors: Mapping[str, ca.SX], labels: Mapping[str, Sequence[str]]) -> list[Node]:
         """Turn the elements of a dense SX column into nodes.
@@ -139,6 +173,9 @@ def to_sx(nodes: Iterable[Node], known: Mapping[Node, ca.SX]) -> list[ca.SX]:
         if node not in done:
             if node.op == "const":
                 done[node] = ca.SX(node.value)
+            elif node.op == "lookup":
+                places, values = zip(*node.table, strict=True)
+                done[node] = ca.dot(ca.SX(ca.DM(values)), visit(node.args[0]) == ca.SX(ca.DM(places)))
             elif len(node.args) == 1:
                 done[node] = ca.SX.unary(_CODES[node.op], visit(node.args[0]))
             else:

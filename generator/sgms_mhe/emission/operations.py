@@ -26,6 +26,8 @@ _OF: Final[Mapping[str, int]] = {
     "tanh": 35,
     "neg": 0,
     "sign": 0,
+    "floor": 5,
+    "lookup": 3,
 }
 
 

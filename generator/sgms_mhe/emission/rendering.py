@@ -66,6 +66,8 @@ def render(view: PackageView) -> dict[str, str]:
     }
     if view.flow is not None:
         files[f"{name}_flow.h"] = "flow.h"
+    if view.tables:
+        files[f"{name}_table.h"] = "table.h"
     if view.vectors is not None:
         files[f"{name}_selftest.h"] = "selftest.h"
         files[f"{name}_selftest.c"] = "selftest.c"

@@ -188,6 +188,14 @@ class Thresholds(FitThresholds):
         gt=0,
         le=1,
     )
+    entry: float = threshold(
+        0.4,
+        "gain that matters",
+        "RMS that an entry of an effect's lists must gain on unseen folds",
+        "a sine of a map that gains less is none",
+        gt=0,
+        le=10,
+    )
     alike: int = threshold(
         2, "1", "effects of one name, at most", "more sines are the Fourier series of something else", ge=1, le=20
     )

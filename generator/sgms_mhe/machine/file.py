@@ -45,7 +45,7 @@ class Effect(Table):
     """One entry of [[effects]]: a name and that effect's parameters; units stand in the parameters' names."""
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, SkipValidation[float]]
+    __pydantic_extra__: dict[str, SkipValidation[float | tuple[float, ...]]]
 
     name: str = text("effect, as in the registry of effects", "a known effect")
 

@@ -25,13 +25,13 @@ class ResolvedEffect:
     Attributes:
         name: of the effect.
         label: unique within the machine: the name; of the second effect of that name, `name_2`.
-        parameters: value of every parameter, in the catalogue's order and by the catalogue's names, those of a linear
-            axis; in SI units.
+        parameters: value of every parameter, or its values where it is a list, in the catalogue's order and by the
+            catalogue's names, those of a linear axis; in SI units.
     """
 
     name: str
     label: str
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, float | tuple[float, ...]]
 
     def entry(self, units: Units) -> dict[str, Any]:
         """The effect as [[effects]] of a file has it, keys in the units of its axis."""

@@ -195,7 +195,7 @@ _BEHIND_THE_DRIVE: Final[tuple[Stage, ...]] = ("log", "actuator")
 
 @dataclass(frozen=True)
 class _Effect:
-    """An effect of the machine file: its parameters as numbers and as expressions, by name."""
+    """An effect of the machine file: its parameters as numbers and as expressions, by the names of results."""
 
     definition: EffectDefinition
     label: str
@@ -219,18 +219,18 @@ def _effects(machine: Machine, parameters: _Parameters) -> tuple[_Effect, ...]:
     scales, effects = scales_of(machine), []
     for entry in machine.effects:
         definition = effect_definition(entry.name)
-        nominal = {p.name: entry.parameters.get(p.name, p.default) for p in definition.parameters}
-        expressions = {
-            p.name: parameters.take(
+        nominal = definition.entries(entry.parameters)
+        expressions = {}
+        for name in definition.names(nominal):
+            p = definition.parameter(name)
+            expressions[name] = parameters.take(
                 f"{entry.label}.{p.name}",
-                f"{entry.label}.{p.name}",
-                nominal[p.name],
-                p.estimation_scale(scales, nominal[p.name]),
+                f"{entry.label}.{name}",
+                nominal[name],
+                p.estimation_scale(scales, nominal[name]),
                 p.lower,
                 p.upper,
             )
-            for p in definition.parameters
-        }
         effects.append(_Effect(definition, entry.label, nominal, expressions, machine.source))
     return tuple(effects)
 

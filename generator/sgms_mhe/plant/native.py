@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import Friction, Machine, Plant, Smoothing
-from sgms_mhe.model.effects import EffectParameter, effect_definition, effect_names
+from sgms_mhe.model.effects import EffectParameter, Value, effect_definition, effect_names
 from sgms_mhe.plant.axis_config import CONTROLS, LAWS, MAX_SUBSTEPS, SUBSTEP_S, AxisConfig, Controller
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import runtime_dir
@@ -135,6 +135,11 @@ class _Limits:
         return above and below and math.isfinite(value)
 
 
+def _to_all(senders: Sequence[Callable[[float], None]], value: float) -> None:
+    for send in senders:
+        send(value)
+
+
 def _effect_limits(parameter: EffectParameter) -> _Limits:
     return _Limits(parameter.lower, parameter.upper, parameter.allowed)
 
@@ -176,7 +181,7 @@ class NativeAxis:
     """One `struct axis` and its true parameters by name."""
 
     def __init__(
-        self, machine: Machine, config: AxisConfig, hidden_effects: Sequence[tuple[str, Mapping[str, float]]]
+        self, machine: Machine, config: AxisConfig, hidden_effects: Sequence[tuple[str, Mapping[str, Value]]]
     ) -> None:
         self._library = loaded_library()
         self._c = self._library.c
@@ -326,26 +331,37 @@ class NativeAxis:
         self._numbers[name] = parameter = _Parameter(name, value, send, limits)
         parameter.assign(value)
 
-    def _add_effect(self, effect: str, label: str, values: Mapping[str, float]) -> None:
+    def _add_effect(self, effect: str, label: str, values: Mapping[str, Value]) -> None:
         names = self._library.effects.get(effect)
         if names is None:
             self._add_outside_force(effect, label, values)
             return
         if effect == "actuator_lag" and self._prescribed:
             raise InputError("simulation", "effect", effect, 'control "position": no force makes a prescribed motion')
-        if set(values) != set(names):
-            raise InputError("simulation", f"parameters of {effect}", sorted(values), f"exactly {', '.join(names)}")
-        numbers = [float(values[name]) for name in names]
-        kind = list(self._library.effects).index(effect)
-        index = self._c.axis_add_effect(self._memory, kind, (ctypes.c_double * len(numbers))(*numbers))
-        if index < 0:
-            raise InputError("simulation", "effect", effect, "no more effects than the plant has room for")
         definition = effect_definition(effect)
-        for j, name in enumerate(names):
-            limits = _effect_limits(definition.parameter(name))
-            self._declare(f"{label}.{name}", numbers[j], self._effect_parameter(index, j), limits)
+        try:
+            numbers = definition.entries(values)
+        except KeyError:
+            numbers = {}
+        if set(numbers) != set(definition.names(numbers)):
+            raise InputError("simulation", f"parameters of {effect}", sorted(values), f"exactly {', '.join(names)}")
+        kind = list(self._library.effects).index(effect)
+        # Of lists the plant knows one entry: as many effects as they have.
+        count = max(sum(definition.parameter(name).holds(entry) for entry in numbers) for name in names)
+        senders: dict[str, list[Callable[[float], None]]] = {entry: [] for entry in numbers}
+        for i in range(1, count + 1):
+            own = [definition.parameter(name).entry(i) for name in names]
+            row = (ctypes.c_double * len(own))(*(numbers[entry] for entry in own))
+            index = self._c.axis_add_effect(self._memory, kind, row)
+            if index < 0:
+                raise InputError("simulation", "effect", effect, "no more effects than the plant has room for")
+            for j, entry in enumerate(own):
+                senders[entry].append(self._effect_parameter(index, j))
+        for entry, number in numbers.items():
+            limits = _effect_limits(definition.parameter(entry))
+            self._declare(f"{label}.{entry}", number, partial(_to_all, senders[entry]), limits)
 
-    def _add_outside_force(self, effect: str, label: str, values: Mapping[str, float]) -> None:
+    def _add_outside_force(self, effect: str, label: str, values: Mapping[str, Value]) -> None:
         """An effect that the plant does not know, by the force that its definition brings for it."""
         definition = effect_definition(effect) if effect in effect_names() else None
         force = definition.plant_force if definition is not None else None
@@ -355,7 +371,7 @@ class NativeAxis:
         names = [parameter.name for parameter in definition.parameters]
         if set(values) != set(names):
             raise InputError("simulation", f"parameters of {effect}", sorted(values), f"exactly {', '.join(names)}")
-        numbers = {name: float(values[name]) for name in names}
+        numbers = definition.entries(values)
 
         def at(_: int | None, position: float, velocity: float, time: float) -> float:
             try:
@@ -368,9 +384,9 @@ class NativeAxis:
         self._kept.append(native)
         if self._c.axis_add_force(self._memory, native, None) < 0:
             raise InputError("simulation", "effect", effect, "no more effects than the plant has room for")
-        for parameter in definition.parameters:
-            send = partial(numbers.__setitem__, parameter.name)
-            self._declare(f"{label}.{parameter.name}", numbers[parameter.name], send, _effect_limits(parameter))
+        for name, number in [*numbers.items()]:
+            send = partial(numbers.__setitem__, name)
+            self._declare(f"{label}.{name}", number, send, _effect_limits(definition.parameter(name)))
 
     def _effect_parameter(self, index: int, j: int) -> Callable[[float], None]:
         return lambda value: self._c.axis_set_effect(self._memory, index, j, value)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import Value
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.native import (
     LOG_COLUMNS,
@@ -100,7 +101,7 @@ def simulate_axis(
     scale: Mapping[str, float | Sequence[float]] = _EMPTY,
     drift: Mapping[str, Drift] = _EMPTY,
     drift_block_s: float = 0.01,
-    hidden_effects: Sequence[tuple[str, Mapping[str, float]]] = (),
+    hidden_effects: Sequence[tuple[str, Mapping[str, Value]]] = (),
     compensation: Compensation | None = None,
     truth: bool = True,
 ) -> SimulatedRun:

@@ -23,7 +23,7 @@ from sgms_mhe.model.effects.catalogue import (
     separating_moves,
 )
 from sgms_mhe.model.effects.causes import MOVES, CauseDefinition, Move, Simpler
-from sgms_mhe.model.effects.definition import STAGES, EffectDefinition, Stage
+from sgms_mhe.model.effects.definition import STAGES, EffectDefinition, Stage, Value
 from sgms_mhe.model.effects.excitation import Excitation, Measure, Need
 from sgms_mhe.model.effects.motion import Extents, MotionRecord
 from sgms_mhe.model.effects.parameters import EffectParameter
@@ -51,6 +51,7 @@ __all__ = [
     "Scales",
     "Simpler",
     "Stage",
+    "Value",
     "base_cause",
     "base_number",
     "broken_effects",

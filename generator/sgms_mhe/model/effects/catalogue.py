@@ -54,6 +54,7 @@ EFFECT_NAMES: Final[tuple[str, ...]] = (
     "unbalance",
     "load_dependent_friction",
     "drive_efficiency",
+    "position_map",
 )
 """The effects of this package, each the module of the same name in this folder."""
 

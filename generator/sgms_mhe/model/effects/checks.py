@@ -17,7 +17,7 @@ from sgms_mhe.model.effects.causes import MOVES
 from sgms_mhe.model.effects.definition import STAGES, EffectDefinition
 from sgms_mhe.model.effects.excitation import MEASURES
 from sgms_mhe.model.effects.parameters import EffectParameter
-from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Step
+from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Periodic, Step
 
 _NAME: Final = re.compile(r"[a-z][a-z0-9]*(_[a-zA-Z0-9]+)*")
 _TRIALS: Final = 5  # random signals that an effect of default size is tried at
@@ -99,6 +99,8 @@ def _search(definition: EffectDefinition) -> Iterator[Fault]:
             sizes, others = (kind.exact,), (kind.own_size,)
         case Harmonic() as kind:
             sizes, others = (kind.size,), (kind.period, kind.phase)
+        case Periodic() as kind:
+            sizes, others = (kind.sine.size, kind.cosine), (kind.sine.period, kind.order.name)
         case Step() as kind:
             sizes, others = (kind.size,), (kind.time,)
         case Derivative() as kind:
@@ -118,7 +120,7 @@ def _contribution(definition: EffectDefinition) -> Iterator[Fault]:
     axis = SymbolicAxis(1.0, 1.0, step=1e-4, hold=1e-4, gate_per_velocity=3.5e4)
     axis.scope = definition.name
     before = _quantities(axis)
-    nominal = {parameter.name: parameter.default for parameter in definition.parameters}
+    nominal = definition.entries({parameter.name: parameter.default for parameter in definition.parameters})
     symbols = {name: ca.SX.sym(name) for name in nominal}
     try:
         definition.contribute(axis, symbols, nominal)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
@@ -22,6 +22,8 @@ STAGES: Final[tuple[Stage, ...]] = ("signal", "level", "force", "motor", "log", 
 factors on friction; forces; from force to motor current; from current to the log; the current loop behind the log."""
 
 Contribution = Callable[[SymbolicAxis, Mapping[str, ca.SX], Mapping[str, float]], None]
+Value = float | tuple[float, ...]
+"""Of a parameter in a machine file: a number, or a list of them."""
 
 
 PlantForce = Callable[[float, float, float, Mapping[str, float]], float]
@@ -78,11 +80,39 @@ class EffectDefinition(CauseDefinition):
     plant_force: PlantForce | None = None
 
     def parameter(self, name: str) -> EffectParameter:
-        """Return the parameter called `name`; KeyError if there is none."""
+        """Return the parameter called `name`, or that has an entry of this name; KeyError if there is none."""
         for parameter in self.parameters:
-            if parameter.name == name:
+            if parameter.holds(name):
                 return parameter
         raise KeyError(name)
+
+    def entries(self, values: Mapping[str, Value]) -> dict[str, float]:
+        """Parameters as results name them: every entry of a list by itself, beside those that were so already."""
+        found: dict[str, float] = {}
+        for key, value in values.items():
+            parameter = self.parameter(key)
+            if isinstance(value, Sequence):
+                found |= {parameter.entry(i): float(number) for i, number in enumerate(value, start=1)}
+            else:
+                found[parameter.entry(1) if key == parameter.name else key] = float(value)
+        return found
+
+    def lists(self, values: Mapping[str, float]) -> dict[str, Value]:
+        """Parameters as a machine file has them, from their entries: lists joined again."""
+        found: dict[str, Value] = {}
+        for key, value in values.items():
+            parameter = self.parameter(key)
+            if parameter.array:
+                entries = sorted((parameter.index(name), number) for name, number in values.items())
+                found[parameter.name] = tuple(number for index, number in entries if index > 0)
+            else:
+                found[key] = value
+        return found
+
+    def names(self, values: Mapping[str, float]) -> tuple[str, ...]:
+        """Names of all parameters in the order of reports, of the lists as many entries as the values have."""
+        count = max((1, *(p.index(name) for p in self.parameters for name in values)))
+        return tuple(p.entry(i) for p in self.parameters for i in range(1, count + 1 if p.array else 2))
 
     @property
     def main(self) -> tuple[str, ...]:

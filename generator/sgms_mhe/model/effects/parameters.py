@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+from sgms_mhe.machine.units import suffix_of
 from sgms_mhe.model.effects.motion import SHORTEST_TRAVEL, Extents
 from sgms_mhe.model.effects.scales import Scales, Unit
 
@@ -69,6 +70,8 @@ class EffectParameter:
         main: whether a fit of the effect frees it.
         frozen: whether its search decides it: the force jumps in it, so that no fit moves it.
         timing: whether it is a time that force and position are apart; no log is surer of that than of its sampling.
+        array: whether it is a list, whose entries results name one by one; the lists of an effect are equally long.
+        whole: whether it counts something.
         step: how far one step of a fit may move it.
         least, most: what a record can tell of it, beyond `lower` and `upper`.
     """
@@ -86,6 +89,8 @@ class EffectParameter:
     main: bool = True
     frozen: bool = False
     timing: bool = False
+    array: bool = False
+    whole: bool = False
     step: StepLimit = any_step
     least: RecordLimit | None = None
     most: RecordLimit | None = None
@@ -100,9 +105,29 @@ class EffectParameter:
         """Whether the force is proportional to it."""
         return self.is_size and self.proportional
 
+    def entry(self, index: int) -> str:
+        """Name in results of entry `index` from 1 on, its unit still at the end (`sine_2_N`); of no list, the name."""
+        if not self.array:
+            return self.name
+        unit = suffix_of(self.name)
+        return f"{self.name.removesuffix(unit)}_{index}{unit}"
+
+    def index(self, name: str) -> int:
+        """Which entry of it a name of results is of, from 1 on; 0: of none."""
+        unit = suffix_of(self.name)
+        stem, _, index = name.removesuffix(unit).rpartition("_")
+        own = self.array and name.endswith(unit) and stem == self.name.removesuffix(unit)
+        return int(index) if own and index.isdecimal() else 0
+
+    def holds(self, name: str) -> bool:
+        """Whether a name of results is this parameter or an entry of it."""
+        return name == self.name or self.index(name) > 0
+
     @property
     def allowed(self) -> str:
         """The limits in words."""
+        if self.whole:
+            return f"a whole number from {self.lower:g} to {self.upper:g}"
         if math.isinf(self.upper):
             return "a finite number" if math.isinf(self.lower) else f"a number from {self.lower:g} on"
         return f"a number from {self.lower:g} to {self.upper:g}"

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.model.effects.motion import MotionRecord
+from sgms_mhe.model.effects.parameters import EffectParameter
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -135,4 +136,22 @@ class Trials:
     costly: ClassVar[bool] = True
 
 
-Search = Columns | Harmonic | Step | Derivative | Trials
+@dataclass(frozen=True)
+class Periodic:
+    """A sum of sines in position whose periods divide one: how many and which, the data say.
+
+    Attributes:
+        sine: of the first order, with the names of the amplitude and of the common period.
+        order: the list of the orders that are there.
+        cosine: name of the list of the cosines' amplitudes.
+        room: the longest period over the travel.
+    """
+
+    sine: Harmonic
+    order: EffectParameter
+    cosine: str
+    room: float
+    costly: ClassVar[bool] = False
+
+
+Search = Columns | Harmonic | Periodic | Step | Derivative | Trials

@@ -1,0 +1,287 @@
+"""The search for a force that repeats with position: its period, and which orders of it the record carries.
+
+At a given period the force is linear in the amplitudes. Sums over bins of the period, per fold of the cross-validation,
+then stand for all rows: the orders are taken up one after the other, the one that explains most first, as long as folds
+that did not see them gain by it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.diagnosis.evidence import score_test
+from sgms_mhe.diagnosis.harmonics import search_harmonic
+from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
+from sgms_mhe.model.effects import EffectDefinition
+from sgms_mhe.model.effects.search import Periodic
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+TWO_PI: Final = 2.0 * math.pi
+BINS_PER_PERIOD: Final = 16  # of the shortest: a bin then loses 0.6 % of a sine
+MOST_SINES: Final = 32
+LARGEST_PART: Final = 12  # the strongest sine's order in the map, at most, where no turn says what the period is
+FAST_ROWS: Final = 0.2  # share of the rows that may be too fast for the highest order
+LEAST_SHARE: Final = 0.02  # of what the orders before it gained: RMS on unseen folds that an order must gain
+SAME_PERIOD: Final = 3e-3
+PERIODS_REFINED: Final = 3
+PARTS: Final = 40  # of a period: each is visited or not
+VISITED: Final = 0.95  # share of them from which a map is looked for
+NOTHING: Final = 1e-8  # of a column's square: what must be left of it beside the others
+REFINED: Final = (1.0, 0.3, 0.1)
+
+
+@dataclass(frozen=True)
+class _Carried:
+    """A period, the orders that the record carries at it, and what these leave on unseen folds [N^2]."""
+
+    period: float
+    orders: tuple[int, ...]
+    left: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Moments:
+    """Sums over the bins of a period, by fold, from which products of its columns come, the nuisance projected out.
+
+    Attributes:
+        columns: sine and cosine of every order at the bins' middles (bins, 2 n).
+        count: rows in a bin (folds, bins).
+        target: products with the residual (folds, 2 n).
+        mixed: with the nuisance (folds, p, 2 n).
+        own: of the nuisance with itself (folds, p, p).
+    """
+
+    columns: Array
+    count: Array
+    target: Array
+    mixed: Array
+    own: Array
+
+    def square(self) -> Array:
+        """Products of all columns over all rows (2 n, 2 n)."""
+        C = self.mixed.sum(axis=0)
+        return np.asarray(self.columns.T @ (self.count.sum(axis=0)[:, None] * self.columns) - C.T @ C)
+
+    def squares(self, places: list[int]) -> Array:
+        """Those of some columns by fold (folds, k, k)."""
+        F, C = self.columns[:, places], self.mixed.sum(axis=0)[:, places]
+        found = np.empty((len(self.count), len(places), len(places)))
+        for fold, count in enumerate(self.count):
+            mixed = self.mixed[fold][:, places].T @ C
+            found[fold] = F.T @ (count[:, None] * F) - mixed - mixed.T + C.T @ self.own[fold] @ C
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """A record that maps are looked for in.
+
+    Attributes:
+        kind: names of the map's parameters.
+        seen: the residual.
+        x: position on used rows [m].
+        slow: rows that are not too fast for the finest sine.
+        finest: the most periods per metre that rows and filters let pass [1/m].
+        material: RMS gain that matters [N].
+    """
+
+    kind: Periodic
+    seen: Residual
+    x: Array
+    slow: Mask
+    finest: float
+    material: float
+
+    @property
+    def travel(self) -> float:
+        """Range of position [m]."""
+        return float(np.ptp(self.x))
+
+    def carried(self, period: float) -> _Carried:
+        """Orders of a period that gain on unseen folds, one after the other."""
+        highest = min(int(self.kind.order.upper), int(period * self.finest))
+        start = left = float(self.seen.e @ self.seen.e)
+        taken: list[int] = []
+        if highest < 1 or not self.visited(period):
+            return _Carried(period, (), left)
+        moments = _moments(self.seen, self.x, self.slow, period, highest)
+        H, b = moments.square(), moments.target.sum(axis=0)
+        while len(taken) < min(highest, MOST_SINES):
+            best = _most(H, b, taken)
+            if best is None:
+                break
+            trial = start - _unseen_gain(moments, _places([*taken, best]))
+            least = self.seen.recording.thresholds.entry * self.material
+            enough = max(least**2 * len(self.x), LEAST_SHARE**2 * (start - left))
+            if left - trial < enough:
+                break
+            taken.append(best)
+            left = trial
+        return _Carried(period, tuple(n + 1 for n in taken), left)
+
+    def visited(self, period: float) -> bool:
+        """Whether the axis was everywhere in a period: elsewhere a map would be made up."""
+        turns = self.x / period
+        parts = np.minimum(PARTS - 1, (PARTS * (turns - np.floor(turns))).astype(np.int64))
+        return len(np.unique(parts)) >= VISITED * PARTS
+
+    def refined(self, carried: _Carried) -> float:
+        """The period near a carried one that explains most; of one half a period off over the travel others begin."""
+        best = carried.period
+        if not carried.orders:
+            return best
+        step = 0.25 * best**2 / (self.travel * max(carried.orders))
+        for width in REFINED:
+            trials = best + width * step * np.linspace(-1.0, 1.0, 7)
+            trials = trials[trials <= self.kind.room * self.travel]
+            columns = (_columns(self.x, float(t), carried.orders) for t in trials)
+            best = float(trials[int(np.argmax([energy(self.seen.free.project(Z), self.seen.e) for Z in columns]))])
+        return best
+
+    def simplest(self, found: Sequence[_Carried]) -> _Carried | None:
+        """The first, of the shortest period, that is nearly as good as the best."""
+        if not found:
+            return None
+        least = min(c.left for c in found)
+        explained = float(self.seen.e @ self.seen.e) - least
+        enough = max(self.material**2 * len(self.x), LEAST_SHARE**2 * explained)
+        return next(c for c in found if c.left - least <= enough)
+
+
+def _most(H: Array, b: Array, taken: Sequence[int]) -> int | None:
+    """The order (from 0) that explains most beside those taken; None where none does."""
+    inside = _places(taken)
+    W = np.linalg.lstsq(H[np.ix_(inside, inside)], H[inside], rcond=1e-12)[0] if taken else H[:0]
+    rest, square = b - W.T @ b[inside], H - H[:, inside] @ W
+    least = NOTHING * float(np.diag(H).max()) ** 2
+    gains = [_pair_energy(rest[k : k + 2], square[k : k + 2, k : k + 2], least) for k in range(0, len(b), 2)]
+    for n in taken:
+        gains[n] = 0.0
+    best = int(np.argmax(gains))
+    return best if gains[best] > 0.0 else None
+
+
+def search_periodic(definition: EffectDefinition, kind: Periodic, seen: Residual) -> Proposal | None:
+    """The map that explains most on data that it has not seen; None where one sine does as well."""
+    search = _search_of(kind, seen)
+    if search is None:
+        return None
+    found = [search.carried(period) for period in _periods(definition, kind, seen, search.travel)]
+    found = sorted((c for c in found if c.orders), key=lambda c: c.left)[:PERIODS_REFINED]
+    if not found:
+        return None
+    best = min((search.carried(search.refined(c)) for c in found), key=lambda c: c.left)
+    # The same force has all multiples of its period as periods too.
+    parts = [g for g in range(max(best.orders, default=1), 0, -1) if sum(n % g == 0 for n in best.orders) > 1]
+    chosen = search.simplest([search.carried(best.period / g) for g in parts])
+    if chosen is None or len(chosen.orders) < 2:
+        return None
+    chosen = search.carried(search.refined(chosen))
+    orders = tuple(sorted(chosen.orders))
+    if len(orders) < 2:
+        return None
+    Z = seen.free.project(_columns(search.x, chosen.period, orders))
+
+    def parameters(size: Array) -> Mapping[str, float]:
+        values = {kind.sine.period: chosen.period}
+        for i, order in enumerate(orders, start=1):
+            values[kind.order.entry(i)] = float(order)
+            values[definition.parameter(kind.sine.size).entry(i)] = float(size[2 * i - 2])
+            values[definition.parameter(kind.cosine).entry(i)] = float(size[2 * i - 1])
+        return values
+
+    tests = max(1.0, search.travel * search.finest)
+    proposal = propose(definition, seen, Z, tests, parameters)
+    # The strongest of its sines proves that it is there; a map has more columns than blocks can tell apart.
+    energies = [energy(Z[:, 2 * i : 2 * i + 2], seen.e) for i in range(len(orders))]
+    strongest = int(np.argmax(energies))
+    p, _ = score_test(seen.recording, Z[:, 2 * strongest : 2 * strongest + 2], seen.e)
+    return replace(proposal, p_value=min(1.0, p * tests))
+
+
+def _search_of(kind: Periodic, seen: Residual) -> _Search | None:
+    """What a record lets a search see; None where nothing moves."""
+    used, motion = seen.recording.used, seen.motion
+    x, speed = motion.position[used], np.abs(motion.velocity[used])
+    slow = speed <= float(np.quantile(speed, 1.0 - FAST_ROWS))
+    fastest = float(speed[slow].max(initial=0.0))
+    if float(np.ptp(x)) <= 0.0 or fastest <= 0.0:
+        return None
+    thresholds, machine = seen.recording.thresholds, seen.recording.machine
+    limit = min(thresholds.pitch_band * motion.extents.rate, thresholds.cutoff_band * machine.sampling.velocity_cutoff)
+    return _Search(kind, seen, x, slow, limit / fastest, thresholds.material * machine.friction.coulomb)
+
+
+def _periods(definition: EffectDefinition, kind: Periodic, seen: Residual, travel: float) -> list[float]:
+    """Periods to try, the shortest first: small multiples of the strongest sines', a turn, the whole travel."""
+    longest = kind.room * travel
+    sines = search_harmonic(definition, kind.sine, seen)
+    periods = [p.parameters[kind.sine.period] * k for p in sines for k in range(1, LARGEST_PART + 1)]
+    periods += [travel, longest]
+    if seen.recording.machine.plant.kind == "rotary":
+        periods += [TWO_PI]
+    kept: list[float] = []
+    for period in sorted(p for p in periods if p <= longest):
+        if not kept or period > (1.0 + SAME_PERIOD) * kept[-1]:
+            kept.append(period)
+    return kept
+
+
+def _columns(x: Array, period: float, orders: Sequence[int]) -> Array:
+    """Sine and cosine of every order (rows, 2 orders)."""
+    angle = TWO_PI / period * x
+    return np.column_stack([f(order * angle) for order in orders for f in (np.sin, np.cos)])
+
+
+def _places(orders: Sequence[int]) -> list[int]:
+    return [2 * n + k for n in orders for k in (0, 1)]
+
+
+def _pair_energy(target: Array, square: Array, least: float) -> float:
+    """What a sine and a cosine explain beside what is taken up; `least`: determinant that tells them from it."""
+    determinant = float(square[0, 0] * square[1, 1] - square[0, 1] ** 2)
+    if not (square[0, 0] > 0.0 and determinant > least):
+        return 0.0
+    return float(target @ np.linalg.solve(square, target))
+
+
+def _unseen_gain(moments: _Moments, places: list[int]) -> float:
+    """Sum of squares that columns explain, each fold by a fit of the others."""
+    H = moments.squares(places)
+    b = moments.target[:, places]
+    total = 0.0
+    for fold in range(len(b)):
+        size = np.linalg.lstsq(H.sum(axis=0) - H[fold], b.sum(axis=0) - b[fold], rcond=1e-10)[0]
+        total += float(2.0 * b[fold] @ size - size @ H[fold] @ size)
+    return total
+
+
+def _moments(seen: Residual, x: Array, slow: Mask, period: float, highest: int) -> _Moments:
+    """Products of the columns of a period, from sums over its bins; rows too fast for its orders have columns of 0."""
+    recording, Q = seen.recording, seen.free.basis
+    fold = recording.fold[recording.block[recording.used]]
+    folds, bins = int(recording.fold.max()) + 1, BINS_PER_PERIOD * highest
+    turns = x / period
+    place = np.minimum(bins - 1, (bins * (turns - np.floor(turns))).astype(np.int64))
+    key = (fold * bins + place)[slow]
+
+    def binned(weights: Array | None) -> Array:
+        sums = np.bincount(key, weights=weights, minlength=folds * bins)
+        return np.asarray(sums.reshape(folds, bins), dtype=np.float64)
+
+    F = _columns((np.arange(bins) + 0.5) / bins, 1.0, range(1, highest + 1))
+    count, target = binned(None), binned(seen.e[slow])
+    inside = np.stack([binned(Q[slow, j]) for j in range(Q.shape[1])]) if Q.shape[1] else np.zeros((0, folds, bins))
+    mixed = np.asarray(inside.transpose(1, 0, 2) @ F)
+    own = np.stack([Q[fold == f].T @ Q[fold == f] for f in range(folds)])
+    seen_by = np.stack([Q[fold == f].T @ seen.e[fold == f] for f in range(folds)])
+    product = target @ F - seen_by @ mixed.sum(axis=0)
+    return _Moments(F, count, product, mixed, own)

@@ -1,0 +1,208 @@
+"""The map over position: its table against its sines, lists in machine files, the emitted table, and its diagnosis."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.diagnosis import Diagnosis, diagnose
+from sgms_mhe.diagnosis.candidates import search
+from sgms_mhe.diagnosis.evidence import nuisance
+from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.recording import prepare
+from sgms_mhe.diagnosis.subject import Subject
+from sgms_mhe.emission.package import emit_package
+from sgms_mhe.logfiles.reading import read_log
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.model.effects.periodic_table import POINTS, periodic_spline, spline_coefficients
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.support.errors import InputError
+
+Array = NDArray[np.float64]
+
+MAP: Mapping[str, Any] = {"order": (1, 2, 6), "sine_N": (0.5, 0.1, 0.15), "cosine_N": (0.2, -0.3, 0.05)}
+
+
+# --- table ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("orders", [(1,), (1, 2, 6), (7, 28, 100)])
+def test_the_table_is_the_sum_of_its_sines(orders: tuple[int, ...]) -> None:
+    sines, cosines = (0.5, -0.2, 0.3)[: len(orders)], (0.1, 0.4, -0.6)[: len(orders)]
+    u = ca.SX.sym("u")
+    spline = periodic_spline(spline_coefficients(orders, sines, cosines), u)
+    value = ca.Function("value", [u], [spline, ca.gradient(spline, u)])
+    random = np.random.default_rng(1)
+    edges = [0.0, -1e-20, 1.0, -3.0, 1.0 - 1e-16, 1e6 + 0.25]
+    worst = 0.0
+    for place in [*edges, *random.uniform(-5.0, 5.0, 300)]:
+        angle = 2.0 * math.pi * (place - math.floor(place))
+        expected = sum(
+            s * math.sin(n * angle) + c * math.cos(n * angle) for n, s, c in zip(orders, sines, cosines, strict=True)
+        )
+        slope = sum(
+            n * (s * math.cos(n * angle) - c * math.sin(n * angle))
+            for n, s, c in zip(orders, sines, cosines, strict=True)
+        )
+        found, derivative = (float(x) for x in value(place))
+        worst = max(worst, abs(found - expected))
+        assert derivative == pytest.approx(2.0 * math.pi * slope, abs=2e-4 * 2.0 * math.pi * max(orders))
+    size = sum(math.hypot(s, c) for s, c in zip(sines, cosines, strict=True))
+    assert 1e-8 * size < worst < (2.0 * math.pi / POINTS) ** 4 / 384.0 * size * 1.2
+
+
+# --- lists in machine files -------------------------------------------------------------------------------------
+
+
+def mapped(machine: str = "etel_xy", **changes: Any) -> Machine:
+    base = load_machine(machine)
+    entry = {"name": "position_map", "pitch_m": 0.032, **MAP, **changes}
+    return override_machine(base, {"name": "mapped", "effects": [base.plant.units.keyed(entry)]})
+
+
+def test_entries_have_names_of_their_own_and_become_lists_again() -> None:
+    definition = effect_definition("position_map")
+    values: dict[str, Any] = {"pitch_m": 0.03, "order": (1.0, 4.0), "sine_N": (0.1, 0.2), "cosine_N": (0.3, 0.4)}
+    entries = definition.entries(values)
+    assert entries["order_2"] == 4.0 and entries["sine_1_N"] == 0.1 and entries["cosine_2_N"] == 0.4
+    assert tuple(entries) == definition.names(entries) and definition.entries(entries) == entries
+    assert definition.lists(entries) == values
+    assert definition.parameter("sine_2_N").name == "sine_N"
+    assert mapped("etel_xy_rotary").as_dict()["effects"][0]["sine_Nm"] == list(MAP["sine_N"])
+    # A list that is left out is as long as the others.
+    assert mapped(cosine_N=0.0, order=3, sine_N=0.1).effects[0].parameters["cosine_N"] == (0.0,)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key", "allowed"),
+    [
+        ({"sine_N": [0.1, 0.2]}, "sine_N", "3 entries"),
+        ({"order": [1, 2, 2]}, "order", "each number once"),
+        ({"order": [1, 2, 2.5]}, "order", "a whole number from 1 to 100"),
+        ({"order": [1, 2, 101]}, "order", "a whole number from 1 to 100"),
+        ({"order": [], "sine_N": [], "cosine_N": []}, "order", "1 entries"),
+        ({"sine_N": [0.1, 0.2, "much"]}, "sine_N", "number"),
+        ({"sine_N": [0.1, 0.2, math.nan]}, "sine_N", "number"),
+        ({"pitch_m": [0.03]}, "pitch_m", "number"),
+    ],
+)
+def test_lists_that_do_not_fit_are_refused(changes: dict[str, Any], key: str, allowed: str) -> None:
+    with pytest.raises(InputError, match=re.escape(key)) as error:
+        mapped(**changes)
+    assert allowed in str(error.value)
+
+
+def test_other_effects_take_no_lists() -> None:
+    with pytest.raises(InputError, match="force_N"):
+        override_machine(load_machine("etel_xy"), {"effects": [{"name": "constant_offset", "force_N": [0.1]}]})
+
+
+# --- emitted C --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("orders", [(1, 2, 6), (3, 50, 100)])
+def test_the_emitted_work_does_not_hang_on_the_orders(orders: tuple[int, ...]) -> None:
+    files = emit_package(mapped(order=orders), selftest=False).files
+    assert f"static const sgms_real table_1[{POINTS * orders[-1] + 4}]" in files["mapped_table.h"]
+    text = files["mapped_model.h"]
+    output = text[text.index("/* Friction force") : text.index("/* The drive")]
+    assert "Operations: 13 add, 2 floor, 4 lookup, 20 mul, 2 sq, 5 sub." in output
+    assert "sgms_sin" not in output and output.count("sgms_entry(table_1") == 4
+    assert "sgms_table.h" in files
+
+
+def test_packages_without_a_map_have_no_table() -> None:
+    files = emit_package(load_machine("etel_xy"), selftest=False).files
+    assert not any("table" in name for name in files) and "table" not in files["etel_xy_model.h"]
+
+
+# --- diagnosis --------------------------------------------------------------------------------------------------
+
+
+def diagnosis_of(name: str, pitch: float | None) -> tuple[float, Diagnosis]:
+    """Of an axis whose force over a pitch, or over the whole travel, nobody knows of."""
+    machine = load_machine(name)
+    moves = make_trajectory("mixed", machine.sampling.rate)
+    period = pitch or float(np.ptp(moves.position_m))
+    config = AxisConfig(seed=1, force_noise_N=0.1)
+    hidden = [("position_map", {"pitch_m": period, **MAP})]
+    log = simulate_axis(machine, moves, config, hidden_effects=hidden, truth=False).log
+    return period, diagnose(machine, log)
+
+
+@pytest.mark.parametrize("pitch", [0.032, None], ids=["pitch", "stroke"])
+@pytest.mark.parametrize("name", ["etel_xy", "etel_xy_rotary"])
+def test_a_hidden_map_is_found_with_its_orders(name: str, pitch: float | None) -> None:
+    period, diagnosis = diagnosis_of(name, pitch)
+    assert [cause.name for cause in diagnosis.causes] == ["position_map"], diagnosis.summary
+    assert diagnosis.verdict == "explained"
+    found = diagnosis.causes[0].parameters
+    assert found["pitch_m"] == pytest.approx(period, rel=3e-3)
+    orders = [round(value) for key, value in found.items() if key.startswith("order")]
+    assert set(MAP["order"]) <= set(orders) and len(orders) <= len(MAP["order"]) + 1
+    for i, order in enumerate(MAP["order"]):
+        j = orders.index(order) + 1
+        assert found[f"sine_{j}_N"] == pytest.approx(MAP["sine_N"][i], abs=0.02)
+        assert found[f"cosine_{j}_N"] == pytest.approx(MAP["cosine_N"][i], abs=0.02)
+    assert diagnosis.rms.held_out_after < 1.2 * diagnosis.noise_floor_N
+    assert diagnosis.extended is not None and diagnosis.extended_toml is not None
+    assert diagnosis.extended.effects[0].parameters["order"] == tuple(float(n) for n in orders)
+
+
+# --- measured ---------------------------------------------------------------------------------------------------
+
+MOTOR = """
+name = "motor"
+plant = { kind = "rotary", inertia = 1e-6 }
+friction = { stiffness = [0.2, 0.05], fraction = [0.5, 0.5], viscous = 1e-4, coulomb = 1.5e-3 }
+sampling = { rate = 440.0, update_rate = 44.0, velocity_cutoff = 50.0, max_velocity = 10.0 }
+
+[log]
+resample = true
+time_s = { row = 1 }
+position_rad = { row = 2, unit = "counts", counts_per = 8192.0 }
+torque_Nm = { row = 3, unit = "A", scale = 0.0083 }
+"""
+NOISE = 1e-3  # N m, of the weight of the prior
+
+
+def test_a_measured_motor_s_cogging_is_mapped_as_well_as_by_its_ten_strongest_harmonics(
+    measured_data: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """One turn, one way: what the map leaves on blocks that its fit has not seen, and what plain least squares does."""
+    (tmp_path / "motor.toml").write_text(MOTOR, encoding="utf-8")
+    machine = load_machine(tmp_path / "motor.toml")
+    recording = prepare(machine, read_log(measured_data("odrive/slow2_slower_nocomp_0.npy"), machine))
+    subject = replace(Subject.of(machine, recording), noise=NOISE)
+    base, used, held = fit_model(subject, ()), recording.used, recording.rows_held_out()
+    (found,) = search(subject, base, ["position_map"], nuisance(base.slopes[used][:, base.loose]))
+    fit = fit_model(subject, (found.extra,), warm=base, rows=used & ~held)
+    left = float(np.sqrt(np.mean(fit.residual[held] ** 2)))
+
+    def harmonics(orders: Sequence[int]) -> Array:
+        angle = recording.position
+        return np.column_stack([np.ones(len(angle)), *(f(n * angle) for n in orders for f in (np.sin, np.cos))])
+
+    def fitted(orders: Sequence[int], rows: NDArray[np.bool_]) -> Array:
+        return np.asarray(np.linalg.lstsq(harmonics(orders)[rows], recording.friction[rows], rcond=None)[0])
+
+    everything = fitted(range(1, 81), used)
+    strongest = (1 + np.argsort(-np.hypot(everything[1::2], everything[2::2])))[:10].tolist()
+    rest = recording.friction - harmonics(strongest) @ fitted(strongest, used & ~held)
+    bar = float(np.sqrt(np.mean(rest[held] ** 2)))
+    assert left < bar < 0.2 * float(np.std(recording.friction[held]))
+    orders = {round(value) for key, value in found.parameters.items() if key.startswith("order")}
+    assert {7, 12, 14, 28, 36} <= orders
