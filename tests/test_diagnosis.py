@@ -14,12 +14,10 @@ from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
 from sgms_mhe.diagnosis.alignment import aligned, thinned
 from sgms_mhe.diagnosis.compiling import compiled_structure
-from sgms_mhe.diagnosis.evidence import inconstancy, noise_floor, nuisance, score_test
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.plan import make_plan, write_plan
-from sgms_mhe.diagnosis.recording import Recording, prepare
 from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.evaluation.prediction import force_error, predict_log
 from sgms_mhe.logfiles.reading import read_log
@@ -28,6 +26,8 @@ from sgms_mhe.model import build_model
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.recordings.evidence import inconstancy, noise_floor, nuisance, score_test
+from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.diagnosis_benchmark import (
     Draw,
     Found,
@@ -34,6 +33,7 @@ from sgms_mhe.diagnosis_benchmark.unmodelled import UNMODELLED
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause
 from sgms_mhe.model.scales import scales_of
+from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError

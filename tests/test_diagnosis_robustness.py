@@ -19,16 +19,16 @@ from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.compiling import CompiledFit
 from sgms_mhe.diagnosis.covariance import covariance
-from sgms_mhe.diagnosis.evidence import noise_floor
 from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.laws import sharp_smoothing
-from sgms_mhe.diagnosis.recording import Recording, prepare
 from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory
+from sgms_mhe.recordings.evidence import noise_floor
+from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.signals.logs import Log, write_log
 
 Hidden = Sequence[tuple[str, Mapping[str, float]]]
@@ -251,7 +251,7 @@ def test_command_on_a_record_without_motion(quick: Machine, tmp_path: Path) -> N
 MEASURE = """
 import resource, sys
 from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.recording import prepare
+from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.configuration import load_machine

@@ -11,10 +11,10 @@ from scipy.optimize import lsq_linear
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.compiling import without_bounds
-from sgms_mhe.diagnosis.evidence import nuisance
-from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.recordings.evidence import nuisance
+from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.chain import Signals
 
 Array = NDArray[np.float64]

@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.diagnosis.compiling import bearing
 from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
-from sgms_mhe.diagnosis.evidence import gain_force, gain_interval
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.groups import Group, without_extra, without_group
-from sgms_mhe.diagnosis.laws import sharp_smoothing
 from sgms_mhe.diagnosis.result import BaseParameter, Cause, Rms
 from sgms_mhe.diagnosis.selection import Selection
 from sgms_mhe.diagnosis.settling import Settled, split_rms
 from sgms_mhe.diagnosis.subject import Fit
 from sgms_mhe.machine import Machine, Thresholds
+from sgms_mhe.model import whole_shares
 from sgms_mhe.model.effects import base_number, effect_definition, reported_name
+from sgms_mhe.recordings.evidence import gain_force, gain_interval
 
 Array = NDArray[np.float64]
 
@@ -126,11 +127,21 @@ def extended_machine(
         for name, value in fit.values(group).items():
             number = base_number(name)
             if number is not None and number.array:
-                friction.setdefault(number.name, []).append(value)
+                friction.setdefault(number.name, list(getattr(machine.friction, number.name)))
+                friction[number.name][number.element(name)] = value
             else:
                 friction[name] = value
-    if settled.smoothing == "sharp":
-        friction["smoothing"] = sharp_smoothing(settled.thresholds)
+    if "fraction" in friction:
+        friction["fraction"], sum_of_levels = whole_shares(friction["fraction"], machine.friction.fraction)
+        if sum_of_levels != 1.0:
+            friction["coulomb"] = sum_of_levels * friction.get("coulomb", machine.friction.coulomb)
+    law = bearing(settled.subject.machine, fit.extras).friction
+    if law.law != machine.friction.law:
+        friction = {"law": law.law, **friction}
+        if law.switches and any(machine.friction.micro_viscous):
+            friction["micro_viscous"] = list(law.micro_viscous)
+    if law.smoothing is not None and law.smoothing != machine.friction.smoothing:
+        friction["smoothing"] = law.smoothing.model_dump(by_alias=True)
     effects: list[dict[str, Any]] = []
     for effect in machine.effects:
         group = Group.own(effect.name, effect.label)

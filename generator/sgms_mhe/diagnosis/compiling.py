@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,15 +13,13 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine, override_machine
 from sgms_mhe.diagnosis.groups import Column, Extra, Group
-from sgms_mhe.diagnosis.recording import Recording
-from sgms_mhe.emission.package import Package, emit_package
-from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.host.compiled import CompiledModel
+from sgms_mhe.host.packages import cached_package
 from sgms_mhe.machine import CLOSED_FORMS, Machine
 from sgms_mhe.model import FreeParameter, Model
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.model.scales import scales_of
-from sgms_mhe.support import cache
+from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 
@@ -96,25 +92,20 @@ def compiled_fit(machine: Machine, extras: Sequence[Extra]) -> CompiledFit:
     Their values are where a fit starts; what is compiled is near them, so that few models serve all fits.
     """
     keys = [(e.name, _nominal(machine, e)) for e in extras]
+    machine = bearing(machine, extras)
     # Compiled in the order of their names: what order effects were found in must not cost another compilation.
     places = sorted(range(len(keys)), key=lambda i: keys[i])
     compiled = compiled_structure(Structure(machine, tuple(keys[i] for i in places)))
     return compiled if places == list(range(len(keys))) else compiled.ordered(places)
 
 
-def cached_package(machine: Machine) -> Package:
-    """The machine's package, from the cache of compiled libraries where it was emitted before.
-
-    Every log of an axis asks for the same few dozen models; to derive and print one takes longer than to run it.
-    """
-    sources = digest_of_sources(effect.name for effect in machine.effects)
-    key = hashlib.sha256(f"{machine.digest} {sources}".encode()).hexdigest()
-    kept = cache.read("package", key, ".json")
-    if kept is not None:
-        return Package(machine, json.loads(kept))
-    package = emit_package(machine, selftest=False)
-    cache.keep("package", key, ".json", json.dumps(dict(package.files)).encode())
-    return package
+def bearing(machine: Machine, extras: Sequence[Extra]) -> Machine:
+    """The machine with a law that effects can stand with: for elements that switch, ones that slip almost at once."""
+    if not machine.friction.switches or not any(effect_definition(extra.name).smooth_only for extra in extras):
+        return machine
+    limits = machine.diagnosis
+    smoothing = {"zeta": limits.sharp_zeta, "lambda": limits.sharp_lambda, "gamma": limits.sharp_gamma}
+    return override_machine(machine, {"friction": {"law": "sgms", "smoothing": smoothing}})
 
 
 @dataclass(frozen=True)
@@ -166,7 +157,8 @@ def _with_everything_free(
     units = machine.plant.units
     effects = [{"name": e.name} | units.keyed(e.parameters) for e in machine.effects]
     effects += [{"name": name} | units.keyed(dict(values)) for name, values in extras]
-    names = [name for cause in BASE_CAUSES.values() for name in cause.frees]
+    axis = machine.friction.model_copy(update=dict(friction))
+    names = [name for cause in BASE_CAUSES.values() for name in cause.frees if name in axis.estimable]
     changes: dict[str, Any] = {
         "name": "fit",
         "description": "",

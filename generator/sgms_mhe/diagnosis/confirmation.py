@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from sgms_mhe.diagnosis.causes import holds, measured_causes
-from sgms_mhe.diagnosis.evidence import gain_force, inconstancy
 from sgms_mhe.diagnosis.groups import Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.result import Cause
 from sgms_mhe.diagnosis.rivals import Rejected
@@ -15,6 +14,7 @@ from sgms_mhe.diagnosis.selection import Selection
 from sgms_mhe.diagnosis.settling import Settled, split_rms
 from sgms_mhe.diagnosis.subject import Fit
 from sgms_mhe.model.effects import cause as cause_definition
+from sgms_mhe.recordings.evidence import gain_force, inconstancy
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,22 +49,14 @@ class Criteria:
         return max(self.material, self.thresholds.share * self.excess(fit))
 
 
-def barred_by_law(machine: Machine) -> tuple[str, ...]:
-    """Effects that cannot stand with a machine's friction law, so that none of its records can show them."""
-    switches = machine.friction.switches
-    return tuple(name for name in effect_names() if switches and effect_definition(name).smooth_only)
-
-
 def criteria_of(machine: Machine, floor: float, excitation: Mapping[Measure, float], report: Progress) -> Criteria:
     """The criteria of a record of this noise floor [N] and these measures."""
     thresholds = machine.diagnosis
-    barred = barred_by_law(machine)
-    # What a record does not excite cannot be found in it; what only imitates it can. Nor can what the law cannot bear.
+    # What a record does not excite cannot be found in it; what only imitates it can.
     excited = tuple(
         name
         for name in effect_names()
-        if name not in barred
-        and not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
+        if not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
     )
     material = max(thresholds.material * machine.friction.coulomb, thresholds.material_noise * floor)
     return Criteria(thresholds, floor, material, excited, report)

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.compiling import CompiledFit
 from sgms_mhe.diagnosis.descent import FitError, LeastSquares, Prior, held_at_bounds
-from sgms_mhe.diagnosis.evidence import cross_loss
 from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.subject import Fit, FitKey, Subject
+from sgms_mhe.recordings.evidence import cross_loss
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
-from sgms_mhe.diagnosis.evidence import Nuisance
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Harmonic
+from sgms_mhe.recordings.evidence import Nuisance
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

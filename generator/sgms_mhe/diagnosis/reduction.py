@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sgms_mhe.diagnosis.criteria import Criteria
-from sgms_mhe.diagnosis.evidence import gain_force
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.recordings.evidence import gain_force
 
 Groups = tuple[Group, ...]
 

@@ -185,7 +185,7 @@ class Diagnosis:
         structure: of the residual before and after.
         traces: decimated signals.
         extended: the extended machine, None where nothing is named.
-        smoothing: "machine" or "sharp": the transition from sticking to slipping that fits the record.
+        law: of friction that fits the record, as in the machine file.
         excited: whether the axis moved.
         warnings: what the user should know about the record (gaps, saturation, too fast, too short).
         seconds: computing time.
@@ -208,7 +208,7 @@ class Diagnosis:
     traces: Traces
     extended: Machine | None
     extended_toml: str | None
-    smoothing: str
+    law: str
     excited: bool
     warnings: tuple[str, ...]
     seconds: float
@@ -260,6 +260,7 @@ class Diagnosis:
                 "noise_floor": self.noise_floor_N,
             },
             "extended_machine": self.extended_name,
+            "law": self.law,
             "structure_left": [
                 {"coordinate": s.coordinate, "rms_N": s.rms_N, "p_value": s.p_value, "peak": s.peak}
                 for s in self.structure_after
@@ -301,6 +302,7 @@ def write_refusal(sentence: str, machine: Machine, out_dir: str | Path) -> dict[
         "separating_experiment": None,
         "residual_rms_N": unknown,
         "extended_machine": None,
+        "law": machine.friction.law,
         "structure_left": [],
         "base": [],
         "limits": [sentence],

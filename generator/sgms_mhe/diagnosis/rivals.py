@@ -11,13 +11,13 @@ import numpy as np
 
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import Criteria, addable
-from sgms_mhe.diagnosis.evidence import difference_statistic, gain_force, nuisance, score_test
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.rounds import Ranked, attempted_fit, distinct, is_degenerate, linear_gain
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import cause, effect_definition
+from sgms_mhe.recordings.evidence import difference_statistic, gain_force, nuisance, score_test
 
 Judgement = Literal["better", "rival", "worse", "untried"]
 

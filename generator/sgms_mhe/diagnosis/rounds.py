@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import Criteria, addable
 from sgms_mhe.diagnosis.descent import FitError
-from sgms_mhe.diagnosis.evidence import cross_loss, difference_statistic, gain_force, nuisance
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.result import Outcome, Score
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import cause, effect_definition
+from sgms_mhe.recordings.evidence import cross_loss, difference_statistic, gain_force, nuisance
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.compiling import CompiledFit, compiled_fit
 from sgms_mhe.diagnosis.groups import Extra, Group
-from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.machine import Machine, Thresholds
 from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.causes import base_parameters, extended_machine
 from sgms_mhe.diagnosis.confirmation import Confirmed, confirmed, constant_causes, refitted_beside
-from sgms_mhe.diagnosis.criteria import Progress, barred_by_law, criteria_of
+from sgms_mhe.diagnosis.criteria import Progress, criteria_of
 from sgms_mhe.diagnosis.descent import FitError
-from sgms_mhe.diagnosis.evidence import gain_interval, noise_floor
 from sgms_mhe.diagnosis.excerpt import excerpt
-from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.laws import laws_of, sharp_smoothing
-from sgms_mhe.diagnosis.recording import Recording, prepare
+from sgms_mhe.diagnosis.laws import laws_of
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
 from sgms_mhe.diagnosis.selection import search_causes, select_causes
 from sgms_mhe.diagnosis.settling import Left, Settled, settle, split_rms
 from sgms_mhe.diagnosis.structure import structure_map
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.diagnosis.wording import alternatives_of, experiment_of, summary_of
-from sgms_mhe.machine import Machine, listing
+from sgms_mhe.machine import Machine
+from sgms_mhe.recordings.evidence import gain_interval, noise_floor
+from sgms_mhe.recordings.excitation import measures
+from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -117,7 +117,7 @@ def _judge(settled: Settled) -> _Judged:
         # What refitted numbers explain that are no cause is no merit of the causes.
         before = settled.excess(settled.fit((), refitted=found.selection.unnamed))
         complete = bool(found.causes) and settled.excess(found.selection.fit) < thresholds.most_left * before
-    elif found.causes and settled.smoothing == "sharp":
+    elif found.causes and settled.foreign:
         found = refitted_beside(settled, found, constant=False)
     verdict: Verdict
     if not found.selection.causes:
@@ -174,33 +174,24 @@ def _diagnosis(machine: Machine, log: Log, settled: Settled, judged: _Judged) ->
         traces=_traces(record, nominal, start, final if named else nominal, unseen),
         extended=extended,
         extended_toml=toml,
-        smoothing=settled.smoothing,
+        law=settled.subject.machine.friction.law,
         excited=True,
         warnings=(
             *settled.recording.warnings,
-            *_transition_notes(settled, judged.plain),
-            *_law_notes(machine),
+            *_law_notes(settled, judged.plain),
             *_estimation_notes(machine, extended),
         ),
         seconds=0.0,
     )
 
 
-def _transition_notes(settled: Settled, plain: Fit) -> tuple[str, ...]:
-    """What a user should know of an axis that slips more sharply than its machine file says."""
-    if settled.smoothing == "machine":
+def _law_notes(settled: Settled, plain: Fit) -> tuple[str, ...]:
+    """What a user should know of an axis that obeys another law than its machine file says."""
+    if not settled.foreign:
         return ()
-    unit = settled.record.machine.plant.units.force
-    numbers = ", ".join(f"{key} = {value:g}" for key, value in sharp_smoothing(settled.thresholds).items())
-    return (f"elements slip more sharply than [friction.smoothing] says: {numbers} alone leave {plain.rms:.3g} {unit}",)
-
-
-def _law_notes(machine: Machine) -> tuple[str, ...]:
-    """What cannot be found in any record of a machine of this law."""
-    barred = barred_by_law(machine)
-    if not barred:
-        return ()
-    return (f"not looked for, as they do not stand with [friction] law = switching: {listing(barred)}",)
+    unit, law = settled.record.machine.plant.units.force, settled.subject.machine.friction.law
+    how = "at once" if law == "switching" else "smoothly"
+    return (f"elements slip {how}: [friction] law = {law} alone leaves {plain.rms:.3g} {unit}",)
 
 
 def _estimation_notes(machine: Machine, extended: Machine | None) -> tuple[str, ...]:
@@ -260,7 +251,7 @@ def _without_excitation(machine: Machine, log: Log, recording: Recording, nomina
         traces=_traces(recording, *4 * (Left.of(nominal),)),
         extended=None,
         extended_toml=None,
-        smoothing="machine",
+        law=machine.friction.law,
         excited=False,
         warnings=(*recording.warnings, "no excitation: the axis hardly moves"),
         seconds=0.0,

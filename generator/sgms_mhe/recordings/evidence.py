@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from sgms_mhe.diagnosis.recording import Recording
+from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 
