@@ -12,6 +12,7 @@ from sgms_mhe.diagnosis.criteria import Criteria
 from sgms_mhe.diagnosis.descent import FitError
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, machine_groups
+from sgms_mhe.diagnosis.starting import convex_start
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
@@ -110,12 +111,14 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[La
     thresholds = criteria.thresholds
     if laws.foreign is None or laws.decided:
         subject = _starting_stiff(laws.chosen, extras, criteria)
-        subject, fit = in_line(subject, fit_model(subject, extras))
+        subject, fit = _from_nothing(*in_line(subject, fit_model(subject, extras)), criteria)
         return laws.with_chosen(subject), fit
     own = _starting_stiff(laws.own, extras, criteria)
     foreign = _starting_stiff(laws.foreign, extras, criteria)
-    own, fit = in_line(own, fit_model(own, extras))
+    own, fit = _from_nothing(*in_line(own, fit_model(own, extras)), criteria)
     foreign, other = _fit_foreign(foreign, fit)
+    if other is not None:
+        foreign, other = _from_nothing(foreign, other, criteria)
     if other is None:
         return replace(laws, own=own, foreign=foreign, taken=False), fit
     ratio = other.cross_rms / fit.cross_rms
@@ -149,6 +152,24 @@ def _starting_stiff(subject: Subject, extras: Sequence[Extra], criteria: Criteri
     kept = {key: value for key, value in subject.starts.items() if not any(number.holds(key) for number in numbers)}
     subject = subject.starting_from(kept)
     return subject.starting_from({**kept, **stiffness_start(subject, extras, criteria.material)})
+
+
+def _from_nothing(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Subject, Fit]:
+    """The fit, or where it leaves something one from numbers that no machine file has a say in, if that is better.
+
+    A sum of squares of elements has more than one minimum, and the file's numbers decide which one a fit ends in.
+    """
+    if criteria.excess(fit) < criteria.material:
+        return subject, fit
+    starts = convex_start(subject, fit)
+    if not starts:
+        return subject, fit
+    again = subject.starting_from({**subject.starts, **starts})
+    try:
+        again, better = in_line(again, fit_model(again, fit.extras))
+    except FitError:
+        return subject, fit
+    return (again, better) if better.cross_rms < criteria.thresholds.sharper * fit.cross_rms else (subject, fit)
 
 
 def _fit_foreign(foreign: Subject, fit: Fit) -> tuple[Subject, Fit | None]:

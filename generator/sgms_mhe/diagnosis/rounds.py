@@ -18,6 +18,7 @@ from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.result import Outcome, Score
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import cause, effect_definition
+from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import cross_loss, difference_statistic, gain_force, nuisance
 
 Array = NDArray[np.float64]
@@ -146,11 +147,14 @@ def attempted_fit(
         return None
 
 
-def is_degenerate(fit: Fit, name: str, subject: Subject) -> bool:
-    """Whether the effect that was added last has turned into a simpler one."""
+def is_ruled_out(fit: Fit, name: str, subject: Subject) -> bool:
+    """Whether the effect that was added last has turned into a simpler one, or into one that no such axis has."""
     if not fit.extras or fit.extras[-1].name != name:
         return False
-    return cause(name).simpler.reached(fit.extras[-1].parameters, subject.recording.extents)
+    parameters = fit.extras[-1].parameters
+    if not effect_definition(name).possible(parameters, scales_of(subject.machine)):
+        return True
+    return cause(name).simpler.reached(parameters, subject.recording.extents)
 
 
 def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: Criteria) -> str | None:
@@ -160,7 +164,7 @@ def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: C
     gains = {
         name: gain
         for name, gain in gains.items()
-        if gain > criteria.enough(current) and not is_degenerate(fits[name], name, subject)
+        if gain > criteria.enough(current) and not is_ruled_out(fits[name], name, subject)
     }
     if not gains:
         return None

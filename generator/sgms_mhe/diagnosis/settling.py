@@ -113,12 +113,13 @@ class Settled:
         refitted: Sequence[Group] | None = None,
         warm: Fit | None = None,
         rows: Mask | None = None,
+        held: frozenset[str] = frozenset(),
         iterations: int | None = None,
         again: bool = False,
     ) -> Fit:
         """`fit_model` of the subject."""
         return fit_model(
-            self.subject, extras, refitted=refitted, warm=warm, rows=rows, iterations=iterations, again=again
+            self.subject, extras, refitted=refitted, warm=warm, rows=rows, held=held, iterations=iterations, again=again
         )
 
     def left(self, fit: Fit) -> Left:

@@ -134,8 +134,8 @@ class Subject:
 
     def starting_from(self, starts: Mapping[str, float]) -> Subject:
         """The same with other values that fits start from."""
-        fine = None if self.fine is None else replace(self.fine, starts=starts)
-        return replace(self, starts=starts, fine=fine)
+        fine = None if self.fine is None else replace(self.fine, starts=starts, known={})
+        return replace(self, starts=starts, fine=fine, known={})
 
     def settled(self) -> Subject:
         """The same with fits that go on until their numbers can be reported."""

@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.causes import base_parameters, extended_machine
-from sgms_mhe.diagnosis.confirmation import Confirmed, confirmed, constant_causes, refitted_beside
+from sgms_mhe.diagnosis.confirmation import (
+    Confirmed,
+    confirmed,
+    constant_causes,
+    refitted_beside,
+    without_undetermined,
+)
 from sgms_mhe.diagnosis.criteria import Progress, criteria_of
 from sgms_mhe.diagnosis.descent import FitError
 from sgms_mhe.diagnosis.excerpt import excerpt
@@ -106,37 +112,34 @@ def _judge(settled: Settled) -> _Judged:
     thresholds = settled.thresholds
     found = confirmed(settled, settled.selection)
     plain = settled.fit((), refitted=())
-    allowed = _allowed(settled.record.machine, settled.floor)
     # The base numbers' own small errors are no structure that asks for a name.
     free = settled.fit(found.selection.fit.extras, warm=found.selection.fit)
     before, after = settled.excess(plain), min(settled.excess(found.selection.fit), settled.excess(free))
-    complete = after < max(allowed, thresholds.unexplained_share * before)
-    if not complete and found.selection.causes:
+    verdict: Verdict
+    if not found.selection.causes:
+        verdict = "adequate" if after < _allowed(settled.record.machine, settled.floor) else "unexplained"
+    elif after < _allowed(settled.record.machine, settled.floor, before):
+        verdict = "ambiguous" if found.selection.rivals else "explained"
+        if settled.foreign:
+            found = refitted_beside(settled, found, constant=False)
+    else:
+        verdict = "unexplained"
         # Something is left; but causes that are the same everywhere in the record are none the less real.
         found = constant_causes(settled, settled.selection)
         # What refitted numbers explain that are no cause is no merit of the causes.
         before = settled.excess(settled.fit((), refitted=found.selection.unnamed))
-        complete = bool(found.causes) and settled.excess(found.selection.fit) < thresholds.most_left * before
-    elif found.causes and settled.foreign:
-        found = refitted_beside(settled, found, constant=False)
-    verdict: Verdict
-    if not found.selection.causes:
-        verdict = "adequate" if after < allowed else "unexplained"
-    elif not complete:
-        verdict = "unexplained"
-    elif found.selection.rivals:
-        verdict = "ambiguous"
-    else:
-        verdict = "explained"
-    if verdict == "unexplained" and found.selection.causes:
-        found = Confirmed(replace(found.selection, fit=plain, refitted=(), rivals=()), plain, ())
-    return _Judged(verdict, found, plain, free)
+        if not found.causes or not settled.excess(found.selection.fit) < thresholds.most_left * before:
+            found = Confirmed(replace(found.selection, fit=plain, refitted=(), rivals=()), plain, ())
+    return _Judged(verdict, without_undetermined(settled, found) if found.causes else found, plain, free)
 
 
-def _allowed(machine: Machine, floor: float) -> float:
-    """RMS beyond noise [N] that a complete explanation may leave."""
-    thresholds = machine.diagnosis
-    return max(thresholds.unexplained * machine.friction.coulomb, thresholds.unexplained_noise * floor)
+def _allowed(machine: Machine, floor: float, before: float = 0.0) -> float:
+    """RMS beyond noise [N] that a complete explanation may leave; `before`: without its causes."""
+    thresholds, level = machine.diagnosis, machine.friction.coulomb
+    wanted = max(
+        thresholds.unexplained * level, thresholds.unexplained_noise * floor, thresholds.unexplained_share * before
+    )
+    return min(wanted, max(thresholds.unexplained_most * floor, thresholds.unexplained_least * level))
 
 
 def _diagnosis(machine: Machine, log: Log, settled: Settled, judged: _Judged) -> Diagnosis:
