@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from sgms_mhe.diagnosis.subject import Fit
 from sgms_mhe.machine import Machine, Thresholds
 from sgms_mhe.model import whole_shares
 from sgms_mhe.model.effects import base_number, effect_definition, reported_name
+from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import gain_force, gain_interval
 
 Array = NDArray[np.float64]
@@ -52,7 +54,22 @@ def measured_causes(settled: Settled, selection: Selection, blind: Fit) -> dict[
             gain_interval_N=gain_interval(without.loss[held], blind.loss[held], fit.rows[held]),
             p_value=selection.p_values.get(group, math.nan),
         )
-    return causes
+    return {group: replace(cause, vague=_vague(cause, settled.thresholds)) for group, cause in causes.items()}
+
+
+def _vague(cause: Cause, thresholds: Thresholds) -> tuple[str, ...]:
+    """Parameters that the record does not determine: their intervals are as wide as they are, or there are none."""
+    found = []
+    for key, value in cause.parameters.items():
+        margin = thresholds.sigmas * cause.std[key]
+        if cause.nominal:
+            known = margin <= thresholds.vague * abs(value)
+        else:
+            parameter = effect_definition(cause.name).parameter(key)
+            known = parameter.role == "place" or margin < abs(value - parameter.none)
+        if not known:  # NaN included
+            found.append(key)
+    return tuple(found)
 
 
 def holds(cause: Cause, thresholds: Thresholds, *, constant: bool = False) -> bool:
@@ -70,6 +87,13 @@ def holds(cause: Cause, thresholds: Thresholds, *, constant: bool = False) -> bo
     return not sizes or any(
         abs(cause.parameters[key] - none) > thresholds.sigmas * cause.std[key] for key, none in sizes.items()
     )
+
+
+def is_possible(cause: Cause, settled: Settled) -> bool:
+    """Whether an axis can have a cause of this size."""
+    if cause.nominal:
+        return True
+    return effect_definition(cause.name).possible(cause.parameters, scales_of(settled.subject.machine))
 
 
 def _sizes(cause: Cause) -> dict[str, float]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from sgms_mhe.diagnosis.causes import holds, measured_causes
+from sgms_mhe.diagnosis.causes import holds, is_possible, measured_causes
 from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
 from sgms_mhe.diagnosis.groups import Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.result import Cause
@@ -42,7 +42,11 @@ def confirmed(settled: Settled, selection: Selection, *, constant: bool = False)
         fit = selection.fit
         blind = settled.fit(fit.extras, refitted=selection.refitted, warm=fit, rows=settled.seen)
         causes = measured_causes(settled, selection, blind)
-        doubtful = [g for g, cause in causes.items() if not holds(cause, settled.thresholds, constant=constant)]
+        doubtful = [
+            g
+            for g, cause in causes.items()
+            if not holds(cause, settled.thresholds, constant=constant) or not is_possible(cause, settled)
+        ]
         if not doubtful:
             return Confirmed(selection, blind, _strongest_first(causes))
         weakest = min(doubtful, key=lambda group: causes[group].gain_N)

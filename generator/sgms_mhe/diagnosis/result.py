@@ -46,6 +46,7 @@ class Cause:
         gain_N: RMS of the force that this cause explains on held-out data.
         gain_interval_N: 95 % interval of `gain_N` over held-out blocks.
         p_value: of the score test against the model without it, multiplicity included.
+        vague: parameters that the record does not determine.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Cause:
     gain_N: float
     gain_interval_N: tuple[float, float]
     p_value: float
+    vague: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -189,6 +191,7 @@ class Diagnosis:
         excited: whether the axis moved.
         warnings: what the user should know about the record (gaps, saturation, too fast, too short).
         seconds: computing time.
+        undecided: sentences on what no record of this motion can decide.
     """
 
     machine: Machine
@@ -212,13 +215,35 @@ class Diagnosis:
     excited: bool
     warnings: tuple[str, ...]
     seconds: float
+    undecided: tuple[str, ...] = ()
+
+    def identifies(self, cause: Cause) -> bool:
+        """Whether the record determines a cause's numbers, and no other cause would do as well."""
+        return not cause.vague and all(a.instead_of != cause.name for a in self.alternatives if a.rival)
 
     @property
     def limits(self) -> tuple[str, ...]:
         """Sentences on what this record cannot decide."""
         pairs = [f"{a.instead_of} or {a.name}: {a.why_not}" for a in self.alternatives if a.rival and a.instead_of]
-        unknown = [f"{b.name}: the record does not show it" for b in self.base if not math.isfinite(b.std)]
-        return (*pairs, *unknown)
+        named = self.machine.plant.units.named
+        vague = [
+            f"{cause.name}: the record does not determine {', '.join(map(named, cause.vague))}"
+            for cause in self.causes
+            if cause.vague
+        ]
+        unknown = [f"{named(b.name)}: the record does not show it" for b in self.base if not math.isfinite(b.std)]
+        return (*self._left, *pairs, *self.undecided, *vague, *unknown)
+
+    @property
+    def _left(self) -> tuple[str, ...]:
+        """What is left where something is."""
+        if self.verdict != "unexplained" or not self.excited:
+            return ()
+        unit, rms = self.machine.plant.units.force, self.rms.held_out_after
+        return (
+            f"{rms:.3g} {unit} are left, {rms / self.noise_floor_N:.2g} times the noise: something acts on this axis "
+            "that no cause in the catalogue accounts for",
+        )
 
     @property
     def extended_name(self) -> str | None:
@@ -244,6 +269,7 @@ class Diagnosis:
                     },
                     "gain_N": cause.gain_N,
                     "gain_interval_N": list(cause.gain_interval_N),
+                    "identified": self.identifies(cause),
                 }
                 for cause in self.causes
             ],

@@ -20,6 +20,7 @@ from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import cause, effect_definition
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import cross_loss, difference_statistic, gain_force, nuisance
+from sgms_mhe.recordings.repetition import in_step
 
 Array = NDArray[np.float64]
 
@@ -152,8 +153,13 @@ def is_ruled_out(fit: Fit, name: str, subject: Subject) -> bool:
     if not fit.extras or fit.extras[-1].name != name:
         return False
     parameters = fit.extras[-1].parameters
-    if not effect_definition(name).possible(parameters, scales_of(subject.machine)):
+    definition = effect_definition(name)
+    if not definition.possible(parameters, scales_of(subject.machine)):
         return True
+    if definition.sine is not None and definition.sine.coordinate == "time":
+        frequency = np.array([parameters[definition.sine.period]])
+        if in_step(subject.recording, frequency).any():
+            return True
     return cause(name).simpler.reached(parameters, subject.recording.extents)
 
 

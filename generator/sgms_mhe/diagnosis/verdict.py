@@ -33,6 +33,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.evidence import gain_interval, noise_floor
 from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.recordings.recording import Recording, prepare
+from sgms_mhe.recordings.repetition import repetition_note
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -171,7 +172,7 @@ def _diagnosis(machine: Machine, log: Log, settled: Settled, judged: _Judged) ->
         if named
         else (0.0, 0.0),
         base=base_parameters(settled, judged.free if named else settled.start),
-        scores=selection.scores if verdict != "unexplained" else _unnamed(selection.scores),
+        scores=selection.scores if named or verdict != "unexplained" else _unnamed(selection.scores),
         structure_before=structure_map(record, nominal.residual),
         structure_after=structure_map(record, final.residual if named else start.residual),
         traces=_traces(record, nominal, start, final if named else nominal, unseen),
@@ -185,6 +186,7 @@ def _diagnosis(machine: Machine, log: Log, settled: Settled, judged: _Judged) ->
             *_estimation_notes(machine, extended),
         ),
         seconds=0.0,
+        undecided=repetition_note(record),
     )
 
 
