@@ -124,7 +124,7 @@ def _since_mean_velocity(whole: Subject, fit: Fit) -> Array:
     v = recording.velocity
     chi = np.zeros((model.n_x, len(v)))
     chi[: model.n_z] = np.sign(v)
-    theta = np.tile(fit.theta[:, None], len(v))
+    theta = np.tile(fit.theta[: model.n_p, None], len(v))
     later = v + 0.5 * whole.machine.sampling.step * recording.acceleration
     output = model.function("output")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Final
@@ -34,10 +34,17 @@ Nominal = tuple[tuple[str, float], ...]
 
 @dataclass(frozen=True, eq=False)
 class CompiledFit:
-    """The emitted model along a recording, in pieces of bounded memory, reduced to the fit's rate."""
+    """The emitted model along a recording, in pieces of bounded memory, reduced to the fit's rate.
+
+    Attributes:
+        code: the model, without what delays all of its force.
+        columns: of its parameters, and last the delay where there is one.
+        delayed: whether there is.
+    """
 
     code: CompiledModel
     columns: tuple[Column, ...]
+    delayed: bool = False
 
     @property
     def model(self) -> Model:
@@ -56,16 +63,51 @@ class CompiledFit:
 
     def run(self, recording: Recording, theta: Array, *, derivatives: bool = True) -> tuple[Array, Array | None]:
         """Friction (m) [N] and its derivatives in theta (m, n_p)."""
+        if self.delayed:
+            return self._run_late(recording, theta, derivatives)
+        m, factor, n_p = len(recording.time), recording.factor, self.model.n_p
+        force, slopes = np.empty(m), np.empty((m, n_p)) if derivatives else None
+        for rows, y, d in self._pieces(recording, theta, derivatives):
+            force[rows] = y.reshape(-1, factor).mean(axis=1)
+            if slopes is not None and d is not None:
+                slopes[rows] = d.reshape(-1, factor, n_p).mean(axis=1)
+        return force, slopes
+
+    def _run_late(self, recording: Recording, theta: Array, derivatives: bool) -> tuple[Array, Array | None]:
+        """The same, the drive's force as late as the last parameter says; between samples by lines."""
+        late, rate = self.columns[-1], recording.machine.sampling.rate
+        pieces = list(self._pieces(recording, theta[:-1], derivatives))
+        inertial = recording.machine.plant.moved * recording.signals.acceleration
+        drive = np.concatenate([y for _, y, _ in pieces])
+        inertial = inertial[: len(drive)]
+        drive += inertial
+        at = np.clip(np.arange(len(drive)) - late.si(float(theta[-1])) * rate, 0.0, len(drive) - 1.0)
+        before = np.minimum(at.astype(np.int64), max(0, len(drive) - 2))
+        after, share = np.minimum(before + 1, len(drive) - 1), at - before
+
+        def shifted(series: Array) -> Array:
+            weight = share if series.ndim == 1 else share[:, None]
+            return np.asarray(series[before] * (1.0 - weight) + series[after] * weight)
+
+        force = recording.reduce(shifted(drive) - inertial)
+        if not derivatives:
+            return force, None
+        own = shifted(np.concatenate([d for _, _, d in pieces if d is not None]))
+        change = (drive[before] - drive[after]) * rate * late.scale
+        return force, recording.reduce(np.column_stack((own, change)))
+
+    def _pieces(
+        self, recording: Recording, theta: Array, derivatives: bool
+    ) -> Iterator[tuple[slice, Array, Array | None]]:
+        """Rows, and at their samples the friction (k) [N] and its derivatives in the code's parameters (k, n_p)."""
         signals, factor = recording.signals, recording.factor
-        n, n_x, n_p = len(signals), self.model.n_x, self.model.n_p
-        m = len(recording.time)
+        n_x, n_p, m = self.model.n_x, self.model.n_p, len(recording.time)
         state, sensitivity = np.zeros(n_x), np.zeros((n_x, n_p))
         values = np.ascontiguousarray(theta, dtype=np.float64)
-        force, slopes = np.empty(m), np.empty((m, n_p)) if derivatives else None
         rows = max(1, CHUNK // factor)
         for first in range(0, m, rows):
             last = min(m, first + rows)
-            start, end = first * factor, min(n, last * factor)
+            start, end = first * factor, last * factor
             back = min(start, 1)  # the piece begins with the sample that its state belongs to
             part = slice(start - back, end)
             w = np.column_stack(
@@ -80,10 +122,7 @@ class CompiledFit:
             y = np.empty(len(w))
             d = np.empty((len(w), n_p)) if derivatives else None
             self.code.advance(w, values, state, sensitivity, y, d)
-            force[first:last] = y[back:].reshape(last - first, factor).mean(axis=1)
-            if slopes is not None and d is not None:
-                slopes[first:last] = d[back:].reshape(last - first, factor, n_p).mean(axis=1)
-        return force, slopes
+            yield slice(first, last), y[back:], None if d is None else d[back:]
 
 
 def compiled_fit(machine: Machine, extras: Sequence[Extra]) -> CompiledFit:
@@ -93,10 +132,41 @@ def compiled_fit(machine: Machine, extras: Sequence[Extra]) -> CompiledFit:
     """
     keys = [(e.name, _nominal(machine, e)) for e in extras]
     machine = bearing(machine, extras)
+    late = [i for i, extra in enumerate(extras) if effect_definition(extra.name).delays]
     # Compiled in the order of their names: what order effects were found in must not cost another compilation.
-    places = sorted(range(len(keys)), key=lambda i: keys[i])
-    compiled = compiled_structure(Structure(machine, tuple(keys[i] for i in places)))
-    return compiled if places == list(range(len(keys))) else compiled.ordered(places)
+    places = sorted((i for i in range(len(keys)) if i not in late), key=lambda i: keys[i])
+    compiled = compiled_structure(Structure(_prompt(machine), tuple(keys[i] for i in places)))
+    if places != list(range(len(places))):
+        compiled = compiled.ordered(places)
+    delays = [_delay(machine, extras[i].name, Group.extra(extras[i].name, i), dict(keys[i][1])) for i in late]
+    delays += [
+        _delay(machine, effect.name, Group.own(effect.name, effect.label), effect.parameters)
+        for effect in machine.effects
+        if effect_definition(effect.name).delays
+    ]
+    return replace(compiled, columns=(*compiled.columns, *delays), delayed=True) if delays else compiled
+
+
+def _prompt(machine: Machine) -> Machine:
+    """The machine without effects that delay all of its force."""
+    kept = [effect for effect in machine.effects if not effect_definition(effect.name).delays]
+    if len(kept) == len(machine.effects):
+        return machine
+    units = machine.plant.units
+    return override_machine(
+        without_bounds(machine), {"effects": [{"name": e.name} | units.keyed(e.parameters) for e in kept]}
+    )
+
+
+def _delay(machine: Machine, name: str, group: Group, nominal: Mapping[str, float]) -> Column:
+    """The column of an effect that delays all of the force."""
+    definition = effect_definition(name)
+    parameter = definition.parameter(definition.delays)
+    value = nominal[parameter.name]
+    scale = parameter.estimation_scale(scales_of(machine), value)
+    lower, upper = ((edge - value) / scale + 1.0 for edge in (parameter.lower, parameter.upper))
+    free = FreeParameter(f"{name}.{parameter.name}", f"{name}.{parameter.name}", value, scale, lower, upper)
+    return _effect_column(group, parameter.name, free)
 
 
 def bearing(machine: Machine, extras: Sequence[Extra]) -> Machine:

@@ -38,8 +38,11 @@ class Criteria:
     report: Progress
 
     def excess(self, fit: Fit) -> float:
-        """RMS of what a fit leaves beyond noise [N]."""
-        return math.sqrt(max(0.0, fit.cross_rms**2 - self.floor**2))
+        """RMS of what a fit leaves beyond noise [N].
+
+        Of the rows that it has seen: where a record turns round but once, a fit without that fold predicts anything.
+        """
+        return math.sqrt(max(0.0, fit.rms**2 - self.floor**2))
 
     def enough(self, fit: Fit) -> float:
         """What an effect must explain to be added to a fit [N]: what matters, and a fair share of what is left.

@@ -54,6 +54,8 @@ class EffectDefinition(CauseDefinition):
             numbers: of position [m], velocity [m/s], time [s] and the parameters. Only effects of other distributions
             have one; the plant knows this package's.
         possible: whether an axis of these scales can have it with these parameters (by name, SI), beyond their limits.
+        delays: the parameter by which it makes all of the logged force late [s], if that is what it does: a diagnosis
+            shifts the model's force along the record, exactly, where an estimator can but expand it.
         smooth_only: why it cannot stand where elements switch instead of going over smoothly; empty: it can.
         specimen: how a benchmark hides it; None: not at all.
         fit_displacement: largest step of a fit of it where the elements are integrated exactly, in deflection scales of
@@ -73,6 +75,7 @@ class EffectDefinition(CauseDefinition):
     companion: bool = False
     fit_displacement: float | None = None
     possible: Callable[[Mapping[str, float], Scales], bool] = _always
+    delays: str = ""
     smooth_only: str = ""
     specimen: Specimen | None = None
     plant_force: PlantForce | None = None
