@@ -141,11 +141,11 @@ def test_stiffnesses_far_off_are_found_on_a_switching_axis(machine: Machine, fac
         assert found[f"stiffness_{i}_N_m"] == pytest.approx(factor * nominal, rel=0.1)
 
 
-def test_thinning_does_not_decide_the_transition(machine: Machine) -> None:
+def test_thinning_does_not_decide_the_law(machine: Machine) -> None:
     hidden: Hidden = [("micro_viscous", {"damping_N_s_m": 68.0})]
     diagnosis = diagnose(machine, simulated(machine, hidden, law="maxwell_slip"))
     assert names(diagnosis) == ["micro_viscous"], diagnosis.summary
-    assert diagnosis.smoothing == "sharp"
+    assert diagnosis.law == "switching"
 
 
 @pytest.mark.parametrize("law", ["sgms", "maxwell_slip"])
@@ -403,7 +403,7 @@ def test_models_are_compiled_once_whatever_the_order(
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("emitted again")
 
-    monkeypatch.setattr("sgms_mhe.diagnosis.compiling.emit_package", refuse)
+    monkeypatch.setattr("sgms_mhe.host.packages.emit_package", refuse)
     compiled_structure.cache_clear()
     subject.model((one, other))
 

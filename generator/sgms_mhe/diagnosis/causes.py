@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.configuration import law_changes
 from sgms_mhe.diagnosis.compiling import bearing
 from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
 from sgms_mhe.diagnosis.extension import extend_machine
@@ -20,7 +21,8 @@ from sgms_mhe.diagnosis.settling import Settled, split_rms
 from sgms_mhe.diagnosis.subject import Fit
 from sgms_mhe.machine import Machine, Thresholds
 from sgms_mhe.model import whole_shares
-from sgms_mhe.model.effects import base_number, effect_definition, reported_name
+from sgms_mhe.model.effects import BASE_CAUSES, base_number, effect_definition, reported_name
+from sgms_mhe.model.effects.base import LEVEL
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import gain_force, gain_interval
 
@@ -155,17 +157,14 @@ def extended_machine(
                 friction[number.name][number.element(name)] = value
             else:
                 friction[name] = value
-    if "fraction" in friction:
-        friction["fraction"], sum_of_levels = whole_shares(friction["fraction"], machine.friction.fraction)
-        if sum_of_levels != 1.0:
-            friction["coulomb"] = sum_of_levels * friction.get("coulomb", machine.friction.coulomb)
-    law = bearing(settled.subject.machine, fit.extras).friction
-    if law.law != machine.friction.law:
-        friction = {"law": law.law, **friction}
-        if law.switches and any(machine.friction.micro_viscous):
-            friction["micro_viscous"] = list(law.micro_viscous)
-    if law.smoothing is not None and law.smoothing != machine.friction.smoothing:
-        friction["smoothing"] = law.smoothing.model_dump(by_alias=True)
+    for cause in BASE_CAUSES.values():
+        for number in cause.numbers:
+            if number.shares and number.name in friction:
+                nominal = getattr(machine.friction, number.name)
+                friction[number.name], total = whole_shares(friction[number.name], nominal)
+                if total != 1.0:
+                    friction[LEVEL] = total * friction.get(LEVEL, getattr(machine.friction, LEVEL))
+    friction = {**law_changes(machine, bearing(settled.subject.machine, fit.extras)), **friction}
     effects: list[dict[str, Any]] = []
     for effect in machine.effects:
         group = Group.own(effect.name, effect.label)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from sgms_mhe.configuration import override_machine
+from sgms_mhe.configuration import under_other_law
 from sgms_mhe.diagnosis.alignment import aligned, thinned
 from sgms_mhe.diagnosis.candidates import stiffness_start, stribeck_start
 from sgms_mhe.diagnosis.criteria import Criteria
@@ -15,10 +15,9 @@ from sgms_mhe.diagnosis.groups import Extra, machine_groups
 from sgms_mhe.diagnosis.starting import convex_start
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
+from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.recordings.evidence import nuisance
 from sgms_mhe.recordings.recording import Recording
-from sgms_mhe.support.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,20 +50,6 @@ class Laws:
     def with_chosen(self, subject: Subject) -> Laws:
         """The same with another subject in the place of the chosen one."""
         return replace(self, foreign=subject) if self.taken else replace(self, own=subject)
-
-
-def under_other_law(machine: Machine) -> Machine | None:
-    """The machine with the other law: switching, or smooth as by default. None: an effect does not stand with it."""
-    if machine.friction.switches:
-        return override_machine(machine, {"friction": {"law": "sgms"}})
-    if any(effect_definition(effect.name).smooth_only for effect in machine.effects):
-        return None
-    # The damping of an element would jump where it breaks away.
-    changes = {"law": "switching", "micro_viscous": [0.0] * machine.friction.n_z}
-    try:
-        return override_machine(machine, {"friction": changes})
-    except InputError:  # a smoothing soft enough to choose the integrator by, or an effect of another package
-        return None
 
 
 def laws_of(machine: Machine, recording: Recording, floor: float) -> Laws:
