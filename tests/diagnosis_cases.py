@@ -127,7 +127,7 @@ def explained(machine: Machine, **changes: Any) -> Diagnosis:
         traces=shown,
         extended=extended,
         extended_toml=toml,
-        smoothing="machine",
+        law="sgms",
         excited=True,
         warnings=("120 of 6000 samples are missing; they and 50 samples after each gap are left out",),
         seconds=21.4,

@@ -169,7 +169,9 @@ def _elements() -> dict[str, Variant]:
 
 
 def _estimation() -> dict[str, Variant]:
-    variants = {f"estimates {name}": Variant({"estimator": _estimating(name)}) for name in BASE_PARAMETERS[1:]}
+    variants = {
+        f"estimates {name}": Variant({"estimator": _estimating(name)}) for name in (*BASE_PARAMETERS[1:], "fraction")
+    }
     bounds = {"stiffness": [0.9, 1.05], "coulomb": [0.5, 2.0]}
     for n in (1, 2, 5, 40):
         variants[f"horizon {n}"] = Variant({"estimator": {"horizon": n}})

@@ -14,12 +14,10 @@ from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
 from sgms_mhe.diagnosis.alignment import aligned, thinned
 from sgms_mhe.diagnosis.compiling import compiled_structure
-from sgms_mhe.diagnosis.evidence import inconstancy, noise_floor, nuisance, score_test
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.plan import make_plan, write_plan
-from sgms_mhe.diagnosis.recording import Recording, prepare
 from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.evaluation.prediction import force_error, predict_log
 from sgms_mhe.logfiles.reading import read_log
@@ -28,6 +26,8 @@ from sgms_mhe.model import build_model
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.recordings.evidence import inconstancy, noise_floor, nuisance, score_test
+from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -141,11 +141,11 @@ def test_stiffnesses_far_off_are_found_on_a_switching_axis(machine: Machine, fac
         assert found[f"stiffness_{i}_N_m"] == pytest.approx(factor * nominal, rel=0.1)
 
 
-def test_thinning_does_not_decide_the_transition(machine: Machine) -> None:
+def test_thinning_does_not_decide_the_law(machine: Machine) -> None:
     hidden: Hidden = [("micro_viscous", {"damping_N_s_m": 68.0})]
     diagnosis = diagnose(machine, simulated(machine, hidden, law="maxwell_slip"))
     assert names(diagnosis) == ["micro_viscous"], diagnosis.summary
-    assert diagnosis.smoothing == "sharp"
+    assert diagnosis.law == "switching"
 
 
 @pytest.mark.parametrize("law", ["sgms", "maxwell_slip"])
@@ -403,7 +403,7 @@ def test_models_are_compiled_once_whatever_the_order(
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("emitted again")
 
-    monkeypatch.setattr("sgms_mhe.diagnosis.compiling.emit_package", refuse)
+    monkeypatch.setattr("sgms_mhe.host.packages.emit_package", refuse)
     compiled_structure.cache_clear()
     subject.model((one, other))
 

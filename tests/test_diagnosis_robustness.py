@@ -15,20 +15,19 @@ import pytest
 from numpy.typing import NDArray
 
 from cli_cases import done, refused
-from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.configuration import load_machine, override_machine, under_other_law
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.compiling import CompiledFit
 from sgms_mhe.diagnosis.covariance import covariance
-from sgms_mhe.diagnosis.evidence import noise_floor
 from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.laws import sharp_smoothing
-from sgms_mhe.diagnosis.recording import Recording, prepare
 from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory
+from sgms_mhe.recordings.evidence import noise_floor
+from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.signals.logs import Log, write_log
 
 Hidden = Sequence[tuple[str, Mapping[str, float]]]
@@ -119,21 +118,21 @@ def test_what_is_about_as_fast_as_a_sample_is_measured_right(
 
 
 def test_interval_knows_that_the_axis_switches(quick: Machine) -> None:
-    # What the smooth law gets wrong at every reversal is in no scatter over blocks: the other transition tells it.
+    # What the smooth law gets wrong at every reversal is in no scatter over blocks: the other law tells it.
     recording = prepare(quick, recorded(quick, law="maxwell_slip", force_noise_N=0.03))
-    smooth = Subject.of(quick, recording)
-    smoothing = sharp_smoothing(quick.diagnosis)
-    sharp = Subject.of(override_machine(quick, {"friction": {"smoothing": smoothing}}), recording).settled()
-    sharp = replace(sharp, noise=noise_floor(recording, fit_model(sharp, (), refitted=()).residual))
-    fit = fit_model(sharp, (), iterations=40)
+    axis = under_other_law(quick)
+    assert axis is not None
+    smooth, switching = Subject.of(quick, recording).settled(), Subject.of(axis, recording)
+    smooth = replace(smooth, noise=noise_floor(recording, fit_model(smooth, (), refitted=()).residual))
+    fit = fit_model(smooth, (), iterations=40)
 
     def errors(other: Subject | None) -> NDArray[np.float64]:
-        std = np.sqrt(np.diag(covariance(sharp, fit, other)))
+        std = np.sqrt(np.diag(covariance(smooth, fit, other)))
         return np.asarray(np.abs(fit.theta - 1.0)[fit.free] / std[fit.free])
 
     assert np.max(errors(None)) > 3.0
-    assert np.max(errors(smooth)) < 2.5
-    assert np.median(errors(smooth)) > 0.3  # no wider than it has to be
+    assert np.max(errors(switching)) < 2.5
+    assert np.median(errors(switching)) > 0.3  # no wider than it has to be
 
 
 # --- low rate, gaps, saturation ---------------------------------------------------------------------------------
@@ -251,7 +250,7 @@ def test_command_on_a_record_without_motion(quick: Machine, tmp_path: Path) -> N
 MEASURE = """
 import resource, sys
 from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.recording import prepare
+from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.configuration import load_machine

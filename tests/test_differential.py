@@ -38,6 +38,10 @@ MHE_CASES: dict[str, dict[str, Any]] = {
     # parameters
     "stiffness, coulomb": {"estimator": {"parameters": ["stiffness", "coulomb"], "bounds": {}}},
     "coulomb, viscous": {"estimator": {"parameters": ["coulomb", "viscous"], "bounds": {}}},
+    "fraction": {"estimator": {"parameters": ["fraction", "coulomb"], "bounds": {}}},
+    "fraction as deflection": {
+        "estimator": {"parameters": ["stiffness", "fraction"], "bounds": {}, "noise": {"state_as": "deflection"}}
+    },
     "stribeck": {"estimator": {"parameters": ["coulomb", "stribeck_ratio", "stribeck_velocity"], "bounds": {}}},
     "ripple": {
         "effects": [{"name": "force_ripple", "pitch_m": 0.001, "amplitude_N": 0.8, "phase_rad": 0.7}],

@@ -13,7 +13,6 @@ import pytest
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.emission.structure import analyse
 from sgms_mhe.evaluation.comparison import TOLERANCES
 from sgms_mhe.host.compiled import CompiledEstimator
@@ -41,6 +40,7 @@ from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import plant_effects, simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory
+from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.reference.integrator import Integrator
 from sgms_mhe.reference.mhe import run_mhe
 from sgms_mhe.reference.problem import Record

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from package_variants import GEARED
 from sgms_mhe.configuration import load_machine, make_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
-from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.diagnosis.plan import make_plan
 from sgms_mhe.diagnosis_benchmark.causes import Hidden, prescribed_signals
 from sgms_mhe.diagnosis_benchmark.visibility import sensitivities, visible_share
@@ -25,6 +24,7 @@ from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition, effect_names
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory
+from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.support.errors import InputError
 

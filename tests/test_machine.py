@@ -362,7 +362,7 @@ BAD_VALUES = [
         "substeps < 100",
     ),
     ("estimator.parameters = []", "estimator.parameters", "at least 1"),
-    ('estimator.parameters = ["mass"]', "estimator.parameters[1]", "stiffness, coulomb, viscous"),
+    ('estimator.parameters = ["mass"]', "estimator.parameters[1]", "stiffness, fraction, coulomb, viscous"),
     ('estimator.parameters = ["coulomb", "coulomb"]', "estimator.parameters", "each parameter once"),
     (
         'estimator.parameters = ["coulomb", "viscous"]\nfriction.viscous = 0.0',

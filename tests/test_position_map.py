@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.candidates import search
-from sgms_mhe.diagnosis.evidence import nuisance
 from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.recording import prepare
 from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.logfiles.reading import read_log
@@ -29,6 +27,8 @@ from sgms_mhe.model.effects.periodic_table import POINTS, periodic_spline, splin
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.recordings.evidence import nuisance
+from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]

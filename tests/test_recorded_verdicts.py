@@ -66,7 +66,7 @@ def said(diagnosis: Diagnosis) -> dict[str, Any]:
             for cause in diagnosis.causes
         },
         "rivals": sorted(a.name for a in diagnosis.alternatives if a.rival),
-        "smoothing": diagnosis.smoothing,
+        "law": diagnosis.law,
         "noise_floor_N": rounded(diagnosis.noise_floor_N),
         "residual_before_N": rounded(diagnosis.rms.held_out_before),
         "residual_after_N": rounded(diagnosis.rms.held_out_after),

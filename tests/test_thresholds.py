@@ -13,13 +13,13 @@ import pytest
 import sgms_mhe.diagnosis
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis.criteria import criteria_of
-from sgms_mhe.diagnosis.evidence import noise_floor
-from sgms_mhe.diagnosis.excitation import measures
-from sgms_mhe.diagnosis.recording import prepare
 from sgms_mhe.machine import Machine, Thresholds
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.recordings.evidence import noise_floor
+from sgms_mhe.recordings.excitation import measures
+from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.signals.chain import signals_of_record
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError

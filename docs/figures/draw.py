@@ -256,7 +256,7 @@ def diagnosis() -> Drawing:
     d.box(columns[0], rows[0], w, h, ["log and machine"], "file")
     d.box(columns[1], rows[0], w, h, ["record", "rows, blocks, folds"])
     d.box(columns[2], rows[0], w, h, ["base model", "all numbers free"])
-    d.box(columns[3], rows[0], w, h, ["transition", "the machine's or sharp"])
+    d.box(columns[3], rows[0], w, h, ["law", "the file's or the other"])
     for left in columns[:3]:
         d.line((left + w, rows[0] + h / 2), (left + 248, rows[0] + h / 2))
 

@@ -48,11 +48,18 @@ def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
     epilog=example(
         "simulate etel_xy --out axis.csv",
         "simulate etel_xy --out axis.npz --trajectory mixed --duration 60 --scale stiffness_1=1.2",
+        "simulate etel_xy --out next.csv --trajectory plan.csv",
     ),
 )
 @machine_argument
 @out_option("The log to write: .csv or .npz.")
-@click.option("--trajectory", metavar="NAME", default="paper", show_default=True, help="Reference motion.")
+@click.option(
+    "--trajectory",
+    metavar="NAME|FILE",
+    default="paper",
+    show_default=True,
+    help="Reference motion by name, or a CSV file of one, as plan writes it.",
+)
 @click.option(
     "--duration", type=Number(1e-3, 86400.0), metavar="S", help="Repeat or cut the motion to this long; default once."
 )
@@ -101,10 +108,14 @@ def command(
     from sgms_mhe.plant.axis_config import AxisConfig
     from sgms_mhe.plant.simulation import simulate_axis
     from sgms_mhe.plant.trajectories import make_trajectory
+    from sgms_mhe.plant.trajectory_files import read_trajectory
     from sgms_mhe.signals.logs import write_log
 
     sampling = resolved.sampling
-    reference = make_trajectory(trajectory, sampling.rate, duration_s=duration, max_velocity=sampling.max_velocity)
+    if Path(trajectory).suffix:
+        reference = read_trajectory(trajectory, resolved, duration_s=duration)
+    else:
+        reference = make_trajectory(trajectory, sampling.rate, duration_s=duration, max_velocity=sampling.max_velocity)
     names = {resolved.plant.units.named(name): name for name in ("mass", *estimable_names(resolved.effects))}
     scales = {names.get(name, name): factor for name, factor in scales.items()}
     config = AxisConfig(law=law, force_noise_N=force_noise, encoder_resolution_m=encoder_resolution, seed=seed)

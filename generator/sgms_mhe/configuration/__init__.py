@@ -1,5 +1,6 @@
 """From a machine file to the machine it describes: effects from their catalogue, the integrator by its tolerance."""
 
+from sgms_mhe.configuration.laws import law_changes, under_other_law
 from sgms_mhe.configuration.resolution import load_machine, make_machine, override_machine
 
-__all__ = ["load_machine", "make_machine", "override_machine"]
+__all__ = ["law_changes", "load_machine", "make_machine", "override_machine", "under_other_law"]

@@ -168,7 +168,9 @@ def _check_names(file: MachineFile, names: Collection[str]) -> None:
         where = ("estimator", "parameters", index)
         if name not in names:
             raise file.refused(where, name, f"one of {listing(names)}")
-        if name in BASE_PARAMETERS and getattr(file.tables.friction, name) == 0.0:
+        if name in BASE_PARAMETERS and name not in file.tables.friction.estimable:
+            if name == "fraction":
+                raise file.refused(where, name, "another parameter: with one element there is nothing to share")
             raise file.refused(where, name, f"a parameter that is not 0 (friction.{name} is its scale)")
     for name, bounds in estimator.bounds.items():
         if name not in names:

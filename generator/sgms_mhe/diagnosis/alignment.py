@@ -11,10 +11,10 @@ from scipy.optimize import lsq_linear
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.compiling import without_bounds
-from sgms_mhe.diagnosis.evidence import nuisance
-from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.recordings.evidence import nuisance
+from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.chain import Signals
 
 Array = NDArray[np.float64]
@@ -124,7 +124,7 @@ def _since_mean_velocity(whole: Subject, fit: Fit) -> Array:
     v = recording.velocity
     chi = np.zeros((model.n_x, len(v)))
     chi[: model.n_z] = np.sign(v)
-    theta = np.tile(fit.theta[:, None], len(v))
+    theta = np.tile(fit.theta[: model.n_p, None], len(v))
     later = v + 0.5 * whole.machine.sampling.step * recording.acceleration
     output = model.function("output")
 

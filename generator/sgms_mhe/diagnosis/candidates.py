@@ -15,12 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.compiling import CompiledFit
-from sgms_mhe.diagnosis.evidence import Nuisance, score_test
 from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.harmonics import search_harmonic
 from sgms_mhe.diagnosis.maps import search_periodic
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
-from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import (
     BASE_CAUSES,
@@ -31,6 +29,8 @@ from sgms_mhe.model.effects import (
 from sgms_mhe.model.effects.base import DAMPING, LEVEL
 from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Periodic, Step, Trials
 from sgms_mhe.model.scales import scales_of
+from sgms_mhe.recordings.evidence import Nuisance, score_test
+from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 

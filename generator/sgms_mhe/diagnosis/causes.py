@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.configuration import law_changes
+from sgms_mhe.diagnosis.compiling import bearing
 from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
-from sgms_mhe.diagnosis.evidence import gain_force, gain_interval
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.groups import Group, without_extra, without_group
-from sgms_mhe.diagnosis.laws import sharp_smoothing
 from sgms_mhe.diagnosis.result import BaseParameter, Cause, Rms
 from sgms_mhe.diagnosis.selection import Selection
 from sgms_mhe.diagnosis.settling import Settled, split_rms
 from sgms_mhe.diagnosis.subject import Fit
 from sgms_mhe.machine import Machine, Thresholds
-from sgms_mhe.model.effects import base_number, effect_definition, reported_name
+from sgms_mhe.model import whole_shares
+from sgms_mhe.model.effects import BASE_CAUSES, base_number, effect_definition, reported_name
+from sgms_mhe.model.effects.base import LEVEL
+from sgms_mhe.model.scales import scales_of
+from sgms_mhe.recordings.evidence import gain_force, gain_interval
 
 Array = NDArray[np.float64]
 
@@ -51,7 +56,22 @@ def measured_causes(settled: Settled, selection: Selection, blind: Fit) -> dict[
             gain_interval_N=gain_interval(without.loss[held], blind.loss[held], fit.rows[held]),
             p_value=selection.p_values.get(group, math.nan),
         )
-    return causes
+    return {group: replace(cause, vague=_vague(cause, settled.thresholds)) for group, cause in causes.items()}
+
+
+def _vague(cause: Cause, thresholds: Thresholds) -> tuple[str, ...]:
+    """Parameters that the record does not determine: their intervals are as wide as they are, or there are none."""
+    found = []
+    for key, value in cause.parameters.items():
+        margin = thresholds.sigmas * cause.std[key]
+        if cause.nominal:
+            known = margin <= thresholds.vague * abs(value)
+        else:
+            parameter = effect_definition(cause.name).parameter(key)
+            known = parameter.role == "place" or margin < abs(value - parameter.none)
+        if not known:  # NaN included
+            found.append(key)
+    return tuple(found)
 
 
 def holds(cause: Cause, thresholds: Thresholds, *, constant: bool = False) -> bool:
@@ -69,6 +89,13 @@ def holds(cause: Cause, thresholds: Thresholds, *, constant: bool = False) -> bo
     return not sizes or any(
         abs(cause.parameters[key] - none) > thresholds.sigmas * cause.std[key] for key, none in sizes.items()
     )
+
+
+def is_possible(cause: Cause, settled: Settled) -> bool:
+    """Whether an axis can have a cause of this size."""
+    if cause.nominal:
+        return True
+    return effect_definition(cause.name).possible(cause.parameters, scales_of(settled.subject.machine))
 
 
 def _sizes(cause: Cause) -> dict[str, float]:
@@ -126,11 +153,18 @@ def extended_machine(
         for name, value in fit.values(group).items():
             number = base_number(name)
             if number is not None and number.array:
-                friction.setdefault(number.name, []).append(value)
+                friction.setdefault(number.name, list(getattr(machine.friction, number.name)))
+                friction[number.name][number.element(name)] = value
             else:
                 friction[name] = value
-    if settled.smoothing == "sharp":
-        friction["smoothing"] = sharp_smoothing(settled.thresholds)
+    for cause in BASE_CAUSES.values():
+        for number in cause.numbers:
+            if number.shares and number.name in friction:
+                nominal = getattr(machine.friction, number.name)
+                friction[number.name], total = whole_shares(friction[number.name], nominal)
+                if total != 1.0:
+                    friction[LEVEL] = total * friction.get(LEVEL, getattr(machine.friction, LEVEL))
+    friction = {**law_changes(machine, bearing(settled.subject.machine, fit.extras)), **friction}
     effects: list[dict[str, Any]] = []
     for effect in machine.effects:
         group = Group.own(effect.name, effect.label)

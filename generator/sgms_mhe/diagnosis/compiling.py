@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Final
@@ -15,15 +13,13 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine, override_machine
 from sgms_mhe.diagnosis.groups import Column, Extra, Group
-from sgms_mhe.diagnosis.recording import Recording
-from sgms_mhe.emission.package import Package, emit_package
-from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.host.compiled import CompiledModel
+from sgms_mhe.host.packages import cached_package
 from sgms_mhe.machine import CLOSED_FORMS, Machine
 from sgms_mhe.model import FreeParameter, Model
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.model.scales import scales_of
-from sgms_mhe.support import cache
+from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 
@@ -38,10 +34,17 @@ Nominal = tuple[tuple[str, float], ...]
 
 @dataclass(frozen=True, eq=False)
 class CompiledFit:
-    """The emitted model along a recording, in pieces of bounded memory, reduced to the fit's rate."""
+    """The emitted model along a recording, in pieces of bounded memory, reduced to the fit's rate.
+
+    Attributes:
+        code: the model, without what delays all of its force.
+        columns: of its parameters, and last the delay where there is one.
+        delayed: whether there is.
+    """
 
     code: CompiledModel
     columns: tuple[Column, ...]
+    delayed: bool = False
 
     @property
     def model(self) -> Model:
@@ -60,16 +63,51 @@ class CompiledFit:
 
     def run(self, recording: Recording, theta: Array, *, derivatives: bool = True) -> tuple[Array, Array | None]:
         """Friction (m) [N] and its derivatives in theta (m, n_p)."""
+        if self.delayed:
+            return self._run_late(recording, theta, derivatives)
+        m, factor, n_p = len(recording.time), recording.factor, self.model.n_p
+        force, slopes = np.empty(m), np.empty((m, n_p)) if derivatives else None
+        for rows, y, d in self._pieces(recording, theta, derivatives):
+            force[rows] = y.reshape(-1, factor).mean(axis=1)
+            if slopes is not None and d is not None:
+                slopes[rows] = d.reshape(-1, factor, n_p).mean(axis=1)
+        return force, slopes
+
+    def _run_late(self, recording: Recording, theta: Array, derivatives: bool) -> tuple[Array, Array | None]:
+        """The same, the drive's force as late as the last parameter says; between samples by lines."""
+        late, rate = self.columns[-1], recording.machine.sampling.rate
+        pieces = list(self._pieces(recording, theta[:-1], derivatives))
+        inertial = recording.machine.plant.moved * recording.signals.acceleration
+        drive = np.concatenate([y for _, y, _ in pieces])
+        inertial = inertial[: len(drive)]
+        drive += inertial
+        at = np.clip(np.arange(len(drive)) - late.si(float(theta[-1])) * rate, 0.0, len(drive) - 1.0)
+        before = np.minimum(at.astype(np.int64), max(0, len(drive) - 2))
+        after, share = np.minimum(before + 1, len(drive) - 1), at - before
+
+        def shifted(series: Array) -> Array:
+            weight = share if series.ndim == 1 else share[:, None]
+            return np.asarray(series[before] * (1.0 - weight) + series[after] * weight)
+
+        force = recording.reduce(shifted(drive) - inertial)
+        if not derivatives:
+            return force, None
+        own = shifted(np.concatenate([d for _, _, d in pieces if d is not None]))
+        change = (drive[before] - drive[after]) * rate * late.scale
+        return force, recording.reduce(np.column_stack((own, change)))
+
+    def _pieces(
+        self, recording: Recording, theta: Array, derivatives: bool
+    ) -> Iterator[tuple[slice, Array, Array | None]]:
+        """Rows, and at their samples the friction (k) [N] and its derivatives in the code's parameters (k, n_p)."""
         signals, factor = recording.signals, recording.factor
-        n, n_x, n_p = len(signals), self.model.n_x, self.model.n_p
-        m = len(recording.time)
+        n_x, n_p, m = self.model.n_x, self.model.n_p, len(recording.time)
         state, sensitivity = np.zeros(n_x), np.zeros((n_x, n_p))
         values = np.ascontiguousarray(theta, dtype=np.float64)
-        force, slopes = np.empty(m), np.empty((m, n_p)) if derivatives else None
         rows = max(1, CHUNK // factor)
         for first in range(0, m, rows):
             last = min(m, first + rows)
-            start, end = first * factor, min(n, last * factor)
+            start, end = first * factor, last * factor
             back = min(start, 1)  # the piece begins with the sample that its state belongs to
             part = slice(start - back, end)
             w = np.column_stack(
@@ -84,10 +122,7 @@ class CompiledFit:
             y = np.empty(len(w))
             d = np.empty((len(w), n_p)) if derivatives else None
             self.code.advance(w, values, state, sensitivity, y, d)
-            force[first:last] = y[back:].reshape(last - first, factor).mean(axis=1)
-            if slopes is not None and d is not None:
-                slopes[first:last] = d[back:].reshape(last - first, factor, n_p).mean(axis=1)
-        return force, slopes
+            yield slice(first, last), y[back:], None if d is None else d[back:]
 
 
 def compiled_fit(machine: Machine, extras: Sequence[Extra]) -> CompiledFit:
@@ -96,25 +131,54 @@ def compiled_fit(machine: Machine, extras: Sequence[Extra]) -> CompiledFit:
     Their values are where a fit starts; what is compiled is near them, so that few models serve all fits.
     """
     keys = [(e.name, _nominal(machine, e)) for e in extras]
+    machine = bearing(machine, extras)
+    late = [i for i, extra in enumerate(extras) if effect_definition(extra.name).delays]
     # Compiled in the order of their names: what order effects were found in must not cost another compilation.
-    places = sorted(range(len(keys)), key=lambda i: keys[i])
-    compiled = compiled_structure(Structure(machine, tuple(keys[i] for i in places)))
-    return compiled if places == list(range(len(keys))) else compiled.ordered(places)
+    places = sorted((i for i in range(len(keys)) if i not in late), key=lambda i: keys[i])
+    compiled = compiled_structure(Structure(_prompt(machine), tuple(keys[i] for i in places)))
+    if places != list(range(len(places))):
+        compiled = compiled.ordered(places)
+    delays = [_delay(machine, extras[i].name, Group.extra(extras[i].name, i), dict(keys[i][1])) for i in late]
+    delays += [
+        _delay(
+            machine,
+            effect.name,
+            Group.own(effect.name, effect.label),
+            effect_definition(effect.name).entries(effect.parameters),
+        )
+        for effect in machine.effects
+        if effect_definition(effect.name).delays
+    ]
+    return replace(compiled, columns=(*compiled.columns, *delays), delayed=True) if delays else compiled
 
 
-def cached_package(machine: Machine) -> Package:
-    """The machine's package, from the cache of compiled libraries where it was emitted before.
+def _prompt(machine: Machine) -> Machine:
+    """The machine without effects that delay all of its force."""
+    kept = [effect for effect in machine.effects if not effect_definition(effect.name).delays]
+    if len(kept) == len(machine.effects):
+        return machine
+    units = machine.plant.units
+    return override_machine(without_bounds(machine), {"effects": [effect.entry(units) for effect in kept]})
 
-    Every log of an axis asks for the same few dozen models; to derive and print one takes longer than to run it.
-    """
-    sources = digest_of_sources(effect.name for effect in machine.effects)
-    key = hashlib.sha256(f"{machine.digest} {sources}".encode()).hexdigest()
-    kept = cache.read("package", key, ".json")
-    if kept is not None:
-        return Package(machine, json.loads(kept))
-    package = emit_package(machine, selftest=False)
-    cache.keep("package", key, ".json", json.dumps(dict(package.files)).encode())
-    return package
+
+def _delay(machine: Machine, name: str, group: Group, nominal: Mapping[str, float]) -> Column:
+    """The column of an effect that delays all of the force."""
+    definition = effect_definition(name)
+    parameter = definition.parameter(definition.delays)
+    value = nominal[parameter.name]
+    scale = parameter.estimation_scale(scales_of(machine), value)
+    lower, upper = ((edge - value) / scale + 1.0 for edge in (parameter.lower, parameter.upper))
+    free = FreeParameter(f"{name}.{parameter.name}", f"{name}.{parameter.name}", value, scale, lower, upper)
+    return _effect_column(group, parameter.name, free)
+
+
+def bearing(machine: Machine, extras: Sequence[Extra]) -> Machine:
+    """The machine with a law that effects can stand with: for elements that switch, ones that slip almost at once."""
+    if not machine.friction.switches or not any(effect_definition(extra.name).smooth_only for extra in extras):
+        return machine
+    limits = machine.diagnosis
+    smoothing = {"zeta": limits.sharp_zeta, "lambda": limits.sharp_lambda, "gamma": limits.sharp_gamma}
+    return override_machine(machine, {"friction": {"law": "sgms", "smoothing": smoothing}})
 
 
 @dataclass(frozen=True)
@@ -166,7 +230,8 @@ def _with_everything_free(
     units = machine.plant.units
     effects = [e.entry(units) for e in machine.effects]
     effects += [{"name": name} | units.keyed(effect_definition(name).lists(dict(values))) for name, values in extras]
-    names = [name for cause in BASE_CAUSES.values() for name in cause.frees]
+    axis = machine.friction.model_copy(update=dict(friction))
+    names = [name for cause in BASE_CAUSES.values() for name in cause.frees if name in axis.estimable]
     changes: dict[str, Any] = {
         "name": "fit",
         "description": "",

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from sgms_mhe.diagnosis.causes import holds, measured_causes
-from sgms_mhe.diagnosis.evidence import gain_force, inconstancy
+from sgms_mhe.diagnosis.causes import holds, is_possible, measured_causes
+from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
 from sgms_mhe.diagnosis.groups import Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.result import Cause
 from sgms_mhe.diagnosis.rivals import Rejected
@@ -15,6 +15,7 @@ from sgms_mhe.diagnosis.selection import Selection
 from sgms_mhe.diagnosis.settling import Settled, split_rms
 from sgms_mhe.diagnosis.subject import Fit
 from sgms_mhe.model.effects import cause as cause_definition
+from sgms_mhe.recordings.evidence import gain_force, inconstancy
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +42,11 @@ def confirmed(settled: Settled, selection: Selection, *, constant: bool = False)
         fit = selection.fit
         blind = settled.fit(fit.extras, refitted=selection.refitted, warm=fit, rows=settled.seen)
         causes = measured_causes(settled, selection, blind)
-        doubtful = [g for g, cause in causes.items() if not holds(cause, settled.thresholds, constant=constant)]
+        doubtful = [
+            g
+            for g, cause in causes.items()
+            if not holds(cause, settled.thresholds, constant=constant) or not is_possible(cause, settled)
+        ]
         if not doubtful:
             return Confirmed(selection, blind, _strongest_first(causes))
         weakest = min(doubtful, key=lambda group: causes[group].gain_N)
@@ -96,6 +101,40 @@ def refitted_beside(settled: Settled, found: Confirmed, *, constant: bool) -> Co
     # A number of the machine that is no cause any more stays refitted with the others.
     whole = replace(whole, unnamed=(*unnamed, *lost))
     return Confirmed(whole, blind, _strongest_first({g: c for g, c in causes.items() if g not in lost}))
+
+
+def without_undetermined(settled: Settled, found: Confirmed) -> Confirmed:
+    """The same causes with numbers at the machine file's that the record does not determine, where that costs nothing.
+
+    A refit moves all numbers of a cause together. One of an element that hardly shows may end anywhere, and would stand
+    in the extended machine as if it were known.
+    """
+    selection, thresholds = found.selection, settled.thresholds
+    fit = selection.fit
+    deviations = standard_deviations(covariance(settled.subject, fit, settled.other), fit)
+    held: set[str] = set()
+    for group in machine_groups(settled.subject.machine):
+        numbers = [
+            (c.name, c.si(float(t)), c.si(c.machine_theta), thresholds.sigmas * s)
+            for c, t, s in zip(fit.model.columns, fit.theta, deviations, strict=True)
+            if c.group == group and math.isfinite(s)
+        ]
+        vague = {
+            name
+            for name, value, file, margin in numbers
+            if abs(value - file) <= margin and margin > thresholds.vague * abs(value)
+        }
+        held |= vague if len(vague) < len(numbers) else set()
+    if not held:
+        return found
+    names = frozenset(held)
+    least = settled.fit(fit.extras, refitted=selection.refitted, warm=fit, held=names)
+    level = thresholds.material * settled.subject.machine.friction.coulomb
+    if gain_force(least.cross, fit.cross, fit.rows) > max(level, thresholds.material_noise * settled.floor):
+        return found
+    blind = settled.fit(least.extras, refitted=selection.refitted, warm=least, rows=settled.seen, held=names)
+    selection = replace(selection, fit=least)
+    return Confirmed(selection, blind, _strongest_first(measured_causes(settled, selection, blind)))
 
 
 def _strongest_first(causes: Mapping[Group, Cause]) -> tuple[Cause, ...]:

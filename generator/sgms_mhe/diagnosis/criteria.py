@@ -38,8 +38,11 @@ class Criteria:
     report: Progress
 
     def excess(self, fit: Fit) -> float:
-        """RMS of what a fit leaves beyond noise [N]."""
-        return math.sqrt(max(0.0, fit.cross_rms**2 - self.floor**2))
+        """RMS of what a fit leaves beyond noise [N].
+
+        Of the rows that it has seen: where a record turns round but once, a fit without that fold predicts anything.
+        """
+        return math.sqrt(max(0.0, fit.rms**2 - self.floor**2))
 
     def enough(self, fit: Fit) -> float:
         """What an effect must explain to be added to a fit [N]: what matters, and a fair share of what is left.
@@ -49,22 +52,14 @@ class Criteria:
         return max(self.material, self.thresholds.share * self.excess(fit))
 
 
-def barred_by_law(machine: Machine) -> tuple[str, ...]:
-    """Effects that cannot stand with a machine's friction law, so that none of its records can show them."""
-    names = effect_names(machine.plant.kind) if machine.friction.switches else ()
-    return tuple(name for name in names if effect_definition(name).smooth_only)
-
-
 def criteria_of(machine: Machine, floor: float, excitation: Mapping[Measure, float], report: Progress) -> Criteria:
     """The criteria of a record of this noise floor [N] and these measures."""
     thresholds = machine.diagnosis
-    barred = barred_by_law(machine)
-    # What a record does not excite cannot be found in it; what only imitates it can. Nor can what the law cannot bear.
+    # What a record does not excite cannot be found in it; what only imitates it can.
     excited = tuple(
         name
         for name in effect_names(machine.plant.kind)
-        if name not in barred
-        and not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
+        if not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
     )
     material = max(thresholds.material * machine.friction.coulomb, thresholds.material_noise * floor)
     return Criteria(thresholds, floor, material, excited, report)

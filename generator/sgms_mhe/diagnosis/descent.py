@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.compiling import CompiledFit
 from sgms_mhe.diagnosis.groups import Column
-from sgms_mhe.diagnosis.recording import Recording
+from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from sgms_mhe.diagnosis.recording import Recording, forgotten_after, reduced, samples_per_row, split_blocks
+from sgms_mhe.recordings.recording import Recording, forgotten_after, reduced, samples_per_row, split_blocks
 
 SEAM: Final = 2  # rows at the end of a piece that derivatives of a row's neighbours would mix with the next
 

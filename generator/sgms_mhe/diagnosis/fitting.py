@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.compiling import CompiledFit
 from sgms_mhe.diagnosis.descent import FitError, LeastSquares, Prior, held_at_bounds
-from sgms_mhe.diagnosis.evidence import cross_loss
-from sgms_mhe.diagnosis.groups import Extra, Group
+from sgms_mhe.diagnosis.groups import Column, Extra, Group
 from sgms_mhe.diagnosis.subject import Fit, FitKey, Subject
+from sgms_mhe.recordings.evidence import cross_loss
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -24,6 +25,7 @@ def fit_model(
     refitted: Sequence[Group] | None = None,
     warm: Fit | None = None,
     rows: Mask | None = None,
+    held: frozenset[str] = frozenset(),
     iterations: int | None = None,
     again: bool = False,
 ) -> Fit:
@@ -35,6 +37,7 @@ def fit_model(
         refitted: groups of the machine's own numbers that are free; None: all.
         warm: a fit whose machine numbers to start from.
         rows: rows that the fit sees (m); None: all used ones.
+        held: columns of the machine's own numbers that stay at its file's, whatever is refitted.
         iterations: at most; None: the usual ones.
         again: fit even what is known, from `warm`, and keep the better one.
 
@@ -45,53 +48,63 @@ def fit_model(
         tuple((e.name, tuple(e.parameters.items())) for e in extras),
         None if refitted is None else frozenset(refitted),
         None if rows is None else rows.tobytes(),
+        held,
     )
     known = subject.known.get(key)
     if known is None or again:
-        fit = _fit(subject, extras, refitted, warm, rows, iterations or subject.thresholds.iterations)
+        wanted = _Wanted(refitted, rows, held, iterations or subject.thresholds.iterations)
+        fit = _fit(subject, extras, warm, wanted)
         subject.known[key] = fit if known is None or fit.rms < known.rms else known
     return subject.known[key]
 
 
-def _fit(
-    subject: Subject,
-    extras: Sequence[Extra],
-    refitted: Sequence[Group] | None,
-    warm: Fit | None,
-    rows: Mask | None,
-    iterations: int,
-) -> Fit:
+@dataclass(frozen=True, eq=False)
+class _Wanted:
+    """What a fit may move and see; as the arguments of `fit_model`."""
+
+    refitted: Sequence[Group] | None
+    rows: Mask | None
+    held: frozenset[str]
+    iterations: int
+
+    def frees(self, column: Column) -> bool:
+        """Whether a column is fitted."""
+        if column.group.is_extra:
+            return not column.frozen
+        wanted = self.refitted is None or column.group in self.refitted
+        return wanted and not column.frozen and column.name not in self.held
+
+
+def _fit(subject: Subject, extras: Sequence[Extra], warm: Fit | None, wanted: _Wanted) -> Fit:
     """At the rate that suits the effects, and where a thinned model is not finite at the full one."""
     if subject.suited(extras) is subject:
         try:
-            return _fit_here(subject, extras, refitted, warm, rows, iterations)
+            return _fit_here(subject, extras, warm, wanted)
         except FitError:
             if subject.fine is None:
                 raise
-    return fit_model(subject.whole, extras, refitted=refitted, warm=warm, rows=rows, iterations=iterations)
+    return fit_model(
+        subject.whole,
+        extras,
+        refitted=wanted.refitted,
+        warm=warm,
+        rows=wanted.rows,
+        held=wanted.held,
+        iterations=wanted.iterations,
+    )
 
 
-def _fit_here(
-    subject: Subject,
-    extras: Sequence[Extra],
-    refitted: Sequence[Group] | None,
-    warm: Fit | None,
-    rows: Mask | None,
-    iterations: int,
-) -> Fit:
+def _fit_here(subject: Subject, extras: Sequence[Extra], warm: Fit | None, wanted: _Wanted) -> Fit:
     """At the subject's own rate."""
     recording, model = subject.recording, subject.model(extras)
     columns = model.columns
     theta = subject.start(model, extras, warm)
-    free = np.array(
-        [not c.frozen and (c.group.is_extra or refitted is None or c.group in refitted) for c in columns],
-        dtype=np.bool_,
-    )
+    free = np.array([wanted.frees(c) for c in columns], dtype=np.bool_)
     kept = ~free & np.array([not c.group.is_extra for c in columns], dtype=np.bool_)
     theta[kept] = [c.machine_theta for c, k in zip(columns, kept, strict=True) if k]
-    seen = recording.used if rows is None else rows
+    seen = recording.used if wanted.rows is None else wanted.rows
     problem = LeastSquares(model, recording, seen, free, _prior(subject, model, free))
-    found = problem.descend(theta, iterations, subject.enough)
+    found = problem.descend(theta, wanted.iterations, subject.enough)
     # A parameter that its bound holds moves neither with a candidate nor from fold to fold.
     loose = free & ~held_at_bounds(columns, found, seen, recording)
     return Fit(

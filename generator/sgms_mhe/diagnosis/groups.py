@@ -64,7 +64,11 @@ class Group:
 def machine_groups(machine: Machine) -> tuple[Group, ...]:
     """All groups of the machine's own numbers: those of the base model, then its effects."""
     return (
-        *(Group.base(name) for name in BASE_CAUSES),
+        *(
+            Group.base(name)
+            for name, cause in BASE_CAUSES.items()
+            if machine.friction.n_z > 1 or not any(number.shares for number in cause.numbers)
+        ),
         *(Group.own(effect.name, effect.label) for effect in machine.effects),
     )
 

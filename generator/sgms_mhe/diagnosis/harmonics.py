@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
-from sgms_mhe.diagnosis.evidence import Nuisance
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Harmonic
+from sgms_mhe.recordings.evidence import Nuisance
+from sgms_mhe.recordings.repetition import in_step
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -91,6 +92,9 @@ def _search(definition: EffectDefinition, kind: Harmonic, seen: Residual, fine: 
             continue
         sine = _Sine(kind, seen, x, tuple(w * visible for w in weights))
         kappa, found = _energies(sine, (low, high), seen.free, seen.e)
+        if in_time:
+            # What comes again with the motion is a function of the motion as well: no record like that shows a clock.
+            found = np.where(in_step(seen.recording, kappa), 0.0, found)
         tests += (high - low) * span
         peak = int(np.argmax(found))
         if best is None or found[peak] > best[0]:

@@ -1,79 +1,69 @@
-"""How sharply elements slip: a property of the smoothed law, not of an axis, and found out beside the causes."""
+"""Which law of friction an axis obeys: elements that go over smoothly or that switch. Found out beside the causes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
-from sgms_mhe.configuration import override_machine
+from sgms_mhe.configuration import under_other_law
 from sgms_mhe.diagnosis.alignment import aligned, thinned
 from sgms_mhe.diagnosis.candidates import stiffness_start, stribeck_start
 from sgms_mhe.diagnosis.criteria import Criteria
 from sgms_mhe.diagnosis.descent import FitError
-from sgms_mhe.diagnosis.evidence import nuisance
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, machine_groups
-from sgms_mhe.diagnosis.recording import Recording
+from sgms_mhe.diagnosis.starting import convex_start
 from sgms_mhe.diagnosis.subject import Fit, Subject
-from sgms_mhe.machine import Machine, Thresholds
+from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
-
-Transition = Literal["machine", "sharp"]
-"""From sticking to slipping: as the machine file's smoothing says, or almost at once."""
+from sgms_mhe.recordings.evidence import nuisance
+from sgms_mhe.recordings.recording import Recording
 
 
 @dataclass(frozen=True, eq=False)
 class Laws:
-    """The same axis and record under the transitions that it may have.
+    """The same axis and record under both laws.
 
     Attributes:
-        smooth: that of the file.
-        sharp: elements that slip almost at once; None where the file's do, be it that they switch, or where that is no
-            model of the record.
-        taken: which of them fits better.
-        decided: whether the other one is out of the question, whatever effect is added.
+        own: that of the machine file.
+        foreign: the other one; None where it is no model of the record, or an effect of the file's does not stand
+            with it.
+        taken: whether the foreign one fits better.
+        decided: whether the one that is not taken is out of the question, whatever effect is added.
     """
 
-    smooth: Subject
-    sharp: Subject | None
-    taken: Transition = "machine"
+    own: Subject
+    foreign: Subject | None
+    taken: bool = False
     decided: bool = False
 
     @property
     def chosen(self) -> Subject:
         """The one that is taken."""
-        return self.sharp if self.taken == "sharp" and self.sharp is not None else self.smooth
+        return self.foreign if self.taken and self.foreign is not None else self.own
 
     @property
     def other(self) -> Subject | None:
         """The one that is not."""
-        return self.smooth if self.taken == "sharp" else self.sharp
+        return self.own if self.taken else self.foreign
 
     def with_chosen(self, subject: Subject) -> Laws:
         """The same with another subject in the place of the chosen one."""
-        return replace(self, sharp=subject) if self.taken == "sharp" else replace(self, smooth=subject)
-
-
-def sharp_smoothing(thresholds: Thresholds) -> dict[str, float]:
-    """`[friction] smoothing` of elements that slip almost at once."""
-    return {"zeta": thresholds.sharp_zeta, "lambda": thresholds.sharp_lambda, "gamma": thresholds.sharp_gamma}
+        return replace(self, foreign=subject) if self.taken else replace(self, own=subject)
 
 
 def laws_of(machine: Machine, recording: Recording, floor: float) -> Laws:
-    """A machine along a record under both transitions, thinned for the search; `floor`: its noise [N]."""
-    smoothing, own = sharp_smoothing(machine.diagnosis), machine.friction.smoothing
-    subjects = []
-    for sharp in (False, True):
-        if sharp and (own is None or own.lambda_ >= smoothing["lambda"]):
-            continue
-        axis = override_machine(machine, {"friction": {"smoothing": smoothing}}) if sharp else machine
+    """A machine along a record under both laws, thinned for the search; `floor`: its noise [N]."""
+
+    def along(axis: Machine) -> Subject:
         subject = thinned(replace(Subject.of(axis, recording), noise=floor))
-        try:
-            subjects.append(aligned(subject, fit_model(subject, (), refitted=())))
-        except FitError:  # so sharp a transition is no model of this record
-            continue
-    return Laws(subjects[0], subjects[1] if len(subjects) > 1 else None)
+        return aligned(subject, fit_model(subject, (), refitted=()))
+
+    foreign = under_other_law(machine)
+    try:
+        return Laws(along(machine), along(foreign) if foreign is not None else None)
+    except FitError:  # the file's own is a model of this record: it was run before
+        return Laws(along(machine), None)
 
 
 def starting_unknown(laws: Laws) -> Laws:
@@ -81,7 +71,7 @@ def starting_unknown(laws: Laws) -> Laws:
 
     A file without a Stribeck effect says nothing about its velocity.
     """
-    subject = laws.smooth
+    subject = laws.own
     unknown = {
         cause.name
         for cause in BASE_CAUSES.values()
@@ -93,35 +83,37 @@ def starting_unknown(laws: Laws) -> Laws:
     fit = fit_model(subject, (), refitted=groups)
     free = nuisance(fit.slopes[subject.recording.used][:, fit.loose])
     found = stribeck_start(subject.recording, fit, free)
-    sharp = laws.sharp and laws.sharp.starting_from({**laws.sharp.starts, **found})
-    return replace(laws, smooth=subject.starting_from({**subject.starts, **found}), sharp=sharp)
+    foreign = laws.foreign and laws.foreign.starting_from({**laws.foreign.starts, **found})
+    return replace(laws, own=subject.starting_from({**subject.starts, **found}), foreign=foreign)
 
 
-def fit_transition(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[Laws, Fit]:
-    """Fit with the transition from sticking to slipping that fits better, from now on.
+def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[Laws, Fit]:
+    """Fit under the law that fits better, and keep to it from now on.
 
     Both are tried, after every effect again, so that the difference is not taken for an effect, nor an effect for it;
     each with its own thinned model brought into line, or what thinning does to the new effect would decide.
     """
     thresholds = criteria.thresholds
-    if laws.sharp is None or laws.decided:
+    if laws.foreign is None or laws.decided:
         subject = _starting_stiff(laws.chosen, extras, criteria)
-        subject, fit = in_line(subject, fit_model(subject, extras))
+        subject, fit = _from_nothing(*in_line(subject, fit_model(subject, extras)), criteria)
         return laws.with_chosen(subject), fit
-    smooth = _starting_stiff(laws.smooth, extras, criteria)
-    sharp = _starting_stiff(laws.sharp, extras, criteria)
-    smooth, fit = in_line(smooth, fit_model(smooth, extras))
-    sharp, other = _fit_sharp(sharp, fit)
+    own = _starting_stiff(laws.own, extras, criteria)
+    foreign = _starting_stiff(laws.foreign, extras, criteria)
+    own, fit = _from_nothing(*in_line(own, fit_model(own, extras)), criteria)
+    foreign, other = _fit_foreign(foreign, fit)
+    if other is not None:
+        foreign, other = _from_nothing(foreign, other, criteria)
     if other is None:
-        return replace(laws, smooth=smooth, sharp=sharp, taken="machine"), fit
+        return replace(laws, own=own, foreign=foreign, taken=False), fit
     ratio = other.cross_rms / fit.cross_rms
-    taken: Transition = "sharp" if ratio < thresholds.sharper else "machine"
-    better = other if taken == "sharp" else fit
+    taken = ratio < thresholds.sharper
+    better = other if taken else fit
     decided = (
         not thresholds.decided < ratio < 1.0 / thresholds.decided
         and criteria.excess(better) < thresholds.decided_left * criteria.material
     )
-    return Laws(smooth, sharp, taken, decided), better
+    return Laws(own, foreign, taken, decided), better
 
 
 def in_line(subject: Subject, fit: Fit) -> tuple[Subject, Fit]:
@@ -147,18 +139,36 @@ def _starting_stiff(subject: Subject, extras: Sequence[Extra], criteria: Criteri
     return subject.starting_from({**kept, **stiffness_start(subject, extras, criteria.material)})
 
 
-def _fit_sharp(sharp: Subject, fit: Fit) -> tuple[Subject, Fit | None]:
-    """The sharp transition with the effects of a fit, in line; None where it cannot be fitted.
+def _from_nothing(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Subject, Fit]:
+    """The fit, or where it leaves something one from numbers that no machine file has a say in, if that is better.
 
-    The switching law's sum of squares is rough: from the machine's numbers and from the smooth fit's.
+    A sum of squares of elements has more than one minimum, and the file's numbers decide which one a fit ends in.
+    """
+    if criteria.excess(fit) < criteria.material:
+        return subject, fit
+    starts = convex_start(subject, fit)
+    if not starts:
+        return subject, fit
+    again = subject.starting_from({**subject.starts, **starts})
+    try:
+        again, better = in_line(again, fit_model(again, fit.extras))
+    except FitError:
+        return subject, fit
+    return (again, better) if better.cross_rms < criteria.thresholds.sharper * fit.cross_rms else (subject, fit)
+
+
+def _fit_foreign(foreign: Subject, fit: Fit) -> tuple[Subject, Fit | None]:
+    """The other law with the effects of a fit, in line; None where it cannot be fitted.
+
+    The switching law's sum of squares is rough: from the machine's numbers and from the fit's.
     """
     found: Fit | None = None
-    for _ in range(sharp.thresholds.alignments):
+    for _ in range(foreign.thresholds.alignments):
         if found is not None:
-            sharp = aligned(sharp, found)
+            foreign = aligned(foreign, found)
         for warm in (None, found or fit):
             try:
-                found = fit_model(sharp, fit.extras, warm=warm, again=warm is not None)
+                found = fit_model(foreign, fit.extras, warm=warm, again=warm is not None)
             except FitError:
                 continue
-    return (sharp, None) if found is None else in_line(sharp, found)
+    return (foreign, None) if found is None else in_line(foreign, found)

@@ -15,11 +15,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.evidence import score_test
 from sgms_mhe.diagnosis.harmonics import search_harmonic
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Periodic
+from sgms_mhe.recordings.evidence import score_test
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

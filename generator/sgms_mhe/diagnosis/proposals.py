@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.evidence import Nuisance, score_test
 from sgms_mhe.diagnosis.groups import Extra
-from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.model.effects import EffectDefinition, MotionRecord
+from sgms_mhe.recordings.evidence import Nuisance, score_test
+from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 

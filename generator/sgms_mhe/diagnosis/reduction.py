@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.criteria import Criteria
-from sgms_mhe.diagnosis.evidence import cross_loss, gain_force
 from sgms_mhe.diagnosis.fitting import fit_model, prior_information
 from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.recordings.evidence import cross_loss, gain_force
 
 Array = NDArray[np.float64]
 Groups = tuple[Group, ...]

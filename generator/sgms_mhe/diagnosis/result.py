@@ -47,6 +47,7 @@ class Cause:
         gain_N: RMS of the force that this cause explains on held-out data.
         gain_interval_N: 95 % interval of `gain_N` over held-out blocks.
         p_value: of the score test against the model without it, multiplicity included.
+        vague: parameters that the record does not determine.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Cause:
     gain_N: float
     gain_interval_N: tuple[float, float]
     p_value: float
+    vague: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -205,11 +207,12 @@ class Diagnosis:
         structure: of the residual before and after.
         traces: decimated signals.
         extended: the extended machine, None where nothing is named.
-        smoothing: "machine" or "sharp": the transition from sticking to slipping that fits the record.
+        law: of friction that fits the record, as in the machine file.
         excited: whether the axis moved.
         warnings: what the user should know about the record (gaps, saturation, too fast, too short).
         seconds: computing time.
         rival_fits: of the alternatives that are rivals.
+        undecided: sentences on what no record of this motion can decide.
     """
 
     machine: Machine
@@ -229,18 +232,40 @@ class Diagnosis:
     traces: Traces
     extended: Machine | None
     extended_toml: str | None
-    smoothing: str
+    law: str
     excited: bool
     warnings: tuple[str, ...]
     seconds: float
     rival_fits: tuple[RivalFit, ...] = ()
+    undecided: tuple[str, ...] = ()
+
+    def identifies(self, cause: Cause) -> bool:
+        """Whether the record determines a cause's numbers, and no other cause would do as well."""
+        return not cause.vague and all(a.instead_of != cause.name for a in self.alternatives if a.rival)
 
     @property
     def limits(self) -> tuple[str, ...]:
         """Sentences on what this record cannot decide."""
         pairs = [f"{a.instead_of} or {a.name}: {a.why_not}" for a in self.alternatives if a.rival and a.instead_of]
-        unknown = [f"{b.name}: the record does not show it" for b in self.base if not math.isfinite(b.std)]
-        return (*pairs, *unknown)
+        named = self.machine.plant.units.named
+        vague = [
+            f"{cause.name}: the record does not determine {', '.join(map(named, cause.vague))}"
+            for cause in self.causes
+            if cause.vague
+        ]
+        unknown = [f"{named(b.name)}: the record does not show it" for b in self.base if not math.isfinite(b.std)]
+        return (*self._left, *pairs, *self.undecided, *vague, *unknown)
+
+    @property
+    def _left(self) -> tuple[str, ...]:
+        """What is left where something is."""
+        if self.verdict != "unexplained" or not self.excited:
+            return ()
+        unit, rms = self.machine.plant.units.force, self.rms.held_out_after
+        return (
+            f"{rms:.3g} {unit} are left, {rms / self.noise_floor_N:.2g} times the noise: something acts on this axis "
+            "that no cause in the catalogue accounts for",
+        )
 
     @property
     def extended_name(self) -> str | None:
@@ -268,6 +293,7 @@ class Diagnosis:
                     },
                     "gain_N": cause.gain_N,
                     "gain_interval_N": list(cause.gain_interval_N),
+                    "identified": self.identifies(cause),
                 }
                 for cause in self.causes
             ],
@@ -284,6 +310,7 @@ class Diagnosis:
                 "noise_floor": self.noise_floor_N,
             },
             extended_machine=self.extended_name,
+            law=self.law,
             structure_left=[
                 {"coordinate": s.coordinate, "rms_N": s.rms_N, "p_value": s.p_value, "peak": s.peak}
                 for s in self.structure_after
@@ -313,7 +340,7 @@ def write_diagnosis(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
 
 def write_refusal(sentence: str, machine: Machine, out_dir: str | Path) -> dict[str, Any]:
     """Write diagnosis.json of a log that cannot be what it says, and nothing else; return its content."""
-    content = _document(machine, "unexplained", sentence, [sentence])
+    content = _document(machine, "unexplained", sentence, [sentence], law=machine.friction.law)
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "diagnosis.json", json.dumps(content, indent=2) + "\n")
@@ -329,6 +356,7 @@ def _document(
     summary: str,
     limits: Sequence[str],
     *,
+    law: str,
     causes: Sequence[Mapping[str, Any]] = (),
     alternatives: Sequence[Mapping[str, Any]] = (),
     separating_experiment: str | None = None,
@@ -347,6 +375,7 @@ def _document(
         "separating_experiment": separating_experiment,
         "residual_rms_N": residual_rms_N,
         "extended_machine": extended_machine,
+        "law": law,
         "structure_left": structure_left,
         "base": base,
         "limits": limits,

@@ -11,13 +11,13 @@ import numpy as np
 
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import Criteria, addable
-from sgms_mhe.diagnosis.evidence import difference_statistic, gain_force, nuisance, score_test
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.proposals import Proposal
-from sgms_mhe.diagnosis.rounds import Ranked, attempted_fit, distinct, is_degenerate, linear_gain
+from sgms_mhe.diagnosis.rounds import Ranked, attempted_fit, distinct, is_ruled_out, linear_gain
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import cause, effect_definition
+from sgms_mhe.recordings.evidence import difference_statistic, gain_force, nuisance, score_test
 
 Judgement = Literal["better", "rival", "worse", "untried"]
 
@@ -176,7 +176,7 @@ def _judge(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Cri
     thresholds, material = criteria.thresholds, criteria.material
     excess = gain_force(trial.cross, place.fit.cross, place.fit.rows)
     t = difference_statistic(place.fit.cross, trial.cross)
-    if is_degenerate(trial, name, subject):
+    if is_ruled_out(trial, name, subject):
         return "worse", max(0.0, excess)
     clearly = t < -thresholds.rival_t and excess < -thresholds.better * material
     if clearly or (name in cause(place.cause).simpler.causes and excess < material):

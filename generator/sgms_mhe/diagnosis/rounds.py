@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import Criteria, addable
 from sgms_mhe.diagnosis.descent import FitError
-from sgms_mhe.diagnosis.evidence import cross_loss, difference_statistic, gain_force, nuisance
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.result import Outcome, Score
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import cause, effect_definition
+from sgms_mhe.model.scales import scales_of
+from sgms_mhe.recordings.evidence import cross_loss, difference_statistic, gain_force, nuisance
+from sgms_mhe.recordings.repetition import in_step
 
 Array = NDArray[np.float64]
 
@@ -146,11 +148,19 @@ def attempted_fit(
         return None
 
 
-def is_degenerate(fit: Fit, name: str, subject: Subject) -> bool:
-    """Whether the effect that was added last has turned into a simpler one."""
+def is_ruled_out(fit: Fit, name: str, subject: Subject) -> bool:
+    """Whether the effect that was added last has turned into a simpler one, or into one that no such axis has."""
     if not fit.extras or fit.extras[-1].name != name:
         return False
-    return cause(name).simpler.reached(fit.extras[-1].parameters, subject.recording.extents)
+    parameters = fit.extras[-1].parameters
+    definition = effect_definition(name)
+    if not definition.possible(parameters, scales_of(subject.machine)):
+        return True
+    if definition.sine is not None and definition.sine.coordinate == "time":
+        frequency = np.array([parameters[definition.sine.period]])
+        if in_step(subject.recording, frequency).any():
+            return True
+    return cause(name).simpler.reached(parameters, subject.recording.extents)
 
 
 def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: Criteria) -> str | None:
@@ -160,7 +170,7 @@ def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: C
     gains = {
         name: gain
         for name, gain in gains.items()
-        if gain > criteria.enough(current) and not is_degenerate(fits[name], name, subject)
+        if gain > criteria.enough(current) and not is_ruled_out(fits[name], name, subject)
     }
     if not gains:
         return None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from sgms_mhe.diagnosis.criteria import Criteria
 from sgms_mhe.diagnosis.groups import Group
-from sgms_mhe.diagnosis.laws import Laws, fit_transition, starting_unknown
+from sgms_mhe.diagnosis.laws import Laws, fit_law, starting_unknown
 from sgms_mhe.diagnosis.reduction import necessary, pruned
 from sgms_mhe.diagnosis.result import Score
 from sgms_mhe.diagnosis.rivals import Contest, Rejected, Rival, cause_significance, find_rivals
@@ -69,7 +69,7 @@ class Selection:
 
 def search_causes(laws: Laws, criteria: Criteria) -> Searched:
     """Add effects one after the other, from the machine with all its own numbers refitted."""
-    laws, current = fit_transition(starting_unknown(laws), (), criteria)
+    laws, current = fit_law(starting_unknown(laws), (), criteria)
     scores: tuple[Score, ...] = ()
     seen: frozenset[str] = frozenset()
     for number in range(1, criteria.thresholds.rounds + 1):
@@ -81,7 +81,7 @@ def search_causes(laws: Laws, criteria: Criteria) -> Searched:
         if found.fit is None:
             break
         extras = pruned(laws.chosen, found.fit, criteria, least=1).extras
-        laws, current = fit_transition(laws, extras, criteria)
+        laws, current = fit_law(laws, extras, criteria)
     # What is left unexplained is no measure for the machine's numbers, but no finer one than that is possible.
     told = criteria.thresholds.left * criteria.excess(current)
     return Searched(laws, current, replace(criteria, material=max(criteria.material, told)), scores, seen)

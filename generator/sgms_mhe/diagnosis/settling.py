@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.alignment import aligned, residual_along
-from sgms_mhe.diagnosis.evidence import noise_floor
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
-from sgms_mhe.diagnosis.laws import Laws, Transition
-from sgms_mhe.diagnosis.recording import Recording
+from sgms_mhe.diagnosis.laws import Laws
 from sgms_mhe.diagnosis.selection import Selection
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.machine import Thresholds
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.effects.search import Step
+from sgms_mhe.recordings.evidence import noise_floor
+from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -68,8 +68,8 @@ class Settled:
     Attributes:
         record: all of it.
         subject: machine with the transition that fits, in line with the selection; on pieces of a long record.
-        other: the same with the other transition; None: there is none.
-        smoothing: which one fits.
+        other: the same under the other law; None: there is none.
+        foreign: whether the law that fits is not the machine file's.
         selection: with numbers that can be reported.
         nominal: the machine as it is, with its own transition.
         nominal_left: what that leaves of the whole record.
@@ -82,7 +82,7 @@ class Settled:
     record: Recording
     subject: Subject
     other: Subject | None
-    smoothing: Transition
+    foreign: bool
     selection: Selection
     nominal: Fit
     nominal_left: Left
@@ -113,12 +113,13 @@ class Settled:
         refitted: Sequence[Group] | None = None,
         warm: Fit | None = None,
         rows: Mask | None = None,
+        held: frozenset[str] = frozenset(),
         iterations: int | None = None,
         again: bool = False,
     ) -> Fit:
         """`fit_model` of the subject."""
         return fit_model(
-            self.subject, extras, refitted=refitted, warm=warm, rows=rows, iterations=iterations, again=again
+            self.subject, extras, refitted=refitted, warm=warm, rows=rows, held=held, iterations=iterations, again=again
         )
 
     def left(self, fit: Fit) -> Left:
@@ -165,7 +166,7 @@ def settle(record: Recording, nominal: Fit, laws: Laws, selection: Selection) ->
         record=record,
         subject=subject,
         other=laws.other,
-        smoothing=laws.taken,
+        foreign=laws.taken,
         selection=replace(selection, fit=fit),
         nominal=nominal,
         nominal_left=nominal_left,

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.signal import welch
 
-from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.diagnosis.result import Structure
+from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 

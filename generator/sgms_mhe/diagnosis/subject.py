@@ -9,11 +9,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.compiling import CompiledFit, compiled_fit
+from sgms_mhe.diagnosis.compiling import CompiledFit, bearing, compiled_fit
 from sgms_mhe.diagnosis.groups import Extra, Group
-from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.machine import Machine, Thresholds
 from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -129,13 +129,17 @@ class Subject:
         return compiled_fit(self.machine, extras)
 
     def suited(self, extras: Sequence[Extra]) -> Subject:
-        """The one whose rate suits these effects: this one, or the full rate."""
-        return self.whole if any(effect_definition(e.name).full_rate for e in extras) else self
+        """The one whose rate suits these effects: this one, or the full rate.
+
+        Where one has another law than the machine, what the longer steps change is not what was taken out of this one.
+        """
+        borne = bearing(self.machine, extras) is not self.machine
+        return self.whole if borne or any(effect_definition(e.name).full_rate for e in extras) else self
 
     def starting_from(self, starts: Mapping[str, float]) -> Subject:
         """The same with other values that fits start from."""
-        fine = None if self.fine is None else replace(self.fine, starts=starts)
-        return replace(self, starts=starts, fine=fine)
+        fine = None if self.fine is None else replace(self.fine, starts=starts, known={})
+        return replace(self, starts=starts, fine=fine, known={})
 
     def settled(self) -> Subject:
         """The same with fits that go on until their numbers can be reported."""

@@ -11,15 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.causes import base_parameters, extended_machine
-from sgms_mhe.diagnosis.confirmation import Confirmed, confirmed, constant_causes, refitted_beside
-from sgms_mhe.diagnosis.criteria import Progress, barred_by_law, criteria_of
+from sgms_mhe.diagnosis.confirmation import (
+    Confirmed,
+    confirmed,
+    constant_causes,
+    refitted_beside,
+    without_undetermined,
+)
+from sgms_mhe.diagnosis.criteria import Progress, criteria_of
 from sgms_mhe.diagnosis.descent import FitError
-from sgms_mhe.diagnosis.evidence import gain_interval, noise_floor
 from sgms_mhe.diagnosis.excerpt import excerpt
-from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.laws import laws_of, sharp_smoothing
-from sgms_mhe.diagnosis.recording import Recording, prepare
+from sgms_mhe.diagnosis.laws import laws_of
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
 from sgms_mhe.diagnosis.selection import search_causes, select_causes
 from sgms_mhe.diagnosis.settling import Left, Settled, settle, split_rms
@@ -27,7 +30,11 @@ from sgms_mhe.diagnosis.standins import rival_fits
 from sgms_mhe.diagnosis.structure import structure_map
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.diagnosis.wording import alternatives_of, experiment_of, summary_of
-from sgms_mhe.machine import Machine, listing
+from sgms_mhe.machine import Machine
+from sgms_mhe.recordings.evidence import gain_interval, noise_floor
+from sgms_mhe.recordings.excitation import measures
+from sgms_mhe.recordings.recording import Recording, prepare
+from sgms_mhe.recordings.repetition import repetition_note
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -107,37 +114,34 @@ def _judge(settled: Settled) -> _Judged:
     thresholds = settled.thresholds
     found = confirmed(settled, settled.selection)
     plain = settled.fit((), refitted=())
-    allowed = _allowed(settled.record.machine, settled.floor)
     # The base numbers' own small errors are no structure that asks for a name.
     free = settled.fit(found.selection.fit.extras, warm=found.selection.fit)
     before, after = settled.excess(plain), min(settled.excess(found.selection.fit), settled.excess(free))
-    complete = after < max(allowed, thresholds.unexplained_share * before)
-    if not complete and found.selection.causes:
+    verdict: Verdict
+    if not found.selection.causes:
+        verdict = "adequate" if after < _allowed(settled.record.machine, settled.floor) else "unexplained"
+    elif after < _allowed(settled.record.machine, settled.floor, before):
+        verdict = "ambiguous" if found.selection.rivals else "explained"
+        if settled.foreign:
+            found = refitted_beside(settled, found, constant=False)
+    else:
+        verdict = "unexplained"
         # Something is left; but causes that are the same everywhere in the record are none the less real.
         found = constant_causes(settled, settled.selection)
         # What refitted numbers explain that are no cause is no merit of the causes.
         before = settled.excess(settled.fit((), refitted=found.selection.unnamed))
-        complete = bool(found.causes) and settled.excess(found.selection.fit) < thresholds.most_left * before
-    elif found.causes and settled.smoothing == "sharp":
-        found = refitted_beside(settled, found, constant=False)
-    verdict: Verdict
-    if not found.selection.causes:
-        verdict = "adequate" if after < allowed else "unexplained"
-    elif not complete:
-        verdict = "unexplained"
-    elif found.selection.rivals:
-        verdict = "ambiguous"
-    else:
-        verdict = "explained"
-    if verdict == "unexplained" and found.selection.causes:
-        found = Confirmed(replace(found.selection, fit=plain, refitted=(), rivals=()), plain, ())
-    return _Judged(verdict, found, plain, free)
+        if not found.causes or not settled.excess(found.selection.fit) < thresholds.most_left * before:
+            found = Confirmed(replace(found.selection, fit=plain, refitted=(), rivals=()), plain, ())
+    return _Judged(verdict, without_undetermined(settled, found) if found.causes else found, plain, free)
 
 
-def _allowed(machine: Machine, floor: float) -> float:
-    """RMS beyond noise [N] that a complete explanation may leave."""
-    thresholds = machine.diagnosis
-    return max(thresholds.unexplained * machine.friction.coulomb, thresholds.unexplained_noise * floor)
+def _allowed(machine: Machine, floor: float, before: float = 0.0) -> float:
+    """RMS beyond noise [N] that a complete explanation may leave; `before`: without its causes."""
+    thresholds, level = machine.diagnosis, machine.friction.coulomb
+    wanted = max(
+        thresholds.unexplained * level, thresholds.unexplained_noise * floor, thresholds.unexplained_share * before
+    )
+    return min(wanted, max(thresholds.unexplained_most * floor, thresholds.unexplained_least * level))
 
 
 def _diagnosis(machine: Machine, log: Log, settled: Settled, judged: _Judged) -> Diagnosis:
@@ -169,40 +173,32 @@ def _diagnosis(machine: Machine, log: Log, settled: Settled, judged: _Judged) ->
         if named
         else (0.0, 0.0),
         base=base_parameters(settled, judged.free if named else settled.start),
-        scores=selection.scores if verdict != "unexplained" else _unnamed(selection.scores),
+        scores=selection.scores if named or verdict != "unexplained" else _unnamed(selection.scores),
         structure_before=structure_map(record, nominal.residual),
         structure_after=structure_map(record, final.residual if named else start.residual),
         traces=_traces(record, nominal, start, final if named else nominal, unseen),
         extended=extended,
         extended_toml=toml,
-        smoothing=settled.smoothing,
+        law=settled.subject.machine.friction.law,
         excited=True,
         warnings=(
             *settled.recording.warnings,
-            *_transition_notes(settled, judged.plain),
-            *_law_notes(machine),
+            *_law_notes(settled, judged.plain),
             *_estimation_notes(machine, extended),
         ),
         seconds=0.0,
         rival_fits=rival_fits(settled, selection),
+        undecided=repetition_note(record),
     )
 
 
-def _transition_notes(settled: Settled, plain: Fit) -> tuple[str, ...]:
-    """What a user should know of an axis that slips more sharply than its machine file says."""
-    if settled.smoothing == "machine":
+def _law_notes(settled: Settled, plain: Fit) -> tuple[str, ...]:
+    """What a user should know of an axis that obeys another law than its machine file says."""
+    if not settled.foreign:
         return ()
-    unit = settled.record.machine.plant.units.force
-    numbers = ", ".join(f"{key} = {value:g}" for key, value in sharp_smoothing(settled.thresholds).items())
-    return (f"elements slip more sharply than [friction.smoothing] says: {numbers} alone leave {plain.rms:.3g} {unit}",)
-
-
-def _law_notes(machine: Machine) -> tuple[str, ...]:
-    """What cannot be found in any record of a machine of this law."""
-    barred = barred_by_law(machine)
-    if not barred:
-        return ()
-    return (f"not looked for, as they do not stand with [friction] law = switching: {listing(barred)}",)
+    unit, law = settled.record.machine.plant.units.force, settled.subject.machine.friction.law
+    how = "at once" if law == "switching" else "smoothly"
+    return (f"elements slip {how}: [friction] law = {law} alone leaves {plain.rms:.3g} {unit}",)
 
 
 def _estimation_notes(machine: Machine, extended: Machine | None) -> tuple[str, ...]:
@@ -262,7 +258,7 @@ def _without_excitation(machine: Machine, log: Log, recording: Recording, nomina
         traces=_traces(recording, *4 * (Left.of(nominal),)),
         extended=None,
         extended_toml=None,
-        smoothing="machine",
+        law=machine.friction.law,
         excited=False,
         warnings=(*recording.warnings, "no excitation: the axis hardly moves"),
         seconds=0.0,

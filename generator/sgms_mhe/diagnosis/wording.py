@@ -63,9 +63,7 @@ def _why_not(selection: Selection, name: str, units: Units) -> str:
 
 def experiment_of(verdict: Verdict, rivals: Sequence[Alternative]) -> str | None:
     """What to record next: the moves that tell causes and rivals apart; None: nothing."""
-    if verdict == "unexplained":
-        return TWICE
-    moves = []
+    moves = [TWICE] if verdict == "unexplained" else []
     for rival in rivals:
         if rival.instead_of is None:
             continue
@@ -84,8 +82,10 @@ def summary_of(
     gain = f"the residual on data not used in the fit goes from {before:.3g} {unit} to {after:.3g} {unit} RMS"
     if verdict == "adequate":
         return f"The simulation explains the record; {before:.3g} {unit} RMS are left, nothing is named."
-    if verdict == "unexplained":
+    if verdict == "unexplained" and not causes:
         return f"{before:.3g} {unit} RMS are left that no known effect accounts for; nothing is named."
+    if verdict == "unexplained":
+        return f"{', '.join(names)}, and more that no known effect accounts for: {gain}."
     if verdict == "ambiguous":
         others = [name for name in dict.fromkeys(rival.name for rival in rivals) if name not in names]
         return f"{', '.join(names)}, but {', '.join(others)} would fit as well: {gain}."

@@ -49,10 +49,14 @@ def sized_cause(
 ) -> tuple[Hidden, Array] | None:
     """A cause whose force has that size, and the force; None where it cannot be had."""
     friction = machine.friction
-    numbers = (number.name for base in BASE_CAUSES.values() for number in base.numbers if not number.array)
+    numbers: Values = {}
+    for number in (number for base in BASE_CAUSES.values() for number in base.numbers):
+        values = getattr(friction, number.name)
+        columns = number.columns(friction.n_z)
+        numbers |= dict(zip(columns, values if number.array else (values,), strict=True))
     scene = Scene(
         scales=scales_of(machine),
-        numbers={number: getattr(friction, number) for number in numbers},
+        numbers=numbers,
         cutoff=machine.sampling.velocity_cutoff,
         travel=float(np.ptp(motion.position_m)),
         speed=float(np.abs(motion.velocity_m_s).max()),
@@ -93,8 +97,10 @@ def _wrong_number(
         return None
     factors, elements = Values(), len(machine.friction.stiffness)
     for number in BASE_CAUSES[name].numbers:
+        columns = number.columns(elements)
         if number.name in drawn:
-            factors |= dict.fromkeys(number.columns(elements), drawn[number.name])
+            factors |= dict.fromkeys(columns, drawn[number.name])
+        factors |= {column: drawn[column] for column in columns if column in drawn}
     hidden = Hidden(name, factors=factors)
     force = prescribed_signals(machine, motion, hidden).friction - plain.friction
     return replace(hidden, size=peak_force(force) / machine.friction.coulomb), force

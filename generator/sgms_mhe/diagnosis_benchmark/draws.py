@@ -16,7 +16,6 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.diagnosis.excitation import measures
 from sgms_mhe.diagnosis_benchmark.causes import Hidden, Values, draw_size, peak_force, prescribed_signals, sized_cause
 from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, draw_motion
 from sgms_mhe.diagnosis_benchmark.unmodelled import UNMODELLED
@@ -28,6 +27,7 @@ from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory
+from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.signals.chain import settle_samples, signals_from_log
 from sgms_mhe.signals.logs import Log
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.diagnosis.compiling import cached_package
 from sgms_mhe.host.compiled import CompiledModel
+from sgms_mhe.host.packages import cached_package
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.signals.chain import Signals, settle_samples
@@ -54,7 +54,7 @@ def _model(machine: Machine) -> CompiledModel:
         friction, sampling = machine.friction, machine.sampling
         # Those that the friction is linear in, or nearly; of a number that is 0 there is no multiple.
         linear = [number.name for base in BASE_CAUSES.values() for number in base.numbers[:1]]
-        names = [name for name in linear if getattr(friction, name) != 0.0]
+        names = [name for name in linear if name in friction.estimable]
         substeps = max(sampling.integrator.substeps, sampling.samples_per_update)
         changes = {
             "name": "base_numbers",

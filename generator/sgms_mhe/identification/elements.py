@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine
-from sgms_mhe.diagnosis.compiling import cached_package
 from sgms_mhe.host.compiled import CompiledModel
+from sgms_mhe.host.packages import cached_package
 from sgms_mhe.identification.records import Motion
 
 Array = NDArray[np.float64]

@@ -16,12 +16,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.evidence import cross_loss
-from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.identification.elements import NO_RISE, Law, Stribeck, run_elements
 from sgms_mhe.identification.linear import solve_bounded
 from sgms_mhe.identification.records import Motion
 from sgms_mhe.identification.terms import Term
+from sgms_mhe.recordings.evidence import cross_loss
+from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -11,9 +11,6 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.configuration import make_machine
-from sgms_mhe.diagnosis.evidence import noise_floor
-from sgms_mhe.diagnosis.excitation import measures
-from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.identification.description import check_slides, law_numbers, limits_of, mass_number, unexcited
 from sgms_mhe.identification.fitting import View
 from sgms_mhe.identification.records import Records, in_order, records_of, started
@@ -29,6 +26,9 @@ from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.model.effects import MOVES, Measure, effect_definition
 from sgms_mhe.model.effects.causes import CauseDefinition
+from sgms_mhe.recordings.evidence import noise_floor
+from sgms_mhe.recordings.excitation import measures
+from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 

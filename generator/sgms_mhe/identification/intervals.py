@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.evidence import block_moments, noise_floor
 from sgms_mhe.identification.fitting import AxisFit, View
+from sgms_mhe.recordings.evidence import block_moments, noise_floor
 
 Array = NDArray[np.float64]
 

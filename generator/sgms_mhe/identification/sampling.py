@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine, override_machine
-from sgms_mhe.diagnosis.recording import prepare
 from sgms_mhe.machine import Machine, plant_content
 from sgms_mhe.model.effects import MOVES
+from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.signals.logs import JITTER, Log
 from sgms_mhe.support.errors import InputError
 

@@ -102,7 +102,7 @@ def search(views: Views, terms: Sequence[Term], spectrum: Spectrum, elements: in
     first = {}
     for law in LAWS:
         report(f"{law}: {count} elements")
-        first[law] = fit_in_line(views, terms, Shape(law, _split(spectrum, count), rise))
+        first[law] = fit_in_line(views, terms, Shape(law, split_distances(spectrum, count), rise))
     law, other = sorted(LAWS, key=lambda law: first[law].cross_rms)
     fits: dict[Law, dict[int, AxisFit]] = {law: {len(fit.levels): fit} for law, fit in first.items()}
     chosen = _settled_count(views, terms, spectrum, fits[law], elements, report)
@@ -177,7 +177,7 @@ def _try_counts(
 
 def _best(views: Views, terms: Sequence[Term], spectrum: Spectrum, near: AxisFit, count: int) -> AxisFit:
     """The better of two fits: from the clusters of the spectrum, and from a fit with one element more or less."""
-    starts = [_split(spectrum, count), _changed(near, count)]
+    starts = [split_distances(spectrum, count), _changed(near, count)]
     lined = _in_line(views, near)
     tried = [
         fit_axis(lined, terms, Shape(near.shape.law, start, near.shape.rise), iterations=CHOICE_ITERATIONS)
@@ -186,7 +186,7 @@ def _best(views: Views, terms: Sequence[Term], spectrum: Spectrum, near: AxisFit
     return fit_in_line(views, terms, min(tried, key=lambda fit: fit.rms).shape)
 
 
-def _split(spectrum: Spectrum, count: int) -> Array:
+def split_distances(spectrum: Spectrum, count: int) -> Array:
     """So many break-away distances: clusters of the spectrum, the widest gaps filled where these are few."""
     distances = clustered(spectrum, count)[0]
     while len(distances) < count:

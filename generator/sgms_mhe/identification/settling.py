@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.identification.fitting import AxisFit, Shape, View, fit_axis
 from sgms_mhe.identification.intervals import Quantity, covariance, quantities
 from sgms_mhe.identification.search import Progress, Views, fit_in_line, gains
 from sgms_mhe.identification.terms import LAW_AND_SAMPLING, Term
+from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.model.effects import effect_definition, effect_names
 from sgms_mhe.model.effects.motion import MotionRecord
 from sgms_mhe.model.effects.search import Columns
+from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 

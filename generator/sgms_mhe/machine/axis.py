@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from sgms_mhe.machine.fields import NonNegatives, Positives, Table, quantity, refusal, text
 from sgms_mhe.machine.units import OF_KIND, Kind, Units
 
-BASE_PARAMETERS: Final = ("stiffness", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity")
+BASE_PARAMETERS: Final = ("stiffness", "fraction", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity")
 """Parameters of the base model that can be estimated."""
 
 SUM_TOLERANCE: Final = 1e-6
@@ -93,6 +93,12 @@ class Friction(Table):
     def n_z(self) -> int:
         """Number of Maxwell-slip elements."""
         return len(self.stiffness)
+
+    @property
+    def estimable(self) -> tuple[str, ...]:
+        """Names out of BASE_PARAMETERS that can be estimated: 0 is no scale, and one element alone carries all."""
+        names = tuple(name for name in BASE_PARAMETERS if getattr(self, name) != 0.0)
+        return names if self.n_z > 1 else tuple(name for name in names if name != "fraction")
 
     @property
     def switches(self) -> bool:

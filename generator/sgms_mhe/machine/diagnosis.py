@@ -251,6 +251,14 @@ class Thresholds(FitThresholds):
         gt=0,
         le=100,
     )
+    vague: float = threshold(
+        0.5,
+        "value",
+        "interval from which a number of the machine that does not differ from the file is not determined",
+        "half of it may be chance: the file's stays",
+        gt=0,
+        le=10,
+    )
     joint: float = threshold(
         1e-4,
         "1",
@@ -283,10 +291,26 @@ class Thresholds(FitThresholds):
         ge=0,
         le=1,
     )
+    unexplained_most: float = threshold(
+        3.0,
+        "noise floor",
+        "RMS beyond noise that a complete explanation may leave, whatever the three before it say",
+        "what leaves more has not explained the record, however much it gained",
+        gt=0,
+        le=100,
+    )
+    unexplained_least: float = threshold(
+        0.005,
+        "f_C",
+        "RMS beyond noise that a complete explanation may leave, however quiet the record",
+        "sampling and integration leave as much of a log without noise",
+        gt=0,
+        le=1,
+    )
     most_left: float = threshold(
         0.75,
         "RMS beyond noise before",
-        "RMS beyond noise that may be left where every cause is constant over the record",
+        "RMS beyond noise that may be left for causes to be listed that are constant over the record",
         "measured axes have what no catalogue has; a quarter must go",
         gt=0,
         le=1,

@@ -268,29 +268,29 @@ class FitThresholds(Table):
         16, "rows", "stretch that a model's own error keeps its sign over, for intervals", "a reversal", ge=1, le=10_000
     )
 
-    # --- the transition from sticking to slipping -----------------------------------------------------------------
+    # --- the law: sticking and slipping ---------------------------------------------------------------------------
 
     sharp_zeta: float = threshold(
-        0.995,
+        0.985,
         "1",
-        "zeta of elements that slip almost at once",
-        "0.99 leaves twice as much of the switching law",
+        "zeta of elements that slip almost at once, for effects that do not stand with switching ones",
+        "with 0.995 derivatives outgrow the steps of a fit",
         gt=0,
         lt=1,
     )
     sharp_lambda: float = threshold(
-        700.0,
+        233.0,
         "1",
         "lambda of elements that slip almost at once",
-        "within a hundredth of break-away of the switching law",
+        "lambda (1 - zeta) = 3.5, as with the default smoothing",
         gt=0,
         le=1e6,
     )
-    sharp_gamma: float = threshold(700.0, "1", "gamma of elements that slip almost at once", "as lambda", gt=0, le=1e6)
+    sharp_gamma: float = threshold(233.0, "1", "gamma of elements that slip almost at once", "as lambda", gt=0, le=1e6)
     sharper: float = threshold(
         0.97,
         "RMS left by the other",
-        "RMS below which the sharp transition is taken",
+        "RMS below which the law is taken that is not the machine file's",
         "of a smaller difference the machine file is right",
         gt=0,
         le=1,
@@ -298,7 +298,7 @@ class FitThresholds(Table):
     decided: float = threshold(
         0.8,
         "RMS left by the other",
-        "RMS below which a transition is the axis's, and the other is not tried again",
+        "RMS below which a law is the axis's, and the other is not tried again",
         "no effect turns so much round",
         gt=0,
         le=1,
@@ -306,7 +306,7 @@ class FitThresholds(Table):
     decided_left: float = threshold(
         2.0,
         "gain that matters",
-        "RMS beyond noise up to which a transition is decided",
+        "RMS beyond noise up to which a law is decided",
         "with more left something large is still missing",
         ge=0,
         le=1e3,

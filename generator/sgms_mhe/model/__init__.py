@@ -2,5 +2,6 @@
 
 from sgms_mhe.model.axis import SIGNAL_NAMES, StateSpec
 from sgms_mhe.model.building import FreeParameter, Model, build_model
+from sgms_mhe.model.friction import whole_shares
 
-__all__ = ["SIGNAL_NAMES", "FreeParameter", "Model", "StateSpec", "build_model"]
+__all__ = ["SIGNAL_NAMES", "FreeParameter", "Model", "StateSpec", "build_model", "whole_shares"]

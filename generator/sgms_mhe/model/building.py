@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.axis import SIGNAL_NAMES, StateSpec, SymbolicAxis
 from sgms_mhe.model.effects import EFFECT_NAMES, EffectDefinition, Stage, effect_definition
-from sgms_mhe.model.friction import FrictionSymbols, Smoothing, add_friction, declare_elements
+from sgms_mhe.model.friction import LEAST_REST, FrictionSymbols, Smoothing, add_friction, declare_elements
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.model.switching import check_switching
 from sgms_mhe.support.errors import InputError
@@ -186,6 +186,19 @@ class _Parameters:
     def array(self, name: str, nominal: tuple[float, ...]) -> list[ca.SX]:
         return [self.take(name, f"{name}_{i + 1}", p, p, -np.inf, np.inf) for i, p in enumerate(nominal)]
 
+    def shares(self, name: str, nominal: tuple[float, ...]) -> list[ca.SX]:
+        """Parameters that sum to 1: the largest takes what the others leave, at least a share of its nominal."""
+        largest = nominal.index(max(nominal))
+        taken = [
+            ca.SX(p) if i == largest else self.take(name, f"{name}_{i + 1}", p, p, -np.inf, np.inf)
+            for i, p in enumerate(nominal)
+        ]
+        others = [share for i, share in enumerate(taken) if i != largest]
+        if any(not share.is_constant() for share in others):
+            rest = 1.0 - ca.sum1(ca.vertcat(*others))
+            taken[largest] = ca.fmax(rest, LEAST_REST * nominal[largest])
+        return taken
+
 
 _GATE: Final = 35.0
 """gamma for effects that tell directions apart, where the law has none."""
@@ -284,6 +297,7 @@ def build_model(machine: Machine) -> Model:
     )
     symbols = FrictionSymbols(
         stiffness=parameters.array("stiffness", friction.stiffness),
+        fraction=parameters.shares("fraction", friction.fraction),
         micro_viscous=[ca.SX(s) for s in friction.micro_viscous],
         coulomb=parameters.base("coulomb", friction.coulomb),
         viscous=parameters.base("viscous", friction.viscous),
@@ -303,7 +317,7 @@ def build_model(machine: Machine) -> Model:
     )
     axis.load = _load(effects, axis)
     _contribute(effects, axis, "level")
-    elements = add_friction(axis, friction.fraction, symbols, smoothing)
+    elements = add_friction(axis, symbols, smoothing)
     _contribute(effects, axis, "force", "motor")
     prompt = _prompt_drive(effects, axis)
     _contribute(effects, axis, *_BEHIND_THE_DRIVE)

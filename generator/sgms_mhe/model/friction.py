@@ -9,6 +9,9 @@ import casadi as ca
 
 from sgms_mhe.model.axis import StateSpec, SymbolicAxis
 
+LEAST_REST = 0.02
+"""Share of its nominal that the largest fraction keeps, however large the others become: a level stays positive."""
+
 # tanh(18.5) differs from 1 by less than half a unit in the last place of a double.
 SATURATED = 18.5
 
@@ -18,6 +21,7 @@ class FrictionSymbols:
     """Parameters of the law: each a free symbol's expression or a constant."""
 
     stiffness: Sequence[ca.SX]
+    fraction: Sequence[ca.SX]
     micro_viscous: Sequence[ca.SX]
     coulomb: ca.SX
     viscous: ca.SX
@@ -49,6 +53,18 @@ class Elements:
     rho: ca.SX
 
 
+def whole_shares(fraction: Sequence[float], nominal: Sequence[float]) -> tuple[list[float], float]:
+    """Fractions that sum to 1, and the sum of levels over f_C: 1 but where the largest keeps its least.
+
+    `fraction`: what was found of all but the largest nominal one, whose entry does not count.
+    """
+    largest = max(range(len(nominal)), key=nominal.__getitem__)
+    others = sum(value for i, value in enumerate(fraction) if i != largest)
+    rest = max(1.0 - others, LEAST_REST * nominal[largest])
+    total = 1.0 if rest == 1.0 - others else others + rest
+    return [(rest if i == largest else value) / total for i, value in enumerate(fraction)], total
+
+
 def window(r: ca.SX, smoothing: Smoothing) -> ca.SX:
     """etaA of equation (3), the window in the relative deflection r that starts slip near |r| = zeta.
 
@@ -69,7 +85,7 @@ def stribeck_level(velocity: ca.SX, symbols: FrictionSymbols) -> ca.SX:
 
 def declare_elements(
     axis: SymbolicAxis,
-    fraction: Sequence[float],
+    nominal_fraction: Sequence[float],
     nominal_stiffness: Sequence[float],
     symbols: FrictionSymbols,
     *,
@@ -78,7 +94,7 @@ def declare_elements(
     initial_state: float,
 ) -> None:
     """Declare the states of the n_z elements, so that effects may refer to them before their rates are known."""
-    for i, nu in enumerate(fraction):
+    for i, (nu, fraction) in enumerate(zip(nominal_fraction, symbols.fraction, strict=True)):
         state = axis.add_state(
             StateSpec(
                 name=f"z_{i + 1}",
@@ -89,18 +105,16 @@ def declare_elements(
                 initial_state=initial_state,
             )
         )
-        force_scale = symbols.coulomb / axis.coulomb
+        force_scale = symbols.coulomb / axis.coulomb * (fraction / nu)
         state.node_scale = (
             force_scale if state_as == "force" else force_scale * nominal_stiffness[i] / symbols.stiffness[i]
         )
-        axis.element_force = axis.element_force + nu * state.chi
+        axis.element_force = axis.element_force + fraction * state.chi
     axis.stribeck_level = stribeck_level(axis.velocity, symbols)
     axis.rest_level = 1.0 + symbols.stribeck_ratio
 
 
-def add_friction(
-    axis: SymbolicAxis, fraction: Sequence[float], symbols: FrictionSymbols, smoothing: Smoothing | None
-) -> Elements:
+def add_friction(axis: SymbolicAxis, symbols: FrictionSymbols, smoothing: Smoothing | None) -> Elements:
     """Give the declared elements their rates, and add their forces and the viscous force to the axis.
 
     Without smoothing they switch: an element moves with the axis, and slips where the axis pushes it on at its level.
@@ -109,7 +123,7 @@ def add_friction(
     level = axis.stribeck_level * axis.coulomb_factor + axis.level_force / symbols.coulomb
     deflections: list[ca.SX] = []
     rhos: list[ca.SX] = []
-    for i, nu in enumerate(fraction):
+    for i, nu in enumerate(symbols.fraction):
         state = axis.states[i]
         chi = state.chi
         rho = symbols.stiffness[i] / (nu * symbols.coulomb)

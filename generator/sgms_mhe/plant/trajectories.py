@@ -296,11 +296,24 @@ def make_trajectory(
         InputError: no trajectory of that name, or a number that cannot be meant.
     """
     if name not in TRAJECTORIES:
-        raise InputError("trajectory", "name", name, f"one of {', '.join(TRAJECTORIES)}")
-    for where, value in (("rate", rate), ("max_velocity", max_velocity), ("duration", duration_s)):
-        if value is not None and not (math.isfinite(value) and value > 0.0):
+        raise InputError("trajectory", "name", name, f"one of {', '.join(TRAJECTORIES)}, or a CSV file")
+    for where, value in (("rate", rate), ("max_velocity", max_velocity)):
+        if not (math.isfinite(value) and value > 0.0):
             raise InputError("trajectory", where, value, "a positive number")
-    if duration_s is not None and duration_s * rate > MOST_SAMPLES:
+    return lasting(TRAJECTORIES[name](rate, max_velocity), duration_s)
+
+
+def lasting(trajectory: Trajectory, duration_s: float | None) -> Trajectory:
+    """The trajectory repeated or cut to a duration; as it is where none is given.
+
+    Raises:
+        InputError: a duration that cannot be meant.
+    """
+    if duration_s is None:
+        return trajectory
+    rate = trajectory.rate
+    if not (math.isfinite(duration_s) and duration_s > 0.0):
+        raise InputError("trajectory", "duration", duration_s, "a positive number")
+    if duration_s * rate > MOST_SAMPLES:
         raise InputError("trajectory", "duration", duration_s, f"at most {MOST_SAMPLES / rate:g} s at {rate:g} Hz")
-    trajectory = TRAJECTORIES[name](rate, max_velocity)
-    return trajectory if duration_s is None else trajectory.repeated(duration_s)
+    return trajectory.repeated(duration_s)

@@ -404,7 +404,7 @@ def _estimator(gain: EstimatorGain) -> dict[str, Any]:
 def _about(d: Diagnosis, t: Traces) -> list[tuple[str, str]]:
     used = float(t.used.mean()) if len(t.used) else 0.0
     kept = float(t.held_out.sum() / max(1, t.used.sum()))
-    transition = "as the machine file says" if d.smoothing == "machine" else "sharper than the machine file says"
+    law = f"{d.law}, " + ("as" if d.law == d.machine.friction.law else "not as") + " the machine file says"
     return [
         ("Record", f"{d.source}; {plain(len(t.time_s) / t.rate, 3)} s, fitted at {plain(t.rate, 4)} Hz"),
         (
@@ -415,7 +415,7 @@ def _about(d: Diagnosis, t: Traces) -> list[tuple[str, str]]:
             "Uncertainty",
             "95 % intervals, computed from blocks of the record: residuals that are not white do not narrow them",
         ),
-        ("Sticking to slipping", transition),
+        ("Law of friction", law),
         ("Machine file", f"{d.machine.name}, sha256 {d.machine.digest[:16]}"),
         ("Computed by", f"sgms-mhe {__version__} in {plain(d.seconds, 2)} s"),
     ]

@@ -35,6 +35,7 @@ class BaseNumber:
         words: what a person calls it.
         suffix: its unit at the end of its name in reports (`_N` of `coulomb_N`, `_N_m` of `stiffness_1_N_m`).
         array: whether each element has one (`stiffness_1`, `stiffness_2`, ...).
+        shares: whether they sum to 1, so that the largest is what the others leave and no number of its own.
         lower, upper: limits of a fit, over the nominal value.
         typical: size, in `unit`s of the machine, that a fit counts in where the machine file says 0; None: it may not.
         most: what a record can tell of it [SI]. The machine file's own value stays allowed.
@@ -44,6 +45,7 @@ class BaseNumber:
     words: str
     suffix: str = ""
     array: bool = False
+    shares: bool = False
     lower: float = 0.05
     upper: float = 20.0
     typical: float | None = None
@@ -52,9 +54,10 @@ class BaseNumber:
 
     def holds(self, column: str) -> bool:
         """Whether a column of results is this number, or one of its elements."""
-        return column == self.name or (self.array and self._of_element(column))
+        return column == self.name or (self.array and self.is_element(column))
 
-    def _of_element(self, column: str) -> bool:
+    def is_element(self, column: str) -> bool:
+        """Whether a column of results is one of its elements."""
         stem, _, index = column.rpartition("_")
         return stem == self.name and index.isdigit()
 
@@ -75,8 +78,8 @@ class BaseCause(CauseDefinition):
         numbers: of the base model.
         start_factors: factors, common to all elements, that a fit may start from: where elements turn round all the
             time the sum of squares is rough in them, and a fit that starts far away stops short. Empty: the file's.
-        factors: how a benchmark makes the numbers wrong: factors on them for a size, the largest change of the force
-            over f_C; None where the machine has nothing to make wrong.
+        factors: how a benchmark makes the numbers wrong: factors on them (on all elements, or on single columns) for
+            a size, the largest change of the force over f_C; None where the machine has nothing to make wrong.
         start_search: columns to start from where the machine file says 0 of a number and so nothing of the others;
             sizes that are not positive are none.
     """
@@ -90,6 +93,9 @@ class BaseCause(CauseDefinition):
     def frees(self) -> tuple[str, ...]:
         """Names for `[estimator] parameters`."""
         return tuple(number.name for number in self.numbers)
+
+
+FRACTION: Final = BaseNumber("fraction", "share of the Coulomb level", array=True, shares=True)
 
 
 def _velocities(motion: MotionRecord) -> list[Values]:
@@ -108,6 +114,16 @@ _RISE = Columns(
 def _stiffness(scene: Scene, _: float) -> Mapping[str, float]:
     """A factor of its own: what it does to the force hangs on the reversals alone."""
     return {"stiffness": float(np.exp(scene.sign() * scene.random.uniform(0.3, 0.8)))}
+
+
+def _fraction(scene: Scene, _: float) -> Mapping[str, float] | None:
+    """Every element's share by a factor of its own; as of stiffnesses, the force hangs on the reversals alone."""
+    shares = {key: value for key, value in scene.numbers.items() if FRACTION.is_element(key)}
+    if len(shares) < 2:
+        return None
+    drawn = {key: value * float(np.exp(scene.random.uniform(-0.8, 0.8))) for key, value in shares.items()}
+    total = sum(drawn.values())
+    return {key: drawn[key] / total / shares[key] for key in shares}
 
 
 def _coulomb(scene: Scene, size: float) -> Mapping[str, float]:
@@ -147,6 +163,21 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                     "alone goes on rising over travels far beyond break-away",
                     "micro_viscous": "the same presliding loop at two speeds: a spring does not know speed",
                     "backlash": "one slow reversal: a gap has no force at all, a soft element a low slope",
+                },
+            ),
+            BaseCause(
+                name="fraction",
+                summary="shares of the Coulomb level that elements carry differ from the machine file",
+                numbers=(FRACTION,),
+                factors=_fraction,
+                moves=("loops", "places"),
+                excitation=Excitation(
+                    "reversals, and loops below and beyond each element's break-away", (Need("reversals", 4.0),)
+                ),
+                confused_with={
+                    "stiffness": "loops well below break-away: there the stiffnesses alone count, beyond it the shares",
+                    "hose_hysteresis": "small loops at places far apart: both hystereses are there, but the hose's "
+                    "alone goes on rising over travels far beyond break-away",
                 },
             ),
             BaseCause(

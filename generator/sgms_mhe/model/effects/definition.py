@@ -13,6 +13,7 @@ from sgms_mhe.machine.units import Kind
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.model.effects.parameters import EffectParameter
+from sgms_mhe.model.effects.scales import Scales
 from sgms_mhe.model.effects.search import Derivative, Harmonic, Search
 from sgms_mhe.model.effects.specimen import Specimen
 
@@ -24,6 +25,10 @@ factors on friction; forces; from force to motor current; from current to the lo
 Contribution = Callable[[SymbolicAxis, Mapping[str, ca.SX], Mapping[str, float]], None]
 Value = float | tuple[float, ...]
 """Of a parameter in a machine file: a number, or a list of them."""
+
+
+def _always(_: Mapping[str, float], __: Scales) -> bool:
+    return True
 
 
 PlantForce = Callable[[float, float, float, Mapping[str, float]], float]
@@ -54,6 +59,9 @@ class EffectDefinition(CauseDefinition):
         plant_force: the simulated plant's own version of a force, friction-like in sign, written a second time in plain
             numbers: of position [m], velocity [m/s], time [s] and the parameters. Only effects of other distributions
             have one; the plant knows this package's.
+        possible: whether an axis of these scales can have it with these parameters (by name, SI), beyond their limits.
+        delays: the parameter by which it makes all of the logged force late [s], if that is what it does: a diagnosis
+            shifts the model's force along the record, exactly, where an estimator can but expand it.
         smooth_only: why it cannot stand where elements switch instead of going over smoothly; empty: it can.
         specimen: how a benchmark hides it; None: not at all.
         fit_displacement: largest step of a fit of it where the elements are integrated exactly, in deflection scales of
@@ -75,6 +83,8 @@ class EffectDefinition(CauseDefinition):
     elastic: bool = False
     companion: bool = False
     fit_displacement: float | None = None
+    possible: Callable[[Mapping[str, float], Scales], bool] = _always
+    delays: str = ""
     smooth_only: str = ""
     specimen: Specimen | None = None
     plant_force: PlantForce | None = None

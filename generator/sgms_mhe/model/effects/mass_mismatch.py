@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 import casadi as ca
 
@@ -12,6 +13,9 @@ from sgms_mhe.model.effects.excitation import Excitation, Need
 from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Columns, one_size
 from sgms_mhe.model.effects.specimen import one_number
+
+LIGHTEST: Final = 0.95
+"""Of the machine file's mass: what may be missing of it, so that something moves."""
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -34,5 +38,6 @@ DEFINITION = EffectDefinition(
     inertial=True,
     search=Columns(lambda m, _: m.acceleration[:, None], one_size("mass_kg")),
     linear=True,
+    possible=lambda p, scales: p["mass_kg"] > -LIGHTEST * scales.mass,
     specimen=one_number("mass_kg", lambda scene: 0.1 * scene.scales.mass),
 )

@@ -96,6 +96,8 @@ DEFINITION = EffectDefinition(
     inertial=True,
     search=Columns(lambda m, p: _hanging(m, p)[:, None], one_size("mass_kg"), _frequencies, tests=40.0),
     full_rate=True,
+    # It is a part of what moves.
+    possible=lambda p, scales: p["mass_kg"] < scales.mass,
     states=("stretch", "stretch_rate"),
     specimen=Specimen(
         lambda scene, p, x: {**p, "mass_kg": min(x, 4.0) * 0.1 * scene.scales.mass},

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from sgms_mhe.diagnosis.recording import Recording
+from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 
@@ -153,12 +153,21 @@ def gain_interval(before: Array, after: Array, rows: Array) -> tuple[float, floa
 
 
 def difference_statistic(first: Array, second: Array) -> float:
-    """t of the mean difference of two fits' losses over blocks; positive where the second is worse."""
+    """How sure it is which of two fits is better, from their losses per block; positive where the second is worse.
+
+    t of the mean difference, or the normal score of its signed ranks where that is surer and says the same: one block
+    that holds most of the difference must not hide that all the others agree.
+    """
     difference = second - first
     spread = math.sqrt(
         float(np.sum((difference - difference.mean()) ** 2)) * len(difference) / max(1, len(difference) - 1)
     )
-    return float(difference.sum()) / spread if spread > 0.0 else 0.0
+    if spread == 0.0:
+        return 0.0
+    t = float(difference.sum()) / spread
+    ranks = stats.rankdata(np.abs(difference)) * (difference != 0.0)
+    z = float(ranks @ np.sign(difference)) / math.sqrt(float(ranks @ ranks))
+    return z if z * t > 0.0 and abs(z) > abs(t) else t
 
 
 def inconstancy(recording: Recording, contribution: Array, residual: Array, *, inertial: bool = False) -> float:

@@ -1,0 +1,45 @@
+"""A machine under another law of friction."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from sgms_mhe.configuration.resolution import override_machine
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.support.errors import InputError
+
+LAW_KEYS: Final = ("law", "micro_viscous", "smoothing")
+"""Keys of [friction] that belong to a law."""
+
+
+def under_other_law(machine: Machine) -> Machine | None:
+    """The machine with the other law: switching, or smooth as by default.
+
+    Returns None where an effect of the machine does not stand with it.
+    """
+    if machine.friction.switches:
+        return override_machine(machine, {"friction": {"law": "sgms"}})
+    if any(effect_definition(effect.name).smooth_only for effect in machine.effects):
+        return None
+    # The damping of an element would jump where it breaks away.
+    changes = {"law": "switching", "micro_viscous": [0.0] * machine.friction.n_z}
+    try:
+        return override_machine(machine, {"friction": changes})
+    except InputError:  # an effect of another package, or an integrator that the file insists on
+        return None
+
+
+def law_changes(machine: Machine, other: Machine) -> dict[str, Any]:
+    """Keys of [friction] that take a machine to another one's law; empty where it is the same."""
+    before, after = machine.friction, other.friction
+    changes: dict[str, Any] = {}
+    for key in LAW_KEYS:
+        value = getattr(after, key)
+        if value != getattr(before, key) and value is not None:
+            changes[key] = value
+    if after.smoothing is not None and "smoothing" in changes:
+        changes["smoothing"] = after.smoothing.model_dump(by_alias=True)
+    if "micro_viscous" in changes:
+        changes["micro_viscous"] = list(after.micro_viscous)
+    return changes

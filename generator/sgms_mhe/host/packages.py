@@ -1,0 +1,26 @@
+"""Emitted packages for this host, each derived and printed once."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+from sgms_mhe.emission.package import Package, emit_package
+from sgms_mhe.emission.provenance import digest_of_sources
+from sgms_mhe.machine import Machine
+from sgms_mhe.support import cache
+
+
+def cached_package(machine: Machine) -> Package:
+    """The machine's package, from the cache of compiled libraries where it was emitted before.
+
+    Every log of an axis asks for the same few dozen models; to derive and print one takes longer than to run it.
+    """
+    sources = digest_of_sources(effect.name for effect in machine.effects)
+    key = hashlib.sha256(f"{machine.digest} {sources}".encode()).hexdigest()
+    kept = cache.read("package", key, ".json")
+    if kept is not None:
+        return Package(machine, json.loads(kept))
+    package = emit_package(machine, selftest=False)
+    cache.keep("package", key, ".json", json.dumps(dict(package.files)).encode())
+    return package
