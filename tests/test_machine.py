@@ -563,4 +563,6 @@ def test_schema_is_json_and_knows_the_file_s_keys() -> None:
     smoothing = schema["$defs"]["Smoothing"]["properties"]
     assert set(smoothing) == {"zeta", "lambda", "gamma"}
     assert "[kg]" in schema["$defs"]["Plant"]["properties"]["mass"]["description"]
-    assert schema["$defs"]["Effect"]["additionalProperties"]["type"] == "number"
+    number = {"type": "number"}
+    values = schema["$defs"]["Effect"]["additionalProperties"]["anyOf"]
+    assert values == [number, {"items": number, "type": "array"}]

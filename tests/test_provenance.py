@@ -17,7 +17,7 @@ import sgms_mhe
 from c_packages import machine
 from package_variants import TOY
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.diagnosis import compiling
+from sgms_mhe.host import packages
 from sgms_mhe.emission import provenance
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.emission.provenance import Sources, digest_of_sources, read_sources
@@ -161,14 +161,14 @@ def test_banner_and_cache_of_candidate_models_have_the_same_digest(
 ) -> None:
     settings = machine(estimator={"kind": "ekf"})
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    emitted = compiling.cached_package(settings)
+    emitted = packages.cached_package(settings)
     assert f"with sources {digest_of_sources()}." in emitted.files["etel_xy.c"].splitlines()[0]
     assert digest_of_sources() == HERE.read().digest[: len(digest_of_sources())]
     kept = set(tmp_path.rglob("package-*.json"))
     assert len(kept) == 1
-    monkeypatch.setattr(compiling, "emit_package", None)
-    assert compiling.cached_package(settings).files == emitted.files
-    monkeypatch.setattr(compiling, "emit_package", emit_package)
-    monkeypatch.setattr(compiling, "digest_of_sources", lambda _: "0123456789ab")
-    assert compiling.cached_package(settings).files == emitted.files
+    monkeypatch.setattr(packages, "emit_package", None)
+    assert packages.cached_package(settings).files == emitted.files
+    monkeypatch.setattr(packages, "emit_package", emit_package)
+    monkeypatch.setattr(packages, "digest_of_sources", lambda _: "0123456789ab")
+    assert packages.cached_package(settings).files == emitted.files
     assert len(set(tmp_path.rglob("package-*.json"))) == 2
