@@ -17,10 +17,10 @@ import sgms_mhe
 from c_packages import machine
 from package_variants import TOY
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.host import packages
 from sgms_mhe.emission import provenance
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.emission.provenance import Sources, digest_of_sources, read_sources
+from sgms_mhe.host import packages
 from sgms_mhe.support.paths import runtime_dir, templates_dir
 
 PACKAGE = Path(sgms_mhe.__file__).parent

@@ -692,7 +692,7 @@ def test_closed_loop_with_every_effect(machine: Machine, name: str, law: str) ->
     }  # fmt: skip
     if name in ("friction_drift", "viscous_drift", "dwell_dependence"):
         typical["time_constant_s"] = 5e-3
-    typical["efficiency_ratio"] = 0.8
+    typical |= {"efficiency_ratio": 0.8, "order": 2.0, "sine_N": 0.5, "cosine_N": -0.3}
     effect = (name, {parameter: typical[parameter] for parameter in plant_effects()[name]})
     machine = as_the_effect_wants(machine, name)
     trajectory = make_trajectory("mixed", 1e4, duration_s=3.0)
@@ -744,7 +744,7 @@ def test_machine_effects_are_part_of_the_plant() -> None:
         ({"drift": {"coulomb": linear_drift(-2.0, 0.01)}}, "coulomb"),
         ({"hidden_effects": [("gravity", {})]}, "effect"),
         ({"hidden_effects": [("constant_offset", {"amplitude_N": 1.0})]}, "parameters of constant_offset"),
-        ({"hidden_effects": [("constant_offset", {"force_N": 1.0})] * 33}, "effect"),
+        ({"hidden_effects": [("constant_offset", {"force_N": 1.0})] * 129}, "effect"),
         ({"hidden_effects": [("constant_offset", {"force_N": float("inf")})]}, "constant_offset.force_N"),
         ({"hidden_effects": [("mass_mismatch", {"mass_kg": -20.0})]}, "mass"),
         ({"hidden_effects": [("force_delay", {"delay_s": 1.0})]}, "force_delay.delay_s"),
