@@ -325,9 +325,9 @@ def test_processes_give_what_one_gives(machine: Machine, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("seed", "index", "kind", "hidden", "right"),
     [
-        (11, 0, "single", ("micro_viscous",), {"named", "ambiguous"}),
+        (11, 17, "single", ("micro_viscous",), {"named", "ambiguous"}),
         (12, 2, "single", ("step_disturbance",), {"named"}),
-        (11, 6, "double", ("micro_viscous", "eddy_current_damping"), {"named", "ambiguous"}),
+        (11, 26, "double", ("mass_mismatch", "force_ripple"), {"named", "ambiguous"}),
         (12, 3, "base", ("coulomb",), {"named"}),
         (12, 34, "base", ("fraction",), {"named"}),
         (12, 1, "clean", (), {"right"}),

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import sgms_mhe.diagnosis
+import sgms_mhe.recordings
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis.criteria import criteria_of
 from sgms_mhe.machine import Machine, Thresholds
@@ -24,8 +25,9 @@ from sgms_mhe.signals.chain import signals_of_record
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
-MODULES = sorted(Path(sgms_mhe.diagnosis.__path__[0]).glob("*.py"))
-SOURCES = {path.name: path.read_text(encoding="utf-8") for path in MODULES}
+FOLDERS = [Path(package.__path__[0]) for package in (sgms_mhe.diagnosis, sgms_mhe.recordings)]
+MODULES = sorted(path for folder in FOLDERS for path in folder.glob("*.py"))
+SOURCES = {f"{path.parent.name}/{path.name}": path.read_text(encoding="utf-8") for path in MODULES}
 
 
 @pytest.fixture(scope="module")

@@ -176,8 +176,12 @@ def bearing(machine: Machine, extras: Sequence[Extra]) -> Machine:
     """The machine with a law that effects can stand with: for elements that switch, ones that slip almost at once."""
     if not machine.friction.switches or not any(effect_definition(extra.name).smooth_only for extra in extras):
         return machine
-    limits = machine.diagnosis
-    smoothing = {"zeta": limits.sharp_zeta, "lambda": limits.sharp_lambda, "gamma": limits.sharp_gamma}
+    thresholds = machine.diagnosis
+    smoothing = {
+        "zeta": thresholds.sharp_zeta,
+        "lambda": thresholds.sharp_lambda,
+        "gamma": thresholds.sharp_gamma,
+    }
     return override_machine(machine, {"friction": {"law": "sgms", "smoothing": smoothing}})
 
 

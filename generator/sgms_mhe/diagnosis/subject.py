@@ -131,10 +131,11 @@ class Subject:
     def suited(self, extras: Sequence[Extra]) -> Subject:
         """The one whose rate suits these effects: this one, or the full rate.
 
-        Where one has another law than the machine, what the longer steps change is not what was taken out of this one.
+        States that elements which slip almost at once depend on need its steps too.
         """
         borne = bearing(self.machine, extras) is not self.machine
-        return self.whole if borne or any(effect_definition(e.name).full_rate for e in extras) else self
+        known = [effect_definition(extra.name) for extra in extras]
+        return self.whole if any(e.full_rate or (borne and e.smooth_only and e.states) for e in known) else self
 
     def starting_from(self, starts: Mapping[str, float]) -> Subject:
         """The same with other values that fits start from."""

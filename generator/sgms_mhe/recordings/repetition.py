@@ -15,6 +15,10 @@ Array = NDArray[np.float64]
 
 ALIKE: Final = 0.95
 """Correlation of a motion with itself a lap later from which it repeats itself."""
+UNLIKE: Final = 0.5
+"""Correlation that it has fallen below before a lap is over."""
+SLOWEST: Final = 0.5
+"""Turns in a lap from which a frequency may be a multiple of one over it."""
 LAPS: Final = 8
 """Of a record, at least: with fewer, nearly every frequency is near a multiple of one over a lap."""
 APART: Final = 0.6
@@ -37,7 +41,7 @@ def lap(recording: Recording) -> float | None:
     lags = np.arange(most + 1)
     head, tail = power[n - lags], power[n] - power[lags]
     alike = product / np.sqrt(np.maximum(head * tail, 1e-300))
-    apart = np.flatnonzero(alike < 0.5)
+    apart = np.flatnonzero(alike < UNLIKE)
     if not len(apart):
         return None
     after = alike[apart[0] :]
@@ -52,7 +56,7 @@ def in_step(recording: Recording, frequency: Array) -> NDArray[np.bool_]:
         return np.zeros(frequency.shape, dtype=np.bool_)
     turns = frequency * period
     length = len(recording.time) / recording.rate
-    return np.asarray(np.abs(turns - np.round(turns)) < APART * period / length) & (frequency * period > 0.5)
+    return np.asarray(np.abs(turns - np.round(turns)) < APART * period / length) & (turns > SLOWEST)
 
 
 def repetition_note(recording: Recording) -> tuple[str, ...]:
