@@ -711,6 +711,11 @@ void toy_estimate(const toy_t *self, toy_estimate_t *estimate)
     estimate->status = TOY_OVERLAP;
 }
 
+int toy_check(size_t size, uint32_t header)
+{
+    return size == sizeof(toy_t) && header == TOY_HEADER ? TOY_OK : TOY_MISMATCH;
+}
+
 const char *toy_status_text(int status)
 {
     if (status == TOY_EARLY) {
@@ -718,6 +723,9 @@ const char *toy_status_text(int status)
     }
     if (status == TOY_OVERLAP) {
         return "refused: calls of two tasks overlapped";
+    }
+    if (status == TOY_MISMATCH) {
+        return "refused: the application was compiled against another header";
     }
     if (status < 0) {
         return "refused: the solution was not finite or absurd; the last good estimate stays";

@@ -22,16 +22,16 @@
  *
  * Tasks that share an axis. C99 has no atomics; this is what the caller guarantees, and what the axis watches over:
  *
- *   - One task calls toy_sample(), toy_feedback() and their like, or toy_tick(). That one or one other calls toy_prepare().
- *   - sample() may interrupt prepare() anywhere. feedback() may not: it then returns OVERLAP and changes nothing; it is to be called again once
- *     prepare() has returned, and samples that come until then are lost (OVERRUN). What prepare() had not begun feedback() does itself.
- *   - prepare() inside of prepare() or feedback() returns at once.
- *   - toy_init() and toy_reset() are called while no other call is under way. A reset() inside of prepare() is noticed: the next
- *     feedback() returns OVERLAP and starts the window from the last good estimate.
- *   - toy_estimate() may be called by any task: numbers of one update, or the status OVERLAP where feedback() came between three times.
- *   - Aligned words of 32 bits are read and written in one piece, and in the order of the program. gcc and clang are told to keep it, which is
- *     enough on one core. With another compiler, or tasks on two cores, SGMS_FENCE() (sgms_real.h) has to be a memory barrier; on two cores
- *     prepare() is started after feedback() has returned, as by a semaphore.
+ * - One task calls toy_sample(), toy_feedback() and their like, or toy_tick(). That one or one other calls toy_prepare().
+ * - sample() may interrupt prepare() anywhere. feedback() may not: it then returns OVERLAP and changes nothing; it is to be called again once
+ *   prepare() has returned, and samples that come until then are lost (OVERRUN). What prepare() had not begun feedback() does itself.
+ * - prepare() inside of prepare() or feedback() returns at once.
+ * - toy_init() and toy_reset() are called while no other call is under way. A reset() inside of prepare() is noticed: the next
+ *   feedback() returns OVERLAP and starts the window from the last good estimate.
+ * - toy_estimate() may be called by any task: numbers of one update, or the status OVERLAP where feedback() came between three times.
+ * - Aligned words of 32 bits are read and written in one piece, and in the order of the program. gcc and clang are told to keep it, which is
+ *   enough on one core. With another compiler, or tasks on two cores, SGMS_FENCE() (sgms_real.h) has to be a memory barrier; on two cores
+ *   prepare() is started after feedback() has returned, as by a semaphore.
  *
  * When sensors fail: a reading that is missing or not finite is left out (MISSING). One that contradicts what is predicted of it counts less,
  * as long as it does, and the status says DOUBT; parameters that have been learned stay, and their deviations say how sure they are. What
@@ -40,6 +40,7 @@
 #ifndef TOY_H
 #define TOY_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 #ifdef __cplusplus
@@ -48,6 +49,10 @@ extern "C" {
 
 typedef double toy_real;
 typedef double toy_position; /* m; the functions below make it too, and are the same in every package */
+
+#define TOY_VERSION "0.1.0" /* of the generator */
+#define TOY_MACHINE "9ab2c9eac4dc" /* digest of the machine file */
+#define TOY_HEADER 0x2610d194u /* digest of all that this header declares, for toy_check() */
 
 #define TOY_STATES 1
 #define TOY_ELEMENTS 1
@@ -66,7 +71,8 @@ enum {
     TOY_DOUBT = 64,   /* the readings contradict the model beyond their stated noise: they count less */
     TOY_EARLY = -1,   /* feedback before the interval was complete */
     TOY_NUMERIC = -2, /* the solution was not finite or absurd: the window starts anew from the last good estimate */
-    TOY_OVERLAP = -3  /* calls of two tasks overlapped, as feedback while prepare was under way; see above */
+    TOY_OVERLAP = -3, /* calls of two tasks overlapped, as feedback while prepare was under way; see above */
+    TOY_MISMATCH = -4 /* the application was compiled against another header than this package's */
 };
 
 /* Signals of one sample for toy_insert(), where the controller has a signal chain of its own. */
@@ -179,6 +185,17 @@ static inline toy_position toy_position_from_counts(int64_t counts, int32_t per,
 {
     return per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
 }
+
+/* Whether the application was compiled against the header that this package was: toy_check(sizeof(toy_t), TOY_HEADER)
+ * is TOY_OK, or TOY_MISMATCH: another machine file, another generator, another layout of the memory. To be called before toy_init();
+ * it touches no axis. */
+int toy_check(size_t size, uint32_t header);
+
+/* Self-test (toy_selftest.c): the motion that comes with the package, and what the reference solver estimates from it. 0 where this processor
+ * and compiler come to the same; otherwise the number of the first update that differs. selftest() takes sizeof(toy_t) of stack,
+ * selftest_with() the memory of an axis, which is to be set up anew with toy_init(). */
+int toy_selftest(void);
+int toy_selftest_with(toy_t *axis);
 
 /* Start: nominal parameters, empty window. */
 void toy_init(toy_t *self);
