@@ -52,6 +52,12 @@ class Criteria:
         return max(self.material, self.thresholds.share * self.excess(fit))
 
 
+def material_force(machine: Machine, floor: float) -> float:
+    """RMS of a force that matters on a record of this noise floor [N]."""
+    thresholds = machine.diagnosis
+    return max(thresholds.material * machine.friction.coulomb, thresholds.material_noise * floor)
+
+
 def criteria_of(machine: Machine, floor: float, excitation: Mapping[Measure, float], report: Progress) -> Criteria:
     """The criteria of a record of this noise floor [N] and these measures."""
     thresholds = machine.diagnosis
@@ -61,8 +67,7 @@ def criteria_of(machine: Machine, floor: float, excitation: Mapping[Measure, flo
         for name in effect_names(machine.plant.kind)
         if not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
     )
-    material = max(thresholds.material * machine.friction.coulomb, thresholds.material_noise * floor)
-    return Criteria(thresholds, floor, material, excited, report)
+    return Criteria(thresholds, floor, material_force(machine, floor), excited, report)
 
 
 def addable(machine: Machine, extras: Sequence[Extra], criteria: Criteria) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from sgms_mhe import __version__
 from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, Structure, Traces
+from sgms_mhe.diagnosis.criteria import material_force
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.report.estimator import EstimatorGain
@@ -294,15 +295,9 @@ def _cause(c: Cause, rivals: Sequence[Alternative]) -> dict[str, Any]:
     }
 
 
-def _material(d: Diagnosis) -> float:
-    """RMS that matters, as the search for causes counts it [N]."""
-    thresholds = d.machine.diagnosis
-    return max(thresholds.material * d.machine.friction.coulomb, thresholds.material_noise * d.noise_floor_N)
-
-
 def _depends(s: Structure, d: Diagnosis) -> bool:
     """Whether the residual is a function of a coordinate: not by chance, and by an amount that matters."""
-    return s.p_value < SIGNIFICANT and s.rms_N >= _material(d)
+    return s.p_value < SIGNIFICANT and s.rms_N >= material_force(d.machine, d.noise_floor_N)
 
 
 def _left(d: Diagnosis) -> str:
@@ -338,8 +333,9 @@ def _not_searched(d: Diagnosis) -> str:
     """Why no effect was looked for."""
     if not d.excited:
         return "No effect was looked for: without motion there is nothing to find one in."
+    matters = force(material_force(d.machine, d.noise_floor_N))
     return (
-        f"With the machine's own numbers refitted less than {force(_material(d))} RMS is left beyond the noise: "
+        f"With the machine's own numbers refitted less than {matters} RMS is left beyond the noise: "
         "less than matters, so there was nothing for an effect to explain."
     )
 
