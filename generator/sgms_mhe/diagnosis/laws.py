@@ -15,7 +15,7 @@ from sgms_mhe.diagnosis.groups import Extra, machine_groups
 from sgms_mhe.diagnosis.starting import convex_start
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import BASE_CAUSES
+from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.recordings.evidence import nuisance
 from sgms_mhe.recordings.recording import Recording
 
@@ -91,9 +91,14 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[La
     """Fit under the law that fits better, and keep to it from now on.
 
     Both are tried, after every effect again, so that the difference is not taken for an effect, nor an effect for it;
-    each with its own thinned model brought into line, or what thinning does to the new effect would decide.
+    each with its own thinned model brought into line, or what thinning does to the new effect would decide. But where
+    an effect takes the elements' motion from them, one run costs a hundred others and the laws hardly differ: the law
+    and the start stay what they were without it.
     """
     thresholds = criteria.thresholds
+    if any(effect_definition(extra.name).drives_elements for extra in extras):
+        subject, fit = in_line(laws.chosen, fit_model(laws.chosen, extras))
+        return laws.with_chosen(subject), fit
     if laws.foreign is None or laws.decided:
         subject = _starting_stiff(laws.chosen, extras, criteria)
         subject, fit = _from_nothing(*in_line(subject, fit_model(subject, extras)), criteria)

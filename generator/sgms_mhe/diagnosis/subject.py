@@ -135,7 +135,7 @@ class Subject:
         """
         borne = bearing(self.machine, extras) is not self.machine
         known = [effect_definition(extra.name) for extra in extras]
-        return self.whole if any(e.full_rate or (borne and e.smooth_only and e.states) for e in known) else self
+        return self.whole if any(e.full_rate or (borne and e.drives_elements) for e in known) else self
 
     def starting_from(self, starts: Mapping[str, float]) -> Subject:
         """The same with other values that fits start from."""

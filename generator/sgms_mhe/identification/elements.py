@@ -23,6 +23,8 @@ from sgms_mhe.configuration import make_machine
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.host.packages import cached_package
 from sgms_mhe.identification.records import Motion
+from sgms_mhe.integration.flow_table import gate_ratio
+from sgms_mhe.machine import Smoothing
 
 Array = NDArray[np.float64]
 Law = Literal["sgms", "switching"]
@@ -34,6 +36,8 @@ COARSE: Final = 2.0
 DISTANCE: Final = 1e-9
 SLOW_STEP: Final = 0.05
 """Longest step of smooth elements below the gate, in break-away distances: off by 2e-5 of a level at most."""
+MOST_STEPS: Final = 500
+"""Such steps in one sample, at most."""
 RATE: Final = 1000.0
 """Break-away distance [m] and sample rate [Hz] that elements are compiled for."""
 
@@ -90,6 +94,18 @@ def run_elements(
         runs = [run_element(motion, law, distance, rise, slopes=slopes) for motion in motions]
         found.append(ElementRun(np.concatenate([r.chi for r in runs]), np.concatenate([r.slopes for r in runs])))
     return found
+
+
+def least_distance(law: Law, rise: Stribeck, rate: float) -> float:
+    """Smallest break-away distance [m] of which a sample at the speed of the gate takes no more than MOST_STEPS steps.
+
+    A smaller one could not be told from it there, but would take for ever. Elements that switch take one step.
+    """
+    if law == "switching":
+        return 0.0
+    smoothing = Smoothing()
+    gate = gate_ratio(smoothing.zeta, smoothing.lambda_, smoothing.gamma) * rise.velocity
+    return gate / (rate * SLOW_STEP * MOST_STEPS)
 
 
 def _nominal(law: Law, velocity: float) -> float:

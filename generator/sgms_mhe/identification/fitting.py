@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.identification.elements import NO_RISE, Law, Stribeck, run_elements
+from sgms_mhe.identification.elements import NO_RISE, Law, Stribeck, least_distance, run_elements
 from sgms_mhe.identification.linear import solve_bounded
 from sgms_mhe.identification.records import Motion
 from sgms_mhe.identification.terms import Term
@@ -267,5 +267,6 @@ def _within(shape: Shape, view: View) -> Shape:
     if rise is not None:
         slow, fast = (share * view.rows.extents.speed for share in STRIBECK)
         rise = Stribeck(min(max(rise.ratio, 0.0), MOST_RISE), min(max(rise.velocity, slow), fast))
-    distances = np.sort(np.clip(shape.distances, low / WIDER, high * WIDER))
+    low = max(low / WIDER, *(least_distance(shape.law, rise or NO_RISE, motion.rate) for motion in view.motions))
+    distances = np.sort(np.clip(shape.distances, low, max(low, high * WIDER)))
     return Shape(shape.law, distances, rise)

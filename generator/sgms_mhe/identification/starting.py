@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 
-from sgms_mhe.identification.elements import Law
 from sgms_mhe.identification.fitting import Shape, View, fit_axis
 from sgms_mhe.identification.records import Motion, Records
 from sgms_mhe.identification.search import split_distances
@@ -23,8 +22,9 @@ def element_numbers(recording: Recording, noise: float) -> dict[str, float]:
     """Numbers of the elements, viscous friction and the rise towards low speed, by their names in results [SI].
 
     A spectrum of break-away distances by nonnegative least squares, as many clusters of it as the recording's machine
-    has elements, and their nonlinear fit under that machine's law. Of the machine's numbers only the order counts in
-    which its elements break away: the one that does first is still called what the machine calls it.
+    has elements, and their nonlinear fit, as elements that switch whatever the machine's law: the laws differ by less
+    than a start is off. Of the machine's numbers only the order counts in which its elements break away: the one that
+    does first is still called what the machine calls it.
 
     Args:
         recording: rows of a log, behind the chain.
@@ -48,9 +48,8 @@ def element_numbers(recording: Recording, noise: float) -> dict[str, float]:
     spectrum = find_spectrum(records, terms, noise, grid)
     if not len(spectrum.distances):
         return {}
-    law: Law = "switching" if friction.switches else "sgms"
     view = View(recording, records.coarse, noise, (float(grid[0]), float(grid[-1])))
-    start = Shape(law, split_distances(spectrum, friction.n_z), spectrum.rise)
+    start = Shape("switching", split_distances(spectrum, friction.n_z), spectrum.rise)
     found = fit_axis(view, terms, start, iterations=ITERATIONS)
     levels = np.maximum(found.levels, LEAST_SHARE * found.coulomb)
     coulomb = float(levels.sum())

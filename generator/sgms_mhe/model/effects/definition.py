@@ -135,6 +135,11 @@ class EffectDefinition(CauseDefinition):
         return any(parameter.timing for parameter in self.parameters)
 
     @property
+    def drives_elements(self) -> bool:
+        """Whether elements move with its states and not with the axis: a step of theirs has no closed form then."""
+        return bool(self.smooth_only and self.states)
+
+    @property
     def costly(self) -> bool:
         """Whether its search runs models many times: made only where something speaks for the effect."""
         return self.search.costly
