@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 from sgms_mhe.configuration import override_machine
@@ -18,6 +19,7 @@ from sgms_mhe.diagnosis.recording import Recording
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.machine import Machine, Thresholds
 from sgms_mhe.model.effects import BASE_CAUSES
+from sgms_mhe.support.parallel import in_parallel
 
 Transition = Literal["machine", "sharp"]
 """From sticking to slipping: as the machine file's smoothing says, or almost at once."""
@@ -63,17 +65,20 @@ def sharp_smoothing(thresholds: Thresholds) -> dict[str, float]:
 def laws_of(machine: Machine, recording: Recording, floor: float) -> Laws:
     """A machine along a record under both transitions, thinned for the search; `floor`: its noise [N]."""
     smoothing, own = sharp_smoothing(machine.diagnosis), machine.friction.smoothing
-    subjects = []
-    for sharp in (False, True):
-        if sharp and (own is None or own.lambda_ >= smoothing["lambda"]):
-            continue
-        axis = override_machine(machine, {"friction": {"smoothing": smoothing}}) if sharp else machine
-        subject = thinned(replace(Subject.of(axis, recording), noise=floor))
-        try:
-            subjects.append(aligned(subject, fit_model(subject, (), refitted=())))
-        except FitError:  # so sharp a transition is no model of this record
-            continue
-    return Laws(subjects[0], subjects[1] if len(subjects) > 1 else None)
+    axes = [machine]
+    if own is not None and own.lambda_ < smoothing["lambda"]:
+        axes.append(override_machine(machine, {"friction": {"smoothing": smoothing}}))
+    thin = [thinned(replace(Subject.of(axis, recording), noise=floor)) for axis in axes]
+    found = [subject for subject in in_parallel([partial(_in_line_as_it_is, s) for s in thin]) if subject is not None]
+    return Laws(found[0], found[1] if len(found) > 1 else None)
+
+
+def _in_line_as_it_is(subject: Subject) -> Subject | None:
+    """The subject in line with the machine's own numbers; None where that is no model of the record."""
+    try:
+        return aligned(subject, fit_model(subject, (), refitted=()))
+    except FitError:
+        return None
 
 
 def starting_unknown(laws: Laws) -> Laws:
@@ -108,8 +113,7 @@ def fit_transition(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> t
         subject = _starting_stiff(laws.chosen, extras, criteria)
         subject, fit = in_line(subject, fit_model(subject, extras))
         return laws.with_chosen(subject), fit
-    smooth = _starting_stiff(laws.smooth, extras, criteria)
-    sharp = _starting_stiff(laws.sharp, extras, criteria)
+    smooth, sharp = in_parallel([partial(_starting_stiff, s, extras, criteria) for s in (laws.smooth, laws.sharp)])
     smooth, fit = in_line(smooth, fit_model(smooth, extras))
     sharp, other = _fit_sharp(sharp, fit)
     if other is None:
