@@ -96,8 +96,10 @@ def test_diagnose_has_one_thread_per_library_unless_told_otherwise() -> None:
     )
     stated = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
     for extra, said in (({}, "1 1"), ({"OMP_NUM_THREADS": "3"}, "1 3")):
-        done = subprocess.run([sys.executable, "-c", code], env=stated | extra, capture_output=True, text=True)
-        assert done.stdout.split() == said.split(), done.stderr
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=stated | extra, capture_output=True, text=True, check=True
+        )
+        assert done.stdout.split() == said.split()
 
 
 # --- runs that were asked for before ----------------------------------------------------------------------------
