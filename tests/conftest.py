@@ -11,6 +11,8 @@ import hypothesis
 import pytest
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+if "PYTEST_XDIST_WORKER" in os.environ:  # the cores are shared out already
+    os.environ.setdefault("SGMS_MHE_WORKERS", "1")
 
 REPO_ROOT = Path(__file__).resolve().parents[1]
 MARKED_TOOLS = {

@@ -13,7 +13,7 @@ import pytest
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
 from sgms_mhe.diagnosis.alignment import aligned, thinned
-from sgms_mhe.diagnosis.compiling import compiled_structure
+from sgms_mhe.diagnosis.compiling import compiled_once
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
@@ -404,7 +404,7 @@ def test_models_are_compiled_once_whatever_the_order(
         raise AssertionError("emitted again")
 
     monkeypatch.setattr("sgms_mhe.host.packages.emit_package", refuse)
-    compiled_structure.cache_clear()
+    compiled_once.cache_clear()
     subject.model((one, other))
 
 

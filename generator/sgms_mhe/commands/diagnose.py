@@ -26,6 +26,7 @@ from sgms_mhe.commands.common import (
     show,
 )
 from sgms_mhe.support.errors import ImplausibleError
+from sgms_mhe.support.parallel import leave_cores_to_tasks
 
 if TYPE_CHECKING:
     from sgms_mhe.diagnosis.result import Diagnosis
@@ -74,6 +75,7 @@ def command(
 
     Exit code 1: unexplained; so is a log whose force or position has another sign, scale or unit, which is said.
     """
+    leave_cores_to_tasks()  # before anything loads numpy
     from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)

@@ -16,6 +16,7 @@ from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import nuisance
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.chain import Signals
+from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 
@@ -79,11 +80,13 @@ def aligned(subject: Subject, fit: Fit) -> Subject:
     the fit.
     """
     whole = subject.whole
-    exact = whole.friction(fit)
+    exact, later, own = in_parallel(
+        (lambda: whole.friction(fit), lambda: _since_mean_velocity(whole, fit), lambda: subject.friction(fit))
+    )
     used = subject.recording.used
     if not np.all(np.isfinite(exact)):
         return subject
-    measured = whole.alignment.measured - _since_mean_velocity(whole, fit)
+    measured = whole.alignment.measured - later
     names = [extra.name for extra in fit.extras] + [effect.name for effect in subject.machine.effects]
     timed = any(effect_definition(name).timed for name in names)
     sampled = np.zeros(2) if timed else _sampling(whole, fit, measured - exact)
@@ -96,7 +99,7 @@ def aligned(subject: Subject, fit: Fit) -> Subject:
     )
     if subject.fine is None:
         return whole
-    recording, change = subject.recording, exact - subject.friction(fit)
+    recording, change = subject.recording, exact - own
     # What is no small difference is a model that the longer steps do not suit: it is fitted at the full rate.
     if float(np.std(change[used])) < subject.thresholds.alignable * float(np.std(exact[used])):
         recording = replace(recording, friction=measured - change)
@@ -120,19 +123,19 @@ def _since_mean_velocity(whole: Subject, fit: Fit) -> Array:
     old. A force is sampled in a point, so viscous friction shows an acceleration h / 2 more of it, which looks like a
     mass of sigma_v h / 2. Sliding elements are taken for it: no other state knows so fast a change.
     """
-    recording, model = whole.recording, fit.model.model
+    recording, code = whole.recording, fit.model.code
     v = recording.velocity
-    chi = np.zeros((model.n_x, len(v)))
-    chi[: model.n_z] = np.sign(v)
-    theta = np.tile(fit.theta[: model.n_p, None], len(v))
+    signs, theta = np.array([-1.0, 0.0, 1.0]), fit.theta[: code.model.n_p]
+    chi = np.zeros((code.model.n_x, len(signs)))
+    chi[: code.model.n_z] = signs
+    x = fit.model.nodes(chi, theta)[np.sign(v).astype(np.int64) + 1]
     later = v + 0.5 * whole.machine.sampling.step * recording.acceleration
-    output = model.function("output")
 
     def force(velocity: Array) -> Array:
-        w = np.stack((recording.position, velocity, recording.acceleration, recording.force, recording.time))
-        return np.asarray(output(chi, w, theta)).ravel()
+        w = (recording.position, velocity, recording.acceleration, recording.force, recording.time)
+        return code.forces(np.column_stack(w), theta, x)
 
-    return np.asarray(force(later) - force(v))
+    return force(later) - force(v)
 
 
 def _sampling(whole: Subject, fit: Fit, residual: Array) -> Array:

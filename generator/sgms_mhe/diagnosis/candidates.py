@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Periodi
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import Nuisance, score_test
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 
@@ -60,30 +62,29 @@ def search(subject: Subject, fit: Fit, names: Sequence[str], free: Nuisance) -> 
     recording = subject.recording
     e = free.project(fit.residual[recording.used])
     seen = Residual(recording, motion_of(recording, fit), free, e)
-    found: list[Proposal] = []
-    for name in names:
-        definition = effect_definition(name)
-        kind = definition.search
-        proposal: Proposal | None
-        match kind:
-            case Harmonic():
-                found += search_harmonic(definition, kind, seen)
-                continue
-            case Periodic():
-                proposal = search_periodic(definition, kind, seen)
-            case Columns():
-                proposal = _search_columns(definition, kind, seen)
-                if proposal is not None and kind.exact is not None:
-                    proposal = _exact(definition, kind.exact, proposal, subject, fit, seen)
-            case Step():
-                proposal = _search_step(definition, kind, seen)
-            case Derivative():
-                proposal = _search_derivative(definition, kind, subject, fit, seen)
-            case Trials():
-                proposal = _search_trials(definition, kind, subject, fit, seen)
-        if proposal is not None:
-            found.append(proposal)
-    return found
+    found = in_parallel([partial(_search_effect, effect_definition(name), subject, fit, seen) for name in names])
+    return [proposal for proposals in found for proposal in proposals]
+
+
+def _search_effect(definition: EffectDefinition, subject: Subject, fit: Fit, seen: Residual) -> list[Proposal]:
+    kind = definition.search
+    proposal: Proposal | None
+    match kind:
+        case Harmonic():
+            return search_harmonic(definition, kind, seen)
+        case Periodic():
+            proposal = search_periodic(definition, kind, seen)
+        case Columns():
+            proposal = _search_columns(definition, kind, seen)
+            if proposal is not None and kind.exact is not None:
+                proposal = _exact(definition, kind.exact, proposal, subject, fit, seen)
+        case Step():
+            proposal = _search_step(definition, kind, seen)
+        case Derivative():
+            proposal = _search_derivative(definition, kind, subject, fit, seen)
+        case Trials():
+            proposal = _search_trials(definition, kind, subject, fit, seen)
+    return [] if proposal is None else [proposal]
 
 
 # --- effects that are linear given a few numbers ----------------------------------------------------------------
@@ -291,10 +292,12 @@ def stiffness_start(subject: Subject, extras: Sequence[Extra], material: float) 
         if not cause.start_factors:
             continue
         common = np.array([c.group == Group.base(cause.name) for c in model.columns])
-        left: dict[float, float] = {}
-        for factor in cause.start_factors:
-            friction, _ = model.run(recording, np.where(common, factor * theta, theta), derivatives=False)
-            left[factor] = float(np.mean((recording.friction - friction)[recording.used] ** 2))
+        starts = {factor: np.where(common, factor * theta, theta) for factor in cause.start_factors}
+        runs = in_parallel([partial(model.run, recording, at, derivatives=False) for at in starts.values()])
+        left = {
+            factor: float(np.mean((recording.friction - friction)[recording.used] ** 2))
+            for factor, (friction, _) in zip(starts, runs, strict=True)
+        }
         best = min(left, key=lambda factor: left[factor])
         if left[best] < left[1.0] - material**2:
             start |= {

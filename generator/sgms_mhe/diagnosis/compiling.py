@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -16,7 +17,7 @@ from sgms_mhe.diagnosis.groups import Column, Extra, Group
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.host.packages import cached_package
 from sgms_mhe.machine import CLOSED_FORMS, Machine
-from sgms_mhe.model import FreeParameter, Model
+from sgms_mhe.model import FreeParameter, Model, build_model
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.recording import Recording
@@ -27,6 +28,9 @@ CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memor
 KEPT: Final = 512  # compiled models; a diagnosis of a rich record asks for about a hundred
 COARSE: Final = 4.0  # factor between nominal values that models are compiled for
 STEP: Final = 1.0  # deflection scales of an effect's states per step, unless the effect says otherwise
+
+_SYMBOLIC: Final = threading.RLock()
+"""Held where CasADi is at work: it lets other threads run, and its expressions bear no second one."""
 
 Nominal = tuple[tuple[str, float], ...]
 """Nominal values of an effect's parameters, as a key."""
@@ -61,10 +65,22 @@ class CompiledFit:
         groups |= {g: replace(g, index=places[g.index]) for g in groups if g.is_extra}
         return replace(self, columns=tuple(replace(c, group=groups[c.group]) for c in self.columns))
 
+    def nodes(self, chi: Array, theta: Array) -> Array:
+        """Node states (k, n_x) of states chi (n_x, k)."""
+        with _SYMBOLIC:
+            return np.array(self.model.function("to_node")(chi, np.tile(theta[:, None], chi.shape[1]))).T
+
     def run(self, recording: Recording, theta: Array, *, derivatives: bool = True) -> tuple[Array, Array | None]:
-        """Friction (m) [N] and its derivatives in theta (m, n_p)."""
-        if self.delayed:
-            return self._run_late(recording, theta, derivatives)
+        """Friction (m) [N] and its derivatives in theta (m, n_p), not to be written to: it may be asked for again."""
+        asked, run = theta, self._run
+        if self.delayed:  # models with the same code may scale their delays otherwise
+            late, run = self.columns[-1], self._run_late
+            asked = np.append(theta, (late.si(float(theta[-1])), late.scale))
+        return recording.runs.get(
+            self.code, recording.signals, asked, derivatives, lambda: run(recording, theta, derivatives)
+        )
+
+    def _run(self, recording: Recording, theta: Array, derivatives: bool) -> tuple[Array, Array | None]:
         m, factor, n_p = len(recording.time), recording.factor, self.model.n_p
         force, slopes = np.empty(m), np.empty((m, n_p)) if derivatives else None
         for rows, y, d in self._pieces(recording, theta, derivatives):
@@ -197,13 +213,45 @@ class Structure:
         object.__setattr__(self, "digest", self.machine.digest)
 
 
-@lru_cache(maxsize=KEPT)
+class _Waiting:
+    """Who asks for a structure while another thread compiles it waits for that one."""
+
+    def __init__(self) -> None:
+        self._guard = threading.Lock()
+        self._locks: dict[Structure, threading.Lock] = {}
+
+    def of(self, structure: Structure) -> threading.Lock:
+        """What to hold while asking for it."""
+        with self._guard:
+            return self._locks.setdefault(structure, threading.Lock())
+
+    def done(self, structure: Structure) -> None:
+        """It is compiled, and whoever asks from now on finds it."""
+        with self._guard:
+            self._locks.pop(structure, None)
+
+
+_waiting = _Waiting()
+
+
 def compiled_structure(structure: Structure) -> CompiledFit:
-    """The compiled model of a structure, emitted and loaded once."""
+    """The compiled model of a structure, emitted and loaded once, by whichever threads it is asked for."""
+    with _waiting.of(structure):
+        compiled = compiled_once(structure)
+    _waiting.done(structure)
+    return compiled
+
+
+@lru_cache(maxsize=KEPT)
+def compiled_once(structure: Structure) -> CompiledFit:
+    """What `compiled_structure` keeps, for one thread at a time."""
     machine = structure.machine
-    zero = _typical_sizes(machine)
-    extended = _with_everything_free(machine, structure.extras, zero)
-    code = CompiledModel(extended, cached_package(extended))
+    with _SYMBOLIC:
+        zero = _typical_sizes(machine)
+        extended = _with_everything_free(machine, structure.extras, zero)
+        model = build_model(extended)
+        package = cached_package(extended, model)
+    code = CompiledModel(extended, package, model)
     own = len(machine.effects)
     groups = {
         e.label: Group.own(e.name, e.label) if i < own else Group.extra(e.name, i - own)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.fitting import prior_information
 from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 
@@ -69,7 +71,8 @@ def _law(subject: Subject, fit: Fit, other: Subject | None, inverse: Array, wron
     if other is None:
         return nothing
     used = subject.recording.used
-    change = other.whole.friction(fit)[used] - subject.whole.friction(fit)[used]
+    theirs, own = in_parallel([partial(law.whole.friction, fit) for law in (other, subject)])
+    change = theirs[used] - own[used]
     if not np.all(np.isfinite(change)):
         return nothing
     X = fit.slopes[used][:, fit.free]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from sgms_mhe.configuration import under_other_law
 from sgms_mhe.diagnosis.alignment import aligned, thinned
@@ -18,6 +19,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.recordings.evidence import nuisance
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.support.parallel import in_parallel
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,16 +56,21 @@ class Laws:
 
 def laws_of(machine: Machine, recording: Recording, floor: float) -> Laws:
     """A machine along a record under both laws, thinned for the search; `floor`: its noise [N]."""
-
-    def along(axis: Machine) -> Subject:
-        subject = thinned(replace(Subject.of(axis, recording), noise=floor))
-        return aligned(subject, fit_model(subject, (), refitted=()))
-
     foreign = under_other_law(machine)
+    axes = [machine] if foreign is None else [machine, foreign]
+    thin = [thinned(replace(Subject.of(axis, recording), noise=floor)) for axis in axes]
+    own, *others = in_parallel([partial(_in_line_as_it_is, subject) for subject in thin])
+    if own is None:
+        raise FitError("the model is not finite with the machine's own numbers")
+    return Laws(own, others[0] if others else None)
+
+
+def _in_line_as_it_is(subject: Subject) -> Subject | None:
+    """The subject in line with the machine's own numbers; None where that is no model of the record."""
     try:
-        return Laws(along(machine), along(foreign) if foreign is not None else None)
-    except FitError:  # the file's own is a model of this record: it was run before
-        return Laws(along(machine), None)
+        return aligned(subject, fit_model(subject, (), refitted=()))
+    except FitError:
+        return None
 
 
 def starting_unknown(laws: Laws) -> Laws:
@@ -103,8 +110,7 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[La
         subject = _starting_stiff(laws.chosen, extras, criteria)
         subject, fit = _from_nothing(*in_line(subject, fit_model(subject, extras)), criteria)
         return laws.with_chosen(subject), fit
-    own = _starting_stiff(laws.own, extras, criteria)
-    foreign = _starting_stiff(laws.foreign, extras, criteria)
+    own, foreign = in_parallel([partial(_starting_stiff, s, extras, criteria) for s in (laws.own, laws.foreign)])
     own, fit = _from_nothing(*in_line(own, fit_model(own, extras)), criteria)
     foreign, other = _fit_foreign(foreign, fit)
     if other is not None:

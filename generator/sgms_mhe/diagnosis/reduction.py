@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extr
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import cross_loss, gain_force
+from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 Groups = tuple[Group, ...]
@@ -26,10 +28,12 @@ def pruned(
     `refitted`: groups of the machine's own numbers that are free; None: all.
     """
     while len(fit.extras) > least:
-        trials = [
-            fit_model(subject, without_extra(fit.extras, group), refitted=refitted, warm=fit)
-            for group in fit.extra_groups
-        ]
+        trials = in_parallel(
+            [
+                partial(fit_model, subject, without_extra(fit.extras, group), refitted=refitted, warm=fit)
+                for group in fit.extra_groups
+            ]
+        )
         gains = [gain_force(trial.cross, fit.cross, fit.rows) for trial in trials]
         smallest = min(range(len(gains)), key=lambda i: gains[i])
         if gains[smallest] > criteria.material:
@@ -52,7 +56,8 @@ def wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Group
         rest = [group for group in machine_groups(subject.machine) if group not in named]
         if missing < material or not rest:
             break
-        trials = {g: fit_model(subject, extras, refitted=(*named, g), warm=everything) for g in rest}
+        fits = in_parallel([partial(fit_model, subject, extras, refitted=(*named, g), warm=everything) for g in rest])
+        trials = dict(zip(rest, fits, strict=True))
         best = min(trials, key=lambda group: float(trials[group].cross.sum()))
         if gain_force(current.cross, trials[best].cross, fit.rows) < material:
             break

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from sgms_mhe.model.effects import cause, effect_definition
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import cross_loss, difference_statistic, gain_force, nuisance
 from sgms_mhe.recordings.repetition import in_step
+from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 
@@ -62,13 +64,11 @@ def search_round(subject: Subject, current: Fit, number: int, seen: Collection[s
     ]
     least = thresholds.promising * criteria.enough(current)
     strong = sorted((r for r in significant if r.gain > least), key=lambda r: -r.gain)
-    fits: dict[str, Fit] = {}
-    for ranked in _shortlist(strong, criteria):
-        proposal = ranked.proposal
-        criteria.report(f"refitting {proposal.name}")
-        fit = attempted_fit(subject, (*current.extras, proposal.extra), warm=current)
-        if fit is not None:
-            fits[proposal.name] = fit
+    proposals = [ranked.proposal for ranked in _shortlist(strong, criteria)]
+    if proposals:
+        criteria.report(f"refitting {', '.join(p.name for p in proposals)}")
+    tried = in_parallel([partial(attempted_fit, subject, (*current.extras, p.extra), warm=current) for p in proposals])
+    fits = {p.name: fit for p, fit in zip(proposals, tried, strict=True) if fit is not None}
     chosen = _choose(subject, current, fits, criteria)
     scores = []
     for ranked in candidates:

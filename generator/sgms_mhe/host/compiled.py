@@ -21,7 +21,7 @@ from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import runtime_dir
-from sgms_mhe.support.toolchain import DEFAULT_FLAGS, load_library, shared_library
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS, load_library, shared_library, wide_flags
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -69,12 +69,18 @@ class Prediction:
 
 
 class CompiledModel:
-    """The emitted model of a machine without its estimator: integrator, sensitivities, output."""
+    """The emitted model of a machine without its estimator: integrator, sensitivities, output.
 
-    def __init__(self, machine: Machine, package: Package | None = None) -> None:
+    Args:
+        machine: the machine file.
+        package: its package, if it was generated already.
+        model: its symbolic model, if it was built already.
+    """
+
+    def __init__(self, machine: Machine, package: Package | None = None, model: Model | None = None) -> None:
         self.machine = machine
-        self.model = build_model(machine)
-        self._library = load_library(_compile(machine, package, DEFAULT_FLAGS, "predict.c"))
+        self.model = model or build_model(machine)
+        self._library = load_library(_compile(machine, package, (*DEFAULT_FLAGS, *wide_flags()), "predict.c"))
 
     def predict(
         self,
@@ -126,6 +132,15 @@ class CompiledModel:
         From the first sample to the last there must be a whole number of integration steps.
         """
         return self._run(signals, theta, x, d_x, first, None, None)
+
+    def forces(self, w: Array, theta: Array, x: Array) -> Array:
+        """Friction (n) [N] at signals w (n, 5), scaled parameters theta (n_p) and node states x (n, n_x)."""
+        w, theta, x = (np.ascontiguousarray(a, dtype=np.float64) for a in (w, theta, x))
+        force = np.empty(len(w))
+        self._library.sgms_predict_forces(
+            ctypes.c_long(len(w)), *(ctypes.c_void_p(a.ctypes.data) for a in (w, theta, x, force))
+        )
+        return force
 
     def _run(
         self,

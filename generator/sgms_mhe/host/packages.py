@@ -8,11 +8,12 @@ import json
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.machine import Machine
+from sgms_mhe.model import Model
 from sgms_mhe.support import cache
 
 
-def cached_package(machine: Machine) -> Package:
-    """The machine's package, from the cache of compiled libraries where it was emitted before.
+def cached_package(machine: Machine, model: Model | None = None) -> Package:
+    """The machine's package, from the cache of compiled libraries where it was emitted before; `model`: if known.
 
     Every log of an axis asks for the same few dozen models; to derive and print one takes longer than to run it.
     """
@@ -21,6 +22,6 @@ def cached_package(machine: Machine) -> Package:
     kept = cache.read("package", key, ".json")
     if kept is not None:
         return Package(machine, json.loads(kept))
-    package = emit_package(machine, selftest=False)
+    package = emit_package(machine, model, selftest=False)
     cache.keep("package", key, ".json", json.dumps(dict(package.files)).encode())
     return package

@@ -68,6 +68,7 @@ def gate_saturates(zeta: float, lambda_: float, gamma: float, tail: float = TAIL
     return _gate_tail(zeta, lambda_, gamma, _LARGEST / 100.0) < tail  # the tail falls with speed
 
 
+@lru_cache(maxsize=1024)
 def _gate_tail(zeta: float, lambda_: float, gamma: float, ratio: float) -> float:
     return max(
         r

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine, Thresholds
 from sgms_mhe.model.effects import Extents
 from sgms_mhe.model.scales import scales_of
+from sgms_mhe.recordings.runs import Runs
 from sgms_mhe.signals.chain import Signals, settle_samples, signals_of_record
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -41,6 +42,7 @@ class Recording:
         fold: cross-validation fold of each block (blocks).
         held_out: blocks that the fit behind the reported gain does not see (blocks).
         warnings: what a user should know about the record.
+        runs: the newest ones of models along it; copies share them.
     """
 
     machine: Machine
@@ -58,6 +60,7 @@ class Recording:
     fold: Index
     held_out: Mask
     warnings: tuple[str, ...]
+    runs: Runs = field(default_factory=Runs, repr=False)
 
     @property
     def thresholds(self) -> Thresholds:

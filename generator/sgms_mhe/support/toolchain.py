@@ -18,6 +18,11 @@ from sgms_mhe.support.errors import BuildError
 # Neither -march=native nor relaxed arithmetic: results must not depend on the machine that compiles. A multiply and an
 # add stay two roundings for the same reason.
 DEFAULT_FLAGS = ("-std=c99", "-O3", "-ffp-contract=off")
+# Registers with masks and gathers where this host has them. Operations and their order stay, so results do to the bit:
+# what `-ffp-contract=off` and strict arithmetic forbid they forbid here too.
+_WIDE = {"avx512f": "-mavx512f", "avx512dq": "-mavx512dq", "avx512vl": "-mavx512vl"}
+_WIDE_FLAGS = (*_WIDE.values(), "-mprefer-vector-width=256")
+_HOST = Path("/proc/cpuinfo")
 WARNING_FLAGS = (
     "-pedantic",
     "-Wall",
@@ -41,6 +46,25 @@ def compiler() -> tuple[str, ...]:
         return tuple(shlex.split(stated)) or ("gcc",)
     except ValueError as error:
         raise BuildError(f"CC = {stated!r}: {str(error).lower()}; CC names the C compiler to use") from None
+
+
+@lru_cache
+def wide_flags() -> tuple[str, ...]:
+    """Flags for code that this host alone runs: its wide registers, which change how fast it is and no result.
+
+    Empty where the host has none or the compiler does not know them. Such code is kept apart: flags are part of a name.
+    """
+    try:
+        words = {word for line in _HOST.read_text().splitlines() if line.startswith("flags") for word in line.split()}
+    except OSError:  # another system
+        return ()
+    if not words.issuperset(_WIDE):
+        return ()
+    try:
+        tool_output([*compiler(), *_WIDE_FLAGS, "-x", "c", "-fsyntax-only", os.devnull])
+    except BuildError:
+        return ()
+    return _WIDE_FLAGS
 
 
 def load_library(path: Path) -> ctypes.CDLL:

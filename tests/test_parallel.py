@@ -1,0 +1,240 @@
+"""Work on several cores: the same results to the bit, whatever their number, and nothing run or compiled twice."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from sgms_mhe.recordings.runs import KEPT, Runs
+
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.diagnosis import Diagnosis, diagnose
+from sgms_mhe.diagnosis.compiling import compiled_once
+from sgms_mhe.emission.package import emit_package
+from sgms_mhe.host.compiled import CompiledModel
+from sgms_mhe.machine import Machine
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support import toolchain
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.parallel import VARIABLE, in_parallel, workers
+
+Array = NDArray[np.float64]
+RIPPLE = {"amplitude_N": 0.5, "pitch_m": 0.0173, "phase_rad": 0.7}
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return load_machine("etel_xy")
+
+
+@pytest.fixture(scope="module")
+def log(machine: Machine) -> Log:
+    trajectory = make_trajectory("mixed", machine.sampling.rate, duration_s=4.0)
+    return simulate_axis(
+        machine, trajectory, AxisConfig(seed=5), hidden_effects=[("force_ripple", RIPPLE)], truth=False
+    ).log
+
+
+# --- tasks ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", ["1", "2", "5"])
+def test_results_come_in_the_order_of_the_tasks(count: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, count)
+    assert workers() == int(count)
+    assert in_parallel([partial(pow, k, 2) for k in range(7)]) == [k**2 for k in range(7)]
+    assert in_parallel([]) == []
+
+
+def test_tasks_run_at_the_same_time_and_what_they_start_within_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "2")
+    together = threading.Barrier(2, timeout=60.0)
+
+    def task() -> set[int]:
+        together.wait()  # nobody gets past it alone
+        return {threading.get_ident(), *in_parallel([threading.get_ident] * 3)}
+
+    first, second = in_parallel([task, task])
+    assert len(first) == len(second) == 1
+    assert first != second
+
+
+def test_the_first_task_s_error_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "2")
+
+    def fail(kind: type[Exception]) -> None:
+        raise kind
+
+    with pytest.raises(KeyError):
+        in_parallel([lambda: None, partial(fail, KeyError), partial(fail, ValueError)])
+
+
+@pytest.mark.parametrize("stated", ["0", "-1", "two", "", "1.5"])
+def test_a_number_of_workers_that_is_none_is_refused(stated: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, stated)
+    with pytest.raises(InputError, match=rf"{VARIABLE} = '{stated}': a whole number from 1 on"):
+        workers()
+
+
+def test_diagnose_has_one_thread_per_library_unless_told_otherwise() -> None:
+    code = (
+        "import os; from sgms_mhe.support.parallel import leave_cores_to_tasks; leave_cores_to_tasks();"
+        "print(os.environ['OPENBLAS_NUM_THREADS'], os.environ['OMP_NUM_THREADS'])"
+    )
+    stated = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
+    for extra, said in (({}, "1 1"), ({"OMP_NUM_THREADS": "3"}, "1 3")):
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=stated | extra, capture_output=True, text=True, check=True
+        )
+        assert done.stdout.split() == said.split()
+
+
+# --- runs that were asked for before ----------------------------------------------------------------------------
+
+
+def test_a_run_is_known_by_its_code_signals_and_parameters() -> None:
+    runs, code, other, count = Runs(), object(), object(), 0
+
+    def run(derivatives: bool) -> tuple[Array, Array | None]:
+        nonlocal count
+        count += 1
+        return np.ones(3), np.ones((3, 2)) if derivatives else None
+
+    def ask(code: object, signals: object, theta: float, *, derivatives: bool) -> int:
+        force, slopes = runs.get(code, signals, np.array([theta]), derivatives, partial(run, derivatives))
+        assert (slopes is not None) == derivatives
+        assert not force.flags.writeable
+        return count
+
+    assert ask(code, other, 1.0, derivatives=False) == 1
+    assert ask(code, other, 1.0, derivatives=False) == 1
+    assert ask(code, other, 1.0, derivatives=True) == 2  # the first had none
+    assert ask(code, other, 1.0, derivatives=False) == 2
+    assert ask(code, other, 2.0, derivatives=False) == 3
+    assert ask(code, code, 1.0, derivatives=False) == 4
+    assert ask(other, other, 1.0, derivatives=False) == 5
+    for k in range(KEPT):
+        ask(code, other, 10.0 + k, derivatives=False)
+    assert ask(code, other, 1.0, derivatives=True) == 6 + KEPT  # only the newest are kept
+
+
+# --- code for this host -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def fresh_flags() -> Iterator[None]:
+    toolchain.wide_flags.cache_clear()
+    yield
+    toolchain.wide_flags.cache_clear()
+
+
+@pytest.mark.usefixtures("fresh_flags")
+def test_wide_registers_only_where_host_and_compiler_have_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    host, refuses, accepts = tmp_path / "cpuinfo", tmp_path / "old-cc", tmp_path / "new-cc"
+    for script, code in ((refuses, 1), (accepts, 0)):
+        script.write_text(f"#!/bin/sh\nexit {code}\n")
+        script.chmod(0o755)
+    monkeypatch.setattr(toolchain, "_HOST", host)
+    wide, narrow = "flags : fpu avx512f avx2 avx512dq avx512vl\n", "flags : fpu avx2 avx512f\n"
+    for text, command, known in ((wide, accepts, True), (wide, refuses, False), (narrow, accepts, False)):
+        host.write_text(text)
+        monkeypatch.setenv("CC", str(command))
+        toolchain.wide_flags.cache_clear()
+        assert bool(toolchain.wide_flags()) is known, (text, command)
+    host.unlink()
+    toolchain.wide_flags.cache_clear()
+    assert toolchain.wide_flags() == ()
+
+
+def test_wide_registers_change_no_bit(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = emit_package(machine, selftest=False)
+    wide = CompiledModel(machine, package)
+    monkeypatch.setattr("sgms_mhe.host.compiled.wide_flags", lambda: ())
+    plain = CompiledModel(machine, package)
+    step, n = machine.sampling.step, 20_000
+    time = step * np.arange(n)
+    position, pulse = 0.02, 2.0 * np.pi * 5.0
+    w = np.column_stack(
+        (
+            position * np.sin(pulse * time),
+            position * pulse * np.cos(pulse * time),
+            -position * pulse**2 * np.sin(pulse * time),
+            np.zeros(n),
+            time,
+        )
+    )
+    n_x, n_p = wide.model.n_x, wide.model.n_p
+    results = []
+    for code in (wide, plain):
+        state, sensitivity, force, slopes = np.zeros(n_x), np.zeros((n_x, n_p)), np.empty(n), np.empty((n, n_p))
+        code.advance(w, np.full(n_p, 1.1), state, sensitivity, force, slopes)
+        results.append((state, sensitivity, force, slopes))
+    assert float(np.ptp(results[0][2])) > machine.friction.coulomb
+    for one, other in zip(*results, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_forces_at_given_nodes_are_those_along_a_run(machine: Machine) -> None:
+    code = CompiledModel(machine)
+    n_x, n_p = code.model.n_x, code.model.n_p
+    w = np.zeros((1, 5))
+    w[0, 1] = 0.01
+    force = np.empty(1)
+    x, theta = np.linspace(0.1, 0.4, n_x), np.linspace(0.9, 1.1, n_p)
+    code.advance(w, theta, x.copy(), np.zeros((n_x, n_p)), force, None)
+    np.testing.assert_array_equal(code.forces(w, theta, x[None]), force)
+    expected = np.array(code.model.function("output")(code.model.function("from_node")(x, theta), w.T, theta))
+    assert force[0] == pytest.approx(float(expected.squeeze()), rel=1e-12)
+
+
+# --- a whole diagnosis ------------------------------------------------------------------------------------------
+
+
+def same_but_for_its_duration(one: Diagnosis, other: Diagnosis) -> None:
+    first, second = (replace(d, seconds=0.0).to_json() for d in (one, other))
+    assert repr(first) == repr(second)
+    for field in fields(one.traces):
+        np.testing.assert_array_equal(getattr(one.traces, field.name), getattr(other.traces, field.name), field.name)
+
+
+@pytest.mark.slow
+def test_one_and_two_workers_say_the_same_to_the_bit(
+    machine: Machine, log: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, ran = [0, 0], [0, 0]
+    advance, get = CompiledModel.advance, Runs.get
+    found, compiled = [], []
+    for k, count in enumerate(("1", "2")):
+
+        def counted(self: CompiledModel, *arguments: Any, at: int = k) -> None:
+            ran[at] += 1
+            advance(self, *arguments)
+
+        def looked_up(self: Runs, *arguments: Any, at: int = k) -> Any:
+            asked[at] += 1
+            return get(self, *arguments)
+
+        monkeypatch.setattr(CompiledModel, "advance", counted)
+        monkeypatch.setattr(Runs, "get", looked_up)
+        monkeypatch.setenv(VARIABLE, count)
+        compiled_once.cache_clear()
+        found.append(diagnose(machine, log))
+        compiled.append(compiled_once.cache_info())
+    assert [cause.name for cause in found[0].causes] == ["force_ripple"]
+    same_but_for_its_duration(*found)
+    assert compiled[0].misses == compiled[0].currsize == compiled[1].misses == compiled[1].currsize  # once each
+    assert asked[0] == asked[1]
+    assert max(ran) < 0.9 * asked[0]  # the others were known
