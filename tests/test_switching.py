@@ -302,7 +302,7 @@ def test_an_effect_that_cannot_switch_is_found_on_an_axis_that_does() -> None:
     assert found.law == "switching"
     # The file that has the gap has elements that slip almost at once: it stands with no others.
     assert found.extended is not None and not found.extended.friction.switches
-    assert found.extended.friction.smoothed.zeta > 0.99
+    assert found.extended.friction.smoothed.zeta == settings.diagnosis.sharp_zeta
 
 
 def test_the_error_of_the_smoothing_is_gone() -> None:

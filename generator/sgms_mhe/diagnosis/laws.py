@@ -117,7 +117,9 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[La
         foreign, other = _from_nothing(foreign, other, criteria)
     if other is None:
         return replace(laws, own=own, foreign=foreign, taken=False), fit
-    ratio = other.cross_rms / fit.cross_rms
+    # Both have as many numbers: what they leave of the rows they saw is a fair comparison, and a sharper one than what
+    # they predict of others, where elements that switch are rough.
+    ratio = other.rms / fit.rms
     taken = ratio < thresholds.sharper
     better = other if taken else fit
     decided = (
@@ -165,7 +167,7 @@ def _from_nothing(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Subje
         again, better = in_line(again, fit_model(again, fit.extras))
     except FitError:
         return subject, fit
-    return (again, better) if better.cross_rms < criteria.thresholds.sharper * fit.cross_rms else (subject, fit)
+    return (again, better) if better.rms < criteria.thresholds.sharper * fit.rms else (subject, fit)
 
 
 def _fit_foreign(foreign: Subject, fit: Fit) -> tuple[Subject, Fit | None]:
