@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Final
 
@@ -27,7 +28,7 @@ _TRAVEL_M: Final = 0.12  # to either side
 def draw_motion(style: str, machine: Machine, seconds: float, random: Generator) -> Trajectory:
     """A motion of that style and about that length, at rest at both ends."""
     builder = _Builder(machine, random)
-    segments = {
+    styles: Mapping[str, Sequence[Callable[[], None]]] = {
         "workout": (builder.strokes, builder.loops, builder.dies, builder.strokes, builder.rest),
         "strokes": (builder.strokes, builder.strokes, builder.rest, builder.strokes, builder.loops),
         "dies": (builder.dies, builder.rest, builder.dies, builder.strokes, builder.loops),
@@ -36,7 +37,8 @@ def draw_motion(style: str, machine: Machine, seconds: float, random: Generator)
         "presliding": (builder.small_loops, builder.rest),
         "one_way": (builder.forward, builder.rest),
         "crawl": (partial(builder.crawl, seconds),),
-    }[style]
+    }
+    segments = styles[style]
     builder.path.wait(0.2)
     k = 0
     while len_s(builder.path) < seconds:
