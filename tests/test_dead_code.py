@@ -26,7 +26,6 @@ USED_FROM_OUTSIDE = {
     "sinusoidal_drift": "Python code of users, as a drift of the simulated axis",
     "plant_effects": "the test that model and plant know the same effects",
     "forget_distributions": "tests that install distributions",
-    "WARNING_FLAGS": "tests that compile, with what docs/ tells firmware projects to take",
 }
 """What nothing in the package uses, and who does."""
 

@@ -13,6 +13,7 @@ import pytest
 from cli_cases import done, files, refused
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import diagnose
+from sgms_mhe.diagnosis.course import Course
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -36,13 +37,21 @@ def write_record(
     return path
 
 
-def test_diagnose_a_part_and_try_the_estimator_on_another_log(machine: Machine, tmp_path: Path) -> None:
+def test_diagnose_a_part_and_try_the_estimator_on_another_log(
+    machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     hidden = ("force_ripple", RIPPLE)
     log = write_record(tmp_path / "log.npz", machine, hidden, 9.0, 1)
     unseen = write_record(tmp_path / "unseen.npz", machine, hidden, 4.0, 2)
     out = tmp_path / "out"
-    text = done("diagnose", "etel_xy", log, "--to", "6", "--unseen", unseen, "--out", out).stdout
+    monkeypatch.setattr("sgms_mhe.commands.common.TOLD_FROM_S", 0.0)
+    result = done("diagnose", "etel_xy", log, "--to", "6", "--unseen", unseen, "--out", out)
+    text = result.stdout
     assert text.startswith("explained: force_ripple")
+    told = [int(share) for share in re.findall(r"^.+ \((\d+) %, \d+ s left\)$", result.stderr, re.MULTILINE)]
+    assert len(told) >= 5
+    assert told == sorted(told)
+    assert told[-1] >= 80
     reduction = re.search(rf"estimator on {re.escape(str(unseen))}: .* N rms, (\d+) % less", text)
     assert reduction
     assert int(reduction[1]) > 50
@@ -58,6 +67,23 @@ def test_diagnose_a_part_and_try_the_estimator_on_another_log(machine: Machine, 
     before = json.loads(done("predict", "etel_xy", log, *part).stdout)["residual_rms_N"]
     after = json.loads(done("predict", out / extended, log, *part).stdout)["residual_rms_N"]
     assert after < 0.3 * before
+
+
+def test_shares_of_the_work_only_grow() -> None:
+    told: list[float] = []
+    course = Course(lambda _, share: told.append(share))
+    course.begun()
+    course.base()
+    for number in range(1, 5):
+        course.search(number)
+        course.refits(number, ["force_ripple"])
+    for number in range(1, 4):
+        for share in (0.0, 0.5):
+            course.rivals(number, share, "viscous", ["force_ripple"])
+    course.judgement()
+    assert told[0] == 0.0
+    assert told == sorted(set(told))
+    assert told[-1] < 1.0
 
 
 def test_diagnose_refuses_a_part_that_is_none(machine: Machine, tmp_path: Path) -> None:

@@ -26,17 +26,21 @@ from sgms_mhe.diagnosis_benchmark import (
     summary_json,
     summary_text,
 )
+from sgms_mhe.diagnosis_benchmark.axes import Axis, draw_axis, machine_file
+from sgms_mhe.diagnosis_benchmark.causes import prescribed_signals, sized_cause
 from sgms_mhe.diagnosis_benchmark.draws import KINDS, VISIBLE, unmodelled_force
+from sgms_mhe.diagnosis_benchmark.faults import FAULTS
 from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, draw_motion
-from sgms_mhe.diagnosis_benchmark.scoring import confusion_table, half_found, parameter_errors
+from sgms_mhe.diagnosis_benchmark.scoring import confusion_table, half_found, is_confidently_wrong, parameter_errors
 from sgms_mhe.diagnosis_benchmark.unmodelled import UNMODELLED
+from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.errors import ImplausibleError, InputError
 
 SEED = 1
 
@@ -64,12 +68,13 @@ def test_a_draw_depends_on_seed_and_index_alone(machine: Machine, draws: list[Dr
 def test_kinds_are_balanced_and_every_name_comes_up(draws: list[Draw]) -> None:
     assert [d.kind for d in draws] == list(KINDS)
     assert {kind: KINDS.count(kind) for kind in KINDS} == {
-        "single": 8, "clean": 5, "base": 2, "double": 2, "unmodelled": 2, "weak": 1,
+        "single": 7, "clean": 4, "base": 2, "double": 2, "triple": 1, "unmodelled": 2, "weak": 1, "fault": 1,
     }  # fmt: skip
     for draw in draws:
-        counts = {"single": 1, "base": 1, "double": 2, "unmodelled": 1, "clean": 0}
+        counts = {"single": 1, "base": 1, "double": 2, "triple": 3, "unmodelled": 1, "clean": 0, "fault": 1}
         assert len(draw.hidden) == counts.get(draw.kind, len(draw.hidden))
-        names = {"base": tuple(BASE_CAUSES), "unmodelled": tuple(UNMODELLED)}.get(draw.kind, EFFECT_NAMES)
+        others = {"base": tuple(BASE_CAUSES), "unmodelled": tuple(UNMODELLED), "fault": tuple(FAULTS)}
+        names = others.get(draw.kind, EFFECT_NAMES)
         assert all(h.name in names for h in draw.hidden)
     # Of one kind no name comes twice before all have come once.
     singles = [d.hidden[0].name for d in draws if d.kind == "single"]
@@ -89,11 +94,16 @@ def test_hidden_causes_are_sized_excited_and_visible(machine: Machine, draws: li
             assert cause(hidden.name).excitation.unmet(found, hidden.parameters) == ()
 
 
-def test_size_of_a_ripple_is_its_amplitude(machine: Machine, draws: list[Draw]) -> None:
-    ripples = [h for d in draws for h in d.hidden if h.name == "force_ripple"]
-    assert ripples
-    for hidden in ripples:
-        assert hidden.size == pytest.approx(hidden.parameters["amplitude_N"] / machine.friction.coulomb, rel=0.03)
+def test_size_of_a_ripple_is_its_amplitude(machine: Machine) -> None:
+    random = np.random.default_rng(4)
+    motion = draw_motion("strokes", machine, 8.0, random)
+    plain = prescribed_signals(machine, motion, Hidden(""))
+    for size in (0.05, 0.3):
+        sized = sized_cause(machine, motion, plain, "force_ripple", size, random)
+        assert sized is not None
+        amplitude = sized[0].parameters["amplitude_N"] / machine.friction.coulomb
+        assert sized[0].size == pytest.approx(amplitude, rel=0.03)
+        assert sized[0].size == pytest.approx(size, rel=0.1)
 
 
 @pytest.mark.parametrize("style", [*STYLES, *WEAK_STYLES])
@@ -106,9 +116,12 @@ def test_motions_do_what_their_style_says(machine: Machine, style: str) -> None:
         assert forward == back == 0.0
     elif style == "presliding":
         assert np.ptp(motion.position_m) < 0.5 * scales_of(machine).deflection
-    elif style == "one_way":
-        assert forward > 0.01
+    elif style in ("one_way", "crawl"):
+        assert forward > 2.0 * machine.friction.stribeck_velocity
         assert back < 1e-9
+        if style == "crawl":  # position and time are one clock
+            moving = motion.velocity_m_s[round(0.5 * motion.rate) : -round(0.3 * motion.rate)]
+            assert np.ptp(moving) < 1e-6 * forward
     else:
         assert min(forward, back) > 0.2 * machine.sampling.max_velocity
         assert np.abs(motion.acceleration_m_s2[:-1]).max() < 15.0 * machine.sampling.max_velocity
@@ -142,7 +155,7 @@ def test_noise_is_known_where_nothing_distorts_the_log(machine: Machine, draws: 
 
 def drawn(kind: str, *names: str, size: float = 0.2) -> Draw:
     hidden = tuple(Hidden(name, {"force_N": 0.5} if name == "constant_offset" else {}, size=size) for name in names)
-    return Draw(0, kind, hidden, {}, "workout", 10.0, 1, "sgms", 0.1, 0.0, 1e-9, 1)
+    return Draw(0, kind, Axis("linear", False, "sgms"), hidden, {}, "workout", 10.0, 1, 0.1, 0.0, 1e-9, 1)
 
 
 def said(verdict: str, *names: str, rivals: Sequence[tuple[str, str | None]] = ()) -> Found:
@@ -190,11 +203,65 @@ OFFSET, COULOMB = "constant_offset", "asymmetric_coulomb"
         (drawn("weak", OFFSET), said("explained", OFFSET), "overclaimed"),
         (drawn("weak", OFFSET), said("explained", COULOMB), "misnamed"),
         (drawn("weak"), said("adequate"), "right"),
+        (drawn("triple", OFFSET, COULOMB, "force_ripple"), said("explained", OFFSET, COULOMB, "force_ripple"), "named"),
+        (drawn("triple", OFFSET, COULOMB, "force_ripple"), said("explained", OFFSET, "force_ripple"), "partial"),
+        (drawn("fault", "force_of_other_sign"), Found("unexplained", refused="position.csv: force"), "right"),
+        (drawn("fault", "force_of_other_sign"), said("unexplained"), "right"),
+        (drawn("fault", "force_of_other_sign"), said("explained", "mass_mismatch"), "misnamed"),
+        (drawn("fault", "force_of_other_sign"), said("adequate"), "missed"),
+        (drawn("clean"), Found("unexplained", refused="position.csv: force"), "refused"),
         (drawn("single", OFFSET), Found("", error="ValueError: no"), "error"),
     ],
 )
 def test_outcomes(draw: Draw, found: Found, how: str) -> None:
     assert outcome(draw, found) == how
+
+
+@pytest.mark.parametrize(
+    ("draw", "found", "wrong"),
+    [
+        (drawn("single", OFFSET), said("explained", OFFSET), False),
+        (drawn("single", OFFSET), said("explained", COULOMB), True),
+        (drawn("single", OFFSET), said("explained", OFFSET, COULOMB), True),
+        (drawn("single", OFFSET), said("ambiguous", COULOMB, rivals=[("coulomb", COULOMB)]), False),
+        (drawn("single", OFFSET), said("unexplained", COULOMB), False),
+        (drawn("double", OFFSET, "force_ripple"), said("explained", OFFSET), False),
+        (drawn("clean"), said("explained", "viscous"), True),
+        (drawn("unmodelled", "bursts"), said("explained", "force_ripple"), True),
+        (drawn("weak", OFFSET), said("explained", OFFSET), True),  # by luck
+        (drawn("weak", OFFSET), said("adequate"), False),
+        (drawn("fault", "force_of_other_sign"), said("adequate"), True),
+        (drawn("fault", "force_of_other_sign"), said("unexplained"), False),
+    ],
+)
+def test_what_is_confidently_wrong(draw: Draw, found: Found, wrong: bool) -> None:
+    assert is_confidently_wrong(draw, found) == wrong
+
+
+def test_axes_are_of_both_kinds_and_laws(machine: Machine) -> None:
+    random = np.random.default_rng(0)
+    axes = [draw_axis(random, machine) for _ in range(200)]
+    assert len(set(axes)) == 8
+    for axis in set(axes):
+        file = machine_file(machine, axis)
+        assert (file.plant.kind, file.plant.moved) == (axis.kind, machine.plant.moved)
+        assert file.friction.switches == axis.other_law
+        assert machine_of(machine, replace(drawn("clean"), axis=axis)).digest == file.digest
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_faults_are_seen_before_anything_is_fitted(machine: Machine, name: str) -> None:
+    log, _ = simulate_draw(machine, replace(drawn("fault", name), seconds=3.0))
+    with pytest.raises(ImplausibleError):
+        check_plausible(log, machine)
+
+
+def test_a_refused_log_is_a_result(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    at = KINDS.index("fault")
+    draw, found = run_draw(machine, SEED, at, lambda *_: pytest.fail("diagnosed"))
+    assert found.refused
+    assert outcome(draw, found) == "right"
+    assert Found.from_json(json.loads(json.dumps(found.to_json()))).refused == found.refused
 
 
 def test_rates_and_confusion(machine: Machine) -> None:
@@ -209,25 +276,35 @@ def test_rates_and_confusion(machine: Machine) -> None:
         (drawn("double", OFFSET, "force_ripple"), said("explained", OFFSET)),
         (drawn("unmodelled", "bursts"), said("unexplained")),
         (drawn("unmodelled", "chirp"), said("explained", "force_ripple")),
+        (drawn("triple", OFFSET, COULOMB, "force_ripple"), said("explained", OFFSET, COULOMB, "force_ripple")),
+        (drawn("fault", "force_of_other_sign"), Found("unexplained", refused="of the other sign")),
+        (drawn("clean"), Found("unexplained", refused="of the other sign")),
+        (drawn("clean"), replace(said("adequate"), law="sgms")),
+        (drawn("clean"), replace(said("adequate"), law="switching")),
     ]
     summary = summarise(machine, results)
     assert (summary.recovery.hits, summary.recovery.total) == (9, 10)
     assert summary.recovery.interval[0] < 0.9 < summary.recovery.interval[1]
     assert summary.ambiguous.hits == 2
     assert summary.misnamed.hits == 1
-    assert (summary.false_alarms.hits, summary.false_alarms.total) == (1, 10)
+    assert (summary.false_alarms.hits, summary.false_alarms.total) == (1, 13)
     assert (summary.doubles.hits, summary.doubles.total) == (3, 4)
+    assert (summary.triples.hits, summary.triples.total) == (1, 1)
+    assert (summary.faults.hits, summary.refused.hits) == (1, 1)
+    # An offset called another name, a clean and an unmodelled log with a name.
+    assert (summary.confidently_wrong.hits, summary.confidently_wrong.total) == (3, len(results))
+    assert (summary.laws.hits, summary.laws.total) == (1, 2)
     assert (summary.unmodelled_unexplained.hits, summary.unmodelled_misnamed.hits) == (1, 1)
     rows, columns, counts = confusion_table(summary.confusion)
     table = {(r, c): n for r, line in zip(rows, counts, strict=True) for c, n in zip(columns, line, strict=True)}
     # A correct ambiguity counts as itself.
-    assert table[OFFSET, OFFSET] == 13
+    assert table[OFFSET, OFFSET] == 14
     assert table[OFFSET, COULOMB] == 1
     assert table[OFFSET, "(nothing)"] == 1
     assert table["force_ripple", "(nothing)"] == 1
     assert table["clean", "viscous"] == 1
     assert table["unmodelled: chirp", "force_ripple"] == 1
-    assert sum(summary.confusion.values()) == len(results) + 4
+    assert sum(summary.confusion.values()) == len(results) + 4 + 2
     text = summary_text(summary)
     assert "9 of 10    90.0 %" in text
     assert json.loads(json.dumps(summary_json(summary)))["recovery"]["hits"] == 9

@@ -17,14 +17,15 @@ from cli_cases import done, refused
 from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.evaluation.studies.identification import identified_axis
 from sgms_mhe.identification import Wanted, identify, interval
-from sgms_mhe.identification.elements import Law, Stribeck, run_element
+from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
 from sgms_mhe.identification.linear import solve_bounded
 from sgms_mhe.identification.records import Motion, in_order
 from sgms_mhe.identification.result import Number, rounded
 from sgms_mhe.identification.sampling import common_rate, rounded_up
 from sgms_mhe.identification.spectrum import Spectrum, clustered
+from sgms_mhe.integration.flow_table import gate_ratio
 from sgms_mhe.logfiles.reading import read_log
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Machine, Smoothing
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -95,6 +96,16 @@ def identified(logs: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
 
 
 # --- parts ------------------------------------------------------------------------------------------------------
+
+
+def test_a_sample_of_a_smooth_element_takes_bounded_steps() -> None:
+    """Whatever a fit tries: a high Stribeck velocity and a small distance would take a hundred thousand."""
+    smoothing = Smoothing()
+    assert gate_ratio(smoothing.zeta, smoothing.lambda_, smoothing.gamma) == GATE
+    rise = Stribeck(0.5, 0.09)
+    least = least_distance("sgms", rise, RATE)
+    assert GATE * rise.velocity / RATE / (SLOW_STEP * least) == pytest.approx(MOST_STEPS)
+    assert least_distance("switching", rise, RATE) == 0.0
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -11,9 +11,9 @@ import pytest
 
 from c_packages import PRECISIONS, STRICT, machine, run, symbols, written
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.evaluation.firmware import TARGET_FLAGS, TARGETS, Target, double_arithmetic, run_tool
+from sgms_mhe.evaluation.acceptance import build_selftest
+from sgms_mhe.evaluation.firmware import TARGETS, Target, double_arithmetic
 from sgms_mhe.evaluation.target import emulate
-from sgms_mhe.support.paths import runtime_dir
 
 Tool = Callable[[str], str]
 MAIN = '#include "etel_xy.h"\nint main(void)\n{\n    return etel_xy_selftest();\n}\n'
@@ -92,18 +92,6 @@ CORES = [
 @pytest.mark.parametrize("target", CORES)
 def test_returns_0_on_the_target(target: Target, tmp_path: Path) -> None:
     """Linked without a library, run by the emulator, in single precision throughout; its exit code is the answer."""
-    folder = written(emit_package(machine(code={"precision": "single"})), tmp_path)
-    (tmp_path / "main.c").write_text(MAIN.replace("main(void)", "target_main(void);\nint target_main(void)"))
-    source, options = runtime_dir() / "target", [*TARGET_FLAGS, *target.flags, "-ffreestanding"]
-    (tmp_path / "count.c").write_text("extern unsigned target_loop_count;\nunsigned target_loop_count;\n")
-    files = [*folder.glob("*.c"), tmp_path / "main.c", tmp_path / "count.c"]
-    for path in files:
-        run_tool(target, "gcc", *options, f"-I{folder}", "-c", path, "-o", tmp_path / f"{path.stem}.o")
-    helpers, start = tmp_path / "helpers.o", tmp_path / "start.o"
-    run_tool(target, "gcc", *options, "-fno-tree-loop-distribute-patterns", "-c", source / "helpers.c", "-o", helpers)
-    run_tool(target, "gcc", *target.flags, "-c", source / f"{target.name}.S", "-o", start)
+    linked = build_selftest(emit_package(machine(code={"precision": "single"})), target, tmp_path)
     assert not double_arithmetic(target, tmp_path / "etel_xy_selftest.o")
-    objects = [*(tmp_path / f"{path.stem}.o" for path in files), helpers, start]
-    script, linked = source / f"{target.name}.ld", tmp_path / "selftest.elf"
-    run_tool(target, "gcc", *target.flags, "-nostdlib", f"-Wl,-T,{script}", *objects, "-lgcc", "-o", linked)
     emulate(target, linked, tmp_path / "results.bin", lambda written: None)

@@ -37,6 +37,7 @@ COMMANDS: Final = {
     "target": "target",
     "bench-diagnosis": "bench_diagnosis",
     "check": "check",
+    "ci": "ci",
     "schema": "schema",
 }
 """Commands by name and the module of `sgms_mhe.commands` whose `command` each is, in the order of --help."""

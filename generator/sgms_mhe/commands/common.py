@@ -7,6 +7,7 @@ import math
 import shlex
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,11 +19,17 @@ from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.json_values import finite
 
 if TYPE_CHECKING:
+    from rich.progress import Progress as RichProgress
+    from rich.progress import ProgressColumn
+
     from sgms_mhe.machine import Machine
     from sgms_mhe.signals.logs import Log
 
 Progress = Callable[[int, int], None]
 """Called with (steps done, steps in all)."""
+
+TOLD_FROM_S: Final = 2.0
+"""Seconds from which on it is said how far work is."""
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -207,16 +214,46 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 @contextmanager
+def steps_bar() -> Iterator[Callable[[str, float], None]]:
+    """Yields what reports (step, share of the work before it): a bar with time left on a terminal, else a line each.
+
+    A line says how much is done and how long the rest may take, once that can be told from the time so far.
+    """
+    if sys.stderr.isatty():
+        from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+        columns = (BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+        with _bar(*columns, TextColumn("{task.description}")) as bar:
+            task = bar.add_task("", total=1.0)
+            yield lambda step, share: bar.update(task, completed=share, description=step)
+        return
+    started = time.monotonic()
+
+    def line(step: str, share: float) -> None:
+        since = time.monotonic() - started
+        left = f" ({100.0 * share:.0f} %, {since * (1.0 - share) / share:.0f} s left)" if share > 0.0 else ""
+        note(step + (left if since >= TOLD_FROM_S else ""))
+
+    yield line
+
+
+@contextmanager
 def progress_bar(label: str) -> Iterator[Progress]:
     """A bar on stderr where that is a terminal; yields what reports (steps done, steps in all) to it."""
     # Even where nothing is shown, work that reports returns to the interpreter and can be interrupted.
     if not sys.stderr.isatty():
         yield lambda done, total: None
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with _bar(TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn()) as bar:
         task = bar.add_task(label, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=max(total, 1))
+
+
+def _bar(*columns: ProgressColumn) -> RichProgress:
+    """A bar on stderr that goes when it is done."""
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    return Bar(*columns, console=Console(stderr=True), transient=True)

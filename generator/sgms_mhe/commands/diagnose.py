@@ -24,6 +24,7 @@ from sgms_mhe.commands.common import (
     read_log,
     recorded_log,
     show,
+    steps_bar,
 )
 from sgms_mhe.support.errors import ImplausibleError
 from sgms_mhe.support.parallel import leave_cores_to_tasks
@@ -94,7 +95,8 @@ def command(
         _say_implausible(error, resolved, recorded, folder, as_json)
         return
     another = recorded_log(unseen, resolved) if unseen else None
-    found = diagnose(resolved, recorded, progress=note, held_out_s=held_out or None)
+    with steps_bar() as progress:
+        found = diagnose(resolved, recorded, progress=progress, held_out_s=held_out or None)
     write_diagnosis(found, folder)
     gain = None
     if another is not None and found.extended is not None:

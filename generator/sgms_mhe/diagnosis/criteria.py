@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from sgms_mhe.diagnosis.course import Course
 from sgms_mhe.diagnosis.groups import Extra
 from sgms_mhe.diagnosis.subject import Fit
 from sgms_mhe.machine import Machine, Thresholds
 from sgms_mhe.model.effects import Measure, cause, effect_definition, effect_names
-
-Progress = Callable[[str], None]
-"""Called with what is being done."""
 
 _ANY: Final[Mapping[str, float]] = defaultdict(float)
 
@@ -28,14 +26,14 @@ class Criteria:
         floor: noise of the measured friction [N].
         material: RMS gain that matters [N].
         excited: effects that the record can show.
-        report: called with each step.
+        course: told of each step.
     """
 
     thresholds: Thresholds
     floor: float
     material: float
     excited: tuple[str, ...]
-    report: Progress
+    course: Course
 
     def excess(self, fit: Fit) -> float:
         """RMS of what a fit leaves beyond noise [N].
@@ -58,7 +56,7 @@ def material_force(machine: Machine, floor: float) -> float:
     return max(thresholds.material * machine.friction.coulomb, thresholds.material_noise * floor)
 
 
-def criteria_of(machine: Machine, floor: float, excitation: Mapping[Measure, float], report: Progress) -> Criteria:
+def criteria_of(machine: Machine, floor: float, excitation: Mapping[Measure, float], course: Course) -> Criteria:
     """The criteria of a record of this noise floor [N] and these measures."""
     thresholds = machine.diagnosis
     # What a record does not excite cannot be found in it; what only imitates it can.
@@ -67,7 +65,7 @@ def criteria_of(machine: Machine, floor: float, excitation: Mapping[Measure, flo
         for name in effect_names(machine.plant.kind)
         if not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
     )
-    return Criteria(thresholds, floor, material_force(machine, floor), excited, report)
+    return Criteria(thresholds, floor, material_force(machine, floor), excited, course)
 
 
 def addable(machine: Machine, extras: Sequence[Extra], criteria: Criteria) -> list[str]:

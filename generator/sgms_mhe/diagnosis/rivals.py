@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -18,6 +19,7 @@ from sgms_mhe.diagnosis.rounds import Ranked, attempted_fit, distinct, is_ruled_
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import cause, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, gain_force, nuisance, score_test
+from sgms_mhe.support.parallel import in_parallel
 
 Judgement = Literal["better", "rival", "worse", "untried"]
 
@@ -93,19 +95,27 @@ class _Judged:
 
 
 def find_rivals(
-    subject: Subject, fit: Fit, refitted: tuple[Group, ...], seen: Collection[str], criteria: Criteria
+    subject: Subject, fit: Fit, refitted: tuple[Group, ...], seen: Collection[str], criteria: Criteria, number: int
 ) -> Contest:
-    """Put every other candidate in the place of each cause of a fit; `seen`: effects that ever looked good."""
+    """Put every other candidate in the place of each cause of a fit.
+
+    `seen`: effects that ever looked good; `number`: of the round, from 1.
+    """
     rivals: list[Rival] = []
     rejected: dict[str, Rejected] = {}
-    for group in (*refitted, *fit.extra_groups):
+    groups = (*refitted, *fit.extra_groups)
+    for k, group in enumerate(groups):
+
+        def comparing(names: Sequence[str], cause: str = group.cause, share: float = k / len(groups)) -> None:
+            criteria.course.rivals(number, share, cause, names)
+
         extras, base = without_extra(fit.extras, group), without_group(refitted, group)
         without = fit_model(subject, extras, refitted=base, warm=fit)
         gain = gain_force(without.cross, fit.cross, fit.rows)
         if gain <= 0.0:
             continue
         place = _Place(group, fit, without, extras, base, gain)
-        for judged in _contest(subject, place, refitted, seen, criteria):
+        for judged in _contest(subject, place, refitted, seen, criteria, comparing):
             if judged.judgement == "better":
                 return Contest(judged.fit, (), {})
             if judged.judgement == "rival" and judged.fit is not None:
@@ -117,28 +127,42 @@ def find_rivals(
 
 
 def _contest(
-    subject: Subject, place: _Place, refitted: tuple[Group, ...], seen: Collection[str], criteria: Criteria
+    subject: Subject,
+    place: _Place,
+    refitted: tuple[Group, ...],
+    seen: Collection[str],
+    criteria: Criteria,
+    comparing: Callable[[Sequence[str]], None],
 ) -> Iterator[_Judged]:
-    """Judge all candidates for a place, the most promising first."""
+    """Judge all candidates for a place, the most promising first; `comparing` is told which are tried."""
     thresholds = criteria.thresholds
     ranked = [*_effects(subject, place, seen, criteria), *_machine_numbers(subject, place, refitted)]
     ranked.sort(key=lambda r: -r.gain)
     kept = distinct(ranked, thresholds.same_force)[: thresholds.refits]
-    for candidate in ranked:
-        name = candidate.group.cause if candidate.group else candidate.proposal.name
-        if name == place.cause:
-            continue
-        if candidate not in kept or candidate.gain < thresholds.rival_gain * place.gain:
+    others = [r for r in ranked if _name(r) != place.cause]
+    tried = [r for r in others if r in kept and not r.gain < thresholds.rival_gain * place.gain]
+    if tried:
+        comparing([_name(r) for r in tried])
+    trials = iter(in_parallel([partial(_trial, subject, place, r) for r in tried]))
+    for candidate in others:
+        name = _name(candidate)
+        if candidate not in tried:
             left = math.sqrt(max(0.0, place.gain**2 - max(candidate.gain, 0.0) ** 2))
             yield _Judged(name, "untried", left)
-            continue
-        criteria.report(f"comparing {place.cause} with {name}")
-        extras = place.extras if candidate.group else (*place.extras, candidate.proposal.extra)
-        base = (*place.refitted, candidate.group) if candidate.group else place.refitted
-        trial = attempted_fit(subject, extras, refitted=base, warm=place.without)
-        if trial is not None:
+        elif (trial := next(trials)) is not None:
             judgement, excess = _judge(subject, place, name, trial, criteria)
             yield _Judged(name, judgement, excess, candidate.group, trial)
+
+
+def _name(candidate: Ranked) -> str:
+    return candidate.group.cause if candidate.group else candidate.proposal.name
+
+
+def _trial(subject: Subject, place: _Place, candidate: Ranked) -> Fit | None:
+    """The fit with a candidate in the place; None where it is no model of the record."""
+    extras = place.extras if candidate.group else (*place.extras, candidate.proposal.extra)
+    base = (*place.refitted, candidate.group) if candidate.group else place.refitted
+    return attempted_fit(subject, extras, refitted=base, warm=place.without)
 
 
 def _effects(subject: Subject, place: _Place, seen: Collection[str], criteria: Criteria) -> list[Ranked]:

@@ -66,7 +66,7 @@ def search_round(subject: Subject, current: Fit, number: int, seen: Collection[s
     strong = sorted((r for r in significant if r.gain > least), key=lambda r: -r.gain)
     proposals = [ranked.proposal for ranked in _shortlist(strong, criteria)]
     if proposals:
-        criteria.report(f"refitting {', '.join(p.name for p in proposals)}")
+        criteria.course.refits(number, [p.name for p in proposals])
     tried = in_parallel([partial(attempted_fit, subject, (*current.extras, p.extra), warm=current) for p in proposals])
     fits = {p.name: fit for p, fit in zip(proposals, tried, strict=True) if fit is not None}
     chosen = _choose(subject, current, fits, criteria)

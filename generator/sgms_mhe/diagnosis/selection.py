@@ -75,7 +75,7 @@ def search_causes(laws: Laws, criteria: Criteria) -> Searched:
     for number in range(1, criteria.thresholds.rounds + 1):
         if criteria.excess(current) < criteria.material:  # what is left could not make any cause matter
             break
-        criteria.report(f"searching effects, round {number}")
+        criteria.course.search(number)
         found = search_round(laws.chosen, current, number, seen, criteria)
         scores, seen = scores + found.scores, seen | found.seen
         if found.fit is None:
@@ -92,9 +92,9 @@ def select_causes(searched: Searched) -> Selection:
     subject, criteria = searched.laws.chosen, searched.criteria
     refitted, fit = necessary(subject, searched.fit, criteria)
     contest = Contest(None, (), {})
-    for _ in range(criteria.thresholds.rival_rounds):
-        criteria.report("comparing rivals")
-        contest = find_rivals(subject, fit, refitted, searched.seen, criteria)
+    for number in range(1, criteria.thresholds.rival_rounds + 1):
+        criteria.course.rivals(number, 0.0, "", ())
+        contest = find_rivals(subject, fit, refitted, searched.seen, criteria, number)
         if contest.better is None:
             break
         refitted, fit = necessary(subject, contest.better, criteria)

@@ -18,7 +18,8 @@ from sgms_mhe.diagnosis.confirmation import (
     refitted_beside,
     without_undetermined,
 )
-from sgms_mhe.diagnosis.criteria import Progress, criteria_of
+from sgms_mhe.diagnosis.course import Course, Progress
+from sgms_mhe.diagnosis.criteria import criteria_of
 from sgms_mhe.diagnosis.descent import FitError
 from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
@@ -53,7 +54,7 @@ def diagnose(
     Args:
         machine: the axis as it is believed to be.
         log: what was measured.
-        progress: called with each step.
+        progress: called with each step and the share of the work before it.
         held_out_s: intervals since the log's start [s] that no fit behind a reported gain may see; None: a third of the
             record, in blocks.
 
@@ -61,8 +62,8 @@ def diagnose(
         InputError: the log does not fit the machine, or has too few usable samples.
     """
     started = time.monotonic()
-    report = progress or (lambda _: None)
-    report("preparing the log")
+    course = Course(progress or (lambda step, share: None))
+    course.begun()
     record = prepare(machine, log, held_out_s)
     recording = excerpt(record)
     try:
@@ -75,12 +76,12 @@ def diagnose(
             recording, nominal = record, fit_model(Subject.of(machine, record), (), refitted=())
         found = _without_excitation(machine, log, recording, nominal)
     else:
-        report("refitting the base model")
+        course.base()
         floor = noise_floor(recording, nominal.residual)
-        criteria = criteria_of(machine, floor, measures(record.signals, machine), report)
+        criteria = criteria_of(machine, floor, measures(record.signals, machine), course)
         searched = search_causes(laws_of(machine, recording, floor), criteria)
         settled = settle(record, nominal, searched.laws, select_causes(searched))
-        report("measuring the gain on held-out data")
+        course.judgement()
         found = _diagnosis(machine, log, settled, _judge(settled))
     return replace(found, seconds=time.monotonic() - started)
 

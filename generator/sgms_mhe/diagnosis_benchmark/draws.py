@@ -16,7 +16,9 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
+from sgms_mhe.diagnosis_benchmark.axes import Axis, PlantLaw, draw_axis, machine_file
 from sgms_mhe.diagnosis_benchmark.causes import Hidden, Values, draw_size, peak_force, prescribed_signals, sized_cause
+from sgms_mhe.diagnosis_benchmark.faults import FAULTS
 from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, draw_motion
 from sgms_mhe.diagnosis_benchmark.unmodelled import UNMODELLED
 from sgms_mhe.diagnosis_benchmark.visibility import sensitivities, visible_share
@@ -35,13 +37,15 @@ Array = NDArray[np.float64]
 
 KINDS: Final = (
     "single", "clean", "single", "base", "single", "clean", "double", "single", "unmodelled", "clean",
-    "single", "double", "single", "clean", "base", "single", "unmodelled", "single", "clean", "weak",
+    "single", "double", "single", "fault", "base", "single", "unmodelled", "triple", "clean", "weak",
 )  # fmt: skip
 """What the draws are, in turn: any number of draws from the first on is balanced."""
 VISIBLE: Final = 0.3
 SECONDS: Final = (10.0, 16.0)
 ATTEMPTS: Final = 25
 _RARE: Final = 4.0  # largest force of an unmodelled cause, over its size
+_TOGETHER: Final = {"double": 2, "triple": 3}
+_CLOCK_SIZE: Final = 0.1  # least size of what is hidden where position is a clock
 
 
 @dataclass(frozen=True)
@@ -50,22 +54,23 @@ class Draw:
 
     Attributes:
         index: of the draw.
-        kind: single, base (a wrong number), double, clean, unmodelled (outside the catalogue), weak (the log cannot
-            tell).
-        hidden: the causes; of an unmodelled force its name and size.
-        machine_changes: of the machine that is diagnosed, over the one given.
+        kind: single, base (a wrong number), double, triple, clean, unmodelled (outside the catalogue), weak (the log
+            cannot tell), fault (a sign, a unit or a column of the log is wrong).
+        axis: that it is of.
+        hidden: the causes; of an unmodelled force or a fault its name.
+        machine_changes: of the machine that is diagnosed, over the axis's file.
         style, seconds, motion_seed: of the motion.
-        law, force_noise_N, encoder_noise_m, encoder_resolution_m, noise_seed: of the simulated axis.
+        force_noise_N, encoder_noise_m, encoder_resolution_m, noise_seed: of the simulated axis.
     """
 
     index: int
     kind: str
+    axis: Axis
     hidden: tuple[Hidden, ...]
     machine_changes: Mapping[str, Any]
     style: str
     seconds: float
     motion_seed: int
-    law: str
     force_noise_N: float
     encoder_noise_m: float
     encoder_resolution_m: float
@@ -74,7 +79,7 @@ class Draw:
     @property
     def truth(self) -> tuple[str, ...]:
         """Names that a diagnosis should find."""
-        return () if self.kind in ("clean", "unmodelled") else tuple(h.name for h in self.hidden)
+        return () if self.kind in ("clean", "unmodelled", "fault") else tuple(h.name for h in self.hidden)
 
     @property
     def size(self) -> float:
@@ -89,7 +94,8 @@ class Draw:
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Draw:
         """The draw of `to_json`."""
-        return cls(**{**content, "hidden": tuple(Hidden(**h) for h in content["hidden"])})
+        hidden = tuple(Hidden(**h) for h in content["hidden"])
+        return cls(**{**content, "axis": Axis(**content["axis"]), "hidden": hidden})
 
 
 def make_draw(machine: Machine, seed: int, index: int) -> Draw:
@@ -98,37 +104,40 @@ def make_draw(machine: Machine, seed: int, index: int) -> Draw:
     kind = KINDS[index % len(KINDS)]
     cycle, place = divmod(index, len(KINDS))
     number = cycle * KINDS.count(kind) + KINDS[:place].count(kind)  # of its kind
+    frame = _Frame(machine, seed, index, random)
     for _ in range(ATTEMPTS):
-        draw = _attempt(machine, kind, number, seed, index, random)
+        draw = _attempt(frame, kind, number)
         if draw is not None:
             return draw
     # Nothing fair was found: the log of a clean axis takes the place.
-    return _frame(machine, "clean", index, random, _style(random))
+    return frame.draw("clean", _style(random))
 
 
 def machine_of(machine: Machine, draw: Draw) -> Machine:
-    """The machine that the draw's log is diagnosed with."""
-    return override_machine(machine, draw.machine_changes) if draw.machine_changes else machine
+    """The machine that the draw's log is diagnosed with; `machine`: of the benchmark."""
+    file = machine_file(machine, draw.axis)
+    return override_machine(file, draw.machine_changes) if draw.machine_changes else file
 
 
 def simulate_draw(machine: Machine, draw: Draw) -> tuple[Log, float]:
     """The log, and the RMS of its friction's noise over means of ten samples [N] (NaN where the log is distorted)."""
     axis = machine_of(machine, draw)
     config = AxisConfig(
-        law=draw.law,  # type: ignore[arg-type]
+        law=draw.axis.obeys,
         force_noise_N=draw.force_noise_N,
         encoder_noise_m=draw.encoder_noise_m,
         encoder_resolution_m=draw.encoder_resolution_m,
         seed=draw.noise_seed,
     )
-    unmodelled = draw.kind == "unmodelled"
-    effects = [(h.name, h.parameters) for h in draw.hidden if h.parameters and not unmodelled]
+    effects = [(h.name, h.parameters) for h in draw.hidden if h.parameters]
     scale: Values = {}
     for hidden in draw.hidden:
         scale |= dict(hidden.factors)
     run = simulate_axis(axis, _motion(axis, draw), config, hidden_effects=effects, scale=scale)
     log = replace(run.log, source=f"draw_{draw.index}.csv")
-    if unmodelled:
+    if draw.kind == "fault":
+        return FAULTS[draw.hidden[0].name](log), math.nan
+    if draw.kind == "unmodelled":
         # The controller holds the reference against it: the force it takes shows in the log, the motion does not.
         log = replace(log, force_N=log.force_N + unmodelled_force(axis, draw, draw.hidden[0]))
     return log, _noise(axis, run.log, run.truth) if not effects else math.nan
@@ -146,30 +155,78 @@ def unmodelled_force(machine: Machine, draw: Draw, hidden: Hidden) -> Array:
 # --- drawing ----------------------------------------------------------------------------------------------------
 
 
-def _attempt(machine: Machine, kind: str, number: int, seed: int, index: int, random: Generator) -> Draw | None:
-    if kind == "clean":
-        return _frame(machine, kind, index, random, _style(random))
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """What draws are made of: the machine of the benchmark, where in the series they stand, and chance."""
+
+    machine: Machine
+    seed: int
+    index: int
+    random: Generator
+
+    def draw(self, kind: str, style: str, obeys: PlantLaw | None = None) -> Draw:
+        """One without causes: axis, motion and noise; `obeys`: None for either law."""
+        random, axis = self.random, draw_axis(self.random, self.machine)
+        machine = machine_file(self.machine, axis)
+        coulomb, mass = machine.friction.coulomb, machine.plant.moved
+        # What the encoder's noise makes of the inertial force behind the filters, roughly.
+        gain = 0.3 * mass * (2.0 * math.pi * machine.sampling.velocity_cutoff) ** 2
+        return Draw(
+            index=self.index,
+            kind=kind,
+            axis=axis if obeys is None else replace(axis, obeys=obeys),
+            hidden=(),
+            machine_changes={},
+            style=style,
+            seconds=float(random.uniform(*SECONDS)),
+            motion_seed=int(random.integers(2**31)),
+            force_noise_N=coulomb * log_uniform(random, 0.004, 0.06),
+            encoder_noise_m=coulomb * log_uniform(random, 0.001, 0.02) / gain,
+            encoder_resolution_m=coulomb * log_uniform(random, 0.001, 0.03) / gain,
+            noise_seed=int(random.integers(2**31)),
+        )
+
+    def effects(self, draw: Draw) -> tuple[str, ...]:
+        """Effects that may be hidden in it: that such an axis has, and that stand with its file's law."""
+        machine = machine_of(self.machine, draw)
+        names = own_effects(machine.plant.kind)
+        return tuple(n for n in names if not (machine.friction.switches and effect_definition(n).smooth_only))
+
+
+def _attempt(frame: _Frame, kind: str, number: int) -> Draw | None:
+    random = frame.random
     if kind == "weak":
-        return _weak(machine, index, number, random)
-    draw = _frame(machine, kind, index, random, _style(random))
+        return _weak(frame, number)
+    draw = frame.draw(kind, _style(random))
+    if kind == "clean":
+        return draw
+    if kind == "fault":
+        return replace(draw, hidden=(Hidden(list(FAULTS)[number % len(FAULTS)]),))
     if kind == "unmodelled":
-        hidden = Hidden(list(UNMODELLED)[number % len(UNMODELLED)], size=draw_size(random, 0.1))
-        draw = replace(draw, hidden=(hidden,))
-        plain = prescribed_signals(machine, _motion(machine, draw), Hidden(""))
-        force = unmodelled_force(machine, draw, hidden)
-        if np.abs(force).max() > _RARE * hidden.size * machine.friction.coulomb:
-            return None  # hardly ever there: its size says nothing
-        left = visible_share(machine, sensitivities(machine, plain), force)
-        return replace(draw, hidden=(replace(hidden, visible=left),)) if left >= 0.6 else None
+        return _unmodelled(frame, draw, number)
     if kind == "base":
-        return _with_causes(machine, draw, (_in_turn(tuple(BASE_CAUSES), number, seed),), random)
+        return _with_causes(frame, draw, (_in_turn(tuple(BASE_CAUSES), number, frame.seed),))
+    names = frame.effects(draw)
     if kind == "single":
-        name = _in_turn(own_effects(machine.plant.kind), number, seed)
-        return _with_causes(machine, draw, (name,), random)
-    first, second = random.choice(own_effects(machine.plant.kind), 2, replace=False).tolist()
-    if second in cause(first).confused_with or first in cause(second).confused_with:
+        # In turn over the whole catalogue: what this axis cannot have is left for another one.
+        name = _in_turn(EFFECT_NAMES, number, frame.seed)
+        return _with_causes(frame, draw, (name,)) if name in names else None
+    together = random.choice(names, _TOGETHER[kind], replace=False).tolist()
+    if any(b in cause(a).confused_with for a in together for b in together if a != b):
         return None
-    return _with_causes(machine, draw, (first, second), random)
+    return _with_causes(frame, draw, tuple(together))
+
+
+def _unmodelled(frame: _Frame, draw: Draw, number: int) -> Draw | None:
+    axis = machine_of(frame.machine, draw)
+    hidden = Hidden(list(UNMODELLED)[number % len(UNMODELLED)], size=draw_size(frame.random, 0.1))
+    draw = replace(draw, hidden=(hidden,))
+    plain = prescribed_signals(axis, _motion(axis, draw), Hidden(""))
+    force = unmodelled_force(axis, draw, hidden)
+    if np.abs(force).max() > _RARE * hidden.size * axis.friction.coulomb:
+        return None  # hardly ever there: its size says nothing
+    left = visible_share(axis, sensitivities(axis, plain), force)
+    return replace(draw, hidden=(replace(hidden, visible=left),)) if left >= 0.6 else None
 
 
 def _in_turn(names: tuple[str, ...], number: int, seed: int) -> str:
@@ -178,43 +235,23 @@ def _in_turn(names: tuple[str, ...], number: int, seed: int) -> str:
     return str(np.random.default_rng([seed, 10**6 + cycle]).permutation(names)[place])
 
 
-def _frame(machine: Machine, kind: str, index: int, random: Generator, style: str) -> Draw:
-    """A draw without causes: motion, law and noise."""
-    coulomb, mass = machine.friction.coulomb, machine.plant.moved
-    # What the encoder's noise makes of the inertial force behind the filters, roughly.
-    gain = 0.3 * mass * (2.0 * math.pi * machine.sampling.velocity_cutoff) ** 2
-    return Draw(
-        index=index,
-        kind=kind,
-        hidden=(),
-        machine_changes={},
-        style=style,
-        seconds=float(random.uniform(*SECONDS)),
-        motion_seed=int(random.integers(2**31)),
-        law=str(random.choice(["sgms", "maxwell_slip"])),
-        force_noise_N=coulomb * log_uniform(random, 0.004, 0.06),
-        encoder_noise_m=coulomb * log_uniform(random, 0.001, 0.02) / gain,
-        encoder_resolution_m=coulomb * log_uniform(random, 0.001, 0.03) / gain,
-        noise_seed=int(random.integers(2**31)),
-    )
-
-
 def _style(random: Generator) -> str:
     return str(random.choice(STYLES, p=[0.55, 0.15, 0.15, 0.15]))
 
 
-def _with_causes(machine: Machine, draw: Draw, names: tuple[str, ...], random: Generator) -> Draw | None:
+def _with_causes(frame: _Frame, draw: Draw, names: tuple[str, ...]) -> Draw | None:
+    axis = machine_of(frame.machine, draw)
     least = {key: value for name in names for key, value in _least(name).items()}
     if least:
-        friction = {key: max(value, getattr(machine.friction, key)) for key, value in least.items()}
+        friction = {key: max(value, getattr(axis.friction, key)) for key, value in least.items()}
         draw = replace(draw, machine_changes={"name": "specimen", "friction": friction})
-    axis = machine_of(machine, draw)
+        axis = machine_of(frame.machine, draw)
     motion = _motion(axis, draw)
     plain = prescribed_signals(axis, motion, Hidden(""))
     found, columns = measures(plain, axis), sensitivities(axis, plain)
     causes, forces = [], []
     for name in names:
-        sized = sized_cause(axis, motion, plain, name, draw_size(random), random)
+        sized = sized_cause(axis, motion, plain, name, draw_size(frame.random), frame.random)
         if sized is None or cause(name).excitation.unmet(found, sized[0].parameters):
             return None
         causes.append(sized[0])
@@ -229,18 +266,31 @@ def _with_causes(machine: Machine, draw: Draw, names: tuple[str, ...], random: G
     return replace(draw, hidden=tuple(causes))
 
 
-def _weak(machine: Machine, index: int, number: int, random: Generator) -> Draw | None:
+def _weak(frame: _Frame, number: int) -> Draw | None:
     style = WEAK_STYLES[number % len(WEAK_STYLES)]
-    draw = replace(_frame(machine, "weak", index, random, style), law="sgms")
+    draw = frame.draw("weak", style, obeys="sgms")
     if style == "still":
         return draw
+    axis = machine_of(frame.machine, draw)
+    if style == "crawl":
+        return _clock(frame, draw, axis)
     concealed = {
         name: found
-        for name in sorted(own_effects(machine.plant.kind), reverse=True)
+        for name in sorted(frame.effects(draw), reverse=True)
         if (specimen := effect_definition(name).specimen) and (found := specimen.concealed) and found.motion == style
     }
-    name = str(random.choice(list(concealed)))
-    return replace(draw, hidden=(Hidden(name, dict(concealed[name].values(scales_of(machine)))),))
+    name = str(frame.random.choice(list(concealed)))
+    return replace(draw, hidden=(Hidden(name, dict(concealed[name].values(scales_of(axis)))),))
+
+
+def _clock(frame: _Frame, draw: Draw, axis: Machine) -> Draw | None:
+    """A sine in position or in time, where one is proportional to the other."""
+    sines = [name for name in frame.effects(draw) if effect_definition(name).sine is not None]
+    motion = _motion(axis, draw)
+    plain = prescribed_signals(axis, motion, Hidden(""))
+    name, size = str(frame.random.choice(sines)), draw_size(frame.random, _CLOCK_SIZE)
+    sized = sized_cause(axis, motion, plain, name, size, frame.random)
+    return None if sized is None else replace(draw, hidden=(sized[0],))
 
 
 def _least(name: str) -> Mapping[str, float]:

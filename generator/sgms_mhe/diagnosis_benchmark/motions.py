@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -14,8 +16,11 @@ from sgms_mhe.plant.trajectories import Motion, Trajectory
 
 STYLES: Final = ("workout", "strokes", "dies", "loops")
 """Motions that excite most effects: everything; long strokes; short moves and rests; much presliding."""
-WEAK_STYLES: Final = ("still", "presliding", "one_way")
-"""Motions that leave causes undistinguished: no motion; loops below break-away; sliding in one direction only."""
+WEAK_STYLES: Final = ("still", "presliding", "one_way", "crawl")
+"""Motions that leave causes undistinguished.
+
+No motion; loops below break-away; sliding in one direction only; the same at one speed, where position is a clock.
+"""
 
 _TRAVEL_M: Final = 0.12  # to either side
 
@@ -23,7 +28,7 @@ _TRAVEL_M: Final = 0.12  # to either side
 def draw_motion(style: str, machine: Machine, seconds: float, random: Generator) -> Trajectory:
     """A motion of that style and about that length, at rest at both ends."""
     builder = _Builder(machine, random)
-    segments = {
+    styles: Mapping[str, Sequence[Callable[[], None]]] = {
         "workout": (builder.strokes, builder.loops, builder.dies, builder.strokes, builder.rest),
         "strokes": (builder.strokes, builder.strokes, builder.rest, builder.strokes, builder.loops),
         "dies": (builder.dies, builder.rest, builder.dies, builder.strokes, builder.loops),
@@ -31,7 +36,9 @@ def draw_motion(style: str, machine: Machine, seconds: float, random: Generator)
         "still": (builder.rest,),
         "presliding": (builder.small_loops, builder.rest),
         "one_way": (builder.forward, builder.rest),
-    }[style]
+        "crawl": (partial(builder.crawl, seconds),),
+    }
+    segments = styles[style]
     builder.path.wait(0.2)
     k = 0
     while len_s(builder.path) < seconds:
@@ -98,6 +105,11 @@ class _Builder:
         """On, never back."""
         speed = float(np.exp(self.random.uniform(math.log(5.0 * self.slowest), math.log(0.1 * self.fastest))))
         self.path.move_by(speed * self.random.uniform(0.5, 1.0), *self._limits(speed))
+
+    def crawl(self, seconds: float) -> None:
+        """On at one speed, to the end."""
+        speed = self.slowest * self.random.uniform(3.0, 12.0)
+        self.path.move_by(speed * seconds, *self._limits(speed))
 
     def rest(self) -> None:
         """Stand still, shortly or long."""

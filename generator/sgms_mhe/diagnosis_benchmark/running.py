@@ -17,9 +17,10 @@ from sgms_mhe import diagnosis
 from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.diagnosis_benchmark.draws import Draw, machine_of, make_draw, simulate_draw
 from sgms_mhe.diagnosis_benchmark.scoring import Found, Summary, confusion_table, summarise, summary_json, summary_text
+from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.errors import ImplausibleError, InputError
 from sgms_mhe.support.files import write_text
 
 Diagnose = Callable[[Machine, Log], Diagnosis]
@@ -83,12 +84,15 @@ def run_diagnosis_benchmark(
 
 
 def run_draw(machine: Machine, seed: int, index: int, diagnose: Diagnose = diagnosis.diagnose) -> tuple[Draw, Found]:
-    """One log: drawn, simulated, diagnosed. What goes wrong in a diagnosis is a result too."""
+    """One log: drawn, simulated, read, diagnosed. What goes wrong in a diagnosis is a result too."""
     draw = make_draw(machine, seed, index)
     log, noise = simulate_draw(machine, draw)
-    started = time.monotonic()
+    file, started = machine_of(machine, draw), time.monotonic()
     try:
-        found = Found.of(diagnose(machine_of(machine, draw), log), noise, time.monotonic() - started)
+        check_plausible(log, file)
+        found = Found.of(diagnose(file, log), noise, time.monotonic() - started)
+    except ImplausibleError as error:
+        found = Found("unexplained", seconds=time.monotonic() - started, refused=str(error))
     except Exception as error:
         found = Found("", seconds=time.monotonic() - started, error=f"{type(error).__name__}: {error}")
     return draw, found

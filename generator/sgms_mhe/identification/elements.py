@@ -23,8 +23,6 @@ from sgms_mhe.configuration import make_machine
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.host.packages import cached_package
 from sgms_mhe.identification.records import Motion
-from sgms_mhe.integration.flow_table import gate_ratio
-from sgms_mhe.machine import Smoothing
 
 Array = NDArray[np.float64]
 Law = Literal["sgms", "switching"]
@@ -38,6 +36,8 @@ SLOW_STEP: Final = 0.05
 """Longest step of smooth elements below the gate, in break-away distances: off by 2e-5 of a level at most."""
 MOST_STEPS: Final = 500
 """Such steps in one sample, at most."""
+GATE: Final = 0.36
+"""Speed over the Stribeck velocity from which the gate of the smooth law, with its usual smoothing, is saturated."""
 RATE: Final = 1000.0
 """Break-away distance [m] and sample rate [Hz] that elements are compiled for."""
 
@@ -103,9 +103,7 @@ def least_distance(law: Law, rise: Stribeck, rate: float) -> float:
     """
     if law == "switching":
         return 0.0
-    smoothing = Smoothing()
-    gate = gate_ratio(smoothing.zeta, smoothing.lambda_, smoothing.gamma) * rise.velocity
-    return gate / (rate * SLOW_STEP * MOST_STEPS)
+    return GATE * rise.velocity / (rate * SLOW_STEP * MOST_STEPS)
 
 
 def _nominal(law: Law, velocity: float) -> float:
