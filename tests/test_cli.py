@@ -79,7 +79,7 @@ def test_version() -> None:
     assert done("--version").stdout == f"sgms-mhe, version {sgms_mhe.__version__}\n"
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["schema"], ["bench", "--help"]], ids=" ".join)
+@pytest.mark.parametrize("arguments", [["--help"], ["effects", "--help"], ["bench", "--help"]], ids=" ".join)
 def test_what_computes_is_imported_late(arguments: list[str]) -> None:
     script = (
         "import sys\nfrom sgms_mhe.cli import cli\n"
