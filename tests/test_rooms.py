@@ -12,9 +12,11 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "generator" / "sgms_mhe"
-MOST_ROOMS, MOST_ARROWS = 20, 100
+MOST_ROOMS, MOST_ARROWS = 20, 112
 LONGEST_FILE, LONGEST_FUNCTION, LONGEST_TEMPLATE = 500, 80, 300
 """Lines."""
+DOORS = {"__main__": "cli"}
+"""Modules that only lead into a room."""
 LATE = "commands"
 """The room whose imports may stand in functions: the help of a command has to come without casadi and numpy."""
 
@@ -49,7 +51,8 @@ def arrows() -> dict[tuple[str, str], list[str]]:
     for path in sorted(PACKAGE.rglob("*.py")):
         own = path.relative_to(PACKAGE)
         for module in imported_by(path):
-            arrow = (own.parts[0].removesuffix(".py"), room_of(module))
+            room = own.parts[0].removesuffix(".py")
+            arrow = (DOORS.get(room, room), room_of(module))
             if arrow[0] != arrow[1]:
                 found.setdefault(arrow, []).append(own.as_posix())
     return found
@@ -57,7 +60,7 @@ def arrows() -> dict[tuple[str, str], list[str]]:
 
 def test_every_room_is_on_the_map() -> None:
     folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
-    modules = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__"}
+    modules = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", *DOORS}
     assert sorted(rooms_on_the_map()) == sorted(folders | modules)
     assert len(rooms_on_the_map()) <= MOST_ROOMS
 

@@ -90,26 +90,9 @@ def recorded_log(path: Path, machine: Machine, start_s: float = 0.0, end_s: floa
     Raises:
         InputError: it cannot be read, or its columns cannot be what they are called.
     """
-    from sgms_mhe.logfiles.plausibility import check_plausible
+    from sgms_mhe.api import inputs
 
-    log = read_log(path, machine, start_s, end_s)
-    check_plausible(log, machine)
-    return log
-
-
-def read_log(path: Path, machine: Machine, start_s: float, end_s: float) -> Log:
-    """Read a log, whatever its columns may be, and note what was understood of it.
-
-    Raises:
-        InputError: it cannot be read.
-    """
-    from sgms_mhe.logfiles.reading import log_of, understand
-
-    reading = understand(path, machine)
-    log = log_of(reading, machine).part(start_s, end_s)
-    for sentence in reading.notes:
-        note(f"{path}: {sentence}")
-    return log
+    return inputs.recorded_log(path, machine, start_s=start_s, end_s=end_s, note=note)
 
 
 # --- outputs, checked before the work that they are to receive -------------------------------------------------------
