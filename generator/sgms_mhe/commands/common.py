@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.json_values import finite
+from sgms_mhe.support.paths import machines_dir
 
 if TYPE_CHECKING:
     from sgms_mhe.machine import Machine
@@ -26,7 +28,30 @@ Progress = Callable[[int, int], None]
 
 F = TypeVar("F", bound=Callable[..., object])
 
-machine_argument = click.argument("machine")
+
+def _machines(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
+    """What a shell offers for MACHINE: names in machines/, or files where none begins so."""
+    names = sorted(path.stem for path in machines_dir().glob("*.toml") if path.stem.startswith(begun))
+    return [CompletionItem(name) for name in names] or [CompletionItem(begun, type="file")]
+
+
+def effects_begun(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
+    """What a shell offers for an effect's name."""
+    from sgms_mhe.model.effects import effect_definition, effect_names
+
+    names = [name for name in effect_names() if name.startswith(begun)]
+    return [CompletionItem(name, help=effect_definition(name).summary) for name in names]
+
+
+def causes_begun(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
+    """What a shell offers for a cause's name."""
+    from sgms_mhe.model.effects import cause, cause_names
+
+    names = [name for name in cause_names() if name.startswith(begun)]
+    return [CompletionItem(name, help=cause(name).summary) for name in names]
+
+
+machine_argument = click.argument("machine", shell_complete=_machines)
 log_argument = click.argument("log", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from sgms_mhe.commands.common import example, json_option, json_text, note_broken_effects, show
+from sgms_mhe.commands.common import effects_begun, example, json_option, json_text, note_broken_effects, show
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.names import did_you_mean
 
@@ -22,7 +22,7 @@ COLUMNS: Final = 100
 @click.command(
     short_help="What an axis may have beyond friction.", epilog=example("effects", "effects backlash", "effects --json")
 )
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=effects_begun)
 @json_option
 def command(name: str | None, as_json: bool) -> None:
     """List the effects that an axis may have, or say everything about the one called NAME.

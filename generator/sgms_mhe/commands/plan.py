@@ -6,7 +6,15 @@ from pathlib import Path
 
 import click
 
-from sgms_mhe.commands.common import check_output_file, example, machine_argument, note_broken_effects, out_option, show
+from sgms_mhe.commands.common import (
+    causes_begun,
+    check_output_file,
+    example,
+    machine_argument,
+    note_broken_effects,
+    out_option,
+    show,
+)
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.names import did_you_mean
 
@@ -16,7 +24,13 @@ from sgms_mhe.support.names import did_you_mean
     epilog=example("plan etel_xy --out plan.csv", "plan etel_xy --separate constant_offset asymmetric_coulomb"),
 )
 @machine_argument
-@click.option("--separate", type=(str, str), metavar="A B", help="Two causes; default: a motion that excites them all.")
+@click.option(
+    "--separate",
+    type=(str, str),
+    metavar="A B",
+    shell_complete=causes_begun,
+    help="Two causes; default: a motion that excites them all.",
+)
 @out_option("Columns time_s and position_m; default: MACHINE's name and _plan.csv.", required=False)
 def command(machine: str, separate: tuple[str, str] | None, out: Path | None) -> None:
     """Write the reference trajectory that separates two causes on MACHINE, or that excites every effect."""
