@@ -79,7 +79,7 @@ def test_version() -> None:
     assert done("--version").stdout == f"sgms-mhe, version {sgms_mhe.__version__}\n"
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["schema"], ["bench", "--help"]], ids=" ".join)
+@pytest.mark.parametrize("arguments", [["--help"], ["effects", "--help"], ["bench", "--help"]], ids=" ".join)
 def test_what_computes_is_imported_late(arguments: list[str]) -> None:
     script = (
         "import sys\nfrom sgms_mhe.cli import cli\n"
@@ -507,7 +507,7 @@ def _forbid_work(monkeypatch: pytest.MonkeyPatch) -> None:
     def forbidden(*arguments: object, **options: object) -> None:
         raise AssertionError("work began before the output was tried")
 
-    for name in ("plant.simulation.simulate_axis", "logfiles.reading.read_log", "emission.package.emit_package"):
+    for name in ("api.simulation.simulate_axis", "api.inputs.understand", "api.packages.emit_package"):
         monkeypatch.setattr(f"sgms_mhe.{name}", forbidden)
 
 
@@ -521,7 +521,7 @@ def test_no_compiler_is_bad_input(small: Path, log: Path, tmp_path: Path, monkey
 # --- interrupts --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("where", ["sgms_mhe.plant.simulation.simulate_axis", "os.fsync"])
+@pytest.mark.parametrize("where", ["sgms_mhe.api.simulation.simulate_axis", "os.fsync"])
 def test_an_interrupt_leaves_the_outputs_as_they_were(
     where: str, small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

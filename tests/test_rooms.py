@@ -15,6 +15,10 @@ PACKAGE = ROOT / "generator" / "sgms_mhe"
 MOST_ROOMS, MOST_ARROWS = 20, 100
 LONGEST_FILE, LONGEST_FUNCTION, LONGEST_TEMPLATE = 500, 80, 300
 """Lines."""
+DOORS = {"__main__": "cli"}
+"""Modules that only lead into a room."""
+FACADE = "api"
+"""The room that hands all others on: its arrows say nothing about how they hang together."""
 LATE = "commands"
 """The room whose imports may stand in functions: the help of a command has to come without casadi and numpy."""
 
@@ -49,7 +53,8 @@ def arrows() -> dict[tuple[str, str], list[str]]:
     for path in sorted(PACKAGE.rglob("*.py")):
         own = path.relative_to(PACKAGE)
         for module in imported_by(path):
-            arrow = (own.parts[0].removesuffix(".py"), room_of(module))
+            room = own.parts[0].removesuffix(".py")
+            arrow = (DOORS.get(room, room), room_of(module))
             if arrow[0] != arrow[1]:
                 found.setdefault(arrow, []).append(own.as_posix())
     return found
@@ -57,7 +62,7 @@ def arrows() -> dict[tuple[str, str], list[str]]:
 
 def test_every_room_is_on_the_map() -> None:
     folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
-    modules = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__"}
+    modules = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__", *DOORS}
     assert sorted(rooms_on_the_map()) == sorted(folders | modules)
     assert len(rooms_on_the_map()) <= MOST_ROOMS
 
@@ -66,7 +71,7 @@ def test_arrows_point_downwards() -> None:
     """So there is no circle either."""
     order = {room: place for place, room in enumerate(rooms_on_the_map())}
     found = arrows()
-    assert len(order) < len(found) <= MOST_ARROWS
+    assert len(order) < sum(above != FACADE for above, _ in found) <= MOST_ARROWS
     upwards = [f"{a} -> {b}: {', '.join(files)}" for (a, b), files in found.items() if order[a] > order[b]]
     assert not upwards
 

@@ -19,6 +19,7 @@ import click
 
 from sgms_mhe import __version__
 from sgms_mhe.support.errors import BuildError, InputError
+from sgms_mhe.support.names import did_you_mean
 
 COMMANDS: Final = {
     "generate": "generate",
@@ -38,6 +39,7 @@ COMMANDS: Final = {
     "bench-diagnosis": "bench_diagnosis",
     "check": "check",
     "ci": "ci",
+    "effects": "effects",
     "schema": "schema",
 }
 """Commands by name and the module of `sgms_mhe.commands` whose `command` each is, in the order of --help."""
@@ -67,6 +69,14 @@ class Commands(click.Group):
         module = importlib.import_module(f"sgms_mhe.commands.{COMMANDS[cmd_name]}")
         command: click.Command = module.command
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The command that the arguments name; the error of an unknown one has the nearest."""
+        if args[0] in COMMANDS or args[0].startswith("-") or ctx.resilient_parsing:
+            return super().resolve_command(ctx, args)
+        raise click.UsageError(f"No such command {args[0]!r}{did_you_mean(args[0], COMMANDS) or '.'}", ctx)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that the arguments name."""

@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.json_values import finite
+from sgms_mhe.support.paths import machines_dir
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
@@ -33,7 +35,30 @@ TOLD_FROM_S: Final = 2.0
 
 F = TypeVar("F", bound=Callable[..., object])
 
-machine_argument = click.argument("machine")
+
+def _machines(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
+    """What a shell offers for MACHINE: names in machines/, or files where none begins so."""
+    names = sorted(path.stem for path in machines_dir().glob("*.toml") if path.stem.startswith(begun))
+    return [CompletionItem(name) for name in names] or [CompletionItem(begun, type="file")]
+
+
+def effects_begun(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
+    """What a shell offers for an effect's name."""
+    from sgms_mhe.model.effects import effect_definition, effect_names
+
+    names = [name for name in effect_names() if name.startswith(begun)]
+    return [CompletionItem(name, help=effect_definition(name).summary) for name in names]
+
+
+def causes_begun(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
+    """What a shell offers for a cause's name."""
+    from sgms_mhe.model.effects import cause, cause_names
+
+    names = [name for name in cause_names() if name.startswith(begun)]
+    return [CompletionItem(name, help=cause(name).summary) for name in names]
+
+
+machine_argument = click.argument("machine", shell_complete=_machines)
 log_argument = click.argument("log", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 
@@ -97,26 +122,9 @@ def recorded_log(path: Path, machine: Machine, start_s: float = 0.0, end_s: floa
     Raises:
         InputError: it cannot be read, or its columns cannot be what they are called.
     """
-    from sgms_mhe.logfiles.plausibility import check_plausible
+    from sgms_mhe.api import inputs
 
-    log = read_log(path, machine, start_s, end_s)
-    check_plausible(log, machine)
-    return log
-
-
-def read_log(path: Path, machine: Machine, start_s: float, end_s: float) -> Log:
-    """Read a log, whatever its columns may be, and note what was understood of it.
-
-    Raises:
-        InputError: it cannot be read.
-    """
-    from sgms_mhe.logfiles.reading import log_of, understand
-
-    reading = understand(path, machine)
-    log = log_of(reading, machine).part(start_s, end_s)
-    for sentence in reading.notes:
-        note(f"{path}: {sentence}")
-    return log
+    return inputs.recorded_log(path, machine, start_s=start_s, end_s=end_s, note=note)
 
 
 # --- outputs, checked before the work that they are to receive -------------------------------------------------------

@@ -19,7 +19,6 @@ from sgms_mhe.commands.common import (
     show,
     table_text,
 )
-from sgms_mhe.commands.estimate import check_length
 
 if TYPE_CHECKING:
     from sgms_mhe.evaluation.comparison import Comparison
@@ -44,6 +43,7 @@ def command(machine: str, log: Path, as_json: bool) -> None:
 
     resolved = load_machine(machine)
 
+    from sgms_mhe.api.estimation import check_length
     from sgms_mhe.evaluation.comparison import compare_signals
     from sgms_mhe.signals.chain import signals_from_log
 

@@ -21,7 +21,6 @@ from sgms_mhe.commands.common import (
     note_broken_effects,
     out_option,
     part_options,
-    read_log,
     recorded_log,
     show,
     steps_bar,
@@ -84,11 +83,12 @@ def command(
     folder = out or Path(f"{resolved.name}_diagnosis")
     check_output_folder(folder)
 
+    from sgms_mhe.api.inputs import read_log
     from sgms_mhe.diagnosis import diagnose, write_diagnosis
     from sgms_mhe.logfiles.plausibility import check_plausible
     from sgms_mhe.report import closed_loop_gain, write_report
 
-    recorded = read_log(log, resolved, start_s, end_s)
+    recorded = read_log(log, resolved, start_s=start_s, end_s=end_s, note=note)
     try:
         check_plausible(recorded, resolved)
     except ImplausibleError as error:

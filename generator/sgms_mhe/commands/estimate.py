@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import click
 
 from sgms_mhe.commands.common import (
-    Progress,
     check_output_file,
     check_output_folder,
     example,
@@ -21,16 +20,13 @@ from sgms_mhe.commands.common import (
     note,
     out_option,
     progress_bar,
-    recorded_log,
     show,
     table_text,
 )
-from sgms_mhe.support.errors import InputError
 
 if TYPE_CHECKING:
     from sgms_mhe.machine import Machine
     from sgms_mhe.signals.estimates import Estimates
-    from sgms_mhe.signals.logs import Log
 
 Solver = Literal["c", "reference", "ekf", "smoother"]
 SOLVERS: Final = ("c", "reference", "ekf", "smoother")
@@ -71,12 +67,11 @@ def command(machine: str, log: Path, out: Path, solver: Solver, plot: Path | Non
     if plot is not None:
         check_output_folder(plot)
 
+    from sgms_mhe.api import estimation
     from sgms_mhe.signals.estimates import write_estimates
 
-    recorded = recorded_log(log, resolved)
-    check_length(recorded, resolved)
     with progress_bar(f"estimate {resolved.name}") as progress:
-        estimates = run_solver(resolved, recorded, solver, progress)
+        estimates = estimation.estimate(resolved, log, solver=solver, progress=progress, note=note)
     write_estimates(out, estimates)
     if plot is not None:
         _draw(resolved, estimates, plot)
@@ -98,37 +93,6 @@ def note_wrong_noise(machine: Machine, estimates: Estimates) -> None:
         f"the file states noise of {stated:g} {unit} (estimator.noise.measurement); the readings speak for "
         f"{share * stated:.2g} {unit}: sgms-mhe tune finds weights that suit a log"
     )
-
-
-def check_length(log: Log, machine: Machine) -> None:
-    """Refuse a log that ends before the first update.
-
-    Raises:
-        InputError: names the log, its rows and how many it takes.
-    """
-    least = machine.sampling.samples_per_update + 1
-    if len(log) < least:
-        raise InputError(log.source, "rows", len(log), f"at least {least}, what one update of {machine.name} takes")
-
-
-def run_solver(machine: Machine, log: Log, solver: Solver, progress: Progress) -> Estimates:
-    """Estimate from a log with the solver named."""
-    from sgms_mhe.configuration import override_machine
-    from sgms_mhe.signals.chain import signals_from_log
-
-    if solver in ("c", "ekf"):
-        from sgms_mhe.host.compiled import CompiledEstimator
-
-        chosen = override_machine(machine, {"estimator": {"kind": "ekf"}}) if solver == "ekf" else machine
-        estimator = CompiledEstimator(chosen)
-        if any(column is not None for column in (log.velocity_m_s, log.acceleration_m_s2, log.friction_N)):
-            return estimator.estimate(signals_from_log(log, machine), progress=progress)
-        return estimator.estimate_log(log, mode="tick", progress=progress)
-
-    from sgms_mhe.reference import estimate_reference
-
-    kind: Literal["smoother"] | None = "smoother" if solver == "smoother" else None
-    return estimate_reference(machine, signals_from_log(log, machine), kind, progress=progress)
 
 
 def summarise(machine: Machine, estimates: Estimates, solver: Solver) -> dict[str, Any]:

@@ -38,11 +38,10 @@ def command(machine: str, out: Path | None, amalgamate: bool, as_json: bool) -> 
     folder = out or Path("generated") / resolved.name
     check_output_folder(folder)
 
-    from sgms_mhe.emission.package import emit_package, write_package
+    from sgms_mhe.api import packages
 
     with progress_bar(f"generate {resolved.name}"):
-        package = emit_package(resolved, within_budget=True, amalgamate=amalgamate)
-        write_package(package, folder)
+        package = packages.generate(resolved, folder, amalgamate=amalgamate)
     sizes = {name: len(text.encode()) for name, text in package.files.items()}
     if as_json:
         show(json_text({"machine": resolved.name, "digest": resolved.digest, "folder": str(folder), "files": sizes}))

@@ -6,7 +6,17 @@ from pathlib import Path
 
 import click
 
-from sgms_mhe.commands.common import check_output_file, example, machine_argument, note_broken_effects, out_option, show
+from sgms_mhe.commands.common import (
+    causes_begun,
+    check_output_file,
+    example,
+    machine_argument,
+    note_broken_effects,
+    out_option,
+    show,
+)
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.names import did_you_mean
 
 
 @click.command(
@@ -14,7 +24,13 @@ from sgms_mhe.commands.common import check_output_file, example, machine_argumen
     epilog=example("plan etel_xy --out plan.csv", "plan etel_xy --separate constant_offset asymmetric_coulomb"),
 )
 @machine_argument
-@click.option("--separate", type=(str, str), metavar="A B", help="Two causes; default: a motion that excites them all.")
+@click.option(
+    "--separate",
+    type=(str, str),
+    metavar="A B",
+    shell_complete=causes_begun,
+    help="Two causes; default: a motion that excites them all.",
+)
 @out_option("Columns time_s and position_m; default: MACHINE's name and _plan.csv.", required=False)
 def command(machine: str, separate: tuple[str, str] | None, out: Path | None) -> None:
     """Write the reference trajectory that separates two causes on MACHINE, or that excites every effect."""
@@ -26,7 +42,12 @@ def command(machine: str, separate: tuple[str, str] | None, out: Path | None) ->
     check_output_file(path, (".csv",))
 
     from sgms_mhe.diagnosis.plan import make_plan, write_plan
+    from sgms_mhe.model.effects import cause_names
 
-    plan = make_plan(resolved, separate)
+    try:
+        plan = make_plan(resolved, separate)
+    except InputError as error:
+        hint = did_you_mean(str(error.value), cause_names(resolved.plant.kind))
+        raise InputError(error.source, error.where, error.value, error.allowed + hint) from None
     write_plan(path, plan, resolved.plant.units)
     show(f"{path}: {plan.trajectory.duration_s:.1f} s; {plan.reason}", path)

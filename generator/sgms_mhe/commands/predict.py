@@ -14,10 +14,10 @@ from sgms_mhe.commands.common import (
     json_text,
     log_argument,
     machine_argument,
+    note,
     out_option,
     part_options,
     progress_bar,
-    recorded_log,
     show,
 )
 
@@ -60,21 +60,19 @@ def command(
     nothing is missing. Elsewhere friction_measured_N is NaN. The force error is that RMS over the RMS of the drive
     force, as inverse dynamic models are judged.
     """
-    from sgms_mhe.configuration import load_machine, override_machine
+    from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
     check_output_file(out)
-    if lowpass is not None:
-        resolved = override_machine(resolved, {"sampling": {"velocity_cutoff": lowpass}})
 
-    from sgms_mhe.evaluation.prediction import force_error, predict_log, write_prediction
+    from sgms_mhe.api import estimation
+    from sgms_mhe.evaluation.prediction import force_error, write_prediction
 
-    recorded = recorded_log(log, resolved)
     with progress_bar(f"predict {resolved.name}"):
-        prediction = predict_log(resolved, recorded)
+        prediction = estimation.predict(resolved, log, lowpass_Hz=lowpass, note=note)
     units = resolved.plant.units
     error = force_error(prediction, start_s=start_s, end_s=end_s, factor=factor)
-    write_prediction(out, prediction, units)
+    write_prediction(out, prediction)
     if as_json:
         result = {
             "machine": resolved.name,

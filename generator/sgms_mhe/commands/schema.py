@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import click
 
-from sgms_mhe.commands.common import example, json_text, show
+from sgms_mhe.commands.common import example, json_text, note_broken_effects, show
 
 
 @click.command(short_help="JSON Schema of a machine file.", epilog=example("schema > machine.schema.json"))
 def command() -> None:
-    """Print the JSON Schema of a machine file: every key with unit, range and default."""
-    from sgms_mhe.machine import json_schema
+    """Print the JSON Schema of a machine file: every key with unit, range and default, every effect by name."""
+    from sgms_mhe.configuration import machine_schema
 
-    show(json_text(json_schema()))
+    note_broken_effects()
+    show(json_text(machine_schema()))

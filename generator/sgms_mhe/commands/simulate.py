@@ -104,23 +104,20 @@ def command(
     resolved = load_machine(machine)
     check_output_file(out, (".csv", ".npz"))
 
-    from sgms_mhe.machine import estimable_names
-    from sgms_mhe.plant.axis_config import AxisConfig
-    from sgms_mhe.plant.simulation import simulate_axis
-    from sgms_mhe.plant.trajectories import make_trajectory
-    from sgms_mhe.plant.trajectory_files import read_trajectory
+    from sgms_mhe.api import simulation
     from sgms_mhe.signals.logs import write_log
 
-    sampling = resolved.sampling
-    if Path(trajectory).suffix:
-        reference = read_trajectory(trajectory, resolved, duration_s=duration)
-    else:
-        reference = make_trajectory(trajectory, sampling.rate, duration_s=duration, max_velocity=sampling.max_velocity)
-    names = {resolved.plant.units.named(name): name for name in ("mass", *estimable_names(resolved.effects))}
-    scales = {names.get(name, name): factor for name, factor in scales.items()}
-    config = AxisConfig(law=law, force_noise_N=force_noise, encoder_resolution_m=encoder_resolution, seed=seed)
     with progress_bar(f"simulate {resolved.name}"):
-        run = simulate_axis(resolved, reference, config, scale=scales, truth=False)
+        run = simulation.simulate(
+            resolved,
+            trajectory,
+            duration_s=duration,
+            scale=scales,
+            law=law,
+            force_noise_N=force_noise,
+            encoder_resolution_m=encoder_resolution,
+            seed=seed,
+        )
     write_log(out, run.log)
     show(f"{out}: {describe(run.log)}", out)
 

@@ -19,7 +19,6 @@ from sgms_mhe.commands.common import (
     show,
     table_text,
 )
-from sgms_mhe.commands.estimate import check_length
 
 if TYPE_CHECKING:
     import numpy as np
@@ -75,6 +74,7 @@ def command(
 
     resolved = load_machine(machine)
 
+    from sgms_mhe.api.estimation import check_length
     from sgms_mhe.emission.package import emit_package
     from sgms_mhe.evaluation.firmware import TARGET_FLAGS, TARGETS
     from sgms_mhe.evaluation.motions import simulated_log

@@ -33,6 +33,7 @@ from sgms_mhe.machine import (
 )
 from sgms_mhe.model.effects import EffectParameter, Value, effect_definition, effect_names
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.names import did_you_mean
 
 _INTEGRATOR: Final = ("sampling", "integrator")
 _Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -104,7 +105,8 @@ def _check_effect(file: MachineFile, index: int) -> None:
     try:
         definition = effect_definition(name)
     except KeyError:
-        raise file.refused(where, name, f"one of {listing(effect_names(kind))}") from None
+        known = effect_names(kind)
+        raise file.refused(where, name, f"one of {listing(known)}{did_you_mean(name, known)}") from None
     except InputError as error:
         raise file.refused(where, name, f"an effect that works; {error}") from None
     if kind not in definition.kinds:

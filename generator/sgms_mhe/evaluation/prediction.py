@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,12 @@ from scipy.signal import decimate
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.host.compiled import CompiledModel
-from sgms_mhe.machine import Machine, Units
+from sgms_mhe.machine import OF_KIND, Kind, Machine
 from sgms_mhe.signals.chain import Signals, signals_from_log
 from sgms_mhe.signals.columns import write_columns
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.frames import data_frame
 
 Array = NDArray[np.float64]
 
@@ -30,7 +31,8 @@ class PredictedFriction:
     """Friction at the samples of a log, without any estimation; arrays (n).
 
     time [s]; measured [N], NaN where it is no measurement; friction [N] of the model at the machine file's parameters,
-    which starts with all elements relaxed; drive force [N] behind the same filters; `source` names the log.
+    which starts with all elements relaxed; drive force [N] behind the same filters; `source` names the log. Of a
+    rotary axis torques [N m]; `kind` says which it is.
     """
 
     time_s: Array
@@ -38,6 +40,21 @@ class PredictedFriction:
     friction_N: Array
     force_N: Array
     source: str
+    kind: Kind = "linear"
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """Columns (n) of the prediction's file, as this kind of axis names them."""
+        columns = {
+            "time_s": self.time_s,
+            "friction_measured_N": self.friction_measured_N,
+            "friction_N": self.friction_N,
+        }
+        return {OF_KIND[self.kind].named(name): values for name, values in columns.items()}
+
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame with the columns of the prediction's file, a row per sample."""
+        return data_frame(self.columns)
 
 
 @dataclass(frozen=True)
@@ -83,7 +100,7 @@ def predict_signals(machine: Machine, signals: Signals, source: str = "log") -> 
         machine = override_machine(machine, {"sampling": {"integrator": {"substeps": samples}}})
     friction = CompiledModel(machine).predict(signals).friction_N
     measured = np.where(signals.valid, signals.friction, np.nan)
-    return PredictedFriction(signals.time, measured, friction, signals.force, source)
+    return PredictedFriction(signals.time, measured, friction, signals.force, source, machine.plant.kind)
 
 
 def force_error(
@@ -124,11 +141,6 @@ def force_error(
     return ForceError(len(rows), residual, friction, force)
 
 
-def write_prediction(path: str | Path, prediction: PredictedFriction, units: Units) -> None:
+def write_prediction(path: str | Path, prediction: PredictedFriction) -> None:
     """Write time_s, friction_measured_N, friction_N (as this kind of axis names them) as CSV, atomically."""
-    columns = {
-        "time_s": prediction.time_s,
-        "friction_measured_N": prediction.friction_measured_N,
-        "friction_N": prediction.friction_N,
-    }
-    write_columns(path, units.keyed(columns))
+    write_columns(path, prediction.columns)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -80,8 +80,12 @@ def read_log(path: str | Path, machine: Machine | None = None) -> Log:
 def understand(path: str | Path, machine: Machine | None = None) -> Reading:
     """Read a file as far as it can be understood. Raises InputError, with what to write where, for what cannot."""
     path = Path(path)
+    return understand_table(path, _table(path, machine.log if machine is not None else None), machine)
+
+
+def understand_table(path: Path, table: Table, machine: Machine | None = None) -> Reading:
+    """Understand a table that was read from `path`, or that messages call so. Raises InputError as `understand`."""
     mapping = machine.log if machine is not None else None
-    table = _table(path, mapping)
     kind, sources = choose_sources(path, table, mapping, machine.plant.kind if machine is not None else None)
     columns = si_values(path, table, sources)
     timing = measure_time(path, columns["time_s"], table.row)
@@ -96,7 +100,7 @@ def understand(path: str | Path, machine: Machine | None = None) -> Reading:
 def log_of(reading: Reading, machine: Machine | None = None) -> Log:
     """The log. Raises InputError for one of another kind of axis than the machine's, uneven time, and another rate."""
     if machine is not None:
-        check_kind(reading, machine)
+        check_kind(reading.path, reading.kind, [source.quantity.column for source in reading.sources], machine)
     if reading.resampling is None:
         check_uniform(reading.path, reading.columns["time_s"], reading.timing, reading.table.row)
     rate = reading.timing.rate if reading.resampling is None else reading.resampling.rate
@@ -109,17 +113,16 @@ def log_of(reading: Reading, machine: Machine | None = None) -> Log:
     return log
 
 
-def check_kind(reading: Reading, machine: Machine) -> None:
-    """Refuse a log of another kind of axis than the machine's."""
+def check_kind(source: str | Path, kind: Kind, columns: Iterable[str], machine: Machine) -> None:
+    """Refuse a log with columns of another kind of axis than the machine's."""
     wanted = machine.plant.kind
-    if reading.kind == wanted:
+    if kind == wanted:
         return
-    names = ", ".join(source.quantity.column for source in reading.sources)
     needed = ", ".join(quantity.column for quantity in QUANTITIES[wanted] if quantity.role in REQUIRED)
     allowed = (
         f"columns of a {wanted} axis, as {machine.name} is ([plant] kind); [log] of the machine file maps {needed}"
     )
-    raise InputError(reading.path, "columns", f"{names} of a {reading.kind} axis", allowed)
+    raise InputError(source, "columns", f"{', '.join(columns)} of a {kind} axis", allowed)
 
 
 def _table(path: Path, mapping: LogMapping | None) -> Table:

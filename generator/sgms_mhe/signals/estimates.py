@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import LINEAR, OF_KIND, ROTARY, Kind
 from sgms_mhe.signals.columns import read_columns, write_columns
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.frames import data_frame
 
 Array = NDArray[np.float64]
 
@@ -50,21 +51,30 @@ class Estimates:
     def __len__(self) -> int:
         return len(self.time_s)
 
+    @property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Columns (u,) of the estimates' file, as this kind of axis names them."""
+        names = self.parameter_names
+        columns: dict[str, NDArray[Any]] = {
+            "time_s": self.time_s,
+            "friction_measured_N": self.friction_measured_N,
+            "friction_N": self.friction_N,
+        }
+        columns |= {f"z_{i + 1}_m": z for i, z in enumerate(self.z_m.T)}
+        columns |= dict(zip(names, self.parameters.T, strict=True))
+        columns |= {f"std_{name}": std for name, std in zip(names, self.std.T, strict=True)}
+        columns["status"] = self.status.astype(np.int64)
+        columns |= {name: getattr(self, name) for name in READING_COLUMNS}
+        return {OF_KIND[self.kind].named(name): values for name, values in columns.items()}
+
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame with the columns of the estimates' file, a row per update."""
+        return data_frame(self.columns)
+
 
 def write_estimates(path: str | Path, estimates: Estimates) -> None:
     """Write the estimates' CSV atomically: time, friction, deflections, parameters, their std, status."""
-    names = estimates.parameter_names
-    columns: dict[str, NDArray[Any]] = {
-        "time_s": estimates.time_s,
-        "friction_measured_N": estimates.friction_measured_N,
-        "friction_N": estimates.friction_N,
-    }
-    columns |= {f"z_{i + 1}_m": z for i, z in enumerate(estimates.z_m.T)}
-    columns |= dict(zip(names, estimates.parameters.T, strict=True))
-    columns |= {f"std_{name}": std for name, std in zip(names, estimates.std.T, strict=True)}
-    columns["status"] = estimates.status.astype(np.int64)
-    columns |= {name: getattr(estimates, name) for name in READING_COLUMNS}
-    write_columns(path, OF_KIND[estimates.kind].keyed(columns))
+    write_columns(path, estimates.columns)
 
 
 def read_estimates(path: str | Path) -> Estimates:

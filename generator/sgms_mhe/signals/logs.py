@@ -14,6 +14,7 @@ from sgms_mhe.machine import OF_KIND, QUANTITIES, Kind, Machine, Units
 from sgms_mhe.signals.columns import write_columns
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
+from sgms_mhe.support.frames import data_frame
 
 Array = NDArray[np.float64]
 
@@ -56,6 +57,10 @@ class Log:
         """The columns that are present, by the names of a linear axis, in the order of a log file."""
         present = {name: getattr(self, name) for name in COLUMNS}
         return {name: values for name, values in present.items() if values is not None}
+
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame of the columns that are present, named as in a log file of this kind of axis."""
+        return data_frame(self.units.keyed(self.columns))
 
     def part(self, start_s: float = 0.0, end_s: float = math.inf) -> Log:
         """The rows from `start_s` to `end_s` [s since the first sample] as a log of its own.

@@ -1,0 +1,40 @@
+"""From a log to named causes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from sgms_mhe.api.inputs import LogSource, Note, load, recorded_log
+from sgms_mhe.diagnosis import Diagnosis
+from sgms_mhe.diagnosis import diagnose as diagnose_log
+from sgms_mhe.diagnosis.course import Progress
+from sgms_mhe.machine import Machine
+
+
+def diagnose(
+    machine: str | Path | Machine,
+    log: LogSource,
+    *,
+    held_out_s: Sequence[tuple[float, float]] | None = None,
+    note: Note | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Say what the simulation of a machine gets wrong along a log, name the cause, and measure what naming it gains.
+
+    Args:
+        machine: file, name, or loaded: the axis as it is believed to be.
+        log: file, Log or DataFrame: what was measured.
+        held_out_s: intervals since the log's start [s] that no fit behind a reported gain sees; None: a third of the
+            record, in blocks.
+        note: called with each sentence on how the log was read.
+        progress: called with each step and the share of the work before it.
+
+    Returns:
+        Verdict, causes with parameters and deviations, rivals, what the record cannot decide, the extended machine.
+
+    Raises:
+        InputError: machine or log; an ImplausibleError where the log's sign, scale or unit cannot be meant.
+    """
+    axis = load(machine)
+    return diagnose_log(axis, recorded_log(log, axis, note=note), progress=progress, held_out_s=held_out_s)

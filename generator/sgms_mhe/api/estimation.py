@@ -1,0 +1,97 @@
+"""An estimator over a log, as the controller would run it, and the model alone along it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, Literal
+
+from sgms_mhe.api.inputs import LogSource, Note, Progress, load, recorded_log
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.evaluation.prediction import PredictedFriction, predict_log
+from sgms_mhe.host.compiled import CompiledEstimator
+from sgms_mhe.machine import Machine
+from sgms_mhe.reference import estimate_reference
+from sgms_mhe.signals.chain import signals_from_log
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
+
+Solver = Literal["c", "reference", "ekf", "smoother"]
+SOLVERS: Final[tuple[Solver, ...]] = ("c", "reference", "ekf", "smoother")
+
+
+def estimate(
+    machine: str | Path | Machine,
+    log: LogSource,
+    *,
+    solver: Solver = "c",
+    progress: Progress | None = None,
+    note: Note | None = None,
+) -> Estimates:
+    """Estimate friction and parameters from a log as the controller would, one row per update.
+
+    Args:
+        machine: file, name, or loaded.
+        log: file, Log or DataFrame; columns that replace the signal chain (velocity_m_s, ...) are used where they are.
+        solver: c: the generated C, compiled here; reference: the Python solver that it is judged by; ekf: the generated
+            C of an extended Kalman filter; smoother: least squares over the whole record.
+        progress: called with (updates done, updates in all).
+        note: called with each sentence on how the log was read.
+
+    Returns:
+        One row per update; `to_frame()` has the columns of docs/files.md.
+
+    Raises:
+        InputError: machine, solver or log; a log that ends before the first update.
+        BuildError: the C compiler refused.
+    """
+    if solver not in SOLVERS:
+        raise InputError("estimate", "solver", solver, f"one of {', '.join(SOLVERS)}")
+    axis = load(machine)
+    recorded = recorded_log(log, axis, note=note)
+    check_length(recorded, axis)
+    if solver in ("c", "ekf"):
+        chosen = override_machine(axis, {"estimator": {"kind": "ekf"}}) if solver == "ekf" else axis
+        estimator = CompiledEstimator(chosen)
+        if any(
+            column is not None for column in (recorded.velocity_m_s, recorded.acceleration_m_s2, recorded.friction_N)
+        ):
+            return estimator.estimate(signals_from_log(recorded, axis), progress=progress)
+        return estimator.estimate_log(recorded, mode="tick", progress=progress)
+    kind: Literal["smoother"] | None = "smoother" if solver == "smoother" else None
+    return estimate_reference(axis, signals_from_log(recorded, axis), kind, progress=progress)
+
+
+def predict(
+    machine: str | Path | Machine, log: LogSource, *, lowpass_Hz: float | None = None, note: Note | None = None
+) -> PredictedFriction:
+    """Run a machine's model along the motion in a log, without estimation.
+
+    Args:
+        machine: file, name, or loaded.
+        log: file, Log or DataFrame.
+        lowpass_Hz: in place of the machine's velocity_cutoff.
+        note: called with each sentence on how the log was read.
+
+    Returns:
+        Measured and simulated friction at every sample (n) [N]; `to_frame()` has the columns of docs/files.md.
+
+    Raises:
+        InputError: machine or log; no sample is a valid measurement of friction.
+        BuildError: the C compiler refused.
+    """
+    axis = load(machine)
+    if lowpass_Hz is not None:
+        axis = override_machine(axis, {"sampling": {"velocity_cutoff": lowpass_Hz}})
+    return predict_log(axis, recorded_log(log, axis, note=note))
+
+
+def check_length(log: Log, machine: Machine) -> None:
+    """Refuse a log that ends before the first update.
+
+    Raises:
+        InputError: names the log, its rows and how many it takes.
+    """
+    least = machine.sampling.samples_per_update + 1
+    if len(log) < least:
+        raise InputError(log.source, "rows", len(log), f"at least {least}, what one update of {machine.name} takes")

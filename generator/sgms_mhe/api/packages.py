@@ -1,0 +1,30 @@
+"""Embedded C out of a machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sgms_mhe.api.inputs import load
+from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_mhe.machine import Machine
+
+
+def generate(machine: str | Path | Machine, out: str | Path | None = None, *, amalgamate: bool = False) -> Package:
+    """Emit a machine's estimator as C99 that needs no library.
+
+    Args:
+        machine: file, name, or loaded.
+        out: the package's folder, replaced as a whole, and only if nothing but an earlier package is in it; None: write
+            nothing.
+        amalgamate: all C in one source and one header.
+
+    Returns:
+        The machine and its files, text by name.
+
+    Raises:
+        InputError: the machine file; a tick beyond its budget of operations; a folder that holds other files.
+    """
+    package = emit_package(load(machine), within_budget=True, amalgamate=amalgamate)
+    if out is not None:
+        write_package(package, Path(out))
+    return package

@@ -1,0 +1,71 @@
+"""A simulated axis and the log that it leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, Literal
+
+from sgms_mhe.api.inputs import load
+from sgms_mhe.machine import Machine, estimable_names
+from sgms_mhe.model.effects import Value
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import SimulatedRun, simulate_axis
+from sgms_mhe.plant.trajectories import Trajectory, make_trajectory
+from sgms_mhe.plant.trajectory_files import read_trajectory
+
+_EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
+
+
+def simulate(
+    machine: str | Path | Machine,
+    trajectory: str | Path | Trajectory = "paper",
+    *,
+    duration_s: float | None = None,
+    scale: Mapping[str, float] = _EMPTY,
+    hidden_effects: Sequence[tuple[str, Mapping[str, Value]]] = (),
+    law: Literal["sgms", "maxwell_slip"] | None = None,
+    force_noise_N: float = 0.1,
+    encoder_resolution_m: float = 1e-9,
+    seed: int = 0,
+    truth: bool = False,
+) -> SimulatedRun:
+    """Move a simulated axis in closed position loop and log position and drive force.
+
+    The plant is integrated apart from the model that estimators are generated from.
+
+    Args:
+        machine: file, name, or loaded.
+        trajectory: the motion by name, a CSV file of one (a name with a suffix), or a Trajectory as it is.
+        duration_s: repeat or cut the motion to this long [s]; None: once.
+        scale: true over nominal value by parameter: mass (of a rotary axis inertia), stiffness, stiffness_1, coulomb,
+            effect.parameter, ...
+        hidden_effects: (name, parameters) of effects that the plant has and the machine does not know, named as in
+            docs/effects.md.
+        law: friction law of the plant; maxwell_slip switches; None: the machine's.
+        force_noise_N: one standard deviation of the logged force [N, N m].
+        encoder_resolution_m: step of the encoder [m, rad]; 0: none.
+        seed: of the noise: the same seed, the same log.
+        truth: keep what no sensor sees.
+
+    Returns:
+        The log, one row per sample, and the truth where it was asked for.
+
+    Raises:
+        InputError: a name, a file or a number that does not fit; an axis that its controller cannot hold.
+    """
+    axis = load(machine)
+    sampling = axis.sampling
+    if isinstance(trajectory, Trajectory):
+        reference = trajectory
+    elif Path(trajectory).suffix:
+        reference = read_trajectory(trajectory, axis, duration_s=duration_s)
+    else:
+        reference = make_trajectory(
+            str(trajectory), sampling.rate, duration_s=duration_s, max_velocity=sampling.max_velocity
+        )
+    names = {axis.plant.units.named(name): name for name in ("mass", *estimable_names(axis.effects))}
+    config = AxisConfig(law=law, force_noise_N=force_noise_N, encoder_resolution_m=encoder_resolution_m, seed=seed)
+    scales = {names.get(name, name): factor for name, factor in scale.items()}
+    return simulate_axis(axis, reference, config, scale=scales, hidden_effects=hidden_effects, truth=truth)

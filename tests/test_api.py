@@ -1,0 +1,263 @@
+"""The public Python API: what it gives, that it costs nothing until it is used, and that its page and scripts run."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import runpy
+import subprocess
+import sys
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import sgms_mhe
+from cli_cases import SMALL, done
+from sgms_mhe.emission.package import emit_package
+from sgms_mhe.machine import Machine
+from sgms_mhe.signals.columns import read_columns
+from sgms_mhe.signals.logs import COLUMNS, Log
+from sgms_mhe.support.errors import ImplausibleError, InputError
+
+ROOT = Path(__file__).resolve().parents[1]
+ROTARY = SMALL.replace("mass = 20.0", 'kind = "rotary"\ninertia = 20.0').replace('"small"', '"turning"')
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("machine") / "small.toml"
+    path.write_text(SMALL)
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(small: Path) -> Log:
+    return sgms_mhe.simulate(small, duration_s=3.0, scale={"stiffness": 1.2}, seed=3).log
+
+
+# --- what there is ----------------------------------------------------------------------------------------------
+
+
+def test_importing_the_package_imports_nothing_else() -> None:
+    script = (
+        "import sys\nbefore = set(sys.modules)\nimport sgms_mhe\ndir(sgms_mhe)\n"
+        "roots = {name.partition('.')[0] for name in set(sys.modules) - before}\n"
+        "print(sorted(roots - set(sys.stdlib_module_names)))"
+    )
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert ran.stdout == "['sgms_mhe']\n"
+
+
+def test_pandas_is_not_imported_until_a_frame_is_asked_for() -> None:
+    script = (
+        "import sys, sgms_mhe\nsgms_mhe.read_log\nsgms_mhe.estimate\nsgms_mhe.simulate\nprint('pandas' in sys.modules)"
+    )
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert ran.stdout == "False\n"
+
+
+def test_every_function_is_there_described_and_typed() -> None:
+    assert sgms_mhe.__all__ == sorted(sgms_mhe.__all__) and set(sgms_mhe.__all__) <= set(dir(sgms_mhe))
+    for name in sgms_mhe.__all__:
+        function = getattr(sgms_mhe, name)
+        text = inspect.getdoc(function)
+        assert function.__name__ == name and text is not None and "Raises:" in text
+        signature = inspect.signature(function)
+        assert all(p.annotation is not inspect.Parameter.empty for p in signature.parameters.values())
+        described = set(re.findall(r"^    (\w+(?:, \w+)*):", text, flags=re.MULTILINE))
+        assert set(signature.parameters) <= {word for names in described for word in names.split(", ")} | {"InputError"}
+
+
+def test_type_checkers_are_told_the_same() -> None:
+    tree = ast.parse((ROOT / "generator" / "sgms_mhe" / "__init__.pyi").read_text())
+    told = {node.names[0].name: node.module for node in tree.body if isinstance(node, ast.ImportFrom)}
+    assert told == {name: getattr(sgms_mhe, name).__module__ for name in sgms_mhe.__all__}
+    assert f"__all__ = {sgms_mhe.__all__}".replace("'", '"') in ast.unparse(tree).replace("'", '"')
+
+
+def test_what_is_not_there_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="has no attribute 'identfy'"):
+        sgms_mhe.identfy  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_the_module_is_the_command_line() -> None:
+    ran = subprocess.run([sys.executable, "-m", "sgms_mhe", "--version"], capture_output=True, text=True, check=True)
+    assert ran.stdout == f"sgms-mhe, version {sgms_mhe.__version__}\n"
+
+
+def test_the_citation_is_of_this_version() -> None:
+    text = (ROOT / "CITATION.cff").read_text()
+    assert f"\nversion: {sgms_mhe.__version__}\n" in text
+    assert "\n  - name: sgms-mhe contributors\n" in text
+    paper = (ROOT / "docs" / "model.md").read_text().partition("The paper is ")[2].partition(".\n")[0]
+    title = re.search(r"\*(.+)\*", paper.replace("\n", " "))
+    assert title is not None and f"title: {title[1]}\n" in text
+    assert all(f"family-names: {name}\n" in text for name in re.findall(r"[A-Z]\. ([\w ]+),", paper))
+
+
+# --- machines and logs ------------------------------------------------------------------------------------------
+
+
+def test_a_machine_is_a_path_a_name_or_itself(small: Path) -> None:
+    machine = sgms_mhe.load(small)
+    assert isinstance(machine, Machine) and machine.name == "small"
+    assert sgms_mhe.load(machine) is machine
+    assert sgms_mhe.load("etel_xy").name == "etel_xy"
+
+
+def test_a_log_is_a_path_itself_or_a_frame(small: Path, log: Log, tmp_path: Path) -> None:
+    path = tmp_path / "axis.csv"
+    log.to_frame().to_csv(path, index=False)
+    for source in (path, str(path), log, log.to_frame(), log.to_frame().sample(frac=1.0, axis=1, random_state=1)):
+        read = sgms_mhe.read_log(source, small)
+        for name, values in log.columns.items():
+            assert np.array_equal(read.columns[name], values), name
+        assert read.rate == pytest.approx(1000.0)
+    assert len(sgms_mhe.read_log(log, start_s=1.0, end_s=2.0)) == 1001
+
+
+def test_a_frame_is_mapped_as_a_file_is(small: Path, log: Log, tmp_path: Path) -> None:
+    mapped = tmp_path / "mapped.toml"
+    mapped.write_text(SMALL + '[log]\nposition_m = { variable = "x", unit = "mm" }\n')
+    frame = log.to_frame().rename(columns={"position_m": "x"})
+    frame["x"] *= 1e3
+    frame["time_s"] = pd.Timestamp("2024-01-01") + pd.to_timedelta(frame["time_s"], unit="s")
+    read = sgms_mhe.read_log(frame, mapped)
+    assert np.allclose(read.position_m, log.position_m, rtol=1e-12, atol=0.0)
+    assert np.allclose(read.time_s, log.time_s, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda frame: frame.drop(columns="force_N"), "force_N"),
+        (lambda frame: frame.assign(force_N="much"), "real numbers"),
+        (lambda frame: pd.concat([frame, frame[["force_N"]]], axis=1), "each name once"),
+        (lambda frame: frame.iloc[::2], "sampling.rate of small"),
+        (lambda frame: 3, "a path, a Log or a pandas.DataFrame"),
+    ],
+    ids=["no force", "text", "a name twice", "another rate", "no table"],
+)
+def test_frames_that_are_no_log_are_refused(change, expected: str, small: Path, log: Log) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError, match=re.escape(expected)):
+        sgms_mhe.read_log(change(log.to_frame()), small)
+
+
+def test_a_log_of_another_axis_is_refused(small: Path, log: Log, tmp_path: Path) -> None:
+    turning = tmp_path / "turning.toml"
+    turning.write_text(ROTARY)
+    with pytest.raises(InputError, match="columns of a rotary axis"):
+        sgms_mhe.estimate(turning, log)
+    with pytest.raises(ImplausibleError):
+        sgms_mhe.predict(small, log.to_frame().assign(force_N=lambda frame: -frame["force_N"]))
+
+
+# --- the same as the commands -----------------------------------------------------------------------------------
+
+
+def test_functions_give_what_the_commands_write(small: Path, log: Log, tmp_path: Path) -> None:
+    trace = tmp_path / "log.csv"
+    done("simulate", small, "--out", trace, "--duration", "3", "--scale", "stiffness=1.2", "--seed", "3")
+    assert_same(log.to_frame(), trace)
+
+    for solver in ("c", "ekf"):
+        done("estimate", small, trace, "--out", tmp_path / "e.csv", "--solver", solver)
+        estimates = sgms_mhe.estimate(small, log, solver=solver)  # type: ignore[arg-type]
+        assert_same(estimates.to_frame(), tmp_path / "e.csv")
+
+    done("predict", small, trace, "--out", tmp_path / "p.csv")
+    assert_same(sgms_mhe.predict(small, log).to_frame(), tmp_path / "p.csv")
+
+
+def assert_same(frame: pd.DataFrame, path: Path) -> None:
+    """A frame holds what a file does, to the bit and in its order."""
+    columns = read_columns(path)
+    assert list(frame) == list(columns)
+    for name, values in columns.items():
+        assert np.array_equal(frame[name].to_numpy(), values, equal_nan=True), name
+
+
+def test_generate_writes_only_where_it_is_told(small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    package = sgms_mhe.generate(small)
+    assert list(tmp_path.iterdir()) == []
+    assert dict(package.files) == dict(emit_package(sgms_mhe.load(small)).files)
+    sgms_mhe.generate(small, "package", amalgamate=True)
+    assert {path.name for path in (tmp_path / "package").iterdir()} < set(package.files)
+
+
+def test_a_solver_that_does_not_exist_is_refused(small: Path, log: Log) -> None:
+    with pytest.raises(InputError, match="solver = 'mhe': one of c, reference, ekf, smoother"):
+        sgms_mhe.estimate(small, log, solver="mhe")  # type: ignore[arg-type]
+
+
+def test_frames_of_an_axis_that_turns_have_its_names(tmp_path: Path) -> None:
+    path = tmp_path / "turning.toml"
+    path.write_text(ROTARY)
+    log = sgms_mhe.simulate(path, duration_s=2.0, scale={"inertia": 1.01}).log
+    assert list(log.to_frame()) == ["time_s", "position_rad", "torque_Nm"]
+    assert list(sgms_mhe.predict(path, log.to_frame()).to_frame()) == ["time_s", "friction_measured_Nm", "friction_Nm"]
+    assert {"z_1_rad", "friction_Nm", "innovation_Nm"} <= set(sgms_mhe.estimate(path, log).to_frame())
+
+
+def test_progress_and_notes_are_told(small: Path, log: Log) -> None:
+    steps: list[tuple[int, int]] = []
+    sgms_mhe.estimate(small, log, progress=lambda done, total: steps.append((done, total)))
+    assert steps and steps[-1][0] == steps[-1][1]
+
+
+def test_results_are_frozen(small: Path, log: Log) -> None:
+    for result in (log, sgms_mhe.predict(small, log), sgms_mhe.estimate(small, log), sgms_mhe.generate(small)):
+        assert is_dataclass(result)
+        with pytest.raises(AttributeError):
+            setattr(result, fields(result)[0].name, None)
+    assert set(log.columns) <= set(COLUMNS)
+
+
+# --- page and scripts -------------------------------------------------------------------------------------------
+
+
+def test_code_on_the_page_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / "python.md").read_text(), re.DOTALL | re.MULTILINE)
+    assert len(blocks) == 5
+    (tmp_path / "my_axis.toml").write_text(SMALL.replace('"small"', '"my_axis"'))
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for i, block in enumerate(blocks):
+        exec(compile(block, f"docs/python.md, block {i + 1}", "exec"), names)
+    said = capsys.readouterr().out
+    assert "std_stiffness_1" in said and "'my_axis.c'" in said and "column force_N" in said
+    assert (tmp_path / "package" / "my_axis.h").is_file()
+
+
+def test_estimators_compared(small: Path) -> None:
+    script = runpy.run_path(str(ROOT / "examples" / "python" / "compare_estimators.py"))
+    table = script["compare"](str(small))
+    assert list(table.index) == ["MHE", "EKF"]
+    # The true stiffness is 1.3 times the file's, so that a ratio of 0.77 is no estimate.
+    assert (abs(table["stiffness_ratio"] - 1.0) < 0.1).all()
+    log = sgms_mhe.simulate(small, "mixed", duration_s=5.0, scale={"stiffness": 1.3}).log
+    for name, solver in (("MHE", "c"), ("EKF", "ekf")):
+        found = sgms_mhe.estimate(small, log, solver=solver)  # type: ignore[arg-type]
+        rms = np.sqrt(np.nanmean((found.friction_measured_N - found.friction_N) ** 2))
+        assert table.loc[name, "residual_rms_N"] == pytest.approx(rms, rel=1e-12)
+
+
+def test_own_axis_finds_the_ripple_that_it_hides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    script = runpy.run_path(str(ROOT / "examples" / "python" / "own_axis.py"))
+    script["main"](tmp_path)
+    said = capsys.readouterr().out
+    assert said.startswith("explained: ")
+    name, hidden = script["RIPPLE"]
+    found = {key: float(value) for key, value in re.findall(r"(\w+) = (\S+)", said.partition(f"  {name}: ")[2])}
+    assert found["amplitude_N"] == pytest.approx(hidden["amplitude_N"], rel=0.05)
+    assert found["pitch_m"] == pytest.approx(hidden["pitch_m"], rel=0.01)
+    extended = sgms_mhe.load(tmp_path / "extended.toml")
+    assert [effect.name for effect in extended.effects] == [name]
+    assert (tmp_path / "package" / f"{extended.name}.h").is_file()
