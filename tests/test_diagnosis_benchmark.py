@@ -405,13 +405,9 @@ def test_processes_give_what_one_gives(machine: Machine, tmp_path: Path) -> None
         (21, 2, "single", ("force_ripple",), {"named"}),
         (21, 4, "single", ("micro_viscous",), {"named", "ambiguous"}),
         (21, 7, "single", ("periodic_disturbance",), {"named"}),  # of an axis whose elements slip at once
-        (21, 12, "single", ("drive_efficiency",), {"named", "ambiguous"}),  # of one that turns
-        (21, 11, "double", ("position_spring", "encoder_periodic_error"), {"named", "ambiguous"}),
-        (21, 34, "base", ("coulomb",), {"named"}),
-        (21, 23, "base", ("stiffness",), {"named"}),
-        (21, 1, "clean", (), {"right"}),  # of one that turns, whose file states the other law
-        (21, 5, "clean", (), {"right"}),
-        (21, 8, "unmodelled", ("narrow_band_noise",), {"unexplained"}),
+        (21, 35, "single", ("quadratic_drag",), {"named", "ambiguous"}),  # of one that turns
+        (21, 5, "clean", (), {"right"}),  # its file states the other law
+        (21, 28, "unmodelled", ("telegraph",), {"unexplained"}),
         (21, 33, "fault", ("position_of_other_sign",), {"right"}),
         (21, 39, "weak", ("eddy_current_damping",), {"right"}),
     ],

@@ -182,6 +182,18 @@ def test_saturated_drive_is_no_cause(quick: Machine, slow: Machine, rippled: Log
     assert_finds_the_ripple(diagnose(slow, every_tenth(recorded(quick, [("force_ripple", RIPPLE)], max_force_N=limit))))
 
 
+def test_a_force_that_is_held_is_no_resonance(quick: Machine) -> None:
+    """A drive of 1 kHz: its force acts half a sample later, by the mean of two; what that leaves has no mass."""
+    sampling = {"rate": 1000.0, "update_rate": 50.0, "velocity_cutoff": 100.0}
+    friction = {"stiffness": [3e4, 1e4], "fraction": [0.25, 0.75], "micro_viscous": [0.0, 0.0], "stribeck_ratio": 0.0}
+    axis = override_machine(quick, {"sampling": sampling, "friction": friction, "estimator": {"horizon": 5}})
+    path = make_trajectory("mixed", 1000.0, duration_s=12.0)
+    ripple = {"amplitude_N": 1.5, "pitch_m": 0.02, "phase_rad": 0.6}
+    diagnosis = diagnose(axis, recorded(axis, [("force_ripple", ripple)], path))
+    assert {"force_ripple"} <= names(diagnosis) <= {"force_ripple", "force_delay"}, diagnosis.summary
+    assert diagnosis.causes[0].parameters["amplitude_N"] == pytest.approx(1.5, rel=0.03)
+
+
 # --- hardly any motion ------------------------------------------------------------------------------------------
 
 

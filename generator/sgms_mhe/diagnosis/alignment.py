@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 CUTOFF: Final = 0.4  # of the rate: a low-pass that a machine file may have at it; the signals passed theirs already
 AT_LIMIT: Final = 1e-6
+HELD: Final = 1.5
+"""Of h^2 / 12: a force that is held moves by the mean of two samples, low by h^2 / 8 between them."""
 
 
 def thinned(subject: Subject) -> Subject:
@@ -89,7 +91,7 @@ def aligned(subject: Subject, fit: Fit) -> Subject:
     measured = whole.alignment.measured - later
     names = [extra.name for extra in fit.extras] + [effect.name for effect in subject.machine.effects]
     timed = any(effect_definition(name).timed for name in names)
-    sampled = np.zeros(2) if timed else _sampling(whole, fit, measured - exact)
+    sampled = _sampling(whole, fit, measured - exact, timed=timed)
     measured = measured - _jerk_and_snap(whole.recording) @ sampled
     whole = replace(
         whole,
@@ -138,12 +140,13 @@ def _since_mean_velocity(whole: Subject, fit: Fit) -> Array:
     return force(later) - force(v)
 
 
-def _sampling(whole: Subject, fit: Fit, residual: Array) -> Array:
+def _sampling(whole: Subject, fit: Fit, residual: Array, *, timed: bool) -> Array:
     """Coefficients of `_jerk_and_snap` (2) in what a residual (m) owes to the sampling of force and position alone.
 
     Proportional to the jerk: force and position up to `timing` of a sample apart. Proportional to the second derivative
     of the acceleration: its second difference over a sample h is low by h^2 / 12 of that, against a force that is
-    sampled in a point.
+    sampled in a point. `timed`: a delay or lag is under test, which the former belongs to; such as that of a force that
+    is held over a sample, which is low by h^2 / 8.
     """
     used = whole.recording.used
     step, mass = whole.machine.sampling.step, whole.machine.plant.moved
@@ -151,9 +154,9 @@ def _sampling(whole: Subject, fit: Fit, residual: Array) -> Array:
     scale = mass * np.array([whole.thresholds.timing * step, step**2 / 12.0])
     Z = free.project(_jerk_and_snap(whole.recording)[used] * scale)
     e = free.project(residual[used])
-    bounded = lsq_linear(Z, e, ([-1.0, -1.0], [1.0, 0.0])).x
+    bounded = np.ones(2) if timed else lsq_linear(Z, e, ([-1.0, -1.0], [1.0, 0.0])).x
     if abs(bounded[0]) > 1.0 - AT_LIMIT:  # more than sampling: all of it is for a delay or lag to explain
-        bounded = np.array([0.0, *lsq_linear(Z[:, 1:], e, ([-1.0], [0.0])).x])
+        bounded = np.array([0.0, *lsq_linear(Z[:, 1:], e, ([-HELD if timed else -1.0], [0.0])).x])
     return np.asarray(scale * bounded)
 
 
