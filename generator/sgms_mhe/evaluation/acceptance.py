@@ -19,14 +19,13 @@ from xml.etree import ElementTree
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.evaluation.comparison import compare_signals
-from sgms_mhe.evaluation.firmware import TARGET_FLAGS, Target, run_tool
+from sgms_mhe.evaluation.firmware import TARGET_FLAGS, Target, link_program
 from sgms_mhe.evaluation.target import emulate
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.support.errors import BuildError, InputError
-from sgms_mhe.support.paths import runtime_dir
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS, WARNING_FLAGS, compiler, tool_output
 
 T = TypeVar("T")
@@ -189,28 +188,17 @@ def build_selftest(package: Package, target: Target, folder: Path) -> Path:
     Raises:
         BuildError: the compiler is not there, or it refused.
     """
-    own, start_code = folder / package.machine.name, runtime_dir() / "target"
     sources = _selftest_sources(package, folder, "target_main")
     (folder / "count.c").write_text("extern unsigned target_loop_count;\nunsigned target_loop_count;\n")
-    options = [*TARGET_FLAGS, *target.flags, "-ffreestanding"]
-    objects: list[Path] = []
-    for source in (*sources, folder / "count.c"):
-        objects.append(folder / f"{source.stem}.o")
-        run_tool(target, "gcc", *options, f"-I{own}", "-c", source, "-o", objects[-1])
-    helpers, start, linked = (folder / name for name in ("helpers.o", "start.o", "selftest.elf"))
-    # Otherwise a compiler recognises the loop in memcpy and calls memcpy for it.
-    copies = [*options, "-fno-tree-loop-distribute-patterns"]
-    run_tool(target, "gcc", *copies, "-c", start_code / "helpers.c", "-o", helpers)
-    run_tool(target, "gcc", *target.flags, "-c", start_code / f"{target.name}.S", "-o", start)
-    script = start_code / f"{target.name}.ld"
-    parts = [*objects, helpers, start]
-    run_tool(target, "gcc", *target.flags, "-nostdlib", f"-Wl,-T,{script}", *parts, "-lgcc", "-o", linked)
-    return linked
+    options: list[str | Path] = [*TARGET_FLAGS, *target.flags, "-ffreestanding"]
+    own = f"-I{folder / package.machine.name}"
+    parts = {f"{source.stem}.o": [*options, own, source] for source in (*sources, folder / "count.c")}
+    return link_program(target, parts, options, folder / "selftest.elf")
 
 
 def _selftest_sources(package: Package, folder: Path, entry: str) -> list[Path]:
     """Write a package and a program that returns what its self-test says; the C files of both."""
-    name: Final = package.machine.name
+    name = package.machine.name
     write_package(package, folder / name)
     main = folder / "main.c"
     main.write_text(

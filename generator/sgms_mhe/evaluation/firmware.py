@@ -125,17 +125,9 @@ def build_program(target: Target, package: Package, folder: Path, flags: Sequenc
     definitions = [*replay_definitions(name, package.machine.plant.kind), f"-DSGMS_LOOPS={','.join(map(str, LOOPS))}"]
     parts: dict[str, list[str | Path]] = {
         "package.o": [*options, "-fcallgraph-info=su", headers / f"{name}.c"],
-        # Otherwise a compiler recognises the loop in memcpy and calls memcpy for it.
-        "helpers.o": [*options, "-fno-tree-loop-distribute-patterns", source / "helpers.c"],
         "trial.o": [*options, *definitions, f"-I{headers}", f"-I{source}", source / "trial.c"],
-        "start.o": [*target.flags, source / f"{target.name}.S"],
     }
-    for part, arguments in parts.items():
-        run_tool(target, "gcc", *arguments, "-c", "-o", folder / part)
-    linked = folder / "trial.elf"
-    objects = [folder / part for part in parts]
-    script = source / f"{target.name}.ld"
-    run_tool(target, "gcc", *target.flags, "-nostdlib", f"-Wl,-T,{script}", *objects, "-lgcc", "-o", linked)
+    linked = link_program(target, parts, options, folder / "trial.elf")
     sizes = section_sizes(target, linked)
     return Program(
         path=linked,
@@ -146,6 +138,43 @@ def build_program(target: Target, package: Package, folder: Path, flags: Sequenc
         double_arithmetic=double_arithmetic(target, folder / "package.o"),
         loops=LOOPS,
     )
+
+
+def link_program(
+    target: Target,
+    parts: Mapping[str, Sequence[str | Path]],
+    options: Sequence[str | Path],
+    program: Path,
+    core: Sequence[str] | None = None,
+) -> Path:
+    """Compile the parts of a program, and link them with the start code and no library.
+
+    Args:
+        target: the target.
+        parts: arguments of the compiler by name of the object, which is left beside the program.
+        options: of the compiler, for the functions of memory that code without a library needs.
+        program: the executable.
+        core: flags for the core; None: the target's.
+
+    Returns:
+        The program.
+
+    Raises:
+        BuildError: the compiler is not there, or it refused.
+    """
+    source, flags = runtime_dir() / "target", target.flags if core is None else core
+    own: dict[str, Sequence[str | Path]] = {
+        # Otherwise a compiler recognises the loop in memcpy and calls memcpy for it.
+        "helpers.o": [*options, "-fno-tree-loop-distribute-patterns", source / "helpers.c"],
+        "start.o": [*flags, source / f"{target.name}.S"],
+    }
+    objects = []
+    for part, arguments in {**parts, **own}.items():
+        objects.append(program.parent / part)
+        run_tool(target, "gcc", *arguments, "-c", "-o", objects[-1])
+    script = source / f"{target.name}.ld"
+    run_tool(target, "gcc", *flags, "-nostdlib", f"-Wl,-T,{script}", *objects, "-lgcc", "-o", program)
+    return program
 
 
 def section_sizes(target: Target, path: Path) -> dict[str, int]:

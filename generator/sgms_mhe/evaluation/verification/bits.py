@@ -11,7 +11,7 @@ from typing import Final
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.emission.package import Package, emit_package, write_package
-from sgms_mhe.evaluation.firmware import TARGETS, Target, run_tool
+from sgms_mhe.evaluation.firmware import TARGETS, Target, link_program
 from sgms_mhe.evaluation.target import emulate
 from sgms_mhe.evaluation.verification.outcome import AbsentError, Outcome, definitions, require, run, sources
 from sgms_mhe.machine import Machine
@@ -152,19 +152,13 @@ def _on_target(package: Package, build: Build, target: Target, folder: Path) -> 
     options = [*STRICT, *build.flags, "-ffreestanding", *core]
     parts: dict[str, list[str | Path]] = {
         "package.o": [*options, folder / name / f"{name}.c"],
-        "helpers.o": [*options, "-fno-tree-loop-distribute-patterns", start / "helpers.c"],
         "exercise.o": [
             *(*options, "-DON_TARGET", *definitions(package), f"-I{folder / name}", f"-I{start}"),
             sources() / "exercise.c",
         ],
-        "start.o": [*core, start / f"{target.name}.S"],
     }
-    for part, arguments in parts.items():
-        run_tool(target, "gcc", *arguments, "-c", "-o", folder / part)
-    program, results = folder / "exercise.elf", folder / "results.bin"
-    script = f"-Wl,-T,{start / f'{target.name}.ld'}"
-    objects = [folder / part for part in parts]
-    run_tool(target, "gcc", *core, "-nostdlib", script, *objects, "-lgcc", "-o", program)
+    results = folder / "results.bin"
+    program = link_program(target, parts, options, folder / "exercise.elf", core)
     emulate(target, program, results, lambda _: None)
     content = results.read_bytes()
     if len(content) != struct.calcsize("<3Q"):
