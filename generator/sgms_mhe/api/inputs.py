@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.logfiles.frames import Frame, read_frame
+from sgms_mhe.logfiles.frames import FRAME, Frame, read_frame
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import check_kind, log_of, understand, understand_table
 from sgms_mhe.machine import Machine
@@ -69,7 +69,7 @@ def read_log(
     if isinstance(log, str | Path):
         reading = understand(log, axis)
     else:
-        reading = understand_table(Path("DataFrame"), read_frame(log), axis)
+        reading = understand_table(FRAME, read_frame(log), axis)
     found = log_of(reading, axis).part(start_s, end_s)
     if note is not None:
         for sentence in reading.notes:

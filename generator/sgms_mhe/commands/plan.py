@@ -15,8 +15,6 @@ from sgms_mhe.commands.common import (
     out_option,
     show,
 )
-from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.names import did_you_mean
 
 
 @click.command(
@@ -42,12 +40,7 @@ def command(machine: str, separate: tuple[str, str] | None, out: Path | None) ->
     check_output_file(path, (".csv",))
 
     from sgms_mhe.diagnosis.plan import make_plan, write_plan
-    from sgms_mhe.model.effects import cause_names
 
-    try:
-        plan = make_plan(resolved, separate)
-    except InputError as error:
-        hint = did_you_mean(str(error.value), cause_names(resolved.plant.kind))
-        raise InputError(error.source, error.where, error.value, error.allowed + hint) from None
+    plan = make_plan(resolved, separate)
     write_plan(path, plan, resolved.plant.units)
     show(f"{path}: {plan.trajectory.duration_s:.1f} s; {plan.reason}", path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -82,9 +83,10 @@ def aligned(subject: Subject, fit: Fit) -> Subject:
     the fit.
     """
     whole = subject.whole
-    exact, later, own = in_parallel(
-        (lambda: whole.friction(fit), lambda: _since_mean_velocity(whole, fit), lambda: subject.friction(fit))
-    )
+    tasks = [partial(whole.friction, fit), partial(_since_mean_velocity, whole, fit)]
+    if subject.fine is not None:
+        tasks.append(partial(subject.friction, fit))
+    exact, later, *own = in_parallel(tasks)
     used = subject.recording.used
     if not np.all(np.isfinite(exact)):
         return subject
@@ -101,7 +103,7 @@ def aligned(subject: Subject, fit: Fit) -> Subject:
     )
     if subject.fine is None:
         return whole
-    recording, change = subject.recording, exact - own
+    recording, change = subject.recording, exact - own[0]
     # What is no small difference is a model that the longer steps do not suit: it is fitted at the full rate.
     if float(np.std(change[used])) < subject.thresholds.alignable * float(np.std(exact[used])):
         recording = replace(recording, friction=measured - change)
@@ -154,10 +156,13 @@ def _sampling(whole: Subject, fit: Fit, residual: Array, *, timed: bool) -> Arra
     scale = mass * np.array([whole.thresholds.timing * step, step**2 / 12.0])
     Z = free.project(_jerk_and_snap(whole.recording)[used] * scale)
     e = free.project(residual[used])
-    bounded = np.ones(2) if timed else lsq_linear(Z, e, ([-1.0, -1.0], [1.0, 0.0])).x
-    if abs(bounded[0]) > 1.0 - AT_LIMIT:  # more than sampling: all of it is for a delay or lag to explain
-        bounded = np.array([0.0, *lsq_linear(Z[:, 1:], e, ([-HELD if timed else -1.0], [0.0])).x])
-    return np.asarray(scale * bounded)
+    if not timed:
+        both = lsq_linear(Z, e, ([-1.0, -1.0], [1.0, 0.0])).x
+        if abs(both[0]) <= 1.0 - AT_LIMIT:
+            return np.asarray(scale * both)
+    # More than sampling: all of it is for a delay or lag to explain.
+    snap = lsq_linear(Z[:, 1:], e, ([-HELD if timed else -1.0], [0.0])).x
+    return np.asarray(scale * np.array([0.0, *snap]))
 
 
 def _jerk_and_snap(recording: Recording) -> Array:

@@ -15,6 +15,7 @@ from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
+from sgms_mhe.support.names import did_you_mean
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,8 @@ def make_plan(machine: Machine, separate: tuple[str, str] | None = None) -> Plan
     """
     for name in separate or ():
         if name not in (known := cause_names(machine.plant.kind)):
-            raise InputError("plan", "separate", name, f"two of {', '.join(known)}, as a {machine.plant.kind} axis has")
+            allowed = f"two of {', '.join(known)}, as a {machine.plant.kind} axis has{did_you_mean(name, known)}"
+            raise InputError("plan", "separate", name, allowed)
     speed = 0.9 * machine.sampling.max_velocity
     # Half a second at full speed, reached within a tenth of a second.
     axis = _Axis(speed, 10.0 * speed, 400.0 * speed, scales_of(machine).deflection, 0.5 * speed)

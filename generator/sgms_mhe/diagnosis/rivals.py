@@ -105,16 +105,13 @@ def find_rivals(
     rejected: dict[str, Rejected] = {}
     groups = (*refitted, *fit.extra_groups)
     for k, group in enumerate(groups):
-
-        def comparing(names: Sequence[str], cause: str = group.cause, share: float = k / len(groups)) -> None:
-            criteria.course.rivals(number, share, cause, names)
-
         extras, base = without_extra(fit.extras, group), without_group(refitted, group)
         without = fit_model(subject, extras, refitted=base, warm=fit)
         gain = gain_force(without.cross, fit.cross, fit.rows)
         if gain <= 0.0:
             continue
         place = _Place(group, fit, without, extras, base, gain)
+        comparing = partial(criteria.course.rivals, number, k / len(groups), group.cause)
         for judged in _contest(subject, place, refitted, seen, criteria, comparing):
             if judged.judgement == "better":
                 return Contest(judged.fit, (), {})

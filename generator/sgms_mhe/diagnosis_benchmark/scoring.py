@@ -224,8 +224,11 @@ def summarise(machine: Machine, results: Iterable[tuple[Draw, Found]]) -> Summar
         [r for r in rows if r[0].kind == kind] for kind in ("clean", "unmodelled", "weak", "fault")
     )
     sound = [r for r in rows if r[0].kind != "fault"]
-    told = [(draw, found) for draw, found, how in rows if how in (*FOUND, "right") and found.verdict != "unexplained"]
-    told = [(draw, found) for draw, found in told if draw.kind != "weak" and found.law]
+    told = [
+        (draw, found)
+        for draw, found, how in rows
+        if how in (*FOUND, "right") and found.verdict != "unexplained" and draw.kind != "weak" and found.law
+    ]
 
     def share(chosen: Sequence[tuple[Draw, Found, str]], *which: str) -> Share:
         return Share(sum(r[2] in which for r in chosen), len(chosen))
