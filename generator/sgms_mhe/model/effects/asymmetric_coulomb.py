@@ -33,7 +33,6 @@ DEFINITION = EffectDefinition(
     moves=("speeds", "loops"),
     search=Columns(lambda m, _: (m.level * direction(m.velocity))[:, None], one_size("ratio"), exact="ratio"),
     linear=True,
-    full_rate=True,
     stage="level",
     specimen=one_number("ratio", lambda _: 1.0, concealed=Concealed("one_way", lambda _: {"ratio": 0.2})),
 )
