@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
-from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
+from sgms_mhe.diagnosis.proposals import Proposal, Residual, nearest_peak, propose
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Harmonic
 from sgms_mhe.recordings.evidence import Nuisance
@@ -24,7 +24,7 @@ Complex = NDArray[np.complex128]
 TWO_PI: Final = 2.0 * math.pi
 BINS_PER_PERIOD: Final = 6.0
 SINGULAR: Final = 1e-5  # of its square: the least determinant that two columns are told apart by
-REFINED: Final = (1.0, 0.25, 0.06)  # of the grid's step: half widths of the scans about its best
+STEP: Final = 0.25  # of the resolution that the range of x gives: the grid's, at most
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,12 @@ class _Sine:
         return list(self.kind.factors(self.seen.motion, TWO_PI * kappa))
 
     def columns(self, kappa: float) -> Array:
-        """Sine and cosine of a wavenumber (rows used, 2), the free directions projected out."""
+        """Sine and cosine of a wavenumber (rows used, 2)."""
         k = np.array([kappa])
         g = sum(c[0] * w for c, w in zip(self.factors(k), self.weights, strict=True))
-        E = g * np.exp(1j * (TWO_PI * k)[0] * self.x)
-        return self.seen.free.project(np.column_stack((E.imag, E.real)))
+        angle = TWO_PI * kappa * self.x
+        E = g * (np.cos(angle) + 1j * np.sin(angle))
+        return np.column_stack((E.imag, E.real))
 
 
 def search_harmonic(definition: EffectDefinition, kind: Harmonic, seen: Residual) -> list[Proposal]:
@@ -102,10 +103,7 @@ def _search(definition: EffectDefinition, kind: Harmonic, seen: Residual, fine: 
     if best is None:
         return None
     _, kappa_best, sine = best
-    step = 1.0 / (4.0 * span)
-    for width in REFINED:
-        trial = np.maximum(kappa_best + width * step * np.linspace(-1.0, 1.0, 9), bands[0][0])
-        kappa_best = float(trial[int(np.argmax([energy(sine.columns(t), seen.e) for t in trial]))])
+    kappa_best = max(bands[0][0], nearest_peak(seen, sine.columns, kappa_best, STEP / span, math.inf))
 
     def parameters(size: Array) -> Mapping[str, float]:
         return {
@@ -114,7 +112,7 @@ def _search(definition: EffectDefinition, kind: Harmonic, seen: Residual, fine: 
             kind.phase: float(np.arctan2(size[1], size[0])),
         }
 
-    return propose(definition, seen, sine.columns(kappa_best), max(1.0, tests), parameters)
+    return propose(definition, seen, seen.free.project(sine.columns(kappa_best)), max(1.0, tests), parameters)
 
 
 def _energies(sine: _Sine, band: tuple[float, float], free: Nuisance, e: Array) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.harmonics import search_harmonic
-from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
+from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, nearest_peak, propose
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Periodic
 from sgms_mhe.recordings.evidence import score_test
@@ -35,7 +35,7 @@ PERIODS_REFINED: Final = 3
 PARTS: Final = 40  # of a period: each is visited or not
 VISITED: Final = 0.95  # share of them from which a map is looked for
 NOTHING: Final = 1e-8  # of a column's square: what must be left of it beside the others
-REFINED: Final = (1.0, 0.3, 0.1)
+STEP: Final = 0.25  # of the resolution that the travel gives
 
 
 @dataclass(frozen=True)
@@ -138,13 +138,12 @@ class _Search:
         best = carried.period
         if not carried.orders:
             return best
-        step = 0.25 * best**2 / (self.travel * max(carried.orders))
-        for width in REFINED:
-            trials = best + width * step * np.linspace(-1.0, 1.0, 7)
-            trials = trials[trials <= self.kind.room * self.travel]
-            columns = (_columns(self.x, float(t), carried.orders) for t in trials)
-            best = float(trials[int(np.argmax([energy(self.seen.free.project(Z), self.seen.e) for Z in columns]))])
-        return best
+        width = STEP * best**2 / (self.travel * max(carried.orders))
+
+        def columns(period: float) -> Array:
+            return _columns(self.x, period, carried.orders)
+
+        return nearest_peak(self.seen, columns, best, width, self.kind.room * self.travel)
 
     def simplest(self, found: Sequence[_Carried]) -> _Carried | None:
         """The first, of the shortest period, that is nearly as good as the best."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from sgms_mhe.recordings.evidence import Nuisance, score_test
 from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
+
+NARROWED: Final = (1.0, 1.0, 0.3, 0.1)  # of the first width: those of the parabolas about a peak
 
 
 @dataclass(frozen=True)
@@ -70,11 +73,38 @@ class Residual:
 
 def energy(Z: Array, e: Array) -> float:
     """Sum of squares of e (rows used) that columns Z (rows used, k) explain."""
-    b = Z.T @ e
-    H = Z.T @ Z
+    return _explained(Z.T @ Z, Z.T @ e)
+
+
+def _explained(H: Array, b: Array) -> float:
+    """The same from products of the columns with each other (k, k) and with e (k)."""
     if not np.all(np.isfinite(H)) or float(np.trace(H)) <= 0.0:
         return 0.0
     return float(b @ np.linalg.lstsq(H, b, rcond=1e-10)[0])
+
+
+def nearest_peak(seen: Residual, columns: Callable[[float], Array], start: float, width: float, most: float) -> float:
+    """The argument from 0 to `most` near `start` whose columns (rows used, k) explain most beside the free directions.
+
+    By parabolas through three points, the first ones `width` apart.
+    """
+    Q = seen.free.basis
+
+    def explained(at: float) -> float:
+        Z = columns(at)
+        inside = Q.T @ Z
+        return _explained(Z.T @ Z - inside.T @ inside, Z.T @ seen.e)  # e has no part along the basis
+
+    best = start
+    for share in NARROWED:
+        h = min(share * width, 0.5 * best)
+        low, middle, high = (explained(min(at, most)) for at in (best - h, best, best + h))
+        bend = low - 2.0 * middle + high
+        if bend < 0.0 and middle >= max(low, high):
+            best += 0.5 * h * (low - high) / bend
+        else:
+            best = min(best - h if low > high else best + h, most)
+    return best
 
 
 def propose(
