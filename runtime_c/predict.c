@@ -81,6 +81,24 @@ static void put_terms(const double *last, sgms_real *term)
     }
 }
 
+/* d_x = A d_x0 + B, of what the states were at the start. */
+static void put_sensitivity(const interval_map *map, const sgms_real *d_start, sgms_real *d_x)
+{
+    for (int i = 0; i < STATES; i++) {
+        sgms_real *const row = d_x + i * PARAMETERS;
+        for (int p = 0; p < PARAMETERS; p++) {
+            row[p] = map->b[i * PARAMETERS + p];
+        }
+        for (int j = 0; j < STATES; j++) {
+            const sgms_real by = map->a[i * STATES + j];
+            /* States forget, and most never depend on each other. */
+            for (int p = 0; by < 0.0 || by > 0.0 ? p < PARAMETERS : 0; p++) {
+                row[p] += by * d_start[j * PARAMETERS + p];
+            }
+        }
+    }
+}
+
 int sgms_predict(
     long samples,
     const double *signals,
@@ -91,52 +109,41 @@ int sgms_predict(
     double *d_force)
 {
     SGMS_JOIN(SGMS_MACHINE, parameters) at;
-    sgms_real state[STATES], sensitivity[STATES * PARAMETERS];
+    sgms_real start[STATES], d_start[STATES * PARAMETERS], sensitivity[STATES * PARAMETERS], blocks[BLOCKS_SIZE];
+    interval_map map;
     if (MERGED > 1 && (force || (samples - 1) % MERGED != 0)) { /* the state is known at the ends of steps alone */
         return -1;
     }
     for (int i = 0; i < STATES; i++) {
-        state[i] = (sgms_real)x[i];
+        start[i] = (sgms_real)x[i];
     }
     for (int i = 0; i < STATES * PARAMETERS; i++) {
-        sensitivity[i] = (sgms_real)d_x[i];
+        d_start[i] = (sgms_real)d_x[i];
     }
     for (int p = 0; p < PARAMETERS; p++) {
         at.theta[p] = (sgms_real)theta[p];
     }
     parameter_terms(&at);
+    start_blocks(&at, start, blocks);
     for (long k = 0; k < samples; k++) {
         if (k > 0 && k % MERGED == 0) {
-            /* One step: x1 = f(x0, theta), d_x1 = A d_x0 + B. */
-            sgms_real blocks[BLOCKS_SIZE], moved[STATES * PARAMETERS], term[NODES * TERMS * SERIES_STRIDE];
-            interval_map map;
+            sgms_real term[NODES * TERMS * SERIES_STRIDE];
             put_terms(signals + SIGNALS * k, term);
-            start_blocks(&at, state, blocks);
             integrate_blocks(term, blocks);
-            blocks_end(&at, blocks, state, &map);
-            for (int i = 0; i < STATES; i++) {
-                for (int p = 0; p < PARAMETERS; p++) {
-                    sgms_real sum = map.b[i * PARAMETERS + p];
-                    for (int j = 0; j < STATES; j++) {
-                        sum += map.a[i * STATES + j] * sensitivity[j * PARAMETERS + p];
-                    }
-                    moved[i * PARAMETERS + p] = sum;
-                }
-            }
-            for (int i = 0; i < STATES * PARAMETERS; i++) {
-                sensitivity[i] = moved[i];
-            }
-            for (int i = 0; i < STATES; i++) {
-                state[i] = map.x[i];
-            }
         }
         if (force) {
+            blocks_end(&at, blocks, start, &map);
+            if (d_force) {
+                put_sensitivity(&map, d_start, sensitivity);
+            }
             put_force(
-                state, sensitivity, signals + SIGNALS * k, at.theta, force + k, d_force ? d_force + k * PARAMETERS : 0);
+                map.x, sensitivity, signals + SIGNALS * k, at.theta, force + k, d_force ? d_force + k * PARAMETERS : 0);
         }
     }
+    blocks_end(&at, blocks, start, &map);
+    put_sensitivity(&map, d_start, sensitivity);
     for (int i = 0; i < STATES; i++) {
-        x[i] = (double)state[i];
+        x[i] = (double)map.x[i];
     }
     for (int i = 0; i < STATES * PARAMETERS; i++) {
         d_x[i] = (double)sensitivity[i];
