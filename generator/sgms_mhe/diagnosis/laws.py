@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+
+import numpy as np
 
 from sgms_mhe.configuration import under_other_law
 from sgms_mhe.diagnosis.alignment import aligned, thinned
@@ -32,12 +35,14 @@ class Laws:
             with it.
         taken: whether the foreign one fits better.
         decided: whether the one that is not taken is out of the question, whatever effect is added.
+        apart: RMS of what they differed by when both were fitted last [N]; inf: they never were.
     """
 
     own: Subject
     foreign: Subject | None
     taken: bool = False
     decided: bool = False
+    apart: float = math.inf
 
     @property
     def chosen(self) -> Subject:
@@ -48,6 +53,11 @@ class Laws:
     def other(self) -> Subject | None:
         """The one that is not."""
         return self.own if self.taken else self.foreign
+
+    @property
+    def doubt(self) -> float:
+        """RMS of a force that might yet be the difference of the laws [N]."""
+        return 0.0 if self.foreign is None or self.decided else self.apart
 
     def with_chosen(self, subject: Subject) -> Laws:
         """The same with another subject in the place of the chosen one."""
@@ -97,26 +107,32 @@ def starting_unknown(laws: Laws) -> Laws:
 def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[Laws, Fit]:
     """Fit under the law that fits better, and keep to it from now on.
 
-    Both are tried, after every effect again, so that the difference is not taken for an effect, nor an effect for it;
-    each with its own thinned model brought into line, or what thinning does to the new effect would decide. But where
-    an effect takes the elements' motion from them, one run costs a hundred others and the laws hardly differ: the law
-    and the start stay what they were without it.
+    Both are tried, so that the difference is not taken for an effect, nor an effect for it; each with its own thinned
+    model brought into line, or what thinning does to the new effect would decide; each also from numbers that the
+    record alone gives. But where an effect takes the elements' motion from them, one run costs a hundred others and
+    the laws hardly differ: the law and the start stay what they were without it.
     """
     thresholds = criteria.thresholds
-    if any(effect_definition(extra.name).drives_elements for extra in extras):
-        subject, fit = in_line(laws.chosen, fit_model(laws.chosen, extras))
-        return laws.with_chosen(subject), fit
+    if _is_driven(extras):
+        return fit_chosen(laws, extras, criteria)
     if laws.foreign is None or laws.decided:
-        subject = _starting_stiff(laws.chosen, extras, criteria)
-        subject, fit = _from_nothing(*in_line(subject, fit_model(subject, extras)), criteria)
+        laws, fit = fit_chosen(laws, extras, criteria)
+        subject, fit = _from_nothing(laws.chosen, fit, criteria)
         return laws.with_chosen(subject), fit
     own, foreign = in_parallel([partial(_starting_stiff, s, extras, criteria) for s in (laws.own, laws.foreign)])
-    own, fit = _from_nothing(*in_line(own, fit_model(own, extras)), criteria)
-    foreign, other = _fit_foreign(foreign, fit)
-    if other is not None:
-        foreign, other = _from_nothing(foreign, other, criteria)
+    own, fit = in_line(own, fit_model(own, extras))
+
+    def fit_other() -> tuple[Subject, Fit | None]:
+        subject, found = _fit_foreign(foreign, fit)
+        return (subject, found) if found is None else _from_nothing(subject, found, criteria)
+
+    def fit_own() -> tuple[Subject, Fit | None]:
+        return _from_nothing(own, fit, criteria)
+
+    (own, better), (foreign, other) = in_parallel([fit_own, fit_other])
+    fit = better or fit
     if other is None:
-        return replace(laws, own=own, foreign=foreign, taken=False), fit
+        return replace(laws, own=own, foreign=foreign, taken=False, apart=0.0), fit
     # Both have as many numbers: what they leave of the rows they saw is a fair comparison, and a sharper one than what
     # they predict of others, where elements that switch are rough.
     ratio = other.rms / fit.rms
@@ -126,7 +142,20 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[La
         not thresholds.decided < ratio < 1.0 / thresholds.decided
         and criteria.excess(better) < thresholds.decided_left * criteria.material
     )
-    return Laws(own, foreign, taken, decided), better
+    apart = float(np.std((other.residual - fit.residual)[own.recording.used]))
+    return Laws(own, foreign, taken, decided, apart), better
+
+
+def _is_driven(extras: Sequence[Extra]) -> bool:
+    """Whether an effect takes the elements' motion from them."""
+    return any(effect_definition(extra.name).drives_elements for extra in extras)
+
+
+def fit_chosen(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[Laws, Fit]:
+    """Fit under the law that is taken."""
+    subject = laws.chosen if _is_driven(extras) else _starting_stiff(laws.chosen, extras, criteria)
+    subject, fit = in_line(subject, fit_model(subject, extras))
+    return laws.with_chosen(subject), fit
 
 
 def in_line(subject: Subject, fit: Fit) -> tuple[Subject, Fit]:

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 from sgms_mhe.diagnosis.criteria import Criteria
 from sgms_mhe.diagnosis.groups import Group
-from sgms_mhe.diagnosis.laws import Laws, fit_law, starting_unknown
+from sgms_mhe.diagnosis.laws import Laws, fit_chosen, fit_law, starting_unknown
 from sgms_mhe.diagnosis.reduction import necessary, pruned
 from sgms_mhe.diagnosis.result import Score
 from sgms_mhe.diagnosis.rivals import Contest, Rejected, Rival, cause_significance, find_rivals
 from sgms_mhe.diagnosis.rounds import search_round
 from sgms_mhe.diagnosis.subject import Fit
+from sgms_mhe.recordings.evidence import gain_force
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,23 +69,48 @@ class Selection:
 
 
 def search_causes(laws: Laws, criteria: Criteria) -> Searched:
-    """Add effects one after the other, from the machine with all its own numbers refitted."""
+    """Add effects one after the other, from the machine with all its own numbers refitted.
+
+    Amid the search fits keep to the law that is taken, and both are compared before an effect is added that explains no
+    more than they differ by: it might be that difference. And once nothing more is found; where the comparison changes
+    something, the search goes on.
+    """
     laws, current = fit_law(starting_unknown(laws), (), criteria)
     scores: tuple[Score, ...] = ()
     seen: frozenset[str] = frozenset()
-    for number in range(1, criteria.thresholds.rounds + 1):
-        if criteria.excess(current) < criteria.material:  # what is left could not make any cause matter
+    number, compared, ended = 0, True, False
+    while True:
+        excess = criteria.excess(current)
+        # Where less is left than matters, no cause could.
+        ended = ended or number == criteria.thresholds.rounds or excess < criteria.material
+        if not ended and (compared or excess > laws.doubt):
+            number += 1
+            criteria.course.search(number)
+            found = search_round(laws.chosen, current, number, seen, criteria)
+            seen |= found.seen
+            ended = found.fit is None
+            if compared or found.fit is None or _gain(current, found.fit) > laws.doubt:
+                scores += found.scores
+                if found.fit is not None:
+                    extras = pruned(laws.chosen, found.fit, criteria, least=1).extras
+                    laws, current = fit_chosen(laws, extras, criteria)
+                    compared = False
+                    continue
+        if compared:
             break
-        criteria.course.search(number)
-        found = search_round(laws.chosen, current, number, seen, criteria)
-        scores, seen = scores + found.scores, seen | found.seen
-        if found.fit is None:
-            break
-        extras = pruned(laws.chosen, found.fit, criteria, least=1).extras
-        laws, current = fit_law(laws, extras, criteria)
+        before, taken = current, laws.taken
+        laws, current = fit_law(laws, current.extras, criteria)
+        compared = True
+        if laws.taken != taken or current.rms < criteria.thresholds.sharper * before.rms:
+            ended = False
     # What is left unexplained is no measure for the machine's numbers, but no finer one than that is possible.
     told = criteria.thresholds.left * criteria.excess(current)
     return Searched(laws, current, replace(criteria, material=max(criteria.material, told)), scores, seen)
+
+
+def _gain(before: Fit, after: Fit) -> float:
+    """RMS of the force that a fit explains and the one before it did not, on unseen folds [N]."""
+    return gain_force(before.cross, after.cross, before.rows)
 
 
 def select_causes(searched: Searched) -> Selection:
