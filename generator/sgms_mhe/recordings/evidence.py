@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.ndimage import uniform_filter1d
 
 from sgms_mhe.recordings.recording import Recording
 
@@ -22,6 +23,7 @@ SINGULAR: Final = 1e14  # condition of the scores' covariance that no test rests
 PIECES: Final = 4  # that a noise floor needs
 SMOOTH_ORDER: Final = 2  # of the polynomial that is smooth over `noise_rows`
 INTERVAL: Final = (0.025, 0.975)  # quantiles of the 95 % interval
+FAST_PARTS: Final = 20  # of a record: what is slower than one of them may be a force that wanders
 DRAWS: Final = 1000  # of blocks; the interval's ends are then sure to a few percent of its width
 
 
@@ -175,7 +177,9 @@ def inconstancy(recording: Recording, contribution: Array, residual: Array, *, i
 
     What only imitates something else fits here and misfits there. The record is cut into parts by time, by place and by
     speed; within each part the residual is regressed on the cause's contribution c: a - 1 = c'e / c'c. The RMS of
-    a - 1, weighted by c'c, is as large as the worst of the three ways to cut says.
+    a - 1, weighted by c'c, is as large as the worst of the three ways to cut says. And of c and e alone that changes
+    faster than a part of the record: a force that wanders takes on the size of a slow cause, a step's say, but does not
+    jump where that does.
 
     Args:
         recording: the record.
@@ -200,4 +204,10 @@ def inconstancy(recording: Recording, contribution: Array, residual: Array, *, i
         power = np.bincount(part, weights=c * c, minlength=parts)
         change = np.bincount(part, weights=c * e, minlength=parts) / np.maximum(power, TINY)
         worst = max(worst, math.sqrt(float(power @ change**2) / total))
-    return worst
+    c, e = _faster(c, len(c) // FAST_PARTS), _faster(e, len(e) // FAST_PARTS)
+    return max(worst, abs(float(c @ e)) / max(TINY, float(c @ c)))
+
+
+def _faster(series: Array, rows: int) -> Array:
+    """What is left of a series without its mean over so many rows around each."""
+    return np.asarray(series - uniform_filter1d(series, max(1, rows), mode="nearest"))
