@@ -188,6 +188,22 @@ def test_content_is_found_as_it_was_kept(tmp_path: Path, monkeypatch: pytest.Mon
     assert not path.exists()
 
 
+def test_of_too_many_files_those_not_asked_for_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(cache, "MOST", 8)
+    keys = [f"{i:02d}" + "0" * 62 for i in range(9)]
+    for age, key in enumerate(keys):
+        path = cache.keep("thing", key, ".json", key.encode())
+        os.utime(path, (1e9 + age, 1e9 + age))
+    assert cache.read("thing", keys[0], ".json") is None  # nine: three too many to go on with
+    assert [cache.read("thing", key, ".json") is None for key in keys[1:]] == [True, True] + 6 * [False]
+    for key in keys[:3]:
+        cache.keep("thing", key, ".json", key.encode())
+    assert cache.read("thing", keys[3], ".json") == keys[3].encode()  # asked for, so no longer the oldest
+    assert cache.read("other", keys[0], ".json") is None
+    assert cache.read("thing", keys[3], ".json") is not None
+
+
 def test_without_a_home_the_way_out_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     def homeless() -> Path:
         raise RuntimeError("Could not determine home directory.")

@@ -2,7 +2,8 @@
 
 What is kept here is loaded into the process and run. So the folder belongs to the user alone, nothing in it is reached
 through a link, every file has the digest of its content in its name, and what does not match it is thrown away and made
-again. Files appear whole: processes may look for one and keep the same one at the same time.
+again. Files appear whole: processes may look for one and keep the same one at the same time. There are never many more
+than `MOST` of them: those that were not asked for longest go first.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import hashlib
 import os
 import stat
 import tempfile
+import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -19,6 +21,13 @@ from sgms_mhe.support.errors import BuildError
 
 DIGITS: Final = 24
 """Of a SHA-256 in hexadecimal, in the names of files: 96 bits."""
+MOST: Final = 20_000
+"""Files, some 40 kB each."""
+KEPT: Final = 0.75
+"""Share of `MOST` that stays where there are more."""
+
+_listed: Final[dict[Path, dict[str, list[str]]]] = {}
+"""Names of files by folder and stem, as they were when the folder was read last: reading it takes longer than a file."""
 
 
 def cache_dir() -> Path:
@@ -112,14 +121,42 @@ class _Folder:
 
     def found(self, stem: str, suffix: str) -> tuple[str, bytes] | None:
         """Name and content of a file that `write` wrote; those that are no longer as it wrote them are removed."""
-        with os.scandir(self._descriptor) as entries:
-            names = [entry.name for entry in entries if entry.name.startswith(f"{stem}-")]
-        for name in sorted(names):
-            content = self.content(name)
-            if content is not None and name == f"{stem}-{_digest(content)}{suffix}":
-                return name, content
-            self.remove(name)
+        for listed in (_listed.get(self.path, {}), None):
+            names = (self._list() if listed is None else listed).get(stem, [])
+            for name in sorted(names):
+                content = self.content(name)
+                if content is not None and name == f"{stem}-{_digest(content)}{suffix}":
+                    self._mark_used(name)
+                    return name, content
+                self.remove(name)
         return None
+
+    def _list(self) -> dict[str, list[str]]:
+        """Names of the folder's files by stem and key; of too many the oldest are removed."""
+        with os.scandir(self._descriptor) as entries:
+            names = [entry.name for entry in entries]
+        if len(names) > MOST:
+            names.sort(key=self._last_used)
+            for name in names[: len(names) - int(KEPT * MOST)]:
+                self.remove(name)
+        listed: dict[str, list[str]] = {}
+        for name in names:
+            listed.setdefault(name.rpartition("-")[0], []).append(name)
+        _listed[self.path] = listed
+        return listed
+
+    def _mark_used(self, name: str) -> None:
+        """A file's time of access is now: file systems need not keep it by themselves."""
+        with suppress(OSError):
+            written = os.stat(name, dir_fd=self._descriptor, follow_symlinks=False).st_mtime_ns
+            os.utime(name, ns=(time.time_ns(), written), dir_fd=self._descriptor, follow_symlinks=False)
+
+    def _last_used(self, name: str) -> float:
+        """When a file was asked for last; 0.0 of one that is gone."""
+        try:
+            return os.stat(name, dir_fd=self._descriptor, follow_symlinks=False).st_atime
+        except OSError:
+            return 0.0
 
     def content(self, name: str) -> bytes | None:
         """What a regular file of the user's own holds that nobody else may write; None for anything else."""
