@@ -64,11 +64,7 @@ def search_round(subject: Subject, current: Fit, number: int, seen: Collection[s
     ]
     least = thresholds.promising * criteria.enough(current)
     strong = sorted((r for r in significant if r.gain > least), key=lambda r: -r.gain)
-    proposals = [ranked.proposal for ranked in _shortlist(strong, criteria)]
-    if proposals:
-        criteria.course.refits(number, [p.name for p in proposals])
-    tried = in_parallel([partial(attempted_fit, subject, (*current.extras, p.extra), warm=current) for p in proposals])
-    fits = {p.name: fit for p, fit in zip(proposals, tried, strict=True) if fit is not None}
+    fits = _refits(subject, current, _shortlist(strong, criteria), number, criteria)
     chosen = _choose(subject, current, fits, criteria)
     scores = []
     for ranked in candidates:
@@ -90,6 +86,27 @@ def search_round(subject: Subject, current: Fit, number: int, seen: Collection[s
         scores=tuple(scores),
         seen=frozenset(r.proposal.name for r in strong),
     )
+
+
+def _refits(
+    subject: Subject, current: Fit, shortlist: Sequence[Ranked], number: int, criteria: Criteria
+) -> dict[str, Fit]:
+    """Fits with each candidate of a shortlist, where it can be fitted.
+
+    What takes the elements' motion from them costs a hundred times the others: only where these leave it a chance.
+    """
+    cheap = [r for r in shortlist if not effect_definition(r.proposal.name).drives_elements]
+    fits: dict[str, Fit] = {}
+    for stage in (cheap, [r for r in shortlist if r not in cheap]):
+        best = max((gain_force(current.cross, fit.cross, fit.rows) for fit in fits.values()), default=0.0)
+        proposals = [r.proposal for r in stage if r.gain > criteria.thresholds.clear * best]
+        if proposals:
+            criteria.course.refits(number, [p.name for p in proposals])
+        tried = in_parallel(
+            [partial(attempted_fit, subject, (*current.extras, p.extra), warm=current) for p in proposals]
+        )
+        fits |= {p.name: fit for p, fit in zip(proposals, tried, strict=True) if fit is not None}
+    return fits
 
 
 def _candidates(

@@ -27,7 +27,7 @@ KEPT: Final = 0.75
 """Share of `MOST` that stays where there are more."""
 
 _listed: Final[dict[Path, dict[str, list[str]]]] = {}
-"""Names of files by folder and stem, as they were when the folder was read last: reading it takes longer than a file."""
+"""Names of files by folder and stem, as they were when the folder was read last: that takes longer than a file."""
 
 
 def cache_dir() -> Path:
