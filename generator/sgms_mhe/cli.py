@@ -31,6 +31,7 @@ COMMANDS: Final = {
     "identify": "identify",
     "tune": "tune",
     "diagnose": "diagnose",
+    "fleet": "fleet",
     "plan": "plan",
     "experiment": "experiment",
     "compensate": "compensate",
