@@ -40,7 +40,7 @@ from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.support.errors import ImplausibleError, InputError
+from sgms_mhe.support.errors import ImplausibleError
 
 SEED = 1
 

@@ -12,6 +12,8 @@ WIDTH, HEIGHT = 340.0, 150.0
 LEFT, RIGHT, TOP, BOTTOM = 80.0, 4.0, 6.0, 20.0
 INTERVAL: Final = 2.0
 """Standard deviations on either side."""
+LONGEST_LABEL: Final = 18
+"""Characters."""
 MOST_BAND: Final = 1.5
 """Heights of what the numbers span that a band may add on either side; a wider one is cut off."""
 
@@ -68,9 +70,9 @@ def drawn(
     parts += [_dot(mark, x(mark.at), y) for mark in marks]
     parts.append(f'<text class="end" x="{LEFT - 6}" y="{TOP + 8}">{escape(written(high))}</text>')
     parts.append(f'<text class="end" x="{LEFT - 6}" y="{HEIGHT - BOTTOM}">{escape(written(low))}</text>')
-    parts.append(f'<text x="{LEFT}" y="{HEIGHT - 5}">{escape(ends[0])}</text>')
+    parts.append(f'<text x="{LEFT}" y="{HEIGHT - 5}">{_label(ends[0])}</text>')
     if len(marks) > 1:
-        parts.append(f'<text class="end" x="{WIDTH - RIGHT}" y="{HEIGHT - 5}">{escape(ends[1])}</text>')
+        parts.append(f'<text class="end" x="{WIDTH - RIGHT}" y="{HEIGHT - 5}">{_label(ends[1])}</text>')
     said = escape("; ".join(mark.said for mark in marks), quote=True)
     size = f"0 0 {WIDTH:g} {HEIGHT:g}"
     return f'<svg class="course" viewBox="{size}" role="img" aria-label="{said}">{"".join(parts)}</svg>'
@@ -127,11 +129,16 @@ def _dot(mark: Mark, x: float, y: Callable[[float], float]) -> str:
     if mark.left and mark.label:
         side = 'class="out end" x="{:.1f}"' if x > 0.6 * WIDTH else 'class="out" x="{:.1f}"'
         place = x - 8.0 if x > 0.6 * WIDTH else x + 8.0
-        text = f'<text {side.format(place)} y="{y(mark.value) + 4:.1f}">{escape(mark.label)}</text>'
+        text = f'<text {side.format(place)} y="{y(mark.value) + 4:.1f}">{_label(mark.label)}</text>'
     return (
         f'<g class="{kind}"><title>{escape(mark.said)}</title><line {_same("x", x)} {ends}/>'
         f'<circle cx="{x:.1f}" cy="{y(mark.value):.1f}" r="3.5"/>{text}</g>'
     )
+
+
+def _label(text: str) -> str:
+    """A name that leaves room for another in its row."""
+    return escape(text if len(text) <= LONGEST_LABEL else f"{text[: LONGEST_LABEL - 1]}…")
 
 
 def _same(axis: str, place: float) -> str:

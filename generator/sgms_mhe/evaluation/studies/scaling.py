@@ -21,12 +21,8 @@ from sgms_mhe.support.tables import Table
 
 JOBS: Final = (1, 2, 4, 8)
 EMPTY: Final = 200
-"""Tasks without work."""
+"""Tasks without work, whose processes import nothing."""
 LOG_S: Final = 10.0
-
-
-def _nothing() -> None:
-    """Work that takes no time."""
 
 
 def _estimated(log: str) -> int:
@@ -50,7 +46,7 @@ def scaling_study(logs: int) -> Table:
             write_log(path, simulate_axis(machine, motion, AxisConfig(seed=seed), truth=False).log)
             paths.append(str(path))
         work = {
-            "nothing": [Task(str(k), _nothing) for k in range(EMPTY)],
+            "nothing": [Task(str(k), abs, (k,)) for k in range(EMPTY)],
             "estimate": [Task(path, _estimated, (path,)) for path in paths],
             "diagnose": [Task(path, _diagnosed, (path,)) for path in paths],
         }
