@@ -219,6 +219,13 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_doubles_nothing(cluster
 
 
 @ignored_by_dask
+def test_a_cluster_without_workers_is_refused(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sgms_mhe.support.processes.FIRST_WORKER_S", 1.0)
+    with pytest.raises(InputError, match=r"workers of = 'tcp://.*': one at least within 1 s"):
+        list(run_tasks([Task("a", work.process)], Place(scheduler=cluster.address)))
+
+
+@ignored_by_dask
 def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match="scheduler: address = 'nonsense': that of a Dask scheduler that answers"):

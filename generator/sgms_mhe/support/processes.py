@@ -32,6 +32,9 @@ from sgms_mhe.support.parallel import VARIABLE, workers
 ATTEMPTS: Final = 2
 """A task whose process dies is tried again once: a neighbour may have taken all memory."""
 
+FIRST_WORKER_S: Final = 60.0
+"""How long a cluster may take to bring its first worker."""
+
 _TASKS_PER_CHILD: Final = 40
 _THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -338,6 +341,10 @@ def _on_cluster(tasks: Sequence[Task], address: str, limit_s: float | None) -> I
 
 
 def _check_versions(client: Any, address: str) -> None:
+    try:
+        client.wait_for_workers(1, timeout=FIRST_WORKER_S)
+    except TimeoutError:
+        raise InputError("scheduler", "workers of", address, f"one at least within {FIRST_WORKER_S:g} s") from None
     try:
         found = client.run(_version)
     except Exception as error:
