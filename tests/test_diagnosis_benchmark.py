@@ -40,7 +40,7 @@ from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.support.errors import ImplausibleError, InputError
+from sgms_mhe.support.errors import ImplausibleError
 
 SEED = 1
 
@@ -364,10 +364,8 @@ def test_an_interrupted_run_goes_on(machine: Machine, tmp_path: Path) -> None:
     options = {"draws": 4, "seed": SEED, "jobs": 1, "diagnose": refuse}
     with pytest.raises(Interrupt):
         run_diagnosis_benchmark(machine, tmp_path, progress=stop, **options)  # type: ignore[arg-type]
-    results = tmp_path / "results.jsonl"
-    assert len(results.read_text().splitlines()) == 3  # a header and two results
-    with results.open("a") as stream:
-        stream.write('{"index":3,"dra')  # cut off
+    kept = tmp_path / "results"
+    assert [folder.name[:5] for folder in sorted(kept.iterdir())] == ["00000", "00001"]
     calls: list[tuple[int, int]] = []
     summary = run_diagnosis_benchmark(
         machine,
@@ -375,16 +373,18 @@ def test_an_interrupted_run_goes_on(machine: Machine, tmp_path: Path) -> None:
         progress=lambda done, total: calls.append((done, total)),
         **options,  # type: ignore[arg-type]
     )
-    assert calls == [(2, 4), (3, 4), (4, 4)]
+    assert calls == [(k, 4) for k in range(5)]
     assert summary.errors.hits == 4
-    lines = [json.loads(line) for line in results.read_text().splitlines()]
-    assert [line.get("index") for line in lines] == [None, 0, 1, 2, 3]
-    assert lines[1]["found"]["error"] == "ValueError: not today: draw_0.csv"
+    folders = sorted(kept.iterdir())
+    assert [folder.name[:5] for folder in folders] == ["00000", "00001", "00002", "00003"]
+    first = json.loads((folders[0] / "result.json").read_text())
+    assert first["found"]["error"] == "ValueError: not today: draw_0.csv"
     assert (tmp_path / "summary.txt").read_text() == summary_text(summary) + "\n"
     assert json.loads((tmp_path / "summary.json").read_text())["draws"] == 4
     assert (tmp_path / "confusion.csv").read_text().startswith("hidden,")
-    with pytest.raises(InputError, match="another folder"):
-        run_diagnosis_benchmark(machine, tmp_path, draws=4, seed=SEED + 1, jobs=1, diagnose=refuse)  # type: ignore[arg-type]
+    # Another seed's are others.
+    run_diagnosis_benchmark(machine, tmp_path, draws=1, seed=SEED + 1, jobs=1, diagnose=refuse)  # type: ignore[arg-type]
+    assert len(list(kept.iterdir())) == 5
 
 
 @pytest.mark.slow
@@ -393,8 +393,8 @@ def test_processes_give_what_one_gives(machine: Machine, tmp_path: Path) -> None
         run_diagnosis_benchmark(machine, tmp_path / str(jobs), draws=2, seed=SEED, jobs=jobs, diagnose=refuse)  # type: ignore[arg-type]
 
     def results(jobs: int) -> list[Draw]:
-        lines = (tmp_path / str(jobs) / "results.jsonl").read_text().splitlines()[1:]
-        return sorted((Draw.from_json(json.loads(line)["draw"]) for line in lines), key=lambda d: d.index)
+        kept = sorted((tmp_path / str(jobs) / "results").glob("*/result.json"))
+        return [Draw.from_json(json.loads(path.read_text())["draw"]) for path in kept]
 
     assert [d.motion_seed for d in results(1)] == [d.motion_seed for d in results(2)]
 

@@ -15,7 +15,15 @@ from selenium.webdriver.common.by import By
 
 import diagnosis_cases as cases
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.report import write_refusal_report, write_report
+from sgms_mhe.report import (
+    FleetCourse,
+    FleetLog,
+    FleetPoint,
+    FleetTrend,
+    write_fleet_report,
+    write_refusal_report,
+    write_report,
+)
 from sgms_mhe.signals.logs import Log
 
 Mode = Literal["light", "dark"]
@@ -348,6 +356,72 @@ def test_page_asks_for_nothing_and_complains_of_nothing(browser: Browser, pages:
     browser.show(pages[name], NARROW, "dark")
     assert browser.requests() == [pages[name].as_uri()]
     assert browser.complaints() == []
+
+
+# --- the page over a fleet ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Axes with and without a past; some stand out; long names, and a row that failed."""
+
+    def point(k: int, value: float, left: bool) -> FleetPoint:
+        return FleetPoint(f"log{k}", 1e6 * k, f"2026-0{k + 1}-01", value, 0.05, (3.8, 4.2), "own", 5, left)
+
+    courses = [
+        FleetCourse("an_axis_of_a_long_name" * 3, "m", "linear", "coulomb", 4.0, (point(0, 4.0, False),)),
+        FleetCourse("x", "m", "linear", "coulomb", 4.0, (point(0, 4.1, False), point(1, 9.0, True))),
+        FleetCourse("x", "m", "linear", "force_ripple.amplitude_N", float("nan"), (point(0, 4.1, False),)),
+        FleetCourse(
+            "y",
+            "m",
+            "linear",
+            "coulomb",
+            4.0,
+            tuple(point(k, 4.0 + 0.02 * k, False) for k in range(6)),
+            FleetTrend(0.1, 0.01, 150.0, 6),
+        ),
+    ]
+    logs = [
+        FleetLog("log0", "x", "2026-01-01", "m", "good", "done", "", ""),
+        FleetLog("absent", "z" * 60, "", "m", "", "", f"/{'folder/' * 30}absent.csv: a file that can be read", ""),
+    ]
+    return write_fleet_report("estimate", "table.csv", logs, courses, tmp_path_factory.mktemp("fleet"))
+
+
+@ANY_WIDTH
+@EITHER_MODE
+def test_fleet_fits_the_window_and_can_be_read(browser: Browser, fleet: Path, width: int, mode: Mode) -> None:
+    browser.show(fleet, width, mode)
+    browser.requests(), browser.complaints()
+    browser.show(fleet, width, mode)
+    assert browser.requests() == [fleet.as_uri()]
+    assert browser.complaints() == []
+    assert browser.ask(BEYOND_THE_WINDOW) == []
+    for text in browser.ask(TEXTS):
+        if not text["what"].startswith("text"):  # of a drawing: coloured by `fill`
+            assert contrast(text["ink"], text["ground"]) >= CONTRAST, text["what"]
+
+
+OUTSIDE_OF_ITS_DRAWING = """
+return [...document.querySelectorAll("svg.course")].flatMap(svg => {
+  const whole = svg.getBoundingClientRect();
+  return [...svg.querySelectorAll("text, circle, rect, line")].map(t => [t, t.getBoundingClientRect()])
+    .filter(([, r]) => r.left < whole.left - 1 || r.right > whole.right + 1 || r.top < whole.top - 1 ||
+      r.bottom > whole.bottom + 1).map(([t]) => t.outerHTML);
+});
+"""
+
+
+@ANY_WIDTH
+def test_nothing_is_drawn_outside_of_a_drawing(browser: Browser, fleet: Path, width: int) -> None:
+    browser.show(fleet, width)
+    assert len(browser.driver.find_elements(By.CSS_SELECTOR, "svg.course")) == 3
+    assert browser.ask(OUTSIDE_OF_ITS_DRAWING) == []
+    headings = [e.text for e in browser.driver.find_elements(By.TAG_NAME, "h2")]
+    assert headings[:2] == ["What failed", "What stands out"]
+    said = browser.driver.find_element(By.TAG_NAME, "main").text
+    assert "moves steadily: 0.100 ± 0.020 N" in said and "above the band" in said
 
 
 def test_a_page_that_asks_or_complains_is_noticed(browser: Browser, pages: dict[str, Path], tmp_path: Path) -> None:

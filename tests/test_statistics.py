@@ -71,6 +71,14 @@ def test_the_papers_weights_creep_and_the_defaults_do_not() -> None:
     assert abs(kept[3] - CREEP_TRUTH[3]) < 0.06
 
 
+def test_a_study_says_the_same_wherever_it_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    said = []
+    for jobs in ("0", "2"):
+        assert main(["coverage", "--runs", "2", "--updates", "20", "--jobs", jobs]) == 0
+        said.append(capsys.readouterr().out)
+    assert said[0] == said[1] and "prior 0.3" in said[0]
+
+
 @pytest.mark.parametrize("name", ["default (state 0.01)", "30 % off, prior 0.3", "mixed motion"])
 def test_auto_stays_near_all(name: str) -> None:
     """A quarter of a standard deviation, from the first half second after a wrong start; friction to a percent."""

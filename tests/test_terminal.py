@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from cli_cases import SMALL
+from cli_cases import SMALL, done, refused
 from sgms_mhe.cli import COMMANDS
 from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES
 from sgms_mhe.support.paths import machines_dir
@@ -71,16 +71,37 @@ def test_the_lines_on_the_page_are_what_shells_run() -> None:
         assert f"_SGMS_MHE_COMPLETE={shell}_complete" in ran.stdout
 
 
+# --- quiet ------------------------------------------------------------------------------------------------------
+
+
+def test_quiet_leaves_results_and_errors(tmp_path: Path) -> None:
+    machine, log = tmp_path / "small.toml", tmp_path / "axis.csv"
+    machine.write_text(SMALL)
+    done("simulate", machine, "--out", log, "--duration", "2")
+    table = tmp_path / "table.csv"
+    table.write_text("machine,log\nsmall.toml,axis.csv\n")
+    arguments = ("fleet", "estimate", table, "--out", tmp_path / "out")
+    loud, quiet = done(*arguments), done("--quiet", *arguments)
+    assert "axis: good" in loud.stderr and quiet.stderr == ""
+    assert "1 of 1 logs done" in quiet.stdout
+    assert "absent.toml" in refused("-q", "check", tmp_path / "absent.toml")
+
+
+def test_quiet_shows_no_bar_on_a_terminal(tmp_path: Path) -> None:
+    assert b"simulate small" in on_terminal(tmp_path, {})
+    assert on_terminal(tmp_path, {}, "--quiet") == b""
+
+
 # --- colours ----------------------------------------------------------------------------------------------------
 
 
-def on_terminal(folder: Path, variables: Mapping[str, str]) -> bytes:
+def on_terminal(folder: Path, variables: Mapping[str, str], *options: str) -> bytes:
     """What a command writes to stderr where that is a terminal."""
     machine = folder / "small.toml"
     machine.write_text(SMALL)
     ours, theirs = pty.openpty()
     plain = {key: value for key, value in os.environ.items() if key not in ("NO_COLOR", "FORCE_COLOR")}
-    command = [sys.executable, "-c", SCRIPT, "simulate", str(machine), "--out", str(folder / "x.csv")]
+    command = [sys.executable, "-c", SCRIPT, *options, "simulate", str(machine), "--out", str(folder / "x.csv")]
     with subprocess.Popen(
         [*command, "--duration", "0.5"],
         env=plain | {"TERM": "xterm-256color"} | variables,

@@ -31,6 +31,7 @@ COMMANDS: Final = {
     "identify": "identify",
     "tune": "tune",
     "diagnose": "diagnose",
+    "fleet": "fleet",
     "plan": "plan",
     "experiment": "experiment",
     "compensate": "compensate",
@@ -106,8 +107,9 @@ def _outcomes(ctx: click.Context) -> Iterator[None]:
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog="\b\nExample:\n  sgms-mhe simulate etel_xy --out axis.csv\n  sgms-mhe estimate etel_xy axis.csv --out e.csv",
 )
+@click.option("-q", "--quiet", is_flag=True, help="Say nothing but results and errors.")
 @click.version_option(__version__, prog_name="sgms-mhe")
-def cli() -> None:
+def cli(quiet: bool) -> None:
     """Friction observers for motion control: from a machine file to embedded C, and its trials on a host.
 
     MACHINE is a machine file (TOML), or the name of one in machines/. LOG is a measured or simulated log with the
@@ -115,6 +117,7 @@ def cli() -> None:
 
     Exit codes: 0 done, 1 done and the answer is no, 2 bad input.
     """
+    # `quiet` is read where something would be said: commands/common.py.
 
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:

@@ -1,15 +1,12 @@
-"""The benchmark as a whole: draws, diagnoses in a pool of processes, results on disk as they come."""
+"""The benchmark as a whole: draws, diagnoses in processes, results on disk as they come."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
-import multiprocessing
-import os
 import time
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,16 +17,20 @@ from sgms_mhe.diagnosis_benchmark.scoring import Found, Summary, confusion_table
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.support.errors import ImplausibleError, InputError
+from sgms_mhe.support.errors import ImplausibleError
 from sgms_mhe.support.files import write_text
+from sgms_mhe.support.kept import run_kept
+from sgms_mhe.support.processes import Outcome, Place, Task
 
 Diagnose = Callable[[Machine, Log], Diagnosis]
 Progress = Callable[[int, int], None]
 """Called with (logs done, logs in all)."""
 
-RESULTS: Final = "results.jsonl"
-_TASKS_PER_PROCESS: Final = 40  # compiled models stay loaded: a process is replaced before they add up
-_THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+RESULTS: Final = "results"
+"""Folder of the draws' results, a folder each."""
+RESULT: Final = "result.json"
+_DIGITS: Final = 12
+_LIMIT_S: Final = 3600.0
 
 
 def run_diagnosis_benchmark(
@@ -44,8 +45,9 @@ def run_diagnosis_benchmark(
 ) -> Summary:
     """Hide causes in simulated logs, diagnose each, score.
 
-    Every result is appended to results.jsonl in the folder as it comes: an interrupted run goes on where it stopped,
-    and more draws continue a smaller run. summary.json, summary.txt and confusion.csv are written at the end.
+    Every result is kept in `results` of the folder as it comes: an interrupted run goes on where it stopped, and more
+    draws continue a smaller run. Those of another machine or seed are others. summary.json, summary.txt and
+    confusion.csv are written at the end.
 
     Args:
         machine: whose axis is simulated and whose file is diagnosed.
@@ -55,26 +57,20 @@ def run_diagnosis_benchmark(
         jobs: processes; 1 runs here.
         diagnose: instead of `sgms_mhe.diagnosis.diagnose` (a function of a module, or `jobs` = 1).
         progress: as `Progress`.
-
-    Raises:
-        InputError: the folder holds results of another machine or seed.
     """
     folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / RESULTS
-    done = _read(path, machine, seed)
-    wanted = [k for k in range(draws) if k not in done]
+    keys = {_key(machine, seed, index): index for index in range(draws)}
+    tasks = [Task(key, _kept_draw, (machine, seed, index, diagnose)) for key, index in keys.items()]
+    place = Place(jobs if jobs > 1 else 0, limit_s=_LIMIT_S)
+    done: dict[int, tuple[Draw, Found]] = {}
     if progress is not None:
-        progress(draws - len(wanted), draws)
-    with path.open("a", encoding="utf-8") as stream:
-        if stream.tell() == 0:
-            _append(stream, _header(machine, seed))
-        for count, (index, draw, found) in enumerate(_results(machine, seed, wanted, jobs, diagnose), start=1):
-            _append(stream, {"index": index, "draw": draw.to_json(), "found": found.to_json()})
-            done[index] = (draw, found)
-            if progress is not None:
-                progress(draws - len(wanted) + count, draws)
-    summary = summarise(machine, [done[k] for k in sorted(done) if k < draws])
+        progress(0, draws)
+    for outcome in run_kept(tasks, folder / RESULTS, place):
+        index = keys[outcome.task.key]
+        done[index] = _scored(outcome, machine, seed, index)
+        if progress is not None:
+            progress(len(done), draws)
+    summary = summarise(machine, [done[k] for k in sorted(done)])
     write_text(folder / "summary.json", json.dumps(_plain(summary_json(summary)), indent=1) + "\n")
     write_text(folder / "summary.txt", summary_text(summary) + "\n")
     rows, columns, counts = confusion_table(summary.confusion)
@@ -98,71 +94,23 @@ def run_draw(machine: Machine, seed: int, index: int, diagnose: Diagnose = diagn
     return draw, found
 
 
-def _results(
-    machine: Machine, seed: int, wanted: list[int], jobs: int, diagnose: Diagnose
-) -> Iterator[tuple[int, Draw, Found]]:
-    if jobs <= 1 or len(wanted) <= 1:
-        for index in wanted:
-            yield index, *run_draw(machine, seed, index, diagnose)
-        return
-    # Fresh processes: what is compiled and loaded here must not be shared. A pool is replaced as a whole: one that
-    # replaces its processes by itself (max_tasks_per_child) can stop for good.
-    context = multiprocessing.get_context("spawn")
-    batch = jobs * _TASKS_PER_PROCESS
-    for first in range(0, len(wanted), batch):
-        with _one_thread_each(), ProcessPoolExecutor(jobs, mp_context=context) as pool:
-            try:
-                tasks = {
-                    pool.submit(run_draw, machine, seed, index, diagnose): index
-                    for index in wanted[first : first + batch]
-                }
-                for task in as_completed(tasks):
-                    yield tasks[task], *task.result()
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+def _kept_draw(machine: Machine, seed: int, index: int, diagnose: Diagnose) -> dict[str, bytes]:
+    draw, found = run_draw(machine, seed, index, diagnose)
+    return {RESULT: json.dumps(_plain({"draw": draw.to_json(), "found": found.to_json()})).encode()}
 
 
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Numerical libraries that each take all cores slow each other down; they read this when they are loaded."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-def _header(machine: Machine, seed: int) -> dict[str, Any]:
-    header = {"benchmark": "diagnosis", "machine": machine.name, "digest": machine.digest, "seed": seed}
+def _key(machine: Machine, seed: int, index: int) -> str:
     # The digest is of what is emitted; thresholds change the results too.
-    return {**header, "diagnosis": machine.diagnosis.changed} if machine.diagnosis.changed else header
+    whole = f"{machine.digest} {json.dumps(_plain(machine.diagnosis.changed), sort_keys=True)} {seed}"
+    return f"{index:05d}-{hashlib.sha256(whole.encode()).hexdigest()[:_DIGITS]}"
 
 
-def _read(path: Path, machine: Machine, seed: int) -> dict[int, tuple[Draw, Found]]:
-    """Results so far; a last line that an interrupt cut off is taken away."""
-    if not path.exists():
-        return {}
-    text = path.read_text(encoding="utf-8")
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        write_text(path, whole)
-    lines = [json.loads(line) for line in whole.splitlines()]
-    if not lines:
-        return {}
-    if lines[0] != _header(machine, seed):
-        raise InputError(path, "results of", lines[0], f"{_header(machine, seed)}, or another folder")
-    return {line["index"]: (Draw.from_json(_back(line["draw"])), Found.from_json(line["found"])) for line in lines[1:]}
-
-
-def _append(stream: Any, content: Mapping[str, Any]) -> None:
-    stream.write(json.dumps(_plain(content), separators=(",", ":")) + "\n")
-    stream.flush()
+def _scored(outcome: Outcome, machine: Machine, seed: int, index: int) -> tuple[Draw, Found]:
+    """A draw with what was found; a diagnosis that took its process with it is an error of its own."""
+    if outcome.failure:
+        return make_draw(machine, seed, index), Found("", seconds=outcome.seconds, error=outcome.failure)
+    content = json.loads((outcome.value / RESULT).read_bytes())
+    return Draw.from_json(_back(content["draw"])), Found.from_json(content["found"])
 
 
 def _plain(value: Any) -> Any:

@@ -1,8 +1,21 @@
-"""The report of a diagnosis, and the gain of the estimator that is generated from the extended machine."""
+"""The report of a diagnosis, the page over a fleet, and the gain of an extended machine's estimator."""
 
 from __future__ import annotations
 
 from sgms_mhe.report.estimator import EstimatorGain, EstimatorRun, Wander, closed_loop_gain
-from sgms_mhe.report.page import write_refusal_report, write_report
+from sgms_mhe.report.fleet import FleetCourse, FleetLog, FleetPoint, FleetTrend
+from sgms_mhe.report.page import write_fleet_report, write_refusal_report, write_report
 
-__all__ = ["EstimatorGain", "EstimatorRun", "Wander", "closed_loop_gain", "write_refusal_report", "write_report"]
+__all__ = [
+    "EstimatorGain",
+    "EstimatorRun",
+    "FleetCourse",
+    "FleetLog",
+    "FleetPoint",
+    "FleetTrend",
+    "Wander",
+    "closed_loop_gain",
+    "write_fleet_report",
+    "write_refusal_report",
+    "write_report",
+]

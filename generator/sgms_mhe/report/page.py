@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +16,7 @@ from sgms_mhe.evaluation.plots import save_figure
 from sgms_mhe.machine import Machine
 from sgms_mhe.report import content, figures
 from sgms_mhe.report.estimator import EstimatorGain
+from sgms_mhe.report.fleet import FleetCourse, FleetLog, fleet_content
 from sgms_mhe.report.plots import log_plots, plots
 from sgms_mhe.report.rivals import rivals_in_place
 from sgms_mhe.report.series import views
@@ -97,7 +98,29 @@ def _written(diagnosis: Diagnosis, folder: Path, estimator: EstimatorGain | None
     return path
 
 
-def _html(template: str, page: dict[str, Any], drawn: dict[str, Any]) -> str:
+def write_fleet_report(
+    verb: str, table: str, logs: Sequence[FleetLog], courses: Sequence[FleetCourse], out_dir: str | Path
+) -> Path:
+    """Write fleet.html: what failed, what left its band, every number of every axis over its logs.
+
+    Args:
+        verb: what was done with every log.
+        table: as its user calls it.
+        logs: in the table's order.
+        courses: numbers of axes over their logs.
+        out_dir: folder; made where it does not exist.
+
+    Returns:
+        Path of fleet.html.
+    """
+    path = Path(out_dir) / "fleet.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    page = fleet_content(verb, table, logs, courses)
+    write_text(path, _html("fleet.html.jinja", page, {}, style="fleet.css"))
+    return path
+
+
+def _html(template: str, page: dict[str, Any], drawn: dict[str, Any], *, style: str = "") -> str:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_HERE),
         undefined=jinja2.StrictUndefined,
@@ -110,7 +133,7 @@ def _html(template: str, page: dict[str, Any], drawn: dict[str, Any]) -> str:
     data = json.dumps({"plots": drawn}, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
     return environment.get_template(template).render(
         page,
-        css=_safe("report.css"),
+        css=_safe("report.css") + (_safe(style) if style else ""),
         script=_safe("report.js"),
         data=Markup(data),
     )

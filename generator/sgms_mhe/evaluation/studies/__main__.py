@@ -5,7 +5,8 @@
 `readings` asks what more friction readings per second gain, `relinearise` what it costs to keep linearisations,
 `faults` puts broken sensors into good logs, `speed` asks what fast moves cost the integrators, `identify` draws axes
 and identifies each from its log alone.
-All numbers are seeded; the same command prints the same table.
+`scaling` says what a task costs in 1 to 8 processes. All numbers are seeded; the same command prints the same table,
+wherever it runs, but for times.
 """
 
 from __future__ import annotations
@@ -23,19 +24,25 @@ from sgms_mhe.evaluation.studies.monte_carlo import monte_carlo_study
 from sgms_mhe.evaluation.studies.plant import plant_study
 from sgms_mhe.evaluation.studies.readings import readings_study
 from sgms_mhe.evaluation.studies.relinearise import relinearise_study
+from sgms_mhe.evaluation.studies.scaling import scaling_study
 from sgms_mhe.evaluation.studies.speed import speed_study
+from sgms_mhe.support.parallel import workers
+from sgms_mhe.support.processes import Place
 from sgms_mhe.support.tables import Table
 
-STUDIES: Final[Mapping[str, tuple[Callable[[int, int], Table], int, int]]] = {
+Study = Callable[[int, int, Place], Table]
+
+STUDIES: Final[Mapping[str, tuple[Study, int, int]]] = {
     "coverage": (coverage_study, 900, 400),
-    "monte-carlo": (lambda runs, updates: monte_carlo_study(runs, updates / 100.0), 100, 400),
-    "plant": (lambda runs, updates: plant_study(runs, updates / 100.0), 20, 2000),
-    "creep": (lambda runs, updates: creep_study(updates), 1, 100_000),
-    "relinearise": (lambda runs, updates: relinearise_study(runs, updates / 100.0), 10, 800),
-    "readings": (lambda runs, updates: readings_study(runs, updates / 100.0), 6, 2000),
-    "faults": (lambda runs, updates: faults_study(runs), 20, 1800),
-    "identify": (lambda runs, updates: identification_study(runs, updates / 100.0), 40, 2500),
-    "speed": (lambda runs, updates: speed_study(updates), 1, 150),
+    "monte-carlo": (lambda runs, updates, place: monte_carlo_study(runs, updates / 100.0, place=place), 100, 400),
+    "plant": (lambda runs, updates, place: plant_study(runs, updates / 100.0, place), 20, 2000),
+    "creep": (lambda runs, updates, place: creep_study(updates), 1, 100_000),
+    "relinearise": (lambda runs, updates, place: relinearise_study(runs, updates / 100.0, place), 10, 800),
+    "readings": (lambda runs, updates, place: readings_study(runs, updates / 100.0, place), 6, 2000),
+    "faults": (lambda runs, updates, place: faults_study(runs, place), 20, 1800),
+    "identify": (lambda runs, updates, place: identification_study(runs, updates / 100.0, place=place), 40, 2500),
+    "speed": (lambda runs, updates, place: speed_study(updates), 1, 150),
+    "scaling": (lambda runs, updates, place: scaling_study(runs), 8, 1000),
 }
 """Studies by name, with their numbers of runs and updates."""
 
@@ -46,9 +53,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("name", choices=[*STUDIES], help="which study")
     parser.add_argument("--runs", type=int, help="seeds or draws")
     parser.add_argument("--updates", type=int, help="updates per run (of 10 ms)")
+    parser.add_argument("--jobs", type=int, default=workers(), help="processes at a time; 0: none but this one")
+    parser.add_argument("--scheduler", help="address of a Dask cluster that does the work")
     chosen = parser.parse_args(arguments)
     study, runs, updates = STUDIES[chosen.name]
-    sys.stdout.write(f"{study(chosen.runs or runs, chosen.updates or updates)}\n")
+    place = Place(chosen.jobs, chosen.scheduler)
+    sys.stdout.write(f"{study(chosen.runs or runs, chosen.updates or updates, place)}\n")
     return 0
 
 

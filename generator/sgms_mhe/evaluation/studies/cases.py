@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -91,6 +92,17 @@ def say(text: str) -> None:
     """Tell how far a study has come."""
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
+
+
+def done_of(what: str) -> Callable[[int, int], None]:
+    """What reports (parts done, parts in all) with the time that the rest may take."""
+    started = time.monotonic()
+
+    def tell(done: int, total: int) -> None:
+        left = (time.monotonic() - started) * (total - done) / done
+        say(f"{what}: {done} of {total}, {left:.0f} s left")
+
+    return tell
 
 
 def positive(rng: np.random.Generator, sigma: float, count: int) -> Array:

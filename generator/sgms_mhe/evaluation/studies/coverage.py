@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.evaluation.studies.cases import positive
+from sgms_mhe.evaluation.studies.cases import done_of, positive
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.reference import Integrator
 from sgms_mhe.signals.chain import Signals, signal_array
+from sgms_mhe.support.processes import HERE, Place, Task, results
 from sgms_mhe.support.tables import Table
 
 Array = NDArray[np.float64]
@@ -115,28 +116,32 @@ def normalised_errors(machine: Machine, drawn: Drawn, update: int) -> tuple[Arra
     return np.array(errors), np.array(sigmas)
 
 
-def coverage_study(runs: int, updates: int, kinds: Sequence[Kind] = ("mhe", "ekf")) -> Table:
+def _part(noise: Mapping[str, Any], kind: Kind, runs: int, updates: int) -> tuple[Array, Array]:
+    machine = statistics_machine(load_machine("etel_xy"), **noise)
+    drawn = draw(machine, runs, updates)
+    return normalised_errors(override_machine(machine, {"estimator": {"kind": kind}}), drawn, updates)
+
+
+def coverage_study(runs: int, updates: int, place: Place = HERE) -> Table:
     """+-2 sigma coverage on the estimator's own noise model: default weights, then wider priors."""
     default = load_machine("etel_xy")
-    rows = []
     # The filter's bounds are the MHE's at a twentieth of the time: enough to see what a wider prior does.
     few = max(1, runs // 3)
-    cases: list[tuple[str, int, dict[str, Any], Sequence[Kind]]] = [
-        ("default", runs, {}, kinds),
-        ("prior 0.2", few, {"parameter": 0.2}, ("ekf",)),
-        ("prior 0.3", few, {"parameter": 0.3}, ("ekf",)),
-        ("prior 0.2, measurement 0.5 N", few, {"parameter": 0.2, "measurement": 0.5}, ("ekf",)),
+    cases: list[tuple[str, Kind, int, dict[str, Any]]] = [
+        ("default", "mhe", runs, {}),
+        ("default", "ekf", runs, {}),
+        ("prior 0.2", "ekf", few, {"parameter": 0.2}),
+        ("prior 0.3", "ekf", few, {"parameter": 0.3}),
+        ("prior 0.2, measurement 0.5 N", "ekf", few, {"parameter": 0.2, "measurement": 0.5}),
     ]
-    for name, count, noise, estimators in cases:
-        machine = statistics_machine(default, **noise)
-        drawn = draw(machine, count, updates)
-        for kind in estimators:
-            z, sigma = normalised_errors(override_machine(machine, {"estimator": {"kind": kind}}), drawn, updates)
-            row: dict[str, Any] = {"weights": name, "estimator": kind.upper(), "runs": count}
-            row |= {f"cover {k + 1}": float(np.mean(np.abs(z[:, k]) <= 2.0)) for k in range(z.shape[1])}
-            row |= {f"bias {k + 1}": float(np.mean(z[:, k])) for k in range(z.shape[1])}
-            row |= {f"sigma {k + 1}": float(np.mean(sigma[:, k])) for k in range(z.shape[1])}
-            rows.append(row)
+    tasks = [Task(f"{name}, {kind}", _part, (noise, kind, count, updates)) for name, kind, count, noise in cases]
+    rows = []
+    for (name, kind, count, _), (z, sigma) in zip(cases, results(tasks, place, done_of("weights")), strict=True):
+        row: dict[str, Any] = {"weights": name, "estimator": kind.upper(), "runs": count}
+        row |= {f"cover {k + 1}": float(np.mean(np.abs(z[:, k]) <= 2.0)) for k in range(z.shape[1])}
+        row |= {f"bias {k + 1}": float(np.mean(z[:, k])) for k in range(z.shape[1])}
+        row |= {f"sigma {k + 1}": float(np.mean(sigma[:, k])) for k in range(z.shape[1])}
+        rows.append(row)
     elements = range(1, len(default.friction.stiffness) + 1)
     formats = {"weights": "", "estimator": "", "runs": "d"} | {f"cover {k}": ".1%" for k in elements}
     formats |= {f"bias {k}": "+.2f" for k in elements} | {f"sigma {k}": ".3f" for k in elements}

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.evaluation.records import Record, simulate_record
-from sgms_mhe.evaluation.studies.cases import say
+from sgms_mhe.evaluation.studies.cases import done_of
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.status import FLAGS
+from sgms_mhe.support.processes import HERE, Place, Task, results
 from sgms_mhe.support.tables import Table
 
 Array = NDArray[np.float64]
@@ -246,12 +247,28 @@ class Trial:
         return float(max(0.0, wrong[-1] - back)) if len(wrong) else 0.0
 
 
-def faults_study(runs: int, faults: Sequence[Fault] = FAULTS) -> Table:
+@cache
+def _trial(variant: str) -> Trial:
+    """An estimator over the good logs, made once per process."""
+    return Trial(variant)
+
+
+def _part(index: int, runs: int) -> list[tuple[str, Outcome]]:
+    """Every injection of a fault, for every variant."""
+    return [(name, _trial(name).run(FAULTS[index], seed)) for name in VARIANTS for seed in range(runs)]
+
+
+def _doubted(variant: str) -> float:
+    return _trial(variant).doubted_when_clean()
+
+
+def faults_study(runs: int, place: Place = HERE) -> Table:
     """The worst of `runs` injections of every class, for MHE and EKF in double and single precision."""
-    trials = {name: Trial(name) for name in VARIANTS}
+    tasks = [Task(f"{fault.name}-{index}", _part, (index, runs)) for index, fault in enumerate(FAULTS)]
+    of_faults = results(tasks, place, done_of("faults"))
+    doubted = results([Task(name, _doubted, (name,)) for name in VARIANTS], place)
     rows: list[dict[str, Any]] = []
-    for fault in faults:
-        found = [(name, trial.run(fault, seed)) for name, trial in trials.items() for seed in range(runs)]
+    for fault, found in zip(FAULTS, of_faults, strict=True):
         mattered = [outcome for _, outcome in found if outcome.matters]
         name, worst = max(found, key=lambda pair: pair[1].sigmas)
         rows.append(
@@ -266,8 +283,7 @@ def faults_study(runs: int, faults: Sequence[Fault] = FAULTS) -> Table:
                 "said in 2": np.mean([0 < outcome.said <= 2 for outcome in mattered]) if mattered else None,
             }
         )
-        say(f"{fault.name}, {fault.duration_s:g} s")
-    clean = ", ".join(f"{name} {trial.doubted_when_clean():.2%}" for name, trial in trials.items())
+    clean = ", ".join(f"{name} {share:.2%}" for name, share in zip(VARIANTS, doubted, strict=True))
     return Table(
         f"The worst of {runs} injections of each fault, for each of {', '.join(VARIANTS)}",
         {

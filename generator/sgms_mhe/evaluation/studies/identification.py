@@ -12,6 +12,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine
+from sgms_mhe.evaluation.studies.cases import done_of
 from sgms_mhe.identification.elements import NO_RISE, Stribeck, run_elements
 from sgms_mhe.identification.identify import Explored, Wanted, explore
 from sgms_mhe.identification.intervals import Quantity
@@ -22,6 +23,7 @@ from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.processes import HERE, Place, Task, results
 from sgms_mhe.support.tables import Table
 
 Array = NDArray[np.float64]
@@ -151,9 +153,10 @@ def scored(axis: Axis, explored: Explored) -> dict[str, tuple[float, Quantity]]:
     return {name: pair for name, pair in found.items() if pair[1].std > 1e-12 * abs(pair[1].value)}
 
 
-def identification_study(axes: int, seconds: float = 25.0, first: int = 0) -> Table:
+def identification_study(axes: int, seconds: float = 25.0, first: int = 0, place: Place = HERE) -> Table:
     """Random axes from nothing: law, elements, held-out residual over that of the truth, coverage, another start."""
-    return _table([identified_axis(seed, seconds) for seed in range(first, first + axes)])
+    tasks = [Task(str(seed), identified_axis, (seed, seconds)) for seed in range(first, first + axes)]
+    return _table(results(tasks, place, done_of("axes")))
 
 
 def identified_axis(seed: int, seconds: float) -> dict[str, Any]:

@@ -12,19 +12,23 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.evaluation.studies.cases import (
     Case,
+    done_of,
     factor_of_two,
     friction_error,
     rms,
-    say,
     simulated,
     spread,
     weighted,
 )
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.reference import estimate_smoother
+from sgms_mhe.support.processes import HERE, Place, Task, results
 from sgms_mhe.support.tables import Table
 
 Array = NDArray[np.float64]
+
+SEEDS_PER_TASK: Final = 10
+"""A task compiles its two estimators once for so many axes."""
 
 
 def _updates_at(rate: float) -> dict[str, Any]:
@@ -77,11 +81,25 @@ def compare_case(case: Case, seeds: Sequence[int], duration_s: float = 6.0, smoo
     return Comparison(case, *(np.array(errors[kind]) for kind in ("mhe", "ekf", "smoother")))
 
 
-def monte_carlo_study(seeds: int, duration_s: float = 6.0, smoothed: int = 3) -> Table:
+def _part(index: int, first: int, last: int, duration_s: float, smoothed: int) -> tuple[Array, Array, Array]:
+    """Errors of one configuration over some of its seeds; the smoother's of those below `smoothed`."""
+    found = compare_case(CASES[index], range(first, last), duration_s, max(0, min(last, smoothed) - first))
+    return found.mhe, found.ekf, found.smoother
+
+
+def monte_carlo_study(seeds: int, duration_s: float = 6.0, smoothed: int = 3, place: Place = HERE) -> Table:
     """Friction RMS of MHE, EKF and batch smoother over random axes, every configuration."""
+    starts = range(0, seeds, SEEDS_PER_TASK)
+    tasks = [
+        Task(f"{index}-{first}", _part, (index, first, min(first + SEEDS_PER_TASK, seeds), duration_s, smoothed))
+        for index in range(len(CASES))
+        for first in starts
+    ]
+    parts = results(tasks, place, done_of("axes"))
     rows = []
-    for case in CASES:
-        result = compare_case(case, range(seeds), duration_s, smoothed)
+    for index, case in enumerate(CASES):
+        own = parts[index * len(starts) : (index + 1) * len(starts)]
+        result = Comparison(case, *(np.concatenate([part[k] for part in own]) for k in range(3)))
         ratio = result.mhe / result.ekf
         rows.append(
             {
@@ -94,7 +112,6 @@ def monte_carlo_study(seeds: int, duration_s: float = 6.0, smoothed: int = 3) ->
                 "MHE/smoother": rms(result.mhe[:smoothed]) / rms(result.smoother) if smoothed else None,
             }
         )
-        say(f"{case.name}: {result.ratio:.4f}")
     formats = {"configuration": "", "MHE [N]": ".4f", "EKF [N]": ".4f", "MHE/EKF": ".3f", "median": ".3f"}
     return Table(
         f"friction RMS against truth, {seeds} seeds of {duration_s:g} s, equal weights",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -10,9 +11,10 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.evaluation.records import Record, simulate_record
-from sgms_mhe.evaluation.studies.cases import counted, friction_error, say
+from sgms_mhe.evaluation.studies.cases import counted, done_of, friction_error
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.support.processes import HERE, Place, Task, results
 from sgms_mhe.support.tables import Table
 
 Array = NDArray[np.float64]
@@ -48,17 +50,27 @@ def readings_row(rate: float, records: Sequence[Record]) -> dict[str, Any]:
     }
 
 
-def readings_study(seeds: int, duration_s: float = 20.0) -> Table:
-    """Estimate errors by `measurement_rate`."""
+@cache
+def _records(seeds: int, duration_s: float) -> tuple[Record, ...]:
+    """The axes of the study, simulated once per process."""
     machine = load_machine("etel_xy")
-    records = []
-    for seed in range(seeds):
-        records.append(simulate_record(machine, TRUE_STIFFNESS, duration_s=duration_s, config=AxisConfig(seed=seed)))
-        say(f"axis {seed + 1} of {seeds}")
+    return tuple(
+        simulate_record(machine, TRUE_STIFFNESS, duration_s=duration_s, config=AxisConfig(seed=seed))
+        for seed in range(seeds)
+    )
+
+
+def _part(rate: float, seeds: int, duration_s: float) -> dict[str, Any]:
+    return readings_row(rate, _records(seeds, duration_s))
+
+
+def readings_study(seeds: int, duration_s: float = 20.0, place: Place = HERE) -> Table:
+    """Estimate errors by `measurement_rate`."""
+    tasks = [Task(f"{rate:g}", _part, (rate, seeds, duration_s)) for rate in RATES]
     errors = {f"{seconds:g} s": ".3f" for seconds in AFTER_S}
     return Table(
         f"Largest relative error of a stiffness, by measurement_rate; {seeds} seeds of {duration_s:g} s",
         {"readings per second": ".0f"} | errors | {"covered": ".3f", "friction, mN": ".1f"},
-        [readings_row(rate, records) for rate in RATES],
+        results(tasks, place, done_of("rates")),
         ("covered: share of |error| < 2 sigma; friction: RMS against truth",),
     )

@@ -14,8 +14,8 @@ from sgms_mhe.evaluation.experiment import PAPER_WEIGHTS, papers
 from sgms_mhe.evaluation.studies.cases import (
     Case,
     counted,
+    done_of,
     friction_error,
-    say,
     simulated,
     spread,
     thirty_percent,
@@ -23,6 +23,7 @@ from sgms_mhe.evaluation.studies.cases import (
 )
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.support.processes import HERE, Place, Task, results
 from sgms_mhe.support.tables import Table
 
 Array = NDArray[np.float64]
@@ -86,17 +87,20 @@ def relinearise_errors(case: Case, seeds: Sequence[int], duration_s: float) -> d
     return kept
 
 
-def relinearise_study(seeds: int, duration_s: float = 8.0) -> Table:
+def _part(index: int, seeds: int, duration_s: float) -> dict[str, Kept]:
+    return relinearise_errors(RELINEARISE_CASES[index], range(seeds), duration_s)
+
+
+def relinearise_study(seeds: int, duration_s: float = 8.0, place: Place = HERE) -> Table:
     """Estimate errors with linearisations that are kept over those with all intervals linearised anew."""
     rows: list[dict[str, Any]] = []
-    for case in RELINEARISE_CASES:
-        kept = relinearise_errors(case, range(seeds), duration_s)
+    tasks = [Task(str(index), _part, (index, seeds, duration_s)) for index in range(len(RELINEARISE_CASES))]
+    for case, kept in zip(RELINEARISE_CASES, results(tasks, place, done_of("configurations")), strict=True):
         for relinearise in RELINEARISE[1:]:
             ratio = kept[relinearise].errors / kept["all"].errors
             row: dict[str, Any] = {"weights": case.name, "relinearise": relinearise, "friction": float(ratio[0])}
             row |= {f"p {k + 1}": float(ratio[k + 1]) if k + 1 < len(ratio) else None for k in range(5)}
             rows.append(row | {"worst": float(ratio.max()), "away": float(kept[relinearise].away.max())})
-        say(f"{case.name}: {rows[-2]['worst']:.4f} {rows[-1]['worst']:.4f}")
     formats = {"weights": "", "relinearise": "", "friction": ".3f"} | {f"p {k + 1}": ".3f" for k in range(5)}
     return Table(
         f"RMS errors against truth over those of relinearise = all, {seeds} seeds of {duration_s:g} s",

@@ -1,0 +1,158 @@
+"""A fleet from its table to its results: what is there already is taken, the rest is done, failures are listed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+from sgms_mhe import __version__
+from sgms_mhe.api.fleet.bands import Course, courses
+from sgms_mhe.api.fleet.table import Row, Verb, read_table
+from sgms_mhe.api.fleet.work import RESULT, Result, work
+from sgms_mhe.api.inputs import load
+from sgms_mhe.emission.provenance import digest_of_sources
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import effect_names
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.kept import run_kept
+from sgms_mhe.support.processes import Outcome, Place, Task
+
+ROWS: Final = "rows"
+"""Folder of the rows' results, in that of the fleet."""
+_DIGITS: Final = 16
+
+Told = Callable[[str, float], None]
+"""Called with what has come of a row, and the share of all rows that are through."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """A row that is through.
+
+    Attributes:
+        result: None where it failed.
+        failure: why, in a sentence; empty where it did not.
+        folder: of the result's files.
+        seconds: computing time of this run; 0 where the result was there.
+    """
+
+    row: Row
+    result: Result | None
+    failure: str
+    folder: Path | None
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """Every row of a table once, in the table's order, and the numbers of every axis in their bands."""
+
+    table: Path
+    verb: Verb
+    rows: tuple[Done, ...]
+    courses: tuple[Course, ...]
+
+    @property
+    def failed(self) -> tuple[Done, ...]:
+        """Rows without a result."""
+        return tuple(done for done in self.rows if done.failure)
+
+
+def run_fleet(verb: Verb, table: str | Path, out: str | Path, place: Place, told: Told | None = None) -> Fleet:
+    """Diagnose, estimate or identify every row of a table.
+
+    A row whose machine, log and version have a result in `out` is not done again.
+
+    Args:
+        verb: which.
+        table: CSV, docs/fleet.md.
+        out: folder; results appear in its `rows` one by one.
+        place: where the work is done.
+        told: as `Told`.
+
+    Raises:
+        InputError: the table; the folder; a scheduler that does not answer.
+    """
+    path, folder = Path(table), Path(out)
+    rows = read_table(path, verb)
+    through: dict[int, Done] = {}
+
+    def tell(done: Done) -> None:
+        through[done.row.number] = done
+        if told is not None:
+            said = done.failure and f"failed: {done.failure}"
+            if done.result is not None:
+                said = f"{done.result.verdict}{f', {done.seconds:.1f} s' if done.seconds else ', was there'}"
+            told(f"{done.row.name}: {said}", len(through) / len(rows))
+
+    sharing: dict[str, list[Row]] = {}
+    queue: list[Task] = []
+    machines: dict[str, Machine | InputError] = {}
+    for row in rows:
+        try:
+            machine = _machine(row, machines)
+            key = _key(verb, row, machine)
+        except InputError as error:
+            tell(Done(row, None, str(error), None, 0.0))
+            continue
+        # Copies of one log have one result.
+        if key not in sharing:
+            queue.append(Task(key, work, (verb, row, machine)))
+        sharing.setdefault(key, []).append(row)
+    for outcome in run_kept(queue, folder / ROWS, place):
+        for row in sharing[outcome.task.key]:
+            tell(_done(row, outcome))
+    done = tuple(through[row.number] for row in rows)
+    return Fleet(path, verb, done, courses([(d.row, d.result) for d in done if d.result is not None]))
+
+
+def _done(row: Row, outcome: Outcome) -> Done:
+    if outcome.failure:
+        return Done(row, None, outcome.failure, None, outcome.seconds)
+    content = json.loads((outcome.value / RESULT).read_text(encoding="utf-8"))
+    return Done(row, Result.from_json(content), "", outcome.value, outcome.seconds)
+
+
+def _machine(row: Row, known: dict[str, Machine | InputError]) -> Machine | None:
+    """Machine of a row, read once for all rows that have it. Raises InputError."""
+    if not row.machine:
+        return None
+    if row.machine not in known:
+        try:
+            known[row.machine] = load(row.machine)
+        except InputError as error:
+            known[row.machine] = error
+    found = known[row.machine]
+    if isinstance(found, InputError):
+        raise found
+    return found
+
+
+def _key(verb: Verb, row: Row, machine: Machine | None) -> str:
+    """Name of a row's result: of all that it hangs on. Raises InputError where the log cannot be read."""
+    try:
+        with row.log.open("rb") as stream:
+            log = hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(row.log, "log", None, f"a file that can be read ({error.strerror})") from None
+    described = None if machine is None else machine.as_dict()
+    used: Mapping[str, object] = {"axis": row.axis, "mass": row.mass} if verb == "identify" else {}
+    content = json.dumps([verb, described, log, _version(), used], sort_keys=True)
+    plain = re.sub(r"[^A-Za-z0-9]+", "-", row.name).strip("-")[:40] or "log"
+    return f"{verb}-{plain}-{hashlib.sha256(content.encode()).hexdigest()[:_DIGITS]}"
+
+
+@lru_cache(maxsize=1)
+def _version() -> str:
+    """Of all that computes: this package to the last line, its libraries, the effects of other distributions."""
+    package = Path(__file__).resolve().parents[2]
+    whole = hashlib.sha256(f"{__version__} {digest_of_sources(effect_names())}".encode())
+    for source in sorted(package.rglob("*.py")):
+        whole.update(source.relative_to(package).as_posix().encode() + b"\0" + source.read_bytes())
+    return whole.hexdigest()

@@ -1,0 +1,168 @@
+"""What is done with one row of a fleet, in a process of its own: from machine and log to the files of its result."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import numpy as np
+
+from sgms_mhe.api.diagnosis import diagnose
+from sgms_mhe.api.estimation import estimate
+from sgms_mhe.api.fleet.table import Row, Verb
+from sgms_mhe.api.identification import identify
+from sgms_mhe.machine import Kind, Machine
+from sgms_mhe.model import build_model
+from sgms_mhe.model.effects import BASE_CAUSES
+from sgms_mhe.report import write_report
+from sgms_mhe.signals.estimates import Estimates, write_estimates
+from sgms_mhe.signals.status import flagged, measured
+from sgms_mhe.support.json_values import finite
+
+RESULT: Final = "result.json"
+_USUAL: Final = frozenset({"hold", "filling"})
+"""Flags of a log that stands still at times and has a beginning."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number that a log determines: one standard deviation, and the machine file's value (NaN where it has none).
+
+    The name is that of a linear axis, an effect's label before its parameter: `coulomb`, `force_ripple.amplitude_N`.
+    """
+
+    name: str
+    value: float
+    std: float
+    nominal: float
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a row gave.
+
+    Attributes:
+        verdict: of a diagnosis; of an estimation `good` or its most frequent flag; of an identification the law.
+        summary: one sentence.
+        kind: of the axis.
+        machine: name of the machine.
+        numbers: that the log determines.
+        notes: on how the log was read.
+    """
+
+    verdict: str
+    summary: str
+    kind: Kind
+    machine: str
+    numbers: tuple[Number, ...]
+    notes: tuple[str, ...]
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Result:
+        """Out of a result's file."""
+        numbers = tuple(
+            Number(n["name"], n["value"], n["std"], math.nan if n["nominal"] is None else n["nominal"])
+            for n in content["numbers"]
+        )
+        return cls(**{**content, "numbers": numbers, "notes": tuple(content["notes"])})
+
+
+def work(verb: Verb, row: Row, machine: Machine | None) -> dict[str, bytes]:
+    """Files of a row's result: result.json, and those that the command of the verb's name writes.
+
+    Raises:
+        InputError: what that command would refuse.
+    """
+    notes: list[str] = []
+    with TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        if machine is None or verb == "identify":
+            result = _identified(row, machine, folder, notes)
+        elif verb == "estimate":
+            result = _estimated(row, machine, folder, notes)
+        else:
+            result = _diagnosed(row, machine, folder, notes)
+        _write_json(folder / RESULT, asdict(result))
+        return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def _write_json(path: Path, content: Any) -> None:
+    path.write_text(json.dumps(finite(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _diagnosed(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Result:
+    found = diagnose(machine, row.log, note=notes.append)
+    write_report(found, folder)
+    _write_json(folder / "diagnosis.json", found.to_json())
+    effects = [cause for cause in found.causes if cause.name not in BASE_CAUSES and found.identifies(cause)]
+    numbers = [Number(b.name, b.refitted, b.std, b.nominal) for b in found.base]
+    numbers += [
+        Number(f"{cause.label}.{name}", value, cause.std.get(name, math.nan), math.nan)
+        for cause in effects
+        for name, value in cause.parameters.items()
+    ]
+    return Result(
+        found.verdict,
+        found.summary,
+        machine.plant.kind,
+        machine.name,
+        _determined(numbers),
+        (*notes, *found.warnings),
+    )
+
+
+def _estimated(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Result:
+    estimates = estimate(machine, row.log, note=notes.append)
+    write_estimates(folder / "estimates.csv", estimates)
+    nominal = (parameter.nominal for parameter in build_model(machine).parameters)
+    columns = (estimates.parameter_names, estimates.parameters[-1], estimates.std[-1], nominal)
+    numbers = [Number(name, float(v), float(s), float(n)) for name, v, s, n in zip(*columns, strict=True)]
+    verdict, summary = _course(machine, estimates)
+    return Result(verdict, summary, machine.plant.kind, machine.name, _determined(numbers), tuple(notes))
+
+
+def _course(machine: Machine, estimates: Estimates) -> tuple[str, str]:
+    """How an estimation went: `good`, or the flag that more updates had than had none, or none but of a standstill."""
+    counts = {name: int(np.count_nonzero(mask)) for name, mask in flagged(estimates.status).items()}
+    good = int(np.count_nonzero(estimates.status == 0))
+    worst = max(counts.keys() - _USUAL, key=lambda name: counts[name])
+    usual = good + max(counts[name] for name in _USUAL)
+    taken = measured(estimates.status)
+    residual = (estimates.friction_measured_N - estimates.friction_N)[taken]
+    left = f"{float(np.sqrt(np.mean(residual**2))):.3g} {machine.plant.units.force}" if len(residual) else "nothing"
+    said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    summary = f"{len(estimates)} updates, {good} good{f', {said}' if said else ''}; measured minus estimated {left} rms"
+    return ("good" if usual >= counts[worst] else worst), summary
+
+
+def _identified(row: Row, machine: Machine | None, folder: Path, notes: list[str]) -> Result:
+    name = machine_name(row.axis)
+    found = identify([row.log], name, mass=row.mass, like=machine, note=notes.append)
+    (folder / f"{name}.toml").write_text(found.toml, encoding="utf-8")
+    _write_json(folder / "identification.json", found.to_json())
+    unit = found.machine.plant.units.force
+    return Result(
+        found.law,
+        f"{found.machine.friction.n_z} elements; held-out residual {found.held_out_rms_N:.3g} {unit}, noise "
+        f"{found.noise_floor_N:.3g} {unit}",
+        found.machine.plant.kind,
+        name,
+        _determined(Number(n.name, n.value, n.std, math.nan) for n in found.numbers if n.determined),
+        (*found.limits, *found.warnings),
+    )
+
+
+def machine_name(axis: str) -> str:
+    """A name that a machine may have, out of that of an axis."""
+    plain = re.sub(r"\W+", "_", axis, flags=re.ASCII).strip("_").lower() or "axis"
+    return plain if plain[0].isalpha() else f"axis_{plain}"
+
+
+def _determined(numbers: Iterable[Number]) -> tuple[Number, ...]:
+    return tuple(n for n in numbers if math.isfinite(n.value) and math.isfinite(n.std) and n.std > 0.0)

@@ -1,0 +1,184 @@
+"""Results of a fleet: a table, the same as JSON, and a page."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from sgms_mhe import __version__
+from sgms_mhe.api.fleet.bands import Course, Point
+from sgms_mhe.api.fleet.running import Done, Fleet
+from sgms_mhe.api.fleet.work import Number, Result
+from sgms_mhe.machine import OF_KIND, Kind
+from sgms_mhe.model.effects import reported_name
+from sgms_mhe.report import FleetCourse, FleetLog, FleetPoint, FleetTrend, write_fleet_report
+from sgms_mhe.support.files import write_text
+from sgms_mhe.support.json_values import finite
+
+_LINKED = ("report.html", "estimates.csv", "identification.json")
+
+
+def write_fleet(fleet: Fleet, out: str | Path) -> Path:
+    """Write results.csv, results.json and fleet.html; return the page's path."""
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / "results.csv", results_csv(fleet, folder))
+    content = json.dumps(finite(results_json(fleet, folder)), indent=1, allow_nan=False)
+    write_text(folder / "results.json", content + "\n")
+    logs = [_log(done, folder) for done in fleet.rows]
+    return write_fleet_report(fleet.verb, str(fleet.table), logs, [_course(c, fleet) for c in fleet.courses], folder)
+
+
+def results_json(fleet: Fleet, folder: Path) -> dict[str, Any]:
+    """Content of results.json: every row of the table once, in its order."""
+    bands = _bands(fleet)
+    return {
+        "verb": fleet.verb,
+        "version": __version__,
+        "trends": [
+            {"axis": c.axis, "name": _named(_newest(c, fleet).kind, c.name), **asdict(c.trend)}
+            for c in fleet.courses
+            if c.trend is not None
+        ],
+        "rows": [
+            {
+                "row": done.row.number,
+                **_identity(done, fleet.table),
+                "outcome": "failed" if done.failure else "done",
+                "failure": done.failure or None,
+                "verdict": done.result.verdict if done.result else None,
+                "summary": done.result.summary if done.result else None,
+                "notes": list(done.result.notes) if done.result else [],
+                "folder": _relative(done, folder),
+                "numbers": _numbers(done, bands),
+            }
+            for done in fleet.rows
+        ],
+    }
+
+
+def _numbers(done: Done, bands: Mapping[tuple[int, str], Point]) -> list[dict[str, Any]]:
+    if done.result is None:
+        return []
+    kind = done.result.kind
+    return [_number(kind, number, bands[done.row.number, number.name]) for number in done.result.numbers]
+
+
+def _number(kind: Kind, number: Number, point: Point) -> dict[str, Any]:
+    band = point.band and {
+        "low": point.band.low,
+        "high": point.band.high,
+        "from": point.band.origin,
+        "count": point.band.count,
+    }
+    named = _named(kind, number.name)
+    values = {"value": number.value, "std": number.std, "nominal": number.nominal}
+    return {"name": named, **values, "band": band, "left_band": point.left if point.band else None}
+
+
+def results_csv(fleet: Fleet, folder: Path) -> str:
+    """Content of results.csv: a row of the table each; a number that a row does not determine stays empty."""
+    found = [(done, done.result) for done in fleet.rows]
+    names = {_named(r.kind, n.name): None for _, r in found if r is not None for n in r.numbers}
+    bands = _bands(fleet)
+    text = io.StringIO()
+    lines = csv.writer(text, lineterminator="\n")
+    columns = [column for name in names for column in (name, f"std_{name}")]
+    identity = ("row", "name", "axis", "date", "machine", "log")
+    lines.writerow([*identity, "outcome", "verdict", "said", "left_band", "folder", *columns])
+    for done, result in found:
+        own = list(_identity(done, fleet.table).values())
+        if result is None:
+            lines.writerow([done.row.number, *own, "failed", "", done.failure, "", "", *[""] * len(columns)])
+            continue
+        values = {_named(result.kind, n.name): (repr(n.value), repr(n.std)) for n in result.numbers}
+        left = [_named(result.kind, n.name) for n in result.numbers if bands[done.row.number, n.name].left]
+        cells = [cell for name in names for cell in values.get(name, ("", ""))]
+        said = [result.verdict, result.summary, " ".join(left), _relative(done, folder)]
+        lines.writerow([done.row.number, *own, "done", *said, *cells])
+    return text.getvalue()
+
+
+def _bands(fleet: Fleet) -> dict[tuple[int, str], Point]:
+    return {(point.row.number, course.name): point for course in fleet.courses for point in course.points}
+
+
+def _named(kind: Kind, name: str) -> str:
+    """A number's name with its unit, as this kind of axis has it: `coulomb_N`, `force_ripple.amplitude_N`."""
+    return OF_KIND[kind].named(reported_name(name))
+
+
+def _identity(done: Done, table: Path) -> dict[str, str]:
+    row, beside = done.row, table.resolve().parent
+    log = row.log.relative_to(beside) if row.log.is_relative_to(beside) else row.log
+    machine = row.machine.removeprefix(f"{beside}/")
+    return {"name": row.name, "axis": row.axis, "date": _when(done), "machine": machine, "log": str(log)}
+
+
+def _when(done: Done) -> str:
+    date = done.row.date
+    if date is None:
+        return ""
+    return f"{date:%Y-%m-%d}" if (date.hour, date.minute) == (0, 0) else f"{date:%Y-%m-%dT%H:%M}"
+
+
+def _relative(done: Done, folder: Path) -> str:
+    return "" if done.folder is None else done.folder.relative_to(folder).as_posix()
+
+
+def _log(done: Done, folder: Path) -> FleetLog:
+    row, result = done.row, done.result
+    link = ""
+    if done.folder is not None:
+        link = next((f"{_relative(done, folder)}/{name}" for name in _LINKED if (done.folder / name).is_file()), "")
+    return FleetLog(
+        name=row.name,
+        axis=row.axis,
+        date=_when(done),
+        machine=result.machine if result else row.machine,
+        verdict=result.verdict if result else "",
+        summary=result.summary if result else "",
+        failure=done.failure,
+        link=link,
+        notes=result.notes if result else (),
+    )
+
+
+def _newest(course: Course, fleet: Fleet) -> Result:
+    """Result of the newest log of a course."""
+    number = course.points[-1].row.number
+    return next(done.result for done in fleet.rows if done.row.number == number and done.result is not None)
+
+
+def _course(course: Course, fleet: Fleet) -> FleetCourse:
+    done = {d.row.number: d for d in fleet.rows}
+    last = _newest(course, fleet)
+    points = tuple(
+        FleetPoint(
+            log=p.row.name,
+            time=p.row.date.timestamp() if p.row.date is not None else None,
+            when=_when(done[p.row.number]),
+            value=p.number.value,
+            std=p.number.std,
+            band=(p.band.low, p.band.high) if p.band else None,
+            band_of=p.band.origin if p.band else "",
+            count=p.band.count if p.band else 0,
+            left=p.left,
+        )
+        for p in course.points
+    )
+    trend = course.trend
+    return FleetCourse(
+        axis=course.axis,
+        machine=last.machine,
+        kind=last.kind,
+        name=course.name,
+        nominal=course.points[-1].number.nominal,
+        points=points,
+        trend=None if trend is None else FleetTrend(trend.change, trend.std, trend.days, trend.count),
+    )

@@ -1,0 +1,108 @@
+"""`sgms-mhe fleet`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+
+from sgms_mhe.commands.common import (
+    Number,
+    check_output_folder,
+    example,
+    json_option,
+    json_text,
+    note_broken_effects,
+    out_option,
+    show,
+    steps_bar,
+)
+from sgms_mhe.support.parallel import leave_cores_to_tasks, workers
+
+if TYPE_CHECKING:
+    from sgms_mhe.api.fleet import Fleet
+
+LONGEST_S = 1e6
+
+
+@click.command(
+    short_help="Diagnose, estimate or identify many logs.",
+    epilog=example("fleet diagnose table.csv --out fleet", "fleet estimate table.csv --scheduler tcp://head:8786"),
+)
+@click.argument("verb", type=click.Choice(("diagnose", "estimate", "identify")))
+@click.argument("table", type=click.Path(path_type=Path))
+@out_option("Folder of the results; default: TABLE's name and the verb.", metavar="DIR", required=False)
+@click.option("--jobs", type=click.IntRange(1, 256), metavar="J", help="Processes at a time; default: one per core.")
+@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster that does the work in place of this host.")
+@click.option(
+    "--time-limit",
+    type=Number(1.0, LONGEST_S),
+    metavar="S",
+    default=1800.0,
+    show_default=True,
+    help="Of one log; it has failed then.",
+)
+@json_option
+def command(
+    verb: Literal["diagnose", "estimate", "identify"],
+    table: Path,
+    out: Path | None,
+    jobs: int | None,
+    scheduler: str | None,
+    time_limit: float,
+    as_json: bool,
+) -> None:
+    """Diagnose, estimate or identify every row of TABLE, a CSV of machines and logs.
+
+    Columns: machine, log (relative to TABLE); optional name, axis, date, mass. Writes results.csv, results.json and
+    fleet.html: parameters of every axis over time, which axis left its band and why, failures on top. What is done is
+    kept as it comes; a second run does what is missing or has changed.
+
+    Exit code 1: some rows failed, the rest is done.
+    """
+    leave_cores_to_tasks()  # before anything loads numpy
+    folder = out or Path(f"{table.stem}_{verb}")
+    check_output_folder(folder)
+    note_broken_effects()
+
+    from sgms_mhe.api.fleet import run_fleet
+    from sgms_mhe.api.fleet.writing import results_json, write_fleet
+    from sgms_mhe.support.processes import Place
+
+    place = Place(jobs or workers(), scheduler, time_limit)
+    with steps_bar() as progress:
+        fleet = run_fleet(verb, table, folder, place, progress)
+    page = write_fleet(fleet, folder)
+    if as_json:
+        show(json_text(results_json(fleet, folder)))
+    else:
+        show(_text(fleet, page))
+    if fleet.failed:
+        click.get_current_context().exit(1)
+
+
+def _text(fleet: Fleet, page: Path) -> str:
+    done = [row for row in fleet.rows if not row.failure]
+    fresh = [row.seconds for row in done if row.seconds]
+    cost = f", {sum(fresh) / len(fresh):.1f} s each" if fresh else ""
+    lines = [f"failed: row {d.row.number}, {d.row.name}: {d.failure}" for d in fleet.failed]
+    lines += [
+        f"left its band: {course.axis}, {course.name}, {point.row.name}: {point.number.value:.4g} +- "
+        f"{2.0 * point.number.std:.1g}, band {point.band.low:.4g} to {point.band.high:.4g} of "
+        f"{point.band.count} {'earlier logs' if point.band.origin == 'own' else 'other axes'}"
+        for course in fleet.courses
+        for point in course.points
+        if point.band is not None and point.left
+    ]
+    lines += [
+        f"moves steadily: {course.axis}, {course.name}: {trend.change:+.4g} +- {2.0 * trend.std:.1g} over "
+        f"{trend.days:.0f} days"
+        for course in fleet.courses
+        if (trend := course.trend) is not None
+    ]
+    lines.append(
+        f"{len(done)} of {len(fleet.rows)} logs done, {len(fresh)} of them now{cost}, {len(fleet.failed)} failed"
+    )
+    lines.append(f"page: {page}")
+    return "\n".join(lines)
