@@ -22,6 +22,7 @@ from sgms_mhe.support.errors import BuildError, InputError
 from sgms_mhe.support.names import did_you_mean
 
 COMMANDS: Final = {
+    "start": "start",
     "generate": "generate",
     "inspect": "inspect",
     "simulate": "simulate",

@@ -1,0 +1,150 @@
+"""A machine file to begin with, from the few numbers that somebody who sets up an axis knows."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from sgms_mhe.configuration import make_machine
+from sgms_mhe.machine import OF_KIND, Kind, Machine
+from sgms_mhe.machine.writing import toml_line
+from sgms_mhe.support.errors import InputError
+
+SPREAD: Final = (0.03, 0.1, 0.3, 1.0)
+"""Break-away distances of the elements over that of the last one: a decade and a half, evenly in their logarithm."""
+SHARES: Final = (0.1, 0.15, 0.25, 0.5)
+"""Of the Coulomb level."""
+NOISE: Final = 0.02
+"""Of the Coulomb level: noise of the force, until `tune` says what it is."""
+CUTOFFS: Final = (500.0, 0.1)
+"""Cutoff of the velocity: so many Hz, or that share of the rate."""
+UPDATES: Final = 100.0
+"""Updates per second, about: of a whole number of samples each."""
+COMMENT_COLUMN: Final = 52
+
+_ASSUMED: Final = "assumed"
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of an axis before anything was measured.
+
+    Attributes:
+        name: of the machine.
+        kind: whether it goes or turns.
+        mass: moved mass [kg], of an axis that turns its inertia [kg m^2].
+        rate: samples per second [Hz].
+        coulomb: level of sliding friction [N, N m]; None: unknown.
+        viscous: [N s/m, N m s/rad]; None: unknown.
+        break_away: displacement after a reversal until all slides [m, rad]; None: unknown.
+        max_velocity: the estimate is right up to here [m/s, rad/s].
+    """
+
+    name: str
+    kind: Kind
+    mass: float
+    rate: float
+    coulomb: float | None = None
+    viscous: float | None = None
+    break_away: float | None = None
+    max_velocity: float = 1.0
+
+
+def start_text(known: Known, path: Path) -> tuple[str, Machine]:
+    """The machine file, every number with its unit and where it comes from, and the machine that it describes.
+
+    What is unknown stands at a usual value and is marked as assumed: friction of 1 % of the weight (of an axis that
+    turns, of a tenth of the inertia at 1 rad/s^2), a break-away distance of 50 um or 50 urad.
+
+    Args:
+        known: the numbers.
+        path: where the file will be, for error messages.
+
+    Raises:
+        InputError: a number that no machine file may have.
+    """
+    units = OF_KIND[known.kind]
+    linear = known.kind == "linear"
+    coulomb = known.coulomb if known.coulomb is not None else float(f"{known.mass * (0.0981 if linear else 0.1):.2g}")
+    viscous = known.viscous if known.viscous is not None else coulomb
+    last = known.break_away if known.break_away is not None else 5e-5
+    stiffness = [float(f"{share * coulomb / (part * last):.3g}") for share, part in zip(SHARES, SPREAD, strict=True)]
+    from_distance = f"of break-away distances up to {last:g} {units.position}"
+    samples = max(1, round(known.rate / UPDATES))
+    tables: list[tuple[str, Sequence[tuple[str, Any, str]]]] = [
+        (
+            "plant",
+            [("kind", known.kind, "")] * (not linear)
+            + [("mass" if linear else "inertia", known.mass, f"{units.mass}, all that moves")],
+        ),
+        (
+            "friction",
+            [
+                ("coulomb", coulomb, _said(known.coulomb, f"{units.force}, level of sliding")),
+                ("viscous", viscous, _said(known.viscous, f"{units.damping}, rise with speed")),
+                ("stiffness", stiffness, _said(known.break_away, f"{units.stiffness}, {from_distance}")),
+                ("fraction", list(SHARES), f"of the level, one per stiffness; {_ASSUMED}"),
+                ("stribeck_ratio", 0.0, f"rise towards standstill over the level; {_ASSUMED}"),
+                ("stribeck_velocity", 1e-3, f"{units.velocity}, speed at which it is gone; {_ASSUMED}"),
+            ],
+        ),
+        (
+            "sampling",
+            [
+                ("rate", known.rate, "Hz, position and force samples"),
+                ("update_rate", known.rate / samples, "Hz, estimator"),
+                ("velocity_cutoff", min(CUTOFFS[0], CUTOFFS[1] * known.rate), "Hz, second-order low-pass"),
+                ("max_velocity", known.max_velocity, f"{units.velocity}, the estimate is right up to here"),
+                ("integrator", {"scheme": "flow"}, "constant work at any speed"),
+            ],
+        ),
+        (
+            "estimator",
+            [
+                ("kind", "mhe", "or ekf, which keeps no window"),
+                ("horizon", 20, "shooting intervals, one per update"),
+                ("relinearise", "auto", "intervals are linearised anew where it matters"),
+                ("parameters", ["coulomb", "viscous"], "what changes: temperature, wear, grease"),
+            ],
+        ),
+        (
+            "estimator.noise",
+            [("measurement", float(f"{NOISE * coulomb:.2g}"), f"{units.force}, 1 sigma; {_ASSUMED}, tune measures it")],
+        ),
+        ("estimator.bounds", [("coulomb", [0.3, 3.0], "times nominal"), ("viscous", [0.1, 5.0], "times nominal")]),
+    ]
+    head = [
+        f"# {known.name}: a beginning. What is marked as assumed is no measurement:",
+        "#   sgms-mhe identify LOG --out FILE   measures all of [friction] from a log,",
+        "#   sgms-mhe check FILE                shows what this file resolves to,",
+        "#   sgms-mhe schema                    lists every key.",
+        toml_line("name", known.name),
+        toml_line("description", "a beginning"),
+    ]
+    text = "\n".join(head + [line for name, entries in tables for line in _table(name, entries)]) + "\n"
+    return text, make_machine(tomllib.loads(text), path)
+
+
+def _said(stated: float | None, meaning: str) -> str:
+    return meaning if stated is not None else f"{meaning}; {_ASSUMED}"
+
+
+def _table(name: str, entries: Sequence[tuple[str, Any, str]]) -> list[str]:
+    lines = ["", f"[{name}]"]
+    for key, value, comment in entries:
+        line = toml_line(key, value)
+        lines.append(f"{line:<{COMMENT_COLUMN}} # {comment}" if comment else line)
+    return lines
+
+
+def refuse_existing(path: Path, force: bool) -> None:
+    """Refuse a file that is there already.
+
+    Raises:
+        InputError: it is, and it is not to be replaced.
+    """
+    if path.exists() and not force:
+        raise InputError(path, "output file", None, "a new one; --force replaces it")

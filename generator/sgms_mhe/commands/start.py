@@ -1,0 +1,105 @@
+"""`sgms-mhe start`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from sgms_mhe.commands.common import Number, check_output_file, example, note, out_option, show
+from sgms_mhe.support.errors import InputError
+
+if TYPE_CHECKING:
+    from sgms_mhe.machine import Kind
+
+LARGEST = 1e9
+"""Of any number that is asked for."""
+
+_positive = Number(1e-12, LARGEST)
+
+
+@click.command(
+    short_help="A commented machine file to begin with.",
+    epilog=example(
+        "start --out my_axis.toml --mass 12 --rate 8000",
+        "start log.csv --out my_axis.toml --mass 12",
+        "start --out my_table.toml --inertia 0.02 --rate 4000 --coulomb 0.4",
+    ),
+)
+@click.argument("logs", metavar="[LOG]...", nargs=-1, type=click.Path(path_type=Path))
+@out_option("The machine file to write; its stem is the machine's name.", metavar="MACHINE.toml")
+@click.option("--mass", type=_positive, metavar="KG", help="Moved mass.")
+@click.option("--inertia", type=_positive, metavar="KG_M2", help="The same of an axis that turns.")
+@click.option("--rate", type=Number(1.0, 1e6), metavar="HZ", help="Samples per second; of a log its own.")
+@click.option("--coulomb", type=_positive, metavar="N", help="Level of sliding friction, if known.")
+@click.option("--viscous", type=_positive, metavar="N_S_M", help="Its rise with speed, if known.")
+@click.option("--break-away", type=_positive, metavar="M", help="Distance after a reversal until all slides, if known.")
+@click.option("--max-velocity", type=_positive, metavar="M_S", default=1.0, show_default=True, help="Highest speed.")
+@click.option("--force", is_flag=True, help="Replace a file that is there.")
+def command(
+    logs: tuple[Path, ...],
+    out: Path,
+    mass: float | None,
+    inertia: float | None,
+    rate: float | None,
+    coulomb: float | None,
+    viscous: float | None,
+    break_away: float | None,
+    max_velocity: float,
+    force: bool,
+) -> None:
+    """Write a commented machine file: from logs what they determine, without one from what is known of the axis.
+
+    Mass and rate are asked for where they are not given, if there is a terminal. Numbers that nobody gave stand at
+    usual values and are marked as assumed. Of an axis that turns all is in rad and N m.
+    """
+    check_output_file(out, (".toml",))
+
+    from sgms_mhe.api.starting import Known, refuse_existing, start_text
+    from sgms_mhe.support.files import write_text
+
+    refuse_existing(out, force)
+    if mass is not None and inertia is not None:
+        raise InputError("start", "--inertia", inertia, "none beside --mass: an axis goes or turns")
+    if logs:
+        given = {"--rate": rate, "--coulomb": coulomb, "--viscous": viscous, "--break-away": break_away}
+        for option, value in given.items():
+            if value is not None:
+                raise InputError("start", option, value, "none with a log, which says so itself")
+        write_text(out, _from_logs(logs, out.stem, mass, inertia))
+    else:
+        if mass is None and inertia is None:
+            mass = _asked("--mass", "Moved mass [kg]")
+        if rate is None:
+            rate = _asked("--rate", "Samples per second [Hz]")
+        kind: Kind = "linear" if inertia is None else "rotary"
+        moved = inertia if inertia is not None else mass
+        assert moved is not None
+        known = Known(out.stem, kind, moved, rate, coulomb, viscous, break_away, max_velocity)
+        write_text(out, start_text(known, out)[0])
+    show(f"machine file: {out}\nnext: sgms-mhe check {out}", out)
+
+
+def _asked(option: str, question: str) -> float:
+    """A number that was not given: from whoever sits at the terminal.
+
+    Raises:
+        InputError: nobody does.
+    """
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise InputError("start", option, None, f"a number: {question[0].lower()}{question[1:]}")
+    return float(click.prompt(question, type=_positive, err=True))
+
+
+def _from_logs(logs: tuple[Path, ...], name: str, mass: float | None, inertia: float | None) -> str:
+    """The file that identification writes, and on stderr how the logs were read."""
+    from sgms_mhe.api.identification import identify
+    from sgms_mhe.api.inputs import read_log
+
+    kind = read_log(logs[0]).units.kind
+    for option, value, own in (("--mass", mass, "linear"), ("--inertia", inertia, "rotary")):
+        if value is not None and kind != own:
+            raise InputError("start", option, value, f"none: the logs are of a {kind} axis")
+    return identify(logs, name, mass=mass if kind == "linear" else inertia, note=note).toml
