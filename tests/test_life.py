@@ -1,4 +1,4 @@
-"""What a package does over its life: settings, payload, parameters held or set, what it learned kept over a power cycle."""
+"""What a package does over its life: settings, payload, parameters held or set, a power cycle."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ class Package:
         return saved
 
     def run(self, memory: Any, log: Log, first: int = 0, last: int | None = None) -> Array:
-        """Two tasks over samples of a log; friction, measured, deflections, parameters, deviations after every update."""
+        """Two tasks over samples of a log; friction, measured, z, parameters, deviations after every update."""
         rows = []
         for q, u in zip(log.position_m[first:last], log.force_N[first:last], strict=True):
             self.c.probe_sample(memory, float(q), float(u))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe import __version__
 from sgms_mhe.emission.block_work import Ingredients
