@@ -16,12 +16,13 @@ import pytest
 from c_packages import machine, run, written
 from cli_cases import SMALL
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.emission.bindings import BINDINGS
+from sgms_mhe.emission.bindings import BINDINGS, binding_files
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.evaluation.motions import simulated_log
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
 
 Tool = Callable[[str], str]
 KINDS = ("single", "double", "ekf", "rotary")
@@ -245,24 +246,22 @@ def test_cpp_gives_what_the_c_gives(kind: str, compiler: str, bound: Any, requir
 
 
 def test_bindings_come_where_they_are_asked_for(tmp_path: Path) -> None:
-    path = tmp_path / "small.toml"
+    path, out = tmp_path / "small.toml", tmp_path / "out"
     path.write_text(SMALL)
-    for bindings, endings in (("python", {".py"}), ("cpp", {".hpp"}), (" cpp, python ", {".py", ".hpp"})):
-        out = tmp_path / "out"
-        done = subprocess.run(
-            [sys.executable, "-m", "sgms_mhe", "generate", path, "--out", out, "--bindings", bindings],
-            check=False,
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == 0, done.stderr
-        assert {p.suffix for p in out.iterdir()} & {".py", ".hpp"} == endings
-    for unknown in ("matlab", "", "python,,cpp"):
-        done = subprocess.run(
-            [sys.executable, "-m", "sgms_mhe", "generate", path, "--out", tmp_path / "none", "--bindings", unknown],
-            check=False,
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == 2 and "python or cpp" in done.stderr and "Traceback" not in done.stderr
-        assert not (tmp_path / "none").exists()
+    generate = [sys.executable, "-m", "sgms_mhe", "generate", path, "--out"]
+    done = subprocess.run([*generate, out, "--bindings", " cpp, python "], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert {p.suffix for p in out.iterdir()} >= {".py", ".hpp"}
+    assert [list(binding_files(names, "axis")) for names in (["cpp"], ["python"], [])] == [
+        ["axis.hpp"],
+        ["axis.py"],
+        [],
+    ]
+    done = subprocess.run(
+        [*generate, tmp_path / "none", "--bindings", "matlab"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2 and "python or cpp" in done.stderr and "Traceback" not in done.stderr
+    assert not (tmp_path / "none").exists()
+    for unknown in ([""], ["python", "", "cpp"]):
+        with pytest.raises(InputError, match="python or cpp"):
+            binding_files(unknown, "axis")
