@@ -52,9 +52,9 @@ each_kind = pytest.mark.parametrize("kind", ["double", "single", "ekf", "rotary"
 
 
 def blocks(package: Package) -> list[str]:
-    """C on the package's page: one task; two tasks; the question for an estimate."""
+    """C on the package's page: one task; two tasks; the question for an estimate; a power cycle."""
     found = re.findall(r"```c\n(.*?)```", package.files["README.md"], flags=re.DOTALL)
-    assert len(found) == 3
+    assert len(found) == 4
     return found
 
 
@@ -62,11 +62,12 @@ def blocks(package: Package) -> list[str]:
 def test_lines_of_the_page_compile_and_both_ways_say_the_same(kind: str, require_tool: Tool, tmp_path: Path) -> None:
     """Word for word, every warning an error; what is returned is the same to the last bit where the page says so."""
     package = package_of(kind)
-    one, two, ask = blocks(package)
+    one, two, ask, cycle = blocks(package)
     name, folder, said = package.machine.name, written(package, tmp_path), []
     # The page says `start` as above: the block above, with its fast task under another name.
     above = f"#define fast_task unused_fast_task\n{PROTOTYPES}{one}#undef fast_task\n"
     question = f"int ask({name}_estimate_t *estimate);\n{ask}"
+    question += f"int after_power_on({name}_saved_t *);\nint before_power_off({name}_saved_t *);\n{cycle}"
     programs = {
         "one": (PROTOTYPES + one + question + MOTION, ""),
         "two": (above + PROTOTYPES + two + MOTION, "if (k % 100 == 40) slow_task();"),

@@ -251,6 +251,7 @@ def test_freestanding(compiler: str, level: str, precision: str, require_tool: T
     assert not [(kind, name) for kind, name in found if kind in "BbDdCcGgSs"], "writable globals"
     exported = {name for kind, name in found if kind.isupper() and kind != "U"}
     public = "check init reset tick sample insert ahead compensate share due prepare feedback estimate status_text"
+    public += " settings init_with set_mass hold set_parameter save load"
     assert exported == {f"etel_xy_{name}" for name in public.split()}
     # The program brings its own two functions only where the compiler wants them.
     (tmp_path / "memory.c").write_text(
@@ -301,7 +302,10 @@ def test_two_machines_in_one_program(language: str, require_tool: Tool, tmp_path
 
 # --- calls -------------------------------------------------------------------------------------------------------
 
-STATUSES = ("OK", "FILLING", "MISSING", "HOLD", "BOUND", "SPEED", "OVERRUN", "EARLY", "NUMERIC", "OVERLAP", "MISMATCH")
+STATUSES = (
+    *("OK", "FILLING", "MISSING", "HOLD", "BOUND", "SPEED", "OVERRUN"),
+    *("EARLY", "NUMERIC", "OVERLAP", "MISMATCH", "REFUSED"),
+)
 
 
 class Axis:
@@ -704,6 +708,7 @@ def test_status_texts(axis: Any) -> None:
         ("NUMERIC", "not finite"),
         ("OVERLAP", "overlapped"),
         ("MISMATCH", "another header"),
+        ("REFUSED", "out of its range"),
     ):
         assert word in texts[name]
     # Sums say their gravest part, and every number has a text.

@@ -101,9 +101,9 @@ enum { SGMS_POSITION = 1, SGMS_FORCE = 2, SGMS_ACCELERATION = 4 };
 /* A chain, always the same. */
 typedef struct {
     sgms_lowpass lowpass;
-    sgms_real rate, mass; /* Hz, kg */
-    int32_t settle;       /* samples that a disturbance of the filters lasts */
-    int wanted;           /* what is asked for */
+    sgms_real rate; /* Hz */
+    int32_t settle; /* samples that a disturbance of the filters lasts */
+    int wanted;     /* what is asked for */
 } sgms_chain;
 
 /* Memory of the chain. Plain arrays, so that the public header of a package can declare it without this one. */
@@ -113,6 +113,7 @@ typedef struct {
     sgms_real *last; /* [SGMS_FILTER_LAST] last force, last filtered velocity, force and position one sample ago */
     int32_t *counts; /* [SGMS_FILTER_COUNTS] channels seen (1 force, 2 position), length of the gap, samples since
                         friction was spoilt */
+    sgms_real mass;  /* kg, that moves */
 } sgms_filter_memory;
 
 typedef struct {
@@ -190,9 +191,9 @@ static inline sgms_aligned sgms_filter_step(
     if (apart) {
         out.acceleration = sgms_lowpass_step(filter, f + 6, sgms_lowpass_step(filter, f + 4, acceleration));
         out.force = sgms_lowpass_step(filter, f + 10, sgms_lowpass_step(filter, f + 8, m->last[2]));
-        out.friction = out.force - chain->mass * out.acceleration;
+        out.friction = out.force - m->mass * out.acceleration;
     } else { /* linear again: what is not asked for apart goes through one pair of filters */
-        const sgms_real friction = m->last[2] - chain->mass * acceleration;
+        const sgms_real friction = m->last[2] - m->mass * acceleration;
         out.friction = sgms_lowpass_step(filter, f + 6, sgms_lowpass_step(filter, f + 4, friction));
     }
     m->last[1] = velocity;

@@ -1,10 +1,12 @@
 /* Every public call of one package along a motion that asks for much, on two axes, one task and two: presliding, moves
  * up to speed and beyond, standstill, gaps, readings that are none, samples lost, resets, signals of a chain of its
  * own. Prints digest of the bits of all that came out, numbers that it is of, statuses that were seen (one bit each: 0
- * OK, 1 to 7 the flags in their order, 8 to 11 the refusals) the same wherever arithmetic is that of IEEE 754 and
+ * OK, 1 to 7 the flags in their order, 8 to 12 the refusals) the same wherever arithmetic is that of IEEE 754 and
  * nothing contracts it. Compiled as package.h says; on an emulated microcontroller (-DON_TARGET) the three go to
  * results.bin, 64 bits each. */
 #include "package.h"
+
+#include <string.h>
 
 #ifdef ON_TARGET
 #include "target.h"
@@ -305,6 +307,112 @@ static void start_anew(void)
     take_status(CALL(feedback)(&by_tasks));
 }
 
+/* A call that sets something, and what it said. */
+static void set_number(machine_real value, machine_real deviation)
+{
+    machine_estimate e;
+    CALL(estimate)(&by_tick, &e);
+    for (int p = -1; p <= PARAMETERS; p++) {
+        const machine_real now = p < 0 || p == PARAMETERS ? (machine_real)0 : e.parameter[p];
+        take_status(CALL(set_parameter)(&by_tick, p, now * value, deviation));
+        take_status(CALL(set_parameter)(&by_tasks, p, now * value, deviation));
+    }
+}
+
+/* Payload; parameters held, set and let go. */
+static void set_and_hold(void)
+{
+    const machine_real none = (machine_real)1e30 * (machine_real)1e30;
+    take_status(CALL(set_mass)(&by_tick, MASS * (machine_real)30));
+    take_status(CALL(set_mass)(&by_tick, MASS * (machine_real)0.01));
+    take_status(CALL(set_mass)(&by_tick, MASS));
+    take_status(CALL(set_mass)(&by_tasks, MASS));
+    stand(SETTLE + 10L);
+    for (int on = 1; on >= 0; on--) {
+        for (int p = -1; p <= PARAMETERS; p++) {
+            take_status(CALL(hold)(&by_tick, p, on));
+            take_status(CALL(hold)(&by_tasks, p, on));
+            take_estimate(&by_tick);
+        }
+        go_round();
+    }
+    set_number((machine_real)1, (machine_real)0);
+    go_round();
+    set_number((machine_real)1, (machine_real)1e4);
+    set_number((machine_real)1, (machine_real)-1);
+    set_number((machine_real)1, (machine_real)1e-20);
+    set_number((machine_real)1, none);
+    set_number(none, (machine_real)1);
+    set_number((machine_real)-100, (machine_real)1);
+    take_estimate(&by_tasks);
+}
+
+/* Load what was saved with one of its words another, and with the checksum of what it then is (CRC-32). */
+static void load_sealed(const machine_saved *saved, unsigned word, uint32_t value)
+{
+    machine_saved changed = *saved;
+    unsigned char *const bytes = (unsigned char *)&changed;
+    uint32_t sum = UINT32_C(0xffffffff);
+    memcpy(bytes + 4u * word, &value, sizeof value);
+    for (unsigned i = 4; i < sizeof changed; i++) {
+        sum ^= bytes[i];
+        for (int bit = 0; bit < 8; bit++) {
+            sum = (sum >> 1) ^ (UINT32_C(0xedb88320) & (0u - (sum & 1u)));
+        }
+    }
+    changed.checksum = ~sum;
+    take_status(CALL(load)(&by_tasks, &changed));
+}
+
+/* Every number of the settings as none that it may be. */
+static void set_wrong(void)
+{
+    const machine_real size = sizeof(machine_real) == 4 ? (machine_real)1e30
+                                                        : (machine_real)1e30 * (machine_real)1e30 * (machine_real)1e30;
+    const machine_real large = size * size * size * size, wrong[] = {(machine_real)-9, large * 0, large, -large};
+    machine_settings settings;
+    machine_real *const numbers = (machine_real *)&settings;
+    for (unsigned i = 0; i < sizeof settings / sizeof *numbers; i++) {
+        for (int k = 0; k < 5; k++) {
+            CALL(settings)(&settings);
+            numbers[i] = k < 4 ? wrong[k] : (machine_real)1;
+            take_status(CALL(init_with)(&by_tick, &settings));
+        }
+    }
+}
+
+/* A power cycle, with what was saved, and with what no one saved; other weights. */
+static void save_and_load(void)
+{
+    machine_saved saved;
+    machine_settings settings;
+    take_status(CALL(save)(&by_tasks, &saved));
+    take_bytes(&saved.theta, sizeof saved.theta);
+    take_bytes(&saved.root, sizeof saved.root);
+    for (unsigned word = 1; word < sizeof saved / 4; word++) {
+        load_sealed(&saved, word, UINT32_C(0xc0f00000)); /* below every bound */
+        load_sealed(&saved, word, UINT32_C(0x7ff80000)); /* no number */
+        load_sealed(&saved, word, UINT32_C(0x47f80000)); /* beyond */
+        load_sealed(&saved, word, 0);
+    }
+    set_wrong();
+    CALL(settings)(&settings);
+#ifdef DRIFT_SD
+    settings.drift = (machine_real)0;
+#endif
+    settings.measurement = MEASUREMENT_SD * (machine_real)2;
+    take_status(CALL(init_with)(&by_tick, &settings));
+    take_status(CALL(init_with)(&by_tasks, &settings));
+    take_status(CALL(hold)(&by_tick, 0, 1)); /* before the first sample */
+    take_status(CALL(load)(&by_tick, &saved));
+    take_status(CALL(load)(&by_tasks, &saved));
+    take_estimate(&by_tick);
+    obeys_model = 0;
+    stand((HORIZON + 3L) * SAMPLES);
+    go_round();
+    take_estimate(&by_tick);
+}
+
 static void exercise(void)
 {
     take_status(CALL(check)(sizeof by_tick, CONSTANT(HEADER)));
@@ -339,6 +447,9 @@ static void exercise(void)
     insert_signals(2L * SAMPLES + 40);
     switch_off();
     go_round();
+    set_and_hold();
+    go_round();
+    save_and_load();
 }
 
 #ifdef ON_TARGET

@@ -161,7 +161,8 @@ static void check_estimate(const machine *axis)
         hold(is_number(e.parameter[i]), "a parameter that is no number");
         hold(is_number(e.deviation[i]) && e.deviation[i] >= (machine_real)0, "a sigma that is none");
 #if BOUNDED
-        hold(theta >= lower_bound[i] && theta <= upper_bound[i], "a parameter beyond its bounds");
+        const machine_settings *const by = &axis->settings;
+        hold(theta >= by->lower[i] && theta <= by->upper[i], "a parameter beyond its bounds");
 #endif
     }
 }
@@ -281,6 +282,52 @@ static void run(bytes *from, machine *axis)
     }
 }
 
+/* A power cycle: what is saved is taken back, and what has one bit flipped is not. */
+static void cycle(bytes *from, machine *axis)
+{
+    machine_saved saved;
+    const size_t bit = (size_t)take_bits(from) % (8 * sizeof saved);
+    hold(check_status(CALL(save)(axis, &saved)) == CONSTANT(OK), "what was learned is not saved");
+    ((unsigned char *)&saved)[bit / 8] ^= (unsigned char)(1u << bit % 8);
+    if (take_byte(from) % 2) {
+        hold(check_status(CALL(load)(axis, &saved)) == CONSTANT(REFUSED), "a flipped bit is taken");
+        check_estimate(axis);
+        return;
+    }
+    ((unsigned char *)&saved)[bit / 8] ^= (unsigned char)(1u << bit % 8);
+    hold(check_status(CALL(load)(axis, &saved)) == CONSTANT(OK), "what was saved is refused");
+    check_estimate(axis);
+}
+
+/* A call that sets something, to any number or to one that may be. */
+static void set(bytes *from, machine *axis)
+{
+    const unsigned kind = take_byte(from) % 4, part = take_byte(from);
+    const machine_real any = take_real(from), factor = (machine_real)(0.5 + (double)take_byte(from) / 128.0);
+    const int p = (int)(part % (PARAMETERS + 2)) - 1, is_any = take_byte(from) < 64;
+    if (kind == 0) {
+        (void)check_status(CALL(set_mass)(axis, is_any ? any : MASS * factor));
+    } else if (kind == 1) {
+        (void)check_status(CALL(hold)(axis, p, (int)take_byte(from) % 2));
+    } else if (kind == 2) {
+        machine_estimate e;
+        CALL(estimate)(axis, &e);
+        if (p >= 0 && p < PARAMETERS && !is_any) {
+            (void)check_status(CALL(set_parameter)(axis, p, e.parameter[p] * factor, e.deviation[p] * factor));
+        } else {
+            const machine_real deviation = take_real(from);
+            (void)check_status(CALL(set_parameter)(axis, p, any, deviation));
+        }
+    } else if (part < 16) {
+        machine_settings settings;
+        CALL(settings)(&settings);
+        settings.measurement = is_any ? any : settings.measurement * factor;
+        settings.state[0] *= factor;
+        settings.pause = part < 8 ? any : settings.pause;
+        (void)check_status(CALL(init_with)(axis, &settings));
+    }
+}
+
 /* One call, whichever comes. */
 static void call(bytes *from, machine *axis)
 {
@@ -325,6 +372,14 @@ static void call(bytes *from, machine *axis)
     case 11:
         (void)CALL(status_text)((int)take_bits(from));
         break;
+    case 13:
+        set(from, axis);
+        break;
+    case 14:
+        if (take_byte(from) < 64) {
+            cycle(from, axis);
+        }
+        break;
     case 12:
         if (take_byte(from) < 32) {
             CALL(reset)(axis);
@@ -364,9 +419,13 @@ static void check_recovery(machine *axis)
     machine_estimate last;
     CALL(init)(twin);
     CALL(compensate)(twin, axis->compensate);
+    twin->settings = axis->settings;
+    twin->mass = axis->mass;
+    memcpy(twin->held, axis->held, sizeof twin->held);
     memcpy(twin->good_state, axis->good_state, sizeof twin->good_state);
     memcpy(twin->good_theta, axis->good_theta, sizeof twin->good_theta);
-    memcpy(twin->good_variance, axis->good_variance, sizeof twin->good_variance);
+    memcpy(twin->good_root, axis->good_root, sizeof twin->good_root);
+    twin->good_ratio = axis->good_ratio;
     twin->friction = axis->friction;
     twin->friction_measured = axis->friction_measured;
 #if HAS_TIME

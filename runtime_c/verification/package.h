@@ -17,8 +17,10 @@ typedef CALL(real) machine_real;
 typedef CALL(position) machine_position;
 typedef CALL(signals) machine_signals;
 typedef CALL(estimate_t) machine_estimate;
+typedef CALL(settings_t) machine_settings;
+typedef CALL(saved_t) machine_saved;
 
-/* What statuses may be: a sum of these flags, or one of three refusals. */
+/* What statuses may be: a sum of these flags, or one of four refusals. */
 enum {
     FLAGS = CONSTANT(FILLING) + CONSTANT(MISSING) + CONSTANT(HOLD) + CONSTANT(BOUND) + CONSTANT(SPEED) +
     CONSTANT(OVERRUN) + CONSTANT(DOUBT)
@@ -27,7 +29,7 @@ enum {
 static inline int is_status(int status)
 {
     return (status >= 0 && (status & ~FLAGS) == 0) || status == CONSTANT(EARLY) || status == CONSTANT(NUMERIC) ||
-           status == CONSTANT(OVERLAP);
+           status == CONSTANT(OVERLAP) || status == CONSTANT(REFUSED);
 }
 
 /* A motion that a healthy axis makes, sample k of it: loops of some hundred hold paths and back, at a few rates. */

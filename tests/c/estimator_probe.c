@@ -112,9 +112,9 @@ int probe_numbers(void)
 /* Statuses by their names. */
 int probe_status(int which)
 {
-    const int values[] = {CONSTANT(OK),      CONSTANT(FILLING), CONSTANT(MISSING), CONSTANT(HOLD),
-                          CONSTANT(BOUND),   CONSTANT(SPEED),   CONSTANT(OVERRUN), CONSTANT(EARLY),
-                          CONSTANT(NUMERIC), CONSTANT(OVERLAP), CONSTANT(MISMATCH)};
+    const int values[] = {CONSTANT(OK),      CONSTANT(FILLING), CONSTANT(MISSING),  CONSTANT(HOLD),
+                          CONSTANT(BOUND),   CONSTANT(SPEED),   CONSTANT(OVERRUN),  CONSTANT(EARLY),
+                          CONSTANT(NUMERIC), CONSTANT(OVERLAP), CONSTANT(MISMATCH), CONSTANT(REFUSED)};
     return values[which];
 }
 

@@ -27,13 +27,13 @@ int main(void)
     const sgms_chain chain = {
         .lowpass = {.b0 = 0.02f, .b1 = 0.04f, .b2 = 0.02f, .a1 = -1.56f, .a2 = 0.64f},
         .rate = 1e4f,
-        .mass = 20.0f,
         .settle = SETTLE,
         .wanted = SGMS_POSITION + SGMS_FORCE + SGMS_ACCELERATION};
     sgms_position position[2] = {0, 0};
     sgms_real lowpass[SGMS_FILTER_STATES] = {0}, last[SGMS_FILTER_LAST] = {0};
     int32_t counts[SGMS_FILTER_COUNTS] = {0, 0, 0};
-    const sgms_filter_memory memory = {.position = position, .lowpass = lowpass, .last = last, .counts = counts};
+    const sgms_filter_memory memory = {
+        .position = position, .lowpass = lowpass, .last = last, .counts = counts, .mass = 20.0f};
     uint32_t random = 1;
     int strange = 0;
     for (int k = 0; k < SAMPLES; k++) {

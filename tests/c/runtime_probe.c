@@ -109,13 +109,13 @@ void probe_chain(
              .a1 = (sgms_real)coefficients[3],
              .a2 = (sgms_real)coefficients[4]},
         .rate = (sgms_real)rate,
-        .mass = (sgms_real)mass,
         .settle = settle,
         .wanted = wanted};
     sgms_position positions[2] = {0, 0};
     sgms_real states[SGMS_FILTER_STATES] = {0}, last[SGMS_FILTER_LAST] = {0};
     int32_t counts[SGMS_FILTER_COUNTS] = {0, 0, 0};
-    const sgms_filter_memory memory = {.position = positions, .lowpass = states, .last = last, .counts = counts};
+    const sgms_filter_memory memory = {
+        .position = positions, .lowpass = states, .last = last, .counts = counts, .mass = (sgms_real)mass};
     for (long k = 0; k < n; k++) {
         const sgms_aligned s = sgms_filter_step(&chain, &memory, position[k], force[k]);
         out[k] = s.position;

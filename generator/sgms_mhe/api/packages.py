@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from sgms_mhe.api.inputs import load
@@ -9,7 +10,13 @@ from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.machine import Machine
 
 
-def generate(machine: str | Path | Machine, out: str | Path | None = None, *, amalgamate: bool = False) -> Package:
+def generate(
+    machine: str | Path | Machine,
+    out: str | Path | None = None,
+    *,
+    amalgamate: bool = False,
+    bindings: Iterable[str] = (),
+) -> Package:
     """Emit a machine's estimator as C99 that needs no library.
 
     Args:
@@ -17,6 +24,7 @@ def generate(machine: str | Path | Machine, out: str | Path | None = None, *, am
         out: the package's folder, replaced as a whole, and only if nothing but an earlier package is in it; None: write
             nothing.
         amalgamate: all C in one source and one header.
+        bindings: languages that it is to be called from besides: "python", "cpp".
 
     Returns:
         The machine and its files, text by name.
@@ -24,7 +32,7 @@ def generate(machine: str | Path | Machine, out: str | Path | None = None, *, am
     Raises:
         InputError: the machine file; a tick beyond its budget of operations; a folder that holds other files.
     """
-    package = emit_package(load(machine), within_budget=True, amalgamate=amalgamate)
+    package = emit_package(load(machine), within_budget=True, amalgamate=amalgamate, bindings=bindings)
     if out is not None:
         write_package(package, Path(out))
     return package

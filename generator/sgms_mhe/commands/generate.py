@@ -26,8 +26,9 @@ from sgms_mhe.commands.common import (
 @machine_argument
 @out_option("The package's folder; default generated/NAME below the working directory.", metavar="DIR", required=False)
 @click.option("--amalgamate", is_flag=True, help="All C in one source and one header.")
+@click.option("--bindings", metavar="LIST", help="Other languages, with commas: python, cpp.")
 @json_option
-def command(machine: str, out: Path | None, amalgamate: bool, as_json: bool) -> None:
+def command(machine: str, out: Path | None, amalgamate: bool, bindings: str | None, as_json: bool) -> None:
     """Emit MACHINE's estimator as a folder of C99 that needs no library.
 
     The folder is replaced as a whole, and only if nothing but an earlier package is in it.
@@ -37,11 +38,12 @@ def command(machine: str, out: Path | None, amalgamate: bool, as_json: bool) -> 
     resolved = load_machine(machine)
     folder = out or Path("generated") / resolved.name
     check_output_folder(folder)
+    names = [name.strip() for name in bindings.split(",")] if bindings is not None else []
 
     from sgms_mhe.api import packages
 
     with progress_bar(f"generate {resolved.name}"):
-        package = packages.generate(resolved, folder, amalgamate=amalgamate)
+        package = packages.generate(resolved, folder, amalgamate=amalgamate, bindings=names)
     sizes = {name: len(text.encode()) for name, text in package.files.items()}
     if as_json:
         show(json_text({"machine": resolved.name, "digest": resolved.digest, "folder": str(folder), "files": sizes}))

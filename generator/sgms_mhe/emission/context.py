@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe import __version__
 from sgms_mhe.emission.block_work import Ingredients
@@ -32,12 +31,14 @@ from sgms_mhe.machine import Machine, Units, runge_kutta_scheme
 from sgms_mhe.model import SIGNAL_NAMES, FreeParameter, Model
 from sgms_mhe.signals.chain import lowpass_coefficients, settle_samples
 
-RUNTIME_VERSION = 2
+RUNTIME_VERSION = 3
 """Version of the runtime headers that the templates are written for."""
 IMPLAUSIBLE = 1e4
 """A state so many standard deviations of the first node's away from zero is no solution (docs/estimation.md)."""
 MOVE = 0.3
 """How far the end of an interval may move before that, over sqrt(sigma_x / lambda); over sigma_x where it switches."""
+PAUSE_PART = 0.25
+"""What a power cycle changes in a parameter, over what may be wrong with it before any data."""
 HOLD_PART = 0.1
 """Path of an interval below which it says nothing of the parameters, over the smallest deflection scale."""
 
@@ -98,6 +99,7 @@ class SignalView:
         sample_time, step_time: [s], step_time of a step of the series.
         piece_time: of constant signals [s].
         mass: [kg]. max_velocity: [m/s].
+        mass_in_model: it stands in the model's equations, and not in the signal chain alone.
         settle: samples that a disturbance of the filters lasts.
         lowpass: (b0, b1, b2, a1, a2).
         slope_weights: of each of the merged samples in the slope of the line through them.
@@ -115,6 +117,7 @@ class SignalView:
     step_time: float
     piece_time: float
     mass: float
+    mass_in_model: bool
     max_velocity: float
     settle: int
     lowpass: tuple[float, ...]
@@ -139,8 +142,10 @@ class Weights:
         hold_path: path of an interval below which it says nothing of the parameters [m].
         implausible: first node's standard deviations beyond which a state is no solution.
         lower, upper: bounds on theta, finite numbers.
-        inverse_state_noise, inverse_initial_state: per state.
-        inverse_move: of an interval's end before it is linearised anew, over the state noise, per state.
+        pause_sd: of what a power cycle changes in theta.
+        state_noise, inverse_initial_state: per state.
+        inverse_move: of an interval's end before it is linearised anew, over the state noise, squared; where it
+            `moves_with_noise` over the state noise besides.
     """
 
     measurement: float
@@ -152,9 +157,11 @@ class Weights:
     implausible: float
     lower: tuple[float, ...]
     upper: tuple[float, ...]
-    inverse_state_noise: tuple[float, ...]
+    pause_sd: float
+    state_noise: tuple[float, ...]
     inverse_initial_state: tuple[float, ...]
-    inverse_move: tuple[float, ...]
+    inverse_move: float
+    moves_with_noise: bool
 
 
 @dataclass(frozen=True)
@@ -313,6 +320,7 @@ def _signals(structure: Structure) -> SignalView:
         step_time=step_time,
         piece_time=sampling.step if merged > 1 else step_time,
         mass=machine.plant.moved,
+        mass_in_model=structure.model.reads_mass,
         max_velocity=sampling.max_velocity,
         settle=settle_samples(machine),
         lowpass=lowpass_coefficients(machine),
@@ -343,6 +351,7 @@ def _names_read(expression: ca.SX, model: Model) -> tuple[str, ...]:
 def _weights(model: Model, variant: Variant) -> Weights:
     machine = model.machine
     noise, largest = machine.estimator.noise, 1e30 if variant.single else 1e300
+    smoothing = machine.friction.smoothing
     return Weights(
         measurement=noise.measurement,
         readings=ReadingRule(),
@@ -353,18 +362,12 @@ def _weights(model: Model, variant: Variant) -> Weights:
         implausible=IMPLAUSIBLE,
         lower=tuple(max(p.lower, -largest) for p in model.parameters),
         upper=tuple(min(p.upper, largest) for p in model.parameters),
-        inverse_state_noise=tuple(1.0 / model.state_noise),
+        pause_sd=PAUSE_PART * noise.parameter,
+        state_noise=tuple(model.state_noise),
         inverse_initial_state=tuple(1.0 / model.initial_state),
-        inverse_move=tuple(_inverse_move(model)),
+        inverse_move=(smoothing.lambda_ if smoothing else 1.0) / MOVE**2,
+        moves_with_noise=smoothing is not None,
     )
-
-
-def _inverse_move(model: Model) -> NDArray[np.float64]:
-    """Of how far the end of an interval may move, over the state noise (n_x): less, the sharper the slip window is."""
-    smoothing = model.machine.friction.smoothing
-    if smoothing is None:
-        return np.full(model.n_x, 1.0 / MOVE)
-    return np.asarray(np.sqrt(model.state_noise * smoothing.lambda_) / MOVE)
 
 
 def _couplings(structure: Structure, sizes: Sizes) -> Couplings:

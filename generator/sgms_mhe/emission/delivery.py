@@ -30,13 +30,16 @@ class Delivery:
     memory: Memory
 
 
-def accompany(view: PackageView, files: Mapping[str, str], memory: Memory) -> dict[str, str]:
+def accompany(
+    view: PackageView, files: Mapping[str, str], memory: Memory, bindings: Mapping[str, str]
+) -> dict[str, str]:
     """A package's files with what comes beside its C.
 
     Args:
         view: of the package.
         files: its C and its reports, by name.
         memory: bytes of what the C declares.
+        bindings: templates of the bindings that come along, by file name.
     """
     name = view.package.name
     public = f"{name}.h"
@@ -49,6 +52,7 @@ def accompany(view: PackageView, files: Mapping[str, str], memory: Memory) -> di
         f"{name}.pc.in": "machine.pc.in",
         "files.txt": "files.txt",
         "LICENSE": "LICENSE",
+        **bindings,
     }
     whole = dict(files) | {file: render_page(view, template, delivery) for file, template in pages.items()}
     return whole | {MANIFEST: manifest(view, whole)}

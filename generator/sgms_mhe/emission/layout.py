@@ -39,12 +39,14 @@ class Memory:
     Attributes:
         axis: of the memory of one axis.
         estimate: of an estimate.
+        saved: of what outlives the power.
         tables: of the estimator's constant tables.
         vectors: of those of the self-test; 0 where there is none.
     """
 
     axis: int
     estimate: int
+    saved: int
     tables: int
     vectors: int
 
@@ -80,6 +82,7 @@ def memory_of(files: Mapping[str, str], name: str, real: str) -> Memory:
     return Memory(
         axis=types[f"{name}_t"].size,
         estimate=types[f"{name}_estimate_t"].size,
+        saved=types[f"{name}_saved_t"].size,
         tables=sum(_tables(text, types, constants) for file, text in code.items() if file != vectors),
         vectors=_tables(code.get(vectors, ""), types, constants),
     )

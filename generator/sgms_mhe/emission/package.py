@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sgms_mhe.emission.amalgamation import amalgamated
+from sgms_mhe.emission.bindings import binding_files
 from sgms_mhe.emission.budget import check_budget
 from sgms_mhe.emission.context import PackageView, package_view
 from sgms_mhe.emission.delivery import accompany, memory_of_package
-from sgms_mhe.emission.rendering import render
+from sgms_mhe.emission.rendering import render, stamped
 from sgms_mhe.emission.selftest import selftest_vectors
 from sgms_mhe.emission.structure import analyse, report
 from sgms_mhe.emission.writing import write_folder
@@ -40,6 +41,7 @@ def emit_package(
     selftest: bool = True,
     within_budget: bool = False,
     amalgamate: bool = False,
+    bindings: Iterable[str] = (),
 ) -> Package:
     """Generate the C of a machine.
 
@@ -49,10 +51,12 @@ def emit_package(
         selftest: with the self-test vectors, for which the reference solver has to run.
         within_budget: refuse a machine whose longest tick takes more operations than its budget.
         amalgamate: all C in one source and one header.
+        bindings: languages that the package is to be called from besides, of `BINDINGS`.
 
     Raises:
         InputError: the machine asks for something that cannot be emitted; the message says what.
     """
+    bound = binding_files(tuple(bindings), machine.name)
     model = model or build_model(machine)
     if model.n_p == 0:
         raise InputError(machine.source, "estimator.parameters", [], "at least one parameter to estimate")
@@ -62,6 +66,7 @@ def emit_package(
         check_budget(machine, view.work)
     if selftest:
         view = replace(view, vectors=selftest_vectors(model))
+    view = stamped(view)
     files = render(view)
     memory = memory_of_package(view, files)
     files |= _runtime(view)
@@ -70,7 +75,7 @@ def emit_package(
     files["structure.txt"] = report(structure)
     if machine.sampling.integrator.tolerance is not None:
         files["work_precision.txt"] = table_text(machine)
-    return Package(machine, dict(sorted(accompany(view, files, memory).items())))
+    return Package(machine, dict(sorted(accompany(view, files, memory, bound).items())))
 
 
 def _runtime(view: PackageView) -> dict[str, str]:

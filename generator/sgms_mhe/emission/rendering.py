@@ -54,7 +54,7 @@ class _Literals(Extension):
 
 
 def render(view: PackageView) -> dict[str, str]:
-    """The emitted C of a package, by file name."""
+    """The emitted C of a package, by file name; `view` as `stamped`."""
     name = view.package.name
     files = {
         f"{name}.h": "machine.h",
@@ -71,7 +71,6 @@ def render(view: PackageView) -> dict[str, str]:
     if view.vectors is not None:
         files[f"{name}_selftest.h"] = "selftest.h"
         files[f"{name}_selftest.c"] = "selftest.c"
-    view = _stamped(view)
     precision: Precision = "single" if view.variant.single else "double"
     return {file: _rendered(view, template, precision) for file, template in files.items()}
 
@@ -87,7 +86,7 @@ def render_page(view: PackageView, template: str, delivery: object) -> str:
     return _rendered(view, template, "double", delivery=delivery)
 
 
-def _stamped(view: PackageView) -> PackageView:
+def stamped(view: PackageView) -> PackageView:
     """The view with the digest of what the public header declares."""
     header = _rendered(view, "machine.h", "double")
     return replace(view, package=replace(view.package, header_digest=declared_digest(header)))

@@ -172,6 +172,11 @@ class Sizes:
         return self.triangle_row(self.inner_rows)
 
     @property
+    def root(self) -> int:
+        """Numbers of the upper triangle of what is known of the parameters alone."""
+        return self.parameters * (self.parameters + 1) // 2
+
+    @property
     def triangle(self) -> int:
         """Numbers of the upper triangle of a factor with its right side."""
         return self.triangle_row(self.factor_rows)

@@ -11,7 +11,9 @@ from sgms_mhe.emission.variant import Variant
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.status import FLAGS
 
-REFUSALS: Final[Mapping[str, int]] = MappingProxyType({"early": -1, "numeric": -2, "overlap": -3, "mismatch": -4})
+REFUSALS: Final[Mapping[str, int]] = MappingProxyType(
+    {"early": -1, "numeric": -2, "overlap": -3, "mismatch": -4, "refused": -5}
+)
 """Statuses by which a call is refused."""
 
 
@@ -71,6 +73,10 @@ def statuses_of(machine: Machine, variant: Variant) -> tuple[Status, ...]:
         "mismatch": (
             "the application was compiled against another header than this package's",
             "Do not start. Compile all of the application against the header of this folder.",
+        ),
+        "refused": (
+            "of a call that sets or loads: a number out of its range, or saved data damaged or another machine's",
+            "The header says at each call what it leaves behind. After load(): a fresh start, that has to learn again.",
         ),
     }
     values = {**FLAGS, **REFUSALS}

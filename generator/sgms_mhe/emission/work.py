@@ -173,14 +173,14 @@ class _LeastSquares:
         kept, factor = sizes.kept_width, sizes.factor_rows
         width = factor + 1
         self.condensed = sum(reflection(rows, kept, c) for c, rows in enumerate(of.reach))
-        self.condensed += sum(reflection(n_x - 1 - c, width, c) for c in range(n_x - 1))
+        self.condensed += sum(reflection(n_x - 1 - c, width, c) for c in range(n_x - 1)) + n_x
         self.node_row = of.output + 2 * factor + 1
         self.inner_row = of.output + 1 + 2 * n_x * (sizes.coupled + 1) + 2 * n_p * (n_x + 1)
-        weighed = sum(2 * i + 5 for i in range(factor)) + 28 + SQRT
+        weighed = sum(2 * i + 5 for i in range(factor)) + 30 + SQRT
         self.folded = weighed + width + added_row(factor)
         self.start_row = self.node_row + width
         self.fold_start = self.start_row + added_row(factor)
-        self.defect = 3 * sizes.coupled + 4 * n_p + 2
+        self.defect = 3 * sizes.coupled + 4 * n_p + 3
         self.drift = variances(n_p) + 6 * n_p + 30 * n_p + grown(factor, n_p) if of.variant.drifts else 0
         self.map = sum(g.n_blocks * self._end(g.m, g.n_q) for g in sizes.groups)
 
@@ -227,8 +227,8 @@ class _LeastSquares:
         n_x, n_p = sizes.states, sizes.parameters
         expand = 2 * n_x * (n_x + n_p) + back_substitution(n_x)
         if variant.relinearise == "auto":
-            expand += n_x * (2 * sizes.coupled + 2 * n_p + 4) + 1
-        start = self.fold_start + self.drift + (n_x + n_p if variant.fixed else 0)
+            expand += n_x * (2 * sizes.coupled + 2 * n_p + 6) + 1
+        start = self.fold_start + self.drift + (2 * n_x + n_p if variant.fixed else 0)
         if variant.relinearise == "all":
             start += sizes.slots * sum(len(own) for own in sizes.block_states)
         elif sizes.inner:

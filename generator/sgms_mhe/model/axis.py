@@ -57,7 +57,8 @@ class SymbolicAxis:
     """Signals, levels, forces and states of one axis as CasADi expressions.
 
     Attributes:
-        mass: of the machine file [kg].
+        nominal_mass: of the machine file [kg], where it is no more than a scale.
+        reads_mass: whether an effect has asked for the mass.
         coulomb: nominal f_C [N], the unit of the states that are forces.
         step: time between samples [s].
         hold: how long a sample's value counts, up to its own time [s]; 0 where the integrator interpolates between
@@ -82,7 +83,8 @@ class SymbolicAxis:
 
     def __init__(self, mass: float, coulomb: float, step: float, hold: float, gate_per_velocity: float) -> None:
         self.gate_per_velocity = gate_per_velocity
-        self.mass = mass
+        self.nominal_mass = mass
+        self.reads_mass = False
         self.coulomb = coulomb
         self.step = step
         self.hold = hold
@@ -101,6 +103,12 @@ class SymbolicAxis:
         self.output: ca.SX = ca.SX(0.0)
         self.states: list[AxisState] = []
         self.scope = ""
+
+    @property
+    def mass(self) -> float:
+        """The machine file's [kg]; what is made of it does not follow a payload."""
+        self.reads_mass = True
+        return self.nominal_mass
 
     @property
     def drive(self) -> ca.SX:

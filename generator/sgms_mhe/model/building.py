@@ -57,6 +57,7 @@ class Model:
         rho: d(chi_i)/dt of an element that sticks over the measured velocity [1/m] (n_z), of (w, theta):
             kappa_i / (nu_i f_C), times real over measured velocity where an effect tells them apart.
         names: per state, names of intermediate values of its rate.
+        reads_mass: whether the mass stands in these equations; otherwise only what is logged hangs on it.
     """
 
     machine: Machine
@@ -75,6 +76,7 @@ class Model:
     level: ca.SX
     rho: ca.SX
     names: tuple[dict[str, ca.SX], ...]
+    reads_mass: bool = False
 
     @property
     def n_x(self) -> int:
@@ -268,11 +270,12 @@ def _load(effects: Sequence[_Effect], axis: SymbolicAxis) -> ca.SX:
 
 def _prompt_drive(effects: Sequence[_Effect], axis: SymbolicAxis) -> ca.SX:
     """The drive's force behind all stages, effects with states left out: these make the log late."""
-    logged = axis.drive
+    reads, logged = axis.reads_mass, axis.drive
     for effect in effects:
         if effect.definition.stage in _BEHIND_THE_DRIVE and not effect.definition.states:
             effect.contribute(axis)
     prompt, axis.drive = axis.drive, logged
+    axis.reads_mass = reads  # these effects are contributed once more
     return prompt
 
 
@@ -339,11 +342,14 @@ def build_model(machine: Machine) -> Model:
         to_node=ca.vertcat(*(state.to_node for state in axis.states)),
         from_node=ca.vertcat(*(state.from_node for state in axis.states)),
         output=axis.output,
-        feed_forward=_at_rest(prompt - axis.mass * axis.measured[2], rhs, chi, axis.measured, len(friction.stiffness)),
+        feed_forward=_at_rest(
+            prompt - axis.nominal_mass * axis.measured[2], rhs, chi, axis.measured, len(friction.stiffness)
+        ),
         deflection=elements.deflection,
         level=elements.level,
         rho=elements.rho,
         names=tuple(state.names for state in axis.states),
+        reads_mass=axis.reads_mass,
     )
 
 

@@ -10,7 +10,7 @@ from sgms_mhe.reference.ekf import run_ekf
 from sgms_mhe.reference.flow import gate_ratio
 from sgms_mhe.reference.integrator import Integrator
 from sgms_mhe.reference.mhe import run_mhe
-from sgms_mhe.reference.problem import Progress, Record, Status
+from sgms_mhe.reference.problem import Progress, Record, Start, Status, Weights
 from sgms_mhe.reference.smoother import run_smoother
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.signals.estimates import Estimates
@@ -45,7 +45,9 @@ __all__ = [
     "Kind",
     "Progress",
     "Record",
+    "Start",
     "Status",
+    "Weights",
     "estimate_model",
     "estimate_reference",
     "estimate_smoother",

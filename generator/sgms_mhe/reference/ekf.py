@@ -18,9 +18,8 @@ def run_ekf(record: Record, progress: Progress | None = None) -> Estimates:
     """Update with the readings inside of an interval, predict through it, update with the reading at its end."""
     weights, model = record.weights, record.model
     n_x, n_p, updates = model.n_x, model.n_p, record.updates
-    belief = Gaussian(*weights.prior)
-    prior = belief.covariance
-    scaling, newest = Scaling(weights.self_scaling), Reading.none()
+    belief, prior = record.first, weights.prior[1]
+    scaling, newest = record.scaling, Reading.none()
     std = weights.parameter
     results = np.empty((updates, n_x)), np.empty((updates, n_p)), np.empty((updates, n_p))
     statuses, readings = np.empty(updates, dtype=np.int64), []

@@ -75,11 +75,11 @@ def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
     kept: Kept | None = None
     # Since theta last drifted: shifts of the window, and those of them whose interval had moved.
     shifts = owed = 0
-    arrival = prior = Gaussian(*weights.prior)
-    x, theta = prior.mean[None, :n_x], prior.mean[n_x:]
+    prior, arrival = Gaussian(*weights.prior), record.first
+    x, theta = arrival.mean[None, :n_x], arrival.mean[n_x:]
     std = weights.parameter
     active = np.zeros(n_p, dtype=np.bool_)
-    scaling, newest, scales = Scaling(weights.self_scaling), Reading.none(), Scales.of(record)
+    scaling, newest, scales = record.scaling, Reading.none(), Scales.of(record)
     results = np.empty((updates, n_x)), np.empty((updates, n_p)), np.empty((updates, n_p))
     statuses, readings = np.empty(updates, dtype=np.int64), []
     for node in range(1, updates + 1):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sgms_mhe.model import Model
 from sgms_mhe.reference.integrator import Integrator
 from sgms_mhe.reference.plan import Plan, inner_readings
-from sgms_mhe.reference.readings import Reading
+from sgms_mhe.reference.readings import Gaussian, Reading, Scaling
 from sgms_mhe.signals.chain import Signals, signal_array
 from sgms_mhe.signals.estimates import Estimates
 
@@ -110,16 +110,42 @@ class Weights:
         return np.minimum(owed * self.drift**2, np.maximum(0.0, self.parameter**2 - variance))
 
 
+@dataclass(frozen=True)
+class Start:
+    """What is known before a record's first sample, where that is not the machine file's prior.
+
+    Attributes:
+        x: node state (n_x), known as well as any first node's.
+        theta: scaled parameters (n_p).
+        covariance: of theta (n_p, n_p).
+        slow: slow mean of the test ratios of readings.
+    """
+
+    x: Array
+    theta: Array
+    covariance: Array
+    slow: float = 1.0
+
+
 class Record:
     """A record as the estimators see it: plan of its intervals, signals and measurements.
 
     Readings y, valid: at the nodes 0 .. updates; inner_y, inner_valid (updates, R - 1): inside of the intervals.
     """
 
-    def __init__(self, model: Model, signals: Signals, integrator: Integrator) -> None:
+    def __init__(
+        self,
+        model: Model,
+        signals: Signals,
+        integrator: Integrator,
+        *,
+        weights: Weights | None = None,
+        start: Start | None = None,
+    ) -> None:
         self.model = model
         self.integrator = integrator
-        self.weights = Weights.of(model)
+        self.weights = weights or Weights.of(model)
+        self.start = start
         samples = model.machine.sampling.samples_per_update
         self.plan: Plan = integrator.plan(signals)
         self.updates = len(self.plan.path)
@@ -133,6 +159,20 @@ class Record:
         self.inner_y: Array = signals.friction[after].reshape(self.updates, samples)[inside]
         valid = signals.valid[after].reshape(self.updates, samples)[inside]
         self.inner_valid: NDArray[np.bool_] = valid & np.isfinite(self.inner_y)
+
+    @property
+    def first(self) -> Gaussian:
+        """Belief of (x_0, theta) before any measurement."""
+        mean, covariance = self.weights.prior
+        if self.start is None:
+            return Gaussian(mean, covariance)
+        covariance[self.model.n_x :, self.model.n_x :] = self.start.covariance
+        return Gaussian(np.concatenate([self.start.x, self.start.theta]), covariance)
+
+    @property
+    def scaling(self) -> Scaling:
+        """How readings are weighed before any measurement."""
+        return Scaling(self.weights.self_scaling, slow=self.start.slow if self.start else 1.0)
 
     def moves(self, interval: int) -> bool:
         """Whether the axis moves far enough in an interval for theta to drift."""

@@ -7,7 +7,7 @@
 
 #include <stdint.h>
 
-#define SGMS_RUNTIME_VERSION 2
+#define SGMS_RUNTIME_VERSION 3
 
 /* The code reads bits, adds and subtracts numbers to round, and asks whether numbers are finite: arithmetic that
  * compilers may rearrange gives other results, and none of it says so. Not every compiler tells of each single flag

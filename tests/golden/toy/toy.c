@@ -26,17 +26,84 @@ static int slot_before(const toy_t *self, int back)
     return slot < 0 ? slot + SLOTS : (slot < SLOTS ? slot : slot - SLOTS);
 }
 
+/* What is known of theta alone, the lower right triangle of a factor: its inverse is the square root of their
+ * covariance. Row by row in the axis's memory, in square where it is worked on. */
+static void keep_root(const sgms_real *factor, sgms_real *root)
+{
+    for (int i = STATES; i < FACTOR_ROWS; i++) {
+        for (int j = i; j < FACTOR_ROWS; j++) {
+            *root++ = factor[i * FACTOR_WIDTH + j];
+        }
+    }
+}
+
+static void unpack_root(const sgms_real *root, sgms_real *square)
+{
+    fill(square, 0.0, PARAMETERS * ROOT_WIDTH);
+    for (int i = 0; i < PARAMETERS; i++) {
+        for (int j = i; j < PARAMETERS; j++) {
+            square[i * ROOT_WIDTH + j] = *root++;
+        }
+    }
+}
+
+static void pack_root(const sgms_real *square, sgms_real *root)
+{
+    for (int i = 0; i < PARAMETERS; i++) {
+        for (int j = i; j < PARAMETERS; j++) {
+            *root++ = square[i * ROOT_WIDTH + j];
+        }
+    }
+}
+
+/* One over the standard deviation that a parameter starts with. */
+static sgms_real inverse_prior(const toy_t *self, int p)
+{
+    return 1.0 / (self->held[p] ? HELD_SD : self->settings.parameter);
+}
+
+/* The root of the prior: independent parameters, those that are held known. */
+static void prior_root(const toy_t *self, sgms_real *root)
+{
+    for (int i = 0; i < PARAMETERS; i++) {
+        for (int j = i; j < PARAMETERS; j++) {
+            *root++ = j == i ? inverse_prior(self, i) : 0.0;
+        }
+    }
+}
+
+/* By how much, one standard deviation, a parameter's variance may grow: never beyond the prior's, and not at all where it is held. */
+static sgms_real growth_of(const toy_t *self, int p, sgms_real wanted, sgms_real variance)
+{
+    const sgms_real most = self->held[p] ? 0.0 : self->settings.parameter;
+    return sgms_sqrt(sgms_fmin(wanted, sgms_fmax(0.0, most * most - variance)));
+}
+
 /* Factor of the prior: independent normal deviates about (x, theta). */
-static void set_factor(sgms_real *factor, const sgms_real *inverse_sd, const sgms_real *x, const sgms_real *theta)
+static void set_factor(const toy_t *self, sgms_real *factor, const sgms_real *inverse_sd, const sgms_real *x)
 {
     fill(factor, 0.0, FACTOR_ROWS * FACTOR_WIDTH);
     for (int i = 0; i < STATES; i++) {
         factor[i * FACTOR_WIDTH + i] = inverse_sd[i];
         factor[i * FACTOR_WIDTH + FACTOR_ROWS] = inverse_sd[i] * x[i];
     }
-    for (int i = STATES; i < FACTOR_ROWS; i++) {
-        factor[i * FACTOR_WIDTH + i] = 1.0 / PRIOR_SD;
-        factor[i * FACTOR_WIDTH + FACTOR_ROWS] = theta[i - STATES] / PRIOR_SD;
+    for (int p = 0; p < PARAMETERS; p++) {
+        sgms_real *const row = factor + (STATES + p) * FACTOR_WIDTH;
+        row[STATES + p] = inverse_prior(self, p);
+        row[FACTOR_ROWS] = self->parameters.theta[p] * row[STATES + p];
+    }
+}
+
+/* Give it what is known of theta by a root. */
+static void set_root(sgms_real *factor, const sgms_real *root, const sgms_real *theta)
+{
+    for (int i = 0; i < PARAMETERS; i++) {
+        sgms_real *const row = factor + (STATES + i) * FACTOR_WIDTH;
+        row[FACTOR_ROWS] = 0.0;
+        for (int j = i; j < PARAMETERS; j++) {
+            row[STATES + j] = *root++;
+            row[FACTOR_ROWS] += row[STATES + j] * theta[j];
+        }
     }
 }
 
@@ -53,8 +120,8 @@ static void start_interval(toy_t *self)
     self->cursor = 0;
 }
 
-/* Window of no interval yet; the node where the next sample stands has mean x. */
-static void start_window(toy_t *self, const sgms_real *x)
+/* Window of no interval yet; the node where the next sample stands has mean x. What is known of theta: NULL is the prior. */
+static void start_window(toy_t *self, const sgms_real *x, const sgms_real *root)
 {
     self->filling = 0;
     self->started = 0;
@@ -67,7 +134,10 @@ static void start_window(toy_t *self, const sgms_real *x)
     self->complete = 0;
     self->shifts = 0;
     self->pending_drift = 0;
-    set_factor(self->arrival, inverse_initial_state, x, self->parameters.theta);
+    set_factor(self, self->arrival, inverse_initial_state, x);
+    if (root != NULL) {
+        set_root(self->arrival, root, self->parameters.theta);
+    }
     start_interval(self);
 }
 
@@ -86,7 +156,8 @@ static void start_signals(toy_t *self)
     start_compensation(self);
 }
 
-void toy_init(toy_t *self)
+/* Nothing known but the settings and the mass. */
+static void start_fresh(toy_t *self)
 {
     const sgms_real zero[STATES] = { 0.0 };
     self->phase = IDLE;
@@ -97,13 +168,24 @@ void toy_init(toy_t *self)
     fill(self->term, 0.0, TOY_SERIES_SIZE);
     fill(self->node, 0.0, SLOTS * STATES);
     fill(self->path, 0.0, SLOTS);
-    start_window(self, zero);
+    for (int p = 0; p < PARAMETERS; p++) {
+        self->held[p] = 0;
+    }
+    start_window(self, zero, NULL);
     copy(self->good_state, zero, STATES);
     copy(self->good_theta, self->parameters.theta, PARAMETERS);
-    fill(self->good_variance, PRIOR_SD * PRIOR_SD, PARAMETERS);
+    prior_root(self, self->good_root);
+    self->good_ratio = 1.0;
     self->friction = 0.0;
     self->friction_measured = 0.0;
     self->good_reading = self->reading;
+}
+
+void toy_init(toy_t *self)
+{
+    toy_settings(&self->settings);
+    self->mass = MASS;
+    start_fresh(self);
 }
 
 void toy_reset(toy_t *self)
@@ -113,7 +195,7 @@ void toy_reset(toy_t *self)
     SGMS_FENCE();
     start_signals(self);
     copy(self->parameters.theta, self->good_theta, PARAMETERS);
-    start_window(self, zero);
+    start_window(self, zero, NULL);
 }
 
 /* Friction force [N] at state x and the newest signals. */
@@ -143,7 +225,8 @@ static void node_row(const model_point *at, sgms_real measured, sgms_real *row)
 static sgms_real weigh_row(toy_t *self, const sgms_real *row)
 {
     sgms_real solved[FACTOR_ROWS]; /* R' u = row: u'u is the variance of the prediction, u'b the prediction */
-    sgms_real innovation = row[FACTOR_ROWS], predicted = MEASUREMENT_SD * MEASUREMENT_SD, ratio, counted;
+    const sgms_real stated = self->settings.measurement;
+    sgms_real innovation = row[FACTOR_ROWS], predicted = stated * stated, ratio, counted;
     for (int i = 0; i < FACTOR_ROWS; i++) {
         sgms_real left = row[i];
         for (int j = 0; j < i; j++) {
@@ -162,8 +245,8 @@ static sgms_real weigh_row(toy_t *self, const sgms_real *row)
     {
         const sgms_real wild = ratio * (1.0 / RATIO_FREE) * sgms_fmax(1.0, self->ratio_fast);
         const sgms_real need = sgms_fmax(sgms_fmax(1.0, wild), sgms_fmax(self->ratio_fast, self->ratio_slow));
-        const sgms_real sd = sgms_sqrt(MEASUREMENT_SD * MEASUREMENT_SD + (need - 1.0) * predicted);
-        self->reading.noise_scale = sd * (1.0 / MEASUREMENT_SD);
+        const sgms_real sd = sgms_sqrt(stated * stated + (need - 1.0) * predicted);
+        self->reading.noise_scale = sd / stated;
         return 1.0 / sd;
     }
 }
@@ -193,13 +276,13 @@ static void start_row(const toy_t *self, int slot, sgms_real *row)
 }
 
 /* Let theta walk over so many intervals: its covariance in the factor grows, but never beyond the prior's. */
-static void add_drift(sgms_real *factor, int intervals)
+static void add_drift(const toy_t *self, sgms_real *factor, int intervals)
 {
+    const sgms_real drift = self->settings.drift;
     sgms_real variance[PARAMETERS], growth[PARAMETERS], work[FACTOR_WIDTH];
     sgms_variances(factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH, variance, work);
     for (int p = 0; p < PARAMETERS; p++) {
-        const sgms_real room = sgms_fmax(0.0, PRIOR_SD * PRIOR_SD - variance[p]);
-        growth[p] = sgms_sqrt(sgms_fmin((sgms_real)intervals * (DRIFT_SD * DRIFT_SD), room));
+        growth[p] = growth_of(self, p, (sgms_real)intervals * (drift * drift), variance[p]);
     }
     sgms_qr_grow(factor, FACTOR_ROWS, PARAMETERS, growth, work);
 }
@@ -210,17 +293,18 @@ static void add_drift(sgms_real *factor, int intervals)
 static void defect_row(const toy_t *self, int i, const sgms_real *start, const interval_map *map, sgms_real *row)
 {
     const sgms_real *const a = map->a + i * STATES, *const b = map->b + i * PARAMETERS;
+    const sgms_real inverse_noise = 1.0 / self->settings.state[i];
     sgms_real rest = map->x[i];
     for (int k = 0; k < COUPLED; k++) {
         const sgms_real entry = k < coupled[i] ? a[couples[i][k]] : 0.0;
-        row[k] = -inverse_state_noise[i] * entry;
+        row[k] = -inverse_noise * entry;
         rest -= entry * start[couples[i][k]];
     }
     for (int p = 0; p < PARAMETERS; p++) {
-        row[COUPLED + p] = -inverse_state_noise[i] * b[p];
+        row[COUPLED + p] = -inverse_noise * b[p];
         rest -= b[p] * self->parameters.theta[p];
     }
-    row[DEFECT_WIDTH - 1] = inverse_state_noise[i] * rest;
+    row[DEFECT_WIDTH - 1] = inverse_noise * rest;
 }
 
 static void defect_rows(const toy_t *self, const sgms_real *start, const interval_map *map, sgms_real *rows)
@@ -232,7 +316,7 @@ static void defect_rows(const toy_t *self, const sgms_real *start, const interva
 
 /* Condense an interval: the factor over its start and theta, (x_k, theta), becomes that over (x_k+1, theta). The rows
  * that give x_k back go to `kept`. */
-static void condense(sgms_real *factor, const sgms_real *rows, sgms_real *kept)
+static void condense(const toy_settings_t *settings, sgms_real *factor, const sgms_real *rows, sgms_real *kept)
 {
     sgms_real low[STATES * KEPT_WIDTH], reflector[STATES];
     for (int i = 0; i < STATES; i++) {
@@ -246,7 +330,7 @@ static void condense(sgms_real *factor, const sgms_real *rows, sgms_real *kept)
         for (int k = 0; k < coupled[i]; k++) {
             top[couples[i][k]] = rows[i * DEFECT_WIDTH + k];
         }
-        top[STATES + i] = inverse_state_noise[i];
+        top[STATES + i] = 1.0 / settings->state[i];
         copy(top + 2 * STATES, rows + i * DEFECT_WIDTH + COUPLED, PARAMETERS + 1);
     }
     /* R_x is triangular and A couples the states of a block alone: a column reaches no further down than its block, or
@@ -286,7 +370,7 @@ static void fold_start(toy_t *self, int slot)
 static void sweep_interval(toy_t *self, int back, const sgms_real *rows)
 {
     const int slot = slot_before(self, back);
-    condense(self->factor, rows, self->kept + slot * STATES * KEPT_WIDTH);
+    condense(&self->settings, self->factor, rows, self->kept + slot * STATES * KEPT_WIDTH);
     if (back == HORIZON - 1) { /* the first of a full window is the arrival-cost update */
         copy(self->arrival, self->factor, FACTOR_ROWS * FACTOR_WIDTH);
     }
@@ -304,8 +388,8 @@ static void expand_node(toy_t *self, int back)
 /* All older nodes are known: begin the sweep at the oldest, and the integration. */
 static void start_sweep(toy_t *self)
 {
-    if (DRIFT_SD > 0.0 && self->shifts >= DRIFT_INTERVAL) {
-        add_drift(self->arrival, (int)self->pending_drift);
+    if (self->settings.drift > 0.0 && self->shifts >= DRIFT_INTERVAL) {
+        add_drift(self, self->arrival, (int)self->pending_drift);
         self->shifts = 0;
         self->pending_drift = 0;
     }
@@ -415,7 +499,7 @@ static int solve_theta(const toy_t *self, sgms_real *theta)
         right[i] = self->factor[(STATES + i) * FACTOR_WIDTH + FACTOR_ROWS];
     }
     {
-        const sgms_box box = { triangle, PARAMETERS, FACTOR_WIDTH, right, lower_bound, upper_bound };
+        const sgms_box box = { triangle, PARAMETERS, FACTOR_WIDTH, right, self->settings.lower, self->settings.upper };
         int pinned[PARAMETERS];
         sgms_real scratch[(PARAMETERS + 1) * (PARAMETERS + 1)];
         return sgms_box_least_squares(&box, theta, pinned, scratch);
@@ -447,7 +531,7 @@ static int start_again(toy_t *self, int status)
     sgms_real w[SIGNALS];
     copy(w, self->signal, SIGNALS);
     copy(self->parameters.theta, self->good_theta, PARAMETERS);
-    start_window(self, self->good_state);
+    start_window(self, self->good_state, NULL);
     copy(self->node_signal, w, SIGNALS);
     self->node_weight[0] = 0.0;
     self->node_friction[0] = 0.0;
@@ -520,7 +604,8 @@ static int update(toy_t *self)
     SGMS_FENCE();
     copy(self->good_state, x, STATES);
     copy(self->good_theta, theta, PARAMETERS);
-    copy(self->good_variance, variance, PARAMETERS);
+    keep_root(self->factor, self->good_root);
+    self->good_ratio = self->ratio_slow;
     self->friction = friction;
     self->friction_measured = self->last_friction;
     self->good_reading = self->reading;
@@ -592,7 +677,7 @@ static void start_series(toy_t *self, int measured, sgms_real friction)
 {
     self->started = 1;
     copy(self->node_signal + self->filling * SIGNALS, self->signal, SIGNALS);
-    self->node_weight[self->filling] = measured ? 1.0 / MEASUREMENT_SD : 0.0;
+    self->node_weight[self->filling] = measured ? 1.0 / self->settings.measurement : 0.0;
     self->node_friction[self->filling] = measured ? friction : 0.0;
     self->last_valid = 0;
     self->last_friction = 0.0;
@@ -634,7 +719,8 @@ toy_real toy_insert(toy_t *self, const toy_signals *signals)
 /* Take one sample of the machine's own signals in. */
 static void take_reading(toy_t *self, toy_position position, toy_real force)
 {
-    const sgms_filter_memory memory = { self->chain_position, self->chain_lowpass, self->chain_last, self->chain_counts };
+    const sgms_filter_memory memory = {
+        self->chain_position, self->chain_lowpass, self->chain_last, self->chain_counts, self->mass };
     const sgms_aligned aligned = sgms_filter_step(&chain, &memory, position, force);
     const toy_signals signals = {
         aligned.position, aligned.velocity, aligned.acceleration, aligned.force, aligned.friction, aligned.valid,
@@ -689,6 +775,7 @@ toy_real toy_share(const toy_t *self)
 void toy_estimate(const toy_t *self, toy_estimate_t *estimate)
 {
     const model_point at = { self->good_state, self->signal, self->good_theta };
+    sgms_real root[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], scratch[PARAMETERS];
     for (int attempt = 0; attempt < 3; attempt++) {
         const uint32_t version = self->version;
         SGMS_FENCE();
@@ -696,8 +783,10 @@ void toy_estimate(const toy_t *self, toy_estimate_t *estimate)
         estimate->friction_measured = self->friction_measured;
         deflections(&at, estimate->deflection);
         parameters_si(self->good_theta, estimate->parameter);
+        unpack_root(self->good_root, root);
+        sgms_variances(root, PARAMETERS, ROOT_WIDTH, variance, scratch);
         for (int p = 0; p < PARAMETERS; p++) {
-            estimate->deviation[p] = sgms_sqrt(self->good_variance[p]) * parameter_unit[p];
+            estimate->deviation[p] = sgms_sqrt(variance[p]) * parameter_unit[p];
         }
         estimate->innovation = self->good_reading.innovation;
         estimate->test_ratio = self->good_reading.test_ratio;
@@ -727,6 +816,9 @@ const char *toy_status_text(int status)
     if (status == TOY_MISMATCH) {
         return "refused: the application was compiled against another header";
     }
+    if (status == TOY_REFUSED) {
+        return "refused: a number out of its range, or what was saved is damaged or another machine's";
+    }
     if (status < 0) {
         return "refused: the solution was not finite or absurd; the last good estimate stays";
     }
@@ -749,4 +841,230 @@ const char *toy_status_text(int status)
         return "hardly any motion: parameters hold";
     }
     return (status & TOY_FILLING) ? "the window is filling" : "good";
+}
+
+/* A checksum of what was saved, all that stands behind it (CRC-32): any single bit, and any burst of 32, changes it. */
+static uint32_t checksum_of(const toy_saved_t *saved)
+{
+    const unsigned char *const bytes = (const unsigned char *)saved;
+    uint32_t sum = UINT32_C(0xffffffff);
+    for (size_t i = offsetof(toy_saved_t, format); i < sizeof *saved; i++) {
+        sum ^= bytes[i];
+        for (int bit = 0; bit < 8; bit++) {
+            sum = (sum >> 1) ^ ((sum & 1u) ? UINT32_C(0xedb88320) : 0u);
+        }
+    }
+    return ~sum;
+}
+
+/* Whether parameters are within their bounds; one that is not a number is not. */
+static int within_bounds(const toy_t *self, const sgms_real *theta)
+{
+    int within = 0;
+    for (int p = 0; p < PARAMETERS; p++) {
+        within += theta[p] >= self->settings.lower[p] && theta[p] <= self->settings.upper[p];
+    }
+    return within == PARAMETERS;
+}
+
+/* Whether a number is above zero, and its square and inverse are numbers. */
+static int is_size(sgms_real value)
+{
+    return value >= LEAST_SIZE && value <= 1.0 / LEAST_SIZE;
+}
+
+static int are_valid(const toy_settings_t *settings)
+{
+    int good = is_size(settings->measurement) && is_size(settings->parameter);
+    good = good && settings->pause >= 0.0 && settings->pause <= 1.0 / LEAST_SIZE;
+    good = good && settings->drift >= 0.0 && settings->drift <= 1.0 / LEAST_SIZE;
+    for (int i = 0; i < STATES; i++) {
+        good = good && is_size(settings->state[i]);
+    }
+    for (int p = 0; p < PARAMETERS; p++) { /* nominal values have to be within, and lower ones below upper ones: an axis starts there */
+        good = good && settings->lower[p] <= 1.0 && settings->upper[p] >= 1.0;
+        good = good && settings->lower[p] * 0.0 == 0.0 && settings->upper[p] * 0.0 == 0.0;
+    }
+    return good;
+}
+
+void toy_settings(toy_settings_t *settings)
+{
+    settings->measurement = MEASUREMENT_SD;
+    copy(settings->state, state_noise, STATES);
+    settings->parameter = PRIOR_SD;
+    settings->drift = DRIFT_SD;
+    settings->pause = PAUSE_SD;
+    copy(settings->lower, lower_bound, PARAMETERS);
+    copy(settings->upper, upper_bound, PARAMETERS);
+}
+
+int toy_init_with(toy_t *self, const toy_settings_t *settings)
+{
+    toy_init(self);
+    if (!are_valid(settings)) {
+        return TOY_REFUSED;
+    }
+    self->settings = *settings;
+    start_fresh(self);
+    return TOY_OK;
+}
+
+int toy_set_mass(toy_t *self, toy_real mass)
+{
+    if (!(mass >= MASS / MASS_RANGE && mass <= MASS * MASS_RANGE)) {
+        return TOY_REFUSED;
+    }
+    self->mass = mass;
+    self->chain_counts[2] = 0; /* in the filters there is friction by the one before */
+    return TOY_OK;
+}
+
+/* Start the window anew at the newest signals, with theta[p] and what `square` knows of the parameters; the states go on. */
+static void start_with(toy_t *self, int p, sgms_real theta, const sgms_real *square)
+{
+    const int started = self->started;
+    const sgms_real *const node = self->node + self->filling * STATES;
+    sgms_real w[SIGNALS], x[STATES];
+    self->phase = self->phase == PREPARING || self->phase == VOIDED ? VOIDED : IDLE;
+    SGMS_FENCE();
+    copy(w, self->signal, SIGNALS);
+    copy(x, node, STATES);
+    if (started) {
+        interval_map map;
+        blocks_end(&self->parameters, self->newest, node, &map);
+        copy(x, is_plausible(map.x) ? map.x : self->good_state, STATES);
+    }
+    copy(self->parameters.theta, self->good_theta, PARAMETERS);
+    self->parameters.theta[p] = theta;
+    self->version++;
+    SGMS_FENCE();
+    self->good_theta[p] = theta;
+    pack_root(square, self->good_root);
+    self->status = TOY_FILLING;
+    SGMS_FENCE();
+    self->version++;
+    start_window(self, x, self->good_root);
+    copy(self->node_signal, w, SIGNALS);
+    self->node_weight[0] = 0.0;
+    self->node_friction[0] = 0.0;
+    self->started = started;
+}
+
+/* Let theta[p] be known apart from the others, as well as this; what is known of the others stays. */
+static void set_theta(toy_t *self, int p, sgms_real theta, sgms_real inverse_sd)
+{
+    sgms_real square[PARAMETERS * ROOT_WIDTH], scratch[PARAMETERS];
+    unpack_root(self->good_root, square);
+    /* With its column in front, the rows below the first are what is known of the others whatever it is. */
+    for (int i = 0; i < PARAMETERS; i++) {
+        sgms_real *const row = square + i * ROOT_WIDTH;
+        const sgms_real moved = row[p];
+        for (int j = p; j > 0; j--) {
+            row[j] = row[j - 1];
+        }
+        row[0] = moved;
+    }
+    sgms_qr(square, PARAMETERS, ROOT_WIDTH, PARAMETERS, PARAMETERS, scratch);
+    fill(square, 0.0, PARAMETERS);
+    square[0] = inverse_sd;
+    for (int i = 0; i < PARAMETERS; i++) {
+        sgms_real *const row = square + i * ROOT_WIDTH;
+        const sgms_real moved = row[0];
+        for (int j = 0; j < p; j++) {
+            row[j] = row[j + 1];
+        }
+        row[p] = moved;
+    }
+    sgms_qr(square, PARAMETERS, ROOT_WIDTH, PARAMETERS, PARAMETERS, scratch);
+    start_with(self, p, theta, square);
+}
+
+int toy_hold(toy_t *self, int parameter, int on)
+{
+    if (parameter < 0 || parameter >= PARAMETERS) {
+        return TOY_REFUSED;
+    }
+    self->held[parameter] = (uint8_t)(on != 0);
+    set_theta(self, parameter, self->good_theta[parameter], inverse_prior(self, parameter));
+    return TOY_OK;
+}
+
+int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_real deviation)
+{
+    sgms_real nominal[PARAMETERS], si[PARAMETERS], theta, sd;
+    if (parameter < 0 || parameter >= PARAMETERS) {
+        return TOY_REFUSED;
+    }
+    fill(nominal, 1.0, PARAMETERS);
+    parameters_si(nominal, si);
+    theta = 1.0 + (value - si[parameter]) / parameter_unit[parameter];
+    sd = deviation / sgms_fabs(parameter_unit[parameter]);
+    if (!(sd == 0.0 || (sd >= HELD_SD && is_size(sd))) || !all_finite(&theta, 1)) {
+        return TOY_REFUSED;
+    }
+    { /* one that came from an estimate at its bound may be beyond by rounding */
+        const sgms_real lower = self->settings.lower[parameter], upper = self->settings.upper[parameter];
+        if (theta < lower - HELD_SD || theta > upper + HELD_SD) {
+            return TOY_REFUSED;
+        }
+        theta = sgms_fmin(sgms_fmax(theta, lower), upper);
+    }
+    self->held[parameter] = (uint8_t)(sd == 0.0);
+    set_theta(self, parameter, theta, sd == 0.0 ? inverse_prior(self, parameter) : 1.0 / sd);
+    return TOY_OK;
+}
+
+int toy_save(const toy_t *self, toy_saved_t *saved)
+{
+    saved->format = TOY_SAVED_FORMAT;
+    saved->machine[0] = TOY_SAVED_MACHINE_0;
+    saved->machine[1] = TOY_SAVED_MACHINE_1;
+    for (int attempt = 0; attempt < 3; attempt++) {
+        const uint32_t version = self->version;
+        SGMS_FENCE();
+        copy(saved->theta, self->good_theta, PARAMETERS);
+        copy(saved->root, self->good_root, TOY_ROOT_SIZE);
+        saved->ratio = self->good_ratio;
+        SGMS_FENCE();
+        if (version % 2 == 0 && version == self->version) {
+            saved->checksum = checksum_of(saved);
+            return TOY_OK;
+        }
+    }
+    saved->checksum = ~checksum_of(saved); /* nothing that load() would take */
+    return TOY_OVERLAP;
+}
+
+/* Whether what was saved is of this machine, whole, and what an axis can have learned. */
+static int is_whole(const toy_t *self, const toy_saved_t *saved, const sgms_real *variance)
+{
+    int good = saved->format == TOY_SAVED_FORMAT && saved->checksum == checksum_of(saved);
+    good = good && saved->machine[0] == TOY_SAVED_MACHINE_0 && saved->machine[1] == TOY_SAVED_MACHINE_1;
+    good = good && all_finite(saved->theta, PARAMETERS) && all_finite(saved->root, TOY_ROOT_SIZE);
+    good = good && all_finite(variance, PARAMETERS) && saved->ratio >= 0.0 && saved->ratio <= RATIO_MOST;
+    return good && within_bounds(self, saved->theta);
+}
+
+int toy_load(toy_t *self, const toy_saved_t *saved)
+{
+    const sgms_real zero[STATES] = { 0.0 };
+    sgms_real square[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], growth[PARAMETERS], scratch[ROOT_WIDTH];
+    start_fresh(self);
+    unpack_root(saved->root, square);
+    sgms_variances(square, PARAMETERS, ROOT_WIDTH, variance, scratch);
+    if (!is_whole(self, saved, variance)) {
+        return TOY_REFUSED;
+    }
+    for (int p = 0; p < PARAMETERS; p++) {
+        growth[p] = growth_of(self, p, self->settings.pause * self->settings.pause, variance[p]);
+    }
+    sgms_qr_grow(square, PARAMETERS, PARAMETERS, growth, scratch);
+    copy(self->parameters.theta, saved->theta, PARAMETERS);
+    copy(self->good_theta, saved->theta, PARAMETERS);
+    pack_root(square, self->good_root);
+    start_window(self, zero, self->good_root);
+    self->ratio_slow = saved->ratio;
+    self->good_ratio = saved->ratio;
+    return TOY_OK;
 }

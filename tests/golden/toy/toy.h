@@ -10,9 +10,9 @@
  *
  *   tick()          136041
  *   sample()         81973   insert() too
- *   prepare()       136012   in units of at most 27034
- *   feedback()        1816   after prepare()
- *   an update       547693   all calls of an interval
+ *   prepare()       136014   in units of at most 27034
+ *   feedback()        1820   after prepare()
+ *   an update       547699   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *
@@ -26,9 +26,10 @@
  * - sample() may interrupt prepare() anywhere. feedback() may not: it then returns OVERLAP and changes nothing; it is to be called again once
  *   prepare() has returned, and samples that come until then are lost (OVERRUN). What prepare() had not begun feedback() does itself.
  * - prepare() inside of prepare() or feedback() returns at once.
- * - toy_init() and toy_reset() are called while no other call is under way. A reset() inside of prepare() is noticed: the next
- *   feedback() returns OVERLAP and starts the window from the last good estimate.
- * - toy_estimate() may be called by any task: numbers of one update, or the status OVERLAP where feedback() came between three times.
+ * - toy_init(), init_with(), load() and toy_reset(), hold(), set_parameter() are called while no other call is under way. One of the last
+ *   three inside of prepare() is noticed: the next feedback() returns OVERLAP and starts the window from the last good estimate.
+ * - toy_set_mass() is called by the task that calls sample(), or while that is not under way.
+ * - toy_estimate() and toy_save() may be called by any task: numbers of one update, or OVERLAP where feedback() came between three times.
  * - Aligned words of 32 bits are read and written in one piece, and in the order of the program. gcc and clang are told to keep it, which is
  *   enough on one core. With another compiler, or tasks on two cores, SGMS_FENCE() (sgms_real.h) has to be a memory barrier; on two cores
  *   prepare() is started after feedback() has returned, as by a semaphore.
@@ -52,7 +53,10 @@ typedef double toy_position; /* m; the functions below make it too, and are the 
 
 #define TOY_VERSION "0.1.0" /* of the generator */
 #define TOY_MACHINE "9ab2c9eac4dc" /* digest of the machine file */
-#define TOY_HEADER 0x2610d194u /* digest of all that this header declares, for toy_check() */
+#define TOY_HEADER 0x90d3e7cdu /* digest of all that this header declares, for toy_check() */
+#define TOY_SAVED_FORMAT 1u /* of toy_saved_t, and the digest of the machine file again */
+#define TOY_SAVED_MACHINE_0 0x9ab2c9eau
+#define TOY_SAVED_MACHINE_1 0xc4dcu
 
 #define TOY_STATES 1
 #define TOY_ELEMENTS 1
@@ -72,7 +76,8 @@ enum {
     TOY_EARLY = -1,   /* feedback before the interval was complete */
     TOY_NUMERIC = -2, /* the solution was not finite or absurd: the window starts anew from the last good estimate */
     TOY_OVERLAP = -3, /* calls of two tasks overlapped, as feedback while prepare was under way; see above */
-    TOY_MISMATCH = -4 /* the application was compiled against another header than this package's */
+    TOY_MISMATCH = -4, /* the application was compiled against another header than this package's */
+    TOY_REFUSED = -5  /* of a call that sets or loads: a number out of its range, or saved data damaged or another machine's */
 };
 
 /* Signals of one sample for toy_insert(), where the controller has a signal chain of its own. */
@@ -113,9 +118,31 @@ enum {
     TOY_SERIES_SIZE = 5 * 2 * 4,                 /* nodes, sample terms, intervals */
     TOY_BLOCKS_SIZE = 7 * 4,                     /* blocks side by side, with sensitivities */
     TOY_LANES_SIZE = 7 * 4,                      /* the same of all intervals */
+    TOY_ROOT_SIZE = 3,                           /* upper triangle of what is known of the parameters alone */
     TOY_KEPT_WIDTH = 5,                          /* row that gives a node back: its state, the next one's, theta, right side */
     TOY_DEFECT_WIDTH = 4,                        /* row of a defect: states, theta, right side */
 };
+
+/* Weights and bounds, as [estimator.noise] and [estimator.bounds] of the machine file have them; toy_settings() gives those. */
+typedef struct {
+    toy_real measurement;   /* N, 1 sigma of a reading; above zero; 0.2 */
+    toy_real state[TOY_STATES]; /* 1 sigma per update, of elements as a fraction of nu_i f_C; above zero; 0.05 */
+    toy_real parameter;     /* 1 sigma of a parameter before any data, over nominal; above zero; 0.2 */
+    toy_real drift;         /* of its random walk, per update with motion, over nominal; zero or above; 0.001 */
+    toy_real pause;         /* of what a power cycle changes, over nominal; zero or above; 0.05 */
+    toy_real lower[TOY_PARAMETERS], upper[TOY_PARAMETERS]; /* bounds over nominal; lower at most 1, upper at least */
+} toy_settings_t;
+
+/* What was learned, to be kept where it outlives the power: toy_save(), toy_load(). As many bytes on every
+ * processor, none of them padding; the numbers lie as the processor has them. */
+typedef struct {
+    uint32_t checksum;   /* over all that follows */
+    uint32_t format;     /* TOY_SAVED_FORMAT */
+    uint32_t machine[2]; /* digest of the machine file */
+    toy_real theta[TOY_PARAMETERS];   /* over nominal */
+    toy_real root[TOY_ROOT_SIZE]; /* upper triangle whose inverse is the square root of their covariance */
+    toy_real ratio; /* slow mean of the readings' test ratios */
+} toy_saved_t;
 
 /* The scaled parameters, and what depends on them alone. */
 typedef struct {
@@ -129,6 +156,9 @@ typedef struct {
 /* Memory of one axis, static or on a stack that is large enough. Set it up with toy_init(); its fields are not
  * for the application. What every sample needs comes first, within reach of short addresses. */
 typedef struct {
+    toy_settings_t settings;
+    toy_real mass; /* kg */
+    uint8_t held[TOY_PARAMETERS];
     /* signal chain */
     double chain_position[2]; /* m */
     toy_real chain_lowpass[16];
@@ -169,7 +199,7 @@ typedef struct {
     int32_t complete, cursor; /* older intervals; units of the work done */
     int32_t shifts, pending_drift; /* of the window since the parameters' drift entered; those of them with motion */
     /* last good estimate */
-    toy_real good_state[TOY_STATES], good_theta[TOY_PARAMETERS], good_variance[TOY_PARAMETERS];
+    toy_real good_state[TOY_STATES], good_theta[TOY_PARAMETERS], good_root[TOY_ROOT_SIZE], good_ratio;
     toy_real friction, friction_measured;
 } toy_t;
 
@@ -192,13 +222,47 @@ static inline toy_position toy_position_from_counts(int64_t counts, int32_t per,
 int toy_check(size_t size, uint32_t header);
 
 /* Self-test (toy_selftest.c): the motion that comes with the package, and what the reference solver estimates from it. 0 where this processor
- * and compiler come to the same; otherwise the number of the first update that differs. selftest() takes sizeof(toy_t) of stack,
+ * and compiler come to the same; otherwise the number of the first update that differs, or one more than there are where save() and load() do not
+ * give back what was learned. selftest() takes sizeof(toy_t) of stack,
  * selftest_with() the memory of an axis, which is to be set up anew with toy_init(). */
 int toy_selftest(void);
 int toy_selftest_with(toy_t *axis);
 
 /* Start: nominal parameters, empty window. */
 void toy_init(toy_t *self);
+
+/* The machine file's weights and bounds, to change some and hand over to init_with(). */
+void toy_settings(toy_settings_t *settings);
+
+/* toy_init() with other weights and bounds, which are copied. REFUSED where one of them is out of its range or not a number: the
+ * axis then starts as by toy_init(). */
+int toy_init_with(toy_t *self, const toy_settings_t *settings);
+
+/* The mass that moves from now on [kg], payload included; toy_init() sets the machine file's, 2.0. For 7 samples, while the filters
+ * hold friction by the one before, readings count as missing. Readings of toy_insert() bring friction by the caller's own.
+ * REFUSED, and nothing changes, beyond 20 times the machine file's or below a 20th of it: that is another axis or another unit.
+ */
+int toy_set_mass(toy_t *self, toy_real mass);
+
+/* Hold a parameter where it is, or let it go; by its number, from 0, in the order of the estimate. A held one counts as known to 1e-6 of nominal; one
+ * that is let go is as uncertain as before any data. What is known of the others stays, and the window starts anew. init() and load() hold none.
+ * REFUSED: there is no such parameter. */
+int toy_hold(toy_t *self, int parameter, int on);
+
+/* What the application knows of a parameter, from an identification or a test: value and one standard deviation [SI], from which it goes
+ * on learning; deviation 0 holds it there. Replaces what was learned of it; what is known of the others stays, and the window starts anew.
+ * REFUSED, and nothing changes: there is no such parameter, a number is none, is beyond its bounds, or a deviation above zero is below 1e-6 of nominal. */
+int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_real deviation);
+
+/* Write down what was learned: parameters, how sure they are, how well they predict. By any task, as toy_estimate(). Returns OK, or
+ * OVERLAP where feedback() came between three times; what was written is then refused by load(). */
+int toy_save(const toy_t *self, toy_saved_t *saved);
+
+/* Start with what was saved, after toy_init() or init_with(): an empty window, the saved parameters. Friction changes while nothing is
+ * measured: their variances grow by that of settings.pause, but not beyond those before any data. Parameters that were held are to be
+ * held again; settings and mass stay. REFUSED: damaged, of another machine file or layout, no numbers, or parameters beyond their
+ * bounds. The axis is then as fresh as after init_with(). */
+int toy_load(toy_t *self, const toy_saved_t *saved);
 
 /* Start the signals and the window anew, with the parameters learned so far as the prior mean. */
 void toy_reset(toy_t *self);

@@ -7,9 +7,9 @@
  *
  *   tick()          136041
  *   sample()         81973   insert() too
- *   prepare()       136012   in units of at most 27034
- *   feedback()        1816   after prepare()
- *   an update       547693   all calls of an interval
+ *   prepare()       136014   in units of at most 27034
+ *   feedback()        1820   after prepare()
+ *   an update       547699   all calls of an interval
  */
 #ifndef TOY_CONFIG_H
 #define TOY_CONFIG_H
@@ -21,7 +21,7 @@
 #include "sgms_linalg.h"
 #include "sgms_filter.h"
 
-#if SGMS_RUNTIME_VERSION != 2
+#if SGMS_RUNTIME_VERSION != 3
 #error "the runtime headers are of another version than this package: run sgms-mhe generate again"
 #endif
 
@@ -52,6 +52,7 @@ enum {
     CHAIN = 0,                                   /* what the model reads of the signal chain beside velocity and friction */
     FACTOR_ROWS = TOY_UNKNOWNS,                  /* unknowns of a factor */
     FACTOR_WIDTH = FACTOR_ROWS + 1,              /* with its right side */
+    ROOT_WIDTH = PARAMETERS + 1,                 /* of theta's triangle in square, with a column for sums */
     COUPLED = 1,                                 /* states that a state depends on over an interval, at most */
     DEFECT_WIDTH = TOY_DEFECT_WIDTH,             /* numbers of a defect's row */
     KEPT_WIDTH = TOY_KEPT_WIDTH,                 /* numbers of a row that gives a node back */
@@ -90,18 +91,27 @@ enum {
 #define RATIO_FREE 9.0                       /* beyond it a reading counts less at once */
 #define DOUBTED_FAST 5.0                     /* means beyond which the readings contradict the model */
 #define DOUBTED_SLOW 2.0                     /*  */
+/* What toy_settings() gives. */
 #define PRIOR_SD 0.2                         /* of theta */
+#define PAUSE_SD 0.05                        /* of theta, over a power cycle */
 #define DRIFT_SD 0.001                       /* of theta, per update */
 #define IMPLAUSIBLE 10000.0                  /* first node's standard deviations: a state beyond is no solution */
 
 static const sgms_real lower_bound[PARAMETERS] = {0.5, -1e+300};
 static const sgms_real upper_bound[PARAMETERS] = {2.0, 1e+300};
 
+/* A weight is neither so small that its square is none, nor larger than the inverse. */
+#define LEAST_SIZE 1e-60
+/* A parameter that is held: as well known as that, over nominal. */
+#define HELD_SD 1e-06
+/* A mass beyond so many times the machine file's, or its inverse, is another machine, or in another unit. */
+#define MASS_RANGE 20.0
+
 /* States that each state depends on over an interval, itself included, and how many. */
 static const uint8_t coupled[STATES] = { 1 };
 static const uint8_t couples[STATES][COUPLED] = { {0} };
 
-static const sgms_real inverse_state_noise[STATES] = {20.0};
+static const sgms_real state_noise[STATES] = {0.05};
 static const sgms_real inverse_initial_state[STATES] = {1.0};
 static const sgms_chain chain = {
     {
@@ -112,7 +122,6 @@ static const sgms_chain chain = {
         0.19581571265583303 /* a2 */
     },
     RATE,
-    MASS,
     7, /* settle */
     CHAIN /* wanted */
 };

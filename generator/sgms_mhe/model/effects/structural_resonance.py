@@ -26,7 +26,7 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
     """
     omega = 2.0 * math.pi * p["frequency_Hz"]
     fast = 2.0 * math.pi * nominal["frequency_Hz"]
-    scale = axis.mass / axis.coulomb
+    scale = axis.nominal_mass / axis.coulomb
     specs = (
         EffectState(name, rate_per_second=0.5 * fast, noise=1e-3, initial_state=1.0)
         for name in ("stretch", "stretch_rate")

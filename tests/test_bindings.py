@@ -1,0 +1,267 @@
+"""A package's C from other languages: the same numbers as the C alone, and refusals that are said."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from c_packages import machine, run, written
+from cli_cases import SMALL
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.emission.bindings import BINDINGS, binding_files
+from sgms_mhe.emission.package import Package, emit_package
+from sgms_mhe.evaluation.motions import simulated_log
+from sgms_mhe.host.compiled import CompiledEstimator
+from sgms_mhe.machine import Machine
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
+
+Tool = Callable[[str], str]
+KINDS = ("single", "double", "ekf", "rotary")
+
+
+def machine_of(kind: str) -> Machine:
+    if kind == "rotary":
+        return load_machine("etel_xy_rotary")
+    estimator = {"kind": "ekf"} if kind == "ekf" else {"horizon": 6, "relinearise": "auto"}
+    return machine(code={"precision": "single" if kind == "single" else "double"}, estimator=estimator)
+
+
+@pytest.fixture(scope="module")
+def bound(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[Machine, Package, Path]]:
+    made: dict[str, tuple[Machine, Package, Path]] = {}
+
+    def of(kind: str) -> tuple[Machine, Package, Path]:
+        if kind not in made:
+            settings = machine_of(kind)
+            package = emit_package(settings, selftest=False, bindings=BINDINGS)
+            made[kind] = settings, package, written(package, tmp_path_factory.mktemp(kind))
+        return made[kind]
+
+    return of
+
+
+def log_of(settings: Machine) -> Log:
+    return simulated_log(settings, "mixed", 40)
+
+
+# --- Python ------------------------------------------------------------------------------------------------------
+
+
+def module_of(folder: Path) -> ModuleType:
+    """The emitted module, as an application imports it."""
+    path = next(folder.glob("*.py"))
+    name = f"{path.stem}_binding_{abs(hash(str(path)))}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def python(bound: Any) -> Callable[[str], ModuleType]:
+    modules: dict[str, ModuleType] = {}
+    return lambda kind: modules.get(kind) or modules.setdefault(kind, module_of(bound(kind)[2]))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_python_gives_what_the_package_gives(kind: str, bound: Any, python: Any) -> None:
+    settings, package, _ = bound(kind)
+    log, module = log_of(settings), python(kind)
+    expected = CompiledEstimator(settings, package).estimate_log(log, mode="tasks")
+    estimator = module.Estimator()
+    half = len(log.position_m) // 2 + 17
+    parts = [
+        estimator.estimate(log.position_m[:half], log.force_N[:half]),
+        estimator.estimate(log.position_m[half:], log.force_N[half:]),
+    ]
+    for name, wanted in (
+        ("friction", expected.friction_N),
+        ("friction_measured", expected.friction_measured_N),
+        ("deflection", expected.z_m),
+        ("parameter", expected.parameters),
+        ("deviation", expected.std),
+        ("innovation", expected.innovation_N),
+        ("test_ratio", expected.test_ratio),
+        ("noise_scale", expected.noise_scale),
+        ("status", expected.status),
+        ("compensation", expected.extra["compensation_N"]),
+    ):
+        np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in parts]), wanted, err_msg=name)
+    samples = np.concatenate([parts[0].sample, parts[1].sample + half])
+    np.testing.assert_array_equal(samples, settings.sampling.samples_per_update * np.arange(1, len(samples) + 1))
+    assert expected.parameter_names == module.PARAMETERS and log.rate == module.RATE
+    assert np.ptp(expected.parameters[:, 0]) > 0.0 and parts[0].parameter.shape[1] == len(module.PARAMETERS)
+
+
+def test_python_sample_by_sample_is_the_same(bound: Any, python: Any) -> None:
+    log, module = log_of(bound("double")[0]), python("double")
+    series, single = module.Estimator(), module.Estimator()
+    found = series.estimate(log.position_m, log.force_N)
+    fed = [single.sample(q, u) for q, u in zip(log.position_m, log.force_N, strict=True)]
+    np.testing.assert_array_equal(fed, found.compensation)
+    assert single.save() == series.save()
+    assert series.estimate(np.empty(0), np.empty(0)).parameter.shape == (0, len(module.PARAMETERS))
+    assert isinstance(series.status, str) and series.status
+
+
+def test_python_over_its_life(bound: Any, python: Any) -> None:
+    log, module = log_of(bound("double")[0]), python("double")
+    estimator, name = module.Estimator(), module.PARAMETERS[1]
+    first = estimator.estimate(log.position_m, log.force_N)
+    saved, other = estimator.save(), module.Estimator()
+    other.load(saved)
+    held = first.parameter[-1, 1]
+    other.hold(name)
+    other.set_mass(21.0)
+    after = other.estimate(log.position_m, log.force_N)
+    np.testing.assert_allclose(after.parameter[:, 1], held, rtol=1e-4)
+    other.set_parameter(name, 1.1 * held)
+    np.testing.assert_allclose(other.estimate(log.position_m, log.force_N).parameter[:, 1], 1.1 * held, rtol=1e-4)
+    settings = estimator.settings()
+    settings.measurement *= 3.0
+    wide = module.Estimator(settings=settings).estimate(log.position_m, log.force_N)
+    assert np.abs(wide.deviation - first.deviation).max() > 0.0
+    other.reset()
+    other.compensate(False)
+    other.ahead(0.1, 0.0)
+
+
+def test_python_says_what_is_refused(bound: Any, python: Any, tmp_path: Path) -> None:
+    module = python("double")
+    estimator = module.Estimator()
+    damaged = bytearray(estimator.save())
+    damaged[-1] ^= 1
+    settings = estimator.settings()
+    settings.measurement = float("nan")
+    for call, said in (
+        (lambda: estimator.load(bytes(damaged)), "what was saved: refused"),
+        (lambda: estimator.load(b""), "what was saved: refused"),
+        (lambda: estimator.set_mass(-1.0), "mass: refused"),
+        (lambda: estimator.set_parameter(module.PARAMETERS[0], -1.0, 1.0), "stiffness_1: refused"),
+        (lambda: estimator.hold("stifness_1"), "stifness_1: not one of stiffness_1"),
+        (lambda: estimator.estimate(np.zeros(3), np.zeros(2)), "position has 3 samples"),
+        (lambda: module.Estimator(settings=settings), "settings: refused"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            call()
+    library = module.build(tmp_path / "etel_xy.so")
+    assert module.Estimator(library).save() == module.Estimator().save()
+    with pytest.raises(RuntimeError, match="no-such-compiler"):
+        module.build(tmp_path / "none.so", "no-such-compiler")
+
+
+def test_python_refuses_the_library_of_another_package(bound: Any, python: Any, tmp_path: Path) -> None:
+    other = python("ekf").build(tmp_path / "other.so")
+    with pytest.raises(RuntimeError, match="not the library of etel_xy"):
+        python("double").Estimator(other)
+
+
+# --- C++ ---------------------------------------------------------------------------------------------------------
+
+CPP = r"""
+#include "NAME.hpp"
+
+#include <cstdio>
+#include <cstring>
+
+namespace observer = NAME;
+
+static observer::axis one, two;
+static NAME_t plain, plain_two;
+
+static int differ(const observer::estimate &a, const NAME_estimate_t &b)
+{
+    return a.friction != b.friction || std::memcmp(a.parameter, b.parameter, sizeof a.parameter) != 0 ||
+           std::memcmp(a.deviation, b.deviation, sizeof a.deviation) != 0 || a.status != b.status;
+}
+
+int main()
+{
+    long wrong = one.init() != 0 || two.init(observer::machine_settings()) != 0;
+    NAME_init(&plain);
+    NAME_init(&plain_two);
+    for (long k = 0; k <= 30L * observer::axis::samples; k++) {
+        const double forth = static_cast<double>((k / 1500) % 2 ? 1500 - k % 1500 : k % 1500) / 1500.0;
+        const observer::position at = observer::from_METRES(0.3 + 1e-3 * forth);
+        const observer::real push = static_cast<observer::real>((k / 1500) % 2 ? -4 : 4);
+        wrong += one.tick(at, push) != NAME_tick(&plain, at, push);
+        wrong += two.sample(at, push) != NAME_sample(&plain_two, at, push);
+        if (NAME_due(&plain_two)) {
+            NAME_feedback(&plain_two);
+        }
+        if (k % observer::axis::samples == 40) {
+            two.prepare();
+            NAME_prepare(&plain_two);
+        }
+        NAME_estimate_t found;
+        NAME_estimate(&plain, &found);
+        wrong += differ(one.now(), found);
+        NAME_estimate(&plain_two, &found);
+        wrong += differ(two.now(), found);
+    }
+    observer::saved saved, again;
+    wrong += one.save(saved) != 0 || two.load(saved) != 0 || two.save(again) != 0;
+    wrong += std::memcmp(saved.theta, again.theta, sizeof saved.theta) != 0;
+    saved.theta[0] += 1;
+    wrong += two.load(saved) != static_cast<int>(observer::status::refused);
+    wrong += two.set_mass(-1) != static_cast<int>(observer::status::refused);
+    wrong += two.hold(0, true) != 0 || two.hold(observer::axis::parameters, true) == 0;
+    wrong += two.set_parameter(0, one.now().parameter[0], 0) != 0;
+    wrong += !observer::has(two.now().status, observer::status::filling) || observer::has(-1, observer::status::hold);
+    two.ahead(0, 0);
+    two.compensate(false);
+    two.reset();
+    observer::signals signals = observer::signals();
+    (void)two.insert(signals);
+    std::printf("%ld %d\n", wrong, two.share() >= 0);
+    return wrong != 0;
+}
+"""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("compiler", ["g++ -std=c++11", "g++ -std=c++17", "clang++ -std=c++17"])
+def test_cpp_gives_what_the_c_gives(kind: str, compiler: str, bound: Any, require_tool: Tool, tmp_path: Path) -> None:
+    settings, _, folder = bound(kind)
+    name, (tool, standard) = settings.name, compiler.split()
+    source, program = tmp_path / "main.cpp", tmp_path / "program"
+    source.write_text(CPP.replace("NAME", name).replace("METRES", settings.plant.units.metres))
+    run(require_tool("gcc"), "-std=c99", "-O2", f"-I{folder}", "-c", folder / f"{name}.c", "-o", tmp_path / "c.o")
+    strict = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror", "-fno-exceptions", "-fno-rtti"]
+    run(require_tool(tool), standard, strict, "-O2", f"-I{folder}", source, tmp_path / "c.o", "-o", program)
+    assert run(program) == "0 1\n"
+
+
+# --- asking for them ---------------------------------------------------------------------------------------------
+
+
+def test_bindings_come_where_they_are_asked_for(tmp_path: Path) -> None:
+    path, out = tmp_path / "small.toml", tmp_path / "out"
+    path.write_text(SMALL)
+    generate = [sys.executable, "-m", "sgms_mhe", "generate", path, "--out"]
+    done = subprocess.run([*generate, out, "--bindings", " cpp, python "], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert {p.suffix for p in out.iterdir()} >= {".py", ".hpp"}
+    assert [list(binding_files(names, "axis")) for names in (["cpp"], ["python"], [])] == [
+        ["axis.hpp"],
+        ["axis.py"],
+        [],
+    ]
+    done = subprocess.run(
+        [*generate, tmp_path / "none", "--bindings", "matlab"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2 and "python or cpp" in done.stderr and "Traceback" not in done.stderr
+    assert not (tmp_path / "none").exists()
+    for unknown in ([""], ["python", "", "cpp"]):
+        with pytest.raises(InputError, match="python or cpp"):
+            binding_files(unknown, "axis")

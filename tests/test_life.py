@@ -1,0 +1,543 @@
+"""What a package does over its life: settings, payload, parameters held or set, a power cycle."""
+
+from __future__ import annotations
+
+import ctypes
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from c_packages import PROBES, elements, machine, written
+from sgms_mhe.emission.package import emit_package
+from sgms_mhe.evaluation.motions import simulated_log
+from sgms_mhe.host.compiled import replay_definitions
+from sgms_mhe.machine import Machine
+from sgms_mhe.model import build_model
+from sgms_mhe.reference import Integrator, Record, Start, Weights, run_ekf, run_mhe
+from sgms_mhe.signals.chain import Signals, settle_samples, signals_from_log
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.toolchain import DEFAULT_FLAGS, shared_library
+
+Array = NDArray[np.float64]
+
+BASE: dict[str, Any] = {
+    "friction": elements(2),
+    "sampling": {"rate": 1000.0, "update_rate": 50.0, "velocity_cutoff": 50.0, "integrator": {"scheme": "flow"}},
+}
+KINDS: dict[str, dict[str, Any]] = {
+    "all": {"relinearise": "all"},
+    "auto": {"relinearise": "auto"},
+    "newest": {"relinearise": "newest"},
+    "fixed": {"arrival_cost": {"update": "fixed"}},
+    "ekf": {"kind": "ekf"},
+}
+TOLERANCE = {"double": 1e-6, "single": 2e-3}
+"""Of parameters over nominal; what the packages' comparison with the reference allows."""
+HELD = 1e-6
+FORMAT = 1
+
+
+def settings_of(kind: str = "all", precision: str = "double", **changes: Any) -> Machine:
+    """A small axis whose estimator is of a kind: 20 samples an update, six intervals."""
+    estimator = {"horizon": 6, **KINDS[kind], **changes.pop("estimator", {})}
+    return machine(**BASE, estimator=estimator, code={"precision": precision}, **changes)
+
+
+class Package:
+    """One package's functions, the public ones called as an application does."""
+
+    def __init__(self, settings: Machine, folder: Path) -> None:
+        self.machine = settings
+        self.model = build_model(settings)
+        name, sources = settings.name, []
+        package = written(emit_package(settings, selftest=False), folder)
+        sources = [package / f"{name}.c", PROBES / "estimator_probe.c"]
+        self.c = ctypes.CDLL(str(shared_library(sources, [package], [*DEFAULT_FLAGS, *replay_definitions(name)])))
+        self.real = ctypes.c_float if settings.code.precision == "single" else ctypes.c_double
+        self.c.probe_size.restype = ctypes.c_size_t
+        number, memory = ctypes.c_double, ctypes.c_void_p
+        self.c.probe_sample.restype, self.c.probe_sample.argtypes = number, [memory, number, number]
+        n_x, n_p, real = self.model.n_x, self.model.n_p, self.real
+
+        class Settings(ctypes.Structure):
+            _fields_ = (
+                ("measurement", real),
+                ("state", real * n_x),
+                ("parameter", real),
+                *((("drift", real),) if settings.estimator.arrival_cost.update != "fixed" else ()),
+                ("pause", real),
+                ("lower", real * n_p),
+                ("upper", real * n_p),
+            )
+
+        class Saved(ctypes.Structure):
+            _fields_ = (
+                ("checksum", ctypes.c_uint32),
+                ("format", ctypes.c_uint32),
+                ("machine", ctypes.c_uint32 * 2),
+                ("theta", real * n_p),
+                ("root", real * (n_p * (n_p + 1) // 2)),
+                ("ratio", real),
+            )
+
+        self.Settings, self.Saved = Settings, Saved
+        self.refused = int(self.c.probe_status(11))
+        for function, arguments in (
+            ("settings", [ctypes.POINTER(Settings)]),
+            ("init_with", [memory, ctypes.POINTER(Settings)]),
+            ("set_mass", [memory, real]),
+            ("hold", [memory, ctypes.c_int, ctypes.c_int]),
+            ("set_parameter", [memory, ctypes.c_int, real, real]),
+            ("save", [memory, ctypes.POINTER(Saved)]),
+            ("load", [memory, ctypes.POINTER(Saved)]),
+        ):
+            called = getattr(self.c, f"{name}_{function}")
+            called.argtypes = arguments
+            setattr(self, function, called)
+
+    def new(self) -> ctypes.Array[ctypes.c_char]:
+        memory = ctypes.create_string_buffer(self.c.probe_size())
+        self.c.probe_init_on(memory, 0)
+        return memory
+
+    def defaults(self) -> Any:
+        settings = self.Settings()
+        self.settings(ctypes.byref(settings))
+        return settings
+
+    def saved(self, memory: Any) -> Any:
+        saved = self.Saved()
+        assert self.save(memory, ctypes.byref(saved)) == 0
+        return saved
+
+    def run(self, memory: Any, log: Log, first: int = 0, last: int | None = None) -> Array:
+        """Two tasks over samples of a log; friction, measured, z, parameters, deviations after every update."""
+        rows = []
+        for q, u in zip(log.position_m[first:last], log.force_N[first:last], strict=True):
+            self.c.probe_sample(memory, float(q), float(u))
+            if self.c.probe_due(memory):
+                self.c.probe_feedback(memory)
+                self.c.probe_prepare(memory)
+                row = np.empty(int(self.c.probe_numbers()))
+                self.c.probe_estimate(memory, ctypes.c_void_p(row.ctypes.data))
+                rows.append(row)
+        return np.array(rows)
+
+    def parameters(self, rows: Array) -> Array:
+        """Over nominal (n, n_p)."""
+        n_p = self.model.n_p
+        return np.asarray(rows[:, -2 * n_p : -n_p] / [p.nominal for p in self.model.parameters])
+
+    def agrees(self, rows: Array, reference: Estimates) -> None:
+        """Parameters, their deviations and friction are the reference's."""
+        precision = self.machine.code.precision
+        n_p, nominal = self.model.n_p, np.array([p.nominal for p in self.model.parameters])
+        assert len(rows) == len(reference.friction_N) > 20
+        np.testing.assert_allclose(self.parameters(rows), reference.parameters / nominal, atol=TOLERANCE[precision])
+        np.testing.assert_allclose(rows[:, -n_p:] / nominal, reference.std / nominal, atol=TOLERANCE[precision])
+        np.testing.assert_allclose(rows[:, 0], reference.friction_N, atol=10.0 * TOLERANCE[precision])
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Package]:
+    @lru_cache
+    def made(kind: str = "all", precision: str = "double") -> Package:
+        return Package(settings_of(kind, precision), tmp_path_factory.mktemp("life"))
+
+    return made
+
+
+@lru_cache
+def log_of(updates: int = 60, stiffer: float = 1.3) -> Log:
+    """An axis whose elements are stiffer than the machine file says."""
+    friction = BASE["friction"] | {"stiffness": [stiffer * kappa for kappa in BASE["friction"]["stiffness"]]}
+    return simulated_log(machine(**(BASE | {"friction": friction}), estimator={"horizon": 6}), "mixed", updates)
+
+
+def reference(
+    package: Package, signals: Signals, *, weights: Weights | None = None, start: Start | None = None
+) -> Estimates:
+    """The independent solver on the package's machine."""
+    record = Record(package.model, signals, Integrator(package.model), weights=weights, start=start)
+    return run_ekf(record) if package.machine.estimator.kind == "ekf" else run_mhe(record)
+
+
+# --- settings ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("kind", "precision"), [*((kind, "double") for kind in KINDS), ("auto", "single")])
+def test_replaced_settings_give_what_the_reference_gives(kind: str, precision: str, package: Any) -> None:
+    noise = {"measurement": 0.25, "state": 0.03, "parameter": 0.2, "parameter_drift": 0.006}
+    other = settings_of(kind, precision, estimator={"noise": noise, "bounds": {"stiffness": [0.97, 1.1]}})
+    p: Package = package(kind, precision)
+    settings, memory, log = p.defaults(), p.new(), log_of()
+    settings.measurement, settings.parameter = noise["measurement"], noise["parameter"]
+    settings.state[:] = [noise["state"]] * p.model.n_x
+    settings.lower[:], settings.upper[:] = [0.97] * p.model.n_p, [1.1] * p.model.n_p
+    if kind != "fixed":
+        settings.drift = noise["parameter_drift"]
+    assert p.init_with(memory, ctypes.byref(settings)) == 0
+    expected = reference(p, signals_from_log(log, other), weights=Weights.of(build_model(other)))
+    rows = p.run(memory, log)
+    p.agrees(rows, expected)
+    assert np.abs(p.parameters(rows)[:, :, None] - [0.97, 1.1]).min() < 1e-6, "a bound is met"
+    assert np.abs(p.parameters(rows) - p.parameters(p.run(p.new(), log))).max() > 0.05, "the weights matter"
+
+
+def test_settings_are_those_of_the_machine_file(package: Any) -> None:
+    p: Package = package()
+    settings, noise = p.defaults(), p.machine.estimator.noise
+    assert (settings.measurement, settings.parameter, settings.drift) == (
+        noise.measurement,
+        noise.parameter,
+        noise.parameter_drift,
+    )
+    assert list(settings.state) == list(p.model.state_noise)
+    assert [(q.lower, q.upper) for q in p.model.parameters] == list(zip(settings.lower, settings.upper, strict=True))
+    with_them, plain = p.new(), p.new()
+    assert p.init_with(with_them, ctypes.byref(settings)) == 0
+    assert with_them.raw == plain.raw
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        *((field, value) for field in ("measurement", "parameter") for value in (0.0, -0.1, np.nan, np.inf, 1e-320)),
+        *((field, value) for field in ("drift", "pause") for value in (-1e-9, np.nan, np.inf)),
+        *(("state", value) for value in (0.0, np.nan, -1.0)),
+        *(("lower", value) for value in (np.nan, -np.inf, 1.01, 6.0)),
+        *(("upper", value) for value in (np.nan, np.inf, 0.99, 0.1)),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(field: str, value: float, package: Any) -> None:
+    p: Package = package()
+    settings, memory = p.defaults(), p.new()
+    p.run(memory, log_of(), last=300)
+    if field in ("state", "lower", "upper"):
+        getattr(settings, field)[1] = value
+    else:
+        setattr(settings, field, value)
+    ctypes.memset(memory, 0, len(memory))
+    assert p.init_with(memory, ctypes.byref(settings)) == p.refused
+    assert memory.raw == p.new().raw
+
+
+# --- payload -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["all", "ekf"])
+@pytest.mark.parametrize("mass", [12.0, 31.0])
+def test_mass_gives_what_the_reference_gives(kind: str, mass: float, package: Any) -> None:
+    p: Package = package(kind)
+    memory, log = p.new(), log_of()
+    assert p.set_mass(memory, mass) == 0
+    rows = p.run(memory, log)
+    loaded = settings_of(kind, plant={"mass": mass})
+    p.agrees(rows, reference(p, signals_from_log(log, loaded)))
+    assert np.abs(rows[:, 1] - p.run(p.new(), log)[:, 1]).max() > 1.0, "the friction is another"
+
+
+def test_mass_that_changes_underway_is_followed(package: Any) -> None:
+    """A payload is put on where the axis hardly moves; readings are left out while the filters hold both."""
+    p: Package = package()
+    light, log = p.machine, log_of(100)
+    heavy = settings_of(plant={"mass": 31.0})
+    settle = settle_samples(light)
+    by_light, by_heavy = (signals_from_log(log, m) for m in (light, heavy))
+    quiet = np.convolve(np.abs(by_light.acceleration), np.ones(2 * settle), mode="same")
+    at = 300 + int(np.argmin(quiet[300:1200]))
+    extra = np.where(np.arange(len(log.time_s)) < at, 0.0, 11.0)
+    # What the axis with its payload would have logged: the same friction, more force.
+    acceleration = np.gradient(np.gradient(log.position_m)) * log.rate**2
+    loaded = replace(log, force_N=log.force_N + extra * acceleration)
+    by_light, by_heavy = (signals_from_log(loaded, m) for m in (light, heavy))
+    after = np.arange(len(log.time_s)) >= at
+    mixed = (after) & (np.arange(len(log.time_s)) < at + settle)
+    signals = replace(
+        by_light,
+        friction=np.where(after, by_heavy.friction, by_light.friction),
+        valid=by_light.valid & ~mixed,
+    )
+    memory = p.new()
+    first = p.run(memory, loaded, last=at)
+    assert p.set_mass(memory, 31.0) == 0
+    rows = np.concatenate([first, p.run(memory, loaded, at)])
+    p.agrees(rows, reference(p, signals))
+    unaware = p.new()
+    assert np.abs(p.run(unaware, loaded)[-20:, 1] - rows[-20:, 1]).max() > 1.0
+
+
+@pytest.mark.parametrize("mass", [0.0, -20.0, np.nan, np.inf, 0.99, 401.0, 2e4])
+def test_mass_out_of_range_is_refused(mass: float, package: Any) -> None:
+    p: Package = package()
+    memory = p.new()
+    p.run(memory, log_of(), last=210)
+    before = memory.raw
+    assert p.set_mass(memory, mass) == p.refused
+    assert memory.raw == before
+
+
+def test_mass_in_the_equations_of_an_effect_is_not_changed(tmp_path: Path) -> None:
+    gained = settings_of(effects=[{"name": "force_gain", "gain": 1.05}])
+    p = Package(gained, tmp_path)
+    memory = p.new()
+    assert p.set_mass(memory, 21.0) == p.refused
+    assert p.set_mass(memory, 20.0) == 0
+    assert build_model(gained).reads_mass
+    for name, numbers in (("constant_offset", {"force_N": 0.5}), ("mass_mismatch", {"mass_kg": 1.0})):
+        assert not build_model(settings_of(effects=[{"name": name, **numbers}])).reads_mass
+
+
+# --- parameters held and set -------------------------------------------------------------------------------------
+
+
+def held_weights(p: Package, which: int) -> Weights:
+    weights = Weights.of(p.model)
+    parameter = weights.parameter.copy()
+    parameter[which] = HELD
+    return replace(weights, parameter=parameter)
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_parameter_held_from_the_start(kind: str, package: Any) -> None:
+    p: Package = package(kind)
+    memory, log = p.new(), log_of()
+    assert p.set_parameter(memory, 1, 1.2 * p.model.parameters[1].nominal, 0.0) == 0
+    rows = p.run(memory, log)
+    weights = held_weights(p, 1)
+    start = Start(np.zeros(p.model.n_x), np.array([1.0, 1.2]), np.diag(weights.parameter**2))
+    if kind != "fixed":  # a fixed arrival cost comes back to the machine file's prior mean by another way
+        p.agrees(rows, reference(p, signals_from_log(log, p.machine), weights=weights, start=start))
+    np.testing.assert_allclose(p.parameters(rows)[:, 1], 1.2, atol=1e-4)
+    assert np.ptp(p.parameters(rows)[:, 0]) > 0.1
+
+
+@pytest.mark.parametrize(("kind", "precision"), [("all", "double"), ("auto", "single"), ("ekf", "double")])
+def test_warm_start_from_an_identification(kind: str, precision: str, package: Any) -> None:
+    p: Package = package(kind, precision)
+    memory, log = p.new(), log_of()
+    values, deviations = np.array([1.25, 1.4]), np.array([0.05, 0.1])
+    for k, q in enumerate(p.model.parameters):
+        assert p.set_parameter(memory, k, values[k] * q.nominal, deviations[k] * q.nominal) == 0
+    start = Start(np.zeros(p.model.n_x), values, np.diag(deviations**2))
+    p.agrees(p.run(memory, log), reference(p, signals_from_log(log, p.machine), start=start))
+
+
+def tail(signals: Signals, first: int) -> Signals:
+    """From a sample on, whose own reading has been used."""
+    changes = {name: getattr(signals, name)[first:] for name in vars(signals) if np.ndim(getattr(signals, name))}
+    changes["valid"] = changes["valid"].copy()
+    changes["valid"][0] = False
+    return replace(signals, **changes)
+
+
+@pytest.mark.parametrize("kind", ["all", "auto", "ekf"])
+@pytest.mark.parametrize("way", ["hold", "set", "let go"])
+def test_parameters_change_underway(kind: str, way: str, package: Any) -> None:
+    """The window starts anew at the last estimate: what is known of the others is their marginal covariance."""
+    p: Package = package(kind)
+    memory, log, at = p.new(), log_of(), 401  # the first sample is no interval's
+    if way == "let go":
+        p.hold(memory, 0, 1)
+    rows = p.run(memory, log, last=at)
+    saved = p.saved(memory)
+    n_p = p.model.n_p
+    root = np.zeros((n_p, n_p))
+    root[np.triu_indices(n_p)] = saved.root
+    covariance = np.linalg.inv(root.T @ root)
+    theta = np.array(saved.theta)
+    assert way == "let go" or abs(covariance[0, 1]) > 0.1 * np.sqrt(covariance[0, 0] * covariance[1, 1])
+    sd = {"hold": HELD, "set": 0.03, "let go": Weights.of(p.model).parameter[0]}[way]
+    theta[0] = 1.3 if way == "set" else theta[0]
+    if way == "set":
+        assert (
+            p.set_parameter(memory, 0, 1.3 * p.model.parameters[0].nominal, 0.03 * p.model.parameters[0].nominal) == 0
+        )
+    else:
+        assert p.hold(memory, 0, int(way == "hold")) == 0
+    friction = p.machine.friction
+    stiffness = np.array(saved.theta) * friction.stiffness
+    start = Start(
+        x=rows[-1, 2:4] * stiffness / (np.array(friction.fraction) * friction.coulomb),
+        theta=theta,
+        covariance=np.diag([sd**2, covariance[1, 1]]),
+    )
+    weights = held_weights(p, 0) if way == "hold" else None
+    signals = tail(signals_from_log(log, p.machine), at - 1)
+    p.agrees(p.run(memory, log, at), reference(p, signals, weights=weights, start=start))
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value", "deviation"),
+    [
+        *((parameter, 1.0, 0.1) for parameter in (-1, 2, 10**6)),
+        *((0, value, 0.1) for value in (np.nan, np.inf, 0.19, 5.1, -1.0)),
+        *((0, 1.0, deviation) for deviation in (np.nan, np.inf, -0.1, 1e-9)),
+    ],
+)
+def test_parameter_that_cannot_be_is_refused(parameter: int, value: float, deviation: float, package: Any) -> None:
+    p: Package = package()
+    memory, nominal = p.new(), p.model.parameters[0].nominal
+    p.run(memory, log_of(), last=210)
+    before = memory.raw
+    assert p.set_parameter(memory, parameter, value * nominal, deviation * nominal) == p.refused
+    assert parameter in (0, 1) or p.hold(memory, parameter, 1) == p.refused
+    assert memory.raw == before
+
+
+# --- over a power cycle ------------------------------------------------------------------------------------------
+
+
+def sealed(saved: Any) -> Any:
+    """With the checksum of what it holds now, by a library's CRC-32."""
+    saved.checksum = zlib.crc32(bytes(saved)[4:])
+    return saved
+
+
+@pytest.mark.parametrize(("kind", "precision"), [*((kind, "double") for kind in KINDS), ("auto", "single")])
+def test_loaded_axis_gives_what_the_reference_gives(kind: str, precision: str, package: Any) -> None:
+    """From the saved mean and covariance, grown by what a pause may change."""
+    p: Package = package(kind, precision)
+    memory, log = p.new(), log_of()
+    p.run(memory, log, last=801)
+    saved, loaded, n_p = p.saved(memory), p.new(), p.model.n_p
+    assert bytes(saved) == bytes(sealed(p.saved(memory))), "the checksum is a CRC-32"
+    assert sum(getattr(p.Saved, name).size for name, _ in p.Saved._fields_) == ctypes.sizeof(p.Saved), "no padding"
+    assert p.load(loaded, ctypes.byref(saved)) == 0
+    root = np.zeros((n_p, n_p))
+    root[np.triu_indices(n_p)] = saved.root
+    covariance = np.linalg.inv(root.T @ root)
+    prior, pause = Weights.of(p.model).parameter, p.defaults().pause
+    assert pause == pytest.approx(0.25 * prior[0])
+    grown = np.minimum(pause**2, np.maximum(0.0, prior**2 - np.diag(covariance)))
+    start = Start(np.zeros(p.model.n_x), np.array(saved.theta), covariance + np.diag(grown), saved.ratio)
+    p.agrees(p.run(loaded, log), reference(p, signals_from_log(log, p.machine), start=start))
+
+
+def test_loaded_axis_is_soon_as_good_as_one_that_ran_on(package: Any) -> None:
+    """Within the first second after a power cycle; an axis that starts fresh is far from it."""
+    p: Package = package()
+    memory, log, truth = p.new(), log_of(400), 1.3
+    p.run(memory, log, last=4001)
+    saved, loaded = p.saved(memory), p.new()
+    assert p.load(loaded, ctypes.byref(saved)) == 0
+    error = {
+        name: np.sqrt(np.mean((p.parameters(p.run(axis, log, 4001, 5001)) - truth) ** 2))
+        for name, axis in (("on", memory), ("loaded", loaded), ("fresh", p.new()))
+    }
+    assert error["loaded"] < 1.3 * error["on"] + 0.01
+    assert error["fresh"] > 3.0 * error["loaded"]
+
+
+def test_loaded_numbers_stay_honest_where_the_pause_changed_the_axis(package: Any) -> None:
+    """Parameters that moved by what a pause may change are within three of the stated deviations, and found again."""
+    p: Package = package()
+    memory, before, after = p.new(), log_of(400), log_of(200, 1.3 * 1.1)
+    p.run(memory, before)
+    saved, loaded, sure = p.saved(memory), p.new(), p.new()
+    settings = p.defaults()
+    settings.pause = 0.0
+    p.init_with(sure, ctypes.byref(settings))
+    assert p.load(loaded, ctypes.byref(saved)) == 0 and p.load(sure, ctypes.byref(saved)) == 0
+    n_p, nominal = p.model.n_p, np.array([q.nominal for q in p.model.parameters])
+
+    def off(axis: Any) -> Array:
+        rows = p.run(axis, after)
+        return np.asarray(np.abs(p.parameters(rows) - 1.43) / (rows[:, -n_p:] / nominal))
+
+    honest = off(loaded)
+    assert np.mean(honest < 3.0) > 0.95
+    assert np.mean(off(sure)[:50] ** 2) > 1.5 * np.mean(honest[:50] ** 2)
+
+
+def test_every_flipped_bit_is_refused_and_leaves_a_fresh_axis(package: Any) -> None:
+    p: Package = package("auto")
+    memory, axis, fresh = p.new(), p.new(), p.new().raw
+    p.run(memory, log_of(), last=801)
+    saved = bytes(p.saved(memory))
+    for bit in range(8 * len(saved)):
+        damaged = bytearray(saved)
+        damaged[bit // 8] ^= 1 << bit % 8
+        assert p.load(axis, ctypes.byref(p.Saved.from_buffer(damaged))) == p.refused
+    assert p.load(axis, ctypes.byref(p.Saved.from_buffer(bytearray(saved)))) == 0
+    ctypes.memset(axis, 0, len(axis))
+    p.c.probe_init_on(axis, 0)
+    for byte in (0x00, 0xFF, 0xA5):
+        assert p.load(axis, ctypes.byref(p.Saved.from_buffer(bytearray([byte]) * len(saved)))) == p.refused
+        assert axis.raw == fresh
+
+
+@pytest.mark.parametrize(
+    ("what", "change"),
+    [
+        ("another layout", {"format": FORMAT + 1}),
+        ("an earlier layout", {"format": 0}),
+        ("another machine", {"machine": (1, 2)}),
+        ("no number", {"theta": (1.0, np.nan)}),
+        ("an infinite one", {"root": (1.0, np.inf, 1.0)}),
+        ("nothing known of one", {"root": (1.0, 0.0, 0.0)}),
+        ("beyond a bound", {"theta": (1.0, 5.1)}),
+        ("no ratio", {"ratio": np.nan}),
+        ("no ratio that can be", {"ratio": -1.0}),
+    ],
+)
+def test_sealed_nonsense_is_refused(what: str, change: dict[str, Any], package: Any) -> None:
+    p: Package = package()
+    memory, axis = p.new(), p.new()
+    p.run(memory, log_of(), last=801)
+    saved = p.saved(memory)
+    assert p.load(axis, ctypes.byref(sealed(saved))) == 0
+    for name, value in change.items():
+        if isinstance(value, tuple):
+            getattr(saved, name)[:] = value
+        else:
+            setattr(saved, name, value)
+    p.c.probe_init_on(axis, 0)
+    assert p.load(axis, ctypes.byref(sealed(saved))) == p.refused, what
+    assert axis.raw == p.new().raw
+
+
+def test_what_another_machine_saved_is_refused(package: Any, tmp_path: Path) -> None:
+    p: Package = package()
+    other = Package(settings_of(estimator={"noise": {"measurement": 0.11}}), tmp_path)
+    memory = other.new()
+    other.run(memory, log_of(), last=801)
+    saved = other.saved(memory)
+    assert p.load(p.new(), ctypes.byref(p.Saved.from_buffer_copy(bytes(saved)))) == p.refused
+    assert other.load(other.new(), ctypes.byref(saved)) == 0
+
+
+def test_settings_and_mass_outlive_a_load_and_held_ones_do_not(package: Any) -> None:
+    p: Package = package()
+    memory, log = p.new(), log_of()
+    p.run(memory, log, last=801)
+    saved, axis, settings = p.saved(memory), p.new(), p.defaults()
+    settings.measurement = 0.2
+    assert p.init_with(axis, ctypes.byref(settings)) == 0
+    assert p.set_mass(axis, 21.0) == 0 and p.hold(axis, 0, 1) == 0
+    assert p.load(axis, ctypes.byref(saved)) == 0
+    expected = p.new()
+    assert p.init_with(expected, ctypes.byref(settings)) == 0
+    assert p.set_mass(expected, 21.0) == 0 and p.load(expected, ctypes.byref(saved)) == 0
+    np.testing.assert_array_equal(p.run(axis, log), p.run(expected, log))
+    again = p.saved(expected)
+    assert p.load(expected, ctypes.byref(again)) == 0
+
+
+def test_saved_once_and_loaded_is_saved_the_same(package: Any) -> None:
+    """Without a pause nothing is lost and nothing grows."""
+    p: Package = package()
+    memory, axis, settings = p.new(), p.new(), p.defaults()
+    p.run(memory, log_of(), last=801)
+    settings.pause = 0.0
+    saved = p.saved(memory)
+    assert p.init_with(axis, ctypes.byref(settings)) == 0 and p.load(axis, ctypes.byref(saved)) == 0
+    assert bytes(p.saved(axis)) == bytes(saved)
