@@ -12,9 +12,9 @@ from sgms_mhe.api.starting import Known, start_text
 from sgms_mhe.cli import cli
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.signals.logs import write_log
 from sgms_mhe.plant.simulation import AxisConfig, simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.signals.logs import write_log
 
 
 def started(*words: str, code: int = 0) -> str:

@@ -70,13 +70,11 @@ def command(
                 raise InputError("start", option, value, "none with a log, which says so itself")
         write_text(out, _from_logs(logs, out.stem, mass, inertia))
     else:
-        if mass is None and inertia is None:
-            mass = _asked("--mass", "Moved mass [kg]")
+        kind: Kind = "linear" if inertia is None else "rotary"
+        given_mass = mass if inertia is None else inertia
+        moved = _asked("--mass", "Moved mass [kg]") if given_mass is None else given_mass
         if rate is None:
             rate = _asked("--rate", "Samples per second [Hz]")
-        kind: Kind = "linear" if inertia is None else "rotary"
-        moved = inertia if inertia is not None else mass
-        assert moved is not None
         known = Known(out.stem, kind, moved, rate, coulomb, viscous, break_away, max_velocity)
         write_text(out, start_text(known, out)[0])
     show(f"machine file: {out}\nnext: sgms-mhe check {out}", out)

@@ -18,6 +18,9 @@ from sgms_mhe.support.toolchain import tool_output
 TARGET_FLAGS: Final = ("-std=c99", "-O2", "-ffp-contract=off")
 """A multiply and an add stay two roundings: what the target computes is then what a host computes."""
 
+SECTIONS: Final = ("-ffunction-sections", "-fdata-sections")
+"""A section of its own for each function: a firmware takes those that it calls, and is charged for them alone."""
+
 LOOPS: Final = (1, 10, 1000, 100_000)
 """Counts of the loops that calibrate the counter; one turn is two instructions, each loop two more."""
 
@@ -124,7 +127,7 @@ def build_program(target: Target, package: Package, folder: Path, flags: Sequenc
     options: list[str | Path] = [*flags, "-ffreestanding", *target.flags]
     definitions = [*replay_definitions(name, package.machine.plant.kind), f"-DSGMS_LOOPS={','.join(map(str, LOOPS))}"]
     parts: dict[str, list[str | Path]] = {
-        "package.o": [*options, "-fcallgraph-info=su", headers / f"{name}.c"],
+        "package.o": [*options, *SECTIONS, "-fcallgraph-info=su", headers / f"{name}.c"],
         "trial.o": [*options, *definitions, f"-I{headers}", f"-I{source}", source / "trial.c"],
     }
     linked = link_program(target, parts, options, folder / "trial.elf")
@@ -173,7 +176,9 @@ def link_program(
         objects.append(program.parent / part)
         run_tool(target, "gcc", *arguments, "-c", "-o", objects[-1])
     script = source / f"{target.name}.ld"
-    run_tool(target, "gcc", *flags, "-nostdlib", f"-Wl,-T,{script}", *objects, "-lgcc", "-o", program)
+    run_tool(
+        target, "gcc", *flags, "-nostdlib", "-Wl,--gc-sections", f"-Wl,-T,{script}", *objects, "-lgcc", "-o", program
+    )
     return program
 
 
