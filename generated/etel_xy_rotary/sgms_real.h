@@ -81,4 +81,11 @@ typedef uint64_t sgms_unsigned;
 #define SGMS_INLINE inline
 #endif
 
+/* A function that is called now and then: it is made small, and those that it calls do not become part of it. */
+#if defined(__GNUC__)
+#define SGMS_COLD __attribute__((cold))
+#else
+#define SGMS_COLD
+#endif
+
 #endif

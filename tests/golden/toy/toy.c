@@ -844,7 +844,7 @@ const char *toy_status_text(int status)
 }
 
 /* A checksum of what was saved, all that stands behind it (CRC-32): any single bit, and any burst of 32, changes it. */
-static uint32_t checksum_of(const toy_saved_t *saved)
+static SGMS_COLD uint32_t checksum_of(const toy_saved_t *saved)
 {
     const unsigned char *const bytes = (const unsigned char *)saved;
     uint32_t sum = UINT32_C(0xffffffff);
@@ -858,7 +858,7 @@ static uint32_t checksum_of(const toy_saved_t *saved)
 }
 
 /* Whether parameters are within their bounds; one that is not a number is not. */
-static int within_bounds(const toy_t *self, const sgms_real *theta)
+static SGMS_COLD int within_bounds(const toy_t *self, const sgms_real *theta)
 {
     int within = 0;
     for (int p = 0; p < PARAMETERS; p++) {
@@ -868,12 +868,12 @@ static int within_bounds(const toy_t *self, const sgms_real *theta)
 }
 
 /* Whether a number is above zero, and its square and inverse are numbers. */
-static int is_size(sgms_real value)
+static SGMS_COLD int is_size(sgms_real value)
 {
     return value >= LEAST_SIZE && value <= 1.0 / LEAST_SIZE;
 }
 
-static int are_valid(const toy_settings_t *settings)
+static SGMS_COLD int are_valid(const toy_settings_t *settings)
 {
     int good = is_size(settings->measurement) && is_size(settings->parameter);
     good = good && settings->pause >= 0.0 && settings->pause <= 1.0 / LEAST_SIZE;
@@ -888,7 +888,7 @@ static int are_valid(const toy_settings_t *settings)
     return good;
 }
 
-void toy_settings(toy_settings_t *settings)
+SGMS_COLD void toy_settings(toy_settings_t *settings)
 {
     settings->measurement = MEASUREMENT_SD;
     copy(settings->state, state_noise, STATES);
@@ -899,7 +899,7 @@ void toy_settings(toy_settings_t *settings)
     copy(settings->upper, upper_bound, PARAMETERS);
 }
 
-int toy_init_with(toy_t *self, const toy_settings_t *settings)
+SGMS_COLD int toy_init_with(toy_t *self, const toy_settings_t *settings)
 {
     toy_init(self);
     if (!are_valid(settings)) {
@@ -910,7 +910,7 @@ int toy_init_with(toy_t *self, const toy_settings_t *settings)
     return TOY_OK;
 }
 
-int toy_set_mass(toy_t *self, toy_real mass)
+SGMS_COLD int toy_set_mass(toy_t *self, toy_real mass)
 {
     if (!(mass >= MASS / MASS_RANGE && mass <= MASS * MASS_RANGE)) {
         return TOY_REFUSED;
@@ -921,7 +921,7 @@ int toy_set_mass(toy_t *self, toy_real mass)
 }
 
 /* Start the window anew at the newest signals, with theta[p] and what `square` knows of the parameters; the states go on. */
-static void start_with(toy_t *self, int p, sgms_real theta, const sgms_real *square)
+static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms_real *square)
 {
     const int started = self->started;
     const sgms_real *const node = self->node + self->filling * STATES;
@@ -952,7 +952,7 @@ static void start_with(toy_t *self, int p, sgms_real theta, const sgms_real *squ
 }
 
 /* Let theta[p] be known apart from the others, as well as this; what is known of the others stays. */
-static void set_theta(toy_t *self, int p, sgms_real theta, sgms_real inverse_sd)
+static SGMS_COLD void set_theta(toy_t *self, int p, sgms_real theta, sgms_real inverse_sd)
 {
     sgms_real square[PARAMETERS * ROOT_WIDTH], scratch[PARAMETERS];
     unpack_root(self->good_root, square);
@@ -980,7 +980,7 @@ static void set_theta(toy_t *self, int p, sgms_real theta, sgms_real inverse_sd)
     start_with(self, p, theta, square);
 }
 
-int toy_hold(toy_t *self, int parameter, int on)
+SGMS_COLD int toy_hold(toy_t *self, int parameter, int on)
 {
     if (parameter < 0 || parameter >= PARAMETERS) {
         return TOY_REFUSED;
@@ -990,7 +990,7 @@ int toy_hold(toy_t *self, int parameter, int on)
     return TOY_OK;
 }
 
-int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_real deviation)
+SGMS_COLD int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_real deviation)
 {
     sgms_real nominal[PARAMETERS], si[PARAMETERS], theta, sd;
     if (parameter < 0 || parameter >= PARAMETERS) {
@@ -1015,7 +1015,7 @@ int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_real devia
     return TOY_OK;
 }
 
-int toy_save(const toy_t *self, toy_saved_t *saved)
+SGMS_COLD int toy_save(const toy_t *self, toy_saved_t *saved)
 {
     saved->format = TOY_SAVED_FORMAT;
     saved->machine[0] = TOY_SAVED_MACHINE_0;
@@ -1037,7 +1037,7 @@ int toy_save(const toy_t *self, toy_saved_t *saved)
 }
 
 /* Whether what was saved is of this machine, whole, and what an axis can have learned. */
-static int is_whole(const toy_t *self, const toy_saved_t *saved, const sgms_real *variance)
+static SGMS_COLD int is_whole(const toy_t *self, const toy_saved_t *saved, const sgms_real *variance)
 {
     int good = saved->format == TOY_SAVED_FORMAT && saved->checksum == checksum_of(saved);
     good = good && saved->machine[0] == TOY_SAVED_MACHINE_0 && saved->machine[1] == TOY_SAVED_MACHINE_1;
@@ -1046,7 +1046,7 @@ static int is_whole(const toy_t *self, const toy_saved_t *saved, const sgms_real
     return good && within_bounds(self, saved->theta);
 }
 
-int toy_load(toy_t *self, const toy_saved_t *saved)
+SGMS_COLD int toy_load(toy_t *self, const toy_saved_t *saved)
 {
     const sgms_real zero[STATES] = { 0.0 };
     sgms_real square[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], growth[PARAMETERS], scratch[ROOT_WIDTH];
