@@ -90,9 +90,11 @@ static void put_sensitivity(const interval_map *map, const sgms_real *d_start, s
             row[p] = map->b[i * PARAMETERS + p];
         }
         for (int j = 0; j < STATES; j++) {
-            const sgms_real by = map->a[i * STATES + j];
-            /* States forget, and most never depend on each other. */
-            for (int p = 0; by < 0.0 || by > 0.0 ? p < PARAMETERS : 0; p++) {
+            const sgms_real by = map->a[i * STATES + j], none = 0;
+            if (!(by < none || by > none)) { /* states forget, and most never depend on each other */
+                continue;
+            }
+            for (int p = 0; p < PARAMETERS; p++) {
                 row[p] += by * d_start[j * PARAMETERS + p];
             }
         }

@@ -6,8 +6,6 @@
  * results.bin, 64 bits each. */
 #include "package.h"
 
-#include <string.h>
-
 #ifdef ON_TARGET
 #include "target.h"
 #else
@@ -353,7 +351,9 @@ static void load_sealed(const machine_saved *saved, unsigned word, uint32_t valu
     machine_saved changed = *saved;
     unsigned char *const bytes = (unsigned char *)&changed;
     uint32_t sum = UINT32_C(0xffffffff);
-    memcpy(bytes + 4u * word, &value, sizeof value);
+    for (unsigned i = 0; i < sizeof value; i++) {
+        bytes[4u * word + i] = ((const unsigned char *)&value)[i];
+    }
     for (unsigned i = 4; i < sizeof changed; i++) {
         sum ^= bytes[i];
         for (int bit = 0; bit < 8; bit++) {

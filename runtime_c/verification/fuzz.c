@@ -420,7 +420,7 @@ static void check_recovery(machine *axis)
     CALL(init)(twin);
     CALL(compensate)(twin, axis->compensate);
     twin->settings = axis->settings;
-    twin->mass = axis->mass;
+    twin->moved = axis->moved;
     memcpy(twin->held, axis->held, sizeof twin->held);
     memcpy(twin->good_state, axis->good_state, sizeof twin->good_state);
     memcpy(twin->good_theta, axis->good_theta, sizeof twin->good_theta);

@@ -156,7 +156,7 @@ static void start_signals(toy_t *self)
     start_compensation(self);
 }
 
-/* Nothing known but the settings and the mass. */
+/* Nothing known but the settings and what is moved. */
 static void start_fresh(toy_t *self)
 {
     const sgms_real zero[STATES] = { 0.0 };
@@ -184,7 +184,7 @@ static void start_fresh(toy_t *self)
 void toy_init(toy_t *self)
 {
     toy_settings(&self->settings);
-    self->mass = MASS;
+    self->moved = MASS;
     start_fresh(self);
 }
 
@@ -720,7 +720,7 @@ toy_real toy_insert(toy_t *self, const toy_signals *signals)
 static void take_reading(toy_t *self, toy_position position, toy_real force)
 {
     const sgms_filter_memory memory = {
-        self->chain_position, self->chain_lowpass, self->chain_last, self->chain_counts, self->mass };
+        self->chain_position, self->chain_lowpass, self->chain_last, self->chain_counts, self->moved };
     const sgms_aligned aligned = sgms_filter_step(&chain, &memory, position, force);
     const toy_signals signals = {
         aligned.position, aligned.velocity, aligned.acceleration, aligned.force, aligned.friction, aligned.valid,
@@ -910,12 +910,12 @@ SGMS_COLD int toy_init_with(toy_t *self, const toy_settings_t *settings)
     return TOY_OK;
 }
 
-SGMS_COLD int toy_set_mass(toy_t *self, toy_real mass)
+SGMS_COLD int toy_set_mass(toy_t *self, toy_real moved)
 {
-    if (!(mass >= MASS / MASS_RANGE && mass <= MASS * MASS_RANGE)) {
+    if (!(moved >= MASS / MASS_RANGE && moved <= MASS * MASS_RANGE)) {
         return TOY_REFUSED;
     }
-    self->mass = mass;
+    self->moved = moved;
     self->chain_counts[2] = 0; /* in the filters there is friction by the one before */
     return TOY_OK;
 }

@@ -53,7 +53,7 @@ typedef double toy_position; /* m; the functions below make it too, and are the 
 
 #define TOY_VERSION "0.1.0" /* of the generator */
 #define TOY_MACHINE "9ab2c9eac4dc" /* digest of the machine file */
-#define TOY_HEADER 0x90d3e7cdu /* digest of all that this header declares, for toy_check() */
+#define TOY_HEADER 0x7400e52fu /* digest of all that this header declares, for toy_check() */
 #define TOY_SAVED_FORMAT 1u /* of toy_saved_t, and the digest of the machine file again */
 #define TOY_SAVED_MACHINE_0 0x9ab2c9eau
 #define TOY_SAVED_MACHINE_1 0xc4dcu
@@ -157,7 +157,7 @@ typedef struct {
  * for the application. What every sample needs comes first, within reach of short addresses. */
 typedef struct {
     toy_settings_t settings;
-    toy_real mass; /* kg */
+    toy_real moved; /* kg */
     uint8_t held[TOY_PARAMETERS];
     /* signal chain */
     double chain_position[2]; /* m */
