@@ -22,9 +22,7 @@ LIMIT_S = 600
 def steps() -> list[list[str]]:
     """Commands of the page by its steps."""
     block = PAGE.read_text(encoding="utf-8").partition("```sh\n")[2].partition("```")[0]
-    return [
-        [line for line in step.splitlines() if line and not line.startswith("#")] for step in block.split("\n\n")
-    ]
+    return [[line for line in step.splitlines() if line and not line.startswith("#")] for step in block.split("\n\n")]
 
 
 @pytest.mark.needs_arm
@@ -53,7 +51,8 @@ def test_from_a_trace_to_firmware(require_tool: Callable[[str], str], tmp_path: 
     diagnosis = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text())
     assert diagnosis["verdict"] == "adequate"
 
-    rows = list(csv.DictReader((tmp_path / "estimates.csv").open()))
+    with (tmp_path / "estimates.csv").open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
     names = [name for name in rows[-1] if f"std_{name}" in rows[-1]]
     printed = [float(x) for x in re.findall(r"^parameter \d+ (\S+) \+-", said[4][2], re.MULTILINE)]
     assert len(printed) == len(names) > 0
