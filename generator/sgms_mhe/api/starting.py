@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from sgms_mhe.configuration import make_machine
+from sgms_mhe.identification.sampling import UPDATE_RATE
+from sgms_mhe.identification.writing import commented_line
 from sgms_mhe.machine import OF_KIND, Kind, Machine
 from sgms_mhe.machine.writing import toml_line
-from sgms_mhe.support.errors import InputError
 
 SPREAD: Final = (0.03, 0.1, 0.3, 1.0)
 """Break-away distances of the elements over that of the last one: a decade and a half, evenly in their logarithm."""
@@ -21,8 +22,6 @@ NOISE: Final = 0.02
 """Of the Coulomb level: noise of the force, until `tune` says what it is."""
 CUTOFFS: Final = (500.0, 0.1)
 """Cutoff of the velocity: so many Hz, or that share of the rate."""
-UPDATES: Final = 100.0
-"""Updates per second, about: of a whole number of samples each."""
 COMMENT_COLUMN: Final = 52
 
 _ASSUMED: Final = "assumed"
@@ -73,7 +72,7 @@ def start_text(known: Known, path: Path) -> tuple[str, Machine]:
     last = known.break_away if known.break_away is not None else 5e-5
     stiffness = [float(f"{share * coulomb / (part * last):.3g}") for share, part in zip(SHARES, SPREAD, strict=True)]
     from_distance = f"of break-away distances up to {last:g} {units.position}"
-    samples = max(1, round(known.rate / UPDATES))
+    samples = max(1, round(known.rate / UPDATE_RATE))
     tables: list[tuple[str, Sequence[tuple[str, Any, str]]]] = [
         (
             "plant",
@@ -133,18 +132,4 @@ def _said(stated: float | None, meaning: str) -> str:
 
 
 def _table(name: str, entries: Sequence[tuple[str, Any, str]]) -> list[str]:
-    lines = ["", f"[{name}]"]
-    for key, value, comment in entries:
-        line = toml_line(key, value)
-        lines.append(f"{line:<{COMMENT_COLUMN}} # {comment}" if comment else line)
-    return lines
-
-
-def refuse_existing(path: Path, force: bool) -> None:
-    """Refuse a file that is there already.
-
-    Raises:
-        InputError: it is, and it is not to be replaced.
-    """
-    if path.exists() and not force:
-        raise InputError(path, "output file", None, "a new one; --force replaces it")
+    return ["", f"[{name}]", *(commented_line(key, value, comment, COMMENT_COLUMN) for key, value, comment in entries)]

@@ -13,16 +13,15 @@ from sgms_mhe.commands.common import (
     example,
     json_option,
     json_text,
+    moved_mass,
     note,
     out_option,
     show,
     table_text,
 )
-from sgms_mhe.support.errors import InputError
 
 if TYPE_CHECKING:
     from sgms_mhe.identification import Identification
-    from sgms_mhe.machine import Units
 
 HEAVIEST: Final = 1e6
 """kg, as in a machine file."""
@@ -83,19 +82,10 @@ def command(
 
     model = load_machine(like) if like is not None else None
     read = [read_log(path, model) for path in logs]
-    found = identify(read, Wanted(out.stem, _moved(read[0].units, mass, inertia), elements, model), note)
+    moved = moved_mass("identify", read[0].units, mass, inertia)
+    found = identify(read, Wanted(out.stem, moved, elements, model), note)
     write_text(out, found.toml)
     show(json_text(found.to_json() | {"file": str(out)}) if as_json else _text(found, out), out)
-
-
-def _moved(units: Units, mass: float | None, inertia: float | None) -> float | None:
-    """What was given of what the axis moves, which has to be of the logs' kind."""
-    own, other, value = (mass, inertia, "--inertia") if units.kind == "linear" else (inertia, mass, "--mass")
-    if other is not None:
-        raise InputError(
-            "identify", value, other, f"--{units.inert} [{units.mass}]: the logs are of a {units.kind} axis"
-        )
-    return own
 
 
 def _text(found: Identification, out: Path) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from sgms_mhe.commands.common import Number, check_output_file, example, note, out_option, show
+from sgms_mhe.commands.common import Number, check_output_file, example, moved_mass, note, out_option, show
 from sgms_mhe.support.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,10 +57,11 @@ def command(
     """
     check_output_file(out, (".toml",))
 
-    from sgms_mhe.api.starting import Known, refuse_existing, start_text
+    from sgms_mhe.api.starting import Known, start_text
     from sgms_mhe.support.files import write_text
 
-    refuse_existing(out, force)
+    if out.exists() and not force:
+        raise InputError(out, "output file", None, "a new one; --force replaces it")
     if mass is not None and inertia is not None:
         raise InputError("start", "--inertia", inertia, "none beside --mass: an axis goes or turns")
     if logs:
@@ -96,8 +97,5 @@ def _from_logs(logs: tuple[Path, ...], name: str, mass: float | None, inertia: f
     from sgms_mhe.api.identification import identify
     from sgms_mhe.api.inputs import read_log
 
-    kind = read_log(logs[0]).units.kind
-    for option, value, own in (("--mass", mass, "linear"), ("--inertia", inertia, "rotary")):
-        if value is not None and kind != own:
-            raise InputError("start", option, value, f"none: the logs are of a {kind} axis")
-    return identify(logs, name, mass=mass if kind == "linear" else inertia, note=note).toml
+    read = [read_log(path, note=note) for path in logs]
+    return identify(read, name, mass=moved_mass("start", read[0].units, mass, inertia), note=note).toml

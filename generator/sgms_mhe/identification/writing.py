@@ -96,7 +96,7 @@ def machine_toml(units: Units, content: Mapping[str, Any], numbers: Sequence[Num
             lines += _elements(units, numbers)
     for effect in content.get("effects", ()):
         lines += ["", "[[effects]]"]
-        lines += [_line(key, entry, notes.get(f"{effect['name']}.{key}", "")) for key, entry in effect.items()]
+        lines += [commented_line(key, entry, notes.get(f"{effect['name']}.{key}", "")) for key, entry in effect.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -111,7 +111,7 @@ def checked(toml: str, content: Mapping[str, Any], path: Path) -> Machine:
 def _table(name: str, table: Mapping[str, Any], notes: Mapping[str, str]) -> list[str]:
     plain = {key: entry for key, entry in table.items() if not isinstance(entry, Mapping) or _inline(name)}
     lines = ["", f"[{name}]"] if plain else []
-    lines += [_line(key, entry, notes.get(f"{name}.{key}", "")) for key, entry in plain.items()]
+    lines += [commented_line(key, entry, notes.get(f"{name}.{key}", "")) for key, entry in plain.items()]
     for key, entry in table.items():
         if key not in plain and entry:
             lines += _table(f"{name}.{key}", entry, notes)
@@ -166,6 +166,7 @@ def wrapped(text: str) -> list[str]:
     return textwrap.wrap(text, COLUMNS, initial_indent="# ", subsequent_indent="#   ")
 
 
-def _line(key: str, value: Any, note: str) -> str:
+def commented_line(key: str, value: Any, note: str, column: int = COMMENT_COLUMN) -> str:
+    """A key, its value and a comment that begins in a column, or where the value ends."""
     line = toml_line(key, value)
-    return f"{line:<{COMMENT_COLUMN}} # {note}".rstrip() if note else line
+    return f"{line:<{column}} # {note}".rstrip() if note else line

@@ -19,7 +19,8 @@ T = TypeVar("T")
 VARIABLE: Final = "SGMS_MHE_WORKERS"
 """Environment variable that states how many pieces are worked on at a time."""
 
-_LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""Environment variables that state how many threads a numerical library takes."""
 
 _here = threading.local()
 
@@ -43,7 +44,7 @@ def leave_cores_to_tasks() -> None:
 
     Their matrices are small here: more threads of theirs wait for each other, on cores that tasks have work for.
     """
-    for name in _LIBRARIES:
+    for name in LIBRARIES:
         os.environ.setdefault(name, "1")
 
 

@@ -27,7 +27,7 @@ from typing import Any, Final
 from sgms_mhe import __version__
 from sgms_mhe.support.child import Answer, answered
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.parallel import VARIABLE, workers
+from sgms_mhe.support.parallel import LIBRARIES, VARIABLE, workers
 
 ATTEMPTS: Final = 2
 """A task whose process dies is tried again once: a neighbour may have taken all memory."""
@@ -36,7 +36,6 @@ FIRST_WORKER_S: Final = 60.0
 """How long a cluster may take to bring its first worker."""
 
 _TASKS_PER_CHILD: Final = 40
-_THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -272,7 +271,7 @@ def _environment(at_a_time: int) -> dict[str, str]:
     """Of a child: it finds what this process finds, and leaves the other cores to the other children."""
     stated = os.environ.get(VARIABLE) or str(max(1, workers() // at_a_time))
     paths = os.pathsep.join(path for path in sys.path if path)
-    return {**dict.fromkeys(_THREADS, "1"), **os.environ, VARIABLE: stated, "PYTHONPATH": paths}
+    return {**dict.fromkeys(LIBRARIES, "1"), **os.environ, VARIABLE: stated, "PYTHONPATH": paths}
 
 
 # --- this host --------------------------------------------------------------------------------------------------

@@ -1,8 +1,8 @@
 """Where a number of an axis is expected, and whether a log's leaves that band.
 
 From the axis's own earlier logs, where it has enough of them: the band of its first ones, which does not move with the
-later ones. Otherwise from the fleet: the newest logs of the other axes of
-the same machine, by median and median deviation, which a few bad ones do not move.
+later ones. Otherwise from the fleet: the newest logs of the other axes of the same machine, by median and median
+deviation, which a few bad ones do not move.
 
 Both are prediction intervals: with centre c and spread s over n values, c +- t s sqrt(1 + 1/n), t of the Student
 distribution with n - 1 degrees of freedom at `LEVEL`. s is no less than the standard deviations that the logs state.

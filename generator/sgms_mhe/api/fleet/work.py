@@ -92,8 +92,13 @@ def work(verb: Verb, row: Row, machine: Machine | None) -> dict[str, bytes]:
         return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
+def json_text(content: Any) -> str:
+    """A file of results as JSON."""
+    return json.dumps(finite(content), indent=1, allow_nan=False) + "\n"
+
+
 def _write_json(path: Path, content: Any) -> None:
-    path.write_text(json.dumps(finite(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    path.write_text(json_text(content), encoding="utf-8")
 
 
 def _diagnosed(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Result:

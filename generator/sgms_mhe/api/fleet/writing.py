@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -13,12 +12,11 @@ from typing import Any
 from sgms_mhe import __version__
 from sgms_mhe.api.fleet.bands import Course, Point
 from sgms_mhe.api.fleet.running import Done, Fleet
-from sgms_mhe.api.fleet.work import Number, Result
+from sgms_mhe.api.fleet.work import Number, Result, json_text
 from sgms_mhe.machine import OF_KIND, Kind
 from sgms_mhe.model.effects import reported_name
 from sgms_mhe.report import FleetCourse, FleetLog, FleetPoint, FleetTrend, write_fleet_report
 from sgms_mhe.support.files import write_text
-from sgms_mhe.support.json_values import finite
 
 _LINKED = ("report.html", "estimates.csv", "identification.json")
 
@@ -28,8 +26,7 @@ def write_fleet(fleet: Fleet, out: str | Path) -> Path:
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "results.csv", results_csv(fleet, folder))
-    content = json.dumps(finite(results_json(fleet, folder)), indent=1, allow_nan=False)
-    write_text(folder / "results.json", content + "\n")
+    write_text(folder / "results.json", json_text(results_json(fleet, folder)))
     logs = [_log(done, folder) for done in fleet.rows]
     return write_fleet_report(fleet.verb, str(fleet.table), logs, [_course(c, fleet) for c in fleet.courses], folder)
 
