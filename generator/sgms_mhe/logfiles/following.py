@@ -68,6 +68,11 @@ class FollowedText:
         self._rows: _Rows | None = None
 
     @property
+    def begun(self) -> bool:
+        """Whether the first samples were found."""
+        return self._rows is not None
+
+    @property
     def left_out(self) -> tuple[str, ...]:
         """Sentences on what was left out, once the text has ended."""
         lines = [] if self._rows is None else self._rows.left_out
