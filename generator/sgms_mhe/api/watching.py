@@ -41,6 +41,9 @@ AT_ONCE: Final = 20
 STRETCH_S: Final = 20.0
 """Length of the stretches of a log that comes in pieces whose columns are held against what an axis can leave."""
 
+LEAST_STRETCH_S: Final = 5.0
+"""Of the last stretch, where there were others."""
+
 
 class Clock(Protocol):
     """Time as it passes."""
@@ -295,9 +298,13 @@ class Watch:
         return estimates
 
     def judge(self) -> None:
-        """Hold the newest stretch of samples against what this axis can have left; one without motion tells nothing."""
+        """Hold the newest stretch of samples against what this axis can have left.
+
+        One without motion tells nothing, nor does a short rest behind others.
+        """
         pieces, self._stretch = self._stretch, []
-        if not pieces:
+        length = sum(map(len, pieces))
+        if length == 0 or length < min(self.course.samples, LEAST_STRETCH_S * self._machine.sampling.rate):
             return
         time_s, position, force = (
             np.concatenate([getattr(piece, name) for piece in pieces]) for name in ("time_s", "position_m", "force_N")

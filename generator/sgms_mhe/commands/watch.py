@@ -119,9 +119,9 @@ def command(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Run MACHINE's estimator along LOG as it is written, or as it was, and show what it says: friction, parameters
-    with their bounds, test ratio and status. Ends with a summary, after Ctrl-C too.
+    """Run MACHINE's estimator along LOG as it is written, or as it was, and show what it says.
 
+    Shown are friction, parameters with their bounds, test ratio and status; at the end, after Ctrl-C too, a summary.
     LOG is a log that is replayed; with --follow a text that grows; - for standard input, or a pipe. The numbers are
     those of estimate, to the last bit.
     """
@@ -156,15 +156,17 @@ def command(
         if watch.course.updates:
             if shown is not None:
                 shown.end(watch.course, ended, (*watch.doubts, *source.remarks, *([str(error)] if error else [])))
-            summary = {"log": name, "ended": ended, "remarks": [*watch.doubts, *source.remarks]} | watch.course.summary()
+            summary = {
+                "log": name,
+                "ended": ended,
+                "remarks": [*watch.doubts, *source.remarks],
+            } | watch.course.summary()
             text = json_text(resolved.plant.units.keyed(summary)) if as_json else _text(resolved, summary)
             show(text, *([] if out is None else [out]))
     _leave(ctx, interrupt, watch, error, name)
 
 
-def _source(
-    log: Path, machine: Machine, idle_s: float, speed: float, clock: Clock, *, follow: bool
-) -> Source:
+def _source(log: Path, machine: Machine, idle_s: float, speed: float, clock: Clock, *, follow: bool) -> Source:
     """Where the samples come from. Raises InputError for what cannot be read, or followed."""
     from sgms_mhe.api import watching
 

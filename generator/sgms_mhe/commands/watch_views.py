@@ -131,7 +131,7 @@ class Picture:
         friction, measured = float(last.friction_N[0]), float(last.friction_measured_N[0])
         shown = Text(f"{force(friction)}, measured {force(measured)}")
         top.add_row("friction", shown, self._trend(recent[:, 2]))
-        top.add_row("innovation", force(float(last.innovation_N[0])), self._trend(recent[:, 3]))
+        top.add_row("innovation", force(float(last.innovation_N[0])), "")
         ratio = f"{plain(float(last.test_ratio[0]))}, greatest {plain(greatest)} at {seconds(at)}"
         top.add_row("test ratio", ratio, self._trend(np.log(np.maximum(points[:, 2 * n_p], 1e-3))))
         table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
@@ -210,8 +210,15 @@ class GrowingEstimates:
         text = "".join(",".join(row) + "\n" for row in rows).encode()
         try:
             if self._stream is None:
-                self._stream = self._begun((",".join(columns) + "\n").encode())
-            self._write(self._stream, text)
+                header = (",".join(columns) + "\n").encode()
+                self._stream, self._size = self._opened(header)
+                text = text if self._size else header + text
+            done = 0
+            while done < len(text):
+                done += self._stream.write(text[done:])
+            self._size += len(text)
+        except BrokenPipeError:  # whoever read it has enough
+            raise
         except OSError as error:
             if not is_stream(self._path) and self._stream is not None:
                 os.truncate(self._path, self._size)
@@ -224,21 +231,13 @@ class GrowingEstimates:
         if self._stream is not None:
             self._stream.close()
 
-    def _begun(self, header: bytes) -> BinaryIO:
+    def _opened(self, header: bytes) -> tuple[BinaryIO, int]:
+        """(where rows go, bytes that are there): a new file with its header, or a stream as it is."""
         if is_stream(self._path):
-            stream: BinaryIO = self._path.open("wb", buffering=0)
-            self._write(stream, header)
-            return stream
+            return self._path.open("wb", buffering=0), 0
         with atomic_write(self._path) as whole:
             whole.write(header)
-        self._size = len(header)
-        return self._path.open("ab", buffering=0)
-
-    def _write(self, stream: BinaryIO, text: bytes) -> None:
-        done = 0
-        while done < len(text):
-            done += stream.write(text[done:])
-        self._size += len(text)
+        return self._path.open("ab", buffering=0), len(header)
 
 
 def view(source: str, every_s: float, now: Callable[[], float], *, quiet: bool) -> View:

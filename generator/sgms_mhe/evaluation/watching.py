@@ -30,7 +30,7 @@ WORDS: Final[Mapping[str, str]] = {
 }
 """What the flags of a status say, the gravest first."""
 
-FAULTS: Final = (REFUSED, "doubt", "overrun", "missing", "speed")
+FAULTS: Final = (REFUSED, "doubt", "overrun", "missing")
 """Flags of updates that something is wrong with, or was."""
 
 TREND_POINTS: Final = 2048
@@ -56,7 +56,7 @@ def status_words(status: int) -> str:
 
 
 class Trend:
-    """Rows of numbers over a whole run, as points that each stand for as many rows; twice as many when they are too many.
+    """Rows of numbers over a whole run, as points that each stand for as many of them: for more and more of them.
 
     Args:
         greatest: which numbers a point has the greatest of (k,); of the others it has the last.
@@ -94,7 +94,7 @@ class Trend:
 
 @dataclass
 class Episode:
-    """A stretch of updates with the same fault: name of the flag, its first and last update [s], how many there were."""
+    """A stretch of updates with the same fault: the flag's name, its first and last update [s], how many there were."""
 
     fault: str
     start_s: float
@@ -155,9 +155,7 @@ class Course:
             self.greatest = (float(ratio[top]), float(e.time_s[top]))
         self._find_episodes(e, flags, taken)
         self.trend.add(np.column_stack((e.parameters, e.std, e.test_ratio, flags["doubt"])))
-        self._recent.extend(
-            np.column_stack((e.time_s, e.friction_measured_N, e.friction_N, e.innovation_N, taken))
-        )
+        self._recent.extend(np.column_stack((e.time_s, e.friction_measured_N, e.friction_N, e.innovation_N, taken)))
         self.updates += len(e)
         self.measured += int(np.count_nonzero(taken))
         self.latest = _last(e)
@@ -191,9 +189,7 @@ class Course:
             if last is None
             else {
                 name: {"nominal": float(p), "estimate": float(value), "std": float(std)}
-                for name, p, value, std in zip(
-                    self.names, self.nominal, last.parameters[0], last.std[0], strict=True
-                )
+                for name, p, value, std in zip(self.names, self.nominal, last.parameters[0], last.std[0], strict=True)
             },
             "status": dict(self._counts),
             "status_s": {name: count * self.interval_s for name, count in self._counts.items()},

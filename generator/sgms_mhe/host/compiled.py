@@ -312,7 +312,7 @@ class RunningEstimator:
         self._taken = 0
 
     def take(self, piece: Log | Signals) -> Estimates:
-        """The updates of the samples that follow; of one kind throughout, through the package's signal chain or past it.
+        """The updates of the samples that follow; of one kind throughout, through the package's chain or past it.
 
         Args:
             piece: position and force, as of `estimate_log`, or aligned signals, as of `estimate`; of any length.

@@ -1,4 +1,4 @@
-"""A log in a text that grows: the same samples as of the whole file, from pieces of any size, as soon as they are there.
+"""A log in a text that grows: the samples of the whole file, from pieces of any size, as soon as they are there.
 
 What the first rows tell holds for the rest: encoding, dialect, columns, units, the step between samples. Where that is
 told follows from the bytes alone, never from how they came.
@@ -199,7 +199,12 @@ class _Rows:
         cells = Cells(path, dialect, hints)
         self._path = path
         self._table = Table(
-            "text", cells.columns, lambda names: cells.read(dialect, names), dialect.row, dialect.described, cells.stamped
+            "text",
+            cells.columns,
+            lambda names: cells.read(dialect, names),
+            dialect.row,
+            dialect.described,
+            cells.stamped,
         )
         kind, self._sources = choose_sources(path, self._table, hints, machine.plant.kind)
         for source in self._sources:

@@ -140,9 +140,7 @@ def _stamps(path: Path, dialect: Dialect, name: str, tokens: Sequence[str], cloc
         raise _refused(path, dialect, name, index, tokens[index], allowed) from None
 
 
-def _numbers(
-    path: Path, dialect: Dialect, name: str, tokens: Sequence[str], told: set[str], ahead: bool
-) -> Array:
+def _numbers(path: Path, dialect: Dialect, name: str, tokens: Sequence[str], told: set[str], ahead: bool) -> Array:
     """A column of numbers; `told`: names of the columns whose groups of thousands are known to be groups.
 
     Raises InputError that names the first field that is no number, or whose groups of thousands may be decimals: in a

@@ -118,9 +118,7 @@ def _masked(t: Traces, values: Array) -> Array:
     return np.where(t.used, values, np.nan)
 
 
-def line(
-    name: str, values: Array, role: Role, width: float = 1.3, dash: Sequence[int] | None = None
-) -> dict[str, Any]:
+def line(name: str, values: Array, role: Role, width: float = 1.3, dash: Sequence[int] | None = None) -> dict[str, Any]:
     """A curve."""
     return {"name": name, "packed": pack(values), "role": role, "width": width} | ({"dash": dash} if dash else {})
 

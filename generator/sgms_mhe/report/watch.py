@@ -19,7 +19,9 @@ RELOAD_S: Final = 2
 """Between two readings of the page while the run goes on [s]."""
 SHOWN_FAULTS: Final = 20
 """Rows of faults on the page."""
-_SIGNS: Final = {"certain": "✓", "undecided": "?", "failed": "!", "nothing": "–"}
+WIDEST: Final = 4.0
+"""Bounds over the newest ones that are drawn."""
+_SIGNS: Final = {"certain": "✓", "undecided": "?", "failed": "!"}
 _OPEN: Final = ("doubt", "overrun", "missing", "speed")
 """Flags with which an estimate is to be taken with care."""
 
@@ -61,8 +63,8 @@ def watch_content(watched: Watched) -> dict[str, Any]:
         "machine": machine.name,
         "description": machine.description,
         "source": watched.source,
-        "badge": _badge(status, live=not watched.ended),
-        "headline": f"{'Watched' if watched.ended else 'Live'}: {capital(status_words(status))}.",
+        "badge": _badge(watched, status),
+        "headline": f"{'At the end' if watched.ended else 'Live'}: {status_words(status)}.",
         "summary": f"{found['updates']} updates over {seconds(length)} of the log, {found['samples']} samples"
         + (f"; ended: {watched.ended}." if watched.ended else "."),
         "limits": {"title": "Mind this about the log", "choices": [], "others": list(watched.remarks)}
@@ -111,7 +113,7 @@ def watch_plots(course: Course) -> dict[str, Any]:
         | {
             "yLabel": f"friction [{unit}]",
             "zero": True,
-            "series": [line("measured", recent[:, 1], "measured"), line("estimated", recent[:, 2], "after", 1.6)],
+            "series": [line("measured", recent[:, 1], "measured", 2.2), line("estimated", recent[:, 2], "after", 1.2)],
         },
         "innovation": newest
         | {"yLabel": f"innovation [{unit}]", "zero": True, "series": [line("innovation", recent[:, 3], "before", 1.0)]},
@@ -133,6 +135,8 @@ def watch_plots(course: Course) -> dict[str, Any]:
         nominal = float(course.nominal[k])
         factor, shown = scaled_unit(nominal, split_name(name)[1])
         value, reach = points[:, k] / factor, 2.0 * points[:, n_p + k] / factor
+        # Bounds of the beginning, as wide as the prior's, would leave no room for anything else.
+        reach[reach > WIDEST * reach[-1]] = np.nan
         drawn[f"parameter_{k}"] = whole | {
             "unit": shown,
             "yLabel": f"[{shown}]" if shown else "",
@@ -146,11 +150,15 @@ def watch_plots(course: Course) -> dict[str, Any]:
     return drawn
 
 
-def _badge(status: int, *, live: bool) -> dict[str, str]:
-    """The newest status: green only where nothing is to be minded."""
-    flags = flags_of(status)
-    style = "failed" if status < 0 else "undecided" if set(flags) & set(_OPEN) else "certain"
-    return {"name": f"{'live' if live else 'ended'}: {flags[0]}", "style": style, "sign": _SIGNS[style]}
+def _badge(watched: Watched, status: int) -> dict[str, str]:
+    """Of a run that goes on the newest status, else what was seen: green only where nothing is to be minded."""
+    name = f"live: {flags_of(status)[0]}"
+    style = "failed" if status < 0 else "undecided" if set(flags_of(status)) & set(_OPEN) else "certain"
+    if watched.ended:
+        count = watched.course.faults
+        name = f"ended: {count or 'no'} {'fault' if count == 1 else 'faults'} seen"
+        style = style if style == "failed" else "undecided" if count or watched.remarks else "certain"
+    return {"name": name, "style": style, "sign": _SIGNS[style]}
 
 
 def _tiles(course: Course, found: dict[str, Any]) -> list[dict[str, str]]:
