@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sgms_mhe import __version__
 from sgms_mhe.evaluation.watching import WORDS, Course, flags_of, status_words
@@ -14,6 +15,8 @@ from sgms_mhe.report.plots import line, uniform
 from sgms_mhe.report.series import runs
 from sgms_mhe.report.units import COVERAGE, Reading, axis_units, force, plain, quantity, scaled_unit, split_name
 from sgms_mhe.report.words import base_words, capital, relative_change
+
+Array = NDArray[np.float64]
 
 RELOAD_S: Final = 2
 """Between two readings of the page while the run goes on [s]."""
@@ -106,8 +109,8 @@ def watch_content(watched: Watched) -> dict[str, Any]:
 def watch_plots(course: Course) -> dict[str, Any]:
     """What the page's plots draw, by their names."""
     unit = axis_units().force
-    recent = course.recent
-    newest = uniform(float(recent[0, 0]) if len(recent) else 0.0, course.interval_s) | {"group": "recent"}
+    recent = _spread(course.recent)
+    newest = uniform(float(recent[0, 0]), course.interval_s) | {"group": "recent"}
     drawn: dict[str, Any] = {
         "friction": newest
         | {
@@ -118,7 +121,7 @@ def watch_plots(course: Course) -> dict[str, Any]:
         "innovation": newest
         | {"yLabel": f"innovation [{unit}]", "zero": True, "series": [line("innovation", recent[:, 3], "before", 1.0)]},
     }
-    points, step, n_p = course.trend.points, course.trend.every * course.interval_s, len(course.names)
+    points, step, n_p = _spread(course.trend.points), course.trend.every * course.interval_s, len(course.names)
     whole = uniform(course.first_s + step - course.interval_s, step)
     ratio = np.where(points[:, 2 * n_p] > 0.0, points[:, 2 * n_p], np.nan)
     drawn["test_ratio"] = whole | {
@@ -135,8 +138,9 @@ def watch_plots(course: Course) -> dict[str, Any]:
         nominal = float(course.nominal[k])
         factor, shown = scaled_unit(nominal, split_name(name)[1])
         value, reach = points[:, k] / factor, 2.0 * points[:, n_p + k] / factor
-        # Bounds of the beginning, as wide as the prior's, would leave no room for anything else.
-        reach[reach > WIDEST * reach[-1]] = np.nan
+        if course.latest is not None:
+            # Bounds of the beginning, as wide as the prior's, would leave no room for anything else.
+            reach[reach > WIDEST * 2.0 * course.latest.std[0, k] / factor] = np.nan
         drawn[f"parameter_{k}"] = whole | {
             "unit": shown,
             "yLabel": f"[{shown}]" if shown else "",
@@ -148,6 +152,11 @@ def watch_plots(course: Course) -> dict[str, Any]:
             ],
         }
     return drawn
+
+
+def _spread(rows: Array) -> Array:
+    """At least two rows, so that an axis has a length."""
+    return rows if len(rows) > 1 else np.concatenate((rows, np.full((2 - len(rows), rows.shape[1]), np.nan)))
 
 
 def _badge(watched: Watched, status: int) -> dict[str, str]:
