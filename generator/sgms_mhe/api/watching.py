@@ -6,6 +6,7 @@ import math
 import os
 import select
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO, Final, Protocol
@@ -67,7 +68,7 @@ class HostClock:
         time.sleep(min(seconds, POLL_S))
 
 
-class Source:
+class Source(ABC):
     """Where samples come from.
 
     Attributes:
@@ -79,6 +80,7 @@ class Source:
         self.ended = ""
         self.remarks: list[str] = []
 
+    @abstractmethod
     def pieces(self, stopped: Callable[[], bool]) -> Iterator[Piece | None]:
         """Samples as they come, None where there are none now.
 
@@ -88,7 +90,6 @@ class Source:
         Raises:
             InputError: what comes is no log of the machine; all samples before it were yielded.
         """
-        raise NotImplementedError
 
 
 class Replay(Source):
@@ -168,9 +169,9 @@ class _Growing(Source):
             yield from self._text.end(whole=whole)
         self.remarks += self._text.left_out
 
+    @abstractmethod
     def _read(self) -> bytes | None:
         """What is there now, at most a block; None where the text is over and its last line whole."""
-        raise NotImplementedError
 
 
 class Followed(_Growing):

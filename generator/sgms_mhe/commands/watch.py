@@ -154,15 +154,12 @@ def command(
         watch.judge()
         ended = source.ended or ("an error" if error is not None else "interrupted")
         if watch.course.updates:
-            if shown is not None:
-                shown.end(watch.course, ended, (*watch.doubts, *source.remarks, *([str(error)] if error else [])))
-            summary = {
-                "log": name,
-                "ended": ended,
-                "remarks": [*watch.doubts, *source.remarks],
-            } | watch.course.summary()
+            remarks = [*watch.doubts, *source.remarks, *([str(error)] if error is not None else [])]
+            summary = {"log": name, "ended": ended, "remarks": remarks} | watch.course.summary()
             text = json_text(resolved.plant.units.keyed(summary)) if as_json else _text(resolved, summary)
             show(text, *([] if out is None else [out]))
+            if shown is not None:
+                shown.end(watch.course, ended, tuple(remarks))
     _leave(ctx, interrupt, watch, error, name)
 
 

@@ -37,6 +37,8 @@ MARKS: Final = ("▁▂▃▄▅▆▇█", "_.-=^")
 """Of a trend, the lowest first: of terminals with Unicode, and of others."""
 TREND: Final = 24
 """Marks of a trend."""
+WIDE: Final = 90
+"""Columns of a terminal that has room for the trends of parameters."""
 
 
 class View(Protocol):
@@ -135,17 +137,20 @@ class Picture:
         ratio = f"{plain(float(last.test_ratio[0]))}, greatest {plain(greatest)} at {seconds(at)}"
         top.add_row("test ratio", ratio, self._trend(np.log(np.maximum(points[:, 2 * n_p], 1e-3))))
         table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-        for head in ("parameter", "estimate, ± 2 sigma", "machine file", "change", "trend"):
+        heads: tuple[str, ...] = ("parameter", "estimate, ± 2 sigma", "machine file", "change", "trend")
+        heads = heads[: None if self._console.width >= WIDE else -1]
+        for head in heads:
             table.add_column(head, justify="left" if head in ("parameter", "trend") else "right", no_wrap=True)
         for k, name in enumerate(course.names):
             value, nominal = float(last.parameters[0, k]), float(course.nominal[k])
-            table.add_row(
+            cells = (
                 course.machine.plant.units.named(name),
                 str(bounded(name, value, float(last.std[0, k]))),
                 str(quantity(name, nominal)),
                 relative_change(nominal, value),
                 self._trend(points[:, k]),
             )
+            table.add_row(*cells[: len(heads)])
         counts = f"{course.updates} updates, faults seen: {course.faults}"
         title = f"{course.machine.name}  {self._source}  {seconds(float(last.time_s[0]))}"
         return Panel(Group(top, "", table), title=title, subtitle=counts, border_style="dim", title_align="left")

@@ -201,12 +201,14 @@ class Course:
     def _find_episodes(self, e: Estimates, flags: Mapping[str, NDArray[np.bool_]], taken: NDArray[np.bool_]) -> None:
         """Stretches with a fault. Readings are not missed before the first one: the signal chain settles."""
         begun = int(np.argmax(taken)) if taken.any() else len(taken)
+        seen: list[tuple[int, str]] = []
         for fault in FAULTS:
             at = np.flatnonzero(flags[fault])
             if fault == "missing" and self.measured == 0:
                 at = at[at > begun]
-            for time in e.time_s[at].tolist():
-                self._extend(fault, time)
+            seen += [(k, fault) for k in at.tolist()]
+        for k, fault in sorted(seen):
+            self._extend(fault, float(e.time_s[k]))
 
     def _extend(self, fault: str, time: float) -> None:
         last = self._open.get(fault)
