@@ -661,6 +661,7 @@ def test_a_file_is_followed_while_a_writer_appends_to_it(small: Path, tmp_path: 
 
         wait_for(lambda: all_there() or not in_lines(), watch)
         watch.send_signal(number)
+        watch.send_signal(number)  # as supervisors do, to a process and its group
         said, told = watch.communicate(timeout=LIMIT_S)
     assert writer.returncode == 0
     assert watch.returncode == 128 + number

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import signal
 import sys
+import time
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from sgms_mhe.commands.watch_views import GrowingEstimates, Page, View
     from sgms_mhe.machine import Machine
 
+TOGETHER_S: Final = 1.0
+"""Within so long signals are one: timeout(1) and some supervisors tell a process and its group."""
 SHOWN: Final = 10
 """Stretches with a fault that the text lists."""
 
@@ -47,10 +50,11 @@ class Speed(Number):
 
 
 class Interrupt:
-    """The first interrupt, or termination, asks for the end; the second one is as always."""
+    """The first interrupt, or termination, asks for the end; a second one, not sent along with it, is as always."""
 
     def __init__(self) -> None:
         self.number = 0
+        self._asked_s = 0.0
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Self:
@@ -69,9 +73,11 @@ class Interrupt:
         return self.number != 0
 
     def _ask(self, number: int, frame: FrameType | None) -> None:
-        if self.number:
+        now = time.monotonic()
+        if self.number and now - self._asked_s > TOGETHER_S:
             raise KeyboardInterrupt(signal.Signals(number))
-        self.number = number
+        if not self.number:
+            self.number, self._asked_s = number, now
 
 
 @click.command(
