@@ -12,18 +12,24 @@ import pytest
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
+from selenium.webdriver.support.ui import WebDriverWait
 
 import diagnosis_cases as cases
 from sgms_mhe.configuration import load_machine
+from sgms_mhe.evaluation.watching import Course
+from sgms_mhe.model import build_model
 from sgms_mhe.report import (
     FleetCourse,
     FleetLog,
     FleetPoint,
     FleetTrend,
+    Watched,
     write_fleet_report,
     write_refusal_report,
     write_report,
+    write_watch_page,
 )
+from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 
 Mode = Literal["light", "dark"]
@@ -422,6 +428,89 @@ def test_nothing_is_drawn_outside_of_a_drawing(browser: Browser, fleet: Path, wi
     assert headings[:2] == ["What failed", "What stands out"]
     said = browser.driver.find_element(By.TAG_NAME, "main").text
     assert "moves steadily: 0.100 ± 0.020 N" in said and "above the band" in said
+
+
+# --- the page over a run --------------------------------------------------------------------------------------------
+
+
+def course(updates: int) -> Course:
+    """A run with a stretch in doubt, samples missing and an update that was refused, where it is long enough."""
+    machine = load_machine("etel_xy")
+    model, k = build_model(machine), np.arange(updates)
+    status = np.select([k % 500 == 400, (k % 500 > 300) & (k % 500 < 380), k % 500 == 250, k < 20], [-2, 64, 2, 1], 0)
+    wave, n_p = np.sin(k / 30.0), len(model.parameters)
+    nominal = np.array([p.nominal for p in model.parameters])
+    run = Course(machine, model)
+    run.add(
+        Estimates(
+            time_s=0.01 * (k + 1),
+            friction_measured_N=4.0 * wave + 0.1,
+            friction_N=4.0 * wave,
+            z_m=np.zeros((updates, model.n_z)),
+            parameters=nominal * (1.0 + 0.1 * wave[:, None]),
+            std=nominal * (0.02 + 0.4 * np.exp(-k / 50.0))[:, None],
+            status=status.astype(np.int64),
+            innovation_N=0.1 * wave,
+            test_ratio=np.where(status == 64, 40.0, 0.5 + wave**2),
+            noise_scale=np.ones(updates),
+            parameter_names=tuple(p.column for p in model.parameters),
+        )
+    )
+    assert len(run.names) == n_p
+    return run
+
+
+RUNS = {
+    "one update": (1, "", ()),
+    "live": (300, "", ()),
+    "long, live": (9000, "", ("axis.csv, 0 to 20 s: column force_N: of the other sign " * 4,)),
+    "ended": (9000, "no new line for 10 s", ()),
+}
+"""Updates, why it ended, remarks."""
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("runs")
+    written = {name: folder / f"{name}.html" for name in RUNS}
+    for name, (updates, ended, remarks) in RUNS.items():
+        write_watch_page(written[name], Watched(course(updates), f"a/{'long/' * 20}path.csv", ended, remarks))
+    return written
+
+
+@pytest.mark.parametrize("name", RUNS)
+@ANY_WIDTH
+@EITHER_MODE
+def test_a_run_fits_the_window_and_can_be_read(
+    browser: Browser, runs: dict[str, Path], name: str, width: int, mode: Mode
+) -> None:
+    browser.requests(), browser.complaints()
+    browser.show(runs[name], width, mode)
+    assert set(browser.requests()) == {runs[name].as_uri()}
+    assert browser.complaints() == []
+    assert browser.ask(BEYOND_THE_WINDOW) == []
+    for text in browser.ask(TEXTS):
+        assert contrast(text["ink"], text["ground"]) >= CONTRAST, text["what"]
+    for plot in browser.ask(LABELS):
+        for i, one in enumerate(plot["texts"]):
+            assert not any(meet(one["box"], other["box"]) for other in plot["texts"][:i]), (plot["key"], one)
+    if name != "one update":
+        drawn = browser.ask(DRAWN)
+        assert drawn["parameter_0"]["after"] > 200 and drawn["friction"]["measured"] > 50, drawn
+
+
+def test_a_live_page_reads_itself_anew_and_the_last_one_stays(browser: Browser, tmp_path: Path) -> None:
+    path = tmp_path / "live.html"
+    write_watch_page(path, Watched(course(300), "log.csv", ""))
+    browser.show(path)
+    assert browser.driver.find_element(By.CLASS_NAME, "pill").text.endswith("live: good")
+    write_watch_page(path, Watched(course(301), "log.csv", "end of the log"))
+
+    def last(driver: webdriver.Chrome) -> bool:
+        return "ended" in str(driver.execute_script("return document.querySelector('.pill').textContent"))
+
+    WebDriverWait(browser.driver, 120.0).until(last)
+    assert "301 updates" in browser.driver.find_element(By.TAG_NAME, "main").text
 
 
 def test_a_page_that_asks_or_complains_is_noticed(browser: Browser, pages: dict[str, Path], tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ COMMANDS: Final = {
     "simulate": "simulate",
     "predict": "predict",
     "estimate": "estimate",
+    "watch": "watch",
     "compare": "compare",
     "identify": "identify",
     "tune": "tune",

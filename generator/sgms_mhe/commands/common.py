@@ -206,11 +206,11 @@ def show(text: str, *outputs: Path) -> None:
 
 def note(text: str) -> None:
     """Print a message on stderr, but where --quiet was given."""
-    if not _is_quiet():
+    if not is_quiet():
         click.echo(text, err=True)
 
 
-def _is_quiet() -> bool:
+def is_quiet() -> bool:
     """Whether `sgms-mhe --quiet` runs this command."""
     context = click.get_current_context(silent=True)
     return context is not None and bool(context.find_root().params.get("quiet"))
@@ -247,7 +247,7 @@ def steps_bar() -> Iterator[Callable[[str, float], None]]:
 
     A line says how much is done and how long the rest may take, once that can be told from the time so far.
     """
-    if sys.stderr.isatty() and not _is_quiet():
+    if sys.stderr.isatty() and not is_quiet():
         from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
         columns = (BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
@@ -269,7 +269,7 @@ def steps_bar() -> Iterator[Callable[[str, float], None]]:
 def progress_bar(label: str) -> Iterator[Progress]:
     """A bar on stderr where that is a terminal; yields what reports (steps done, steps in all) to it."""
     # Even where nothing is shown, work that reports returns to the interpreter and can be interrupted.
-    if _is_quiet() or not sys.stderr.isatty():
+    if is_quiet() or not sys.stderr.isatty():
         yield lambda done, total: None
         return
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn

@@ -230,16 +230,8 @@ class CompiledEstimator:
 
     def estimate(self, signals: Signals, *, progress: Progress | None = None) -> Estimates:
         """Estimate from aligned signals (the Python signal chain), prepare and feedback."""
-        arrays: dict[str, NDArray[Any]] = {
-            "position": signals.position,
-            "force": signals.force,
-            "velocity": signals.velocity,
-            "acceleration": signals.acceleration,
-            "friction": signals.friction,
-            "valid": signals.valid.astype(np.uint8),
-        }
-        run = self._run(self.start(), arrays, len(signals), "tasks", progress, delay=signals.delay)
-        return self._estimates(run, signals.time)
+        run = self._run(self.start(), _arrays(signals), len(signals), "tasks", progress, delay=signals.delay)
+        return self._estimates(run, signals.time[self._samples :: self._samples])
 
     def estimate_log(
         self, log: Log, *, mode: Literal["tasks", "tick"] = "tick", progress: Progress | None = None
@@ -248,7 +240,11 @@ class CompiledEstimator:
         run = self._run(
             self.start(), {"position": log.position_m, "force": log.force_N}, len(log.time_s), mode, progress
         )
-        return self._estimates(run, log.time_s)
+        return self._estimates(run, log.time_s[self._samples :: self._samples])
+
+    def running(self) -> RunningEstimator:
+        """A fresh estimator for samples that come one piece after the other."""
+        return RunningEstimator(self)
 
     def _run(
         self,
@@ -268,7 +264,7 @@ class CompiledEstimator:
             for name, a in arrays.items()
         }
         done = 0
-        chunk = samples if progress is None else _CHUNK * self._samples
+        chunk = max(samples, 1) if progress is None else _CHUNK * self._samples
         for first in range(0, samples, chunk):
             count = min(chunk, samples - first)
             series = _Series(samples=count, delay=delay)
@@ -287,11 +283,11 @@ class CompiledEstimator:
         return _Run(rows[:done], status[:done].astype(np.int64), compensation)
 
     def _estimates(self, run: _Run, time: Array) -> Estimates:
+        """Estimates of a run; `time` of the samples that end an interval, as many as there were updates."""
         n_z, n_p = self.model.n_z, self.model.n_p
-        nodes = self._samples * np.arange(1, len(run.rows) + 1)
         columns = np.split(run.rows, np.cumsum([1, 1, n_z, n_p, n_p]), axis=1)
         return Estimates(
-            time_s=time[nodes],
+            time_s=time[: len(run.rows)],
             friction_measured_N=columns[0][:, 0],
             friction_N=columns[1][:, 0],
             z_m=columns[2],
@@ -305,6 +301,45 @@ class CompiledEstimator:
             kind=self.model.machine.plant.kind,
             extra={"compensation_N": run.compensation},
         )
+
+
+class RunningEstimator:
+    """An estimator that goes on where it was: the numbers are those of one run over all pieces, to the last bit."""
+
+    def __init__(self, estimator: CompiledEstimator) -> None:
+        self._estimator = estimator
+        self._memory = estimator.start()
+        self._taken = 0
+
+    def take(self, piece: Log | Signals) -> Estimates:
+        """The updates of the samples that follow; of one kind throughout, through the package's chain or past it.
+
+        Args:
+            piece: position and force, as of `estimate_log`, or aligned signals, as of `estimate`; of any length.
+        """
+        arrays, mode, delay, time = (
+            ({"position": piece.position_m, "force": piece.force_N}, "tick", 0.0, piece.time_s)
+            if isinstance(piece, Log)
+            else (_arrays(piece), "tasks", piece.delay, piece.time)
+        )
+        run = self._estimator._run(self._memory, arrays, len(piece), mode, None, delay=delay)
+        samples = self._estimator._samples
+        # Updates are at the samples number 1, 2, ... times `samples`, counted from 0.
+        first = samples if self._taken == 0 else -self._taken % samples
+        self._taken += len(piece)
+        return self._estimator._estimates(run, time[first::samples])
+
+
+def _arrays(signals: Signals) -> dict[str, NDArray[Any]]:
+    """Aligned signals as the replay takes them."""
+    return {
+        "position": signals.position,
+        "force": signals.force,
+        "velocity": signals.velocity,
+        "acceleration": signals.acceleration,
+        "friction": signals.friction,
+        "valid": signals.valid.astype(np.uint8),
+    }
 
 
 class _Loop(ctypes.Structure):
@@ -376,7 +411,8 @@ class LoopCompensation:
         """What the estimator said at its updates, once the run that left `log` is over."""
         done = int(self._loop.updates)
         run = _Run(self._rows[:done], self._status[:done].astype(np.int64), self.force_N)
-        return self._estimator._estimates(run, log.time_s)
+        samples = self._estimator._samples
+        return self._estimator._estimates(run, log.time_s[samples::samples])
 
 
 def _compile(machine: Machine, package: Package | None, flags: Sequence[str], *sources: str) -> Path:

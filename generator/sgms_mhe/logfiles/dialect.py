@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 from sgms_mhe.logfiles.decimals import Mark, is_missing, is_number, told_by
 from sgms_mhe.logfiles.stamps import stamp_form
@@ -30,8 +30,9 @@ _SEARCHED: Final = 2000
 _SAYS: Final = "[log] of the machine file has"
 UNTOLD: Final = f'a number that is told: a decimal mark, or groups of thousands? {_SAYS} decimal = "," or decimal = "."'
 """What is wanted instead of 1,234, where nothing tells which of the two it is."""
-_LONGEST_SUMMARY: Final = 200
+LONGEST_SUMMARY: Final = 200
 """Lines after the data that may hold something else."""
+_END: Final = re.compile(r"\r\n|\n|\r")
 _NAMED: Final = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "spaces"}
 
 
@@ -48,6 +49,7 @@ class Dialect:
         rows: (line number, line) of every sample.
         before: lines before the header; `after`: lines after the last sample; `comments`: lines between samples that
             are none.
+        first: samples before these rows, where they are a piece of a text.
     """
 
     separator: str
@@ -59,6 +61,16 @@ class Dialect:
     before: int
     after: tuple[str, ...]
     comments: int
+    first: int = 0
+
+    def row(self, index: int) -> str:
+        """Where a sample stands."""
+        return f"row {self.first + index + 1} (line {self.rows[index][0]})"
+
+    @property
+    def lead(self) -> int:
+        """Index of the first field of a row that is a value."""
+        return _lead(self.rows[0][1], self.separator)
 
     @property
     def described(self) -> tuple[tuple[str, str], ...]:
@@ -87,13 +99,18 @@ def fields_of(line: str, separator: str) -> list[str]:
     return [part.strip().strip('"').strip() for part in parts]
 
 
+def lines_of(text: str) -> list[str]:
+    """Lines of Unix, Windows and old Mac."""
+    return _END.split(text)
+
+
 def find_dialect(path: Path, text: str, hints: LogMapping | None) -> Dialect:
     """Understand a text; `hints` are what [log] states of it. Raises InputError, with what to write where."""
-    lines = re.split(r"\r\n|\n|\r", text)
+    lines = lines_of(text)
     if not any(line.strip() for line in lines):
         raise InputError(path, "file", "nothing", "a header line with the columns' names and at least 2 rows")
     stated = None if hints is None else hints.header_line
-    filled = [(k + 1, line) for k, line in enumerate(lines) if k >= (stated or 0) and not _is_empty(line)]
+    filled = [(k + 1, line) for k, line in enumerate(lines) if k >= (stated or 0) and not is_empty(line)]
     separator, first, count = _data(path, filled, hints)
     last = _last(filled, first, separator)
     rows = tuple(filled[first : last + 1])
@@ -111,7 +128,7 @@ def find_dialect(path: Path, text: str, hints: LogMapping | None) -> Dialect:
         header_line,
         rows,
         sum(1 for line in before if line.strip()),
-        tuple(line.strip() for line in lines[rows[-1][0] :] if not _is_empty(line)),
+        tuple(line.strip() for line in lines[rows[-1][0] :] if not is_empty(line)),
         between,
     )
 
@@ -120,7 +137,7 @@ def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(_COMMENT)
 
 
-def _is_empty(line: str) -> bool:
+def is_empty(line: str) -> bool:
     """Whether a line is no row: blank, a comment, or separators alone, as spreadsheets write below their last row."""
     return not line.strip(" \t,;|") or _is_comment(line)
 
@@ -171,12 +188,21 @@ def _first_sample(filled: Sequence[tuple[int, str]], separator: str) -> int | No
 
 def _last(filled: Sequence[tuple[int, str]], first: int, separator: str) -> int:
     """Index of the last sample: lines after it begin with words where the data have values."""
-    lead = next(k for k, field in enumerate(fields_of(filled[first][1], separator)) if _is_value(field))
-    for k in range(len(filled) - 1, max(first, len(filled) - _LONGEST_SUMMARY), -1):
-        begins = next((field for field in fields_of(filled[k][1], separator)[lead:] if field), "")
-        if _is_value(begins) or is_missing(begins):
+    lead = _lead(filled[first][1], separator)
+    for k in range(len(filled) - 1, max(first, len(filled) - LONGEST_SUMMARY), -1):
+        if is_row(filled[k][1], separator, lead):
             return k
-    return first if len(filled) - first <= _LONGEST_SUMMARY else len(filled) - 1
+    return first if len(filled) - first <= LONGEST_SUMMARY else len(filled) - 1
+
+
+def _lead(line: str, separator: str) -> int:
+    return next(k for k, field in enumerate(fields_of(line, separator)) if _is_value(field))
+
+
+def is_row(line: str, separator: str, lead: int) -> bool:
+    """Whether a line begins as samples do: with a value, or nothing, in the field `lead` or the first behind it."""
+    begins = next((field for field in fields_of(line, separator)[lead:] if field), "")
+    return _is_value(begins) or is_missing(begins)
 
 
 def _header(
@@ -247,6 +273,18 @@ def _is_row_of_types(fields: Sequence[str]) -> bool:
     return len(fields) > 1 and all(field.upper() in _TYPES for field in fields[1:])
 
 
+def told_in(line: str, separator: str) -> tuple[Mark | Literal["either"] | None, str]:
+    """The decimal mark that a row tells, with the field that does; `either` where fields may be read in two ways."""
+    either = ""
+    if "," in line or "." in line:
+        for field in fields_of(line, separator):
+            told = told_by(field)
+            if told is not None and told != "either":
+                return told, field
+            either = either or (field if told is not None else "")
+    return ("either" if either else None), either
+
+
 def _decimal(path: Path, rows: Sequence[tuple[int, str]], separator: str, hints: LogMapping | None) -> Mark:
     if hints is not None and hints.decimal is not None:
         return hints.decimal
@@ -254,14 +292,11 @@ def _decimal(path: Path, rows: Sequence[tuple[int, str]], separator: str, hints:
         return "."
     either: tuple[int, str] | None = None
     for number, line in rows:
-        if "," not in line and "." not in line:
-            continue
-        for field in fields_of(line, separator):
-            told = told_by(field)
-            if told is not None and told != "either":
-                return told
-            if told is not None and either is None:
-                either = (number, field)
+        told, field = told_in(line, separator)
+        if told == "either":
+            either = either or (number, field)
+        elif told is not None:
+            return told
     if either is None:
         return "."
     raise InputError(path, f"line {either[0]}", either[1], UNTOLD)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,24 +20,76 @@ _MANY: Final = 50
 """A jump is one where it is so many times the largest of nearly all other steps."""
 
 
+class Turns:
+    """A recorded number that starts over after `period`, read at once or piece after piece, as one that goes on."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._last = np.empty(0)
+        self._correction = 0.0
+
+    def unwrap(self, values: Array) -> Array:
+        """The values (n,), those that are missing left out, with the jumps of all before them taken back."""
+        good = np.isfinite(values)
+        whole, known = values.copy(), values[good]
+        steps = np.diff(np.concatenate((self._last, known)))
+        half = self._period / 2.0
+        short = np.mod(steps + half, self._period) - half
+        short[(short == -half) & (steps > 0.0)] = half
+        corrections = np.where(np.abs(steps) < half, 0.0, short - steps)
+        # One sum in the order of samples, however many of them come at a time.
+        taken = np.cumsum(np.concatenate(([self._correction], corrections)))[1 if len(self._last) else 0 :]
+        whole[good] = known + taken[: len(known)]
+        if len(known):
+            self._last, self._correction = known[-1:], float(taken[-1])
+        return whole
+
+
+def turns_of(sources: tuple[Source, ...]) -> dict[str, Turns]:
+    """What is remembered of the columns that start over, by their names in the table."""
+    return {source.column: Turns(source.wrap) for source in sources if source.wrap is not None}
+
+
 def si_values(path: Path, table: Table, sources: tuple[Source, ...]) -> dict[str, Array]:
     """Columns of the log (n,) by their names, in SI units, all of one length.
 
     Raises InputError for a matrix without a row, columns of unequal length, and a position that starts over.
     """
     raw = table.read(sorted({source.column for source in sources}))
-    columns = {}
     for source in sources:
-        values = _vector(path, source, raw[source.column])
-        if source.quantity.role == "position":
-            values = _unwrapped(path, source, values, table.row)
-        columns[source.quantity.column] = _si(path, source, values, source.column in table.stamped)
+        if source.quantity.role == "position" and source.wrap is None:
+            _check_jumps(path, source, _vector(path, source, raw[source.column]), table.row)
+    columns = si_piece(path, table, sources, raw, turns_of(sources))
     length = len(columns["time_s"])
     for name, values in columns.items():
         if len(values) != length:
             raise InputError(path, f"column {name}", len(values), f"as many rows as time_s has, {length}")
         if name != "time_s" and length >= 2 and not np.isfinite(values).any():
             raise InputError(path, f"column {name}", "NaN throughout", "numbers, NaN only where a sample is missing")
+    return columns
+
+
+def si_piece(
+    path: Path, table: Table, sources: tuple[Source, ...], raw: Mapping[str, NDArray[Any]], turns: Mapping[str, Turns]
+) -> dict[str, Array]:
+    """Columns of a log, or of a piece of one, (n,) by their names, in SI units.
+
+    Args:
+        path: for messages.
+        table: that `raw` was read from.
+        sources: of the columns.
+        raw: values by their names in the table.
+        turns: of the same log, which remember the piece before.
+
+    Raises:
+        InputError: a matrix without a row; time stamps that are no time.
+    """
+    columns = {}
+    for source in sources:
+        values = _vector(path, source, raw[source.column])
+        if source.quantity.role == "position" and source.column in turns:
+            values = turns[source.column].unwrap(values)
+        columns[source.quantity.column] = _si(path, source, values, source.column in table.stamped)
     return columns
 
 
@@ -74,19 +126,12 @@ def _si(path: Path, source: Source, values: Array, stamped: bool) -> Array:
     return np.asarray((values * source.scale + source.offset) * factor + shift)
 
 
-def _unwrapped(path: Path, source: Source, values: Array, row: Callable[[int], str]) -> Array:
-    """A position that goes on where its recorded number starts over.
-
-    Raises InputError where it starts over and nothing says after how much.
-    """
+def _check_jumps(path: Path, source: Source, values: Array, row: Callable[[int], str]) -> None:
+    """Refuse a position that starts over where nothing says after how much."""
     good = np.flatnonzero(np.isfinite(values))
-    if source.wrap is not None:
-        whole = values.copy()
-        whole[good] = np.unwrap(values[good], period=source.wrap)
-        return whole
     steps = np.diff(values[good])
     if len(steps) < 100:
-        return values
+        return
     jumps = np.abs(steps)
     usual = float(np.quantile(jumps, 0.99))
     first = int(np.argmax(jumps))
@@ -97,4 +142,3 @@ def _unwrapped(path: Path, source: Source, values: Array, row: Callable[[int], s
             line = f'{column} = {{ variable = "{source.column}", unit = "{source.unit}", wrap = {period:.10g} }}'
             allowed = f"a position that goes on; where it starts over [log] of the machine file says so: {line}"
             raise InputError(path, f"{row(int(good[first + 1]))}, column {source.column}", seen, allowed)
-    return values

@@ -104,13 +104,17 @@ def log_of(reading: Reading, machine: Machine | None = None) -> Log:
     if reading.resampling is None:
         check_uniform(reading.path, reading.columns["time_s"], reading.timing, reading.table.row)
     rate = reading.timing.rate if reading.resampling is None else reading.resampling.rate
-    own = {quantity.column: quantity.role for quantity in QUANTITIES[reading.kind]}
-    field = {quantity.role: quantity.column for quantity in QUANTITIES["linear"]}
-    columns: dict[str, Any] = {field[own[name]]: values for name, values in reading.columns.items()}
-    log = Log(**columns, rate=rate, source=str(reading.path), kind=reading.kind)
+    log = Log(**fields_of_log(reading.kind, reading.columns), rate=rate, source=str(reading.path), kind=reading.kind)
     if machine is not None:
         check_rate(log, machine)
     return log
+
+
+def fields_of_log(kind: Kind, columns: Mapping[str, Array]) -> dict[str, Any]:
+    """Columns of an axis of this kind by their fields' names in `Log`."""
+    own = {quantity.column: quantity.role for quantity in QUANTITIES[kind]}
+    field = {quantity.role: quantity.column for quantity in QUANTITIES["linear"]}
+    return {field[own[name]]: values for name, values in columns.items()}
 
 
 def check_kind(source: str | Path, kind: Kind, columns: Iterable[str], machine: Machine) -> None:

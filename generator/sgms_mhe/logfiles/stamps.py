@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import date
 from typing import Final
 
@@ -35,44 +36,87 @@ def stamp_form(token: str) -> str | None:
     return next((name for name, form in _FORMS if form.fullmatch(token)), None) if ":" in token else None
 
 
-def seconds_of_stamps(tokens: Sequence[str], order: str | None) -> Array:
-    """Seconds since the first time stamp (n,), NaN where a field is empty; a time of day goes on over midnight.
+class Stamps:
+    """A column of time stamps, read at once or piece after piece.
 
-    Raises ValueError, with (index, what is allowed), for a field that is no stamp of the first one's form, and for
-    dates that are several and whose order nothing tells.
+    Args:
+        order: of dates with slashes, as [log] states it; None: what their numbers tell.
     """
-    first = next((token for token in tokens if not is_missing(token)), "")
-    name = stamp_form(first)
-    if name is None:
-        raise ValueError(0, "a time stamp")
-    form = dict(_FORMS)[name]
-    matches = [None if is_missing(token) else form.fullmatch(token) for token in tokens]
-    for k, (match, token) in enumerate(zip(matches, tokens, strict=True)):
-        if match is None and not is_missing(token):
-            raise ValueError(k, f"a time stamp like the first, {first}")
-    dates = [None if match is None else match.groupdict() for match in matches]
-    order = "ymd" if name == _FORMS[0][0] else order or _date_order(dates)
-    days: dict[tuple[str, str, str], int] = {}
-    nanoseconds: list[int | None] = []
-    for k, parts in enumerate(dates):
-        try:
-            nanoseconds.append(None if parts is None else _nanoseconds(parts, order, days))
-        except ValueError as error:
-            raise ValueError(k, str(error)) from None
-    if order is None and len(days) > 1:
-        allowed = 'day or month first? [log] of the machine file has dates = "dmy" or dates = "mdy"'
-        raise ValueError(0, allowed)
-    start = next(value for value in nanoseconds if value is not None)
-    since = np.array([np.nan if value is None else (value - start) / 1e9 for value in nanoseconds])
-    return since if days else _over_midnight(since)
+
+    def __init__(self, order: str | None) -> None:
+        self._stated = order
+        self._form = ""
+        self._first: tuple[str, dict[str, str | None]] | None = None
+        self._dates: set[tuple[str, str, str]] = set()
+        self._order: str | None = None
+        self._days: dict[tuple[str, str, str], int] = {}
+        self._last = math.nan
+        self._midnights = 0
+
+    def seconds(self, tokens: Sequence[str]) -> Array:
+        """Seconds since the first time stamp of all (n,), NaN where a field is empty.
+
+        A time of day goes on over midnight. Raises ValueError, with (index, what is allowed), for a field that is no
+        stamp of the first one's form, and for dates that are several and whose order nothing tells.
+        """
+        found = self._parts(tokens)
+        if self._first is None:
+            return np.full(len(tokens), np.nan)
+        self._dates |= {(p["a"] or "", p["b"] or "", p["mark"] or "") for p in found if p is not None and "mark" in p}
+        order = "ymd" if self._form == _FORMS[0][0] else self._stated or _date_order(self._dates)
+        if order != self._order:
+            self._order, self._days = order, {}
+        nanoseconds: list[int | None] = []
+        for k, parts in enumerate(found):
+            try:
+                nanoseconds.append(None if parts is None else _nanoseconds(parts, order, self._days))
+            except ValueError as error:
+                raise ValueError(k, str(error)) from None
+        if order is None and len(self._days) > 1:
+            allowed = 'day or month first? [log] of the machine file has dates = "dmy" or dates = "mdy"'
+            raise ValueError(0, allowed)
+        start = _nanoseconds(self._first[1], order, self._days)
+        since = np.array([np.nan if value is None else (value - start) / 1e9 for value in nanoseconds])
+        return since if self._dates else self._over_midnight(since)
+
+    def _parts(self, tokens: Sequence[str]) -> list[dict[str, str | None] | None]:
+        """Each stamp in its parts, None where a field is empty."""
+        if self._first is None:
+            k, first = next(((k, t) for k, t in enumerate(tokens) if not is_missing(t)), (0, ""))
+            name = stamp_form(first)
+            if name is None:
+                if not first:
+                    return [None] * len(tokens)
+                raise ValueError(k, "a time stamp")
+            self._form = name
+            match = dict(_FORMS)[name].fullmatch(first)
+            self._first = (first, {} if match is None else match.groupdict())
+        form = dict(_FORMS)[self._form]
+        found: list[dict[str, str | None] | None] = []
+        for k, token in enumerate(tokens):
+            match = None if is_missing(token) else form.fullmatch(token)
+            if match is None and not is_missing(token):
+                raise ValueError(k, f"a time stamp like the first, {self._first[0]}")
+            found.append(None if match is None else match.groupdict())
+        return found
+
+    def _over_midnight(self, since: Array) -> Array:
+        """Times of day that go on counting after midnight."""
+        good = np.flatnonzero(np.isfinite(since))
+        if len(good):
+            back = np.diff(since[good], prepend=self._last) < -0.5 * _DAY
+            self._last = float(since[good[-1]])
+            midnights = self._midnights + np.cumsum(back)
+            self._midnights = int(midnights[-1])
+            since[good] += _DAY * midnights
+        return since
 
 
-def _date_order(dates: Sequence[dict[str, str | None] | None]) -> str | None:
-    """Day or month first, as the numbers or the marks between them tell."""
-    numbers = {(p["a"] or "", p["b"] or "", p["mark"]) for p in dates if p is not None and "mark" in p}
-    if any(mark == "." or int(a) > 12 for a, _, mark in numbers):
+def _date_order(dates: Iterable[tuple[str, str, str]]) -> str | None:
+    """Day or month first, as the numbers of dates or the marks between them tell."""
+    if any(mark == "." or int(a) > 12 for a, _, mark in dates):
         return "dmy"
-    return "mdy" if any(int(b) > 12 for _, b, _ in numbers) else None
+    return "mdy" if any(int(b) > 12 for _, b, _ in dates) else None
 
 
 def _nanoseconds(parts: dict[str, str | None], order: str | None, days: dict[tuple[str, str, str], int]) -> int:
@@ -97,11 +141,3 @@ def _nanoseconds(parts: dict[str, str | None], order: str | None, days: dict[tup
     ahead = (int(zone[1:3]) * 60 + int(zone[-2:])) * (-60 if zone[0] == "-" else 60) if zone[0] in "+-" else 0
     fraction = int((parts["frac"] or "0").ljust(12, "0")) // 1000
     return (day * _DAY + hour * 3600 + minute * 60 + second - ahead) * 10**9 + fraction
-
-
-def _over_midnight(since: Array) -> Array:
-    """Times of day that go on counting after midnight."""
-    good = np.flatnonzero(np.isfinite(since))
-    back = np.diff(since[good]) < -0.5 * _DAY
-    since[good[1:]] += _DAY * np.cumsum(back)
-    return since

@@ -10,7 +10,7 @@ import numpy as np
 from sgms_mhe.logfiles.decimals import is_number, told_by, value_of
 from sgms_mhe.logfiles.dialect import UNTOLD, Dialect, fields_of, find_dialect
 from sgms_mhe.logfiles.encoding import decode
-from sgms_mhe.logfiles.stamps import seconds_of_stamps, stamp_form
+from sgms_mhe.logfiles.stamps import Stamps, stamp_form
 from sgms_mhe.logfiles.table import Array, Table, columns_of
 from sgms_mhe.machine import LogMapping
 from sgms_mhe.support.errors import InputError
@@ -20,37 +20,7 @@ def read_text(path: Path, hints: LogMapping | None) -> Table:
     """The table of a text. Raises InputError, with what to write where; OSError as open does."""
     text, encoding = decode(path, path.read_bytes(), None if hints is None else hints.encoding)
     dialect = find_dialect(path, text, hints)
-    columns = columns_of(dialect.names, dialect.units)
-    indices = {column.name: k for k, column in enumerate(columns)}
-    order = None if hints is None else hints.dates
-    stated = hints is not None and hints.decimal is not None
-    # The first row that has something in a column tells whether it holds time stamps.
-    probe = [fields_of(line, dialect.separator) for _, line in dialect.rows[:_PROBE]]
-    stamped = {
-        name
-        for name, k in indices.items()
-        if stamp_form(next((fields[k] for fields in probe if k < len(fields) and fields[k]), ""))
-    }
-
-    def read(names: Sequence[str]) -> Mapping[str, Array]:
-        wanted = {name: indices[name] for name in names}
-        plain = None if stamped & set(names) else _plainly(path, dialect, list(wanted.values()))
-        if plain is not None:
-            return dict(zip(names, plain, strict=True))
-        cells = [fields_of(line, dialect.separator) for _, line in dialect.rows]
-        for index, fields in enumerate(cells):
-            _check_length(path, dialect, index, len(fields))
-        columns = {name: [fields[k] for fields in cells] for name, k in wanted.items()}
-        return {
-            name: _stamps(path, dialect, name, tokens, order)
-            if name in stamped
-            else _numbers(path, dialect, name, tokens, stated)
-            for name, tokens in columns.items()
-        }
-
-    def row(index: int) -> str:
-        return f"row {index + 1} (line {dialect.rows[index][0]})"
-
+    cells = Cells(path, dialect, hints)
     left = (
         f"{len(dialect.after)} lines after the last sample are left out, the first: {dialect.after[0][:80]}"
         if dialect.after
@@ -58,11 +28,11 @@ def read_text(path: Path, hints: LogMapping | None) -> Table:
     )
     return Table(
         "text",
-        columns,
-        read,
-        row,
+        cells.columns,
+        lambda names: Cells(path, dialect, hints).read(dialect, names),
+        dialect.row,
         (("encoding", encoding), *dialect.described),
-        frozenset(stamped),
+        cells.stamped,
         (left,) if left else (),
     )
 
@@ -70,15 +40,74 @@ def read_text(path: Path, hints: LogMapping | None) -> Table:
 _PROBE = 1000
 
 
+class Cells:
+    """The columns of a text, read at once or piece after piece: what earlier rows told holds for later ones.
+
+    Args:
+        path: of the text, for messages.
+        dialect: of the whole text, or of its beginning.
+        hints: what [log] states of it.
+
+    Attributes:
+        columns: everything that the header names.
+        stamped: names of the columns that hold time stamps.
+    """
+
+    def __init__(self, path: Path, dialect: Dialect, hints: LogMapping | None) -> None:
+        self._path = path
+        self.columns = columns_of(dialect.names, dialect.units)
+        self._indices = {column.name: k for k, column in enumerate(self.columns)}
+        # The first row that has something in a column tells whether it holds time stamps.
+        probe = [fields_of(line, dialect.separator) for _, line in dialect.rows[:_PROBE]]
+        self.stamped = frozenset(
+            name
+            for name, k in self._indices.items()
+            if stamp_form(next((fields[k] for fields in probe if k < len(fields) and fields[k]), ""))
+        )
+        order = None if hints is None else hints.dates
+        self._clocks = {name: Stamps(order) for name in self.stamped}
+        stated = hints is not None and hints.decimal is not None
+        # Columns whose groups of thousands are known to be groups.
+        self._told = set(self._indices) if stated else set[str]()
+
+    def read(self, dialect: Dialect, names: Sequence[str], *, ahead: bool = True) -> Mapping[str, Array]:
+        """Columns (n,) of the dialect's rows, which follow those that were read before.
+
+        Args:
+            dialect: with these rows.
+            names: of the columns.
+            ahead: whether a row may tell of those before it what their groups of thousands are.
+
+        Raises:
+            InputError: names the first row with another number of fields, or field that is no number.
+        """
+        path = self._path
+        wanted = {name: self._indices[name] for name in names}
+        plain = None if self.stamped & set(names) else read_plainly(path, dialect, list(wanted.values()))
+        if plain is not None:
+            return dict(zip(names, plain, strict=True))
+        cells = [fields_of(line, dialect.separator) for _, line in dialect.rows]
+        for index, fields in enumerate(cells):
+            _check_length(path, dialect, index, len(fields))
+        columns = {name: [fields[k] for fields in cells] for name, k in wanted.items()}
+        return {
+            name: _stamps(path, dialect, name, tokens, self._clocks[name])
+            if name in self.stamped
+            else _numbers(path, dialect, name, tokens, self._told, ahead)
+            for name, tokens in columns.items()
+        }
+
+
 def _check_length(path: Path, dialect: Dialect, index: int, found: int) -> None:
     """Refuse a row with more or fewer fields than the header has names."""
     count = len(dialect.names)
     if found != count:
-        where = f"row {index + 1} (line {dialect.rows[index][0]})"
-        raise InputError(path, where, f"{found} fields", f"{count} fields, as many as the header has names")
+        raise InputError(
+            path, dialect.row(index), f"{found} fields", f"{count} fields, as many as the header has names"
+        )
 
 
-def _plainly(path: Path, dialect: Dialect, indices: Sequence[int]) -> list[Array] | None:
+def read_plainly(path: Path, dialect: Dialect, indices: Sequence[int]) -> list[Array] | None:
     """The columns, by numpy's reader, where every field of theirs is a plain number; else None."""
     lines = [line for _, line in dialect.rows]
     separator = dialect.separator
@@ -99,24 +128,23 @@ def _plainly(path: Path, dialect: Dialect, indices: Sequence[int]) -> list[Array
 
 
 def _refused(path: Path, dialect: Dialect, name: str, index: int, token: str, allowed: str) -> InputError:
-    where = f"row {index + 1} (line {dialect.rows[index][0]}), column {name}"
-    return InputError(path, where, token, allowed)
+    return InputError(path, f"{dialect.row(index)}, column {name}", token, allowed)
 
 
-def _stamps(path: Path, dialect: Dialect, name: str, tokens: Sequence[str], order: str | None) -> Array:
+def _stamps(path: Path, dialect: Dialect, name: str, tokens: Sequence[str], clock: Stamps) -> Array:
     """A column of time stamps [s]. Raises InputError that names the first field that is none."""
     try:
-        return seconds_of_stamps(tokens, order)
+        return clock.seconds(tokens)
     except ValueError as error:
         index, allowed = error.args
         raise _refused(path, dialect, name, index, tokens[index], allowed) from None
 
 
-def _numbers(path: Path, dialect: Dialect, name: str, tokens: Sequence[str], stated: bool) -> Array:
-    """A column of numbers; `stated`: [log] says the decimal mark.
+def _numbers(path: Path, dialect: Dialect, name: str, tokens: Sequence[str], told: set[str], ahead: bool) -> Array:
+    """A column of numbers; `told`: names of the columns whose groups of thousands are known to be groups.
 
     Raises InputError that names the first field that is no number, or whose groups of thousands may be decimals: in a
-    column where no number has both marks, or two groups.
+    column where no number, or with not `ahead` none before it, has both marks, or two groups.
     """
     values = np.empty(len(tokens))
     other = "," if dialect.decimal == "." else "."
@@ -127,9 +155,13 @@ def _numbers(path: Path, dialect: Dialect, name: str, tokens: Sequence[str], sta
             mark, remedy = _MARKS[dialect.decimal]
             allowed = f"a number with a decimal {mark}, or NaN{remedy if is_number(token) else ''}"
             raise _refused(path, dialect, name, k, token, allowed) from None
-    grouped = [k for k, token in enumerate(tokens) if other in token]
-    if grouped and not stated and not any(told_by(tokens[k]) == dialect.decimal for k in grouped):
-        raise _refused(path, dialect, name, grouped[0], tokens[grouped[0]], UNTOLD)
+    if name not in told:
+        grouped = [k for k, token in enumerate(tokens) if other in token]
+        telling = next((k for k in grouped if told_by(tokens[k]) == dialect.decimal), None)
+        if grouped and (telling is None or (telling > grouped[0] and not ahead)):
+            raise _refused(path, dialect, name, grouped[0], tokens[grouped[0]], UNTOLD)
+        if grouped:
+            told.add(name)
     return values
 
 

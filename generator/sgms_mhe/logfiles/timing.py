@@ -51,21 +51,8 @@ def measure_time(path: Path, time: Array, row: Callable[[int], str]) -> Timing:
     """Measure the clock. Raises InputError for fewer than two samples, and where time is absent, stands or falls."""
     if len(time) < 2:
         raise InputError(path, "rows", len(time), "at least 2 rows, better some seconds of motion")
+    check_rising(path, time, row)
     steps = np.diff(time)
-    with np.errstate(invalid="ignore"):
-        sound = np.isfinite(time[1:]) & (steps > 0)
-    if not np.isfinite(time[0]):
-        raise InputError(path, f"{row(0)}, column time_s", float(time[0]), "a finite time in every row")
-    if not sound.all():
-        first = int(np.argmin(sound)) + 1
-        value = float(time[first])
-        if not np.isfinite(value):
-            allowed = "a finite time in every row"
-        elif steps[first - 1] == 0.0:
-            allowed = "a time after the previous row's (duplicate time: are the time stamps coarser than the samples?)"
-        else:
-            allowed = f"a time after the previous row's {time[first - 1]:.9g} s (time decreases)"
-        raise InputError(path, f"{row(first)}, column time_s", value, allowed)
     usual = float(np.median(steps))
     within = steps[steps <= GAP * usual]
     duration = float(time[-1] - time[0])
@@ -82,14 +69,40 @@ def measure_time(path: Path, time: Array, row: Callable[[int], str]) -> Timing:
     )
 
 
+def check_rising(path: Path, time: Array, row: Callable[[int], str]) -> None:
+    """Refuse a time that is absent, stands or falls, with the first row where it does."""
+    steps = np.diff(time)
+    with np.errstate(invalid="ignore"):
+        sound = np.isfinite(time[1:]) & (steps > 0)
+    if not np.isfinite(time[0]):
+        raise InputError(path, f"{row(0)}, column time_s", float(time[0]), "a finite time in every row")
+    if not sound.all():
+        first = int(np.argmin(sound)) + 1
+        value = float(time[first])
+        if not np.isfinite(value):
+            allowed = "a finite time in every row"
+        elif steps[first - 1] == 0.0:
+            allowed = "a time after the previous row's (duplicate time: are the time stamps coarser than the samples?)"
+        else:
+            allowed = f"a time after the previous row's {time[first - 1]:.9g} s (time decreases)"
+        raise InputError(path, f"{row(first)}, column time_s", value, allowed)
+
+
 def check_uniform(path: Path, time: Array, timing: Timing, row: Callable[[int], str]) -> None:
     """Refuse uneven time, with the first row that is off."""
-    if timing.uniform:
-        return
+    if not timing.uniform:
+        check_steps(path, time, timing.step, row)
+
+
+def check_steps(path: Path, time: Array, step: float, row: Callable[[int], str]) -> None:
+    """Refuse time whose steps are not `step` [s] within what a log may have, with the first row that is off."""
     steps = np.diff(time)
-    first = int(np.argmax(np.abs(steps - timing.step) > JITTER * timing.step))
+    uneven = np.abs(steps - step) > JITTER * step
+    if not uneven.any():
+        return
+    first = int(np.argmax(uneven))
     allowed = (
-        f"uniform time within 1 %: a step of {timing.step:.9g} s, not {steps[first]:.9g} s "
+        f"uniform time within 1 %: a step of {step:.9g} s, not {steps[first]:.9g} s "
         "(a missing sample keeps its row, with NaN; [log] of the machine file has resample = true for uneven time)"
     )
     raise InputError(path, f"{row(first + 1)}, column time_s", float(time[first + 1]), allowed)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from sgms_mhe.report.estimator import EstimatorGain, EstimatorRun, Wander, closed_loop_gain
 from sgms_mhe.report.fleet import FleetCourse, FleetLog, FleetPoint, FleetTrend
-from sgms_mhe.report.page import write_fleet_report, write_refusal_report, write_report
+from sgms_mhe.report.page import write_fleet_report, write_refusal_report, write_report, write_watch_page
+from sgms_mhe.report.watch import Watched
 
 __all__ = [
     "EstimatorGain",
@@ -14,8 +15,10 @@ __all__ = [
     "FleetPoint",
     "FleetTrend",
     "Wander",
+    "Watched",
     "closed_loop_gain",
     "write_fleet_report",
     "write_refusal_report",
     "write_report",
+    "write_watch_page",
 ]

@@ -21,6 +21,7 @@ from sgms_mhe.report.plots import log_plots, plots
 from sgms_mhe.report.rivals import rivals_in_place
 from sgms_mhe.report.series import views
 from sgms_mhe.report.units import in_units
+from sgms_mhe.report.watch import Watched, watch_content, watch_plots
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.files import write_text
 
@@ -118,6 +119,12 @@ def write_fleet_report(
     page = fleet_content(verb, table, logs, courses)
     write_text(path, _html("fleet.html.jinja", page, {}, style="fleet.css"))
     return path
+
+
+def write_watch_page(path: Path, watched: Watched) -> None:
+    """Write the page over a run; atomically, so that it is whole whenever it is read."""
+    with in_units(watched.course.machine.plant.units):
+        write_text(path, _html("watch.html.jinja", watch_content(watched), watch_plots(watched.course)))
 
 
 def _html(template: str, page: dict[str, Any], drawn: dict[str, Any], *, style: str = "") -> str:

@@ -35,17 +35,17 @@ def plots(diagnosis: Diagnosis, views: Sequence[View], rivals: Sequence[InPlace]
     t, unit = diagnosis.traces, axis_units().force
     extended = diagnosis.extended is not None
     common = _over_time(t)
-    simulated = [_line("simulated, machine file as it is", _masked(t, t.nominal_N), "before")]
-    residuals = [_line("residual, machine file as it is", _masked(t, t.residual_before), "before", 1.0)]
+    simulated = [line("simulated, machine file as it is", _masked(t, t.nominal_N), "before")]
+    residuals = [line("residual, machine file as it is", _masked(t, t.residual_before), "before", 1.0)]
     if extended:
         after = _masked(t, t.held_out_fit_N)
-        simulated.append(_line("simulated, extended", after, "after", dash=[7, 4], width=1.6))
-        residuals.append(_line("residual, extended", _masked(t, t.residual_after), "after", 1.0))
+        simulated.append(line("simulated, extended", after, "after", dash=[7, 4], width=1.6))
+        residuals.append(line("residual, extended", _masked(t, t.residual_after), "after", 1.0))
     content: dict[str, Any] = {
         "friction": common
         | {
             "yLabel": f"friction [{unit}]",
-            "series": [_line("measured", _masked(t, t.friction_N), "measured", 1.8), *simulated],
+            "series": [line("measured", _masked(t, t.friction_N), "measured", 1.8), *simulated],
         },
         "residual": common | {"yLabel": f"residual [{unit}]", "zero": True, "series": residuals},
         "motion": common | _position(t.position_m),
@@ -61,12 +61,12 @@ def log_plots(log: Log) -> dict[str, Any]:
     """Force and position of a log that nothing was fitted to."""
     every = -(-len(log) // MOST_SAMPLES)
     units = axis_units()
-    common = _uniform(0.0, every / log.rate)
+    common = uniform(0.0, every / log.rate)
     force = {
         "yLabel": f"{units.push} [{units.force}]",
         "unit": units.force,
         "zero": True,
-        "series": [_line(units.push, log.force_N[::every], "measured")],
+        "series": [line(units.push, log.force_N[::every], "measured")],
     }
     return {"log_force": common | force, "log_position": common | _position(log.position_m[::every])}
 
@@ -78,8 +78,8 @@ def _rival(rival: InPlace, t: Traces, common: Mapping[str, Any]) -> dict[str, An
         "zero": True,
         "series": [
             # The one that leaves less hides less of the other.
-            _line(f"residual with {rival.words}", _masked(t, rival.fit.residual_N), "rival", 1.0),
-            _line(f"residual with {rival.cause_words}", _masked(t, t.residual_after), "after", 1.0),
+            line(f"residual with {rival.words}", _masked(t, rival.fit.residual_N), "rival", 1.0),
+            line(f"residual with {rival.cause_words}", _masked(t, t.residual_after), "after", 1.0),
         ],
     }
     pair = _Pair(("after", rival.cause_words), ("rival", rival.words))
@@ -89,13 +89,13 @@ def _rival(rival: InPlace, t: Traces, common: Mapping[str, Any]) -> dict[str, An
 
 def _over_time(t: Traces) -> dict[str, Any]:
     step = 1.0 / t.rate
-    return _uniform(float(t.time_s[0]) if len(t.time_s) else 0.0, step) | {
+    return uniform(float(t.time_s[0]) if len(t.time_s) else 0.0, step) | {
         "shaded": [(float(t.time_s[a]), float(t.time_s[b - 1]) + step) for a, b in runs(t.held_out)]
     }
 
 
-def _uniform(start: float, step: float) -> dict[str, Any]:
-    """What plots over a uniform time share."""
+def uniform(start: float, step: float) -> dict[str, Any]:
+    """What plots over a uniform time share: from `start`, a value every `step` [s]."""
     return {
         "uniform": True,
         "start": start,
@@ -110,7 +110,7 @@ def _uniform(start: float, step: float) -> dict[str, Any]:
 def _position(position: Array) -> dict[str, Any]:
     length = axis_units().position
     factor, unit = (1e3, f"m{length}") if np.nanmax(position) - np.nanmin(position) > 1e-3 else (1e6, f"µ{length}")
-    series = [_line("position", position * factor, "measured")]
+    series = [line("position", position * factor, "measured")]
     return {"yLabel": f"position [{unit}]", "unit": unit, "series": series}
 
 
@@ -118,9 +118,8 @@ def _masked(t: Traces, values: Array) -> Array:
     return np.where(t.used, values, np.nan)
 
 
-def _line(
-    name: str, values: Array, role: Role, width: float = 1.3, dash: Sequence[int] | None = None
-) -> dict[str, Any]:
+def line(name: str, values: Array, role: Role, width: float = 1.3, dash: Sequence[int] | None = None) -> dict[str, Any]:
+    """A curve."""
     return {"name": name, "packed": pack(values), "role": role, "width": width} | ({"dash": dash} if dash else {})
 
 

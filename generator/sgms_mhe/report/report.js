@@ -299,7 +299,7 @@
       }
       if ((spec.shaded || []).length) {
         const note = document.createElement("span"), swatch = document.createElement("i");
-        swatch.className = "held"; note.append(swatch, "kept from the fit"); node.append(note);
+        swatch.className = "held"; note.append(swatch, spec.shadedName || "kept from the fit"); node.append(note);
       }
       this.where = document.createElement("output"); this.where.className = "where"; node.append(this.where);
       const reset = document.createElement("button");

@@ -85,13 +85,7 @@ def reading(value: float, unit: str, std: float = math.nan) -> Reading:
     """A value in SI (a ratio in units of one) with its 95 % interval."""
     if not math.isfinite(value):
         return Reading("–", "", "")
-    factor, shown = 1.0, unit
-    if unit == "%":
-        factor = 0.01
-    elif unit == "rad":
-        factor, shown = math.pi / 180.0, "°"
-    elif unit in _PREFIXES:
-        factor, shown = _prefix(value if value != 0.0 else COVERAGE * std, unit)
+    factor, shown = scaled_unit(value if value != 0.0 else COVERAGE * std, unit)
     number, spread = value / factor, COVERAGE * std / factor
     if not math.isfinite(spread) or spread <= 0.0:
         return Reading(plain(number), "", shown)
@@ -104,6 +98,15 @@ def reading(value: float, unit: str, std: float = math.nan) -> Reading:
         return Reading(plain(number), plain(spread, 2), shown)
     decimals = max(0, decimals)
     return Reading(_fixed(number, decimals), _fixed(spread, decimals), shown)
+
+
+def scaled_unit(value: float, unit: str) -> tuple[float, str]:
+    """(factor, unit) that a value in SI (a ratio in units of one) is written in: value / factor, unit."""
+    if unit == "%":
+        return 0.01, unit
+    if unit == "rad":
+        return math.pi / 180.0, "°"
+    return _prefix(value, unit) if unit in _PREFIXES else (1.0, unit)
 
 
 def plain(number: float, digits: int = 3) -> str:

@@ -1,0 +1,274 @@
+"""`sgms-mhe watch`."""
+
+from __future__ import annotations
+
+import math
+import signal
+import sys
+import time
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import click
+
+from sgms_mhe.commands.common import (
+    LONGEST_RECORD,
+    Number,
+    check_output_file,
+    example,
+    is_quiet,
+    is_stream,
+    json_option,
+    json_text,
+    log_argument,
+    machine_argument,
+    note,
+    out_option,
+    show,
+    table_text,
+)
+from sgms_mhe.support.errors import InputError
+
+if TYPE_CHECKING:
+    from sgms_mhe.api.watching import Clock, Source, Watch
+    from sgms_mhe.commands.watch_views import GrowingEstimates, Page, View
+    from sgms_mhe.machine import Machine
+
+TOGETHER_S: Final = 1.0
+"""Within so long signals are one: timeout(1) and some supervisors tell a process and its group."""
+SHOWN: Final = 10
+"""Stretches with a fault that the text lists."""
+
+
+class Speed(Number):
+    """A number, or `max`."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number; infinite for `max`."""
+        return math.inf if value in ("max", math.inf) else super().convert(value, param, ctx)
+
+
+class Interrupt:
+    """The first interrupt, or termination, asks for the end; a second one, not sent along with it, is as always."""
+
+    def __init__(self) -> None:
+        self.number = 0
+        self._asked_s = 0.0
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Self:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._ask)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def asked(self) -> bool:
+        """Whether the end was asked for."""
+        return self.number != 0
+
+    def _ask(self, number: int, frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if self.number and now - self._asked_s > TOGETHER_S:
+            raise KeyboardInterrupt(signal.Signals(number))
+        if not self.number:
+            self.number, self._asked_s = number, now
+
+
+@click.command(
+    short_help="Show an estimator live along a log that grows, or is replayed.",
+    epilog=example(
+        "watch etel_xy axis.csv --speed 10 --page axis.html",
+        "watch etel_xy axis.csv --follow --out estimates.csv",
+        "watch etel_xy - < /dev/ttyACM0",
+    ),
+)
+@machine_argument
+@log_argument
+@click.option("--follow", is_flag=True, help="LOG grows: go on with what is written to it.")
+@click.option(
+    "--speed",
+    type=Speed(1e-3, 1e6),
+    metavar="X",
+    default=1.0,
+    show_default=True,
+    help="Of a replay, times real time; max: as fast as it goes.",
+)
+@click.option("--idle", "idle_s", type=Number(0.1, 1e6), metavar="S", help="End after so long without a new line [s].")
+@click.option(
+    "--every",
+    "every_s",
+    type=Number(1e-3, LONGEST_RECORD),
+    metavar="S",
+    default=5.0,
+    show_default=True,
+    help="Without a terminal, a line so often [s of the log].",
+)
+@click.option("--page", type=click.Path(path_type=Path), metavar="FILE", help="Page to write, anew every 2 s.")
+@out_option("CSV to write, as estimate does: rows are appended as they come.", required=False)
+@json_option
+@click.pass_context
+def command(
+    ctx: click.Context,
+    machine: str,
+    log: Path,
+    follow: bool,
+    speed: float,
+    idle_s: float | None,
+    every_s: float,
+    page: Path | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Run MACHINE's estimator along LOG as it is written, or as it was, and show what it says.
+
+    Shown are friction, parameters with their bounds, test ratio and status; at the end, after Ctrl-C too, a summary.
+    LOG is a log that is replayed; with --follow a text that grows; - for standard input, or a pipe. The numbers are
+    those of estimate, to the last bit.
+    """
+    from sgms_mhe.configuration import load_machine
+
+    resolved = load_machine(machine)
+    for path, suffixes in ((out, ()), (page, (".html", ".htm"))):
+        if path is not None:
+            check_output_file(path, suffixes)
+    growing = follow or str(log) == "-" or is_stream(log)
+    if idle_s is not None and not growing:
+        raise InputError(log, "--idle", idle_s, "a log that grows: --follow, a pipe, or - for standard input")
+    given = ctx.get_parameter_source("speed")
+    if growing and given is not None and given.name == "COMMANDLINE":
+        raise InputError(log, "--speed", speed, "a log that is replayed; one that grows comes as fast as it is written")
+
+    from sgms_mhe.api.watching import HostClock, Watch
+    from sgms_mhe.commands.watch_views import GrowingEstimates, Page, view
+
+    clock = HostClock()
+    source = _source(log, resolved, math.inf if idle_s is None else idle_s, speed, clock, follow=follow)
+    watch, name = Watch(resolved), str(log) if str(log) != "-" else "standard input"
+    shown = None if page is None else Page(page, name, clock.now)
+    rows = None if out is None else GrowingEstimates(out)
+    with Interrupt() as interrupt:
+        with view(name, every_s, clock.now, quiet=is_quiet()) as seen:
+            error = _run(source, watch, interrupt, seen, shown, rows, judged=not growing)
+        if rows is not None:
+            rows.close()
+        watch.judge()
+        ended = source.ended or ("an error" if error is not None else "interrupted")
+        if watch.course.updates:
+            remarks = [*watch.doubts, *source.remarks, *([str(error)] if error is not None else [])]
+            summary = {"log": name, "ended": ended, "remarks": remarks} | watch.course.summary()
+            text = json_text(resolved.plant.units.keyed(summary)) if as_json else _text(resolved, summary)
+            show(text, *([] if out is None else [out]))
+            if shown is not None:
+                shown.end(watch.course, ended, tuple(remarks))
+    _leave(ctx, interrupt, watch, error, name)
+
+
+def _source(log: Path, machine: Machine, idle_s: float, speed: float, clock: Clock, *, follow: bool) -> Source:
+    """Where the samples come from. Raises InputError for what cannot be read, or followed."""
+    from sgms_mhe.api import watching
+
+    if str(log) == "-":
+        return watching.Streamed(sys.stdin.buffer, watching.STDIN, machine, idle_s, clock)
+    if is_stream(log):
+        return watching.Streamed(log.open("rb", buffering=0), log, machine, idle_s, clock)
+    if follow:
+        return watching.Followed(log, machine, idle_s, clock)
+    return watching.Replay(log, machine, speed, clock, note)
+
+
+def _run(
+    source: Source,
+    watch: Watch,
+    interrupt: Interrupt,
+    seen: View,
+    page: Page | None,
+    rows: GrowingEstimates | None,
+    *,
+    judged: bool,
+) -> InputError | None:
+    """Watch until the source ends, somebody asks for it, or something is wrong; that."""
+    told = 0
+    try:
+        for piece in source.pieces(interrupt.asked):
+            if piece is not None:
+                estimates = watch.take(piece, judged=judged)
+                if rows is not None:
+                    rows.append(estimates)
+            for doubt in watch.doubts[told:]:
+                note(doubt)
+            told = len(watch.doubts)
+            seen.show(watch.course)
+            if page is not None:
+                page.show(watch.course, tuple(watch.doubts))
+    except InputError as error:
+        return error
+    return None
+
+
+def _leave(ctx: click.Context, interrupt: Interrupt, watch: Watch, error: InputError | None, name: str) -> None:
+    """End as the contract of exit codes says.
+
+    Raises:
+        InputError: what ended the run, or that there was no update.
+    """
+    if error is not None:
+        raise error
+    if interrupt.number:
+        note(f"Interrupted after {watch.course.updates} updates.")
+        ctx.exit(128 + interrupt.number)
+    if not watch.course.updates:
+        machine = watch.course.machine
+        least = machine.sampling.samples_per_update + 1
+        allowed = f"at least {least}, what one update of {machine.name} takes"
+        raise InputError(name, "rows", watch.course.samples, allowed)
+    if watch.doubts:
+        ctx.exit(1)
+
+
+def _text(machine: Machine, summary: dict[str, Any]) -> str:
+    """The summary for people."""
+    from sgms_mhe.evaluation.watching import WORDS
+
+    units, greatest = machine.plant.units, summary["greatest_test_ratio"]
+    rms = summary["residual_rms_N"]
+    residual = (
+        "no update had a measurement"
+        if rms is None
+        else f"measured minus estimated friction {rms:.4g} {units.force} rms"
+    )
+    parameters = [
+        (
+            units.named(name),
+            f"{p['nominal']:.6g}",
+            f"{p['estimate']:.6g}",
+            f"{2.0 * p['std']:.2g}",
+            f"{p['estimate'] / p['nominal']:.4f}" if p["nominal"] else "",
+        )
+        for name, p in summary["parameters"].items()
+    ]
+    length = summary["status_s"]
+    states = [(WORDS[name], f"{length[name]:.2f} s", str(summary["status"][name])) for name in WORDS if length[name]]
+    episodes = [
+        f"  {WORDS[e['fault']]}: {e['start_s']:.2f} to {e['end_s']:.2f} s, {e['updates']} updates"
+        for e in summary["episodes"][:SHOWN]
+    ]
+    if summary["faults"] > SHOWN:
+        episodes.append(f"  and {summary['faults'] - SHOWN} more")
+    return "\n".join(
+        [
+            f"{summary['machine']}, {summary['log']}: ended, {summary['ended']}",
+            f"{summary['samples']} samples, {summary['missing_samples']} missing; {summary['updates']} updates from "
+            f"{summary['start_s']:g} to {summary['end_s']:g} s, {summary['measured']} with a measurement; {residual}",
+            table_text(("parameter at the end", "nominal", "estimate", "+- 2 sigma", "ratio"), parameters),
+            table_text(("status", "time", "updates"), states),
+            f"greatest test ratio {greatest['value']:.4g} at {greatest['time_s']:.2f} s",
+            *(["faults seen:", *episodes] if episodes else ["faults seen: none"]),
+            *(f"mind: {remark}" for remark in summary["remarks"]),
+        ]
+    )
