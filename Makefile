@@ -18,7 +18,7 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := all
-.PHONY: all help venv generate check-generated compile experiment figures test lint lint-ruff lint-format \
+.PHONY: all help venv generate check-generated compile experiment figures docs test lint lint-ruff lint-format \
         lint-types lint-c format studies faults benchmark benchmark-diagnosis target verify wheel lock clean \
         distclean
 
@@ -111,6 +111,11 @@ verify: $(STAMP) ## random calls, bits, coverage, limits, constructs of emitted 
 
 benchmark-diagnosis: $(STAMP) ## plant every effect in simulated logs; how many are found, missed, invented
 	$(RUN) bench-diagnosis machines/$(MACHINE).toml --out $(BUILD)/benchmark-diagnosis
+
+# --- documents -------------------------------------------------------------------------------------------------------
+
+docs: $(STAMP) ## the documents as a site that needs no network: build/site/index.html
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict --site-dir $(abspath $(BUILD))/site
 
 # --- checks ----------------------------------------------------------------------------------------------------------
 
