@@ -18,7 +18,7 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := all
-.PHONY: all help venv generate check-generated compile experiment figures docs test lint lint-ruff lint-format \
+.PHONY: all help venv generate check-generated compile experiment figures docs notebooks test lint lint-ruff lint-format \
         lint-types lint-c format studies faults benchmark benchmark-diagnosis target verify wheel lock clean \
         distclean
 
@@ -116,6 +116,9 @@ benchmark-diagnosis: $(STAMP) ## plant every effect in simulated logs; how many 
 
 docs: $(STAMP) ## the documents as a site that needs no network: build/site/index.html
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict --site-dir $(abspath $(BUILD))/site
+
+notebooks: $(STAMP) ## examples/notebooks/*.ipynb from the scripts beside them
+	$(BIN)/python docs/site/percent.py
 
 # --- checks ----------------------------------------------------------------------------------------------------------
 

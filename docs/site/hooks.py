@@ -16,6 +16,7 @@ import c_reference
 import command_reference
 import effect_reference
 import machine_reference
+import percent
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 STORED: Final = ("*.md", "docs/*.md", "docs/figures/*.svg", "docs/figures/*.png")
@@ -35,5 +36,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     found |= {f"assets/{path.name}": path for path in sorted((ROOT / "docs/site/assets").iterdir())}
     stored = [File.generated(config, uri, abs_src_path=str(path)) for uri, path in found.items()]
     made = [File.generated(config, uri, content=write()) for uri, write in MADE.items()]
+    for script in percent.scripts():
+        uri = script.relative_to(ROOT).with_suffix(".md").as_posix()
+        made.append(File.generated(config, uri, content=percent.page(script)))
     theme = [file for file in files if file.src_dir != config.docs_dir]
     return Files([*theme, *stored, *made])
