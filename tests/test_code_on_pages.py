@@ -181,6 +181,19 @@ def test_targets_that_are_none_are_noticed() -> None:
         parse_make(["no-such-target"])
 
 
+def test_make_says_what_it_will_do_before_it_does() -> None:
+    def said(*goals: str) -> str:
+        command = ["make", "--dry-run", "--old-file=.venv/.installed", *goals]
+        return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+
+    first = said().splitlines()[:6]
+    steps = [line.split()[0] for line in first[1:5]]
+    assert first[0].startswith("make: what it will do") and steps == ["environment", "package", "compile", "experiment"]
+    assert all(re.match(r"  \w+ +(is there|\d+ (s|min))  ", line) for line in first[1:5])
+    assert "generate" in first[5] and said("all") == said()
+    assert "what it will do" not in said("experiment")
+
+
 # --- shell: what takes seconds is run --------------------------------------------------------------------------------
 
 
