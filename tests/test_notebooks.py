@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -16,6 +17,7 @@ import nbformat
 import pytest
 import scipy.io
 from nbclient import NotebookClient
+from traitlets.config import Config
 
 import sgms_mhe
 
@@ -35,13 +37,24 @@ def percent() -> ModuleType:
     return module
 
 
+def environment_of(folder: Path) -> dict[str, str]:
+    """Of a kernel: this one's sources, figures within the notebook, nothing written outside of its folder."""
+    given = {key: value for key, value in os.environ.items() if key != "MPLBACKEND"}
+    given["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT / "generator"), given.get("PYTHONPATH")]))
+    return given | {"IPYTHONDIR": str(folder / ".ipython")}
+
+
 def played(name: str, folder: Path, **environment: str) -> str:
     """What a notebook prints that is run in a folder of its own."""
     book = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
-    client = NotebookClient(book, timeout=LIMIT_S, kernel_name="python3", resources={"metadata": {"path": str(folder)}})
-    given = {key: value for key, value in os.environ.items() if key != "MPLBACKEND"}  # figures within the notebook
-    given["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT / "generator"), given.get("PYTHONPATH")]))
-    client.execute(env=given | environment)
+    # Sockets of files: ports that are free when they are chosen may be another test's a moment later.
+    with tempfile.TemporaryDirectory() as sockets:  # whose paths are short: they have a limit
+        config = Config({"AsyncKernelManager": {"transport": "ipc", "ip": f"{sockets}/kernel"}})
+        resources = {"metadata": {"path": str(folder)}}
+        client = NotebookClient(
+            book, config=config, kernel_name="python3", timeout=LIMIT_S, startup_timeout=LIMIT_S, resources=resources
+        )
+        client.execute(env=environment_of(folder) | environment)
     outputs = [output for cell in book.cells if cell.cell_type == "code" for output in cell.outputs]
     assert any("image/png" in output.get("data", {}) for output in outputs)
     return "".join(output.text for output in outputs if output.output_type == "stream" and output.name == "stdout")
