@@ -18,9 +18,18 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := all
-.PHONY: all help venv generate check-generated compile experiment figures test lint lint-ruff lint-format \
+.PHONY: all help venv generate check-generated compile experiment figures docs notebooks picture test lint lint-ruff lint-format \
         lint-types lint-c format studies faults benchmark benchmark-diagnosis target verify wheel lock clean \
         distclean
+
+# Said before anything is done, of a call that names no target.
+ifeq ($(filter-out all,$(MAKECMDGOALS)),)
+$(info make: what it will do, and how long each step takes on two cores; `make help` lists what else there is)
+$(info $()  environment  $(if $(wildcard $(STAMP)),is there,1 min  )  .venv with the versions of requirements.lock)
+$(info $()  package      2 s       machines/$(MACHINE).toml -> generated/$(MACHINE))
+$(info $()  compile      2 s       $(BUILD)/$(MACHINE), every warning an error)
+$(info $()  experiment   1 min     the paper's, 20 s in closed loop; its table, and figures in $(BUILD)/experiment)
+endif
 
 all: experiment ## (default) set up, generate etel_xy, compile it, run the paper's experiment, print its table
 
@@ -111,6 +120,22 @@ verify: $(STAMP) ## random calls, bits, coverage, limits, constructs of emitted 
 
 benchmark-diagnosis: $(STAMP) ## plant every effect in simulated logs; how many are found, missed, invented
 	$(RUN) bench-diagnosis machines/$(MACHINE).toml --out $(BUILD)/benchmark-diagnosis
+
+# --- documents -------------------------------------------------------------------------------------------------------
+
+docs: $(STAMP) ## the documents as a site that needs no network: build/site/index.html
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict --site-dir $(abspath $(BUILD))/site
+
+# An axis that is stiffer than its machine file and has a ripple that is not in it.
+picture: $(STAMP) ## the README's picture, docs/figures/first_screen.png, from simulate, estimate and diagnose; needs chromium
+	@mkdir -p $(BUILD)/picture
+	$(RUN) simulate docs/figures/rippled.toml --out $(BUILD)/picture/log.csv --trajectory mixed --scale stiffness=1.2 --duration 10
+	$(RUN) estimate docs/figures/rippled.toml $(BUILD)/picture/log.csv --out $(BUILD)/picture/estimates.csv
+	$(RUN) diagnose etel_xy $(BUILD)/picture/log.csv --out $(BUILD)/picture/diagnosis
+	$(BIN)/python docs/figures/first_screen.py $(BUILD)/picture
+
+notebooks: $(STAMP) ## examples/notebooks/*.ipynb from the scripts beside them
+	$(BIN)/python docs/site/percent.py
 
 # --- checks ----------------------------------------------------------------------------------------------------------
 

@@ -247,17 +247,3 @@ def test_estimators_compared(small: Path) -> None:
         found = sgms_mhe.estimate(small, log, solver=solver)  # type: ignore[arg-type]
         rms = np.sqrt(np.nanmean((found.friction_measured_N - found.friction_N) ** 2))
         assert table.loc[name, "residual_rms_N"] == pytest.approx(rms, rel=1e-12)
-
-
-def test_own_axis_finds_the_ripple_that_it_hides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    script = runpy.run_path(str(ROOT / "examples" / "python" / "own_axis.py"))
-    script["main"](tmp_path)
-    said = capsys.readouterr().out
-    assert said.startswith("explained: ")
-    name, hidden = script["RIPPLE"]
-    found = {key: float(value) for key, value in re.findall(r"(\w+) = (\S+)", said.partition(f"  {name}: ")[2])}
-    assert found["amplitude_N"] == pytest.approx(hidden["amplitude_N"], rel=0.05)
-    assert found["pitch_m"] == pytest.approx(hidden["pitch_m"], rel=0.01)
-    extended = sgms_mhe.load(tmp_path / "extended.toml")
-    assert [effect.name for effect in extended.effects] == [name]
-    assert (tmp_path / "package" / f"{extended.name}.h").is_file()

@@ -175,6 +175,12 @@ def test_bench_has_the_agreed_json(quick: dict[str, Any]) -> None:
         assert peer["update_us"] > 0.0
 
 
+def test_quick_bench_is_of_the_machine_as_it_is_written(quick: dict[str, Any]) -> None:
+    names = [variant["name"] for variant in quick["variants"]]
+    assert names == ["double, all", "double, auto", "double, newest", "single, all"]
+    assert quick["motions"] == quick["integrators"] == quick["sweeps"] == []
+
+
 def test_bench_states_the_errors_beside_the_cost(quick: dict[str, Any]) -> None:
     double, single = (
         next(v for v in quick["variants"] if v["precision"] == precision) for precision in ("double", "single")

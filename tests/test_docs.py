@@ -222,6 +222,11 @@ def test_words_that_are_not_used(page: Path) -> None:
 # --- drawings ---------------------------------------------------------------------------------------------------
 
 
+def test_gallery_shows_every_figure() -> None:
+    figures = {path.name for path in (ROOT / "docs" / "figures").iterdir() if path.suffix in (".png", ".svg")}
+    assert set(re.findall(r"\]\(figures/([^)]+)\)", read(ROOT / "docs" / "gallery.md"))) == figures
+
+
 def test_drawings_are_what_their_script_draws() -> None:
     folder = ROOT / "docs" / "figures"
     spec = importlib.util.spec_from_file_location("draw", folder / "draw.py")

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final
 
 import numpy as np
 import pytest
-from selenium import webdriver
-from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 
 import diagnosis_cases as cases
+from browser import HIGH, WIDE, Browser, Mode
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.evaluation.watching import Course
 from sgms_mhe.model import build_model
@@ -32,12 +30,9 @@ from sgms_mhe.report import (
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 
-Mode = Literal["light", "dark"]
-WIDE, NARROW, HIGH = 1200, 400, 900
+NARROW = 400
 CONTRAST: Final = 4.5
 """Least contrast of text and its ground: AA of the Web Content Accessibility Guidelines."""
-FLAGS = """--headless=new --no-sandbox --disable-gpu --disable-dev-shm-usage --disable-quic --no-first-run
---disable-background-networking --disable-component-update --disable-sync --hide-scrollbars"""
 BADGES = {
     "certain explained": ("certain", "explained"),
     "certain adequate": ("certain", "adequate"),
@@ -50,58 +45,6 @@ BADGES = {
     "rotary": ("undecided", "ambiguous"),
 }
 """Class and words of each page's badge."""
-
-
-class Browser:
-    """Chromium without a window, and what it says of the pages that it shows."""
-
-    def __init__(self, binary: str, driver: str, profile: Path) -> None:
-        options = webdriver.ChromeOptions()
-        options.binary_location = binary
-        for flag in (*FLAGS.split(), f"--user-data-dir={profile}"):
-            options.add_argument(flag)
-        options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-        self.driver = webdriver.Chrome(options=options, service=Service(driver))
-
-    def show(self, path: Path, width: int = WIDE, mode: Mode = "light") -> None:
-        """Open a page in a window of this width, with everything in it unfolded and drawn."""
-        size = {"width": width, "height": HIGH, "deviceScaleFactor": 1, "mobile": False}
-        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        self.prefer(mode)
-        self.driver.get(path.as_uri())
-        self.unfold()
-
-    def prefer(self, mode: Mode) -> None:
-        """Light or dark, as a user's system says."""
-        self.driver.execute_cdp_cmd(
-            "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": mode}]}
-        )
-        self.settle()
-
-    def unfold(self) -> None:
-        """Open what is folded."""
-        self.driver.execute_script("document.querySelectorAll('details').forEach(d => { d.open = true; })")
-        self.settle()
-
-    def settle(self) -> None:
-        """Wait until the page has been laid out and drawn: two frames."""
-        self.driver.execute_async_script(
-            "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 0)))"
-        )
-
-    def ask(self, script: str, *arguments: Any) -> Any:
-        """What a piece of JavaScript returns on the page."""
-        return self.driver.execute_script(script, *arguments)
-
-    def requests(self) -> list[str]:
-        """Addresses that were asked for since the last call."""
-        messages = [json.loads(entry["message"])["message"] for entry in self.driver.get_log("performance")]
-        sent = [m["params"]["request"]["url"] for m in messages if m["method"] == "Network.requestWillBeSent"]
-        return [address for address in sent if not address.startswith("data:")]
-
-    def complaints(self) -> list[str]:
-        """What stands on the console since the last call."""
-        return [entry["message"] for entry in self.driver.get_log("browser")]
 
 
 @pytest.fixture(scope="module")

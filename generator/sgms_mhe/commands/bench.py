@@ -25,6 +25,8 @@ from sgms_mhe.commands.common import (
 if TYPE_CHECKING:
     from sgms_mhe.evaluation.benchmark_results import Benchmark, Peer, Variant
 
+UPDATES, QUICK_UPDATES = 500, 100
+
 
 @click.command(
     short_help="Time, instructions and errors of an update, beside a peer.",
@@ -33,16 +35,21 @@ if TYPE_CHECKING:
 @machine_argument
 @click.option("--trajectory", metavar="NAME", default="paper", show_default=True, help="Simulated motion to replay.")
 @click.option(
-    "--updates", type=click.IntRange(1, 100_000), metavar="N", default=500, show_default=True, help="Updates to time."
+    "--updates",
+    type=click.IntRange(1, 100_000),
+    metavar="N",
+    help=f"Updates to time; default {UPDATES}, with --quick {QUICK_UPDATES}.",
 )
 @flags_option("-std=c99 -O3 -ffp-contract=off")
-@click.option("--quick", is_flag=True, help="Only the machine's variants and the peers, on one motion.")
+@click.option(
+    "--quick", is_flag=True, help="Half a minute: the machine as it is written, and the peers, on one motion."
+)
 @out_option("Folder for the figures, as PNG and SVG, and the numbers, as JSON.", metavar="DIR", required=False)
 @json_option
 def command(
     machine: str,
     trajectory: str,
-    updates: int,
+    updates: int | None,
     cflags: tuple[str, ...] | None,
     quick: bool,
     out: Path | None,
@@ -65,6 +72,8 @@ def command(
     from sgms_mhe.support.toolchain import DEFAULT_FLAGS
 
     flags = DEFAULT_FLAGS if cflags is None else cflags
+    if updates is None:
+        updates = QUICK_UPDATES if quick else UPDATES
     with progress_bar(f"bench {resolved.name}") as progress:
         benchmark = run_benchmark(
             resolved, trajectory=trajectory, updates=updates, quick=quick, flags=flags, progress=progress

@@ -103,7 +103,7 @@ def run_benchmark(
         machine: the machine.
         trajectory: name of the motion.
         updates: how many updates are timed.
-        quick: variants and peers on that motion alone.
+        quick: on that motion alone, the machine as it is written, its linearisations, its other precision, and peers.
         flags: of the compiler, for time and instructions.
         progress: called after every step.
 
@@ -120,11 +120,13 @@ def run_benchmark(
 
     motion = recorded(trajectory)
     tasks: list[tuple[str, Callable[[], Any]]] = []
-    for (samples, merging), precision in product(mergings(machine), PRECISIONS):
+    for (samples, merging), precision in product(mergings(machine)[: 1 if quick else None], PRECISIONS):
         for mode, variant in relinearisations(override_machine(merging, {"code": {"precision": precision}})):
+            if quick and precision != machine.code.precision and mode != machine.estimator.relinearise:
+                continue
             name = f"{precision}, {mode}" + (f", {samples} samples a step" if samples > 1 else "")
             tasks.append(("variants", partial(bench.variant, name, variant, mode, motion)))
-    if feeding.compensation.enabled:
+    if feeding.compensation.enabled and not quick:
         for precision in PRECISIONS:
             mode, variant = feeding.estimator.relinearise, override_machine(feeding, {"code": {"precision": precision}})
             tasks.append(
