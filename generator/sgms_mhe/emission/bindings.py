@@ -22,6 +22,7 @@ BINDINGS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
             "{name}_fmi3.fmu/sources/buildDescription.xml": "bindings/fmi3_build.xml",
             "{name}_fmi3.fmu/sources/{name}_fmi3.c": "bindings/fmi3.c",
         },
+        "simulink": {"{name}_sfun.c": "bindings/simulink.c", "{name}_block.m": "bindings/simulink.m"},
     }
 )
 """Templates by file, by the name of the binding; files below one that ends in `.fmu` are those of that archive."""
