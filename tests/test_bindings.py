@@ -15,7 +15,8 @@ import pytest
 from binding_cases import KINDS, module_of
 from c_packages import run
 from cli_cases import SMALL
-from sgms_mhe.emission.bindings import binding_files
+from cli_cases import done as done_run
+from sgms_mhe.emission.bindings import BINDINGS, binding_files
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.support.errors import InputError
 
@@ -219,6 +220,12 @@ def test_bindings_come_where_they_are_asked_for(tmp_path: Path) -> None:
     )
     assert done.returncode == 2 and "one of python, cpp, " in done.stderr and "Traceback" not in done.stderr
     assert not (tmp_path / "none").exists()
+    with pytest.raises(InputError, match=r"fmu3, .*; did you mean (?:fmu3 or fmu2|fmu2 or fmu3)\?"):
+        binding_files(["fmu"], "axis")
+    with pytest.raises(InputError, match=r"did you mean simulink\?"):
+        binding_files(["python", "simulnk"], "axis")
+    said = " ".join(done_run("generate", "--help").output.split())
+    assert f"with commas: {', '.join(BINDINGS)}." in said
     for unknown in ([""], ["python", "", "cpp"]):
         with pytest.raises(InputError, match="one of python, cpp, "):
             binding_files(unknown, "axis")

@@ -24,7 +24,8 @@ def generate(
         out: the package's folder, replaced as a whole, and only if nothing but an earlier package is in it; None: write
             nothing.
         amalgamate: all C in one source and one header.
-        bindings: languages and tools that it is to be called from besides: "python", "cpp", "fmu2", "fmu3", "simulink".
+        bindings: languages and tools that it is to be called from besides: "python", "cpp", "fmu2", "fmu3", "simulink",
+            "iec".
 
     Returns:
         The machine, its files, text by name, and the archives of its bindings, bytes by name.
