@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -11,12 +13,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fmpy.validation import validate_fmu
 
 from binding_cases import KINDS, module_of
-from c_packages import run
+from c_packages import PROBES, STRICT, run, written
 from cli_cases import SMALL
 from cli_cases import done as done_run
+from package_variants import VARIANTS
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.bindings import BINDINGS, binding_files
+from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.support.errors import InputError
 
@@ -229,3 +235,34 @@ def test_bindings_come_where_they_are_asked_for(tmp_path: Path) -> None:
     for unknown in ([""], ["python", "", "cpp"]):
         with pytest.raises(InputError, match="one of python, cpp, "):
             binding_files(unknown, "axis")
+
+
+# --- every kind of package ---------------------------------------------------------------------------------------
+
+SHAPES = (
+    "effects: states", "two ripples", "geared, ekf", "geared, single", "switching, compensation, single",
+    "n_z 10, single", "sample an update", "horizon 1", "compensation off", "machine etel_xy_controller",
+)  # fmt: skip
+"""Variants whose parameters, states, units or rates differ in kind."""
+
+
+@pytest.mark.parametrize("title", SHAPES)
+def test_every_kind_of_package_has_every_binding(title: str, require_tool: Tool, tmp_path: Path) -> None:
+    """What is C compiles without a warning, and what describes it says the same of it."""
+    variant = VARIANTS[title]
+    settings = override_machine(load_machine(variant.machine), variant.changes)
+    package = emit_package(settings, selftest=False, bindings=BINDINGS)
+    name, folder, gcc = settings.name, written(package, tmp_path), require_tool("gcc")
+    assert not package.missing
+    for source, flags in ((f"{name}_sfun.c", ["-DMATLAB_MEX_FILE", f"-I{PROBES / 'simulink'}"]), (f"{name}_iec.c", [])):
+        run(gcc, STRICT, flags, f"-I{folder}", "-fsyntax-only", folder / source)
+    for version in (2, 3):
+        archive = folder / f"{name}_fmi{version}.fmu"
+        zipfile.ZipFile(archive).extractall(tmp_path / str(version))
+        run(gcc, STRICT, "-fsyntax-only", tmp_path / str(version) / "sources" / f"{name}_fmi{version}.c")
+        assert validate_fmu(str(archive)) == []
+    compile((folder / f"{name}.py").read_text(), name, "exec")
+    lengths = re.findall(r"ARRAY \[1\.\.(\d+)\] OF LREAL", (folder / f"{name}.st").read_text())
+    header = (folder / f"{name}.h").read_text()
+    sizes = [re.search(rf"_{what} (\d+)\b", header)[1] for what in ("ELEMENTS", "PARAMETERS")]  # type: ignore[index]
+    assert lengths == [sizes[0], sizes[1], sizes[1]]
