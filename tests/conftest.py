@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Iterable
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
@@ -70,6 +72,14 @@ def require_tool() -> Callable[[str], str]:
         return path
 
     return locate
+
+
+@pytest.fixture(scope="session")
+def bound(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Any]:
+    """Package of a kind with every binding, made once; see binding_cases.py."""
+    from binding_cases import bound_package
+
+    return lru_cache(lambda kind: bound_package(kind, tmp_path_factory.mktemp("bound")))
 
 
 @pytest.fixture(scope="module")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
+import re
 import subprocess
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -12,72 +13,35 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fmpy.validation import validate_fmu
 
-from c_packages import machine, run, written
+from binding_cases import KINDS, module_of
+from c_packages import PROBES, STRICT, run, written
 from cli_cases import SMALL
-from sgms_mhe.configuration import load_machine
+from cli_cases import done as done_run
+from package_variants import VARIANTS
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.bindings import BINDINGS, binding_files
-from sgms_mhe.emission.package import Package, emit_package
-from sgms_mhe.evaluation.motions import simulated_log
+from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
-from sgms_mhe.machine import Machine
-from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
 Tool = Callable[[str], str]
-KINDS = ("single", "double", "ekf", "rotary")
-
-
-def machine_of(kind: str) -> Machine:
-    if kind == "rotary":
-        return load_machine("etel_xy_rotary")
-    estimator = {"kind": "ekf"} if kind == "ekf" else {"horizon": 6, "relinearise": "auto"}
-    return machine(code={"precision": "single" if kind == "single" else "double"}, estimator=estimator)
-
-
-@pytest.fixture(scope="module")
-def bound(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[Machine, Package, Path]]:
-    made: dict[str, tuple[Machine, Package, Path]] = {}
-
-    def of(kind: str) -> tuple[Machine, Package, Path]:
-        if kind not in made:
-            settings = machine_of(kind)
-            package = emit_package(settings, selftest=False, bindings=BINDINGS)
-            made[kind] = settings, package, written(package, tmp_path_factory.mktemp(kind))
-        return made[kind]
-
-    return of
-
-
-def log_of(settings: Machine) -> Log:
-    return simulated_log(settings, "mixed", 40)
 
 
 # --- Python ------------------------------------------------------------------------------------------------------
 
 
-def module_of(folder: Path) -> ModuleType:
-    """The emitted module, as an application imports it."""
-    path = next(folder.glob("*.py"))
-    name = f"{path.stem}_binding_{abs(hash(str(path)))}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
-    module = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
 def python(bound: Any) -> Callable[[str], ModuleType]:
     modules: dict[str, ModuleType] = {}
-    return lambda kind: modules.get(kind) or modules.setdefault(kind, module_of(bound(kind)[2]))
+    return lambda kind: modules.get(kind) or modules.setdefault(kind, module_of(bound(kind).folder))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_python_gives_what_the_package_gives(kind: str, bound: Any, python: Any) -> None:
-    settings, package, _ = bound(kind)
-    log, module = log_of(settings), python(kind)
-    expected = CompiledEstimator(settings, package).estimate_log(log, mode="tasks")
+    settings, log, module = bound(kind).machine, bound(kind).log, python(kind)
+    expected = CompiledEstimator(settings, bound(kind).package).estimate_log(log, mode="tasks")
     estimator = module.Estimator()
     half = len(log.position_m) // 2 + 17
     parts = [
@@ -104,7 +68,7 @@ def test_python_gives_what_the_package_gives(kind: str, bound: Any, python: Any)
 
 
 def test_python_sample_by_sample_is_the_same(bound: Any, python: Any) -> None:
-    log, module = log_of(bound("double")[0]), python("double")
+    log, module = bound("double").log, python("double")
     series, single = module.Estimator(), module.Estimator()
     found = series.estimate(log.position_m, log.force_N)
     fed = [single.sample(q, u) for q, u in zip(log.position_m, log.force_N, strict=True)]
@@ -115,7 +79,7 @@ def test_python_sample_by_sample_is_the_same(bound: Any, python: Any) -> None:
 
 
 def test_python_over_its_life(bound: Any, python: Any) -> None:
-    log, module = log_of(bound("double")[0]), python("double")
+    log, module = bound("double").log, python("double")
     estimator, name = module.Estimator(), module.PARAMETERS[1]
     first = estimator.estimate(log.position_m, log.force_N)
     saved, other = estimator.save(), module.Estimator()
@@ -232,7 +196,7 @@ int main()
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("compiler", ["g++ -std=c++11", "g++ -std=c++17", "clang++ -std=c++17"])
 def test_cpp_gives_what_the_c_gives(kind: str, compiler: str, bound: Any, require_tool: Tool, tmp_path: Path) -> None:
-    settings, _, folder = bound(kind)
+    settings, folder = bound(kind).machine, bound(kind).folder
     name, (tool, standard) = settings.name, compiler.split()
     source, program = tmp_path / "main.cpp", tmp_path / "program"
     source.write_text(CPP.replace("NAME", name).replace("METRES", settings.plant.units.metres))
@@ -260,8 +224,45 @@ def test_bindings_come_where_they_are_asked_for(tmp_path: Path) -> None:
     done = subprocess.run(
         [*generate, tmp_path / "none", "--bindings", "matlab"], capture_output=True, text=True, check=False
     )
-    assert done.returncode == 2 and "python or cpp" in done.stderr and "Traceback" not in done.stderr
+    assert done.returncode == 2 and "one of python, cpp, " in done.stderr and "Traceback" not in done.stderr
     assert not (tmp_path / "none").exists()
+    with pytest.raises(InputError, match=r"fmu3, .*; did you mean (?:fmu3 or fmu2|fmu2 or fmu3)\?"):
+        binding_files(["fmu"], "axis")
+    with pytest.raises(InputError, match=r"did you mean simulink\?"):
+        binding_files(["python", "simulnk"], "axis")
+    said = " ".join(done_run("generate", "--help").output.split())
+    assert f"with commas: {', '.join(BINDINGS)}." in said
     for unknown in ([""], ["python", "", "cpp"]):
-        with pytest.raises(InputError, match="python or cpp"):
+        with pytest.raises(InputError, match="one of python, cpp, "):
             binding_files(unknown, "axis")
+
+
+# --- every kind of package ---------------------------------------------------------------------------------------
+
+SHAPES = (
+    "effects: states", "two ripples", "geared, ekf", "geared, single", "switching, compensation, single",
+    "n_z 10, single", "sample an update", "horizon 1", "compensation off", "machine etel_xy_controller",
+)  # fmt: skip
+"""Variants whose parameters, states, units or rates differ in kind."""
+
+
+@pytest.mark.parametrize("title", SHAPES)
+def test_every_kind_of_package_has_every_binding(title: str, require_tool: Tool, tmp_path: Path) -> None:
+    """What is C compiles without a warning, and what describes it says the same of it."""
+    variant = VARIANTS[title]
+    settings = override_machine(load_machine(variant.machine), variant.changes)
+    package = emit_package(settings, selftest=False, bindings=BINDINGS)
+    name, folder, gcc = settings.name, written(package, tmp_path), require_tool("gcc")
+    assert not package.missing
+    for source, flags in ((f"{name}_sfun.c", ["-DMATLAB_MEX_FILE", f"-I{PROBES / 'simulink'}"]), (f"{name}_iec.c", [])):
+        run(gcc, STRICT, flags, f"-I{folder}", "-fsyntax-only", folder / source)
+    for version in (2, 3):
+        archive = folder / f"{name}_fmi{version}.fmu"
+        zipfile.ZipFile(archive).extractall(tmp_path / str(version))
+        run(gcc, STRICT, "-fsyntax-only", tmp_path / str(version) / "sources" / f"{name}_fmi{version}.c")
+        assert validate_fmu(str(archive)) == []
+    compile((folder / f"{name}.py").read_text(), name, "exec")
+    lengths = re.findall(r"ARRAY \[1\.\.(\d+)\] OF LREAL", (folder / f"{name}.st").read_text())
+    header = (folder / f"{name}.h").read_text()
+    sizes = [re.search(rf"_{what} (\d+)\b", header)[1] for what in ("ELEMENTS", "PARAMETERS")]  # type: ignore[index]
+    assert lengths == [sizes[0], sizes[1], sizes[1]]

@@ -256,13 +256,13 @@ def test_an_interrupted_write_leaves_the_folder_as_it_was(tmp_path: Path, monkey
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     calls: list[Path] = []
 
-    def write_text(self: Path, *arguments: Any, **named: Any) -> int:
+    def write_bytes(self: Path, *arguments: Any, **named: Any) -> int:
         calls.append(self)
         if len(calls) > 5:
             raise OSError(28, "No space left on device")
         return len(arguments)
 
-    monkeypatch.setattr(Path, "write_text", write_text)
+    monkeypatch.setattr(Path, "write_bytes", write_bytes)
     with pytest.raises(InputError, match="No space"):
         write_package(package_of("ekf"), folder)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

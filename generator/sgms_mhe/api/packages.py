@@ -24,10 +24,11 @@ def generate(
         out: the package's folder, replaced as a whole, and only if nothing but an earlier package is in it; None: write
             nothing.
         amalgamate: all C in one source and one header.
-        bindings: languages that it is to be called from besides: "python", "cpp".
+        bindings: languages and tools that it is to be called from besides: "python", "cpp", "fmu2", "fmu3", "simulink",
+            "iec".
 
     Returns:
-        The machine and its files, text by name.
+        The machine, its files, text by name, and the archives of its bindings, bytes by name.
 
     Raises:
         InputError: the machine file; a tick beyond its budget of operations; a folder that holds other files.

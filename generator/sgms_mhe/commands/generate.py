@@ -12,6 +12,7 @@ from sgms_mhe.commands.common import (
     json_option,
     json_text,
     machine_argument,
+    note,
     out_option,
     progress_bar,
     show,
@@ -26,7 +27,7 @@ from sgms_mhe.commands.common import (
 @machine_argument
 @out_option("The package's folder; default generated/NAME below the working directory.", metavar="DIR", required=False)
 @click.option("--amalgamate", is_flag=True, help="All C in one source and one header.")
-@click.option("--bindings", metavar="LIST", help="Other languages, with commas: python, cpp.")
+@click.option("--bindings", metavar="LIST", help="Also for, with commas: python, cpp, fmu2, fmu3, simulink, iec.")
 @json_option
 def command(machine: str, out: Path | None, amalgamate: bool, bindings: str | None, as_json: bool) -> None:
     """Emit MACHINE's estimator as a folder of C99 that needs no library.
@@ -44,7 +45,10 @@ def command(machine: str, out: Path | None, amalgamate: bool, bindings: str | No
 
     with progress_bar(f"generate {resolved.name}"):
         package = packages.generate(resolved, folder, amalgamate=amalgamate, bindings=names)
+    for sentence in package.missing:
+        note(sentence)
     sizes = {name: len(text.encode()) for name, text in package.files.items()}
+    sizes |= {name: len(archive) for name, archive in package.archives.items()}
     if as_json:
         show(json_text({"machine": resolved.name, "digest": resolved.digest, "folder": str(folder), "files": sizes}))
         return

@@ -1,26 +1,46 @@
-"""A package's C from other languages: one file of the package's folder for each, by one template for each."""
+"""A package's C from other languages and tools: files of the package's folder, by one template each."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import Final
 
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.names import did_you_mean
 
-BINDINGS: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
-    {"python": ("bindings/python.py", "{name}.py"), "cpp": ("bindings/cpp.hpp", "{name}.hpp")}
+BINDINGS: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
+    {
+        "python": {"{name}.py": "bindings/python.py"},
+        "cpp": {"{name}.hpp": "bindings/cpp.hpp"},
+        "fmu2": {
+            "{name}_fmi2.fmu/modelDescription.xml": "bindings/fmi2.xml",
+            "{name}_fmi2.fmu/sources/{name}_fmi2.c": "bindings/fmi2.c",
+        },
+        "fmu3": {
+            "{name}_fmi3.fmu/modelDescription.xml": "bindings/fmi3.xml",
+            "{name}_fmi3.fmu/sources/buildDescription.xml": "bindings/fmi3_build.xml",
+            "{name}_fmi3.fmu/sources/{name}_fmi3.c": "bindings/fmi3.c",
+        },
+        "simulink": {"{name}_sfun.c": "bindings/simulink.c", "{name}_block.m": "bindings/simulink.m"},
+        "iec": {"{name}.st": "bindings/iec.st", "{name}_iec.c": "bindings/iec.c", "{name}_iec.h": "bindings/iec.h"},
+    }
 )
-"""Template, and name of the file, by the name of the binding."""
+"""Templates by file, by the name of the binding; files below one that ends in `.fmu` are those of that archive."""
 
 
-def binding_files(names: Iterable[str], machine: str) -> dict[str, str]:
+def binding_files(names: Collection[str], machine: str) -> dict[str, str]:
     """Templates of the bindings asked for, by file name.
 
     Raises:
-        InputError: a binding that there is not.
+        InputError: a binding that there is not, or a machine that it cannot name.
     """
     for name in names:
         if name not in BINDINGS:
-            raise InputError("--bindings", "binding", name, " or ".join(BINDINGS))
-    return {BINDINGS[name][1].format(name=machine): BINDINGS[name][0] for name in BINDINGS if name in names}
+            allowed = f"one of {', '.join(BINDINGS)}"
+            raise InputError("--bindings", "binding", name, allowed + did_you_mean(name, BINDINGS))
+    if "iec" in names and ("__" in machine or machine.endswith("_")):
+        allowed = "a name that has no two underscores in a row and none at its end, as IEC 61131-3 asks"
+        raise InputError("--bindings", "iec: name", machine, allowed)
+    asked = [BINDINGS[name] for name in BINDINGS if name in names]
+    return {file.format(name=machine): template for files in asked for file, template in files.items()}

@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from sgms_mhe.emission.context import PackageView
+from sgms_mhe.emission.fmu import SUFFIX, fmu
 from sgms_mhe.emission.layout import Memory, memory_of
 from sgms_mhe.emission.rendering import render_page
+from sgms_mhe.emission.variables import Variable, variables_of
 
 MANIFEST: Final = "MANIFEST.json"
 
@@ -23,16 +25,18 @@ class Delivery:
         sources: what is compiled.
         headers: what it includes; the public one is the first.
         memory: bytes of what they declare.
+        variables: of the axis, as block diagrams see it.
     """
 
     sources: tuple[str, ...]
     headers: tuple[str, ...]
     memory: Memory
+    variables: tuple[Variable, ...]
 
 
 def accompany(
     view: PackageView, files: Mapping[str, str], memory: Memory, bindings: Mapping[str, str]
-) -> dict[str, str]:
+) -> tuple[dict[str, str], dict[str, bytes], tuple[str, ...]]:
     """A package's files with what comes beside its C.
 
     Args:
@@ -40,22 +44,48 @@ def accompany(
         files: its C and its reports, by name.
         memory: bytes of what the C declares.
         bindings: templates of the bindings that come along, by file name.
+
+    Returns:
+        Text by file name, archives by file name, and what they lack, sentence by sentence.
     """
     name = view.package.name
     public = f"{name}.h"
     headers = sorted(file for file in files if file.endswith(".h") and file != public)
     sources = sorted(file for file in files if file.endswith(".c"))
-    delivery = Delivery(tuple(sources), (public, *headers), memory)
+    delivery = Delivery(tuple(sources), (public, *headers), memory, variables_of(view))
     pages = {
         "README.md": "README.md",
         "CMakeLists.txt": "CMakeLists.txt",
         f"{name}.pc.in": "machine.pc.in",
         "files.txt": "files.txt",
         "LICENSE": "LICENSE",
-        **bindings,
+        **{file: template for file, template in bindings.items() if SUFFIX not in file},
     }
     whole = dict(files) | {file: render_page(view, template, delivery) for file, template in pages.items()}
-    return whole | {MANIFEST: manifest(view, whole)}
+    archives, missing = _archives(view, whole, delivery, bindings)
+    return whole | {MANIFEST: manifest(view, whole, archives)}, archives, missing
+
+
+def _archives(
+    view: PackageView, whole: Mapping[str, str], delivery: Delivery, bindings: Mapping[str, str]
+) -> tuple[dict[str, bytes], tuple[str, ...]]:
+    """FMUs among the bindings, and of which of them the binary is missing and why.
+
+    The self-test stays outside: it is for the processor that the axis runs on.
+    """
+    name = view.package.name
+    own = tuple(file for file in delivery.sources if not file.startswith(f"{name}_selftest"))
+    inside = {f"sources/{file}": whole[file] for file in (*own, *delivery.headers) if "_selftest." not in file}
+    inside["documentation/licenses/license.txt"] = whole["LICENSE"]
+    texts: dict[str, dict[str, str]] = {}
+    for file, template in bindings.items():
+        archive, found, path = file.partition(SUFFIX)
+        if found:
+            page = render_page(view, template, replace(delivery, sources=own))
+            texts.setdefault(archive + SUFFIX.rstrip("/"), dict(inside))[path] = page
+    built = {file: fmu(content, name, file) for file, content in texts.items()}
+    missing = tuple(f"{file}: sources without a binary: {why}" for file, (_, why) in built.items() if why is not None)
+    return {file: archive for file, (archive, _) in built.items()}, missing
 
 
 def memory_of_package(view: PackageView, files: Mapping[str, str]) -> Memory:
@@ -63,15 +93,16 @@ def memory_of_package(view: PackageView, files: Mapping[str, str]) -> Memory:
     return memory_of(files, view.package.name, view.package.real)
 
 
-def manifest(view: PackageView, files: Mapping[str, str]) -> str:
+def manifest(view: PackageView, files: Mapping[str, str], archives: Mapping[str, bytes]) -> str:
     """SHA-256 of every file, and what they were generated from."""
     package = view.package
+    contents = {file: text.encode() for file, text in files.items()} | dict(archives)
     content = {
         "generator": f"sgms-mhe {package.version}",
         "machine": package.name,
         "machine_digest": package.machine_digest,
         "sources_digest": package.sources_digest,
-        "sha256": {file: hashlib.sha256(text.encode()).hexdigest() for file, text in sorted(files.items())},
+        "sha256": {file: hashlib.sha256(content).hexdigest() for file, content in sorted(contents.items())},
     }
     return json.dumps(content, indent=2) + "\n"
 

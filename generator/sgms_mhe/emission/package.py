@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from sgms_mhe.emission.amalgamation import amalgamated
@@ -28,10 +28,12 @@ TABLE_HEADER = "sgms_table.h"
 
 @dataclass(frozen=True)
 class Package:
-    """Emitted files by name."""
+    """Emitted files by name: text, and archives of bindings; with what is missing of the latter, in sentences."""
 
     machine: Machine
     files: Mapping[str, str]
+    archives: Mapping[str, bytes] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
 
 
 def emit_package(
@@ -51,7 +53,7 @@ def emit_package(
         selftest: with the self-test vectors, for which the reference solver has to run.
         within_budget: refuse a machine whose longest tick takes more operations than its budget.
         amalgamate: all C in one source and one header.
-        bindings: languages that the package is to be called from besides, of `BINDINGS`.
+        bindings: languages and tools that the package is to be called from besides, of `BINDINGS`.
 
     Raises:
         InputError: the machine asks for something that cannot be emitted; the message says what.
@@ -75,7 +77,8 @@ def emit_package(
     files["structure.txt"] = report(structure)
     if machine.sampling.integrator.tolerance is not None:
         files["work_precision.txt"] = table_text(machine)
-    return Package(machine, dict(sorted(accompany(view, files, memory, bound).items())))
+    whole, archives, missing = accompany(view, files, memory, bound)
+    return Package(machine, dict(sorted(whole.items())), archives, missing)
 
 
 def _runtime(view: PackageView) -> dict[str, str]:
@@ -93,4 +96,4 @@ def write_package(package: Package, folder: Path) -> None:
     Raises:
         InputError: the folder cannot be written, or holds files that no package emits.
     """
-    write_folder(package.files, folder)
+    write_folder({**package.files, **package.archives}, folder)

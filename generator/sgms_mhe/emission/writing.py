@@ -14,7 +14,7 @@ EARLIER_SUFFIXES = (".c", ".h", ".txt")
 """Of the files of packages that had no manifest."""
 
 
-def write_folder(files: Mapping[str, str], folder: Path) -> None:
+def write_folder(files: Mapping[str, str | bytes], folder: Path) -> None:
     """Write files into `folder`, which afterwards holds them and nothing else that a package could have left.
 
     The folder is replaced in one move, so an interruption leaves the old one or the new one.
@@ -30,8 +30,8 @@ def write_folder(files: Mapping[str, str], folder: Path) -> None:
         parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(dir=parent, prefix=f".{folder.name}-"))
         try:
-            for name, text in files.items():
-                (scratch / name).write_text(text, encoding="utf-8")
+            for name, content in files.items():
+                (scratch / name).write_bytes(content if isinstance(content, bytes) else content.encode())
             scratch.chmod(0o755)
             if folder.exists():
                 shutil.rmtree(folder)

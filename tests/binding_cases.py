@@ -1,0 +1,94 @@
+"""Packages with every binding, and what their C alone makes of a log: what the tests of bindings compare with."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from c_packages import machine, written
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.emission.bindings import BINDINGS
+from sgms_mhe.emission.package import Package, emit_package
+from sgms_mhe.evaluation.motions import simulated_log
+from sgms_mhe.host.compiled import CompiledEstimator
+from sgms_mhe.machine import Machine
+from sgms_mhe.signals.estimates import Estimates
+from sgms_mhe.signals.logs import Log
+
+KINDS = ("single", "double", "ekf", "rotary")
+HELD_MASS = "held mass"
+"""A kind whose equations have the mass in them, so that it is no parameter; it feeds nothing forward by itself."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A package with every binding.
+
+    Attributes:
+        folder: it is written in.
+    """
+
+    machine: Machine
+    package: Package
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        return self.machine.name
+
+    @property
+    def log(self) -> Log:
+        """Forty updates of a motion with reversals and a halt."""
+        return simulated_log(self.machine, "mixed", 40)
+
+    def run(self, log: Log) -> Estimates:
+        """What the package's C makes of a log in one task."""
+        return CompiledEstimator(self.machine, self.package).estimate_log(log, mode="tick")
+
+
+def machine_of(kind: str) -> Machine:
+    if kind == "rotary":
+        return load_machine("etel_xy_rotary")
+    estimator = {"kind": "ekf"} if kind == "ekf" else {"horizon": 6, "relinearise": "auto"}
+    changes = {
+        "effects": [{"name": "force_gain", "gain": 1.07}],
+        "compensation": {"enabled": False, "delay": 210e-6},
+    }
+    precision = "single" if kind == "single" else "double"
+    return machine(code={"precision": precision}, estimator=estimator, **(changes if kind == HELD_MASS else {}))
+
+
+def bound_package(kind: str, folder: Path) -> Bound:
+    """The package of a kind, written below a folder."""
+    settings = machine_of(kind)
+    package = emit_package(settings, selftest=False, bindings=BINDINGS)
+    return Bound(settings, package, written(package, folder))
+
+
+def module_of(folder: Path) -> ModuleType:
+    """The emitted Python module, as an application imports it."""
+    path = next(folder.glob("*.py"))
+    name = f"{path.stem}_binding_{abs(hash(str(path)))}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def ticking(package: Bound) -> Any:
+    """An estimator of the emitted Python module that has the C's `tick` besides: double precision only."""
+    module = module_of(package.folder)
+    assert package.package.machine.code.precision == "double"
+
+    class Ticking(module.Estimator):  # type: ignore[misc, name-defined]
+        def tick(self, position: float, push: float) -> float:
+            self._declare("tick", ctypes.c_double, ctypes.c_void_p, ctypes.c_double, ctypes.c_double)
+            return float(self._c_tick(self._axis, position, push))
+
+    return Ticking()
