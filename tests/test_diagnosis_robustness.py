@@ -21,13 +21,14 @@ from sgms_mhe.diagnosis.compiling import CompiledFit
 from sgms_mhe.diagnosis.covariance import covariance
 from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.plan import make_plan
 from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory
 from sgms_mhe.recordings.evidence import noise_floor
-from sgms_mhe.recordings.recording import Recording, prepare
+from sgms_mhe.recordings.recording import Recording, prepare, rows_spanning
 from sgms_mhe.signals.logs import Log, write_log
 
 Hidden = Sequence[tuple[str, Mapping[str, float]]]
@@ -321,6 +322,25 @@ def test_excerpt_is_spread_over_the_record(slow: Machine, rippled: Log, long: Lo
     # A third of the pieces is held out, and nothing that is held out was not.
     held = whole.held_out[whole.block[place]]
     np.testing.assert_array_equal(part.held_out[part.block[part.used]], held)
+
+
+@pytest.mark.parametrize("law", ["sgms", "maxwell_slip"])
+def test_pieces_of_a_long_record_do_not_begin_where_elements_remember(slow: Machine, law: str) -> None:
+    """Loops below break-away forget nothing, whatever their way: what was before them would look like an effect."""
+    axis = load_machine("etel_xy")
+    path = make_plan(axis, ("position_spring", "constant_offset")).trajectory
+    log = every_tenth(recorded(axis, path=path, law=law))
+    assert log.time_s[-1] > slow.diagnosis.fitted_time
+    diagnosis = diagnose(slow, log)
+    assert diagnosis.verdict == "adequate", diagnosis.summary
+    assert diagnosis.rms.after < 1.3 * diagnosis.noise_floor_N
+
+
+def test_rows_until_a_motion_has_covered_an_extent() -> None:
+    to_and_fro = np.tile([0.0, 0.4, 0.9, 0.4], 500)
+    assert rows_spanning(to_and_fro, 1.0) == len(to_and_fro)
+    assert rows_spanning(np.append(to_and_fro, [1.0, 2.0]), 1.0) == len(to_and_fro)
+    assert rows_spanning(to_and_fro, 0.9) == 2
 
 
 def test_work_on_a_long_record_is_bounded(slow: Machine, long: Log) -> None:

@@ -9,7 +9,14 @@ from typing import Final
 
 import numpy as np
 
-from sgms_mhe.recordings.recording import Recording, forgotten_after, reduced, samples_per_row, split_blocks
+from sgms_mhe.recordings.recording import (
+    Recording,
+    forgotten_after,
+    reduced,
+    rows_spanning,
+    samples_per_row,
+    split_blocks,
+)
 
 SEAM: Final = 2  # rows at the end of a piece that derivatives of a row's neighbours would mix with the next
 
@@ -106,14 +113,16 @@ def _leads(recording: Recording) -> dict[int, int]:
     path = np.concatenate(([0.0], np.cumsum(np.abs(recording.velocity)) * step))
     low, high = float(np.min(recording.position)), float(np.max(recording.position))
     forget = forgotten_after(recording.machine)
-    way = max(forget, thresholds.lead_travel * (high - low))
+    way = thresholds.lead_travel * (high - low)
     least, most = (math.ceil(lead / step) for lead in (thresholds.lead_min, thresholds.lead_max))
     leads: dict[int, int] = {}
     for block in range(recording.blocks):
         start = int(np.flatnonzero(recording.block == block)[0])
+        earliest = max(0, start - most)
+        wiped = start - rows_spanning(recording.position[earliest : start + 1][::-1], forget)
         begin = int(np.searchsorted(path, path[start] - way, side="right")) - 1
-        begin = max(0, start - most, min(begin, start - least))
-        if begin == 0 or path[start] - path[begin] >= forget:
+        begin = max(earliest, min(begin, start - least, wiped))
+        if begin == 0 or wiped >= earliest:
             leads[block] = begin
     return leads
 

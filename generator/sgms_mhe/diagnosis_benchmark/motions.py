@@ -41,17 +41,12 @@ def draw_motion(style: str, machine: Machine, seconds: float, random: Generator)
     segments = styles[style]
     builder.path.wait(0.2)
     k = 0
-    while len_s(builder.path) < seconds:
+    while builder.path.duration_s < seconds:
         segments[k % len(segments)]()
         k += 1
     builder.path.wait(0.2)
     motion = builder.path.trajectory(style)
     return Trajectory(style, motion.rate, motion.position_m[: round((seconds + 0.2) * motion.rate)])
-
-
-def len_s(path: Motion) -> float:
-    """Time of what has been put together [s]."""
-    return len(path.trajectory("").position_m) / path.rate
 
 
 class _Builder:

@@ -88,7 +88,7 @@ class FitThresholds(Table):
     forget: float = threshold(
         4.0,
         "deflection scales",
-        "way after which elements do not remember where they started",
+        "extent of a motion after which elements do not remember where they started",
         "all of them slip by then",
         gt=0,
         le=100,

@@ -120,6 +120,11 @@ class Motion:
             self.move_to(centre - amplitude, velocity, acceleration, jerk)
         self.move_to(centre, velocity, acceleration, jerk)
 
+    @property
+    def duration_s(self) -> float:
+        """Time of what has been put together so far."""
+        return sum(map(len, self._parts)) / self.rate
+
     def trajectory(self, name: str) -> Trajectory:
         """What has been put together so far."""
         return Trajectory(name, self.rate, np.concatenate(self._parts))

@@ -245,19 +245,32 @@ def _remembered(signals: Signals, machine: Machine, good: Mask) -> Mask:
     A record of presliding alone never forgets its start; it is kept, and taken to start from relaxed elements.
     """
     scale = forgotten_after(machine)
-    path = np.cumsum(np.abs(signals.velocity)) * machine.sampling.step
     known = np.ones(len(signals), dtype=np.bool_)
     starts = np.flatnonzero(np.diff(signals.missing.astype(np.int8)) == -1) + 1
     for start in starts:
-        end = int(np.searchsorted(path, path[start] + scale))
-        known[start:end] = False
+        known[start : start + rows_spanning(signals.position[start:], scale)] = False
     least = machine.diagnosis.remembered_min * good.sum()
     return known if (known & good).sum() >= least else np.ones(len(signals), dtype=np.bool_)
 
 
 def forgotten_after(machine: Machine) -> float:
-    """Way [m] after which elements do not remember where they started."""
+    """Extent [m] of a motion after which elements do not remember where they started.
+
+    Not its way: loops below break-away never forget, however many there are.
+    """
     return machine.diagnosis.forget * scales_of(machine).deflection
+
+
+def rows_spanning(position: Array, extent: float) -> int:
+    """Rows from the first on until the position [m] has covered an extent [m]; all where it never does."""
+    seen = 256
+    while True:
+        part = position[:seen]
+        span = np.maximum.accumulate(part) - np.minimum.accumulate(part)
+        rows = int(np.searchsorted(span, extent))
+        if rows < len(part) or len(part) == len(position):
+            return rows
+        seen *= 4
 
 
 def _blocks(used: Mask, step: float, thresholds: Thresholds) -> tuple[Index, int]:
