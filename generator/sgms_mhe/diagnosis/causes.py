@@ -74,16 +74,19 @@ def _vague(cause: Cause, thresholds: Thresholds) -> tuple[str, ...]:
     return tuple(found)
 
 
-def holds(cause: Cause, thresholds: Thresholds, *, constant: bool = False) -> bool:
+def holds(cause: Cause, thresholds: Thresholds, *, constant: bool = False, complete: bool = False) -> bool:
     """Whether a cause has a size, and a gain on data that its fit has not seen.
 
-    Of a cause that is the same all over the record (`constant`) the gain may be uncertain where it is certain that the
-    cause is there: few blocks of a short record, not all of which it acts in.
+    The gain may be uncertain where it is certain that the cause is there: few blocks of a short record, not all of
+    which it acts in. It is of a cause that is the same all over the record (`constant`), by its test; and where the fit
+    leaves nothing that matters (`complete`), by its sizes.
     """
-    certain = constant and cause.gain_N > 0.0 and cause.p_value < thresholds.joint
+    sizes = _sizes(cause)
+    apart = [abs(cause.parameters[key] - none) / cause.std[key] for key, none in sizes.items() if cause.std[key] > 0.0]
+    known = complete and bool(apart) and min(apart) > thresholds.certain
+    certain = cause.gain_N > 0.0 and (known or (constant and cause.p_value < thresholds.joint))
     if not (cause.gain_interval_N[0] > 0.0 or certain):
         return False
-    sizes = _sizes(cause)
     if cause.nominal and len(sizes) > 1 and cause.p_value < thresholds.joint:
         return True  # none of several numbers is determined alone, but together they differ
     return not sizes or any(

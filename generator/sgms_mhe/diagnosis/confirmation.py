@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from sgms_mhe.diagnosis.causes import holds, is_possible, measured_causes
+from sgms_mhe.diagnosis.compiling import bearing
 from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
+from sgms_mhe.diagnosis.criteria import material_force
 from sgms_mhe.diagnosis.groups import Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.result import Cause
 from sgms_mhe.diagnosis.rivals import Rejected
@@ -42,16 +44,26 @@ def confirmed(settled: Settled, selection: Selection, *, constant: bool = False)
         fit = selection.fit
         blind = settled.fit(fit.extras, refitted=selection.refitted, warm=fit, rows=settled.seen)
         causes = measured_causes(settled, selection, blind)
+        complete = settled.excess(fit) < material_force(settled.subject.machine, settled.floor)
         doubtful = [
             g
             for g, cause in causes.items()
-            if not holds(cause, settled.thresholds, constant=constant) or not is_possible(cause, settled)
+            if not holds(cause, settled.thresholds, constant=constant, complete=complete)
+            or not is_possible(cause, settled)
+            or _imitates(settled, fit, g, cause)
         ]
         if not doubtful:
             return Confirmed(selection, blind, _strongest_first(causes))
         weakest = min(doubtful, key=lambda group: causes[group].gain_N)
         selection = _not_named(settled, selection, weakest) if constant else _without(settled, selection, weakest)
     return Confirmed(selection, selection.fit, ())
+
+
+def _imitates(settled: Settled, fit: Fit, group: Group, cause: Cause) -> bool:
+    """Whether a wrong number may be no more than what elements get wrong that stand in for ones that switch."""
+    if group.is_extra or bearing(settled.subject.machine, fit.extras) is settled.subject.machine:
+        return False
+    return cause.gain_N < settled.thresholds.stood_in * settled.floor
 
 
 def constant_causes(settled: Settled, selection: Selection) -> Confirmed:

@@ -251,6 +251,22 @@ class Thresholds(FitThresholds):
         gt=0,
         le=100,
     )
+    certain: float = threshold(
+        10.0,
+        "standard deviations",
+        "the same of a size that is certain, whatever the interval of its gain, where its cause leaves nothing",
+        "what acts in a few blocks alone may be in none of those that the interval draws",
+        gt=0,
+        le=1000,
+    )
+    stood_in: float = threshold(
+        2.0,
+        "noise floors",
+        "gain of a wrong number, where elements that switch are stood in for by ones that slip almost at once",
+        "that leaves 1.5 noise floors, which a Stribeck effect imitates",
+        gt=0,
+        le=100,
+    )
     vague: float = threshold(
         0.5,
         "value",
