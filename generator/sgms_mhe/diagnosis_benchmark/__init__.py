@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from sgms_mhe.diagnosis_benchmark.causes import Hidden
 from sgms_mhe.diagnosis_benchmark.draws import Draw, machine_of, make_draw, simulate_draw
+from sgms_mhe.diagnosis_benchmark.planned import run_planned
 from sgms_mhe.diagnosis_benchmark.running import run_diagnosis_benchmark, run_draw
 from sgms_mhe.diagnosis_benchmark.scoring import Found, Summary, outcome, summarise, summary_json, summary_text
 
@@ -17,6 +18,7 @@ __all__ = [
     "outcome",
     "run_diagnosis_benchmark",
     "run_draw",
+    "run_planned",
     "simulate_draw",
     "summarise",
     "summary_json",

@@ -241,7 +241,7 @@ def _style(random: Generator) -> str:
 
 def _with_causes(frame: _Frame, draw: Draw, names: tuple[str, ...]) -> Draw | None:
     axis = machine_of(frame.machine, draw)
-    least = {key: value for name in names for key, value in _least(name).items()}
+    least = {key: value for name in names for key, value in least_numbers(name).items()}
     if least:
         friction = {key: max(value, getattr(axis.friction, key)) for key, value in least.items()}
         draw = replace(draw, machine_changes={"name": "specimen", "friction": friction})
@@ -293,7 +293,7 @@ def _clock(frame: _Frame, draw: Draw, axis: Machine) -> Draw | None:
     return None if sized is None else replace(draw, hidden=(sized[0],))
 
 
-def _least(name: str) -> Mapping[str, float]:
+def least_numbers(name: str) -> Mapping[str, float]:
     """What the machine's numbers must at least be for a cause to have something to act on."""
     specimen = effect_definition(name).specimen if name in EFFECT_NAMES else None
     return specimen.least or {} if specimen is not None else {}

@@ -71,7 +71,7 @@ def run_diagnosis_benchmark(
         if progress is not None:
             progress(len(done), draws)
     summary = summarise(machine, [done[k] for k in sorted(done)])
-    write_text(folder / "summary.json", json.dumps(_plain(summary_json(summary)), indent=1) + "\n")
+    write_text(folder / "summary.json", json.dumps(plain_json(summary_json(summary)), indent=1) + "\n")
     write_text(folder / "summary.txt", summary_text(summary) + "\n")
     rows, columns, counts = confusion_table(summary.confusion)
     lines = [["hidden", *columns], *([row, *map(str, line)] for row, line in zip(rows, counts, strict=True))]
@@ -96,12 +96,12 @@ def run_draw(machine: Machine, seed: int, index: int, diagnose: Diagnose = diagn
 
 def _kept_draw(machine: Machine, seed: int, index: int, diagnose: Diagnose) -> dict[str, bytes]:
     draw, found = run_draw(machine, seed, index, diagnose)
-    return {RESULT: json.dumps(_plain({"draw": draw.to_json(), "found": found.to_json()})).encode()}
+    return {RESULT: json.dumps(plain_json({"draw": draw.to_json(), "found": found.to_json()})).encode()}
 
 
 def _key(machine: Machine, seed: int, index: int) -> str:
     # The digest is of what is emitted; thresholds change the results too.
-    whole = f"{machine.digest} {json.dumps(_plain(machine.diagnosis.changed), sort_keys=True)} {seed}"
+    whole = f"{machine.digest} {json.dumps(plain_json(machine.diagnosis.changed), sort_keys=True)} {seed}"
     return f"{index:05d}-{hashlib.sha256(whole.encode()).hexdigest()[:_DIGITS]}"
 
 
@@ -113,12 +113,12 @@ def _scored(outcome: Outcome, machine: Machine, seed: int, index: int) -> tuple[
     return Draw.from_json(_back(content["draw"])), Found.from_json(content["found"])
 
 
-def _plain(value: Any) -> Any:
+def plain_json(value: Any) -> Any:
     """JSON knows neither NaN nor infinity."""
     if isinstance(value, Mapping):
-        return {key: _plain(entry) for key, entry in value.items()}
+        return {key: plain_json(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
+        return [plain_json(entry) for entry in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
