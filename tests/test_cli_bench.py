@@ -17,12 +17,14 @@ from cli_cases import SMALL, done, files
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.evaluation.benchmark import Bench, fitted_exponents, with_elements
+from sgms_mhe.evaluation.benchmark_figures import STYLES
 from sgms_mhe.evaluation.harness import build_harness
 from sgms_mhe.evaluation.integration_errors import Recording, emitted_errors
 from sgms_mhe.evaluation.peers import KINDS, Evaluation, Kind, PeerExport
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
+from sgms_mhe.machine.sampling import DISPLACEMENT
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.reference import Integrator
@@ -331,3 +333,8 @@ def test_peers_agree_where_effects_couple_states(small: Path, recording: Recordi
     )
     for name in ("x1", "A", "B", "residual", "C", "D"):
         np.testing.assert_allclose(getattr(one, name), getattr(other, name), rtol=1e-10, atol=1e-10)
+
+
+def test_every_scheme_has_a_marker_in_the_figures() -> None:
+    assert STYLES.keys() >= DISPLACEMENT.keys()
+    assert len({marker for _, marker in STYLES.values()}) == len(STYLES)

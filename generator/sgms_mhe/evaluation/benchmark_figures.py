@@ -18,6 +18,7 @@ STYLES: Final = {
     "bs23": ("#1b7837", "^"),
     "rk2": ("#7b3294", "v"),
     "euler": ("0.45", "D"),
+    "clip": ("tab:brown", "P"),
     "CasADi": ("black", "x"),
 }
 SWEPT: Final = {"horizon": "horizon N", "elements": "elements n_z"}
