@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 import shlex
 import subprocess
@@ -43,6 +44,7 @@ NEITHER_RUN_NOR_PARSED = {
     ('eval "$(_SGMS_MHE_COMPLETE=zsh_source sgms-mhe)"', "a shell's start file; test_terminal.py completes"),
     ("_SGMS_MHE_COMPLETE=fish_source sgms-mhe | source", "a shell's start file; test_terminal.py completes"),
     ('export PATH="$PWD/.venv/bin:$PATH"', "of the reader's shell alone"),
+    ("logger | sgms-mhe watch my_axis.toml -", "whatever writes the samples; test_watch.py"),
 }
 """Lines of shell that no test looks into, and why."""
 
@@ -187,7 +189,8 @@ def test_targets_that_are_none_are_noticed() -> None:
 def test_make_says_what_it_will_do_before_it_does() -> None:
     def said(*goals: str) -> str:
         command = ["make", "--dry-run", "--old-file=.venv/.installed", *goals]
-        return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        ours = {key: value for key, value in os.environ.items() if key not in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS")}
+        return subprocess.run(command, cwd=ROOT, env=ours, capture_output=True, text=True, check=True).stdout
 
     first = said().splitlines()[:6]
     steps = [line.split()[0] for line in first[1:5]]

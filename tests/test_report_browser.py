@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 import pytest
+from selenium import webdriver
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 

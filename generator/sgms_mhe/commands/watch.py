@@ -147,12 +147,12 @@ def command(
     from sgms_mhe.api.watching import HostClock, Watch
     from sgms_mhe.commands.watch_views import GrowingEstimates, Page, view
 
-    clock = HostClock()
-    source = _source(log, resolved, math.inf if idle_s is None else idle_s, speed, clock, follow=follow)
-    watch, name = Watch(resolved), str(log) if str(log) != "-" else "standard input"
-    shown = None if page is None else Page(page, name, clock.now)
-    rows = None if out is None else GrowingEstimates(out)
-    with Interrupt() as interrupt:
+    with Interrupt() as interrupt:  # before anything takes time: an exception in the midst of an import may be lost
+        clock = HostClock()
+        source = _source(log, resolved, math.inf if idle_s is None else idle_s, speed, clock, follow=follow)
+        watch, name = Watch(resolved), str(log) if str(log) != "-" else "standard input"
+        shown = None if page is None else Page(page, name, clock.now)
+        rows = None if out is None else GrowingEstimates(out)
         with view(name, every_s, clock.now, quiet=is_quiet()) as seen:
             error = _run(source, watch, interrupt, seen, shown, rows, judged=not growing)
         if rows is not None:
