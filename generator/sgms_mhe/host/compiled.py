@@ -329,6 +329,15 @@ class RunningEstimator:
         self._taken += len(piece)
         return self._estimator._estimates(run, time[first::samples])
 
+    def state(self) -> tuple[bytes, int]:
+        """Where it is: its memory and how many samples it has taken."""
+        return self._memory.raw, self._taken
+
+    def go_back(self, state: tuple[bytes, int]) -> None:
+        """Be where it was when it said `state`; of this estimator alone, whose memory stays in its place."""
+        memory, self._taken = state
+        ctypes.memmove(self._memory, memory, len(memory))
+
 
 def _arrays(signals: Signals) -> dict[str, NDArray[Any]]:
     """Aligned signals as the replay takes them."""
