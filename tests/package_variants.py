@@ -30,7 +30,8 @@ class Variant:
         if self.model is not None:
             model = self.model()
             return emit_package(model.machine, model, selftest=self.selftest)
-        return emit_package(override_machine(load_machine(self.machine), self.changes), selftest=self.selftest)
+        base = override_machine(load_machine(self.machine), {"estimator": {"relinearise": "all"}})
+        return emit_package(override_machine(base, self.changes), selftest=self.selftest)
 
 
 EFFECTS: dict[str, dict[str, Any]] = {

@@ -131,7 +131,7 @@ def base(kind: Kind = "linear") -> Machine:
         load_machine({"linear": "etel_xy", "rotary": "etel_xy_rotary"}[kind]),
         {
             "sampling": {"rate": RATE, "update_rate": 100.0, "integrator": {"scheme": "flow"}},
-            "estimator": {"horizon": 3, "bounds": {}},
+            "estimator": {"horizon": 3, "bounds": {}, "relinearise": "all"},
         },
     )
 

@@ -20,6 +20,7 @@ import pytest
 
 from c_packages import PRECISIONS, PROBES, STRICT, Array, machine, pointer, run, scheme, symbols, written
 from reference_cases import linear_model
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
@@ -91,7 +92,8 @@ def test_same_machine_same_bytes(tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=tmp_path, env=elsewhere, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     for single in (False, True):
-        settings = machine(code={"precision": "single" if single else "double"})
+        precision = "single" if single else "double"
+        settings = override_machine(load_machine("etel_xy"), {"code": {"precision": precision}})
         here = emit_package(settings).files
         assert here == emit_package(settings).files
         folder = tmp_path / str(single)

@@ -93,10 +93,11 @@ def hard_motions(settings: Machine) -> list[Array]:
     velocities = [np.concatenate([np.zeros(2 * M), np.full(length, 0.9999 * speed)])]
     if sampling.integrator.scheme == "flow":
         velocities.append(np.concatenate([approach, np.full(length, 0.97 * flow_of(settings).gate_velocity)]))
+    k = np.arange(60 * M)
+    amplitude = np.repeat(np.geomspace(3e-5, 3.0, 60), M)
+    velocities += [amplitude * np.sin(0.9 * np.pi * k / K), 0.02 * amplitude * np.sin(7.0 * k / M)]
     if K > 1:
-        k = np.arange(60 * M)
-        amplitude = np.repeat(np.geomspace(3e-5, 3.0, 60), M)
-        velocities += [amplitude * np.where(k // K % 2, 1.0, -1.0), amplitude * np.sin(0.9 * np.pi * k / K)]
+        velocities.append(amplitude * np.where(k // K % 2, 1.0, -1.0))
     random = np.random.default_rng(1)
     count = max(8 * M, 100)
     steps = np.where(random.random(count) < 0.1, 1e-2, 1e-7) * random.normal(size=count) + 1e-3 * sampling.step
@@ -123,8 +124,9 @@ def test_stated_work_of_a_machine_holds_and_is_not_far_off(name: str, require_to
     package = emit_package(settings, selftest=False, within_budget=True)
     most, said = counted(settings, Counter(package, require_tool, tmp_path)), stated(package)
     assert all(most[call] <= said[call] for call in said), (most, said)
-    # feedback() may take a search over all bounds, which no motion asks for
-    assert all(said[call] <= 5 * most[call] for call in said if call != "feedback"), (most, said)
+    # feedback() may take a search over all bounds, which no motion asks for; a part of it is in a tick
+    assert all(said[call] <= 5 * most[call] for call in said if call not in ("feedback", "tick")), (most, said)
+    assert said["tick"] <= 6 * most["tick"], (most, said)
 
 
 @pytest.mark.parametrize("title", SHAPES)
@@ -174,7 +176,7 @@ def test_default_budget_is_what_a_small_controller_does_in_a_sample() -> None:
     emps = load_machine("emps")
     assert emps.code.tick_budget is None
     assert OPERATION_RATE / emps.sampling.rate == 250e3
-    longer = override_machine(emps, {"estimator": {"horizon": 60}})
+    longer = override_machine(emps, {"estimator": {"horizon": 60, "relinearise": "all"}})
     with pytest.raises(InputError, match=r"code\.tick_budget = 250000\.0.*2\.5e\+08 operations per second"):
         emit_package(longer, selftest=False, within_budget=True)
 

@@ -111,7 +111,8 @@ def run_benchmark(
         InputError: no such motion.
         BuildError: the compiler refused.
     """
-    feeding, machine = machine, override_machine(machine, {"compensation": {"enabled": False}})
+    feeding = machine
+    machine = override_machine(machine, {"compensation": {"enabled": False}, "estimator": {"relinearise": "all"}})
     sampling = machine.sampling
     bench = Bench(machine, flags)
 

@@ -44,6 +44,7 @@ TRUE_STIFFNESS: Final = (1.25, 0.8, 1.15, 0.9)
 _STEPS: Final = 8
 
 PAPER_WEIGHTS: Final[dict[str, Any]] = {
+    "relinearise": "all",
     "noise": {
         "measurement": 0.5,
         "state": 0.1,

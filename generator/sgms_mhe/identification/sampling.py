@@ -89,7 +89,7 @@ def unknown_axis(logs: Sequence[Log], name: str, mass: float, like: Machine | No
         "velocity_cutoff": HIGHEST_CUTOFF * rate,
         "max_velocity": rounded_up(HEADROOM * fastest),
     }
-    content |= {"sampling": sampling, "estimator": {"relinearise": "auto"}}  # a tick that every controller has time for
+    content |= {"sampling": sampling}
     machine = make_machine(content, Path(f"{name}.toml"))
     return _with_quiet_filter(machine, logs)
 

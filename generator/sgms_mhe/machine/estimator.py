@@ -58,7 +58,7 @@ class Estimator(Table):
     relinearise: Literal["all", "auto", "newest"] = text(
         "what of the older intervals an update linearises anew about the last solution",
         "all, auto (the blocks that have moved most) or newest (none: each but once, as the newest); of the mhe alone",
-        "all",
+        "auto",
     )
     parameters: Names = text(
         "parameters to estimate",

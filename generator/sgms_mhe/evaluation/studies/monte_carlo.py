@@ -35,6 +35,10 @@ def _updates_at(rate: float) -> dict[str, Any]:
     return {"sampling": {"update_rate": rate}}
 
 
+def _auto(changes: dict[str, Any]) -> dict[str, Any]:
+    return {**changes, "estimator": {**changes["estimator"], "relinearise": "auto"}}
+
+
 CASES: Final[tuple[Case, ...]] = (
     Case("default", {}, spread),
     Case("noise of the force 1.6 N", weighted(measurement=0.5), spread, 1.6),
@@ -47,7 +51,10 @@ CASES: Final[tuple[Case, ...]] = (
     Case("50 ms", _updates_at(20.0), spread),
     Case("50 ms, factor 2, prior 0.5", _updates_at(20.0) | weighted(parameter=0.5), factor_of_two),
     Case("100 ms, factor 2, prior 0.5", _updates_at(10.0) | weighted(parameter=0.5), factor_of_two),
+    Case("50 ms, factor 2, prior 0.5, auto", _updates_at(20.0) | _auto(weighted(parameter=0.5)), factor_of_two),
+    Case("100 ms, factor 2, prior 0.5, auto", _updates_at(10.0) | _auto(weighted(parameter=0.5)), factor_of_two),
 )
+"""With everything about the last solution, which is all that a window can give, unless a case says otherwise."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +74,8 @@ class Comparison:
 
 def compare_case(case: Case, seeds: Sequence[int], duration_s: float = 6.0, smoothed: int = 0) -> Comparison:
     """MHE and EKF with equal weights on the same simulated axes; the batch smoother on the first `smoothed` of them."""
-    machine = override_machine(load_machine("etel_xy"), case.changes)
+    whole = override_machine(load_machine("etel_xy"), {"estimator": {"relinearise": "all"}})
+    machine = override_machine(whole, case.changes)
     estimators = {
         kind: CompiledEstimator(override_machine(machine, {"estimator": {"kind": kind}})) for kind in ("mhe", "ekf")
     }

@@ -72,7 +72,7 @@ def specimen(name: str) -> Machine:
     small = override_machine(load_machine("etel_xy"), SMALL)
     changes = dict(SPECIMENS[name])
     if "friction" in changes:  # whose integrator is its own
-        small = load_machine("etel_xy")
+        small = override_machine(load_machine("etel_xy"), {"estimator": {"relinearise": "all"}})
         sampling = {"update_rate": 500.0, "max_velocity": 0.02, **changes.pop("sampling", {})}
         changes = {"estimator": {"horizon": 4}, **changes, "sampling": sampling}
     return override_machine(small, {"name": f"specimen_{name}", **changes})
