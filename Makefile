@@ -105,7 +105,7 @@ studies: $(STAMP) ## statistics: coverage, Monte Carlo against EKF and smoother,
 	    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_mhe.evaluation.studies $$name > $(BUILD)/studies/$$name.txt && \
 	    cat $(BUILD)/studies/$$name.txt || exit; done
 
-faults: $(STAMP) ## broken sensors in good logs: what each does to the estimate, worst of twenty; half an hour
+faults: $(STAMP) ## broken sensors in good logs: what each does to the estimate, worst of twenty; a few minutes
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_mhe.evaluation.studies faults
 
 benchmark: $(STAMP) ## time, instructions and errors of MACHINE's variants beside CasADi's export; figures in build/benchmark
