@@ -142,7 +142,7 @@ def test_measured_axis_on_a_stand_in_of_the_record(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_measured_axis_on_the_record(measured_data: Callable[[str], Path], tmp_path: Path) -> None:
     said = played("measured_axis", tmp_path, EMPS_RECORD=str(measured_data("emps/DATA_EMPS.mat")))
-    assert number(r"friction: (\S+) N RMS", said) == pytest.approx(2.08, abs=0.02)
+    assert number(r"friction: (\S+) N RMS", said) == pytest.approx(2.27, abs=0.02)  # updates without a measurement too
     assert "\nunexplained: " in said
     assert number(r"with its causes: (\S+) N", said) < 0.7 * number(r"published model: (\S+) N", said)
 
