@@ -5,13 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta, timezone
+from functools import lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.io import savemat
 
+from cli_cases import SMALL
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.machine import Machine
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log
 
 Array = NDArray[np.float64]
@@ -46,6 +54,24 @@ class Dialect:
 Format = Callable[[float], str]
 Names = tuple[str, str, str]
 OWN: Names = ("time_s", "position_m", "force_N")
+
+
+@lru_cache
+def machine() -> Machine:
+    """Two elements at 1 kHz."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "small.toml"
+        path.write_text(SMALL)
+        return load_machine(path)
+
+
+@lru_cache
+def trace() -> Log:
+    """Four seconds whose positions are whole counts and whose times are whole milliseconds."""
+    config = AxisConfig(encoder_resolution_m=1.0 / COUNTS_PER_METRE)
+    reference = make_trajectory("mixed", 1000.0, max_velocity=0.05, duration_s=4.0)
+    log = simulate_axis(machine(), reference, config, truth=False).log
+    return Log(np.arange(len(log)) / 1000.0, log.position_m, log.force_N, 1000.0)
 
 
 def comma(value: float) -> str:

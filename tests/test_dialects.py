@@ -14,35 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cli_cases import SMALL
-from log_dialects import COUNTS_PER_METRE, DIALECTS, DIGITS
-from sgms_mhe.configuration import load_machine, override_machine
+from log_dialects import COUNTS_PER_METRE, DIALECTS, DIGITS, machine, trace
+from sgms_mhe.configuration import override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import read_log
-from sgms_mhe.machine import Machine
-from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.estimates import Estimates
-from sgms_mhe.signals.logs import Log
-
-
-@lru_cache
-def machine() -> Machine:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "small.toml"
-        path.write_text(SMALL)
-        return load_machine(path)
-
-
-@lru_cache
-def trace() -> Log:
-    """Four seconds whose positions are whole counts and whose times are whole milliseconds."""
-    config = AxisConfig(encoder_resolution_m=1.0 / COUNTS_PER_METRE)
-    reference = make_trajectory("mixed", 1000.0, max_velocity=0.05, duration_s=4.0)
-    log = simulate_axis(machine(), reference, config, truth=False).log
-    return Log(np.arange(len(log)) / 1000.0, log.position_m, log.force_N, 1000.0)
 
 
 @lru_cache

@@ -26,11 +26,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from cli_cases import SMALL, done, files, refused, run
-from log_dialects import COUNTS_PER_METRE, DIALECTS
+from cli_cases import done, files, refused, run
+from log_dialects import DIALECTS, machine, trace
 from sgms_mhe.api.estimation import estimate
 from sgms_mhe.api.watching import Followed, Replay, Source, Streamed, Watch
-from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.configuration import override_machine
 from sgms_mhe.evaluation.watching import TREND_POINTS, Course, Trend, flags_of
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.logfiles.following import FollowedText
@@ -53,23 +53,6 @@ LIMIT_S = 300.0
 TEXT_DIALECTS = tuple(name for name, dialect in DIALECTS.items() if dialect.suffix in TEXTS)
 TELLS_LATE = "groups of thousands"
 """The dialect whose first rows do not tell what its points are."""
-
-
-@lru_cache
-def machine() -> Machine:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "small.toml"
-        path.write_text(SMALL)
-        return load_machine(path)
-
-
-@lru_cache
-def trace() -> Log:
-    """Four seconds whose positions are whole counts and whose times are whole milliseconds."""
-    config = AxisConfig(encoder_resolution_m=1.0 / COUNTS_PER_METRE)
-    reference = make_trajectory("mixed", 1000.0, max_velocity=0.05, duration_s=4.0)
-    log = simulate_axis(machine(), reference, config, truth=False).log
-    return Log(np.arange(len(log)) / 1000.0, log.position_m, log.force_N, 1000.0)
 
 
 @lru_cache

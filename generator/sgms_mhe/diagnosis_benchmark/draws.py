@@ -7,7 +7,7 @@ base model's numbers at least `VISIBLE` of its force is left to be seen.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
@@ -241,10 +241,9 @@ def _style(random: Generator) -> str:
 
 def _with_causes(frame: _Frame, draw: Draw, names: tuple[str, ...]) -> Draw | None:
     axis = machine_of(frame.machine, draw)
-    least = {key: value for name in names for key, value in least_numbers(name).items()}
-    if least:
-        friction = {key: max(value, getattr(axis.friction, key)) for key, value in least.items()}
-        draw = replace(draw, machine_changes={"name": "specimen", "friction": friction})
+    changes = something_to_act_on(axis, names)
+    if changes:
+        draw = replace(draw, machine_changes=changes)
         axis = machine_of(frame.machine, draw)
     motion = _motion(axis, draw)
     plain = prescribed_signals(axis, motion, Hidden(""))
@@ -293,10 +292,12 @@ def _clock(frame: _Frame, draw: Draw, axis: Machine) -> Draw | None:
     return None if sized is None else replace(draw, hidden=(sized[0],))
 
 
-def least_numbers(name: str) -> Mapping[str, float]:
-    """What the machine's numbers must at least be for a cause to have something to act on."""
-    specimen = effect_definition(name).specimen if name in EFFECT_NAMES else None
-    return specimen.least or {} if specimen is not None else {}
+def something_to_act_on(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
+    """Changes of a machine whose numbers are too small for these causes to have something to act on; {}: none is."""
+    specimens = [effect_definition(name).specimen for name in names if name in EFFECT_NAMES]
+    least = {key: value for s in specimens if s is not None for key, value in (s.least or {}).items()}
+    friction = {key: max(value, getattr(machine.friction, key)) for key, value in least.items()}
+    return {"name": "specimen", "friction": friction} if friction else {}
 
 
 def _motion(machine: Machine, draw: Draw) -> Trajectory:

@@ -22,8 +22,8 @@ from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.diagnosis.plan import make_plan
 from sgms_mhe.diagnosis_benchmark.axes import PlantLaw
 from sgms_mhe.diagnosis_benchmark.causes import Hidden, prescribed_signals, sized_cause
-from sgms_mhe.diagnosis_benchmark.draws import least_numbers
-from sgms_mhe.diagnosis_benchmark.running import RESULT, RESULTS, Progress, plain_json
+from sgms_mhe.diagnosis_benchmark.draws import something_to_act_on
+from sgms_mhe.diagnosis_benchmark.running import LIMIT_S, RESULT, RESULTS, Progress, plain_json
 from sgms_mhe.diagnosis_benchmark.scoring import Found, Share
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import cause_names, separating_moves
@@ -40,7 +40,6 @@ RMS: Final = 0.05
 PEAKS: Final = (0.1, 0.8)
 """Size of the first try, and the largest one, over the Coulomb level."""
 LAWS: Final[tuple[PlantLaw, ...]] = ("sgms", "maxwell_slip")
-_LIMIT_S: Final = 3600.0
 
 
 @dataclass(frozen=True)
@@ -71,10 +70,9 @@ def experiments(machine: Machine) -> list[Experiment]:
 
 def run_experiment(machine: Machine, experiment: Experiment) -> Found | None:
     """Run the planned move on the axis and diagnose its log; None where the cause has not that size on it."""
-    least = least_numbers(experiment.hidden)
-    if least:
-        friction = {key: max(value, getattr(machine.friction, key)) for key, value in least.items()}
-        machine = override_machine(machine, {"name": "specimen", "friction": friction})
+    changes = something_to_act_on(machine, (experiment.hidden,))
+    if changes:
+        machine = override_machine(machine, changes)
     seed = int.from_bytes(hashlib.sha256(experiment.key.encode()).digest()[:4], "big")
     motion = make_plan(machine, (experiment.hidden, experiment.other)).trajectory
     hidden = _hidden(machine, motion, experiment.hidden, seed)
@@ -130,7 +128,7 @@ def run_planned(machine: Machine, out: str | Path, *, jobs: int = 2, progress: P
     keys = {f"{experiment.key}-{machine.digest[:12]}": experiment for experiment in chosen}
     tasks = [Task(key, _kept, (machine, experiment)) for key, experiment in keys.items()]
     said: dict[Experiment, tuple[str, str]] = {}
-    for outcome in run_kept(tasks, folder / RESULTS, Place(jobs if jobs > 1 else 0, limit_s=_LIMIT_S)):
+    for outcome in run_kept(tasks, folder / RESULTS, Place(jobs if jobs > 1 else 0, limit_s=LIMIT_S)):
         experiment = keys[outcome.task.key]
         said[experiment] = ("failed", outcome.failure) if outcome.failure else _read(experiment, outcome.value)
         if progress is not None:

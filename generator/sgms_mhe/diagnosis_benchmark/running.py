@@ -30,7 +30,8 @@ RESULTS: Final = "results"
 """Folder of the draws' results, a folder each."""
 RESULT: Final = "result.json"
 _DIGITS: Final = 12
-_LIMIT_S: Final = 3600.0
+LIMIT_S: Final = 3600.0
+"""Of a diagnosis."""
 
 
 def run_diagnosis_benchmark(
@@ -61,7 +62,7 @@ def run_diagnosis_benchmark(
     folder = Path(out)
     keys = {_key(machine, seed, index): index for index in range(draws)}
     tasks = [Task(key, _kept_draw, (machine, seed, index, diagnose)) for key, index in keys.items()]
-    place = Place(jobs if jobs > 1 else 0, limit_s=_LIMIT_S)
+    place = Place(jobs if jobs > 1 else 0, limit_s=LIMIT_S)
     done: dict[int, tuple[Draw, Found]] = {}
     if progress is not None:
         progress(0, draws)
