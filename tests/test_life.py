@@ -38,6 +38,7 @@ KINDS: dict[str, dict[str, Any]] = {
     "newest": {"relinearise": "newest"},
     "fixed": {"arrival_cost": {"update": "fixed"}},
     "ekf": {"kind": "ekf"},
+    "unbounded": {"parameters": ["stiffness", "coulomb"], "bounds": {}},
 }
 TOLERANCE = {"double": 1e-6, "single": 2e-3}
 """Of parameters over nominal; what the packages' comparison with the reference allows."""
@@ -391,6 +392,18 @@ def test_parameter_that_cannot_be_is_refused(parameter: int, value: float, devia
     assert p.set_parameter(memory, parameter, value * nominal, deviation * nominal) == p.refused
     assert parameter in (0, 1) or p.hold(memory, parameter, 1) == p.refused
     assert memory.raw == before
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_level_that_leaves_no_model_is_refused(precision: str, package: Any) -> None:
+    p: Package = package("unbounded", precision)
+    memory, level = p.new(), p.model.n_p - 1
+    p.run(memory, log_of(), last=210)
+    before, nominal = memory.raw, p.model.parameters[level].nominal
+    for deviation in (0.0, 0.1 * nominal):
+        assert p.set_parameter(memory, level, 0.0, deviation) == p.refused
+        assert memory.raw == before
+    assert p.set_parameter(memory, level, 0.9 * nominal, 0.0) == 0
 
 
 # --- over a power cycle ------------------------------------------------------------------------------------------
