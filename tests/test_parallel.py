@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from functools import partial
@@ -59,17 +60,38 @@ def test_results_come_in_the_order_of_the_tasks(count: str, monkeypatch: pytest.
     assert in_parallel([]) == []
 
 
-def test_tasks_run_at_the_same_time_and_what_they_start_within_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tasks_run_at_the_same_time_and_no_more_than_there_are_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, "2")
     together = threading.Barrier(2, timeout=60.0)
 
     def task() -> set[int]:
         together.wait()  # nobody gets past it alone
-        return {threading.get_ident(), *in_parallel([threading.get_ident] * 3)}
+        seen = {threading.get_ident(), *in_parallel([threading.get_ident] * 3)}
+        together.wait()  # both are at work up to here
+        return seen
 
     first, second = in_parallel([task, task])
     assert len(first) == len(second) == 1
     assert first != second
+
+
+def test_a_core_that_is_free_takes_what_another_piece_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "2")
+
+    def lasting() -> bool:
+        until = time.monotonic() + 60.0
+        while time.monotonic() < until:
+            if len(set(in_parallel([piece, piece]))) == 2:
+                return True
+        return False
+
+    def piece() -> int:
+        time.sleep(0.01)
+        return threading.get_ident()
+
+    assert in_parallel([lambda: True, lasting]) == [True, True]
+    assert in_parallel([lasting, lambda: True]) == [True, True]
+    assert len(set(in_parallel([piece] * 8))) == 2  # as many as before
 
 
 def test_the_first_task_s_error_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:

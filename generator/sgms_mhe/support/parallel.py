@@ -9,8 +9,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Final, TypeVar
+from typing import Final, Generic, TypeVar
 
 from sgms_mhe.support.errors import InputError
 
@@ -21,8 +20,6 @@ VARIABLE: Final = "SGMS_MHE_WORKERS"
 
 LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that state how many threads a numerical library takes."""
-
-_here = threading.local()
 
 
 def workers() -> int:
@@ -51,21 +48,88 @@ def leave_cores_to_tasks() -> None:
 def in_parallel(tasks: Sequence[Callable[[], T]]) -> list[T]:
     """Results of tasks that do not depend on each other, in their order.
 
-    What a task starts in its turn runs within it, one after the other. Of several errors the first task's is raised,
-    once all that were begun are done.
+    What a task starts in its turn is shared out likewise, among the cores that no other piece has at that moment. Of
+    several errors the first task's is raised, once all that were begun are done.
     """
     count = min(workers(), len(tasks))
-    if count < 2 or getattr(_here, "busy", False):
+    if count < 2:
         return [task() for task in tasks]
-    with ThreadPoolExecutor(count, initializer=_begin) as pool:
-        futures = [pool.submit(task) for task in tasks]
+    batch = _Batch(tasks)
+    helpers = [threading.Thread(target=_help, args=(batch,), daemon=True) for _ in range(_cores.taken(count - 1))]
+    for helper in helpers:
+        helper.start()
+    batch.work()
+    if helpers:
+        _cores.give_back()  # while it waits, what the others start may have its core
         try:
-            return [future.result() for future in futures]
+            for helper in helpers:
+                helper.join()
         finally:
-            for future in futures:
-                future.cancel()
+            _cores.take_again()
+    return batch.outcome()
 
 
-def _begin() -> None:
-    """Mark a thread as one that works on a piece."""
-    _here.busy = True
+class _Batch(Generic[T]):
+    """Tasks that any number of threads take, the first ones first, until none is left or one has failed."""
+
+    def __init__(self, tasks: Sequence[Callable[[], T]]) -> None:
+        self._tasks = tasks
+        self._guard = threading.Lock()
+        self._begun = 0
+        self._results: dict[int, T] = {}
+        self._errors: dict[int, BaseException] = {}
+
+    def work(self) -> None:
+        """Take tasks as long as there are any."""
+        while True:
+            with self._guard:
+                number = self._begun
+                if number == len(self._tasks) or self._errors:
+                    return
+                self._begun += 1
+            try:
+                self._results[number] = self._tasks[number]()
+            except BaseException as error:
+                self._errors[number] = error
+
+    def outcome(self) -> list[T]:
+        """All results; of the errors the first task's, which was begun before any other that failed."""
+        if self._errors:
+            raise self._errors[min(self._errors)]
+        return [self._results[number] for number in range(len(self._tasks))]
+
+
+class _Cores:
+    """How many pieces are at work beside the one that asked first."""
+
+    def __init__(self) -> None:
+        self._guard = threading.Lock()
+        self._busy = 0
+
+    def taken(self, most: int) -> int:
+        """Take as many cores as are free, at most `most`, and say how many."""
+        with self._guard:
+            free = max(0, min(most, workers() - 1 - self._busy))
+            self._busy += free
+            return free
+
+    def give_back(self) -> None:
+        """A piece is done, or waits."""
+        with self._guard:
+            self._busy -= 1
+
+    def take_again(self) -> None:
+        """One that waited goes on, whoever has its core meanwhile."""
+        with self._guard:
+            self._busy += 1
+
+
+_cores = _Cores()
+
+
+def _help(batch: _Batch[T]) -> None:
+    """Work on a batch with a core that was taken for it."""
+    try:
+        batch.work()
+    finally:
+        _cores.give_back()
