@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import make_machine, override_machine
 from sgms_mhe.diagnosis.groups import Column, Extra, Group
 from sgms_mhe.host.compiled import CompiledModel
-from sgms_mhe.host.packages import cached_package
+from sgms_mhe.host.packages import SYMBOLIC, cached_package
 from sgms_mhe.machine import CLOSED_FORMS, Machine
 from sgms_mhe.model import FreeParameter, Model, build_model
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
@@ -28,9 +28,6 @@ CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memor
 KEPT: Final = 512  # compiled models; a diagnosis of a rich record asks for about a hundred
 COARSE: Final = 4.0  # factor between nominal values that models are compiled for
 STEP: Final = 1.0  # deflection scales of an effect's states per step, unless the effect says otherwise
-
-_SYMBOLIC: Final = threading.RLock()
-"""Held where CasADi is at work: it lets other threads run, and its expressions bear no second one."""
 
 Nominal = tuple[tuple[str, float], ...]
 """Nominal values of an effect's parameters, as a key."""
@@ -67,7 +64,7 @@ class CompiledFit:
 
     def nodes(self, chi: Array, theta: Array) -> Array:
         """Node states (k, n_x) of states chi (n_x, k)."""
-        with _SYMBOLIC:
+        with SYMBOLIC:
             return np.array(self.model.function("to_node")(chi, np.tile(theta[:, None], chi.shape[1]))).T
 
     def run(self, recording: Recording, theta: Array, *, derivatives: bool = True) -> tuple[Array, Array | None]:
@@ -82,6 +79,9 @@ class CompiledFit:
 
     def _run(self, recording: Recording, theta: Array, derivatives: bool) -> tuple[Array, Array | None]:
         m, factor, n_p = len(recording.time), recording.factor, self.model.n_p
+        if factor == 1 and m <= CHUNK:  # one piece, whose samples are the rows
+            _, y, d = next(self._pieces(recording, theta, derivatives))
+            return y, d
         force, slopes = np.empty(m), np.empty((m, n_p)) if derivatives else None
         for rows, y, d in self._pieces(recording, theta, derivatives):
             force[rows] = y.reshape(-1, factor).mean(axis=1)
@@ -121,7 +121,7 @@ class CompiledFit:
         self, recording: Recording, theta: Array, derivatives: bool
     ) -> Iterator[tuple[slice, Array, Array | None]]:
         """Rows, and at their samples the friction (k) [N] and its derivatives in the code's parameters (k, n_p)."""
-        signals, factor = recording.signals, recording.factor
+        factor = recording.factor
         n_x, n_p, m = self.model.n_x, self.model.n_p, len(recording.time)
         state, sensitivity = np.zeros(n_x), np.zeros((n_x, n_p))
         values = np.ascontiguousarray(theta, dtype=np.float64)
@@ -130,16 +130,7 @@ class CompiledFit:
             last = min(m, first + rows)
             start, end = first * factor, last * factor
             back = min(start, 1)  # the piece begins with the sample that its state belongs to
-            part = slice(start - back, end)
-            w = np.column_stack(
-                [
-                    signals.position[part],
-                    signals.velocity[part],
-                    signals.acceleration[part],
-                    signals.force[part],
-                    recording.clock[part],
-                ]
-            )
+            w = recording.inputs(start - back, end)
             y = np.empty(len(w))
             d = np.empty((len(w), n_p)) if derivatives else None
             self.code.advance(w, values, state, sensitivity, y, d)
@@ -268,7 +259,7 @@ def compiled_structure(structure: Structure) -> CompiledFit:
 def compiled_once(structure: Structure) -> CompiledFit:
     """What `compiled_structure` keeps, for one thread at a time."""
     machine = structure.machine
-    with _SYMBOLIC:
+    with SYMBOLIC:
         zero = _typical_sizes(machine)
         extended = _with_everything_free(machine, structure.extras, zero)
         model = build_model(extended)

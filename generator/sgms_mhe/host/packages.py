@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
+import threading
+from typing import Final
 
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
 from sgms_mhe.support import cache
+
+SYMBOLIC: Final = threading.RLock()
+"""Held where CasADi is at work: it lets other threads run, and its expressions bear no second one."""
 
 
 def cached_package(machine: Machine, model: Model | None = None) -> Package:

@@ -10,9 +10,10 @@ so that one compiled element of level 1 serves any number of them, and levels ar
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Final, Literal
 
@@ -21,8 +22,10 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine
 from sgms_mhe.host.compiled import CompiledModel
-from sgms_mhe.host.packages import cached_package
+from sgms_mhe.host.packages import SYMBOLIC, cached_package
 from sgms_mhe.identification.records import Motion
+from sgms_mhe.model import build_model
+from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 Law = Literal["sgms", "switching"]
@@ -40,6 +43,8 @@ GATE: Final = 0.36
 """Speed over the Stribeck velocity from which the gate of the smooth law, with its usual smoothing, is saturated."""
 RATE: Final = 1000.0
 """Break-away distance [m] and sample rate [Hz] that elements are compiled for."""
+
+_one_at_a_time = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -89,11 +94,12 @@ def run_elements(
     motions: Sequence[Motion], law: Law, distances: Array, rise: Stribeck, *, slopes: bool = True
 ) -> list[ElementRun]:
     """Elements of these distances (k) along all logs, their rows behind one another."""
-    found = []
-    for distance in distances.tolist():
+
+    def run(distance: float) -> ElementRun:
         runs = [run_element(motion, law, distance, rise, slopes=slopes) for motion in motions]
-        found.append(ElementRun(np.concatenate([r.chi for r in runs]), np.concatenate([r.slopes for r in runs])))
-    return found
+        return ElementRun(np.concatenate([r.chi for r in runs]), np.concatenate([r.slopes for r in runs]))
+
+    return in_parallel([partial(run, distance) for distance in distances.tolist()])
 
 
 def least_distance(law: Law, rise: Stribeck, rate: float) -> float:
@@ -115,8 +121,14 @@ def _nominal(law: Law, velocity: float) -> float:
     return 1.0 if law == "switching" else COARSE ** math.ceil(math.log(velocity, COARSE))
 
 
-@lru_cache(maxsize=64)
 def _compiled(law: Law, velocity: float) -> CompiledModel:
+    """What `_compiled_once` keeps, for one thread at a time."""
+    with _one_at_a_time:
+        return _compiled_once(law, velocity)
+
+
+@lru_cache(maxsize=64)
+def _compiled_once(law: Law, velocity: float) -> CompiledModel:
     """The emitted model of an axis with one element of level 1 and nothing else."""
     content = {
         "name": "one_element",
@@ -138,4 +150,7 @@ def _compiled(law: Law, velocity: float) -> CompiledModel:
         "estimator": {"parameters": ["stiffness", "stribeck_ratio", "stribeck_velocity"]},
     }
     machine = make_machine(content, Path("one_element.toml"))
-    return CompiledModel(machine, cached_package(machine))
+    with SYMBOLIC:
+        model = build_model(machine)
+        package = cached_package(machine, model)
+    return CompiledModel(machine, package, model)

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
+INPUTS_KEPT: Final = 1_000_000  # samples, 40 MB
 SEED: Final = 20240229  # of folds and held-out blocks: the same log gives the same verdict
 
 
@@ -87,6 +88,21 @@ class Recording:
             end=float(self.time[-1]),
             rate=self.rate,
         )
+
+    def inputs(self, start: int, end: int) -> Array:
+        """Position, velocity, acceleration, force and the model's time of samples (k, 5); not to be written to."""
+        if len(self.signals) <= INPUTS_KEPT:
+            return self._inputs[start:end]
+        return self._stacked(slice(start, end))
+
+    @cached_property
+    def _inputs(self) -> Array:
+        """Those of all samples: models run along them many times."""
+        return self._stacked(slice(None))
+
+    def _stacked(self, part: slice) -> Array:
+        s = self.signals
+        return np.column_stack([a[part] for a in (s.position, s.velocity, s.acceleration, s.force, self.clock)])
 
     def reduce(self, series: Array) -> Array:
         """Mean over `factor` samples: (n, ...) to (m, ...)."""
