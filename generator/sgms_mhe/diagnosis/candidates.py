@@ -205,15 +205,18 @@ def _search_trials(
     at_rest = suited.model(fit.extras)
     theta = suited.start(at_rest, fit.extras, fit)
     without, _ = at_rest.run(suited.recording, theta, derivatives=False)
-    best: tuple[float, Mapping[str, float], Array] | None = None
     trials = kind.grid(seen.motion)
-    for values in trials:
+
+    def force_of(values: Mapping[str, float]) -> Array:
         if kind.through is not None:
-            force = _through(kind, values, suited.recording, at_rest, theta, seen.motion)
-        else:
-            extras = (*fit.extras, Extra(definition.name, values))
-            model = suited.model(extras)
-            force, _ = model.run(suited.recording, suited.start(model, extras, fit), derivatives=False)
+            return _through(kind, values, suited.recording, at_rest, theta, seen.motion)
+        extras = (*fit.extras, Extra(definition.name, values))
+        model = suited.model(extras)
+        return model.run(suited.recording, suited.start(model, extras, fit), derivatives=False)[0]
+
+    best: tuple[float, Mapping[str, float], Array] | None = None
+    forces = in_parallel([partial(force_of, values) for values in trials])
+    for values, force in zip(trials, forces, strict=True):
         if not np.all(np.isfinite(force)):
             continue
         Z = here.columns((force - without)[:, None])

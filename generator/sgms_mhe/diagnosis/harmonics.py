@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Final
 
@@ -17,6 +18,7 @@ from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Harmonic
 from sgms_mhe.recordings.evidence import Nuisance
 from sgms_mhe.recordings.repetition import in_step
+from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -60,7 +62,8 @@ def search_harmonic(definition: EffectDefinition, kind: Harmonic, seen: Residual
 
     Slow trends have more energy than they deserve: a short period gets a proposal of its own.
     """
-    return [p for fine in (False, True) if (p := _search(definition, kind, seen, fine)) is not None]
+    found = in_parallel([partial(_search, definition, kind, seen, fine) for fine in (False, True)])
+    return [proposal for proposal in found if proposal is not None]
 
 
 def _search(definition: EffectDefinition, kind: Harmonic, seen: Residual, fine: bool) -> Proposal | None:

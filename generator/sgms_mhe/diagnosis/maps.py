@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -20,6 +21,7 @@ from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, nearest_pea
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Periodic
 from sgms_mhe.recordings.evidence import score_test
+from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -81,12 +83,37 @@ class _Moments:
 
 
 @dataclass(frozen=True, eq=False)
+class _Beside:
+    """What no period changes.
+
+    Attributes:
+        fold: of each used row.
+        own: products of the nuisance with itself (folds, p, p).
+        target: with the residual (folds, p).
+    """
+
+    fold: NDArray[np.int64]
+    own: Array
+    target: Array
+
+    @classmethod
+    def of(cls, seen: Residual) -> _Beside:
+        """Of a residual and the nuisance beside it."""
+        recording = seen.recording
+        fold = recording.fold[recording.block[recording.used]]
+        rows = [fold == f for f in range(int(recording.fold.max()) + 1)]
+        parts = [(seen.free.basis[inside], seen.e[inside]) for inside in rows]
+        return cls(fold, np.stack([Q.T @ Q for Q, _ in parts]), np.stack([Q.T @ e for Q, e in parts]))
+
+
+@dataclass(frozen=True, eq=False)
 class _Search:
     """A record that maps are looked for in.
 
     Attributes:
         kind: names of the map's parameters.
         seen: the residual.
+        beside: sums that no period changes.
         x: position on used rows [m].
         slow: rows that are not too fast for the finest sine.
         finest: the most periods per metre that rows and filters let pass [1/m].
@@ -95,6 +122,7 @@ class _Search:
 
     kind: Periodic
     seen: Residual
+    beside: _Beside
     x: Array
     slow: Mask
     finest: float
@@ -112,7 +140,7 @@ class _Search:
         taken: list[int] = []
         if highest < 1 or not self.visited(period):
             return _Carried(period, (), left)
-        moments = _moments(self.seen, self.x, self.slow, period, highest)
+        moments = _moments(self.seen, self.beside, self.x, self.slow, period, highest)
         H, b = moments.square(), moments.target.sum(axis=0)
         while len(taken) < min(highest, MOST_SINES):
             best = _most(H, b, taken)
@@ -145,6 +173,10 @@ class _Search:
 
         return nearest_peak(self.seen, columns, best, width, self.kind.room * self.travel)
 
+    def nearest(self, carried: _Carried) -> _Carried:
+        """What the record carries at the refined period."""
+        return self.carried(self.refined(carried))
+
     def simplest(self, found: Sequence[_Carried]) -> _Carried | None:
         """The first, of the shortest period, that is nearly as good as the best."""
         if not found:
@@ -160,8 +192,7 @@ def _most(H: Array, b: Array, taken: Sequence[int]) -> int | None:
     inside = _places(taken)
     W = np.linalg.lstsq(H[np.ix_(inside, inside)], H[inside], rcond=1e-12)[0] if taken else H[:0]
     rest, square = b - W.T @ b[inside], H - H[:, inside] @ W
-    least = NOTHING * float(np.diag(H).max()) ** 2
-    gains = [_pair_energy(rest[k : k + 2], square[k : k + 2, k : k + 2], least) for k in range(0, len(b), 2)]
+    gains = _pair_energies(rest, square, NOTHING * float(np.diag(H).max()) ** 2)
     for n in taken:
         gains[n] = 0.0
     best = int(np.argmax(gains))
@@ -173,17 +204,18 @@ def search_periodic(definition: EffectDefinition, kind: Periodic, seen: Residual
     search = _search_of(kind, seen)
     if search is None:
         return None
-    found = [search.carried(period) for period in _periods(definition, kind, seen, search.travel)]
+    periods = _periods(definition, kind, seen, search.travel)
+    found = in_parallel([partial(search.carried, period) for period in periods])
     found = sorted((c for c in found if c.orders), key=lambda c: c.left)[:PERIODS_REFINED]
     if not found:
         return None
-    best = min((search.carried(search.refined(c)) for c in found), key=lambda c: c.left)
+    best = min(in_parallel([partial(search.nearest, c) for c in found]), key=lambda c: c.left)
     # The same force has all multiples of its period as periods too.
     parts = [g for g in range(max(best.orders, default=1), 0, -1) if sum(n % g == 0 for n in best.orders) > 1]
-    chosen = search.simplest([search.carried(best.period / g) for g in parts])
+    chosen = search.simplest(in_parallel([partial(search.carried, best.period / g) for g in parts]))
     if chosen is None or len(chosen.orders) < 2:
         return None
-    chosen = search.carried(search.refined(chosen))
+    chosen = search.nearest(chosen)
     orders = tuple(sorted(chosen.orders))
     if len(orders) < 2:
         return None
@@ -216,7 +248,9 @@ def _search_of(kind: Periodic, seen: Residual) -> _Search | None:
         return None
     thresholds, machine = seen.recording.thresholds, seen.recording.machine
     limit = min(thresholds.pitch_band * motion.extents.rate, thresholds.cutoff_band * machine.sampling.velocity_cutoff)
-    return _Search(kind, seen, x, slow, limit / fastest, thresholds.material * machine.friction.coulomb)
+    return _Search(
+        kind, seen, _Beside.of(seen), x, slow, limit / fastest, thresholds.material * machine.friction.coulomb
+    )
 
 
 def _periods(definition: EffectDefinition, kind: Periodic, seen: Residual, travel: float) -> list[float]:
@@ -244,12 +278,15 @@ def _places(orders: Sequence[int]) -> list[int]:
     return [2 * n + k for n in orders for k in (0, 1)]
 
 
-def _pair_energy(target: Array, square: Array, least: float) -> float:
-    """What a sine and a cosine explain beside what is taken up; `least`: determinant that tells them from it."""
-    determinant = float(square[0, 0] * square[1, 1] - square[0, 1] ** 2)
-    if not (square[0, 0] > 0.0 and determinant > least):
-        return 0.0
-    return float(target @ np.linalg.solve(square, target))
+def _pair_energies(target: Array, square: Array, least: float) -> Array:
+    """What each sine and its cosine explain beside what is taken up; `least`: determinant that tells them from it."""
+    s, c = target[0::2], target[1::2]
+    diagonal = np.diag(square)
+    ss, cc, sc = diagonal[0::2], diagonal[1::2], np.diag(square, 1)[0::2]
+    determinant = ss * cc - sc**2
+    good = (ss > 0.0) & (determinant > least)
+    found = (cc * s**2 - 2.0 * sc * s * c + ss * c**2) / np.where(good, determinant, 1.0)
+    return np.asarray(np.where(good, found, 0.0))
 
 
 def _unseen_gain(moments: _Moments, places: list[int]) -> float:
@@ -263,11 +300,10 @@ def _unseen_gain(moments: _Moments, places: list[int]) -> float:
     return total
 
 
-def _moments(seen: Residual, x: Array, slow: Mask, period: float, highest: int) -> _Moments:
+def _moments(seen: Residual, beside: _Beside, x: Array, slow: Mask, period: float, highest: int) -> _Moments:
     """Products of the columns of a period, from sums over its bins; rows too fast for its orders have columns of 0."""
-    recording, Q = seen.recording, seen.free.basis
-    fold = recording.fold[recording.block[recording.used]]
-    folds, bins = int(recording.fold.max()) + 1, BINS_PER_PERIOD * highest
+    Q, fold = seen.free.basis, beside.fold
+    folds, bins = len(beside.own), BINS_PER_PERIOD * highest
     turns = x / period
     place = np.minimum(bins - 1, (bins * (turns - np.floor(turns))).astype(np.int64))
     key = (fold * bins + place)[slow]
@@ -280,7 +316,5 @@ def _moments(seen: Residual, x: Array, slow: Mask, period: float, highest: int) 
     count, target = binned(None), binned(seen.e[slow])
     inside = np.stack([binned(Q[slow, j]) for j in range(Q.shape[1])]) if Q.shape[1] else np.zeros((0, folds, bins))
     mixed = np.asarray(inside.transpose(1, 0, 2) @ F)
-    own = np.stack([Q[fold == f].T @ Q[fold == f] for f in range(folds)])
-    seen_by = np.stack([Q[fold == f].T @ seen.e[fold == f] for f in range(folds)])
-    product = target @ F - seen_by @ mixed.sum(axis=0)
-    return _Moments(F, count, product, mixed, own)
+    product = target @ F - beside.target @ mixed.sum(axis=0)
+    return _Moments(F, count, product, mixed, beside.own)

@@ -13,6 +13,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -22,6 +24,7 @@ from sgms_mhe.identification.elements import NO_RISE, Stribeck, run_elements
 from sgms_mhe.identification.linear import solve_bounded
 from sgms_mhe.identification.records import Records
 from sgms_mhe.identification.terms import Term
+from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 
@@ -76,16 +79,18 @@ def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: A
     columns = np.column_stack([term.columns for term in terms])[used]
     positive = np.concatenate([np.full(term.columns.shape[1], term.positive) for term in terms])
     deviation = np.concatenate([np.full(term.columns.shape[1], term.deviation) for term in terms])
-    fold, y = rows.fold[rows.block[used]], rows.friction[used]
+    sums = _Sums.of(stop, columns, rows.friction[used], rows.fold[rows.block[used]])
     speeds = rows.extents.speed * np.geomspace(*SPEEDS, 1 + math.ceil(math.log(SPEEDS[1] / SPEEDS[0], SPEED_RATIO)))
-    tried: list[tuple[float, float | None, Array]] = []
-    for speed in (None, *speeds.tolist()):
-        rising = stop[:, ::RISING] * np.exp(-((rows.velocity[used] / speed) ** 2))[:, None] if speed else stop[:, :0]
-        X = np.column_stack((stop, rising, columns))
-        nonnegative = np.concatenate((np.ones(stop.shape[1] + rising.shape[1], dtype=np.bool_), positive))
-        information = np.concatenate((np.zeros(stop.shape[1] + rising.shape[1]), (noise / deviation) ** 2))
-        loss, coefficients = _cross_validated(X, y, fold, nonnegative, information)
-        tried.append((loss, speed, coefficients))
+
+    def tried_at(speed: float | None) -> tuple[float, float | None, Array]:
+        weight = None if speed is None else np.exp(-((rows.velocity[used] / speed) ** 2))
+        grams, rising = sums.grams(weight)
+        nonnegative = np.concatenate((np.ones(stop.shape[1] + rising, dtype=np.bool_), positive))
+        information = np.concatenate((np.zeros(stop.shape[1] + rising), (noise / deviation) ** 2))
+        loss, coefficients = _cross_validated(grams, nonnegative, information)
+        return loss, speed, coefficients
+
+    tried = in_parallel([partial(tried_at, speed) for speed in (None, *speeds.tolist())])
     _, speed, coefficients = min(tried, key=lambda entry: entry[0])
     levels = coefficients[: len(grid)]
     rise = None
@@ -115,18 +120,62 @@ def clustered(spectrum: Spectrum, count: int) -> tuple[Array, Array]:
     return np.exp(np.array(logs)), np.array(levels)
 
 
-def _cross_validated(
-    X: Array, y: Array, fold: NDArray[np.int64], positive: NDArray[np.bool_], information: Array
-) -> tuple[float, Array]:
-    """Sum of squares that fits without a fold leave on it, and the coefficients of all rows."""
-    folds = np.unique(fold)
-    grams = [X[fold == f].T @ X[fold == f] for f in folds]
-    moments = [X[fold == f].T @ y[fold == f] for f in folds]
-    gram, moment = np.sum(grams, axis=0), np.sum(moments, axis=0)
-    loss = float(y @ y)
-    for i, (G, g) in enumerate(zip(grams, moments, strict=True)):
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Products of columns with each other, fold by fold; those that no speed changes are made once.
+
+    Attributes:
+        fixed: stops, other columns and the measured friction (m, g + c + 1), the rows of a fold behind one another.
+        stops: g.
+        order: where these rows were before (m).
+        folds: where each fold's rows are.
+        own: products of the fixed columns (folds, g + c + 1, g + c + 1).
+    """
+
+    fixed: Array
+    stops: int
+    order: NDArray[np.int64]
+    folds: tuple[slice, ...]
+    own: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, stop: Array, columns: Array, y: Array, fold: NDArray[np.int64]) -> _Sums:
+        """Of stops (m, g), other columns (m, c) and friction (m) [N]."""
+        order = np.argsort(fold, kind="stable")
+        edges = [0, *(np.flatnonzero(np.diff(fold[order])) + 1).tolist(), len(fold)]
+        folds = tuple(slice(*ends) for ends in pairwise(edges))
+        fixed = np.column_stack((stop, columns, y))[order]
+        return cls(fixed, stop.shape[1], order, folds, tuple(fixed[f].T @ fixed[f] for f in folds))
+
+    def grams(self, weight: Array | None) -> tuple[list[Array], int]:
+        """Products of stops, of some of them times `weight` (m), of other columns and last the friction, by fold.
+
+        Also how many rise; none where there is no weight.
+        """
+        if weight is None:
+            return list(self.own), 0
+        g = self.stops
+        rising = self.fixed[:, :g:RISING] * weight[self.order, None]
+        grams = []
+        for fold, own in zip(self.folds, self.own, strict=True):
+            beside, square = rising[fold].T @ self.fixed[fold], rising[fold].T @ rising[fold]
+            upper = np.concatenate((own[:g, :g], beside[:, :g].T, own[:g, g:]), axis=1)
+            middle = np.concatenate((beside[:, :g], square, beside[:, g:]), axis=1)
+            lower = np.concatenate((own[g:, :g], beside[:, g:].T, own[g:, g:]), axis=1)
+            grams.append(np.concatenate((upper, middle, lower)))
+        return grams, rising.shape[1]
+
+
+def _cross_validated(grams: Sequence[Array], positive: NDArray[np.bool_], information: Array) -> tuple[float, Array]:
+    """Sum of squares that fits without a fold leave on it, and the coefficients of all rows.
+
+    `grams`: products of the columns and the friction behind them, by fold.
+    """
+    whole = np.sum(grams, axis=0)
+    loss = float(whole[-1, -1])
+    for i, gram in enumerate(grams):
         # Sums of the others, not a difference: that of a column seen in one fold alone would be rounding.
-        others, seen = (np.sum(parts[:i] + parts[i + 1 :], axis=0) for parts in (grams, moments))
-        b = solve_bounded(others, seen, positive, information)
-        loss += float(b @ G @ b - 2.0 * b @ g)
-    return loss, solve_bounded(gram, moment, positive, information)
+        others = np.sum([*grams[:i], *grams[i + 1 :]], axis=0)
+        b = solve_bounded(others[:-1, :-1], others[:-1, -1], positive, information)
+        loss += float(b @ gram[:-1, :-1] @ b - 2.0 * b @ gram[:-1, -1])
+    return loss, solve_bounded(whole[:-1, :-1], whole[:-1, -1], positive, information)
