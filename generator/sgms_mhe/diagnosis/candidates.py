@@ -207,12 +207,14 @@ def _search_trials(
     without, _ = at_rest.run(suited.recording, theta, derivatives=False)
     trials = kind.grid(seen.motion)
 
+    # One compiled model serves all: that of the first, which asks for the shortest steps.
+    own = suited.model((*fit.extras, Extra(definition.name, trials[0]))) if kind.through is None else at_rest
+
     def force_of(values: Mapping[str, float]) -> Array:
         if kind.through is not None:
             return _through(kind, values, suited.recording, at_rest, theta, seen.motion)
         extras = (*fit.extras, Extra(definition.name, values))
-        model = suited.model(extras)
-        return model.run(suited.recording, suited.start(model, extras, fit), derivatives=False)[0]
+        return own.run(suited.recording, suited.start(own, extras, fit), derivatives=False)[0]
 
     best: tuple[float, Mapping[str, float], Array] | None = None
     forces = in_parallel([partial(force_of, values) for values in trials])

@@ -22,7 +22,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.recordings.evidence import nuisance
 from sgms_mhe.recordings.recording import Recording
-from sgms_mhe.support.parallel import in_parallel
+from sgms_mhe.support.parallel import beside, in_parallel
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,13 +66,23 @@ class Laws:
 
 def laws_of(machine: Machine, recording: Recording, floor: float) -> Laws:
     """A machine along a record under both laws, thinned for the search; `floor`: its noise [N]."""
-    foreign = under_other_law(machine)
-    axes = [machine] if foreign is None else [machine, foreign]
-    thin = [thinned(replace(Subject.of(axis, recording), noise=floor)) for axis in axes]
+    thin = _thinned(machine, recording, floor)
     own, *others = in_parallel([partial(_in_line_as_it_is, subject) for subject in thin])
     if own is None:
         raise FitError("the model is not finite with the machine's own numbers")
     return Laws(own, others[0] if others else None)
+
+
+def compile_laws(machine: Machine, recording: Recording) -> None:
+    """Compile what `laws_of` runs, while something else is done."""
+    in_parallel([partial(one.model, ()) for thin in _thinned(machine, recording, 1.0) for one in (thin.whole, thin)])
+
+
+def _thinned(machine: Machine, recording: Recording, floor: float) -> list[Subject]:
+    """The machine along a record, under its own law and the other one if there is one; `floor`: its noise [N]."""
+    foreign = under_other_law(machine)
+    axes = [machine] if foreign is None else [machine, foreign]
+    return [thinned(replace(Subject.of(axis, recording), noise=floor)) for axis in axes]
 
 
 def _in_line_as_it_is(subject: Subject) -> Subject | None:
@@ -120,7 +130,7 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[La
         subject, fit = _from_nothing(laws.chosen, fit, criteria)
         return laws.with_chosen(subject), fit
     own, foreign = in_parallel([partial(_starting_stiff, s, extras, criteria) for s in (laws.own, laws.foreign)])
-    own, fit = in_line(own, fit_model(own, extras))
+    own, fit = in_line(own, _fitted(own, extras, foreign))
 
     def fit_other() -> tuple[Subject, Fit | None]:
         subject, found = _fit_foreign(foreign, fit)
@@ -154,8 +164,14 @@ def _is_driven(extras: Sequence[Extra]) -> bool:
 def fit_chosen(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[Laws, Fit]:
     """Fit under the law that is taken."""
     subject = laws.chosen if _is_driven(extras) else _starting_stiff(laws.chosen, extras, criteria)
-    subject, fit = in_line(subject, fit_model(subject, extras))
+    subject, fit = in_line(subject, _fitted(subject, extras))
     return laws.with_chosen(subject), fit
+
+
+def _fitted(subject: Subject, extras: Sequence[Extra], *others: Subject) -> Fit:
+    """The fit; what is to run next is compiled beside it: at the full rate, and of other subjects."""
+    others = (subject.whole, *(one for other in others for one in (other, other.whole)))
+    return beside(partial(fit_model, subject, extras), [partial(one.model, extras) for one in others])
 
 
 def in_line(subject: Subject, fit: Fit) -> tuple[Subject, Fit]:

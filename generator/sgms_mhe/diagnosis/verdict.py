@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from sgms_mhe.diagnosis.criteria import criteria_of
 from sgms_mhe.diagnosis.descent import FitError
 from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.laws import laws_of
+from sgms_mhe.diagnosis.laws import compile_laws, laws_of
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
 from sgms_mhe.diagnosis.selection import search_causes, select_causes
 from sgms_mhe.diagnosis.settling import Left, Settled, settle, split_rms
@@ -38,6 +39,7 @@ from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.recordings.repetition import repetition_note
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.parallel import beside
 
 Array = NDArray[np.float64]
 
@@ -67,7 +69,8 @@ def diagnose(
     record = prepare(machine, log, held_out_s)
     recording = excerpt(record)
     try:
-        nominal = fit_model(Subject.of(machine, recording), (), refitted=())
+        as_it_is = partial(fit_model, Subject.of(machine, recording), (), refitted=())
+        nominal = beside(as_it_is, [partial(compile_laws, machine, recording)])
     except FitError as error:
         raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
     if not _excited(recording, nominal):

@@ -69,6 +69,13 @@ def in_parallel(tasks: Sequence[Callable[[], T]]) -> list[T]:
     return batch.outcome()
 
 
+def beside(task: Callable[[], T], others: Sequence[Callable[[], object]]) -> T:
+    """Result of a task; other ones, of which only that they are done counts, run at the same time."""
+    found: list[T] = []
+    in_parallel([lambda: found.append(task()), *others])
+    return found[0]
+
+
 class _Batch(Generic[T]):
     """Tasks that any number of threads take, the first ones first, until none is left or one has failed."""
 
