@@ -12,6 +12,7 @@ from sgms_mhe.emission.context import PackageView
 from sgms_mhe.emission.fmu import SUFFIX, fmu
 from sgms_mhe.emission.layout import Memory, memory_of
 from sgms_mhe.emission.rendering import render_page
+from sgms_mhe.emission.stack import Stack, measured_stack
 from sgms_mhe.emission.variables import Variable, variables_of
 
 MANIFEST: Final = "MANIFEST.json"
@@ -25,12 +26,14 @@ class Delivery:
         sources: what is compiled.
         headers: what it includes; the public one is the first.
         memory: bytes of what they declare.
+        stack: of the calls, where it was measured.
         variables: of the axis, as block diagrams see it.
     """
 
     sources: tuple[str, ...]
     headers: tuple[str, ...]
     memory: Memory
+    stack: Stack | None
     variables: tuple[Variable, ...]
 
 
@@ -52,7 +55,8 @@ def accompany(
     public = f"{name}.h"
     headers = sorted(file for file in files if file.endswith(".h") and file != public)
     sources = sorted(file for file in files if file.endswith(".c"))
-    delivery = Delivery(tuple(sources), (public, *headers), memory, variables_of(view))
+    stack = measured_stack(view.package.machine_digest)
+    delivery = Delivery(tuple(sources), (public, *headers), memory, stack, variables_of(view))
     pages = {
         "README.md": "README.md",
         "CMakeLists.txt": "CMakeLists.txt",
