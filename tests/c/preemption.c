@@ -11,14 +11,9 @@
 #include <stdio.h>
 #include <string.h>
 
-#include SGMS_MACHINE_HEADER
+#include "tasks.h"
 
-#include "joined.h"
-
-typedef CALL(t) machine;
-typedef CALL(estimate_t) machine_estimate;
-
-enum { SAMPLES = JOIN(SGMS_MACHINE_UPPER, SAMPLES), OVERLAP = JOIN(SGMS_MACHINE_UPPER, OVERLAP), UPDATES = 120 };
+enum { UPDATES = 120 };
 
 void __cyg_profile_func_enter(void *function, void *site);
 void __cyg_profile_func_exit(void *function, void *site);
@@ -28,19 +23,6 @@ static machine_estimate seen;
 static long entered, come_in_at = -1, in_call, sample_at; /* functions entered; the one at which to interrupt, or -1 */
 static int came_in, refused, wrong;
 static const char *other;
-
-static int take_one(machine *self, long k)
-{
-    const double t = (double)(k % 900) / 900.0, way = t < 0.5 ? t : 1.0 - t;
-    const int is_forward = t < 0.5;
-    const CALL(signals) signals = {
-        .position = (CALL(real))(9e-5 * way),
-        .velocity = (CALL(real))((is_forward ? 2e-3 : -2e-3) * way),
-        .force = (CALL(real))1,
-        .friction = (CALL(real))((is_forward ? 8.0 : -8.0) * (way - 0.2)),
-        .valid = 1};
-    return CALL(insert)(self, &signals) != (CALL(real))0;
-}
 
 /* What the other task does. */
 static void come_in(void)
@@ -85,18 +67,6 @@ static void plan(long length)
     random = random * 1664525u + 1013904223u;
     entered = 0;
     come_in_at = length > 1 ? 1 + (long)(random >> 8) % (length - 1) : -1;
-}
-
-static int is_same(const machine_estimate *a, const machine_estimate *b)
-{
-    int same = a->friction == b->friction && a->friction_measured == b->friction_measured;
-    for (int i = 0; i < JOIN(SGMS_MACHINE_UPPER, ELEMENTS); i++) {
-        same = same && a->deflection[i] == b->deflection[i];
-    }
-    for (int i = 0; i < JOIN(SGMS_MACHINE_UPPER, PARAMETERS); i++) {
-        same = same && a->parameter[i] == b->parameter[i] && a->deviation[i] == b->deviation[i];
-    }
-    return same;
 }
 
 int main(int argc, char **argv)
