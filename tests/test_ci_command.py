@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import shutil
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -70,6 +74,60 @@ def test_an_amalgamated_package_is_compared_as_one(repository: Path, tmp_path: P
     done("generate", machine, "--out", tmp_path / "small", "--amalgamate")
     said = json.loads(done("ci", machine, "--generated", tmp_path, "--json").stdout)
     assert said["passed"]
+
+
+@pytest.fixture(scope="module")
+def bound(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the package of small and some of its bindings."""
+    generated = tmp_path_factory.mktemp("bound")
+    machine = repository / "machines" / "small.toml"
+    done("generate", machine, "--out", generated / "small", "--bindings", "python,fmu3")
+    return generated
+
+
+def package_check(repository: Path, generated: Path) -> str:
+    """What of the package is wrong; nothing: empty."""
+    machine = repository / "machines" / "small.toml"
+    said = json.loads(run("ci", machine, "--generated", generated, "--json").stdout)
+    (check,) = [c for c in said["checks"] if c["name"] == "package"]
+    return str(check["failure"])
+
+
+def test_a_package_with_bindings_is_compared_with_them(repository: Path, bound: Path) -> None:
+    assert package_check(repository, bound) == ""
+
+
+def test_an_fmu_that_another_compiler_made_is_the_same_package(repository: Path, bound: Path, tmp_path: Path) -> None:
+    shutil.copytree(bound / "small", tmp_path / "small")
+    fmu, manifest = tmp_path / "small" / "small_fmi3.fmu", tmp_path / "small" / "MANIFEST.json"
+    before = hashlib.sha256(fmu.read_bytes()).hexdigest()
+    _rewrite(fmu, lambda path, data: b"another binary" if path.startswith("binaries/") else data)
+    after = hashlib.sha256(fmu.read_bytes()).hexdigest()
+    assert before != after
+    assert "(MANIFEST.json)" in package_check(repository, tmp_path)  # its digest is the other one's
+    manifest.write_text(manifest.read_text().replace(before, after))
+    assert package_check(repository, tmp_path) == ""
+    _rewrite(fmu, lambda path, data: data + b" " if path == "modelDescription.xml" else data)
+    assert "(MANIFEST.json, small_fmi3.fmu)" in package_check(repository, tmp_path)
+
+
+def test_a_binding_that_is_not_what_the_file_gives_is_named(repository: Path, bound: Path, tmp_path: Path) -> None:
+    shutil.copytree(bound / "small", tmp_path / "small")
+    (tmp_path / "small" / "small.py").write_text("changed\n")
+    failure = package_check(repository, tmp_path)
+    assert "1 files are not what the machine file gives (small.py)" in failure
+    assert failure.endswith(" --bindings python,fmu3")
+    (tmp_path / "small" / "small.hpp").write_text("// of nothing in the manifest\n")
+    assert "3 files" in package_check(repository, tmp_path)
+
+
+def _rewrite(archive: Path, change: Callable[[str, bytes], bytes]) -> None:
+    """Write an archive anew, its entries changed."""
+    with zipfile.ZipFile(archive) as opened:
+        entries = [(entry, opened.read(entry)) for entry in opened.infolist()]
+    with zipfile.ZipFile(archive, "w") as opened:
+        for entry, data in entries:
+            opened.writestr(entry, change(entry.filename, data))
 
 
 def test_what_cannot_be_generated_fails_and_the_rest_is_left_out(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import Final
 
+from sgms_mhe.emission.fmu import SUFFIX
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.names import did_you_mean
 
@@ -44,3 +45,14 @@ def binding_files(names: Collection[str], machine: str) -> dict[str, str]:
         raise InputError("--bindings", "iec: name", machine, allowed)
     asked = [BINDINGS[name] for name in BINDINGS if name in names]
     return {file.format(name=machine): template for files in asked for file, template in files.items()}
+
+
+def bindings_among(files: Collection[str], machine: str) -> tuple[str, ...]:
+    """Bindings of which a package's folder has a file or more, of all the files in it."""
+    own = {
+        name: {
+            file.format(name=machine).partition(SUFFIX)[0] + SUFFIX.rstrip("/") * (SUFFIX in file) for file in templates
+        }
+        for name, templates in BINDINGS.items()
+    }
+    return tuple(name for name, made in own.items() if made & set(files))

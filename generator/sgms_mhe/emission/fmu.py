@@ -46,6 +46,15 @@ def fmu(files: Mapping[str, str], name: str, archive: str) -> tuple[bytes, str |
     return _archive(content), missing
 
 
+def without_binaries(archive: bytes) -> dict[str, bytes] | None:
+    """What of an FMU does not hang on the compiler that made it, by path; None where it is no archive."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(archive)) as opened:
+            return {path: opened.read(path) for path in opened.namelist() if not path.startswith("binaries/")}
+    except zipfile.BadZipFile:
+        return None
+
+
 def _platform(version: int) -> tuple[str | None, str]:
     """Folder and suffix of this host's binaries; None where FMI has no name for it."""
     system, suffix = _SYSTEMS.get(sys.platform, (None, ""))

@@ -6,10 +6,12 @@ version of the generator, a compiler that breaks the arithmetic are found before
 
 from __future__ import annotations
 
+import hashlib
+import json
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -17,6 +19,9 @@ from typing import Final, TypeVar
 from xml.etree import ElementTree
 
 from sgms_mhe.configuration import load_machine
+from sgms_mhe.emission.bindings import bindings_among
+from sgms_mhe.emission.delivery import MANIFEST
+from sgms_mhe.emission.fmu import without_binaries
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.evaluation.comparison import compare_signals
 from sgms_mhe.evaluation.firmware import TARGET_FLAGS, Target, link_program
@@ -136,20 +141,38 @@ def _counts(checks: Sequence[Check]) -> dict[str, str]:
 
 
 def _same_files(package: Package, folder: Path) -> None:
-    """The folder holds what the file gives, byte for byte, and nothing else."""
+    """The folder holds what the file gives, byte for byte, and nothing else; with the bindings that it has files of."""
     name = package.machine.name
     remedy = f"sgms-mhe generate {package.machine.source} --out {folder}"
     if not folder.is_dir():
         raise _FailedError(f"{folder}: no package; {remedy}")
     present = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
-    if f"{name}_config.h" not in present and f"{name}.c" in present:
-        remedy += " --amalgamate"
-        package = emit_package(package.machine, amalgamate=True)
-    wanted = {file: text.encode() for file, text in package.files.items()}
+    amalgamate = f"{name}_config.h" not in present and f"{name}.c" in present
+    bindings = bindings_among(present, name)
+    remedy += (" --amalgamate" if amalgamate else "") + (f" --bindings {','.join(bindings)}" if bindings else "")
+    if amalgamate or bindings:
+        package = emit_package(package.machine, amalgamate=amalgamate, bindings=bindings)
+    wanted = {file: text.encode() for file, text in package.files.items()} | _archives(package, present)
     differing = sorted(file for file in wanted.keys() | present.keys() if wanted.get(file) != present.get(file))
     if differing:
         listed = ", ".join(differing[:3]) + (", ..." if len(differing) > 3 else "")
         raise _FailedError(f"{folder}: {len(differing)} files are not what the machine file gives ({listed}); {remedy}")
+
+
+def _archives(package: Package, present: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Archives that the package is to have, and the manifest with their digests.
+
+    A binary inside of one is another compiler's where another host has made it: an archive that is the same but for its
+    binaries is taken as it is present.
+    """
+    taken = {}
+    for file, archive in package.archives.items():
+        there = present.get(file)
+        same = there is not None and without_binaries(there) == without_binaries(archive)
+        taken[file] = there if there is not None and same else archive
+    manifest = json.loads(package.files[MANIFEST])
+    manifest["sha256"] |= {file: hashlib.sha256(archive).hexdigest() for file, archive in taken.items()}
+    return taken | {MANIFEST: (json.dumps(manifest, indent=2) + "\n").encode()}
 
 
 def _agrees_with_reference(package: Package) -> None:
