@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import subprocess
+import sys
 from pathlib import Path
+from typing import Final
 
 from click.testing import CliRunner, Result
 
@@ -32,6 +37,13 @@ stiffness = [0.2, 5.0]
 """
 
 
+SCRIPT: Final = (
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # whoever runs the tests may ignore it
+    "from sgms_mhe.cli import main; main()"
+)
+"""The command as a process of its own, for `python -c`."""
+
+
 def run(*arguments: str | Path) -> Result:
     return CliRunner().invoke(cli, [str(argument) for argument in arguments])
 
@@ -53,3 +65,25 @@ def refused(*arguments: str | Path) -> str:
 
 def files(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
+
+
+def on_terminal(*arguments: str | Path, **variables: str) -> str:
+    """What a command writes to stderr where that is a terminal."""
+    ours, theirs = pty.openpty()
+    plain = {key: value for key, value in os.environ.items() if key not in ("NO_COLOR", "FORCE_COLOR")}
+    environment = plain | {"TERM": "xterm-256color", "COLUMNS": "120", "LINES": "40"} | variables
+    command = [sys.executable, "-c", SCRIPT, *map(str, arguments)]
+    with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=theirs) as process:
+        os.close(theirs)
+        written = b""
+        while True:
+            try:
+                part = os.read(ours, 65536)
+            except OSError:  # the other end is closed
+                break
+            if not part:
+                break
+            written += part
+    os.close(ours)
+    assert process.returncode == 0, written
+    return written.decode()

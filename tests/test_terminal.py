@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import os
-import pty
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from cli_cases import SMALL, done, refused
+from cli_cases import SCRIPT, SMALL, done, on_terminal, refused
 from sgms_mhe.cli import COMMANDS
+from sgms_mhe.commands.common import LONGEST_LOOK_S, AwakeClock
 from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES
 from sgms_mhe.support.paths import machines_dir
 
 ROOT = Path(__file__).resolve().parents[1]
-COLOUR = re.compile(rb"\x1b\[[0-9;]*[349][0-9;]*m")
+COLOUR = re.compile(r"\x1b\[[0-9;]*[349][0-9;]*m")
 """Of the foreground or the background; bold and resets are none."""
-SCRIPT = "from sgms_mhe.cli import main; main()"
 
 
 def offered(*words: str) -> list[str]:
@@ -88,46 +87,32 @@ def test_quiet_leaves_results_and_errors(tmp_path: Path) -> None:
 
 
 def test_quiet_shows_no_bar_on_a_terminal(tmp_path: Path) -> None:
-    assert b"simulate small" in on_terminal(tmp_path, {})
-    assert on_terminal(tmp_path, {}, "--quiet") == b""
+    assert "simulate small" in on_terminal(*simulating(tmp_path))
+    assert on_terminal("--quiet", *simulating(tmp_path)) == ""
+
+
+def simulating(folder: Path) -> tuple[str | Path, ...]:
+    """A command that shows a bar."""
+    machine = folder / "small.toml"
+    machine.write_text(SMALL)
+    return "simulate", machine, "--out", folder / "x.csv", "--duration", "0.5"
 
 
 # --- colours ----------------------------------------------------------------------------------------------------
 
 
-def on_terminal(folder: Path, variables: Mapping[str, str], *options: str) -> bytes:
-    """What a command writes to stderr where that is a terminal."""
-    machine = folder / "small.toml"
-    machine.write_text(SMALL)
-    ours, theirs = pty.openpty()
-    plain = {key: value for key, value in os.environ.items() if key not in ("NO_COLOR", "FORCE_COLOR")}
-    command = [sys.executable, "-c", SCRIPT, *options, "simulate", str(machine), "--out", str(folder / "x.csv")]
-    with subprocess.Popen(
-        [*command, "--duration", "0.5"],
-        env=plain | {"TERM": "xterm-256color"} | variables,
-        stdout=subprocess.DEVNULL,
-        stderr=theirs,
-    ) as process:
-        os.close(theirs)
-        written = b""
-        while True:
-            try:
-                part = os.read(ours, 65536)
-            except OSError:  # the other end is closed
-                break
-            if not part:
-                break
-            written += part
-    os.close(ours)
-    assert process.returncode == 0, written
-    return written
-
-
 def test_progress_on_a_terminal_is_coloured_unless_told(tmp_path: Path) -> None:
-    coloured, plain = on_terminal(tmp_path, {}), on_terminal(tmp_path, {"NO_COLOR": "1"})
-    assert b"simulate small" in coloured and b"simulate small" in plain
+    coloured, plain = on_terminal(*simulating(tmp_path)), on_terminal(*simulating(tmp_path), NO_COLOR="1")
+    assert "simulate small" in coloured and "simulate small" in plain
     assert COLOUR.search(coloured)
     assert not COLOUR.search(plain)
+
+
+def test_a_bar_does_not_count_the_time_that_a_host_slept() -> None:
+    host = iter([100.0, 100.1, 100.2, 4000.0, 4000.1, 3999.0, 3999.5])  # also a clock that goes back
+    clock = AwakeClock(lambda: next(host))
+    seen = [clock.now() for _ in range(6)]
+    np.testing.assert_allclose(np.diff([0.0, *seen]), [0.1, 0.1, LONGEST_LOOK_S, 0.1, 0.0, 0.5], atol=1e-9)
 
 
 def test_without_a_terminal_nothing_is_coloured(tmp_path: Path) -> None:

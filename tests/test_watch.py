@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import pty
 import re
 import signal
 import subprocess
@@ -15,8 +14,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from cli_cases import done, files, refused, run
+from cli_cases import SCRIPT, done, files, on_terminal, refused, run
 from log_dialects import DIALECTS, machine, trace
 from sgms_mhe.api.estimation import estimate
 from sgms_mhe.api.watching import Followed, Replay, Source, Streamed, Watch
@@ -39,15 +39,11 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.signals.chain import signals_from_log
+from sgms_mhe.signals.chain import Chain, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.support.errors import InputError
 
-SCRIPT = (
-    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # whoever runs the tests may ignore it
-    "from sgms_mhe.cli import main; main()"
-)
 LIMIT_S = 300.0
 """Of what must happen at some time: a host that is kept busy must not decide."""
 TEXT_DIALECTS = tuple(name for name, dialect in DIALECTS.items() if dialect.suffix in TEXTS)
@@ -232,11 +228,6 @@ def test_a_summary_is_left_out_and_words_before_a_sample_are_not() -> None:
         (rows(80, lambda k: f"{k * 2e-3:.3f};{k};{k}"), {}, "500 Hz"),
         (rows(80, lambda k: f"{k * 2e-3:.3f};{k};{k}"), {"resample": True}, "500 Hz"),
         (rows(80, lambda k: f"{(k + k % 2 * 0.3) * 1e-3:.5f};{k};{k}"), {"resample": True}, "replay it without"),
-        (
-            rows(80, lambda k: f"{k * 1e-3:.3f},{k},{k},{k}", "time_s,position_m,force_N,velocity_m_s"),
-            {},
-            "velocity_m_s takes the place",
-        ),
         (b"x" * 1_100_000, {}, "a line end within"),
     ],
 )
@@ -261,6 +252,60 @@ def test_an_estimator_goes_on_where_it_was(at: list[int]) -> None:
         past.append(aligned.take(signals.part(slice(a, b))))
     same(chained(parts), estimator().estimate_log(holed()))
     same(chained(past), estimator().estimate(signals))
+
+
+OWN = ("velocity_m_s", "acceleration_m_s2", "friction_N")
+"""Columns that take the place of what is computed."""
+
+
+def with_own(log: Log, columns: Sequence[str]) -> Log:
+    """A log with columns of its own, with holes of theirs."""
+    velocity = np.gradient(trace().position_m, trace().time_s)
+    own = {"velocity_m_s": velocity, "acceleration_m_s2": np.gradient(velocity, trace().time_s)}
+    own["friction_N"] = trace().force_N - 19.0 * own["acceleration_m_s2"]
+    for k, values in enumerate(own.values()):
+        values[700 + 20 * k : 740 + 25 * k] = np.nan
+    return replace(log, **{name: own[name] for name in columns})
+
+
+@pytest.mark.parametrize("columns", [c for n in range(4) for c in combinations(OWN, n)], ids="+".join)
+def test_the_signal_chain_goes_on_where_it_was(columns: tuple[str, ...]) -> None:
+    log = with_own(holed(), columns)
+    whole = signals_from_log(log, machine())
+
+    @settings(max_examples=15)
+    @given(cuts(len(log)))
+    def check(at: list[int]) -> None:
+        chain, ends = Chain(machine()), sorted({0, *(k for k in at if k > 3), len(log)})  # a reading in the first piece
+        cut = [
+            chain.take(replace(log, **{name: values[a:b] for name, values in log.columns.items()}))
+            for a, b in pairwise(ends)
+        ]
+        for name, values in vars(whole).items():
+            if isinstance(values, np.ndarray):
+                np.testing.assert_array_equal(np.concatenate([vars(part)[name] for part in cut]), values, err_msg=name)
+        assert {part.delay for part in cut} == {whole.delay}
+
+    check()
+
+
+@pytest.mark.parametrize("columns", [OWN[:1], OWN[2:], (OWN[0], OWN[2]), OWN], ids="+".join)
+def test_a_log_with_signals_of_its_own_is_followed(columns: tuple[str, ...], tmp_path: Path) -> None:
+    log = replace(with_own(holed(), columns), position_m=np.where(np.arange(len(holed())) < 3, 0.0, holed().position_m))
+    content = lines_of(log, tmp_path)
+    wanted = estimate(machine(), tmp_path / "whole.csv")
+    for at in ([], list(range(1, len(content), 7001))):
+        watch = Watch(machine())
+        same(chained([watch.take(part, judged=False) for part in followed(pieces(content, at), machine())]), wanted)
+        assert watch.course.samples == len(log)
+        assert watch.course.missing == np.count_nonzero(signals_from_log(log, machine()).missing)
+
+
+def test_signals_of_its_own_and_no_reading_to_begin_with_are_refused(tmp_path: Path) -> None:
+    content, watch = lines_of(with_own(holed(), OWN[:1]), tmp_path), Watch(machine())
+    with pytest.raises(InputError, match=r"first sample, position_m = nan: .* replay it without --follow"):
+        for part in followed([content], machine()):
+            watch.take(part, judged=False)
 
 
 @settings(max_examples=15)
@@ -682,28 +727,6 @@ def test_standard_input_is_watched(small: Path, log: Path, tmp_path: Path) -> No
     assert watch.returncode == 0
     assert rows_out == (tmp_path / "e.csv").read_text()
     assert '"ended": "end of the input"' in summary  # the rows have stdout
-
-
-def on_terminal(*arguments: str | Path, **variables: str) -> str:
-    """What a command writes to stderr where that is a terminal."""
-    ours, theirs = pty.openpty()
-    plain = {key: value for key, value in os.environ.items() if key not in ("NO_COLOR", "FORCE_COLOR")}
-    environment = plain | {"TERM": "xterm-256color", "COLUMNS": "120", "LINES": "40"} | variables
-    command = [sys.executable, "-c", SCRIPT, *map(str, arguments)]
-    with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=theirs) as process:
-        os.close(theirs)
-        written = b""
-        while True:
-            try:
-                part = os.read(ours, 65536)
-            except OSError:  # the other end is closed
-                break
-            if not part:
-                break
-            written += part
-    os.close(ours)
-    assert process.returncode == 0, written
-    return written.decode()
 
 
 def test_a_terminal_shows_a_panel_that_goes(small: Path, log: Path) -> None:

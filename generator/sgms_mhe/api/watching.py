@@ -20,9 +20,9 @@ from sgms_mhe.logfiles.following import FollowedText
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import READERS, TEXTS
 from sgms_mhe.machine import Machine
-from sgms_mhe.signals.chain import Signals, signals_from_log
+from sgms_mhe.signals.chain import Chain, Signals, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
-from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.logs import Log, check_rate
 from sgms_mhe.support.errors import InputError
 
 Piece = Log | Signals
@@ -109,9 +109,8 @@ class Replay(Source):
     def __init__(self, path: Path, machine: Machine, speed: float, clock: Clock, note: Note | None = None) -> None:
         super().__init__()
         log = recorded_log(path, machine, note=note)
-        own = (log.velocity_m_s, log.acceleration_m_s2, log.friction_N)
         self._log = log
-        self._signals = None if all(column is None for column in own) else signals_from_log(log, machine)
+        self._signals = signals_from_log(log, machine) if _has_own(log) else None
         self._speed, self._clock = speed, clock
         self._at_once = AT_ONCE * machine.sampling.samples_per_update
 
@@ -137,6 +136,11 @@ class Replay(Source):
             return self._signals.part(which)
         log = self._log
         return Log(log.time_s[which], log.position_m[which], log.force_N[which], log.rate, kind=log.kind)
+
+
+def _has_own(log: Log) -> bool:
+    """Whether it brings what is otherwise computed of position and force."""
+    return any(column is not None for column in (log.velocity_m_s, log.acceleration_m_s2, log.friction_N))
 
 
 class _Growing(Source):
@@ -281,15 +285,22 @@ class Watch:
         self.course = Course(machine, estimator.model)
         self.doubts: list[str] = []
         self._stretch: list[Log] = []
+        self._chain: Chain | None = None
 
     def take(self, piece: Piece, *, judged: bool) -> Estimates:
-        """The updates of the samples that follow; `judged`: the columns were held against the axis before."""
+        """The updates of the samples that follow; `judged`: the columns were held against the axis before.
+
+        Raises:
+            InputError: signals of its own, and no reading to begin with.
+        """
+        if isinstance(piece, Log) and not judged:
+            self._stretch.append(piece)
+            if sum(map(len, self._stretch)) >= STRETCH_S * self._machine.sampling.rate:
+                self.judge()
+        if isinstance(piece, Log) and _has_own(piece):
+            piece = self._through_chain(piece)
         if isinstance(piece, Log):
             gaps = ~(np.isfinite(piece.position_m) & np.isfinite(piece.force_N))
-            if not judged:
-                self._stretch.append(piece)
-                if sum(map(len, self._stretch)) >= STRETCH_S * self._machine.sampling.rate:
-                    self.judge()
         else:
             gaps = piece.missing
         self.course.samples += len(piece)
@@ -297,6 +308,20 @@ class Watch:
         estimates = self._running.take(piece)
         self.course.add(estimates)
         return estimates
+
+    def _through_chain(self, log: Log) -> Signals:
+        """Signals of a log that brings some of its own."""
+        if self._chain is None:
+            check_rate(log, self._machine)
+            for name in ("position_m", "force_N"):
+                if not np.isfinite(log.columns[name][0]):
+                    allowed = (
+                        "a reading, beside columns of velocity, acceleration or friction: the first one counts as "
+                        "having been there before, which takes the whole log; replay it without --follow"
+                    )
+                    raise InputError(log.source, f"first sample, {log.units.named(name)}", math.nan, allowed)
+            self._chain = Chain(self._machine)
+        return self._chain.take(log)
 
     def judge(self) -> None:
         """Hold the newest stretch of samples against what this axis can have left.

@@ -7,6 +7,7 @@ import math
 import shlex
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]
 """Called with (steps done, steps in all)."""
 
+LONGEST_LOOK_S: Final = 2.0
+"""A bar that was not looked at for longer was not running."""
 TOLD_FROM_S: Final = 2.0
 """Seconds from which on it is said how far work is."""
 
@@ -284,4 +287,27 @@ def _bar(*columns: ProgressColumn) -> RichProgress:
     from rich.console import Console
     from rich.progress import Progress as Bar
 
-    return Bar(*columns, console=Console(stderr=True), transient=True)
+    return Bar(*columns, console=Console(stderr=True), transient=True, get_time=AwakeClock().now)
+
+
+class AwakeClock:
+    """Seconds that a run has been awake, for a bar that looks at it many times a second.
+
+    Between two looks no more than `LONGEST_LOOK_S` have passed: a host that slept, or a process that was stopped, did
+    nothing meanwhile, and the time left is told by what is done while they run.
+
+    Args:
+        clock: seconds since some moment.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._lock = clock, threading.Lock()
+        self._seen, self._awake = clock(), 0.0
+
+    def now(self) -> float:
+        """Seconds since it was made."""
+        with self._lock:  # a bar is drawn by a thread of its own
+            seen = self._clock()
+            self._awake += min(max(seen - self._seen, 0.0), LONGEST_LOOK_S)
+            self._seen = seen
+            return self._awake

@@ -45,9 +45,6 @@ MOST_LINES: Final = 4096
 """Lines in which samples have to be found."""
 LONGEST_LINE: Final = 1_000_000
 """Characters; a text without line ends is none that grows."""
-OWN_SIGNALS: Final = ("velocity", "acceleration", "friction")
-"""Quantities that take the place of what is computed of position and force."""
-
 Row = tuple[int, str]
 """A line with its number, from 1."""
 
@@ -207,13 +204,6 @@ class _Rows:
             cells.stamped,
         )
         kind, self._sources = choose_sources(path, self._table, hints, machine.plant.kind)
-        for source in self._sources:
-            if source.quantity.role in OWN_SIGNALS:
-                allowed = (
-                    f"a log without it: {source.quantity.column} takes the place of what is computed of position and "
-                    "force, over a whole log; replay it without --follow"
-                )
-                raise InputError(path, f"column {source.described}", source.quantity.column, allowed)
         self._names = sorted({source.column for source in self._sources})
         self._dialect, self._lead = replace(dialect, rows=(), after=()), dialect.lead
         self._line, self._pending = dialect.rows[-1][0], list[Row]()

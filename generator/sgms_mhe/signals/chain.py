@@ -25,6 +25,9 @@ SETTLE_TOLERANCE = 0.01
 """The chain has settled when the step response of both low-passes stays within this fraction."""
 
 
+_NEVER = int(np.iinfo(np.int64).max)
+"""Samples since a sample that was missing, where none was."""
+
 FARTHEST_m = 4e6
 LARGEST_SIGNAL = 1e9
 """A position, or any other channel [N, m/s, m/s^2], at or beyond these is no reading: it counts as missing."""
@@ -70,44 +73,104 @@ def signal_array(signals: Signals, h: float, first: int = 0) -> Array:
 
 def signals_from_log(log: Log, machine: Machine) -> Signals:
     """Send a log through the chain, or past it where the log brings velocity and friction of its own."""
-    sampling = machine.sampling
     check_rate(log, machine)
-    rate, settle = sampling.rate, settle_samples(machine)
-    log = readings(log)
-    missing = _missing(log)
-    force = _hold(log.force_N)
-    position, delayed_position, difference = _continue(log.position_m, settle)
+    return Chain(machine).take(log)
 
-    if log.velocity_m_s is not None and log.friction_N is not None:
-        velocity = _hold(log.velocity_m_s, before=0.0)
+
+class Chain:
+    """The chain along a log, whole or in pieces: what comes out is the same to the last bit.
+
+    But for readings that are missing at the very start: until the first one comes, what it is counts as having been
+    there before, and it has to be in the first piece.
+
+    Args:
+        machine: whose log it is.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self._coefficients, self._settle = lowpass_coefficients(machine), settle_samples(machine)
+        self._memory: dict[str, Array] = {}
+        self._bases: dict[str, float] = {}
+        self._held: dict[str, float] = {}
+        self._before: dict[str, float] = {}
+        self._place: _Place | None = None
+        self._since, self._taken = _NEVER, 0
+
+    def take(self, log: Log) -> Signals:
+        """What the samples that follow become; of the same columns throughout."""
+        rate = self._machine.sampling.rate
+        log = readings(log)
+        missing = _missing(log)
+        force = self._hold("force", log.force_N)
+        position, delayed_position, difference, self._place = _continue(log.position_m, self._settle, self._place)
+        since = self._samples_since(missing)
+        self._taken += len(log)
+
+        if log.velocity_m_s is not None and log.friction_N is not None:
+            velocity = self._hold("velocity", log.velocity_m_s, 0.0)
+            if log.acceleration_m_s2 is None:
+                acceleration = (velocity - self._delay("velocity", velocity, float(velocity[0]))) * rate
+            else:
+                acceleration = self._hold("acceleration", log.acceleration_m_s2, 0.0)
+            friction = self._hold("friction", log.friction_N, 0.0)
+            return Signals(log.time_s, position, velocity, acceleration, force, friction, ~missing, missing)
+
+        given = log.velocity_m_s
+        raw_velocity = difference * rate if given is None else self._hold("velocity", given, 0.0)
+        once = self._lowpass("velocity, once", raw_velocity)
+        later = self._delay("velocity", once, 0.0)
+        velocity = self._lowpass("velocity, twice", later)
         if log.acceleration_m_s2 is None:
-            acceleration = (velocity - _delay(velocity, float(velocity[0]))) * rate
+            acceleration = self._lowpass("acceleration", (once - later) * rate)
         else:
-            acceleration = _hold(log.acceleration_m_s2, before=0.0)
-        friction = _hold(log.friction_N, before=0.0)
-        return Signals(log.time_s, position, velocity, acceleration, force, friction, ~missing, missing)
+            held = self._delay("acceleration", self._hold("acceleration", log.acceleration_m_s2, 0.0), 0.0)
+            acceleration = self._lowpass("acceleration, twice", self._lowpass("acceleration", held))
+        position, force = self._at_rest("position", delayed_position), self._behind("force", force)
+        if log.friction_N is None:
+            friction = force - self._machine.plant.moved * acceleration
+        else:
+            friction = self._behind("friction", self._hold("friction", log.friction_N, 0.0))
+        valid = since > self._settle
+        valid[: max(0, self._settle - (self._taken - len(log)))] = False
+        delay = chain_delay(self._machine)
+        return Signals(log.time_s, position, velocity, acceleration, force, friction, valid, missing, delay)
 
-    coefficients = lowpass_coefficients(machine)
+    def _hold(self, name: str, signal: Array, before: float | None = None) -> Array:
+        """Hold the last finite value; `before` the first one, or that one itself."""
+        held = _hold(signal, self._held.get(name, before))
+        self._held[name] = float(held[-1])
+        return held
 
-    def lowpass(signal: Array) -> Array:
-        return _lowpass(coefficients, signal)
+    def _delay(self, name: str, signal: Array, first: float) -> Array:
+        """One sample later, `first` standing before the log's first sample."""
+        delayed = _delay(signal, self._before.get(name, first))
+        self._before[name] = float(signal[-1])
+        return delayed
 
-    raw_velocity = difference * rate if log.velocity_m_s is None else _hold(log.velocity_m_s, before=0.0)
-    once = lowpass(raw_velocity)
-    velocity = lowpass(_delay(once, 0.0))
-    if log.acceleration_m_s2 is None:
-        acceleration = lowpass((once - _delay(once, 0.0)) * rate)
-    else:
-        acceleration = lowpass(lowpass(_delay(_hold(log.acceleration_m_s2, before=0.0), 0.0)))
-    position, force = _at_rest(coefficients, delayed_position), behind_chain(machine, force)
-    if log.friction_N is None:
-        friction = force - machine.plant.moved * acceleration
-    else:
-        friction = behind_chain(machine, _hold(log.friction_N))
-    valid = _samples_since(missing) > settle
-    valid[:settle] = False
-    delay = chain_delay(machine)
-    return Signals(log.time_s, position, velocity, acceleration, force, friction, valid, missing, delay)
+    def _lowpass(self, name: str, signal: Array) -> Array:
+        b0, b1, b2, a1, a2 = self._coefficients
+        memory = self._memory.get(name, np.zeros(2))
+        filtered, self._memory[name] = lfilter([b0, b1, b2], [1.0, a1, a2], signal, zi=memory)
+        return np.asarray(filtered)
+
+    def _at_rest(self, name: str, delayed: Array) -> Array:
+        """As `_at_rest` of the module, with the log's first value as the one to rest on."""
+        base = self._bases.setdefault(name, float(delayed[0]))
+        return np.asarray(base + self._lowpass(f"{name}, twice", self._lowpass(f"{name}, once", delayed - base)))
+
+    def _behind(self, name: str, series: Array) -> Array:
+        """As `behind_chain`."""
+        return self._at_rest(name, self._delay(name, series, float(series[0])))
+
+    def _samples_since(self, missing: Mask) -> NDArray[np.int64]:
+        """Samples since the last one that was missing, in this piece or before it."""
+        since = _samples_since(missing)
+        if self._since != _NEVER:
+            before = since == _NEVER
+            since[before] = self._since + 1 + np.flatnonzero(before)
+        self._since = int(since[-1])
+        return since
 
 
 def signals_of_record(log: Log, machine: Machine) -> Signals:
@@ -251,7 +314,7 @@ def _samples_since(mask: Mask) -> NDArray[np.int64]:
     """Samples since the last true entry of mask: 0 at a true entry, the largest integer before the first one."""
     index = np.arange(len(mask))
     last = np.maximum.accumulate(np.where(mask, index, -1))
-    return np.where(last < 0, np.iinfo(np.int64).max, index - last)
+    return np.where(last < 0, _NEVER, index - last)
 
 
 def _hold(signal: Array, before: float | None = None) -> Array:
@@ -266,31 +329,52 @@ def _hold(signal: Array, before: float | None = None) -> Array:
     return np.where(last >= 0, signal[last], start)
 
 
-def _continue(position: Array, settle: int) -> tuple[Array, Array, Array]:
+@dataclass(frozen=True)
+class _Place:
+    """The last sample of a piece: its position and raw difference [m], and how many were missing up to it."""
+
+    position: float
+    difference: float
+    gap: int
+
+
+def _continue(position: Array, settle: int, place: _Place | None) -> tuple[Array, Array, Array, _Place]:
     """Position with its missing samples continued by the last raw difference.
 
-    Returns the position at k, the position one sample earlier as the chain sees it at k, and their difference [m]. They
-    are stated apart because after a gap of more than `settle` samples the earlier position is replaced by the new one:
-    the difference restarts at zero and what was travelled unseen does not appear as a velocity.
+    `place` is the last sample of the piece before, where there was one.
+
+    Returns the position at k, the position one sample earlier as the chain sees it at k, and their difference [m]; and
+    the last sample. They are stated apart because after a gap of more than `settle` samples the earlier position is
+    replaced by the new one: the difference restarts at zero, what was travelled unseen does not appear as a velocity.
     """
-    good = np.isfinite(position)
-    filled = np.where(good, position, np.nan)  # not inf: its differences would warn
-    if not good.any():
+    known = 0 if place is None else 1
+    good = np.concatenate((np.ones(known, dtype=np.bool_), np.isfinite(position)))
+    raw = position if place is None else np.concatenate(([place.position], position))
+    filled = np.where(good, raw, np.nan)  # not inf: its differences would warn
+    first = int(np.argmax(good))
+    if good.any():
+        filled[:first] = raw[first]
+    else:
         filled[:] = 0.0
-    elif not good.all():
-        first = int(np.argmax(good))
-        filled[:first] = position[first]
     earlier = _delay(filled, filled[0])
     difference = filled - earlier
+    if place is not None:
+        difference[0] = place.difference
+        if place.gap > settle and good[1]:
+            earlier[1], difference[1] = filled[1], 0.0
     if not good.all() and good.any():
         edges = np.flatnonzero(np.diff(good[first:].astype(np.int8)))
         starts, ends = edges[::2] + 1 + first, edges[1::2] + 1 + first
-        for start, end in zip(starts, [*ends, len(position)], strict=False):
+        for start, end in zip(starts, [*ends, len(good)], strict=False):
             difference[start:end] = difference[start - 1]
             # accumulate adds in order, as a controller does sample by sample
             filled[start:end] = np.add.accumulate(np.r_[filled[start - 1], difference[start:end]])[1:]
             earlier[start + 1 : end] = filled[start : end - 1]
-            if end < len(position):
-                earlier[end] = filled[end - 1] if end - start <= settle else filled[end]
+            if end < len(good):
+                length = end - start + (place.gap if place is not None and start == 1 else 0)
+                earlier[end] = filled[end - 1] if length <= settle else filled[end]
                 difference[end] = filled[end] - earlier[end]
-    return filled, earlier, difference
+    gap = int(np.argmax(good[::-1])) if good.any() else len(good)
+    gap += place.gap if place is not None and gap == len(position) else 0
+    last = _Place(float(filled[-1]), float(difference[-1]), gap)
+    return filled[known:], earlier[known:], difference[known:], last
