@@ -10,6 +10,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from numpy.typing import NDArray
+
 from c_packages import machine, written
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.bindings import BINDINGS
@@ -19,6 +21,7 @@ from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.status import FLAGS
 
 KINDS = ("single", "double", "ekf", "rotary")
 HELD_MASS = "held mass"
@@ -68,6 +71,22 @@ def bound_package(kind: str, folder: Path) -> Bound:
     settings = machine_of(kind)
     package = emit_package(settings, selftest=False, bindings=BINDINGS)
     return Bound(settings, package, written(package, folder))
+
+
+def outputs_of(expected: Estimates) -> dict[str, NDArray[Any]]:
+    """What a binding puts out after every update, by name, in the order of its outputs."""
+    return {
+        "friction": expected.friction_N,
+        "friction_measured": expected.friction_measured_N,
+        "deflection": expected.z_m,
+        "parameter": expected.parameters,
+        "deviation": expected.std,
+        "innovation": expected.innovation_N,
+        "test_ratio": expected.test_ratio,
+        "noise_scale": expected.noise_scale,
+        "status": expected.status,
+        "doubt": (expected.status > 0) & (expected.status & FLAGS["doubt"] != 0),
+    }
 
 
 def module_of(folder: Path) -> ModuleType:
