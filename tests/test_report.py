@@ -224,6 +224,18 @@ def test_limits_of_any_wording_are_shown(machine: Machine, tmp_path: Path) -> No
     assert "cannot decide" not in read(write_report(cases.certain(cases.explained(machine)), tmp_path)).words
 
 
+def test_a_choice_is_told_once_whatever_its_sentence(machine: Machine, tmp_path: Path) -> None:
+    """A cause by its label, and a limit that begins as the choice's sentence does."""
+    first = cases.ambiguous(machine)
+    cause, rival = next((a.instead_of, a.name) for a in first.alternatives if a.rival and a.instead_of)
+    also = f"{cause} or {rival}: what another sentence says"
+    page = read(write_report(replace(first, undecided=(also,)), tmp_path))
+    assert page.words.count(also[1:]) == 1
+    assert {limit.between for limit in first.undecidable} >= {(cause, rival)}
+    why = next(a.why_not for a in first.alternatives if a.name == rival)
+    assert f"{cause} or {rival}: {why}" not in page.words
+
+
 def test_numbers_of_the_machine_file_are_named_in_words(machine: Machine, tmp_path: Path) -> None:
     # A cause is no rival of itself, and an effect that the machine has is not found: it has another value.
     first = cases.ambiguous(machine)

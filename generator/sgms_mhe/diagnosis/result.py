@@ -188,6 +188,14 @@ class Traces:
 
 
 @dataclass(frozen=True)
+class Limit:
+    """What a record cannot decide: in words; `between` a named cause and its rival, None where it is no choice."""
+
+    words: str
+    between: tuple[str, str] | None = None
+
+
+@dataclass(frozen=True)
 class Diagnosis:
     """Verdict, causes and evidence. Parameters and numbers have a linear axis's names; files have those of the axis.
 
@@ -246,15 +254,24 @@ class Diagnosis:
     @property
     def limits(self) -> tuple[str, ...]:
         """Sentences on what this record cannot decide."""
-        pairs = [f"{a.instead_of} or {a.name}: {a.why_not}" for a in self.alternatives if a.rival and a.instead_of]
+        return tuple(limit.words for limit in self.undecidable)
+
+    @property
+    def undecidable(self) -> tuple[Limit, ...]:
+        """What this record cannot decide, with the two causes where it is a choice between them."""
         named = self.machine.plant.units.named
+        pairs = [
+            Limit(f"{a.instead_of} or {a.name}: {a.why_not}", (a.instead_of, a.name))
+            for a in self.alternatives
+            if a.rival and a.instead_of
+        ]
         vague = [
             f"{cause.name}: the record does not determine {', '.join(map(named, cause.vague))}"
             for cause in self.causes
             if cause.vague
         ]
         unknown = [f"{named(b.name)}: the record does not show it" for b in self.base if not math.isfinite(b.std)]
-        return (*self._left, *pairs, *self.undecided, *vague, *unknown)
+        return (*map(Limit, self._left), *pairs, *map(Limit, (*self.undecided, *vague, *unknown)))
 
     @property
     def _left(self) -> tuple[str, ...]:

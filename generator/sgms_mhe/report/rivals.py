@@ -84,8 +84,8 @@ def undecided(d: Diagnosis) -> dict[str, Any] | None:
         }
         for cause, rival in pairs
     ]
-    told = tuple(f"{cause.name} or {rival.name}:" for cause, rival in pairs)
-    others = [_words(limit) for limit in d.limits if not limit.startswith(told)]
+    told = {(rival.instead_of, rival.name) for _, rival in pairs}
+    others = [_words(limit.words) for limit in d.undecidable if limit.between not in told]
     if not choices and not others:
         return None
     return {"title": "What this record cannot decide", "choices": choices, "others": others}
