@@ -11,7 +11,7 @@
  *     fuzz SEED CALLS      random inputs until so many calls are done; prints how many
  *     fuzz FILE...         what libFuzzer kept
  * libFuzzer's program ends after $CALLS calls where that is set. MOST_CALLS: of one input. */
-#include "package.h"
+#include "fuzz.h"
 
 #include <stdio.h>
 #include <stdlib.h>
@@ -19,189 +19,11 @@
 
 enum { RECOVERY = SETTLE / SAMPLES + 4 /* updates */ };
 
-/* The bytes that are left of an input; zeros behind them. */
-typedef struct {
-    const uint8_t *at;
-    size_t left;
-} bytes;
-
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 int LLVMFuzzerInitialize(int *argc, char ***argv);
 
-static unsigned long long calls, wanted_calls = UINT64_MAX;
-static unsigned long long calls_of_input;
+static unsigned long long wanted_calls = UINT64_MAX;
 static long sample_count; /* of the good motion */
-
-static void fail(const char *what)
-{
-    fprintf(stderr, "fuzz: %s\n", what);
-    abort();
-}
-
-static void hold(int is_so, const char *what)
-{
-    if (!is_so) {
-        fail(what);
-    }
-}
-
-/* --- input ------------------------------------------------------------------------------------------------------- */
-
-static unsigned take_byte(bytes *from)
-{
-    unsigned byte = 0;
-    if (from->left > 0) {
-        byte = *from->at++;
-        from->left--;
-    }
-    return byte;
-}
-
-static uint64_t take_bits(bytes *from)
-{
-    uint64_t bits = 0;
-    for (int i = 0; i < 8; i++) {
-        bits = bits << 8 | take_byte(from);
-    }
-    return bits;
-}
-
-/* A number: any bits, one that is an edge of something, or one of the size of signals. */
-static double take_double(bytes *from)
-{
-    static const double edges[] = {
-        0.0,    -0.0,   1.0,          -1.0,  1e-300, 5e-324, 1e300, -1.7976931348623157e308, 9.999e8, 1e9, -1e9, 4e6,
-        -3.9e6, 1.0e38, 3.4028235e38, 1e-45, 1e-38,  1e18,   4e18,  9.2233720368547758e18,   2e9,     0.1, 1e-6, 1e-9};
-    const unsigned kind = take_byte(from);
-    double value;
-    if (kind < 64) {
-        const uint64_t bits = take_bits(from);
-        memcpy(&value, &bits, sizeof value);
-    } else if (kind < 80) {
-        const uint64_t bits = (kind & 1 ? UINT64_C(0xfff) << 52 : UINT64_C(0x7ff) << 52) | (kind & 2 ? kind : 0);
-        memcpy(&value, &bits, sizeof value);
-    } else if (kind < 128) {
-        value = edges[kind % (sizeof edges / sizeof edges[0])];
-    } else {
-        static const double sizes[] = {1e-9, 1e-7, 1e-5, 1e-3, 0.01, 0.1, 1.0, 30.0};
-        value = ((double)take_byte(from) - 127.5) * sizes[kind % 8];
-    }
-    return value;
-}
-
-static machine_real take_real(bytes *from)
-{
-    const double value = take_double(from);
-    machine_real real;
-    if (take_byte(from) < 32) { /* any bits of its own */
-        memcpy(&real, &value, sizeof real);
-        return real;
-    }
-    /* beyond the range of a float the conversion is not defined */
-    if (value == value && (value > 3.4028234e38 || value < -3.4028234e38)) {
-        return (machine_real)(value > 0.0 ? 3.4028234e38 : -3.4028234e38);
-    }
-    return (machine_real)value;
-}
-
-static machine_position take_position(bytes *from)
-{
-    const unsigned kind = take_byte(from);
-    machine_position position;
-    if (kind < 48) {
-        const uint64_t bits = take_bits(from);
-        memcpy(&position, &bits, sizeof position);
-        return position;
-    }
-    if (kind < 96) {
-        const int64_t counts = (int64_t)take_bits(from);
-        const int32_t per = (int32_t)take_bits(from);
-        return CALL(position_from_counts)(counts, per, (int64_t)take_bits(from));
-    }
-    return CALL(position_from_metres)(take_double(from));
-}
-
-/* --- checks ------------------------------------------------------------------------------------------------------ */
-
-static int is_number(machine_real x)
-{
-    return x - x == (machine_real)0;
-}
-
-static void check_force(machine_real force)
-{
-    hold(is_number(force), "a force that is no number");
-#ifdef FORCE_LIMIT
-    hold(force <= FORCE_LIMIT && force >= -FORCE_LIMIT, "a force beyond its limit");
-#endif
-    calls++;
-    calls_of_input++;
-}
-
-static int check_status(int status)
-{
-    hold(is_status(status), "a status that is none");
-    hold(CALL(status_text)(status)[0] != '\0', "a status without a text");
-    calls++;
-    calls_of_input++;
-    return status;
-}
-
-static void check_estimate(const machine *axis)
-{
-    machine_estimate e;
-    CALL(estimate)(axis, &e);
-    (void)check_status(e.status);
-    hold(is_number(e.friction) && is_number(e.friction_measured), "a friction that is no number");
-    for (int i = 0; i < ELEMENTS; i++) {
-        hold(is_number(e.deflection[i]), "a deflection that is no number");
-    }
-    for (int i = 0; i < PARAMETERS; i++) {
-        const machine_real theta = axis->good_theta[i];
-        hold(is_number(e.parameter[i]), "a parameter that is no number");
-        hold(is_number(e.deviation[i]) && e.deviation[i] >= (machine_real)0, "a sigma that is none");
-#if BOUNDED
-        const machine_settings *const by = &axis->settings;
-        hold(theta >= by->lower[i] && theta <= by->upper[i], "a parameter beyond its bounds");
-#endif
-    }
-}
-
-/* What the fields say of each other between two calls. */
-static void check_fields(const machine *axis)
-{
-    const machine_real share = CALL(share)(axis);
-    hold(share >= (machine_real)0 && share <= (machine_real)1, "a share beyond 0 and 1");
-    hold(axis->filling >= 0 && axis->filling < CONSTANT(SLOTS), "a slot that is none");
-    hold(axis->step >= 0 && axis->step <= STEPS, "a step that is none");
-    hold(CALL(due)(axis) == (axis->step == STEPS), "due, and the interval not complete");
-    hold(axis->merged_count >= 0 && axis->merged_count < MERGED, "samples of a step that are none");
-    hold(axis->version % 2 == 0, "an estimate half written");
-#if WINDOW
-    hold(axis->complete >= 0 && axis->complete < CONSTANT(SLOTS), "intervals that are none");
-    hold(axis->cursor >= 0, "units that are none");
-#endif
-}
-
-static int is_same(const machine_estimate *a, const machine_estimate *b)
-{
-    int same = a->friction == b->friction && a->friction_measured == b->friction_measured && a->status == b->status;
-    for (int i = 0; i < ELEMENTS; i++) {
-        same = same && a->deflection[i] == b->deflection[i];
-    }
-    for (int i = 0; i < PARAMETERS; i++) {
-        same = same && a->parameter[i] == b->parameter[i] && a->deviation[i] == b->deviation[i];
-    }
-    return same;
-}
-
-static void check_same(const machine *a, const machine *b, const char *what)
-{
-    machine_estimate of_a, of_b;
-    CALL(estimate)(a, &of_a);
-    CALL(estimate)(b, &of_b);
-    hold(is_same(&of_a, &of_b), what);
-}
 
 /* --- calls ------------------------------------------------------------------------------------------------------- */
 

@@ -1,4 +1,4 @@
-"""Random calls of random packages under sanitizers: `runtime_c/verification/fuzz.c`."""
+"""Random calls of random packages under sanitizers: `runtime_c/verification/fuzz.c` and its parts."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ MOST_CALLS: Final = 20_000
 """Of one input."""
 MOST_OPERATIONS: Final = 5e7
 """Of the calls of one input, as stated."""
+
+PARTS: Final = ("fuzz.c", "fuzz_input.c", "fuzz_checks.c")
+"""The program but for the package."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +123,7 @@ def build_fuzzer(sanitizer: Sanitizer, package: Package, folder: Path) -> Path:
     program = folder / "fuzz"
     own = [f"-DMOST_CALLS={_most_calls(package)}"]
     own += [f"-DFORCE_LIMIT=((machine_real){limit!r})"] if limit is not None else []
-    parts = [sources() / "fuzz.c", folder / name / f"{name}.c"]
+    parts = [*(sources() / part for part in PARTS), folder / name / f"{name}.c"]
     flags = [*DIALECT, *sanitizer.flags, *definitions(package), *own, f"-I{folder / name}"]
     made = run([sanitizer.compiler, *flags, *parts, "-o", program])
     if made.code != 0:
