@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.ndimage import uniform_filter1d
 
+from sgms_mhe.recordings.noise import colour_of, quiet_variance
 from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
@@ -21,7 +22,8 @@ UNSEEN: Final = 1e-9  # of the longest column: a shorter one is not excited
 RANK: Final = 1e-10  # of the largest eigenvalue of the scaled Gram matrix
 SINGULAR: Final = 1e14  # condition of the scores' covariance that no test rests on
 PIECES: Final = 4  # that a noise floor needs
-SMOOTH_ORDER: Final = 2  # of the polynomial that is smooth over `noise_rows`
+AT_REST: Final = 1e-3  # RMS speed of a piece over that of all
+MOVING: Final = 0.1  # of the pieces: fewer are no sample of the noise
 INTERVAL: Final = (0.025, 0.975)  # quantiles of the 95 % interval
 FAST_PARTS: Final = 20  # of a record: what is slower than one of them may be a force that wanders
 DRAWS: Final = 1000  # of blocks; the interval's ends are then sure to a few percent of its width
@@ -86,22 +88,21 @@ def score_test(recording: Recording, Z: Array, residual: Array) -> tuple[float, 
 def noise_floor(recording: Recording, residual: Array) -> float:
     """RMS of the noise at the fit's rate, from what a smooth curve through a few rows leaves [N].
 
-    Model errors are smooth over `noise_rows` but where the axis is fast; the quieter half of the pieces decides, with
-    the expectation of the median of chi-squared in place of the mean.
+    Model errors are smooth over `noise_rows` but at reversals and pushes, whose pieces are told by what they leave
+    (`quiet_variance`). Of the pieces in which the axis moves, where there are enough: at rest an encoder that rounds
+    has no noise.
     """
-    width, order = recording.thresholds.noise_rows, SMOOTH_ORDER
+    width = recording.thresholds.noise_rows
     k = len(residual) // width
-    pieces = residual[: k * width].reshape(k, width)
     whole = recording.used[: k * width].reshape(k, width).all(axis=1)
     if whole.sum() < PIECES:
         return float(np.std(residual[recording.used]))
-    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), order + 1))[0]
-    pieces = pieces[whole]
-    rest = pieces - pieces @ basis @ basis.T
-    freedom = width - order - 1
-    variance = np.sum(rest**2, axis=1) / freedom
-    # Median of chi-squared over its mean, Wilson-Hilferty.
-    return math.sqrt(float(np.quantile(variance, 0.5)) / (1.0 - 2.0 / (9.0 * freedom)) ** 3)
+    pieces = residual[: k * width].reshape(k, width)[whole]
+    speed = np.sqrt(np.mean(recording.velocity[: k * width].reshape(k, width)[whole] ** 2, axis=1))
+    moves = speed > AT_REST * float(np.sqrt(np.mean(speed**2)))
+    if moves.sum() >= max(PIECES, MOVING * len(pieces)):
+        pieces = pieces[moves]
+    return math.sqrt(quiet_variance(pieces, colour_of(recording.machine, recording.factor, width)))
 
 
 def cross_loss(recording: Recording, X: Array, residual: Array, prior: Array) -> Array:
