@@ -7,6 +7,7 @@ from sgms_mhe.diagnosis_benchmark.draws import Draw, machine_of, make_draw, simu
 from sgms_mhe.diagnosis_benchmark.planned import run_planned
 from sgms_mhe.diagnosis_benchmark.running import run_diagnosis_benchmark, run_draw
 from sgms_mhe.diagnosis_benchmark.scoring import Found, Summary, outcome, summarise, summary_json, summary_text
+from sgms_mhe.diagnosis_benchmark.small import run_small
 
 __all__ = [
     "Draw",
@@ -19,6 +20,7 @@ __all__ = [
     "run_diagnosis_benchmark",
     "run_draw",
     "run_planned",
+    "run_small",
     "simulate_draw",
     "summarise",
     "summary_json",

@@ -43,6 +43,8 @@ KINDS: Final = (
 VISIBLE: Final = 0.3
 SECONDS: Final = (10.0, 16.0)
 ATTEMPTS: Final = 25
+OFF_SIZE: Final = 0.25
+"""What a size that was asked for may be missed by, of itself."""
 _RARE: Final = 4.0  # largest force of an unmodelled cause, over its size
 _TOGETHER: Final = {"double": 2, "triple": 3}
 _CLOCK_SIZE: Final = 0.1  # least size of what is hidden where position is a clock
@@ -111,6 +113,20 @@ def make_draw(machine: Machine, seed: int, index: int) -> Draw:
             return draw
     # Nothing fair was found: the log of a clean axis takes the place.
     return frame.draw("clean", _style(random))
+
+
+def sized_draw(machine: Machine, seed: int, index: int, name: str, size: float, obeys: PlantLaw) -> Draw | None:
+    """A fair log of one cause of that size on an axis of that law; None where none is found."""
+    random = np.random.default_rng([seed, index])
+    kind = "base" if name in BASE_CAUSES else "single"
+    frame = _Frame(machine, seed, index, random)
+    for _ in range(ATTEMPTS):
+        draw = frame.draw(kind, _style(random), obeys)
+        if name in BASE_CAUSES or name in frame.effects(draw):
+            found = _with_causes(frame, draw, (name,), size)
+            if found is not None and abs(found.size / size - 1.0) < OFF_SIZE:
+                return found
+    return None
 
 
 def machine_of(machine: Machine, draw: Draw) -> Machine:
@@ -239,7 +255,8 @@ def _style(random: Generator) -> str:
     return str(random.choice(STYLES, p=[0.55, 0.15, 0.15, 0.15]))
 
 
-def _with_causes(frame: _Frame, draw: Draw, names: tuple[str, ...]) -> Draw | None:
+def _with_causes(frame: _Frame, draw: Draw, names: tuple[str, ...], size: float | None = None) -> Draw | None:
+    """The draw with these causes hidden, each of that size (None: drawn), where that is fair."""
     axis = machine_of(frame.machine, draw)
     changes = something_to_act_on(axis, names)
     if changes:
@@ -250,7 +267,8 @@ def _with_causes(frame: _Frame, draw: Draw, names: tuple[str, ...]) -> Draw | No
     found, columns = measures(plain, axis), sensitivities(axis, plain)
     causes, forces = [], []
     for name in names:
-        sized = sized_cause(axis, motion, plain, name, draw_size(frame.random), frame.random)
+        wanted = draw_size(frame.random) if size is None else size
+        sized = sized_cause(axis, motion, plain, name, wanted, frame.random)
         if sized is None or cause(name).excitation.unmet(found, sized[0].parameters):
             return None
         causes.append(sized[0])

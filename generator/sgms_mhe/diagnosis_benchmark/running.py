@@ -81,37 +81,55 @@ def run_diagnosis_benchmark(
 
 
 def run_draw(machine: Machine, seed: int, index: int, diagnose: Diagnose = diagnosis.diagnose) -> tuple[Draw, Found]:
-    """One log: drawn, simulated, read, diagnosed. What goes wrong in a diagnosis is a result too."""
+    """One log: drawn, simulated, read, diagnosed."""
     draw = make_draw(machine, seed, index)
+    return draw, diagnosed(machine, draw, diagnose)
+
+
+def diagnosed(machine: Machine, draw: Draw, diagnose: Diagnose = diagnosis.diagnose) -> Found:
+    """What a diagnosis says of the draw's log. What goes wrong in it is a result too."""
     log, noise = simulate_draw(machine, draw)
     file, started = machine_of(machine, draw), time.monotonic()
     try:
         check_plausible(log, file)
-        found = Found.of(diagnose(file, log), noise, time.monotonic() - started)
+        return Found.of(diagnose(file, log), noise, time.monotonic() - started)
     except ImplausibleError as error:
-        found = Found("unexplained", seconds=time.monotonic() - started, refused=str(error))
+        return Found("unexplained", seconds=time.monotonic() - started, refused=str(error))
     except Exception as error:
-        found = Found("", seconds=time.monotonic() - started, error=f"{type(error).__name__}: {error}")
-    return draw, found
+        return Found("", seconds=time.monotonic() - started, error=f"{type(error).__name__}: {error}")
 
 
 def _kept_draw(machine: Machine, seed: int, index: int, diagnose: Diagnose) -> dict[str, bytes]:
-    draw, found = run_draw(machine, seed, index, diagnose)
+    return kept_result(*run_draw(machine, seed, index, diagnose))
+
+
+def kept_result(draw: Draw, found: Found) -> dict[str, bytes]:
+    """The file of a log's result."""
     return {RESULT: json.dumps(plain_json({"draw": draw.to_json(), "found": found.to_json()})).encode()}
 
 
+def read_result(folder: Path) -> tuple[Draw, Found]:
+    """What `kept_result` gave."""
+    content = json.loads((folder / RESULT).read_bytes())
+    return Draw.from_json(_back(content["draw"])), Found.from_json(content["found"])
+
+
 def _key(machine: Machine, seed: int, index: int) -> str:
+    return f"{index:05d}-{digest_of(machine, seed)}"
+
+
+def digest_of(machine: Machine, seed: int) -> str:
+    """Of all that a result of a series hangs on but its place in it."""
     # The digest is of what is emitted; thresholds change the results too.
     whole = f"{machine.digest} {json.dumps(plain_json(machine.diagnosis.changed), sort_keys=True)} {seed}"
-    return f"{index:05d}-{hashlib.sha256(whole.encode()).hexdigest()[:_DIGITS]}"
+    return hashlib.sha256(whole.encode()).hexdigest()[:_DIGITS]
 
 
 def _scored(outcome: Outcome, machine: Machine, seed: int, index: int) -> tuple[Draw, Found]:
     """A draw with what was found; a diagnosis that took its process with it is an error of its own."""
     if outcome.failure:
         return make_draw(machine, seed, index), Found("", seconds=outcome.seconds, error=outcome.failure)
-    content = json.loads((outcome.value / RESULT).read_bytes())
-    return Draw.from_json(_back(content["draw"])), Found.from_json(content["found"])
+    return read_result(outcome.value)
 
 
 def plain_json(value: Any) -> Any:
