@@ -4,24 +4,32 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.fitting import prior_information
 from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.recordings.evidence import block_moments
+from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
+
+UNKNOWN: Final = 1e-15  # of the largest eigenvalue of the information
+ALONE: Final = 0.9
+"""Share of the information on a number that one block may hold: with all of it there is none to move to without it."""
 
 
 def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Array:
     """Covariance of theta (n_p, n_p), 0 where not free.
 
-    Four parts: noise, robust to colour within a block (sandwich); what the model gets wrong anywhere, which does not
-    average out as noise does: its RMS beyond the noise floor, taken as coherent over `coherent_rows`; what the law gets
-    wrong, the same way at every reversal (`_law`); and of a delay or lag, the timing of force against position that no
-    log is sure of.
+    Four parts: noise, by what each block moves the numbers by (`_between_blocks`), robust to colour within a block and
+    to numbers that few blocks tell of; what the model gets wrong anywhere, which does not average out as noise does:
+    its RMS beyond the noise floor, or `unseen` of that, which it may hide, taken as coherent over `coherent_rows`; what
+    the law gets wrong, the same way at every reversal (`_law`); and of a delay or lag, the timing of force against
+    position that no log is sure of.
 
     Args:
         subject: machine and record of the fit.
@@ -30,16 +38,15 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
     """
     recording, thresholds = subject.recording, subject.thresholds
     X = fit.slopes[:, fit.free]
-    H = X[recording.used].T @ X[recording.used] + np.diag(prior_information(subject, fit.model, fit.free))
-    scores = np.column_stack([recording.sum_blocks(X[:, j] * fit.residual) for j in range(X.shape[1])])
+    prior = np.diag(prior_information(subject, fit.model, fit.free))
+    H = X[recording.used].T @ X[recording.used] + prior
     inverse = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
-    blocks = recording.blocks
-    inner = inverse @ (scores.T @ scores) @ inverse * blocks / max(1, blocks - X.shape[1])
+    inner = _between_blocks(recording, X, fit.residual, H)
     # Blocks that happen to balance must not promise more than white noise would allow.
     white = inverse * fit.rms**2
     inner = np.where(np.eye(len(inner), dtype=bool), np.maximum(inner, white), inner)
     wrong = math.sqrt(max(0.0, fit.cross_rms**2 - subject.noise**2))
-    inner += inverse * thresholds.coherent_rows * wrong**2
+    inner += inverse * thresholds.coherent_rows * max(wrong, thresholds.unseen * subject.noise) ** 2
     change = _law(subject, fit, other, inverse, wrong)
     inner += np.outer(change, change)
     # Anywhere within the time that force and position may be apart: a uniform distribution.
@@ -57,6 +64,24 @@ def standard_deviations(covariance: Array, fit: Fit) -> list[float]:
         math.sqrt(float(covariance[i, i])) * abs(column.scale) if fit.free[i] else math.nan
         for i, column in enumerate(fit.model.columns)
     ]
+
+
+def _between_blocks(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
+    """Covariance from what the numbers move by when one block is left out (jackknife), of X (m, free): (free, free).
+
+    A sandwich over blocks takes their residuals as they are; but in a block that alone tells of a number the fit has
+    already made them small. H (free, free): information of all.
+    """
+    information, scores, _ = block_moments(recording, X, residual)
+    values, vectors = np.linalg.eigh(H)
+    known = values > UNKNOWN * values.max()
+    root = vectors[:, known] / np.sqrt(values[known])
+    moves = []
+    for own, score in zip(information, scores, strict=True):
+        share, direction = np.linalg.eigh(root.T @ own @ root)
+        moves.append(root @ direction @ (direction.T @ root.T @ score / (1.0 - np.minimum(share, ALONE))))
+    moved = np.stack(moves)
+    return np.asarray(moved.T @ moved * (len(moved) - 1) / len(moved))
 
 
 def _law(subject: Subject, fit: Fit, other: Subject | None, inverse: Array, wrong: float) -> Array:

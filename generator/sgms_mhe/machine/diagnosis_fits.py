@@ -267,6 +267,14 @@ class FitThresholds(Table):
     coherent_rows: int = threshold(
         16, "rows", "stretch that a model's own error keeps its sign over, for intervals", "a reversal", ge=1, le=10_000
     )
+    unseen: float = threshold(
+        0.15,
+        "noise floor",
+        "RMS that a model may get wrong beyond what is seen, for intervals",
+        "a floor that is right to 1 % hides as much",
+        ge=0,
+        le=1,
+    )
 
     # --- the law: sticking and slipping ---------------------------------------------------------------------------
 
