@@ -25,7 +25,7 @@ ALONE: Final = 0.9
 def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Array:
     """Covariance of theta (n_p, n_p), 0 where not free.
 
-    Four parts: noise, by what each block moves the numbers by (`_between_blocks`), robust to colour within a block and
+    Four parts: noise, by what each block moves the numbers by (`between_blocks`), robust to colour within a block and
     to numbers that few blocks tell of; what the model gets wrong anywhere, which does not average out as noise does:
     its RMS beyond the noise floor, or `unseen` of that, which it may hide, taken as coherent over `coherent_rows`; what
     the law gets wrong, the same way at every reversal (`_law`); and of a delay or lag, the timing of force against
@@ -41,7 +41,7 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
     prior = np.diag(prior_information(subject, fit.model, fit.free))
     H = X[recording.used].T @ X[recording.used] + prior
     inverse = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
-    inner = _between_blocks(recording, X, fit.residual, H)
+    inner = between_blocks(recording, X, fit.residual, H)
     # Blocks that happen to balance must not promise more than white noise would allow.
     white = inverse * fit.rms**2
     inner = np.where(np.eye(len(inner), dtype=bool), np.maximum(inner, white), inner)
@@ -66,7 +66,7 @@ def standard_deviations(covariance: Array, fit: Fit) -> list[float]:
     ]
 
 
-def _between_blocks(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
+def between_blocks(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
     """Covariance from what the numbers move by when one block is left out (jackknife), of X (m, free): (free, free).
 
     A sandwich over blocks takes their residuals as they are; but in a block that alone tells of a number the fit has

@@ -116,7 +116,7 @@ class Thresholds(FitThresholds):
         lt=1,
     )
     material: float = threshold(
-        0.007,
+        0.004,
         "f_C",
         "RMS gain that matters, at least this and material_noise",
         "less is no cause but a detail",

@@ -18,8 +18,9 @@ from sgms_mhe.model.effects.specimen import one_number
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
 
 _EDGE, _SHARPNESS = 0.9, 35.0
-# b settles a little beyond 1, by a logarithm of the way; so much that a gap is as long as its parameter says.
-_WIDENING = 1.04
+# b settles beyond 1 by a logarithm of the way, but contact is there from 0.93 on: so much that gaps of 1/40 of the
+# deflection scale to half of it are as long as their parameter says, to 4 %.
+_WIDENING = 0.995
 _RELEASE = 40.0  # over f_C: how sharply contact ends where the elements' force does
 _LEAST_GAP = 3e-7
 

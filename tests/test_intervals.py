@@ -1,0 +1,88 @@
+"""What a diagnosis says of the numbers that it found: how sure they are, and that a gap is as long as it is."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.diagnosis.covariance import ALONE, between_blocks, covariance
+from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.groups import Extra
+from sgms_mhe.diagnosis.subject import Subject
+from sgms_mhe.diagnosis_benchmark.motions import draw_motion
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.recordings.recording import prepare
+
+BLOCKS, ROWS = 12, 40
+
+
+def rows_in_blocks() -> SimpleNamespace:
+    """Of a recording what sums over blocks need."""
+    return SimpleNamespace(
+        used=np.ones(BLOCKS * ROWS, dtype=np.bool_), block=np.repeat(np.arange(BLOCKS), ROWS), blocks=BLOCKS
+    )
+
+
+def test_numbers_that_few_blocks_tell_of_are_as_unsure_as_they_scatter() -> None:
+    """Noise that is one number per block; four of 12 blocks tell of the parameter. A sandwich promises too much."""
+    random, recording = np.random.default_rng(1), rows_in_blocks()
+    seen = np.zeros(BLOCKS)
+    seen[[1, 4, 7, 10]] = 1.0, 2.0, 1.0, 1.5
+    X = np.column_stack((np.repeat(seen, ROWS), np.ones(BLOCKS * ROWS)))
+    H, errors, stated, sandwich = X.T @ X, [], [], []
+    for _ in range(300):
+        noise = np.repeat(random.normal(size=BLOCKS), ROWS)
+        found = np.linalg.solve(H, X.T @ noise)
+        errors.append(found[0])
+        rest = noise - X @ found
+        stated.append(between_blocks(recording, X, rest, H)[0, 0])  # type: ignore[arg-type]
+        sums = (X * rest[:, None]).reshape(BLOCKS, ROWS, 2).sum(axis=1)
+        sandwich.append((np.linalg.solve(H, sums.T) @ np.linalg.solve(H, sums.T).T)[0, 0])
+    true = float(np.var(errors))
+    assert float(np.mean(sandwich)) < 0.75 * true < 0.9 * true < float(np.mean(stated)) < 2.5 * true
+
+
+def test_a_number_of_one_block_alone_has_a_finite_interval() -> None:
+    recording = rows_in_blocks()
+    X = np.zeros((BLOCKS * ROWS, 1))
+    X[5 * ROWS : 6 * ROWS, 0] = 1.0
+    residual = np.zeros(len(X))
+    residual[5 * ROWS] = 1.0
+    moved = between_blocks(recording, X, residual, X.T @ X)[0, 0]  # type: ignore[arg-type]
+    assert moved == pytest.approx((1.0 / ROWS / (1.0 - ALONE)) ** 2 * (BLOCKS - 1) / BLOCKS)
+
+
+def test_errors_that_a_noise_floor_may_hide_widen_an_interval() -> None:
+    machine = load_machine("etel_xy")
+    motion = draw_motion("strokes", machine, 4.0, np.random.default_rng(2))
+    run = simulate_axis(machine, motion, AxisConfig(force_noise_N=0.1, seed=2))
+    widths = []
+    for unseen in (0.0, 0.15, 0.3):
+        changed = override_machine(machine, {"diagnosis": {"unseen": unseen}})
+        recording = prepare(changed, run.log)
+        subject = Subject.of(changed, recording)
+        fit = fit_model(subject, ())
+        # A floor at the residual's own RMS: nothing is seen beyond it.
+        quiet = Subject(changed, recording, subject.alignment, noise=fit.cross_rms)
+        widths.append(np.diag(covariance(quiet, fit)))
+    more = widths[1] - widths[0]
+    assert (more[fit.free] > 0.0).all()
+    np.testing.assert_allclose(widths[2] - widths[0], 4.0 * more, rtol=1e-3)
+    assert np.sqrt(widths[1] / widths[0])[fit.free].max() < 1.25
+
+
+@pytest.mark.parametrize(("gap", "seed", "style"), [(5e-5, 3, "strokes"), (2.2e-4, 4, "loops")])
+def test_a_gap_is_as_long_as_it_is_found(gap: float, seed: int, style: str) -> None:
+    """Against the plant's, which opens and closes at once. It was 6 and 7 % too long."""
+    machine = load_machine("etel_xy")
+    motion = draw_motion(style, machine, 5.0, np.random.default_rng(seed))
+    run = simulate_axis(
+        machine, motion, AxisConfig(force_noise_N=0.02, seed=1), hidden_effects=[("backlash", {"gap_m": gap})]
+    )
+    subject = Subject.of(machine, prepare(machine, run.log))
+    found = fit_model(subject, [Extra("backlash", {"gap_m": 1.1 * gap})], refitted=())
+    assert found.extras[0].parameters["gap_m"] == pytest.approx(gap, rel=0.05)
