@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -73,6 +74,19 @@ def test_errors_that_a_noise_floor_may_hide_widen_an_interval() -> None:
     assert (more[fit.free] > 0.0).all()
     np.testing.assert_allclose(widths[2] - widths[0], 4.0 * more, rtol=1e-3)
     assert np.sqrt(widths[1] / widths[0])[fit.free].max() < 1.25
+
+
+def test_derivatives_that_have_run_away_promise_nothing() -> None:
+    """As of a gap that opens a hundred times along a short way: intervals were a 500th of the error."""
+    machine = load_machine("etel_xy")
+    motion = draw_motion("loops", machine, 4.0, np.random.default_rng(2))
+    recording = prepare(machine, simulate_axis(machine, motion, AxisConfig(force_noise_N=0.1, seed=2)).log)
+    subject = Subject.of(machine, recording)
+    fit = fit_model(subject, ())
+    slopes = fit.slopes.copy()
+    slopes[1000:1010] *= 1e5
+    usual, stated = (np.diag(covariance(subject, f))[fit.free] for f in (fit, replace(fit, slopes=slopes)))
+    np.testing.assert_allclose(stated, usual, rtol=0.1)
 
 
 @pytest.mark.parametrize(("gap", "seed", "style"), [(5e-5, 3, "strokes"), (2.2e-4, 4, "loops")])

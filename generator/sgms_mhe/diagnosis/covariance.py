@@ -18,6 +18,7 @@ from sgms_mhe.support.parallel import in_parallel
 Array = NDArray[np.float64]
 
 UNKNOWN: Final = 1e-15  # of the largest eigenvalue of the information
+RUNAWAY: Final = 10.0  # slope of a number of the machine, over the largest friction
 ALONE: Final = 0.9
 """Share of the information on a number that one block may hold: with all of it there is none to move to without it."""
 
@@ -37,7 +38,7 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
         other: the same axis with the other transition from sticking to slipping; None: it has none.
     """
     recording, thresholds = subject.recording, subject.thresholds
-    X = fit.slopes[:, fit.free]
+    X = np.where(_is_smooth(subject, fit)[:, None], fit.slopes[:, fit.free], 0.0)
     prior = np.diag(prior_information(subject, fit.model, fit.free))
     H = X[recording.used].T @ X[recording.used] + prior
     inverse = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
@@ -64,6 +65,17 @@ def standard_deviations(covariance: Array, fit: Fit) -> list[float]:
         math.sqrt(float(covariance[i, i])) * abs(column.scale) if fit.free[i] else math.nan
         for i, column in enumerate(fit.model.columns)
     ]
+
+
+def _is_smooth(subject: Subject, fit: Fit) -> NDArray[np.bool_]:
+    """Rows (m) whose slopes say what a change of the numbers does.
+
+    Where elements let go or a gap opens again and again along a short way, a derivative grows with every time, far
+    beyond what any real change makes. Numbers of the machine are relative: no friction has many times itself for slope.
+    """
+    own = [c.group.kind == "base" for c in fit.model.columns]
+    most = RUNAWAY * float(np.max(np.abs(subject.recording.friction[subject.recording.used])))
+    return np.asarray((np.abs(fit.slopes[:, own]) <= most).all(axis=1))
 
 
 def between_blocks(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
