@@ -18,6 +18,7 @@ from sgms_mhe.support.parallel import in_parallel
 Array = NDArray[np.float64]
 
 UNKNOWN: Final = 1e-15  # of the largest eigenvalue of the information
+FLOOR_SURE: Final = 1.03  # noise floors: what is left beyond is no noise
 RUNAWAY: Final = 10.0  # slope of a number of the machine, over the largest friction
 ALONE: Final = 0.9
 """Share of the information on a number that one block may hold: with all of it there is none to move to without it."""
@@ -46,7 +47,7 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
     # Blocks that happen to balance must not promise more than white noise would allow.
     white = inverse * fit.rms**2
     inner = np.where(np.eye(len(inner), dtype=bool), np.maximum(inner, white), inner)
-    wrong = math.sqrt(max(0.0, fit.cross_rms**2 - subject.noise**2))
+    wrong = math.sqrt(max(0.0, fit.cross_rms**2 - (FLOOR_SURE * subject.noise) ** 2))
     inner += inverse * thresholds.coherent_rows * max(wrong, thresholds.unseen * subject.noise) ** 2
     change = _law(subject, fit, other, inverse, wrong)
     inner += np.outer(change, change)
