@@ -428,3 +428,23 @@ def test_part_of_the_benchmark(
     if kind not in ("unmodelled", "fault"):
         # Down to the noise, under either law.
         assert found.held_out_after_N < 1.3 * found.noise_floor_N
+
+
+@pytest.mark.parametrize(
+    ("seed", "index", "style", "hidden", "listed"),
+    [
+        # In one direction a level that is asymmetric is a level that is wrong.
+        (77, 59, "one_way", "asymmetric_coulomb", {"coulomb", "asymmetric_coulomb"}),
+        # At one speed what comes again in time comes again in place.
+        (77, 79, "crawl", "periodic_disturbance", {"periodic_disturbance", "force_ripple"}),
+    ],
+)
+def test_what_the_motion_makes_one_is_ambiguous(
+    machine: Machine, seed: int, index: int, style: str, hidden: str, listed: set[str]
+) -> None:
+    draw, found = run_draw(machine, seed, index)
+    assert (draw.style, draw.truth) == (style, (hidden,))
+    assert found.verdict == "ambiguous", found
+    assert listed <= {*found.names, *(name for name, _ in found.rivals)}
+    assert found.has_experiment
+    assert outcome(draw, found) == "right"

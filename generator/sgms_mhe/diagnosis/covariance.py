@@ -17,6 +17,8 @@ from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 
+HELD: Final = 0.5
+"""Samples that a force may be old or young by, on average, where a drive holds it over a sample."""
 UNKNOWN: Final = 1e-15  # of the largest eigenvalue of the information
 FLOOR_SURE: Final = 1.03  # noise floors: what is left beyond is no noise
 RUNAWAY: Final = 10.0  # slope of a number of the machine, over the largest friction
@@ -51,13 +53,25 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
     inner += inverse * thresholds.coherent_rows * max(wrong, thresholds.unseen * subject.noise) ** 2
     change = _law(subject, fit, other, inverse, wrong)
     inner += np.outer(change, change)
-    # Anywhere within the time that force and position may be apart: a uniform distribution.
-    apart = thresholds.timing * subject.whole.machine.sampling.step / math.sqrt(3.0)
-    timing = np.array([apart / abs(c.scale) if c.timing else 0.0 for c in fit.model.columns])
-    inner += np.diag(timing[fit.free] ** 2)
+    inner += np.diag(_timing(subject, fit)[fit.free] ** 2)
     result = np.zeros((len(fit.theta), len(fit.theta)))
     result[np.ix_(fit.free, fit.free)] = inner
     return result
+
+
+def _timing(subject: Subject, fit: Fit) -> Array:
+    """Deviation of each number that is a time between force and position (n_p), 0 of others.
+
+    Anywhere within what they may be apart for other reasons: a uniform distribution. Of a delay of the axis that is
+    what a drive may add to it by holding its force; a smaller one is that itself, and known as well as it is seen.
+    """
+    step, thresholds = subject.whole.machine.sampling.step, subject.thresholds
+    deviations = []
+    for column, theta in zip(fit.model.columns, fit.theta.tolist(), strict=True):
+        of_axis = column.si(theta) > thresholds.timing_most * step
+        apart = (HELD if of_axis else thresholds.timing) * step / math.sqrt(3.0)
+        deviations.append(apart / abs(column.scale) if column.timing else 0.0)
+    return np.array(deviations)
 
 
 def standard_deviations(covariance: Array, fit: Fit) -> list[float]:

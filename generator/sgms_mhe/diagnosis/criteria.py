@@ -12,7 +12,7 @@ from sgms_mhe.diagnosis.course import Course
 from sgms_mhe.diagnosis.groups import Extra
 from sgms_mhe.diagnosis.subject import Fit
 from sgms_mhe.machine import Machine, Thresholds
-from sgms_mhe.model.effects import Measure, cause, effect_definition, effect_names
+from sgms_mhe.model.effects import EFFECT_NAMES, Measure, cause, effect_definition, effect_names
 
 _ANY: Final[Mapping[str, float]] = defaultdict(float)
 
@@ -26,6 +26,7 @@ class Criteria:
         floor: noise of the measured friction [N].
         material: RMS gain that matters [N].
         excited: effects that the record can show.
+        one_speed: whether the motion has but one speed: what comes again in place comes again in time.
         course: told of each step.
     """
 
@@ -33,7 +34,17 @@ class Criteria:
     floor: float
     material: float
     excited: tuple[str, ...]
+    one_speed: bool
     course: Course
+
+    def same_clock(self, first: str, second: str) -> bool:
+        """Whether two causes come again with the same clock: at one speed place is one, and so is time."""
+        return self.one_speed and _is_periodic(first) and _is_periodic(second)
+
+    def alike(self, first: str, second: str) -> bool:
+        """Whether two causes are known to be confused, or this record's motion makes one of them."""
+        known = first in cause(second).confused_with or second in cause(first).confused_with
+        return known or self.same_clock(first, second)
 
     def excess(self, fit: Fit) -> float:
         """RMS of what a fit leaves beyond noise [N].
@@ -56,7 +67,9 @@ def material_force(machine: Machine, floor: float) -> float:
     return max(thresholds.material * machine.friction.coulomb, thresholds.material_noise * floor)
 
 
-def criteria_of(machine: Machine, floor: float, excitation: Mapping[Measure, float], course: Course) -> Criteria:
+def criteria_of(
+    machine: Machine, floor: float, excitation: Mapping[Measure, float], course: Course, *, one_speed: bool = False
+) -> Criteria:
     """The criteria of a record of this noise floor [N] and these measures."""
     thresholds = machine.diagnosis
     # What a record does not excite cannot be found in it; what only imitates it can.
@@ -65,17 +78,28 @@ def criteria_of(machine: Machine, floor: float, excitation: Mapping[Measure, flo
         for name in effect_names(machine.plant.kind)
         if not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
     )
-    return Criteria(thresholds, floor, material_force(machine, floor), excited, course)
+    return Criteria(thresholds, floor, material_force(machine, floor), excited, one_speed, course)
 
 
-def addable(machine: Machine, extras: Sequence[Extra], criteria: Criteria) -> list[str]:
-    """Effects that may still be added to a machine with others under test."""
+def addable(
+    machine: Machine, extras: Sequence[Extra], criteria: Criteria, *, instead_of: str | None = None
+) -> list[str]:
+    """Effects that may still be added to a machine with others under test.
+
+    `instead_of`: the cause whose place one would take. Its look-alikes count then though the record does not excite
+    them: on a motion in one direction nothing tells a wrong level from an asymmetric one.
+    """
     tested = [extra.name for extra in extras]
     taken = {*tested, *(effect.name for effect in machine.effects)}
     taken |= {other for name in taken for other in cause(name).excludes}
     full = {name for name in tested if tested.count(name) >= criteria.thresholds.alike}
     return [
         name
-        for name in criteria.excited
-        if name not in taken or (effect_definition(name).repeatable and name not in full)
+        for name in effect_names(machine.plant.kind)
+        if (name in criteria.excited or (instead_of is not None and criteria.alike(name, instead_of)))
+        and (name not in taken or (effect_definition(name).repeatable and name not in full))
     ]
+
+
+def _is_periodic(name: str) -> bool:
+    return name in EFFECT_NAMES and effect_definition(name).periodic

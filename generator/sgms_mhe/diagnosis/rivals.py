@@ -17,8 +17,9 @@ from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extr
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.rounds import Ranked, attempted_fit, distinct, is_ruled_out, linear_gain
 from sgms_mhe.diagnosis.subject import Fit, Subject
-from sgms_mhe.model.effects import cause, effect_definition
+from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, gain_force, nuisance, score_test
+from sgms_mhe.recordings.repetition import steady_blocks
 from sgms_mhe.support.parallel import in_parallel
 
 Judgement = Literal["better", "rival", "worse", "untried"]
@@ -136,6 +137,8 @@ def _contest(
     ranked = [*_effects(subject, place, seen, criteria), *_machine_numbers(subject, place, refitted)]
     ranked.sort(key=lambda r: -r.gain)
     kept = distinct(ranked, thresholds.same_force)[: thresholds.refits]
+    if criteria.one_speed:
+        kept += [r for r in ranked if r not in kept and criteria.same_clock(place.cause, _name(r))]
     others = [r for r in ranked if _name(r) != place.cause]
     tried = [r for r in others if r in kept and not r.gain < thresholds.rival_gain * place.gain]
     if tried:
@@ -168,7 +171,7 @@ def _effects(subject: Subject, place: _Place, seen: Collection[str], criteria: C
     free = nuisance(without.slopes[subject.recording.used][:, without.loose])
     names = [
         name
-        for name in addable(subject.machine, without.extras, criteria)
+        for name in addable(subject.machine, without.extras, criteria, instead_of=place.cause)
         if name != place.cause
         and (not effect_definition(name).costly or name in seen or place.cause in cause(name).confused_with)
     ]
@@ -195,18 +198,25 @@ def _machine_numbers(subject: Subject, place: _Place, refitted: tuple[Group, ...
 def _judge(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Criteria) -> tuple[Judgement, float]:
     """A refitted candidate against the cause whose place it took, and the RMS that it leaves more [N]."""
     thresholds, material = criteria.thresholds, criteria.material
-    excess = gain_force(trial.cross, place.fit.cross, place.fit.rows)
-    t = difference_statistic(place.fit.cross, trial.cross)
+    same_clock = criteria.same_clock(place.cause, name)
+    steady = steady_blocks(subject.recording) if same_clock else None
+    told = np.ones(subject.recording.blocks, dtype=np.bool_) if steady is None else steady
+    excess = gain_force(trial.cross[told], place.fit.cross[told], place.fit.rows[told])
+    t = difference_statistic(place.fit.cross[told], trial.cross[told])
+    unseen = same_clock or (name in EFFECT_NAMES and name not in criteria.excited)
     if is_ruled_out(trial, name, subject):
         return "worse", max(0.0, excess)
+    as_good = excess < thresholds.rival_excess * material
+    if as_good and unseen:
+        return "rival", excess  # however well it fits: the record does not hold what would show it
     clearly = t < -thresholds.rival_t and excess < -thresholds.better * material
     if clearly or (name in cause(place.cause).simpler.causes and excess < material):
         return "better", excess
     hardly = excess > -thresholds.better * material or t > -thresholds.rival_t
     if place.cause in cause(name).simpler.causes and hardly:
         return "worse", max(0.0, excess)  # more numbers and no better: it only imitates
-    as_good = excess < thresholds.rival_excess * material
-    if as_good or (excess < thresholds.rival_share * place.gain and t < thresholds.rival_t):
+    # The start and the stop pull at the numbers of what is told by them alone.
+    if as_good or (excess < thresholds.rival_share * place.gain and (same_clock or t < thresholds.rival_t)):
         return "rival", excess
     return "worse", excess
 

@@ -26,6 +26,7 @@ from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.laws import compile_laws, laws_of
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
+from sgms_mhe.diagnosis.sampling import in_step, offset_notes, sampling_offset
 from sgms_mhe.diagnosis.selection import search_causes, select_causes
 from sgms_mhe.diagnosis.settling import Left, Settled, settle, split_rms
 from sgms_mhe.diagnosis.standins import rival_fits
@@ -36,7 +37,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.evidence import gain_interval, noise_floor
 from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.recordings.recording import Recording, prepare
-from sgms_mhe.recordings.repetition import repetition_note
+from sgms_mhe.recordings.repetition import clock_note, steady_blocks
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.parallel import beside
@@ -65,6 +66,18 @@ def diagnose(
     """
     started = time.monotonic()
     course = Course(progress or (lambda step, share: None))
+    found, offset = _diagnosed(machine, log, held_out_s, course), 0.0
+    while (more := sampling_offset(found)) and offset + more <= machine.diagnosis.timing_most * machine.sampling.step:
+        offset += more
+        found = _diagnosed(machine, in_step(log, offset), held_out_s, course)
+    warnings = (*offset_notes(machine, offset), *found.warnings)
+    return replace(found, warnings=warnings, seconds=time.monotonic() - started)
+
+
+def _diagnosed(
+    machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]] | None, course: Course
+) -> Diagnosis:
+    """The diagnosis of a log as it is."""
     course.begun()
     record = prepare(machine, log, held_out_s)
     recording = excerpt(record)
@@ -77,16 +90,15 @@ def diagnose(
         if recording is not record:
             # A long rest may hold all pieces; a whole record costs no more than this one run.
             recording, nominal = record, fit_model(Subject.of(machine, record), (), refitted=())
-        found = _without_excitation(machine, log, recording, nominal)
-    else:
-        course.base()
-        floor = noise_floor(recording, nominal.residual)
-        criteria = criteria_of(machine, floor, measures(record.signals, machine), course)
-        searched = search_causes(laws_of(machine, recording, floor), criteria)
-        settled = settle(record, nominal, searched.laws, select_causes(searched))
-        course.judgement()
-        found = _diagnosis(machine, log, settled, _judge(settled))
-    return replace(found, seconds=time.monotonic() - started)
+        return _without_excitation(machine, log, recording, nominal)
+    course.base()
+    floor = noise_floor(recording, nominal.residual)
+    one_speed = steady_blocks(record) is not None
+    criteria = criteria_of(machine, floor, measures(record.signals, machine), course, one_speed=one_speed)
+    searched = search_causes(laws_of(machine, recording, floor), criteria)
+    settled = settle(record, nominal, searched.laws, select_causes(searched))
+    course.judgement()
+    return _diagnosis(machine, log, settled, _judge(settled))
 
 
 def _excited(recording: Recording, nominal: Fit) -> bool:
@@ -192,7 +204,7 @@ def _diagnosis(machine: Machine, log: Log, settled: Settled, judged: _Judged) ->
         ),
         seconds=0.0,
         rival_fits=rival_fits(settled, selection),
-        undecided=repetition_note(record),
+        undecided=clock_note(record),
     )
 
 

@@ -47,6 +47,7 @@ OFF_SIZE: Final = 0.25
 """What a size that was asked for may be missed by, of itself."""
 _RARE: Final = 4.0  # largest force of an unmodelled cause, over its size
 _TOGETHER: Final = {"double": 2, "triple": 3}
+_BEYOND_SAMPLING: Final = 1.2
 _CLOCK_SIZE: Final = 0.1  # least size of what is hidden where position is a clock
 
 
@@ -269,7 +270,7 @@ def _with_causes(frame: _Frame, draw: Draw, names: tuple[str, ...], size: float 
     for name in names:
         wanted = draw_size(frame.random) if size is None else size
         sized = sized_cause(axis, motion, plain, name, wanted, frame.random)
-        if sized is None or cause(name).excitation.unmet(found, sized[0].parameters):
+        if sized is None or cause(name).excitation.unmet(found, sized[0].parameters) or _is_sampling(axis, sized[0]):
             return None
         causes.append(sized[0])
         forces.append(sized[1])
@@ -281,6 +282,15 @@ def _with_causes(frame: _Frame, draw: Draw, names: tuple[str, ...], size: float 
             return None
         causes[k] = replace(hidden, visible=left)
     return replace(draw, hidden=tuple(causes))
+
+
+def _is_sampling(machine: Machine, hidden: Hidden) -> bool:
+    """Whether sampling alone puts force and position as far apart as this cause does, or nearly."""
+    least = _BEYOND_SAMPLING * machine.diagnosis.timing_most * machine.sampling.step
+    return any(
+        abs(value) < least and effect_definition(hidden.name).parameter(key).timing
+        for key, value in hidden.parameters.items()
+    )
 
 
 def _weak(frame: _Frame, number: int) -> Draw | None:

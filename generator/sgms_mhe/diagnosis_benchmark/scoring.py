@@ -105,11 +105,11 @@ def outcome(draw: Draw, found: Found) -> str:
         return right if found.verdict == "unexplained" else "missed"
     listed = names | {name for name, _ in found.rivals}
     hedged = found.verdict == "ambiguous" and found.has_experiment and truth <= listed and bool(names)
-    hedged = hedged and len(listed) <= len(truth) + MOST_LISTED * max(1, len(names))
-    if draw.kind == "weak":
+    if draw.kind == "weak":  # all that its motion makes one of may be listed
         if not names or (hedged and truth):
             return "right"
         return "overclaimed" if names <= truth else "misnamed"
+    hedged = hedged and len(listed) <= len(truth) + MOST_LISTED * max(1, len(names))
     if names == truth and found.verdict != "ambiguous":
         return "named"
     if hedged and len(found.names) <= len(truth):
@@ -169,16 +169,6 @@ class Threshold:
     low: float
     high: float
     draws: int
-
-
-@dataclass(frozen=True)
-class Covered:
-    """A number `name` (cause.parameter): share of logs inside its stated 95 % interval, RMS and largest error / std."""
-
-    name: str
-    share: Share
-    rms: float
-    largest: float
 
 
 @dataclass(frozen=True)
@@ -321,21 +311,6 @@ def parameter_errors(machine: Machine, draw: Draw, found: Found) -> list[Paramet
             error = value - true
             errors.append(ParameterError(f"{hidden.name}.{key}", error, error / scale, _number(std.get(key, math.nan))))
     return errors
-
-
-def covered_shares(machine: Machine, results: Iterable[tuple[Draw, Found]]) -> list[Covered]:
-    """How often each number of a cause that was found is inside its stated interval, the least covered first."""
-    errors: dict[str, list[float]] = {}
-    for draw, found in results:
-        if outcome(draw, found) in FOUND:
-            for e in parameter_errors(machine, draw, found):
-                if e.std > 0.0:
-                    errors.setdefault(e.name, []).append(abs(e.error) / e.std)
-    rows = [
-        Covered(name, Share(sum(v <= SIGMAS for v in z), len(z)), math.sqrt(sum(v * v for v in z) / len(z)), max(z))
-        for name, z in errors.items()
-    ]
-    return sorted(rows, key=lambda row: (row.share.value, row.name))
 
 
 def _true_values(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from sgms_mhe.diagnosis_benchmark.running import (
     plain_json,
     read_result,
 )
-from sgms_mhe.diagnosis_benchmark.scoring import FOUND, Found, Share, covered_shares, outcome
+from sgms_mhe.diagnosis_benchmark.scoring import FOUND, SIGMAS, Found, Share, outcome, parameter_errors
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import CAUSE_NAMES
 from sgms_mhe.support.files import write_text
@@ -42,6 +43,16 @@ class Cell:
     name: str
     size: float
     obeys: PlantLaw
+
+
+@dataclass(frozen=True)
+class Covered:
+    """A number `name` (cause.parameter): share of logs inside its stated 95 % interval, RMS and largest error / std."""
+
+    name: str
+    share: Share
+    rms: float
+    largest: float
 
 
 def cells(sizes: Sequence[float], draws: int) -> list[Cell]:
@@ -91,6 +102,21 @@ def run_small(
     tables = _found(machine, sizes, logs, failed), _intervals(machine, [(draw, found) for _, draw, found in logs])
     write_text(folder / "small.txt", "".join(f"{table}\n" for table in tables))
     return tables
+
+
+def covered_shares(machine: Machine, results: Iterable[tuple[Draw, Found]]) -> list[Covered]:
+    """How often each number of a cause that was found is inside its stated interval, the least covered first."""
+    errors: dict[str, list[float]] = {}
+    for draw, found in results:
+        if outcome(draw, found) in FOUND:
+            for e in parameter_errors(machine, draw, found):
+                if e.std > 0.0:
+                    errors.setdefault(e.name, []).append(abs(e.error) / e.std)
+    rows = [
+        Covered(name, Share(sum(v <= SIGMAS for v in z), len(z)), math.sqrt(sum(v * v for v in z) / len(z)), max(z))
+        for name, z in errors.items()
+    ]
+    return sorted(rows, key=lambda row: (row.share.value, row.name))
 
 
 def _kept(machine: Machine, seed: int, cell: Cell) -> dict[str, bytes]:

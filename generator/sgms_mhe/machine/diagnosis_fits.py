@@ -256,6 +256,14 @@ class FitThresholds(Table):
         gt=0,
         le=1,
     )
+    timing_most: float = threshold(
+        0.6,
+        "sample",
+        "delay up to which it is the sampling's and not the axis's",
+        "a force that is held over a sample is half a sample old on average; and a margin",
+        ge=0,
+        le=2,
+    )
     alignable: float = threshold(
         0.1,
         "friction",

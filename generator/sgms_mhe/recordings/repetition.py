@@ -1,4 +1,4 @@
-"""Whether a motion repeats itself: time and the motion are then one clock."""
+"""Whether time and the motion are one clock: it repeats itself, or goes on at one speed."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from scipy.signal import correlate
 from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 ALIKE: Final = 0.95
 """Correlation of a motion with itself a lap later from which it repeats itself."""
@@ -23,6 +24,12 @@ LAPS: Final = 8
 """Of a record, at least: with fewer, nearly every frequency is near a multiple of one over a lap."""
 APART: Final = 0.6
 """Frequencies that a record tells apart, over one over its length."""
+MOVING: Final = 0.05
+"""Of the largest speed: the axis moves from there on."""
+ONE_SPEED: Final = 0.05
+"""Of a speed, to either side: the same one."""
+MOST: Final = 0.85
+"""Share of the rows in motion, from which on a motion at one speed is one."""
 
 
 @lru_cache(maxsize=8)
@@ -49,7 +56,7 @@ def lap(recording: Recording) -> float | None:
     return float(apart[0] + 1 + peaks[0]) / recording.rate if len(peaks) else None
 
 
-def in_step(recording: Recording, frequency: Array) -> NDArray[np.bool_]:
+def in_step(recording: Recording, frequency: Array) -> Mask:
     """Which frequencies (n) [Hz] are multiples of one over a lap, as far as the record can tell."""
     period = lap(recording)
     if period is None:
@@ -59,12 +66,33 @@ def in_step(recording: Recording, frequency: Array) -> NDArray[np.bool_]:
     return np.asarray(np.abs(turns - np.round(turns)) < APART * period / length) & (turns > SLOWEST)
 
 
-def repetition_note(recording: Recording) -> tuple[str, ...]:
-    """What a record cannot decide whose motion repeats itself."""
+@lru_cache(maxsize=8)
+def steady_blocks(recording: Recording) -> Mask | None:
+    """Blocks (b) all of whose rows go on at one speed; None where the motion has more than one.
+
+    What such a motion does besides is to start and to stop. There a force that goes with place parts from one that goes
+    with time; but there an axis also does what it does nowhere else, so that is no evidence for either.
+    """
+    used, velocity = recording.used, recording.velocity
+    speed = np.abs(velocity)
+    moving = used & (speed > MOVING * float(speed[used].max(initial=0.0)))
+    if not moving.any():
+        return None
+    usual = float(np.median(velocity[moving]))
+    same = np.abs(velocity - usual) <= ONE_SPEED * abs(usual)
+    if np.count_nonzero(same & moving) < MOST * np.count_nonzero(moving):
+        return None
+    steady = recording.sum_blocks((~same).astype(np.float64)) == 0.0
+    return steady if np.count_nonzero(steady) >= LAPS else None
+
+
+def clock_note(recording: Recording) -> tuple[str, ...]:
+    """What a record cannot decide whose motion and time are one clock."""
     period = lap(recording)
-    if period is None:
+    if period is not None:
+        how = f"the motion repeats itself every {period:.3g} s: whether a force comes again in time or with the motion"
+    elif steady_blocks(recording) is not None:
+        how = "the motion has one speed: whether a force comes again in time or in place"
+    else:
         return ()
-    return (
-        f"the motion repeats itself every {period:.3g} s: whether a force comes again in time or with the motion "
-        "shows only at another speed",
-    )
+    return (f"{how} shows only at another speed",)

@@ -193,6 +193,7 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                     "force_gain": "one move with high acceleration: a gain scales the inertial force too",
                     "friction_drift": "the same move at the beginning and at the end of the log",
                     "constant_offset": "move in both directions: an offset does not change sign",
+                    "asymmetric_coulomb": "move in both directions: a wrong level is wrong the same way in either",
                 },
             ),
             BaseCause(
@@ -209,6 +210,7 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                     "eddy_current_damping": "constant speeds up to twice the corner velocity: it falls off there",
                     "quadratic_drag": "three constant speeds or more: is the force over speed a line or a parabola",
                     "force_delay": "constant speed: a delay has no effect there",
+                    "asymmetric_viscous": "both directions: a wrong damping is wrong the same way in either",
                 },
             ),
             BaseCause(

@@ -14,7 +14,7 @@ from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.scales import Scales
-from sgms_mhe.model.effects.search import Derivative, Harmonic, Search
+from sgms_mhe.model.effects.search import Derivative, Harmonic, Periodic, Search
 from sgms_mhe.model.effects.specimen import Specimen
 
 Stage = Literal["signal", "level", "force", "motor", "log", "actuator"]
@@ -143,6 +143,11 @@ class EffectDefinition(CauseDefinition):
     def costly(self) -> bool:
         """Whether its search runs models many times: made only where something speaks for the effect."""
         return self.search.costly
+
+    @property
+    def periodic(self) -> bool:
+        """Whether its force comes again, in place or in time."""
+        return isinstance(self.search, Harmonic | Periodic) or self.polar is not None
 
     @property
     def sine(self) -> Harmonic | None:

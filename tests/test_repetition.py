@@ -1,0 +1,52 @@
+"""When time and the motion are one clock."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.plant.trajectories import Motion
+from sgms_mhe.recordings.recording import Recording, prepare
+from sgms_mhe.recordings.repetition import clock_note, steady_blocks
+
+SPEED = 0.02
+
+
+def record(*moves: tuple[float, float]) -> Recording:
+    """Of moves (way [m], speed [m/s]), one after the other."""
+    machine = load_machine("etel_xy")
+    path = Motion(machine.sampling.rate)
+    path.wait(0.2)
+    for way, speed in moves:
+        path.move_by(way, speed, 2.0, 100.0)
+    path.wait(0.2)
+    log = simulate_axis(machine, path.trajectory("moves"), AxisConfig(control="prescribed"), truth=False).log
+    return prepare(machine, log)
+
+
+def test_one_speed_is_a_clock_where_it_is_kept() -> None:
+    at_one = record((6.0 * SPEED, SPEED))
+    steady = steady_blocks(at_one)
+    assert steady is not None
+    assert len(steady) - 6 <= np.count_nonzero(steady) < len(steady)
+    assert not steady[0] and not steady[-1], "the axis starts and stops there"
+    moving = np.isin(at_one.block, np.flatnonzero(steady)) & at_one.used
+    np.testing.assert_allclose(at_one.velocity[moving], SPEED, rtol=0.05)
+    (note,) = clock_note(at_one)
+    assert "one speed" in note
+
+
+@pytest.mark.parametrize(
+    "moves",
+    [
+        [(3.0 * SPEED, SPEED), (6.0 * SPEED, 2.0 * SPEED)],
+        [(3.0 * SPEED, SPEED), (-3.0 * SPEED, SPEED)],
+    ],
+    ids=["two speeds", "out and back"],
+)
+def test_more_than_one_speed_is_none(moves: list[tuple[float, float]]) -> None:
+    assert steady_blocks(record(*moves)) is None
+    assert clock_note(record(*moves)) == ()
