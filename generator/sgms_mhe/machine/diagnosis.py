@@ -116,7 +116,7 @@ class Thresholds(FitThresholds):
         lt=1,
     )
     material: float = threshold(
-        0.004,
+        0.007,
         "f_C",
         "RMS gain that matters, at least this and material_noise",
         "less is no cause but a detail",
@@ -316,7 +316,7 @@ class Thresholds(FitThresholds):
         le=100,
     )
     unexplained_least: float = threshold(
-        0.005,
+        0.0075,
         "f_C",
         "RMS beyond noise that a complete explanation may leave, however quiet the record",
         "sampling and integration leave as much of a log without noise",
