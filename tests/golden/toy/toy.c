@@ -867,6 +867,15 @@ static SGMS_COLD int within_bounds(const toy_t *self, const sgms_real *theta)
     return within == PARAMETERS;
 }
 
+/* Whether the model is one of numbers at these parameters: at a level of zero it is not. */
+static SGMS_COLD int is_model(const sgms_real *theta)
+{
+    toy_parameters at;
+    copy(at.theta, theta, PARAMETERS);
+    parameter_terms(&at);
+    return all_finite(at.q, 1) && all_finite(at.d_q, 1 * PARAMETERS);
+}
+
 /* Whether a number is above zero, and its square and inverse are numbers. */
 static SGMS_COLD int is_size(sgms_real value)
 {
@@ -993,6 +1002,7 @@ SGMS_COLD int toy_hold(toy_t *self, int parameter, int on)
 SGMS_COLD int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_real deviation)
 {
     sgms_real nominal[PARAMETERS], si[PARAMETERS], theta, sd;
+    sgms_real whole[PARAMETERS];
     if (parameter < 0 || parameter >= PARAMETERS) {
         return TOY_REFUSED;
     }
@@ -1009,6 +1019,11 @@ SGMS_COLD int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_
             return TOY_REFUSED;
         }
         theta = sgms_fmin(sgms_fmax(theta, lower), upper);
+    }
+    copy(whole, self->good_theta, PARAMETERS);
+    whole[parameter] = theta;
+    if (!is_model(whole)) {
+        return TOY_REFUSED;
     }
     self->held[parameter] = (uint8_t)(sd == 0.0);
     set_theta(self, parameter, theta, sd == 0.0 ? inverse_prior(self, parameter) : 1.0 / sd);
@@ -1042,6 +1057,7 @@ static SGMS_COLD int is_whole(const toy_t *self, const toy_saved_t *saved, const
     int good = saved->format == TOY_SAVED_FORMAT && saved->checksum == checksum_of(saved);
     good = good && saved->machine[0] == TOY_SAVED_MACHINE_0 && saved->machine[1] == TOY_SAVED_MACHINE_1;
     good = good && all_finite(saved->theta, PARAMETERS) && all_finite(saved->root, TOY_ROOT_SIZE);
+    good = good && is_model(saved->theta);
     good = good && all_finite(variance, PARAMETERS) && saved->ratio >= 0.0 && saved->ratio <= RATIO_MOST;
     return good && within_bounds(self, saved->theta);
 }

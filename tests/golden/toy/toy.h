@@ -30,9 +30,11 @@
  *   three inside of prepare() is noticed: the next feedback() returns OVERLAP and starts the window from the last good estimate.
  * - toy_set_mass() is called by the task that calls sample(), or while that is not under way.
  * - toy_estimate() and toy_save() may be called by any task: numbers of one update, or OVERLAP where feedback() came between three times.
- * - Aligned words of 32 bits are read and written in one piece, and in the order of the program. gcc and clang are told to keep it, which is
- *   enough on one core. With another compiler, or tasks on two cores, SGMS_FENCE() (sgms_real.h) has to be a memory barrier; on two cores
- *   prepare() is started after feedback() has returned, as by a semaphore.
+ * - On one core, where a task or an interrupt stops another one, that is all. Calls tell of each other by aligned words of 32 bits (`phase`,
+ *   `version`, `arrived`, volatile), which are read and written in one piece and in the order of the program: SGMS_FENCE() (sgms_real.h)
+ *   tells gcc and clang to keep it; for another compiler define it as what it needs.
+ * - On two cores these words are no lock. Define SGMS_FENCE() as a memory barrier, and see to it that neither of prepare() and feedback() begins
+ *   while the other is beginning: start prepare() by a semaphore that is given after feedback() has returned, and feedback() after prepare() has begun.
  *
  * When sensors fail: a reading that is missing or not finite is left out (MISSING). One that contradicts what is predicted of it counts less,
  * as long as it does, and the status says DOUBT; parameters that have been learned stay, and their deviations say how sure they are. What
@@ -251,7 +253,8 @@ int toy_hold(toy_t *self, int parameter, int on);
 
 /* What the application knows of a parameter, from an identification or a test: value and one standard deviation [SI], from which it goes
  * on learning; deviation 0 holds it there. Replaces what was learned of it; what is known of the others stays, and the window starts anew.
- * REFUSED, and nothing changes: there is no such parameter, a number is none, is beyond its bounds, or a deviation above zero is below 1e-6 of nominal. */
+ * REFUSED, and nothing changes: there is no such parameter, a number is none, is beyond its bounds, leaves no model (a level of zero), or a
+ * deviation above zero is below 1e-6 of nominal. */
 int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_real deviation);
 
 /* Write down what was learned: parameters, how sure they are, how well they predict. By any task, as toy_estimate(). Returns OK, or
