@@ -37,6 +37,9 @@ IN_VAIN: Final = 1
 CHOICE_ITERATIONS: Final = 12
 RISE: Final = 0.1
 """Stribeck ratio that a fit starts from where the spectrum shows none."""
+SMALL_RISE: Final = 0.02
+RISE_SPEEDS: Final = (1e-3, 4e-3, 1.6e-2, 6.4e-2)
+"""Stribeck ratio, and speeds over the fastest, that it starts from once more when the elements are found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,6 +187,21 @@ def _best(views: Views, terms: Sequence[Term], spectrum: Spectrum, near: AxisFit
         for start in starts
     ]
     return fit_in_line(views, terms, min(tried, key=lambda fit: fit.rms).shape)
+
+
+def with_speed_of_rise(views: Views, fit: AxisFit) -> AxisFit:
+    """The better of a fit and the one from another speed of its rise.
+
+    Elements that go over smoothly turn round at that speed, of whatever size the rise is. A fit that begins far from it
+    ends in another minimum, so it is looked for from slow to fast.
+    """
+    if fit.shape.law != "sgms":
+        return fit
+    lined, fastest = _in_line(views, fit), views.fine.rows.extents.speed
+    starts = [replace(fit.shape, rise=Stribeck(SMALL_RISE, share * fastest)) for share in RISE_SPEEDS]
+    tried = [fit_axis(lined, fit.terms, start, iterations=CHOICE_ITERATIONS) for start in starts]
+    other = fit_in_line(views, fit.terms, min(tried, key=lambda one: one.rms).shape)
+    return min(fit, other, key=lambda one: one.rms)
 
 
 def split_distances(spectrum: Spectrum, count: int) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.identification.fitting import AxisFit, Shape, View, fit_axis
 from sgms_mhe.identification.intervals import Quantity, covariance, quantities
-from sgms_mhe.identification.search import Progress, Views, fit_in_line, gains
+from sgms_mhe.identification.search import Progress, Views, fit_in_line, gains, with_speed_of_rise
 from sgms_mhe.identification.terms import LAW_AND_SAMPLING, Term
 from sgms_mhe.recordings.recording import Recording
 
@@ -139,6 +139,7 @@ def _with_rise(views: Views, fit: AxisFit) -> AxisFit:
     """The fit without its rise where that leaves no more."""
     if fit.shape.rise is None:
         return fit
+    fit = with_speed_of_rise(views, fit)
     level = fit_in_line(views, fit.terms, Shape(fit.shape.law, fit.shape.distances, None))
     return fit if gains(fit, level) else level
 
