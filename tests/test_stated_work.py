@@ -151,7 +151,7 @@ def test_what_costs_too_much_is_refused_by_name() -> None:
         emit_package(with_backlash(), selftest=False, within_budget=True)
     message = str(refused.value)
     for said in (
-        "code.tick_budget = 100000.0", "the block of backlash", "backlash_place", "520 Runge-Kutta substeps", "100 %",
+        "code.tick_budget = 100000.0", "the block of backlash", "backlash_place", "498 Runge-Kutta substeps", "100 %",
         "lower sampling.max_velocity (1 m/s)", "raise sampling.integrator.displacement", 'relinearise = "auto"',
     ):  # fmt: skip
         assert said in message
@@ -183,5 +183,5 @@ def test_default_budget_is_what_a_small_controller_does_in_a_sample() -> None:
 
 def test_substeps_have_a_bound_that_is_a_constant(tmp_path: Path) -> None:
     package = emit_package(with_backlash(), selftest=False)
-    assert re.search(r"BLOCK0_MOST_SUBSTEPS = 520, ", package.files["etel_xy_config.h"])
+    assert re.search(r"BLOCK0_MOST_SUBSTEPS = 498, ", package.files["etel_xy_config.h"])
     assert "whole < BLOCK0_MOST_SUBSTEPS ? whole : BLOCK0_MOST_SUBSTEPS" in package.files["etel_xy_integrator.h"]

@@ -139,7 +139,7 @@ def sanitized(program: Path, mode: str, kind: str) -> str:
     """
     suppressions = program.with_name("suppressions.txt")
     suppressions.write_text("race:^integrate_lanes$\n" if kind in ("all", "fixed") else "")
-    environment = os.environ | {"TSAN_OPTIONS": f"exitcode=0 suppressions={suppressions}"}
+    environment = os.environ | {"TSAN_OPTIONS": f"exitcode=0 history_size=7 suppressions={suppressions}"}
     return subprocess.run([str(program), mode], env=environment, capture_output=True, text=True, check=True).stderr
 
 

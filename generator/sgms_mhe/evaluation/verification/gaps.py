@@ -30,7 +30,11 @@ OVERLAPS: Final = "another task comes in between two instructions; tests/test_ta
 NO_NUMBER: Final = "the state is no number before anything else is; random calls come here"
 GUARD: Final = "a guard against what those before it leave no room for"
 
+NO_MODEL: Final = "a level of zero where it has no bounds; tests/test_life.py sets it"
+
 GAPS: Final[tuple[Gap, ...]] = (
+    Gap("is_model", r"all_finite\(at\.q", NO_MODEL),
+    Gap("NAME_set_parameter", r"!is_model\(whole\)|return NAME_REFUSED", NO_MODEL),
     Gap("NAME_reset", r"== PREPARING \|\| self->phase == VOIDED", OVERLAPS),
     Gap("NAME_prepare", r"self->phase (?:!= IDLE|== PREPARING)", OVERLAPS),
     Gap("NAME_feedback", r"phase != SPOILT|return NAME_OVERLAP|phase == SPOILT", OVERLAPS),
