@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +14,16 @@ from sgms_mhe.recordings.evidence import block_moments, noise_floor
 
 Array = NDArray[np.float64]
 
+HIDDEN: Final = 0.25
+"""Of the noise floor: what a model may get wrong without its being seen."""
+
 
 def covariance(view: View, fit: AxisFit) -> Array:
     """Covariance (p, p) of log D (k), levels (k), beta and log v_s where there is a rise, and the coefficients.
 
     Noise, robust to colour within a block (sandwich, at least white), and what the model gets wrong: its RMS beyond the
-    noise floor, taken as coherent over `coherent_rows` of the diagnosis. 0 where a level or a coefficient is held at 0.
+    noise floor, or `HIDDEN` of that, which it may hide, taken as coherent over `coherent_rows` of the diagnosis. 0
+    where a level or a coefficient is held at 0.
     """
     rows = view.rows
     loose = np.any(fit.slopes != 0.0, axis=0)
@@ -32,7 +37,8 @@ def covariance(view: View, fit: AxisFit) -> Array:
     inner = inverse @ (scores.T @ scores) @ inverse * blocks / max(1, blocks - X.shape[1])
     white = inverse * fit.rms**2
     inner = np.where(np.eye(len(inner), dtype=np.bool_), np.maximum(inner, white), inner)
-    wrong = math.sqrt(max(0.0, fit.cross_rms**2 - noise_floor(rows, fit.residual) ** 2))
+    floor = noise_floor(rows, fit.residual)
+    wrong = max(math.sqrt(max(0.0, fit.cross_rms**2 - floor**2)), HIDDEN * floor)
     inner = inner + inverse * rows.thresholds.coherent_rows * wrong**2
     result = np.zeros((len(loose), len(loose)))
     result[np.ix_(loose, loose)] = inner / np.outer(scale, scale)
