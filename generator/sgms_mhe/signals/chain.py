@@ -149,18 +149,16 @@ class Chain:
         return delayed
 
     def _lowpass(self, name: str, signal: Array) -> Array:
-        b0, b1, b2, a1, a2 = self._coefficients
-        memory = self._memory.get(name, np.zeros(2))
-        filtered, self._memory[name] = lfilter([b0, b1, b2], [1.0, a1, a2], signal, zi=memory)
-        return np.asarray(filtered)
+        filtered, self._memory[name] = _lowpass(self._coefficients, signal, self._memory.get(name))
+        return filtered
 
     def _at_rest(self, name: str, delayed: Array) -> Array:
-        """As `_at_rest` of the module, with the log's first value as the one to rest on."""
+        """Behind both low-passes, at rest on the log's first value before it."""
         base = self._bases.setdefault(name, float(delayed[0]))
         return np.asarray(base + self._lowpass(f"{name}, twice", self._lowpass(f"{name}, once", delayed - base)))
 
     def _behind(self, name: str, series: Array) -> Array:
-        """As `behind_chain`."""
+        """`behind_chain`, piece by piece."""
         return self._at_rest(name, self._delay(name, series, float(series[0])))
 
     def _samples_since(self, missing: Mask) -> NDArray[np.int64]:
@@ -193,7 +191,10 @@ def signals_of_record(log: Log, machine: Machine) -> Signals:
 
 def behind_chain(machine: Machine, series: Array) -> Array:
     """What the chain makes of forces (n, ...): both low-passes and one sample, at rest before the first sample."""
-    return _at_rest(lowpass_coefficients(machine), np.concatenate((series[:1], series[:-1])))
+    coefficients, base = lowpass_coefficients(machine), series[0]
+    delayed = np.concatenate((series[:1], series[:-1])) - base
+    # Both filters are linear: about the first value they start at zero, which is at rest to the last bit.
+    return np.asarray(base + _lowpass(coefficients, _lowpass(coefficients, delayed)[0])[0])
 
 
 def lowpass_coefficients(machine: Machine) -> tuple[float, float, float, float, float]:
@@ -288,21 +289,19 @@ def _settle(cutoff: float) -> int:
     coefficients = _coefficients(cutoff)
     # sqrt(a2) is the poles' radius: after this many samples the response has decayed far below the tolerance.
     length = 64 + math.ceil(math.log(1e-6) / (0.5 * math.log(coefficients[4])))
-    step = _lowpass(coefficients, _lowpass(coefficients, np.ones(length)))
+    step = _lowpass(coefficients, _lowpass(coefficients, np.ones(length))[0])[0]
     outside = np.flatnonzero(np.abs(step - 1.0) > SETTLE_TOLERANCE)
     return int(outside[-1]) + 1 if len(outside) else 0  # none outside: a cutoff close to rate / 2
 
 
-def _lowpass(coefficients: tuple[float, float, float, float, float], signal: Array) -> Array:
+def _lowpass(
+    coefficients: tuple[float, float, float, float, float], signal: Array, memory: Array | None = None
+) -> tuple[Array, Array]:
+    """Signals (n, ...) behind the low-pass, and its memory (2, ...) after them; `memory`: before, None for rest."""
     b0, b1, b2, a1, a2 = coefficients
-    filtered: Array = lfilter([b0, b1, b2], [1.0, a1, a2], signal, axis=0)
-    return filtered
-
-
-def _at_rest(coefficients: tuple[float, float, float, float, float], delayed: Array) -> Array:
-    """Delayed signals (n, ...) behind both low-passes, at rest on their first values."""
-    # Both filters are linear: about the first value they start at zero, which is at rest to the last bit.
-    return np.asarray(delayed[0] + _lowpass(coefficients, _lowpass(coefficients, delayed - delayed[0])))
+    before = np.zeros((2, *signal.shape[1:])) if memory is None else memory
+    filtered, after = lfilter([b0, b1, b2], [1.0, a1, a2], signal, axis=0, zi=before)
+    return np.asarray(filtered), np.asarray(after)
 
 
 def _delay(signal: Array, first: float) -> Array:
