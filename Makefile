@@ -114,7 +114,7 @@ benchmark: $(STAMP) ## time, instructions and errors of MACHINE's variants besid
 target: $(STAMP) ## MACHINE on an emulated Cortex-M7: instructions, flash, RAM; needs arm-none-eabi-gcc and qemu-system-arm
 	$(RUN) target machines/$(MACHINE).toml
 
-verify: $(STAMP) ## random calls, bits, coverage, limits, constructs of emitted C: one table; CALLS=1e8 FUZZED=100 takes a night
+verify: $(STAMP) ## random calls, bits, coverage, limits, constructs of emitted C: one table; CALLS=1e8 FUZZED=100 takes hours
 	$(BIN)/python -m sgms_mhe.evaluation.verification --keep $(BUILD)/verify $(if $(CALLS),--calls $(CALLS)) \
 	    $(if $(FUZZED),--machines $(FUZZED)) $(if $(ONLY),--only $(ONLY))
 

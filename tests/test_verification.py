@@ -11,7 +11,7 @@ import pytest
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.evaluation.verification import __main__ as command
-from sgms_mhe.evaluation.verification import coverage, limits
+from sgms_mhe.evaluation.verification import coverage, fuzzing, limits
 from sgms_mhe.evaluation.verification.bits import Build, exercise, same_bits, statuses_wanted, target_builds
 from sgms_mhe.evaluation.verification.constructs import jumps_and_storage, pointers_and_recursion, unbounded_loops
 from sgms_mhe.evaluation.verification.coverage import covered, measure
@@ -85,6 +85,23 @@ def test_random_calls_find_what_is_wrong(
     _, failure = fuzz_package(PLAIN, wrong, 200_000, 1, tmp_path / "kept")
     assert any(text in failure for text in said.split("|")), failure
     assert (tmp_path / "kept" / "fuzz").is_file()
+
+
+def test_random_calls_are_shared_by_their_work(
+    require_tool: Tool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All of the calls are made; a package of large calls gets fewer, but not next to none."""
+    require_tool("gcc")
+    shares: dict[int, int] = {}
+
+    def counted(_: Sanitizer, __: Package, calls: int, seed: int, ___: Path) -> tuple[int, str]:
+        shares[seed] = calls
+        return calls, ""
+
+    monkeypatch.setattr(fuzzing, "fuzz_package", counted)
+    fuzz_machines(PLAIN, [2000, 2001, 2008], 300_000, tmp_path)
+    assert 300_000 <= sum(shares.values()) <= 1.03 * 300_000
+    assert 0.02 * 100_000 <= shares[2000] < shares[2008] < shares[2001]
 
 
 def test_sanitizer_that_is_absent_is_told(tmp_path: Path) -> None:

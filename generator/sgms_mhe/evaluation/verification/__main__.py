@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m sgms_mhe.evaluation.verification", description=(__doc__ or "").splitlines()[0]
     )
-    parser.add_argument("--calls", type=float, default=3e5, help="random calls, in all (1e8: a night)")
+    parser.add_argument("--calls", type=float, default=3e5, help="random calls, in all (1e8: an hour or more)")
     parser.add_argument("--machines", type=int, default=6, help="random machines")
     parser.add_argument("--seed", type=int, default=0, help="of the first of them")
     parser.add_argument("--keep", type=Path, default=Path("build/verify"), help="folder for inputs that fail")

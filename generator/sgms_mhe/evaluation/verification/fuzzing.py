@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import tempfile
@@ -26,6 +27,8 @@ MOST_CALLS: Final = 20_000
 """Of one input."""
 MOST_OPERATIONS: Final = 5e7
 """Of the calls of one input, as stated."""
+
+LEAST_SHARE: Final = 0.02
 
 PARTS: Final = ("fuzz.c", "fuzz_input.c", "fuzz_checks.c")
 """The program but for the package."""
@@ -76,7 +79,10 @@ SANITIZERS: Final[Mapping[str, Sanitizer]] = MappingProxyType(
 def fuzz_machines(
     sanitizer: Sanitizer, seeds: Sequence[int], calls: int, keep: Path, progress: Progress = lambda _: None
 ) -> Outcome:
-    """Make calls of the packages of random machines, as many of each.
+    """Make calls of the packages of random machines.
+
+    A call of one machine may take a thousand times that of another. So each machine gets as much work, as its package
+    states it, but no less than a share `LEAST_SHARE` of the calls that were to be its.
 
     Args:
         sanitizer: how they are compiled.
@@ -88,10 +94,11 @@ def fuzz_machines(
     done, failures = 0, []
     try:
         _check_tools(sanitizer)
-        for seed in seeds:
-            made, failure = fuzz_package(
-                sanitizer, random_package(seed), calls // len(seeds), seed, keep / f"machine{seed}"
-            )
+        packages = [random_package(seed) for seed in seeds]
+        cheapness = [1.0 / _operations(package) for package in packages]
+        for seed, package, cheap in zip(seeds, packages, cheapness, strict=True):
+            share = math.ceil(calls * max(cheap / sum(cheapness), LEAST_SHARE / len(packages)))
+            made, failure = fuzz_package(sanitizer, package, share, seed, keep / f"machine{seed}")
             done += made
             failures += [f"machine of seed {seed}: {failure}"] if failure else []
             progress(f"{sanitizer.title}: machine {seed}, {done} calls, {len(failures)} failures")
@@ -133,11 +140,15 @@ def build_fuzzer(sanitizer: Sanitizer, package: Package, folder: Path) -> Path:
 
 def _most_calls(package: Package) -> int:
     """So many that an input does not take long, as most of them are samples."""
+    return max(100, min(MOST_CALLS, int(MOST_OPERATIONS / _operations(package))))
+
+
+def _operations(package: Package) -> float:
+    """Of a sample on average, as stated."""
     stated = re.search(r"^ \*   an update +(\d+)", package.files[f"{package.machine.name}.h"], re.MULTILINE)
     if stated is None:
         raise ValueError("the package states no work")
-    per_sample = int(stated[1]) / package.machine.sampling.samples_per_update
-    return max(100, min(MOST_CALLS, int(MOST_OPERATIONS / per_sample)))
+    return int(stated[1]) / package.machine.sampling.samples_per_update
 
 
 def fuzz_package(sanitizer: Sanitizer, package: Package, calls: int, seed: int, keep: Path) -> tuple[int, str]:
