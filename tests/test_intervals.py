@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.diagnosis.covariance import ALONE, between_blocks, covariance
+from sgms_mhe.diagnosis.covariance import covariance
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra
 from sgms_mhe.diagnosis.subject import Subject
@@ -17,6 +17,7 @@ from sgms_mhe.diagnosis_benchmark.motions import draw_motion
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.recordings.recording import prepare
+from sgms_mhe.recordings.uncertainty import ALONE, between_blocks
 
 BLOCKS, ROWS = 12, 40
 

@@ -11,29 +11,23 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.fitting import prior_information
 from sgms_mhe.diagnosis.subject import Fit, Subject
-from sgms_mhe.recordings.evidence import block_moments
-from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.recordings.uncertainty import robust_covariance
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 
 HELD: Final = 0.5
 """Samples that a force may be old or young by, on average, where a drive holds it over a sample."""
-UNKNOWN: Final = 1e-15  # of the largest eigenvalue of the information
 FLOOR_SURE: Final = 1.03  # noise floors: what is left beyond is no noise
 RUNAWAY: Final = 10.0  # slope of a number of the machine, over the largest friction
-ALONE: Final = 0.9
-"""Share of the information on a number that one block may hold: with all of it there is none to move to without it."""
 
 
 def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Array:
     """Covariance of theta (n_p, n_p), 0 where not free.
 
-    Four parts: noise, by what each block moves the numbers by (`between_blocks`), robust to colour within a block and
-    to numbers that few blocks tell of; what the model gets wrong anywhere, which does not average out as noise does:
-    its RMS beyond the noise floor, or `unseen` of that, which it may hide, taken as coherent over `coherent_rows`; what
-    the law gets wrong, the same way at every reversal (`_law`); and of a delay or lag, the timing of force against
-    position that no log is sure of.
+    Noise and what the model gets wrong anywhere (`robust_covariance`): its RMS beyond the noise floor, or `unseen` of
+    that, which it may hide; what the law gets wrong, the same way at every reversal (`_law`); and of a delay or lag,
+    the timing of force against position that no log is sure of.
 
     Args:
         subject: machine and record of the fit.
@@ -45,12 +39,8 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
     prior = np.diag(prior_information(subject, fit.model, fit.free))
     H = X[recording.used].T @ X[recording.used] + prior
     inverse = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
-    inner = between_blocks(recording, X, fit.residual, H)
-    # Blocks that happen to balance must not promise more than white noise would allow.
-    white = inverse * fit.rms**2
-    inner = np.where(np.eye(len(inner), dtype=bool), np.maximum(inner, white), inner)
     wrong = math.sqrt(max(0.0, fit.cross_rms**2 - (FLOOR_SURE * subject.noise) ** 2))
-    inner += inverse * thresholds.coherent_rows * max(wrong, thresholds.unseen * subject.noise) ** 2
+    inner = robust_covariance(recording, X, fit.residual, H, inverse, max(wrong, thresholds.unseen * subject.noise))
     change = _law(subject, fit, other, inverse, wrong)
     inner += np.outer(change, change)
     inner += np.diag(_timing(subject, fit)[fit.free] ** 2)
@@ -91,24 +81,6 @@ def _is_smooth(subject: Subject, fit: Fit) -> NDArray[np.bool_]:
     own = [c.group.kind == "base" for c in fit.model.columns]
     most = RUNAWAY * float(np.max(np.abs(subject.recording.friction[subject.recording.used])))
     return np.asarray((np.abs(fit.slopes[:, own]) <= most).all(axis=1))
-
-
-def between_blocks(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
-    """Covariance from what the numbers move by when one block is left out (jackknife), of X (m, free): (free, free).
-
-    A sandwich over blocks takes their residuals as they are; but in a block that alone tells of a number the fit has
-    already made them small. H (free, free): information of all.
-    """
-    information, scores, _ = block_moments(recording, X, residual)
-    values, vectors = np.linalg.eigh(H)
-    known = values > UNKNOWN * values.max()
-    root = vectors[:, known] / np.sqrt(values[known])
-    moves = []
-    for own, score in zip(information, scores, strict=True):
-        share, direction = np.linalg.eigh(root.T @ own @ root)
-        moves.append(root @ direction @ (direction.T @ root.T @ score / (1.0 - np.minimum(share, ALONE))))
-    moved = np.stack(moves)
-    return np.asarray(moved.T @ moved * (len(moved) - 1) / len(moved))
 
 
 def _law(subject: Subject, fit: Fit, other: Subject | None, inverse: Array, wrong: float) -> Array:

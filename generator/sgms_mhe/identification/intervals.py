@@ -4,43 +4,34 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.identification.fitting import AxisFit, View
-from sgms_mhe.recordings.evidence import block_moments, noise_floor
+from sgms_mhe.recordings.evidence import noise_floor
+from sgms_mhe.recordings.uncertainty import robust_covariance
 
 Array = NDArray[np.float64]
-
-HIDDEN: Final = 0.25
-"""Of the noise floor: what a model may get wrong without its being seen."""
 
 
 def covariance(view: View, fit: AxisFit) -> Array:
     """Covariance (p, p) of log D (k), levels (k), beta and log v_s where there is a rise, and the coefficients.
 
-    Noise, robust to colour within a block (sandwich, at least white), and what the model gets wrong: its RMS beyond the
-    noise floor, or `HIDDEN` of that, which it may hide, taken as coherent over `coherent_rows` of the diagnosis. 0
-    where a level or a coefficient is held at 0.
+    Noise and what the model gets wrong (`robust_covariance`): its RMS beyond the noise floor, or `unseen` of that,
+    which it may hide. 0 where a level or a coefficient is held at 0.
     """
     rows = view.rows
     loose = np.any(fit.slopes != 0.0, axis=0)
     X = fit.slopes[:, loose]
-    H, g, _ = block_moments(rows, X, fit.residual)
-    scale = np.sqrt(np.maximum(np.diag(H.sum(axis=0)) + fit.prior[loose], 1e-300))
-    gram = (H.sum(axis=0) + np.diag(fit.prior[loose])) / np.outer(scale, scale)
-    inverse = np.linalg.pinv(gram, hermitian=True, rcond=1e-14)
-    scores = g / scale
-    blocks = rows.blocks
-    inner = inverse @ (scores.T @ scores) @ inverse * blocks / max(1, blocks - X.shape[1])
-    white = inverse * fit.rms**2
-    inner = np.where(np.eye(len(inner), dtype=np.bool_), np.maximum(inner, white), inner)
+    scale = np.sqrt(np.maximum(np.sum(X[rows.used] ** 2, axis=0) + fit.prior[loose], 1e-300))
+    X = X / scale
+    H = X[rows.used].T @ X[rows.used] + np.diag(fit.prior[loose] / scale**2)
+    inverse = np.asarray(np.linalg.pinv(H, hermitian=True, rcond=1e-14))
     floor = noise_floor(rows, fit.residual)
-    wrong = max(math.sqrt(max(0.0, fit.cross_rms**2 - floor**2)), HIDDEN * floor)
-    inner = inner + inverse * rows.thresholds.coherent_rows * wrong**2
+    wrong = max(math.sqrt(max(0.0, fit.cross_rms**2 - floor**2)), rows.thresholds.unseen * floor)
     result = np.zeros((len(loose), len(loose)))
+    inner = robust_covariance(rows, X, fit.residual, H, inverse, wrong)
     result[np.ix_(loose, loose)] = inner / np.outer(scale, scale)
     return result
 
