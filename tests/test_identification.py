@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,10 +20,13 @@ from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.evaluation.studies.identification import identified_axis
 from sgms_mhe.identification import Wanted, identify, interval
 from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
+from sgms_mhe.identification.fitting import AxisFit
 from sgms_mhe.identification.linear import solve_bounded
-from sgms_mhe.identification.records import Motion, in_order
+from sgms_mhe.identification.path import smooth_path
+from sgms_mhe.identification.records import Motion, in_order, records_of
 from sgms_mhe.identification.result import Number, rounded
 from sgms_mhe.identification.sampling import common_rate, rounded_up
+from sgms_mhe.identification.search import gains
 from sgms_mhe.identification.spectrum import Spectrum, clustered
 from sgms_mhe.integration.flow_table import gate_ratio
 from sgms_mhe.logfiles.reading import read_log
@@ -33,6 +38,7 @@ from sgms_mhe.plant.trajectories import Motion as Path_
 from sgms_mhe.reference import Integrator
 from sgms_mhe.signals.chain import Signals, behind_chain, signals_from_log
 from sgms_mhe.signals.logs import Log, write_log
+from sgms_mhe.signals.noise import position_noise
 
 Array = NDArray[np.float64]
 
@@ -121,7 +127,7 @@ def test_bounded_least_squares(seed: int) -> None:
 
 def still(velocity: Array, rate: float = RATE) -> Motion:
     """A motion that no filter comes after."""
-    return Motion(axis(), rate, velocity, 1, len(velocity), False)
+    return Motion(axis(), rate, velocity, 1, 1, len(velocity), False)
 
 
 def random_motion(n: int = 3000) -> Array:
@@ -181,6 +187,62 @@ def test_derivatives_of_elements(law: Law) -> None:
 def test_forces_pass_the_chain_as_the_log_does(log: Log) -> None:
     machine = axis()
     assert np.array_equal(behind_chain(machine, log.force_N), signals_from_log(log, machine).force)
+
+
+def test_elements_see_where_an_axis_turns_between_samples() -> None:
+    """Elements that let go there leave another force behind than the samples alone would have."""
+    time = np.arange(2000) / RATE
+    position = 1e-5 * np.sin(2.0 * np.pi * RATE / 8.0 * time + np.pi / 8.0)  # samples miss every turning point
+    motion = records_of(axis(), [Log(time, position, np.sin(40.0 * time), RATE)]).fine[0]
+    path = position[0] + np.cumsum(motion.velocity) / motion.rate
+    assert np.abs(path[motion.steps - 1 :: motion.steps] - position).max() < 0.02e-5
+    assert np.abs(position).max() < 0.93e-5
+    assert 0.98e-5 < np.abs(path[100 * motion.steps : -100 * motion.steps]).max() < 1.02e-5
+    # A force along the path passes the chain at the log's rate.
+    samples = path[motion.steps - 1 :: motion.steps]
+    assert np.array_equal(motion.to_rows(path), dataclasses.replace(motion, steps=1).to_rows(samples))
+
+
+@pytest.mark.parametrize("step", [1e-9, 1e-6])
+def test_path_is_smoother_than_the_steps_of_an_encoder(step: float) -> None:
+    """Where the axis is slow; and it turns round as the readings do, within what they can tell."""
+    time = np.arange(20000) / 1e4
+    true = 3e4 * step * np.sin(2.0 * np.pi * np.clip(time - 0.2, 0.0, 1.5)) ** 3
+    readings = np.round(true / step) * step
+    path = smooth_path(readings, step / math.sqrt(12.0))
+    assert np.abs(path - true).max() < 1.2 * step
+    assert np.std(path - true) < 0.5 * np.std(readings - true)
+    assert np.std(np.diff(path - true)) < 0.1 * np.std(np.diff(readings - true))
+
+
+def test_path_keeps_what_is_no_noise() -> None:
+    """A corner that readings show is not smoothed away, and readings without noise are the path."""
+    time = np.arange(4096) / 1e4
+    corner = 1e-4 * np.abs(time - 0.2)
+    assert np.abs(smooth_path(corner, 1e-9) - corner).max() < 9e-9
+    assert np.array_equal(smooth_path(corner, 0.0), corner)
+
+
+def test_fast_motion_is_no_noise() -> None:
+    """Eight samples a turn: third differences are as large as those of a coarse encoder."""
+    turn = 1e-5 * np.sin(np.pi / 4.0 * np.arange(4000) + np.pi / 8.0)
+    noise = 1e-9 * np.random.default_rng(1).standard_normal(4000)
+    assert position_noise(turn) < 1e-7
+    assert position_noise(noise) == pytest.approx(1e-9, rel=0.05)
+    assert position_noise(1e3 * noise + turn) == pytest.approx(1e-6, rel=0.05)
+
+
+def test_gain_of_a_few_blocks_hides_no_gain_of_all() -> None:
+    """A fold that fails altogether once made a rise that all blocks show look like chance."""
+
+    def fit(cross: Array) -> AxisFit:
+        return cast(AxisFit, SimpleNamespace(cross=cross, cross_rms=math.sqrt(float(cross.mean()))))
+
+    one = np.ones(40)
+    level = np.where(np.arange(40) == 7, 900.0, 1.5)
+    assert gains(fit(one), fit(level)) and not gains(fit(level), fit(one))
+    assert not gains(fit(one), fit(np.where(np.arange(40) == 7, 900.0, 1.0)))  # one block alone
+    assert not gains(fit(0.985 * one), fit(one))  # sure, but of no matter
 
 
 def test_clusters_keep_the_level() -> None:
@@ -294,7 +356,9 @@ def test_one_direction_shows_no_level(log: Log) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [2, 3, 4, 5, 92])  # 92: told by the speed at which its element turns round
+# 4, 9: elements let go within a sample; 22: found with six, not five; 83: its rise shows in every block, and one fold
+# fails without it; 92: told by the speed at which its element turns round.
+@pytest.mark.parametrize("seed", [2, 3, 4, 5, 9, 22, 83, 92])
 def test_axes_drawn_at_random(seed: int) -> None:
     """A few of `python -m sgms_mhe.evaluation.studies identify`."""
     row = identified_axis(seed, 15.0)

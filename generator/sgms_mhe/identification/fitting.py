@@ -267,6 +267,9 @@ def _within(shape: Shape, view: View) -> Shape:
     if rise is not None:
         slow, fast = (share * view.rows.extents.speed for share in STRIBECK)
         rise = Stribeck(min(max(rise.ratio, 0.0), MOST_RISE), min(max(rise.velocity, slow), fast))
-    low = max(low / WIDER, *(least_distance(shape.law, rise or NO_RISE, motion.rate) for motion in view.motions))
+    low = max(
+        low / WIDER,
+        *(least_distance(shape.law, rise or NO_RISE, motion.rate / motion.steps) for motion in view.motions),
+    )
     distances = np.sort(np.clip(shape.distances, low, max(low, high * WIDER)))
     return Shape(shape.law, distances, rise)

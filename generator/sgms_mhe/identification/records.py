@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.identification.path import displacements, smooth_path
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.signals.chain import Signals, behind_chain, readings
@@ -19,13 +20,17 @@ from sgms_mhe.signals.noise import position_noise
 
 Array = NDArray[np.float64]
 
-"""Median size of a normal number over its deviation."""
 FORGOTTEN: Final = 2.0
 """Excursion after which an element does not remember its start, over its break-away distance."""
 LEAD: Final = 0.6
 """Largest share of a log that is left out for that."""
 ROUNDING: Final = 1e-9
 """Of the largest step of a position: smaller ones are none."""
+UNEVEN: Final = 0.1
+EVEN: Final = 0.9
+"""Steps of an encoder from a multiple of the smallest, and how many of them have to be closer."""
+PATH_RATE: Final = 16000.0
+"""Points of a way a second, where samples are fewer [Hz]: of a step the speed that rules a level is the mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +40,8 @@ class Motion:
     Attributes:
         machine: whose chain the log went through.
         rate: of the displacements [Hz].
-        velocity: over the sample that ends at each instant (n) [m/s].
+        velocity: over the step that ends at each instant (n) [m/s].
+        steps: from one sample to the next.
         factor: samples per row.
         rows: of the log.
         filtered: whether a force passes the chain before it is compared: displacements are those of the encoder then,
@@ -45,12 +51,14 @@ class Motion:
     machine: Machine
     rate: float
     velocity: Array
+    steps: int
     factor: int
     rows: int
     filtered: bool
 
     def to_rows(self, series: Array) -> Array:
         """A force, or columns of forces, at the rows: (n, ...) to (rows, ...)."""
+        series = series[self.steps - 1 :: self.steps]
         if self.filtered:
             series = behind_chain(self.machine, series)
         series = series[: self.rows * self.factor]
@@ -109,7 +117,7 @@ def records_of(machine: Machine, logs: Sequence[Log]) -> Records:
         machine=machine,
         names=names,
         rows=_joined(recordings),
-        coarse=tuple(_behind_filters(recording) for recording in recordings),
+        coarse=tuple(behind_filters(recording) for recording in recordings),
         fine=tuple(_at_encoder(recording, log) for recording, log in zip(recordings, logs, strict=True)),
         resolution=max(_resolution(log) for log in logs),
         warnings=warnings,
@@ -146,12 +154,13 @@ def _joined(recordings: Sequence[Recording]) -> Recording:
     )
 
 
-def _behind_filters(recording: Recording) -> Motion:
-    """Mean velocities of rows: means keep displacements exact."""
+def behind_filters(recording: Recording) -> Motion:
+    """The motion behind the filters at the rate of the rows: means of velocities keep displacements exact."""
     return Motion(
         machine=recording.machine,
         rate=recording.rate,
         velocity=np.ascontiguousarray(recording.velocity),
+        steps=1,
         factor=1,
         rows=len(recording.time),
         filtered=False,
@@ -159,37 +168,46 @@ def _behind_filters(recording: Recording) -> Motion:
 
 
 def _at_encoder(recording: Recording, log: Log) -> Motion:
-    """The encoder's own steps; of a log that brings its velocity, that."""
+    """The axis's own way, also between the samples; of a log that brings its velocity, that."""
+    rate = recording.machine.sampling.rate
     bypassed = log.velocity_m_s is not None
+    steps = 1 if bypassed else max(1, int(PATH_RATE / rate))
     if bypassed:
         velocity = recording.signals.velocity
     else:
-        position = readings(log).position_m
-        good = np.isfinite(position)
-        at = np.arange(len(position))
-        bridged = position if good.all() else np.interp(at, at[good], position[good])
-        velocity = np.diff(bridged, prepend=bridged[:1]) * recording.machine.sampling.rate
+        velocity = displacements(smooth_path(_bridged(log), _resolution(log)), steps) * (rate * steps)
     return Motion(
         machine=recording.machine,
-        rate=recording.machine.sampling.rate,
+        rate=rate * steps,
         velocity=np.ascontiguousarray(velocity),
+        steps=steps,
         factor=recording.factor,
         rows=len(recording.time),
         filtered=not bypassed,
     )
 
 
+def _bridged(log: Log) -> Array:
+    position = readings(log).position_m
+    good = np.isfinite(position)
+    at = np.arange(len(position))
+    return position if good.all() else np.interp(at, at[good], position[good])
+
+
 def _resolution(log: Log) -> float:
     """How finely position is read [m], one standard deviation: the larger of noise and of the encoder's step.
 
-    The step is the smallest change but for one in a hundred.
+    The step is the smallest change but for one in a hundred, if all others are multiples of it.
     """
     position = readings(log).position_m
-    first = np.abs(np.diff(position))
-    first = first[first > ROUNDING * float(np.nanmax(first, initial=0.0))]
-    if not len(first):
+    changes = np.abs(np.diff(position))
+    changes = changes[changes > ROUNDING * float(np.nanmax(changes, initial=0.0))]
+    if not len(changes):
         return 0.0
-    return max(position_noise(position), float(np.quantile(first, 0.01)) / math.sqrt(12.0))
+    step = float(np.quantile(changes, 0.01))
+    off = np.abs(changes / step - np.round(changes / step))
+    counted = float(np.mean(off < UNEVEN)) > EVEN
+    return max(position_noise(position), step / math.sqrt(12.0) if counted else 0.0)
 
 
 def started(records: Records, distance: float) -> Records:

@@ -18,6 +18,7 @@ from sgms_mhe.identification.elements import NO_RISE, Law, Stribeck, run_element
 from sgms_mhe.identification.fitting import AxisFit, Shape, View, fit_axis
 from sgms_mhe.identification.spectrum import Spectrum, clustered
 from sgms_mhe.identification.terms import Term
+from sgms_mhe.recordings.evidence import difference_statistic
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -29,12 +30,17 @@ FIRST_COUNT: Final = 5
 MATERIAL: Final = 0.01
 """Share of the residual's RMS by which a richer model must leave less on rows that it has not seen."""
 SIGNIFICANT: Final = 2.5
-"""Mean over deviation of that gain over blocks."""
+"""How sure that gain is over blocks, in deviations."""
 LIKELY: Final = 1.05
 """Residual of the other law over the chosen one's up to which its own number of elements is looked for."""
 IN_VAIN: Final = 1
 """Counts of elements tried in a row without a gain before the search ends."""
 CHOICE_ITERATIONS: Final = 12
+LOOK_ITERATIONS: Final = 3
+FOLLOWED: Final = 2
+"""Starts that are followed to their minimum, of those that a few iterations have been spent on."""
+NEXT: Final = 0.3
+"""Break-away distance of an element below all others, over the smallest of theirs."""
 RISE: Final = 0.1
 """Stribeck ratio that a fit starts from where the spectrum shows none."""
 SMALL_RISE: Final = 0.02
@@ -141,10 +147,9 @@ def _settled_count(
 
 def gains(richer: AxisFit, simpler: AxisFit) -> bool:
     """Whether one fit leaves less than another on rows that neither has seen, by what matters and beyond chance."""
-    gain = simpler.cross - richer.cross
-    total = float(gain.sum())
-    scatter = float(np.std(gain, ddof=1)) * math.sqrt(len(gain))
-    return richer.cross_rms < (1.0 - MATERIAL) * simpler.cross_rms and total > SIGNIFICANT * scatter
+    if richer.cross_rms >= (1.0 - MATERIAL) * simpler.cross_rms:
+        return False
+    return difference_statistic(richer.cross, simpler.cross) > SIGNIFICANT
 
 
 def simplest(fits: dict[int, AxisFit]) -> int:
@@ -179,24 +184,24 @@ def _try_counts(
 
 
 def _best(views: Views, terms: Sequence[Term], spectrum: Spectrum, near: AxisFit, count: int) -> AxisFit:
-    """The better of two fits: from the clusters of the spectrum, and from a fit with one element more or less."""
-    starts = [split_distances(spectrum, count), _changed(near, count)]
+    """The best of several fits: from the clusters of the spectrum, and from a fit with one element more or less."""
+    starts = [split_distances(spectrum, count), *_changed(near, count)]
     lined = _in_line(views, near)
-    tried = [
-        fit_axis(lined, terms, Shape(near.shape.law, start, near.shape.rise), iterations=CHOICE_ITERATIONS)
+    looks = [
+        fit_axis(lined, terms, Shape(near.shape.law, start, near.shape.rise), iterations=LOOK_ITERATIONS)
         for start in starts
     ]
+    promising = sorted(looks, key=lambda fit: fit.rms)[:FOLLOWED]
+    tried = [fit_axis(lined, terms, fit.shape, iterations=CHOICE_ITERATIONS) for fit in promising]
     return fit_in_line(views, terms, min(tried, key=lambda fit: fit.rms).shape)
 
 
 def with_speed_of_rise(views: Views, fit: AxisFit) -> AxisFit:
     """The better of a fit and the one from another speed of its rise.
 
-    Elements that go over smoothly turn round at that speed, of whatever size the rise is. A fit that begins far from it
-    ends in another minimum, so it is looked for from slow to fast.
+    A fit that begins far from it ends in another minimum, so it is looked for from slow to fast. Elements that go over
+    smoothly turn round at that speed, of whatever size the rise is.
     """
-    if fit.shape.law != "sgms":
-        return fit
     lined, fastest = _in_line(views, fit), views.fine.rows.extents.speed
     starts = [replace(fit.shape, rise=Stribeck(SMALL_RISE, share * fastest)) for share in RISE_SPEEDS]
     tried = [fit_axis(lined, fit.terms, start, iterations=CHOICE_ITERATIONS) for start in starts]
@@ -215,16 +220,18 @@ def split_distances(spectrum: Spectrum, count: int) -> Array:
 def _filled(distances: Array) -> Array:
     """One distance more, in the middle of the widest gap; of a single one, below it."""
     if len(distances) == 1:
-        return np.array([0.3 * distances[0], distances[0]])
+        return np.array([NEXT * distances[0], distances[0]])
     ratios = distances[1:] / distances[:-1]
     k = int(np.argmax(ratios))
     return np.insert(distances, k + 1, math.sqrt(distances[k] * distances[k + 1]))
 
 
-def _changed(near: AxisFit, count: int) -> Array:
-    """Distances of a fit with its closest two elements merged, or with one more."""
+def _changed(near: AxisFit, count: int) -> list[Array]:
+    """Distances of a fit with its closest two elements merged, or with one more: below all, above all, in any gap."""
     distances = near.shape.distances
     if count > len(distances):
-        return _filled(distances)
+        ends = NEXT * distances[0], distances[-1] / NEXT
+        between = np.sqrt(distances[1:] * distances[:-1])
+        return [np.sort(np.append(distances, one)) for one in (ends[0], *between.tolist(), ends[1])]
     merged = clustered(Spectrum(distances, np.maximum(near.levels, 1e-9 * near.coulomb), None), count)
-    return merged[0]
+    return [merged[0]]

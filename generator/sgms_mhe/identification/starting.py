@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.identification.fitting import Shape, View, fit_axis
-from sgms_mhe.identification.records import Motion, Records
+from sgms_mhe.identification.records import Records, behind_filters
 from sgms_mhe.identification.search import split_distances
 from sgms_mhe.identification.spectrum import distance_grid, find_spectrum
 from sgms_mhe.identification.terms import companion_terms, mass_term, sampling_terms, viscous_term
@@ -34,15 +34,7 @@ def element_numbers(recording: Recording, noise: float) -> dict[str, float]:
         Nothing where there is no friction.
     """
     friction = recording.machine.friction
-    motion = Motion(
-        machine=recording.machine,
-        rate=recording.rate,
-        velocity=np.ascontiguousarray(recording.velocity),
-        factor=1,
-        rows=len(recording.time),
-        filtered=False,
-    )
-    records = Records(recording.machine, ("",), recording, (motion,), (), 0.0, ())
+    records = Records(recording.machine, ("",), recording, (behind_filters(recording),), (), 0.0, ())
     terms = (viscous_term(recording), mass_term(recording), *sampling_terms(recording), *companion_terms(recording))
     grid = distance_grid(records)
     spectrum = find_spectrum(records, terms, noise, grid)

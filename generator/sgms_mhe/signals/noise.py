@@ -12,12 +12,21 @@ MEDIAN_OF_NORMAL: Final = 0.6745
 """Median size of a normal variable over its standard deviation."""
 
 
+ORDERS: Final = (3, 5, 7)
+"""Differences that tell noise from motion: of motion the higher ones hold less, of white noise they say the same."""
+
+
 def position_noise(position: NDArray[np.float64]) -> float:
     """Standard deviation of the noise in a position (n) [its unit]; 0 where too few samples are there.
 
-    The median size of third differences over that of white noise, sqrt(1 + 9 + 9 + 1) standard deviations: a motion is
-    smooth over four samples where it is slow, and most of a record is. Missing samples are NaN.
+    The median size of differences over that of white noise, sqrt(C(2 k, k)) standard deviations for order k: a motion
+    is smooth over a few samples where it is slow, and most of a record is. Where it is not, differences of a higher
+    order say less; the least counts. Missing samples are NaN.
     """
-    third = np.abs(np.diff(position, n=3))
-    third = third[np.isfinite(third)]
-    return float(np.median(third)) / (MEDIAN_OF_NORMAL * math.sqrt(20.0)) if len(third) else 0.0
+    found = []
+    for order in ORDERS:
+        difference = np.abs(np.diff(position, n=order))
+        difference = difference[np.isfinite(difference)]
+        if len(difference):
+            found.append(float(np.median(difference)) / (MEDIAN_OF_NORMAL * math.sqrt(math.comb(2 * order, order))))
+    return min(found, default=0.0)

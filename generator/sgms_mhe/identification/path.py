@@ -1,0 +1,81 @@
+"""The way of an axis, from readings of its encoder: what elements ran along, between the samples too."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.linalg import solveh_banded
+
+Array = NDArray[np.float64]
+
+DIFFERENCE: Final = (-1.0, 3.0, -3.0, 1.0)
+"""Third difference: what of a way is smooth has little of it."""
+BLOCK: Final = 32
+"""Samples over which a way is told from its readings."""
+CLOSE: Final = 1.75
+"""RMS of readings minus way in any block, over the noise of a reading, at most."""
+WEIGHTS: Final = (-3.0, 8.0)
+"""Decimal logarithms of the weights of smoothness that are tried."""
+HALVINGS: Final = 8
+
+
+def smooth_path(position: Array, noise: float) -> Array:
+    """The smoothest way (n) [m] that explains the readings of an encoder (n) [m].
+
+    It minimises the sum of squares of readings minus way, in deviations of a reading, plus a weight times that of its
+    third differences (Whittaker's graduation). The weight is the largest with which no part of the way is further from
+    its readings than their noise is.
+
+    An encoder's step, or its noise, is a speed to elements: theirs turn round, and break away, where the axis does not.
+
+    Args:
+        position: readings, without gaps.
+        noise: of a reading, one standard deviation [m]; 0: they are the way.
+    """
+    if noise == 0.0 or len(position) < BLOCK:
+        return position
+    readings = (position - position[0]) / noise
+    low, high = WEIGHTS
+    found = readings
+    for _ in range(HALVINGS):
+        weight = 0.5 * (low + high)
+        way = _graduated(readings, 10.0**weight)
+        if _furthest(readings - way) <= CLOSE:
+            low, found = weight, way
+        else:
+            high = weight
+    return np.asarray(position[0] + noise * found)
+
+
+def _graduated(readings: Array, weight: float) -> Array:
+    """Solve (I + weight D'D) way = readings, D being third differences."""
+    order, n = len(DIFFERENCE) - 1, len(readings)
+    bands = np.zeros((order + 1, n))
+    for i, one in enumerate(DIFFERENCE):
+        for j, other in enumerate(DIFFERENCE[: i + 1]):
+            bands[order - (i - j), i : i + n - order] += weight * one * other
+    bands[order] += 1.0
+    return np.asarray(solveh_banded(bands, readings, overwrite_ab=True, check_finite=False))
+
+
+def _furthest(rest: Array) -> float:
+    blocks = rest[: len(rest) // BLOCK * BLOCK].reshape(-1, BLOCK)
+    return float(np.sqrt(np.max(np.mean(blocks**2, axis=1))))
+
+
+def displacements(position: Array, steps: int) -> Array:
+    """What an axis moves by in so many steps to each sample from the one before it, none to the first: (n steps) [m].
+
+    Between two samples of a slow log an axis may turn round, and elements of small break-away distances let go. A
+    straight line from sample to sample leaves out the turning point; a cubic spline through the samples has it.
+    """
+    if steps > 1:
+        samples = np.arange(len(position))
+        instants = samples[1:, None] - np.arange(steps - 1, -1, -1) / steps
+        between = CubicSpline(samples, position)(instants)
+        between[:, -1] = position[1:]
+        position = np.concatenate((np.full(steps, position[0]), between.ravel()))
+    return np.diff(position, prepend=position[:1])
