@@ -223,6 +223,18 @@ def test_path_keeps_what_is_no_noise() -> None:
     assert np.array_equal(smooth_path(corner, 0.0), corner)
 
 
+def test_step_of_an_encoder_is_told_from_motion(tmp_path: Path) -> None:
+    """Also where a file rounds its digits and a fast motion takes thousands of steps; without steps there is none."""
+    time = np.arange(4000) / RATE
+    motion = 0.02 * np.sin(2.0 * np.pi * 0.4 * np.clip(time - 2.0, 0.0, None)) ** 3
+    step, force = 1.23456789e-6, np.sin(40.0 * time)
+    counted = np.round(np.round(motion / step) * step, 9)
+    assert records_of(axis(), [Log(time, counted, force, RATE)]).resolution == pytest.approx(
+        step / math.sqrt(12.0), rel=0.1
+    )
+    assert records_of(axis(), [Log(time, motion, force, RATE)]).resolution < 0.01 * step
+
+
 def test_fast_motion_is_no_noise() -> None:
     """Eight samples a turn: third differences are as large as those of a coarse encoder."""
     turn = 1e-5 * np.sin(np.pi / 4.0 * np.arange(4000) + np.pi / 8.0)

@@ -26,9 +26,10 @@ LEAD: Final = 0.6
 """Largest share of a log that is left out for that."""
 ROUNDING: Final = 1e-9
 """Of the largest step of a position: smaller ones are none."""
+SMALL: Final = 20.0
 UNEVEN: Final = 0.1
 EVEN: Final = 0.9
-"""Steps of an encoder from a multiple of the smallest, and how many of them have to be closer."""
+"""Changes of up to so many steps are multiples of an encoder's step, within so much of it; so many of them have to."""
 PATH_RATE: Final = 16000.0
 """Points of a way a second, where samples are fewer [Hz]: of a step the speed that rules a level is the mean."""
 
@@ -197,7 +198,7 @@ def _bridged(log: Log) -> Array:
 def _resolution(log: Log) -> float:
     """How finely position is read [m], one standard deviation: the larger of noise and of the encoder's step.
 
-    The step is the smallest change but for one in a hundred, if all others are multiples of it.
+    The step is the smallest change but for one in a hundred, if the other small ones are multiples of it.
     """
     position = readings(log).position_m
     changes = np.abs(np.diff(position))
@@ -205,7 +206,8 @@ def _resolution(log: Log) -> float:
     if not len(changes):
         return 0.0
     step = float(np.quantile(changes, 0.01))
-    off = np.abs(changes / step - np.round(changes / step))
+    steps = changes[changes <= SMALL * step] / step  # of many steps the rounding of a file's digits adds up
+    off = np.abs(steps - np.round(steps))
     counted = float(np.mean(off < UNEVEN)) > EVEN
     return max(position_noise(position), step / math.sqrt(12.0) if counted else 0.0)
 
