@@ -96,8 +96,9 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
         raise InputError("identify", "elements", wanted.elements, f"1 to {MOST_ELEMENTS}, or auto")
     records = _records(in_order(logs), wanted)
     report("convex start")
-    records = started(records, _spectrum(records, wanted).reach)
-    spectrum = _spectrum(records, wanted)
+    # Which rows count is no matter of where the search starts: of one grid, whatever the start's is.
+    records = started(records, _spectrum(records, PER_DECADE).reach)
+    spectrum = _spectrum(records, wanted.per_decade)
     rows = records.rows
     base, companions = _base_terms(rows), companion_terms(rows)
     noise, grid = noise_floor(rows, rows.friction), distance_grid(records, wanted.per_decade)
@@ -118,7 +119,7 @@ def _base_terms(rows: Recording) -> tuple[Term, ...]:
     return (viscous_term(rows), mass_term(rows), *sampling_terms(rows))
 
 
-def _spectrum(records: Records, wanted: Wanted) -> Spectrum:
+def _spectrum(records: Records, per_decade: float) -> Spectrum:
     """The convex start.
 
     Raises:
@@ -126,9 +127,7 @@ def _spectrum(records: Records, wanted: Wanted) -> Spectrum:
     """
     rows = records.rows
     terms = (*_base_terms(rows), *companion_terms(rows))
-    spectrum = find_spectrum(
-        records, terms, noise_floor(rows, rows.friction), distance_grid(records, wanted.per_decade)
-    )
+    spectrum = find_spectrum(records, terms, noise_floor(rows, rows.friction), distance_grid(records, per_decade))
     if not len(spectrum.distances):
         raise InputError(records.names[0], "friction", 0.0, "a log with friction in it: the force is all inertia")
     return spectrum
