@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -25,6 +26,8 @@ MASS_OFF: Final = 0.02
 """Of the mass that was given: less is what an actuator's lag makes of it."""
 MASS_SEEN: Final = 0.2
 """Deviation over value up to which a mass is known."""
+MASS_SURE: Final = 1.5e-4
+"""Deviation of any mass over its value: how a drive makes its force between two samples is known to second order."""
 TRACE: Final = 0.02
 """Share of the level below which an element is a trace of something else, where it is not sure either."""
 UNSURE: Final = 0.25
@@ -145,7 +148,8 @@ def _with_rise(views: Views, fit: AxisFit) -> AxisFit:
 
 
 def _mass(rows: Recording, extra: Quantity) -> Quantity | None:
-    mass = Quantity(rows.machine.plant.moved + extra.value, extra.std)
+    total = rows.machine.plant.moved + extra.value
+    mass = Quantity(total, math.hypot(extra.std, MASS_SURE * total))
     return mass if mass.value > 0.0 and mass.relative <= MASS_SEEN else None
 
 
