@@ -223,7 +223,7 @@ def test_path_keeps_what_is_no_noise() -> None:
     assert np.array_equal(smooth_path(corner, 0.0), corner)
 
 
-def test_step_of_an_encoder_is_told_from_motion(tmp_path: Path) -> None:
+def test_step_of_an_encoder_is_told_from_motion() -> None:
     """Also where a file rounds its digits and a fast motion takes thousands of steps; without steps there is none."""
     time = np.arange(4000) / RATE
     motion = 0.02 * np.sin(2.0 * np.pi * 0.4 * np.clip(time - 2.0, 0.0, None)) ** 3

@@ -107,6 +107,7 @@ def records_of(machine: Machine, logs: Sequence[Log]) -> Records:
         InputError: a log with fewer rows than a fit needs.
     """
     recordings = [prepare(machine, log) for log in logs]
+    resolutions = [_resolution(log) for log in logs]
     names = tuple(log.source or "log" for log in logs)
     several = len(logs) > 1
     warnings = tuple(
@@ -119,8 +120,8 @@ def records_of(machine: Machine, logs: Sequence[Log]) -> Records:
         names=names,
         rows=_joined(recordings),
         coarse=tuple(behind_filters(recording) for recording in recordings),
-        fine=tuple(_at_encoder(recording, log) for recording, log in zip(recordings, logs, strict=True)),
-        resolution=max(_resolution(log) for log in logs),
+        fine=tuple(map(_at_encoder, recordings, logs, resolutions)),
+        resolution=max(resolutions),
         warnings=warnings,
     )
 
@@ -168,7 +169,7 @@ def behind_filters(recording: Recording) -> Motion:
     )
 
 
-def _at_encoder(recording: Recording, log: Log) -> Motion:
+def _at_encoder(recording: Recording, log: Log, resolution: float) -> Motion:
     """The axis's own way, also between the samples; of a log that brings its velocity, that."""
     rate = recording.machine.sampling.rate
     bypassed = log.velocity_m_s is not None
@@ -176,7 +177,7 @@ def _at_encoder(recording: Recording, log: Log) -> Motion:
     if bypassed:
         velocity = recording.signals.velocity
     else:
-        velocity = displacements(smooth_path(_bridged(log), _resolution(log)), steps) * (rate * steps)
+        velocity = displacements(smooth_path(_bridged(log), resolution), steps) * (rate * steps)
     return Motion(
         machine=recording.machine,
         rate=rate * steps,

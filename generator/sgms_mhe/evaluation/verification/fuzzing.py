@@ -29,6 +29,7 @@ MOST_OPERATIONS: Final = 5e7
 """Of the calls of one input, as stated."""
 
 LEAST_SHARE: Final = 0.02
+"""Of as many calls of each machine: what one of large calls gets at least."""
 
 PARTS: Final = ("fuzz.c", "fuzz_input.c", "fuzz_checks.c")
 """The program but for the package."""
