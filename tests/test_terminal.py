@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 from cli_cases import SCRIPT, SMALL, done, on_terminal, refused
 from sgms_mhe.cli import COMMANDS
+from sgms_mhe.commands import common
 from sgms_mhe.commands.common import LONGEST_LOOK_S, AwakeClock
 from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES
 from sgms_mhe.support.paths import machines_dir
@@ -113,6 +115,29 @@ def test_a_bar_does_not_count_the_time_that_a_host_slept() -> None:
     clock = AwakeClock(lambda: next(host))
     seen = [clock.now() for _ in range(6)]
     np.testing.assert_allclose(np.diff([0.0, *seen]), [0.1, 0.1, LONGEST_LOOK_S, 0.1, 0.0, 0.5], atol=1e-9)
+
+
+def test_lines_do_not_count_the_time_that_a_process_was_stopped(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time, looked = [0.0], threading.Semaphore(0)
+
+    def host() -> float:
+        seen = time[0]
+        looked.release()
+        return seen
+
+    monkeypatch.setattr(common, "AwakeClock", lambda: AwakeClock(host))
+    with common.steps_bar() as step:
+        for awake in (1.8, 3.6):  # seen by nobody but what looks between two lines
+            time[0] = awake
+            while looked.acquire(blocking=False):
+                pass
+            assert looked.acquire(timeout=60.0)
+            assert looked.acquire(timeout=60.0)  # the first may have begun before
+        time[0] = 5000.0
+        step("half of it", 0.5)
+    assert capsys.readouterr().err == f"half of it (50 %, {3.6 + LONGEST_LOOK_S:.0f} s left)\n"
 
 
 def test_without_a_terminal_nothing_is_coloured(tmp_path: Path) -> None:

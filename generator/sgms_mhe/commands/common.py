@@ -258,14 +258,14 @@ def steps_bar() -> Iterator[Callable[[str, float], None]]:
             task = bar.add_task("", total=1.0)
             yield lambda step, share: bar.update(task, completed=share, description=step)
         return
-    started = time.monotonic()
+    with _looked_at(AwakeClock()) as clock:
 
-    def line(step: str, share: float) -> None:
-        since = time.monotonic() - started
-        left = f" ({100.0 * share:.0f} %, {since * (1.0 - share) / share:.0f} s left)" if share > 0.0 else ""
-        note(step + (left if since >= TOLD_FROM_S else ""))
+        def line(step: str, share: float) -> None:
+            since = clock.now()
+            left = f" ({100.0 * share:.0f} %, {since * (1.0 - share) / share:.0f} s left)" if share > 0.0 else ""
+            note(step + (left if since >= TOLD_FROM_S else ""))
 
-    yield line
+        yield line
 
 
 @contextmanager
@@ -290,8 +290,26 @@ def _bar(*columns: ProgressColumn) -> RichProgress:
     return Bar(*columns, console=Console(stderr=True), transient=True, get_time=AwakeClock().now)
 
 
+@contextmanager
+def _looked_at(clock: AwakeClock) -> Iterator[AwakeClock]:
+    """The clock, looked at while the block runs as often as a bar would: lines come seconds apart."""
+    done = threading.Event()
+
+    def look() -> None:
+        while not done.wait(0.25 * LONGEST_LOOK_S):
+            clock.now()
+
+    watch = threading.Thread(target=look, daemon=True)
+    watch.start()
+    try:
+        yield clock
+    finally:
+        done.set()
+        watch.join()
+
+
 class AwakeClock:
-    """Seconds that a run has been awake, for a bar that looks at it many times a second.
+    """Seconds that a run has been awake, for what looks at it a few times a second.
 
     Between two looks no more than `LONGEST_LOOK_S` have passed: a host that slept, or a process that was stopped, did
     nothing meanwhile, and the time left is told by what is done while they run.

@@ -16,12 +16,14 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import write_log
+from sgms_mhe.support.parallel import workers
 from sgms_mhe.support.processes import Place, Task, results
 from sgms_mhe.support.tables import Table
 
 JOBS: Final = (1, 2, 4, 8)
 EMPTY: Final = 200
 """Tasks without work, whose processes import nothing."""
+WAIT_S: Final = 0.2
 LOG_S: Final = 10.0
 
 
@@ -36,7 +38,11 @@ def _diagnosed(log: str) -> str:
 
 
 def scaling_study(logs: int) -> Table:
-    """Time per log of `estimate` and `diagnose` in 1 to 8 processes, and of a task that does nothing."""
+    """Time of `estimate` and `diagnose` per log in 1 to 8 processes, of tasks that do nothing and of ones that wait.
+
+    Work is faster only as far as there are cores; waiting needs none, and so says how many processes the engine itself
+    keeps busy.
+    """
     machine = load_machine("etel_xy")
     with TemporaryDirectory() as folder:
         paths = []
@@ -47,6 +53,7 @@ def scaling_study(logs: int) -> Table:
             paths.append(str(path))
         work = {
             "nothing": [Task(str(k), abs, (k,)) for k in range(EMPTY)],
+            "waiting": [Task(str(k), time.sleep, (WAIT_S,)) for k in range(EMPTY)],
             "estimate": [Task(path, _estimated, (path,)) for path in paths],
             "diagnose": [Task(path, _diagnosed, (path,)) for path in paths],
         }
@@ -55,10 +62,11 @@ def scaling_study(logs: int) -> Table:
         for name, tasks in work.items():
             rows += _rows(name, tasks)
     return Table(
-        f"time of {logs} logs of {LOG_S:g} s at {machine.sampling.rate:g} Hz, and of {EMPTY} tasks without work",
+        f"time of {logs} logs of {LOG_S:g} s at {machine.sampling.rate:g} Hz, and of {EMPTY} tasks that do nothing or "
+        f"wait {WAIT_S:g} s",
         {"work": "", "processes": "d", "s": ".2f", "ms per task": ".1f", "faster than 1": ".2f"},
         rows,
-        ("the start of the processes is in it; the caches of compiled code are warm",),
+        (f"the start of the processes is in it; the caches of compiled code are warm; {workers()} cores",),
     )
 
 
