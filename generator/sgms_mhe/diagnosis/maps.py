@@ -34,6 +34,8 @@ FAST_ROWS: Final = 0.2  # share of the rows that may be too fast for the highest
 LEAST_SHARE: Final = 0.02  # of what the orders before it gained: RMS on unseen folds that an order must gain
 SAME_PERIOD: Final = 3e-3
 PERIODS_REFINED: Final = 3
+FEW: Final = 3  # sines of a map whose period is not doubted
+STRONGEST: Final = 3  # of a map's sines: those that may be of other orders at the right period
 PARTS: Final = 40  # of a period: each is visited or not
 VISITED: Final = 0.95  # share of them from which a map is looked for
 NOTHING: Final = 1e-8  # of a column's square: what must be left of it beside the others
@@ -42,7 +44,10 @@ STEP: Final = 0.25  # of the resolution that the travel gives
 
 @dataclass(frozen=True)
 class _Carried:
-    """A period, the orders that the record carries at it, and what these leave on unseen folds [N^2]."""
+    """A period, the orders that the record carries at it, the one that explains most first, and what they leave.
+
+    `left`: sum of squares on unseen folds [N^2].
+    """
 
     period: float
     orders: tuple[int, ...]
@@ -133,6 +138,11 @@ class _Search:
         """Range of position [m]."""
         return float(np.ptp(self.x))
 
+    @property
+    def least_gain(self) -> float:
+        """Sum of squares that one order has to explain [N^2]."""
+        return (self.seen.recording.thresholds.entry * self.material) ** 2 * len(self.x)
+
     def carried(self, period: float) -> _Carried:
         """Orders of a period that gain on unseen folds, one after the other."""
         highest = min(int(self.kind.order.upper), int(period * self.finest))
@@ -147,8 +157,7 @@ class _Search:
             if best is None:
                 break
             trial = start - _unseen_gain(moments, _places([*taken, best]))
-            least = self.seen.recording.thresholds.entry * self.material
-            enough = max(least**2 * len(self.x), LEAST_SHARE**2 * (start - left))
+            enough = max(self.least_gain, LEAST_SHARE**2 * (start - left))
             if left - trial < enough:
                 break
             taken.append(best)
@@ -166,7 +175,7 @@ class _Search:
         best = carried.period
         if not carried.orders:
             return best
-        width = STEP * best**2 / (self.travel * max(carried.orders))
+        width = STEP * best**2 / (self.travel * max(carried.orders[:STRONGEST]))
 
         def columns(period: float) -> Array:
             return _columns(self.x, period, carried.orders)
@@ -177,14 +186,33 @@ class _Search:
         """What the record carries at the refined period."""
         return self.carried(self.refined(carried))
 
-    def simplest(self, found: Sequence[_Carried]) -> _Carried | None:
-        """The first, of the shortest period, that is nearly as good as the best."""
-        if not found:
-            return None
+    def simplest(self, found: Sequence[_Carried]) -> _Carried:
+        """The one of the fewest sines that is nearly as good as the best; of equals the one of the shortest period."""
         least = min(c.left for c in found)
         explained = float(self.seen.e @ self.seen.e) - least
         enough = max(self.material**2 * len(self.x), LEAST_SHARE**2 * explained)
-        return next(c for c in found if c.left - least <= enough)
+        good = [c for c in found if c.left - least <= enough]
+        few = [c for c in good if len(c.orders) == min(len(g.orders) for g in good)]
+        least = min(c.left for c in few)
+        return min((c for c in few if c.left - least <= self.least_gain), key=lambda c: c.period)
+
+    def elsewhere(self, best: _Carried) -> list[_Carried]:
+        """What the record carries at other periods of the same force.
+
+        All multiples of a period are periods too. And where a period is wrong, its sines are none the less about where
+        those of the right one are, though of other orders.
+        """
+        wide = max(best.orders, default=1)
+        parts = {best.period / g for g in range(2, wide + 1) if sum(n % g == 0 for n in best.orders) > 1}
+        exact = in_parallel([partial(self.carried, period) for period in sorted(parts)])
+        if len(best.orders) <= FEW:
+            return exact
+        strongest = best.orders[:STRONGEST]
+        periods = {best.period * k / n for n in strongest for k in range(1, LARGEST_PART + 1) if k != n}
+        tried = sorted(period for period in periods if period <= self.kind.room * self.travel)
+        about = in_parallel([partial(self.carried, period) for period in tried])
+        nearby = sorted((c for c in about if c.orders), key=lambda c: c.left)[:PERIODS_REFINED]
+        return exact + in_parallel([partial(self.nearest, c) for c in nearby])
 
 
 def _most(H: Array, b: Array, taken: Sequence[int]) -> int | None:
@@ -210,12 +238,7 @@ def search_periodic(definition: EffectDefinition, kind: Periodic, seen: Residual
     if not found:
         return None
     best = min(in_parallel([partial(search.nearest, c) for c in found]), key=lambda c: c.left)
-    # The same force has all multiples of its period as periods too.
-    parts = [g for g in range(max(best.orders, default=1), 0, -1) if sum(n % g == 0 for n in best.orders) > 1]
-    chosen = search.simplest(in_parallel([partial(search.carried, best.period / g) for g in parts]))
-    if chosen is None or len(chosen.orders) < 2:
-        return None
-    chosen = search.nearest(chosen)
+    chosen = search.nearest(search.simplest([best, *search.elsewhere(best)]))
     orders = tuple(sorted(chosen.orders))
     if len(orders) < 2:
         return None

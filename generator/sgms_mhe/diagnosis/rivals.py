@@ -210,7 +210,10 @@ def _judge(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Cri
     if as_good and unseen:
         return "rival", excess  # however well it fits: the record does not hold what would show it
     clearly = t < -thresholds.rival_t and excess < -thresholds.better * material
-    if clearly or (name in cause(place.cause).simpler.causes and excess < material):
+    simpler = name in cause(place.cause).simpler.causes and excess < material
+    if simpler and t > thresholds.rival_t and excess > thresholds.better * material:
+        return "rival", excess  # something more is there for sure, but not enough to matter
+    if clearly or simpler:
         return "better", excess
     hardly = excess > -thresholds.better * material or t > -thresholds.rival_t
     if place.cause in cause(name).simpler.causes and hardly:
