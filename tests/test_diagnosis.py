@@ -10,15 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sgms_mhe.configuration import load_machine
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
 from sgms_mhe.diagnosis.alignment import aligned, thinned
+from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.compiling import compiled_once
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.plan import make_plan, write_plan
 from sgms_mhe.diagnosis.subject import Subject
+from sgms_mhe.diagnosis_benchmark.motions import draw_motion
 from sgms_mhe.evaluation.prediction import force_error, predict_log
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
@@ -121,6 +123,23 @@ def test_finds_two_effects_at_once(machine: Machine) -> None:
 
 
 # --- wrong numbers, nothing wrong, nothing known ----------------------------------------------------------------
+
+
+def test_a_lag_is_seen_though_the_fit_left_nothing_that_could_lag() -> None:
+    """A Stribeck effect that comes late fits none better than a prompt one: the refit drives it to its bound."""
+    machine = override_machine(load_machine("etel_xy"), {"friction": {"stribeck_ratio": 0.4}})
+    moves = draw_motion("strokes", machine, 10.0, np.random.default_rng(0))
+    hidden = [("frictional_lag", {"time_constant_s": 0.15})]
+    log = simulate_axis(machine, moves, AxisConfig(seed=1), hidden_effects=hidden, truth=False).log
+    subject = thinned(Subject.of(machine, prepare(machine, log)))
+    fit = fit_model(subject, ())
+    driven = {c.name for c, held in zip(fit.model.columns, fit.free & ~fit.loose, strict=True) if held}
+    assert driven == {"stribeck_ratio"}
+    used = subject.recording.used
+    (found,) = search(subject, fit, ["frictional_lag"], nuisance(fit.slopes[used][:, fit.loose]))
+    assert 0.03 < found.parameters["time_constant_s"] < 0.3
+    assert found.p_value < 1e-6
+    assert found.energy > 0.7 * float(np.sum(fit.residual[used] ** 2))
 
 
 def test_a_wrong_number_is_not_taken_for_an_effect(machine: Machine) -> None:

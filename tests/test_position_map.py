@@ -16,9 +16,15 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
+from sgms_mhe.diagnosis.alignment import thinned
 from sgms_mhe.diagnosis.candidates import search
+from sgms_mhe.diagnosis.course import Course
+from sgms_mhe.diagnosis.criteria import criteria_of
 from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.groups import Extra
+from sgms_mhe.diagnosis.joining import in_lowest_terms, joined
 from sgms_mhe.diagnosis.subject import Subject
+from sgms_mhe.diagnosis_benchmark.motions import draw_motion
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
@@ -27,7 +33,8 @@ from sgms_mhe.model.effects.periodic_table import POINTS, periodic_spline, splin
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.recordings.evidence import nuisance
+from sgms_mhe.recordings.evidence import noise_floor, nuisance
+from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.support.errors import InputError
 
@@ -160,6 +167,81 @@ def test_a_hidden_map_is_found_with_its_orders(name: str, pitch: float | None) -
     assert diagnosis.rms.held_out_after < 1.2 * diagnosis.noise_floor_N
     assert diagnosis.extended is not None and diagnosis.extended_toml is not None
     assert diagnosis.extended.effects[0].parameters["order"] == tuple(float(n) for n in orders)
+
+
+@pytest.mark.parametrize(
+    ("pitch", "orders", "sizes", "seed"),
+    [
+        (0.1472, (1, 2, 8), (0.737, 0.500, 0.340), 4),
+        (0.1472, (1, 2, 8), (0.737, 0.500, 0.340), 16),
+        (0.1905, (1, 4, 6), (0.563, 0.348, 0.215), 6),
+        (0.0800, (1, 4, 8), (0.250, 0.200, 0.150), 11),
+    ],
+)
+def test_a_period_is_found_though_no_single_sine_tells_it(
+    pitch: float, orders: tuple[int, ...], sizes: tuple[float, ...], seed: int
+) -> None:
+    """Where the strongest sine is far below the finest one, its period is too vague for that one's order."""
+    machine, random = load_machine("etel_xy"), np.random.default_rng(seed)
+    angles = random.uniform(-math.pi, math.pi, 3)
+    cosines, sines = np.array(sizes) * np.cos(angles), np.array(sizes) * np.sin(angles)
+    hidden = {"pitch_m": pitch, "order": orders, "sine_N": tuple(sines), "cosine_N": tuple(cosines)}
+    moves = draw_motion("workout", machine, 12.0, random)
+    config = AxisConfig(seed=seed, force_noise_N=0.05)
+    log = simulate_axis(machine, moves, config, hidden_effects=[("position_map", hidden)], truth=False).log
+    subject = thinned(Subject.of(machine, prepare(machine, log)))
+    base = fit_model(subject, ())
+    (found,) = search(subject, base, ["position_map"], nuisance(base.slopes[subject.recording.used][:, base.loose]))
+    assert found.parameters["pitch_m"] == pytest.approx(pitch, rel=0.01)
+    told = {round(value) for key, value in found.parameters.items() if key.startswith("order")}
+    assert set(orders) <= told and len(told) <= len(orders) + 1
+
+
+def test_a_map_is_stated_over_its_shortest_period() -> None:
+    map_of = effect_definition("position_map").entries
+    found = in_lowest_terms(Extra("position_map", map_of({"pitch_m": 0.3, **MAP, "order": (3, 12, 18)})))
+    assert found.parameters == pytest.approx(map_of({"pitch_m": 0.1, **MAP, "order": (1, 4, 6)}))
+    for extra in (found, Extra("constant_offset", {"force_N": 0.1})):
+        assert in_lowest_terms(extra) == extra
+
+
+@pytest.mark.parametrize(
+    ("share", "named"), [(1.0, ["position_map"]), (1.13, ["force_ripple", "position_map"])], ids=["of it", "apart"]
+)
+def test_a_ripple_that_comes_again_with_a_map_belongs_to_it(share: float, named: list[str]) -> None:
+    """A ripple of three periods of the map makes one map with it; one of another period stays."""
+    machine, moves = load_machine("etel_xy"), make_trajectory("mixed", 10_000.0, duration_s=8.0)
+    map_of = effect_definition("position_map").entries
+    true = {"pitch_m": 0.024, "order": (1, 2), "sine_N": (0.2, 0.1), "cosine_N": (0.1, -0.1)}
+    ripple = {"amplitude_N": 0.3, "pitch_m": 0.072 * share, "phase_rad": 0.7}
+    hidden: list[tuple[str, Mapping[str, Any]]] = [("position_map", true), ("force_ripple", ripple)]
+    log = simulate_axis(machine, moves, AxisConfig(seed=2), hidden_effects=hidden, truth=False).log
+    recording = prepare(machine, log)
+    subject = Subject.of(machine, recording)
+    fit = fit_model(subject, (Extra("force_ripple", ripple), Extra("position_map", map_of(true))))
+    floor = noise_floor(recording, fit.residual)
+    criteria = criteria_of(machine, floor, measures(recording.signals, machine), Course(lambda step, share: None))
+    after = joined(subject, fit, criteria).extras
+    assert [extra.name for extra in after] == named
+    if named == ["position_map"]:
+        found = after[0].parameters
+        assert found["pitch_m"] == pytest.approx(0.072, rel=1e-3)
+        assert [round(value) for key, value in found.items() if key.startswith("order")] == [1, 3, 6]
+        assert found["sine_1_N"] == pytest.approx(0.3 * math.cos(0.7), abs=0.02)
+        assert found["cosine_1_N"] == pytest.approx(0.3 * math.sin(0.7), abs=0.02)
+
+
+def test_a_map_whose_other_sines_hardly_matter_is_ambiguous() -> None:
+    """One long sine, the others too small to matter and yet seen: a ripple of the wrong pitch would be as good."""
+    machine, random = load_machine("etel_xy"), np.random.default_rng(57)
+    hidden = {"pitch_m": 0.245, "order": (1, 4, 7), "sine_N": (0.053, -0.045, 0.007), "cosine_N": (-0.04, 0.0, -0.029)}
+    moves = draw_motion("workout", machine, 13.5, random)
+    config = AxisConfig(seed=57, force_noise_N=0.05)
+    log = simulate_axis(machine, moves, config, hidden_effects=[("position_map", hidden)], truth=False).log
+    diagnosis = diagnose(machine, log)
+    assert diagnosis.verdict == "ambiguous", diagnosis.summary
+    assert diagnosis.causes[0].name == "position_map"
+    assert ("force_ripple", "position_map") in [(a.name, a.instead_of) for a in diagnosis.alternatives if a.rival]
 
 
 # --- measured ---------------------------------------------------------------------------------------------------

@@ -101,6 +101,6 @@ def test_a_machine_file_changes_what_matters(machine: Machine, log: Log) -> None
     residual = 0.05 * np.random.default_rng(0).normal(size=len(prepare(machine, log).time))
     floor = noise_floor(prepare(machine, log), residual)
     usual = criteria_of(machine, floor, found, print).material
-    assert usual == pytest.approx(max(0.007 * machine.friction.coulomb, 0.25 * floor))
+    assert usual == pytest.approx(max(0.004 * machine.friction.coulomb, 0.25 * floor))
     changed = override_machine(machine, {"diagnosis": {"material": 0.1}})
     assert criteria_of(changed, floor, found, print).material == pytest.approx(0.1 * machine.friction.coulomb)

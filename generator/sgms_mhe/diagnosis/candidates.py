@@ -199,13 +199,18 @@ def _search_derivative(
 def _search_trials(
     definition: EffectDefinition, kind: Trials, subject: Subject, fit: Fit, seen: Residual
 ) -> Proposal | None:
-    """Run the effect's own model at a few sizes; its column is the change of the force."""
+    """Run the effect's own model at a few sizes; its column is the change of the force.
+
+    A number of the machine that the fit drove to its bound may be what the effect acts on: no lag shows in a Stribeck
+    effect of none. In the trials it is what the file says.
+    """
     suited = subject.suited(fit.extras)
     here = replace(seen, recording=suited.recording)
     at_rest = suited.model(fit.extras)
     theta = suited.start(at_rest, fit.extras, fit)
     without, _ = at_rest.run(suited.recording, theta, derivatives=False)
     trials = kind.grid(seen.motion)
+    driven = {c.name for c, held in zip(fit.model.columns, fit.free & ~fit.loose, strict=True) if held}
 
     # One compiled model serves all: that of the first, which asks for the shortest steps.
     own = suited.model((*fit.extras, Extra(definition.name, trials[0]))) if kind.through is None else at_rest
@@ -214,7 +219,10 @@ def _search_trials(
         if kind.through is not None:
             return _through(kind, values, suited.recording, at_rest, theta, seen.motion)
         extras = (*fit.extras, Extra(definition.name, values))
-        return own.run(suited.recording, suited.start(own, extras, fit), derivatives=False)[0]
+        start = suited.start(own, extras, fit)
+        back = np.array([c.group.kind == "base" and c.name in driven for c in own.columns], dtype=np.bool_)
+        start[back] = [c.machine_theta for c, is_back in zip(own.columns, back, strict=True) if is_back]
+        return own.run(suited.recording, start, derivatives=False)[0]
 
     best: tuple[float, Mapping[str, float], Array] | None = None
     forces = in_parallel([partial(force_of, values) for values in trials])

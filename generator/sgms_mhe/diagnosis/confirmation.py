@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from sgms_mhe.diagnosis.causes import holds, is_possible, measured_causes
 from sgms_mhe.diagnosis.compiling import bearing
 from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
-from sgms_mhe.diagnosis.criteria import material_force
+from sgms_mhe.diagnosis.criteria import material_force, small_force
 from sgms_mhe.diagnosis.groups import Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.result import Cause
 from sgms_mhe.diagnosis.rivals import Rejected
@@ -44,13 +44,16 @@ def confirmed(settled: Settled, selection: Selection, *, constant: bool = False)
         fit = selection.fit
         blind = settled.fit(fit.extras, refitted=selection.refitted, warm=fit, rows=settled.seen)
         causes = measured_causes(settled, selection, blind)
-        complete = settled.excess(fit) < material_force(settled.subject.machine, settled.floor)
+        left, machine = settled.excess(fit), settled.subject.machine
+        complete = left < material_force(machine, settled.floor)
+        small = small_force(machine)
         doubtful = [
             g
             for g, cause in causes.items()
             if not holds(cause, settled.thresholds, constant=constant, complete=complete)
             or not is_possible(cause, settled)
             or _imitates(settled, fit, g, cause)
+            or cause.gain_N < (min(small, left) if g.is_extra else small)
         ]
         if not doubtful:
             return Confirmed(selection, blind, _strongest_first(causes))

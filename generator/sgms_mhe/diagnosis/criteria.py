@@ -13,6 +13,7 @@ from sgms_mhe.diagnosis.groups import Extra
 from sgms_mhe.diagnosis.subject import Fit
 from sgms_mhe.machine import Machine, Thresholds
 from sgms_mhe.model.effects import EFFECT_NAMES, Measure, cause, effect_definition, effect_names
+from sgms_mhe.recordings.evidence import gain_force
 
 _ANY: Final[Mapping[str, float]] = defaultdict(float)
 
@@ -53,6 +54,10 @@ class Criteria:
         """
         return math.sqrt(max(0.0, fit.rms**2 - self.floor**2))
 
+    def costs_nothing(self, fit: Fit, other: Fit) -> bool:
+        """Whether another fit leaves no more than this one that matters, on unseen folds."""
+        return gain_force(other.cross, fit.cross, fit.rows) < self.material
+
     def enough(self, fit: Fit) -> float:
         """What an effect must explain to be added to a fit [N]: what matters, and a fair share of what is left.
 
@@ -65,6 +70,11 @@ def material_force(machine: Machine, floor: float) -> float:
     """RMS of a force that matters on a record of this noise floor [N]."""
     thresholds = machine.diagnosis
     return max(thresholds.material * machine.friction.coulomb, thresholds.material_noise * floor)
+
+
+def small_force(machine: Machine) -> float:
+    """RMS of a force that matters only where nothing else is left [N]."""
+    return machine.diagnosis.small * machine.friction.coulomb
 
 
 def criteria_of(

@@ -34,7 +34,8 @@ FAST_ROWS: Final = 0.2  # share of the rows that may be too fast for the highest
 LEAST_SHARE: Final = 0.02  # of what the orders before it gained: RMS on unseen folds that an order must gain
 SAME_PERIOD: Final = 3e-3
 PERIODS_REFINED: Final = 3
-FEW: Final = 3  # sines of a map whose period is not doubted
+FEW: Final = 3  # sines of a map, one of them its first, whose period is not doubted
+RELATED_REFINED: Final = 8
 STRONGEST: Final = 3  # of a map's sines: those that may be of other orders at the right period
 PARTS: Final = 40  # of a period: each is visited or not
 VISITED: Final = 0.95  # share of them from which a map is looked for
@@ -205,13 +206,13 @@ class _Search:
         wide = max(best.orders, default=1)
         parts = {best.period / g for g in range(2, wide + 1) if sum(n % g == 0 for n in best.orders) > 1}
         exact = in_parallel([partial(self.carried, period) for period in sorted(parts)])
-        if len(best.orders) <= FEW:
+        if len(best.orders) <= FEW and 1 in best.orders:
             return exact
         strongest = best.orders[:STRONGEST]
         periods = {best.period * k / n for n in strongest for k in range(1, LARGEST_PART + 1) if k != n}
         tried = sorted(period for period in periods if period <= self.kind.room * self.travel)
         about = in_parallel([partial(self.carried, period) for period in tried])
-        nearby = sorted((c for c in about if c.orders), key=lambda c: c.left)[:PERIODS_REFINED]
+        nearby = sorted((c for c in about if c.orders), key=lambda c: c.left)[:RELATED_REFINED]
         return exact + in_parallel([partial(self.nearest, c) for c in nearby])
 
 

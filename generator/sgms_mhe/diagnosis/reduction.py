@@ -8,9 +8,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.criteria import Criteria
+from sgms_mhe.diagnosis.criteria import Criteria, small_force
 from sgms_mhe.diagnosis.fitting import fit_model, prior_information
 from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extra, without_group
+from sgms_mhe.diagnosis.joining import in_lowest_terms, joined
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import cross_loss, gain_force
@@ -45,9 +46,10 @@ def pruned(
 def wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Groups, Fit]:
     """Which of the machine's numbers must differ from the file: the fewest groups that leave no material gain.
 
-    Returns them, and the fit with only them free.
+    Not what is small: laws of friction and long steps are wrong by as much, where elements slip. Returns them, and the
+    fit with only them free.
     """
-    extras, material = fit.extras, criteria.material
+    extras, material = fit.extras, max(criteria.material, small_force(subject.machine))
     everything = fit_model(subject, extras, warm=fit)
     named: Groups = ()
     current = fit_model(subject, extras, refitted=(), warm=everything)
@@ -74,13 +76,16 @@ def wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Group
 
 def necessary(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Groups, Fit]:
     """The wrong numbers, and the fit without effects that are superfluous now that those are what they are."""
-    refitted, fit = wrong_numbers(subject, fit, criteria)
+    refitted, fit = wrong_numbers(subject, joined(subject, fit, criteria), criteria)
     return refitted, shortened(subject, pruned(subject, fit, criteria, refitted=refitted), criteria, refitted)
 
 
 def shortened(subject: Subject, fit: Fit, criteria: Criteria, refitted: Sequence[Group]) -> Fit:
-    """The fit without entries of lists that gain nothing on unseen folds, to first order; one entry stays."""
-    least = criteria.thresholds.entry * criteria.material
+    """The fit without entries of lists that gain nothing on unseen folds, to first order; one entry stays.
+
+    What is left of a map is stated over its shortest period.
+    """
+    gain = criteria.thresholds.entry * criteria.material
     for group in fit.extra_groups:
         definition = effect_definition(group.cause)
         entries = _entries(fit, group)
@@ -89,16 +94,16 @@ def shortened(subject: Subject, fit: Fit, criteria: Criteria, refitted: Sequence
         while len(entries) - len(dropped) > 1:
             left = {i: _cross_without(subject, fit, group, (*dropped, i)) for i in entries if i not in dropped}
             weakest = min(left, key=lambda i: float(left[i].sum()))
-            if gain_force(cross, left[weakest], fit.rows) < -least:
+            if gain_force(cross, left[weakest], fit.rows) < -gain:
                 break
             dropped, cross = [*dropped, weakest], left[weakest]
-        if not dropped:
-            continue
         values = fit.extras[group.index].parameters
         names = [name for name in values if not any(name in entries[i] for i in dropped)]
         short = definition.lists({name: values[name] for name in names})
-        extras = [Extra(e.name, definition.entries(short)) if i == group.index else e for i, e in enumerate(fit.extras)]
-        fit = fit_model(subject, extras, refitted=refitted, warm=fit)
+        least = in_lowest_terms(Extra(group.cause, definition.entries(short)))
+        if least.parameters != values:
+            extras = [least if i == group.index else extra for i, extra in enumerate(fit.extras)]
+            fit = fit_model(subject, extras, refitted=refitted, warm=fit)
     return fit
 
 

@@ -17,7 +17,7 @@ from sgms_mhe.diagnosis_benchmark.scoring import Found, Summary, confusion_table
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.support.errors import ImplausibleError
+from sgms_mhe.support.errors import ImplausibleError, InputError
 from sgms_mhe.support.files import write_text
 from sgms_mhe.support.kept import run_kept
 from sgms_mhe.support.processes import Outcome, Place, Task
@@ -92,9 +92,12 @@ def diagnosed(machine: Machine, draw: Draw, diagnose: Diagnose = diagnosis.diagn
     file, started = machine_of(machine, draw), time.monotonic()
     try:
         check_plausible(log, file)
-        return Found.of(diagnose(file, log), noise, time.monotonic() - started)
     except ImplausibleError as error:
         return Found("unexplained", seconds=time.monotonic() - started, refused=str(error))
+    except InputError:  # of a log in which nothing changes there is nothing to say
+        return Found("unexplained", seconds=time.monotonic() - started)
+    try:
+        return Found.of(diagnose(file, log), noise, time.monotonic() - started)
     except Exception as error:
         return Found("", seconds=time.monotonic() - started, error=f"{type(error).__name__}: {error}")
 

@@ -67,11 +67,13 @@ def _bump_in_speed(random: Generator, t: Array, _: Array, v: Array) -> Array:
 
 
 def _spots(random: Generator, t: Array, q: Array, _: Array) -> Array:
-    """A few places that push, not in a row."""
+    """A few places that push, not in a row, each for a part of the time: all the time they would be a map."""
     low, high = float(q.min()), float(q.max())
     force = np.zeros(len(t))
     for at in random.uniform(low + 0.1 * (high - low), high - 0.1 * (high - low), 3):
-        force += random.choice([-1.0, 1.0]) * np.exp(-(((q - at) / (random.uniform(0.02, 0.05) * (high - low))) ** 2))
+        place = np.exp(-(((q - at) / (random.uniform(0.02, 0.05) * (high - low))) ** 2))
+        begin, end = np.sort(random.uniform(t[0], t[-1], 2))
+        force += random.choice([-1.0, 1.0]) * place * ((t >= begin) & (t < end))
     return force
 
 

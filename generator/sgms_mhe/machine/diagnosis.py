@@ -116,7 +116,7 @@ class Thresholds(FitThresholds):
         lt=1,
     )
     material: float = threshold(
-        0.007,
+        0.004,
         "f_C",
         "RMS gain that matters, at least this and material_noise",
         "less is no cause but a detail",
@@ -125,6 +125,14 @@ class Thresholds(FitThresholds):
     )
     material_noise: float = threshold(
         0.25, "noise floor", "RMS gain that matters, at least this and material", "a smaller gain drowns", ge=0, le=10
+    )
+    small: float = threshold(
+        0.007,
+        "f_C",
+        "gain from which on more than an effect explains may be left beside it, and of any wrong number",
+        "a smaller one may be a part of what is left, or of what the law gets wrong",
+        gt=0,
+        le=1,
     )
     share: float = threshold(
         0.25,
@@ -308,7 +316,7 @@ class Thresholds(FitThresholds):
         le=1,
     )
     unexplained_most: float = threshold(
-        3.0,
+        1.25,
         "noise floor",
         "RMS beyond noise that a complete explanation may leave, whatever the three before it say",
         "what leaves more has not explained the record, however much it gained",
@@ -316,7 +324,7 @@ class Thresholds(FitThresholds):
         le=100,
     )
     unexplained_least: float = threshold(
-        0.0075,
+        0.006,
         "f_C",
         "RMS beyond noise that a complete explanation may leave, however quiet the record",
         "sampling and integration leave as much of a log without noise",
