@@ -437,6 +437,7 @@ def test_part_of_the_benchmark(
         (77, 59, "one_way", "asymmetric_coulomb", {"coulomb", "asymmetric_coulomb"}),
         # At one speed what comes again in time comes again in place.
         (77, 79, "crawl", "periodic_disturbance", {"periodic_disturbance", "force_ripple"}),
+        (101, 239, "crawl", "force_constant_ripple", {"force_constant_ripple", "position_map"}),
     ],
 )
 def test_what_the_motion_makes_one_is_ambiguous(

@@ -200,6 +200,9 @@ def _judge(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Cri
     thresholds, material = criteria.thresholds, criteria.material
     same_clock = criteria.same_clock(place.cause, name)
     steady = steady_blocks(subject.recording) if same_clock else None
+    if steady is not None and _is_clearly_better(place.fit, trial, criteria):
+        # The start and the stop do not tell the two apart, but a model has to run through them.
+        return "better", gain_force(trial.cross, place.fit.cross, place.fit.rows)
     told = np.ones(subject.recording.blocks, dtype=np.bool_) if steady is None else steady
     excess = gain_force(trial.cross[told], place.fit.cross[told], place.fit.rows[told])
     t = difference_statistic(place.fit.cross[told], trial.cross[told])
@@ -209,7 +212,7 @@ def _judge(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Cri
     as_good = excess < thresholds.rival_excess * material
     if as_good and unseen:
         return "rival", excess  # however well it fits: the record does not hold what would show it
-    clearly = t < -thresholds.rival_t and excess < -thresholds.better * material
+    clearly = _clearly(t, excess, criteria)
     simpler = name in cause(place.cause).simpler.causes and excess < material
     if simpler and t > thresholds.rival_t and excess > thresholds.better * material:
         return "rival", excess  # something more is there for sure, but not enough to matter
@@ -222,6 +225,16 @@ def _judge(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Cri
     if as_good or (excess < thresholds.rival_share * place.gain and (same_clock or t < thresholds.rival_t)):
         return "rival", excess
     return "worse", excess
+
+
+def _is_clearly_better(fit: Fit, trial: Fit, criteria: Criteria) -> bool:
+    """Whether a fit is better than another one on all blocks."""
+    t = difference_statistic(fit.cross, trial.cross)
+    return _clearly(t, gain_force(trial.cross, fit.cross, fit.rows), criteria)
+
+
+def _clearly(t: float, excess: float, criteria: Criteria) -> bool:
+    return t < -criteria.thresholds.rival_t and excess < -criteria.thresholds.better * criteria.material
 
 
 def cause_significance(subject: Subject, fit: Fit, group: Group) -> float:
