@@ -12,6 +12,7 @@ from sgms_mhe.diagnosis.criteria import Criteria, small_force
 from sgms_mhe.diagnosis.fitting import fit_model, prior_information
 from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.joining import in_lowest_terms, joined
+from sgms_mhe.diagnosis.rounds import attempted_fit
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import cross_loss, gain_force
@@ -58,8 +59,12 @@ def wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Group
         rest = [group for group in machine_groups(subject.machine) if group not in named]
         if missing < material or not rest:
             break
-        fits = in_parallel([partial(fit_model, subject, extras, refitted=(*named, g), warm=everything) for g in rest])
-        trials = dict(zip(rest, fits, strict=True))
+        fits = in_parallel(
+            [partial(attempted_fit, subject, extras, refitted=(*named, g), warm=everything) for g in rest]
+        )
+        trials = {group: trial for group, trial in zip(rest, fits, strict=True) if trial is not None}
+        if not trials:
+            break
         best = min(trials, key=lambda group: float(trials[group].cross.sum()))
         if gain_force(current.cross, trials[best].cross, fit.rows) < material:
             break

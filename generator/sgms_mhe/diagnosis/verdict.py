@@ -62,14 +62,18 @@ def diagnose(
             record, in blocks.
 
     Raises:
-        InputError: the log does not fit the machine, or has too few usable samples.
+        InputError: the log does not fit the machine, has too few usable samples, or a model of it is not finite.
     """
     started = time.monotonic()
     course = Course(progress or (lambda step, share: None))
-    found, offset = _diagnosed(machine, log, held_out_s, course), 0.0
-    while (more := sampling_offset(found)) and offset + more <= machine.diagnosis.timing_most * machine.sampling.step:
-        offset += more
-        found = _diagnosed(machine, in_step(log, offset), held_out_s, course)
+    most, offset = machine.diagnosis.timing_most * machine.sampling.step, 0.0
+    try:
+        found = _diagnosed(machine, log, held_out_s, course)
+        while (more := sampling_offset(found)) and offset + more <= most:
+            offset += more
+            found = _diagnosed(machine, in_step(log, offset), held_out_s, course)
+    except FitError as error:
+        raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
     warnings = (*offset_notes(machine, offset), *found.warnings)
     return replace(found, warnings=warnings, seconds=time.monotonic() - started)
 
@@ -81,11 +85,8 @@ def _diagnosed(
     course.begun()
     record = prepare(machine, log, held_out_s)
     recording = excerpt(record)
-    try:
-        as_it_is = partial(fit_model, Subject.of(machine, recording), (), refitted=())
-        nominal = beside(as_it_is, [partial(compile_laws, machine, recording)])
-    except FitError as error:
-        raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
+    as_it_is = partial(fit_model, Subject.of(machine, recording), (), refitted=())
+    nominal = beside(as_it_is, [partial(compile_laws, machine, recording)])
     if not _excited(recording, nominal):
         if recording is not record:
             # A long rest may hold all pieces; a whole record costs no more than this one run.
