@@ -20,10 +20,11 @@ from sgms_mhe.diagnosis.confirmation import (
     without_undetermined,
 )
 from sgms_mhe.diagnosis.course import Course, Progress
-from sgms_mhe.diagnosis.criteria import criteria_of
+from sgms_mhe.diagnosis.criteria import criteria_of, small_force
 from sgms_mhe.diagnosis.descent import FitError
 from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.groups import Group
 from sgms_mhe.diagnosis.laws import compile_laws, laws_of
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
 from sgms_mhe.diagnosis.sampling import in_step, offset_notes, sampling_offset
@@ -137,7 +138,7 @@ def _judge(settled: Settled) -> _Judged:
     verdict: Verdict
     if not found.selection.causes:
         verdict = "adequate" if after < _allowed(settled.record.machine, settled.floor) else "unexplained"
-    elif after < _allowed(settled.record.machine, settled.floor, before):
+    elif after < _allowed(settled.record.machine, settled.floor, found.selection.causes, before):
         verdict = "ambiguous" if found.selection.rivals else "explained"
         if settled.foreign:
             found = refitted_beside(settled, found, constant=False)
@@ -152,13 +153,19 @@ def _judge(settled: Settled) -> _Judged:
     return _Judged(verdict, without_undetermined(settled, found) if found.causes else found, plain, free)
 
 
-def _allowed(machine: Machine, floor: float, before: float = 0.0) -> float:
-    """RMS beyond noise [N] that a complete explanation may leave; `before`: without its causes."""
+def _allowed(machine: Machine, floor: float, causes: Sequence[Group] = (), before: float = 0.0) -> float:
+    """RMS beyond noise [N] that a complete explanation may leave; `before`: without its causes.
+
+    A wrong number beside effects may stand for a part of what they leave: then that is no more than what is small.
+    """
     thresholds, level = machine.diagnosis, machine.friction.coulomb
     wanted = max(
         thresholds.unexplained * level, thresholds.unexplained_noise * floor, thresholds.unexplained_share * before
     )
-    return min(wanted, max(thresholds.unexplained_most * floor, thresholds.unexplained_least * level))
+    most = thresholds.explained_most if causes else thresholds.unexplained_most
+    mixed = len({group.is_extra for group in causes}) > 1
+    least = small_force(machine) if mixed else thresholds.unexplained_least * level
+    return min(wanted, max(most * floor, least))
 
 
 def _diagnosis(machine: Machine, log: Log, settled: Settled, judged: _Judged) -> Diagnosis:

@@ -316,18 +316,26 @@ class Thresholds(FitThresholds):
         le=1,
     )
     unexplained_most: float = threshold(
+        3.0,
+        "noise floor",
+        "RMS beyond noise that a machine without causes may leave, whatever the three before it say",
+        "what leaves more is not adequate",
+        gt=0,
+        le=100,
+    )
+    explained_most: float = threshold(
         1.25,
         "noise floor",
-        "RMS beyond noise that a complete explanation may leave, whatever the three before it say",
+        "RMS beyond noise that named causes may leave, whatever the three before it say",
         "what leaves more has not explained the record, however much it gained",
         gt=0,
         le=100,
     )
     unexplained_least: float = threshold(
-        0.006,
+        0.012,
         "f_C",
-        "RMS beyond noise that a complete explanation may leave, however quiet the record",
-        "sampling and integration leave as much of a log without noise",
+        "RMS beyond noise that either may leave, however quiet the record; numbers beside effects only what is small",
+        "sampling, integration and a low cutoff leave as much of a log without noise",
         gt=0,
         le=1,
     )
