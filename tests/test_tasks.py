@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -131,27 +132,65 @@ def test_thread_that_does_not_wait_is_told(threads: Any) -> None:
     assert refused == lost == (0 if kind == "ekf" else SIDE_BY_SIDE - 1)  # before the first there is no prepare
 
 
-def sanitized(program: Path, mode: str, kind: str) -> str:
-    """What ThreadSanitizer finds.
+def sanitized(program: Path, mode: str, kind: str) -> list[str]:
+    """What ThreadSanitizer finds, one text per race.
 
     Where all intervals are linearised side by side prepare() reads the series of the one under way as well, as the lane
-    of a slot whose result nobody reads: of that one place it says nothing.
+    of a slot whose result nobody reads: of that one place it says nothing. A read that lies too far back has lost its
+    stack, which is then told by the place alone.
     """
+    reads_the_series = kind in ("all", "fixed")
     suppressions = program.with_name("suppressions.txt")
-    suppressions.write_text("race:^integrate_lanes$\n" if kind in ("all", "fixed") else "")
+    suppressions.write_text("race:^integrate_lanes$\n" if reads_the_series else "")
     environment = os.environ | {"TSAN_OPTIONS": f"exitcode=0 history_size=7 suppressions={suppressions}"}
-    return subprocess.run([str(program), mode], env=environment, capture_output=True, text=True, check=True).stderr
+    printed = subprocess.run([str(program), mode], env=environment, capture_output=True, text=True, check=True).stderr
+    first, size = map(int, run(program, "series").split())
+    return [
+        report
+        for report in printed.split("=" * 18)
+        if "WARNING" in report and not (reads_the_series and is_lost_read(report, first, size))
+    ]
+
+
+def is_lost_read(report: str, first: int, size: int) -> bool:
+    """Whether a race is one of a read without a stack, within `size` bytes of the axis from `first` on."""
+    lost = re.search(
+        r"Previous read of size \d+ at (0x[0-9a-f]+) by thread T1:\s+\[failed to restore the stack\]", report
+    )
+    axis = re.search(r"Location is global 'axis' of size \d+ at (0x[0-9a-f]+)", report)
+    if lost is None or axis is None:
+        return False
+    return 0 <= int(lost[1], 16) - int(axis[1], 16) - first < size
 
 
 @pytest.mark.parametrize("mode", ["patient", "hurried"])
 def test_tasks_share_the_words_that_are_told_and_no_others(mode: str, threads: Any) -> None:
     kind, compiled = threads
     found = sanitized(compiled(SANITIZED, [*MEETING, *SHARED]), mode, kind)
-    assert "WARNING" not in found, found
+    assert not found, "\n".join(found)
 
 
 def test_sanitizer_would_find_a_shared_word(threads: Any) -> None:
     """Where the words are not atomic it names them."""
     kind, compiled = threads
     found = sanitized(compiled(SANITIZED, MEETING), "patient", kind)
-    assert kind == "ekf" or "WARNING: ThreadSanitizer: data race" in found
+    assert kind == "ekf" or any("WARNING: ThreadSanitizer: data race" in report for report in found)
+
+
+LOST_READ = """
+WARNING: ThreadSanitizer: data race (pid=7)
+  Write of size 8 at 0x55f003cce6f8 by main thread:
+    #0 sample_terms etel_xy_model.h:21 (program+0x1949b)
+
+  Previous read of size 8 at 0x55f003cce6f8 by thread T1:
+    [failed to restore the stack]
+
+  Location is global 'axis' of size 24656 at 0x55f003cce200 (program+0x2d6f8)
+"""
+
+
+def test_read_that_lost_its_stack_is_left_out_of_the_series_alone() -> None:
+    assert is_lost_read(LOST_READ, 0x4F8, 8)
+    assert not is_lost_read(LOST_READ, 0x4F0, 8)
+    assert not is_lost_read(LOST_READ, 0x500, 8)
+    assert not is_lost_read(LOST_READ.replace("[failed to restore the stack]", "#0 condense"), 0x4F8, 8)

@@ -3,6 +3,7 @@
  *     threads interrupt    one core: the faster task is the handler of a timer, which comes in between any two
  * instructions threads patient      two threads; the faster one asks for an update again until prepare has returned
  *     threads hurried      two threads; it asks once, and goes on sampling
+ *     threads series       nothing: where the series lies in the memory of an axis, and its size, in bytes
  *
  * Prints updates, samples taken while prepare was under way, updates refused (OVERLAP) at least once, and estimates
  * that are not, bit by bit, those of one task. In "hurried" that is not counted: there samples are lost, and estimates
@@ -16,6 +17,7 @@
 #include <sched.h>
 #include <semaphore.h>
 #include <signal.h>
+#include <stddef.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/time.h>
@@ -224,6 +226,10 @@ int main(int argc, char **argv)
 {
     if (argc != 2) {
         return 2;
+    }
+    if (strcmp(argv[1], "series") == 0) {
+        printf("%zu %zu\n", offsetof(machine, term), sizeof axis.term);
+        return 0;
     }
     CALL(init)(&axis);
     CALL(init)(&alone);
