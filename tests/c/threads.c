@@ -1,7 +1,7 @@
 /* Two tasks on one axis that run side by side: the faster one takes samples and updates, the slower one prepares.
  *
- *     threads interrupt    one core: the faster task is the handler of a timer, which comes in between any two
- * instructions threads patient      two threads; the faster one asks for an update again until prepare has returned
+ *     threads interrupt    one core: the faster task is the handler of a timer, between any two instructions
+ *     threads patient      two threads; the faster one asks for an update again until prepare has returned
  *     threads hurried      two threads; it asks once, and goes on sampling
  *     threads series       nothing: where the series lies in the memory of an axis, and its size, in bytes
  *
