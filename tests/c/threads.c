@@ -25,7 +25,7 @@
 
 #include "tasks.h"
 
-enum { UPDATES = 60, EVERY = 211, PERIOD_US = 40, MOST_S = 120 };
+enum { UPDATES = 60, EVERY = 7, PERIOD_US = 40, MOST_S = 120 };
 
 static machine axis, alone;
 static sem_t updated;
