@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from sgms_mhe.configuration import override_machine
-from sgms_mhe.diagnosis.compiling import without_bounds
+from sgms_mhe.diagnosis.half_steps import at_rate, of_the_step
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import nuisance
@@ -21,7 +20,6 @@ from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 
-CUTOFF: Final = 0.4  # of the rate: a low-pass that a machine file may have at it; the signals passed theirs already
 AT_LIMIT: Final = 1e-6
 HELD: Final = 1.5
 """Of h^2 / 12: a force that is held moves by the mean of two samples, low by h^2 / 8 between them."""
@@ -41,15 +39,7 @@ def thinned(subject: Subject) -> Subject:
     def mean(series: Array) -> Array:
         return np.asarray(series[:n].reshape(-1, factor).mean(axis=1))
 
-    changes = {
-        "sampling": {
-            "rate": rate,
-            "update_rate": rate,
-            "velocity_cutoff": min(subject.machine.sampling.velocity_cutoff, CUTOFF * rate),
-            "integrator": {"substeps": 1},
-        }
-    }
-    machine = override_machine(without_bounds(subject.machine), changes)
+    machine = at_rate(subject.machine, rate)
     signals = recording.signals
     thin = Signals(
         time=mean(signals.time),
@@ -77,13 +67,13 @@ def _samples_per_step(recording: Recording) -> int:
 def aligned(subject: Subject, fit: Fit) -> Subject:
     """The subject with measured friction in line with the model at a fit.
 
-    Three things are taken out of it: half a step of viscous force (`_since_mean_velocity`). What is of the sampling
+    Three things are taken out of it: what the length of the model's steps does (`of_the_step`). What is of the sampling
     (`_sampling`), unless a delay or lag is under test. And of a thinned one the difference of its model's friction to
     that at the full rate: residuals are then those of the full rate, but for the change of that difference away from
     the fit.
     """
     whole = subject.whole
-    tasks = [partial(whole.friction, fit), partial(_since_mean_velocity, whole, fit)]
+    tasks = [partial(whole.friction, fit), partial(of_the_step, whole, fit)]
     if subject.fine is not None:
         tasks.append(partial(subject.friction, fit))
     exact, later, *own = in_parallel(tasks)
@@ -116,30 +106,8 @@ def residual_along(whole: Subject, fit: Fit, sampled: Array) -> Array:
 
     `sampled` (2): what the alignment there found of the sampling.
     """
-    measured = whole.alignment.measured - _since_mean_velocity(whole, fit) - _jerk_and_snap(whole.recording) @ sampled
+    measured = whole.alignment.measured - of_the_step(whole, fit) - _jerk_and_snap(whole.recording) @ sampled
     return np.asarray(measured - whole.friction(fit))
-
-
-def _since_mean_velocity(whole: Subject, fit: Fit) -> Array:
-    """What friction has changed by since the mean velocity of the sample that ends with it (m) [N].
-
-    The chain's velocity is a mean over a sample: that is what displacements need, but as a speed it is half a sample
-    old. A force is sampled in a point, so viscous friction shows an acceleration h / 2 more of it, which looks like a
-    mass of sigma_v h / 2. Sliding elements are taken for it: no other state knows so fast a change.
-    """
-    recording, code = whole.recording, fit.model.code
-    v = recording.velocity
-    signs, theta = np.array([-1.0, 0.0, 1.0]), fit.theta[: code.model.n_p]
-    chi = np.zeros((code.model.n_x, len(signs)))
-    chi[: code.model.n_z] = signs
-    x = fit.model.nodes(chi, theta)[np.sign(v).astype(np.int64) + 1]
-    later = v + 0.5 * whole.machine.sampling.step * recording.acceleration
-
-    def force(velocity: Array) -> Array:
-        w = (recording.position, velocity, recording.acceleration, recording.force, recording.time)
-        return code.forces(np.column_stack(w), theta, x)
-
-    return force(later) - force(v)
 
 
 def _sampling(whole: Subject, fit: Fit, residual: Array, *, timed: bool) -> Array:

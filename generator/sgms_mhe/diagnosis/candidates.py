@@ -21,6 +21,7 @@ from sgms_mhe.diagnosis.harmonics import search_harmonic
 from sgms_mhe.diagnosis.maps import search_periodic
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
 from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.machine import Thresholds
 from sgms_mhe.model.effects import (
     BASE_CAUSES,
     EffectDefinition,
@@ -123,7 +124,7 @@ def _search_step(definition: EffectDefinition, kind: Step, seen: Residual) -> Pr
     numerator = np.cumsum(e[::-1])[::-1]
     inside = np.cumsum(seen.free.basis[::-1], axis=0)[::-1]
     denominator = after - np.sum(inside**2, axis=1)
-    edge = max(thresholds.edge_rows, int(thresholds.edge_share * len(time)))
+    edge = edge_rows(len(time), thresholds)
     found = np.where(denominator > thresholds.step_left * after, numerator**2 / np.maximum(denominator, 1e-9), 0.0)
     found[:edge] = found[-edge:] = 0.0
     best = int(np.argmax(found))
@@ -133,6 +134,11 @@ def _search_step(definition: EffectDefinition, kind: Step, seen: Residual) -> Pr
     at = float(time[best]) - 0.5 / seen.motion.extents.rate
     Z = seen.free.project((time >= time[best]).astype(np.float64)[:, None])
     return propose(definition, seen, Z, kind.tests, lambda size: {kind.size: float(size[0]), kind.time: at})
+
+
+def edge_rows(rows: int, thresholds: Thresholds) -> int:
+    """Rows next to the beginning, and to the end, of so many that no step is looked for in."""
+    return max(thresholds.edge_rows, int(thresholds.edge_share * rows))
 
 
 # --- effects whose force only their own equations give ----------------------------------------------------------

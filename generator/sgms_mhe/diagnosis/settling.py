@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.alignment import aligned, residual_along
+from sgms_mhe.diagnosis.candidates import edge_rows
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.laws import Laws
@@ -155,7 +156,7 @@ def settle(record: Recording, nominal: Fit, laws: Laws, selection: Selection) ->
     fit = selection.fit
     for _ in range(subject.thresholds.alignments):
         subject = aligned(subject, fit)
-        extras = fit.extras if along is None else tuple(_timed(subject, along, fit, extra) for extra in fit.extras)
+        extras = tuple(_timed(subject, along or subject.whole, fit, extra) for extra in fit.extras)
         fit = fit_model(subject, extras, refitted=selection.refitted, warm=fit)
     floor = noise_floor(subject.recording, fit.residual)
     subject = replace(subject, noise=floor)
@@ -176,24 +177,38 @@ def settle(record: Recording, nominal: Fit, laws: Laws, selection: Selection) ->
     )
 
 
-def _timed(subject: Subject, along: Subject, fit: Fit, extra: Extra) -> Extra:
-    """A step at the instant that the whole record says; pieces only know what two of them it is between."""
+def _timed(subject: Subject, record: Subject, fit: Fit, extra: Extra) -> Extra:
+    """A step at the instant that the whole record says, its size given.
+
+    Pieces only know what two of them it is between; and a search may have put it where something was not known yet.
+    """
     kind = effect_definition(extra.name).search
     if not isinstance(kind, Step):
         return extra
-    record, size, instant = along.recording, extra.parameters[kind.size], extra.parameters[kind.time]
-    shifts = np.where(record.time > instant, size, 0.0)
-    without = residual_along(along, fit, subject.alignment.sampled) + shifts
-    fitted = subject.recording.time[subject.recording.used]
-    seen = np.searchsorted(fitted, instant)
-    inside = record.used.copy()
-    if seen > 0:
-        inside &= record.time >= fitted[seen - 1]
-    if seen < len(fitted):
-        inside &= record.time <= fitted[seen]
+    recording, size, instant = record.recording, extra.parameters[kind.size], extra.parameters[kind.time]
+    shifts = np.where(recording.time > instant, size, 0.0)
+    without = residual_along(record, fit, subject.alignment.sampled) + shifts
+    inside = _possible_instants(recording, subject.whole.recording, instant)
     if inside.sum() < 2:
         return extra
-    rest, time = without[inside], record.time[inside]
+    rest, time = without[inside], recording.time[inside]
     last = int(np.argmin(np.cumsum(rest**2 - (rest - size) ** 2)))  # before the step
     at = float(time[min(last + 1, len(time) - 1)])
-    return replace(extra, parameters={**extra.parameters, kind.time: at - 0.5 / record.rate})
+    return replace(extra, parameters={**extra.parameters, kind.time: at - 0.5 / recording.rate})
+
+
+def _possible_instants(whole: Recording, fitted: Recording, instant: float) -> Mask:
+    """Rows of a whole record (m) that a step may be at: between the two fitted ones that it was found between."""
+    inside = whole.used.copy()
+    if len(fitted.signals) == len(whole.signals):  # all of it was fitted: anywhere
+        edge = edge_rows(int(inside.sum()), whole.thresholds)
+        rows = np.flatnonzero(inside)
+        inside[rows[:edge]] = inside[rows[len(rows) - edge :]] = False
+        return inside
+    time = fitted.time[fitted.used]
+    seen = np.searchsorted(time, instant)
+    if seen > 0:
+        inside &= whole.time >= time[seen - 1]
+    if seen < len(time):
+        inside &= whole.time <= time[seen]
+    return inside

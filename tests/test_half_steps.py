@@ -1,0 +1,141 @@
+"""What the length of a model's steps does to its friction: against a simulation of steps far shorter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sgms_mhe.configuration import load_machine, override_machine, under_other_law
+from sgms_mhe.diagnosis.alignment import thinned
+from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.groups import Extra
+from sgms_mhe.diagnosis.half_steps import is_mean_velocity, of_the_step, with_half_steps
+from sgms_mhe.diagnosis.settling import _timed
+from sgms_mhe.diagnosis.subject import Subject
+from sgms_mhe.machine import Machine
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import SimulatedRun, simulate_axis
+from sgms_mhe.plant.trajectories import Motion, make_trajectory
+from sgms_mhe.recordings.recording import Recording, prepare
+from sgms_mhe.signals.chain import Signals
+
+Array = NDArray[np.float64]
+
+RATE = 1000.0
+
+
+@pytest.fixture(scope="module")
+def slow() -> Machine:
+    sampling = {"rate": RATE, "velocity_cutoff": 100.0}
+    return override_machine(load_machine("etel_xy"), {"sampling": sampling})
+
+
+def simulated(machine: Machine, **options: object) -> SimulatedRun:
+    path = make_trajectory("mixed", machine.sampling.rate, duration_s=6.0, max_velocity=0.3)
+    config = AxisConfig(encoder_resolution_m=0.0, force_noise_N=0.0, seed=1)
+    return simulate_axis(machine, path, config, **options)  # type: ignore[arg-type]
+
+
+def exact(machine: Machine, run: SimulatedRun, *, mean_velocity: bool) -> Recording:
+    """A recording of what happened: no chain, no noise; its velocity a mean over the sample or a reading."""
+    truth, step = run.truth, machine.sampling.step
+    position = truth.position_m
+    velocity = np.diff(position, prepend=position[0]) / step if mean_velocity else truth.velocity_m_s
+    prepared = prepare(machine, run.log)
+    signals = Signals(
+        time=truth.time_s,
+        position=position,
+        velocity=velocity,
+        acceleration=truth.acceleration_m_s2,
+        force=run.log.force_N,
+        friction=truth.friction_N,
+        valid=np.ones(len(position), dtype=np.bool_),
+        missing=np.zeros(len(position), dtype=np.bool_),
+    )
+    return replace(prepared, signals=signals, clock=truth.time_s, runs=type(prepared.runs)())
+
+
+def rms(series: Array) -> float:
+    return float(np.sqrt(np.mean(series**2)))
+
+
+@pytest.mark.parametrize("mean_velocity", [True, False])
+@pytest.mark.parametrize("law", ["sgms", "switching"])
+def test_what_a_step_gets_wrong_is_known(slow: Machine, law: str, mean_velocity: bool) -> None:
+    """Elements that stick while the axis brakes, and viscous friction: nine tenths of the model's error go."""
+    machine = slow if law == "sgms" else under_other_law(slow)
+    assert machine.friction.law == law
+    recording = exact(machine, simulated(machine), mean_velocity=mean_velocity)
+    subject = Subject.of(machine, recording)
+    fit = fit_model(subject, (), refitted=())
+    later = of_the_step(subject, fit)
+    truth = recording.reduce(recording.signals.friction)
+    moving = slice(len(truth) // 10, None)  # elements start relaxed; after the first move they have forgotten that
+    before = rms((truth - subject.friction(fit))[moving])
+    after = rms((truth - subject.friction(fit) - later)[moving])
+    assert before > 1e-3
+    assert after < 0.1 * before
+
+
+def test_half_steps_end_where_the_samples_do(slow: Machine) -> None:
+    run = simulated(slow)
+    recording = exact(slow, run, mean_velocity=True)
+    halved = with_half_steps(recording, slow).signals
+    step, signals = slow.sampling.step, recording.signals
+    np.testing.assert_array_equal(halved.position[1::2], signals.position)
+    np.testing.assert_array_equal(halved.acceleration[1::2], signals.acceleration)
+    # Two halves travel what the whole step did, and the middle is between.
+    np.testing.assert_allclose(
+        0.5 * (halved.velocity[0::2] + halved.velocity[1::2])[1:], signals.velocity[1:], rtol=0.0, atol=1e-9
+    )
+    np.testing.assert_allclose(
+        halved.position[1::2] - halved.position[0::2], 0.5 * step * halved.velocity[1::2], rtol=0.0, atol=1e-12
+    )
+    np.testing.assert_allclose(halved.time[1::2] - halved.time[0::2], 0.5 * step, rtol=1e-6)
+
+
+def test_what_was_travelled_says_what_a_velocity_is(slow: Machine) -> None:
+    """A log may bring its own: a reading of a tachometer, or a difference of positions."""
+    run = simulated(slow)
+    log = replace(run.log, velocity_m_s=None, friction_N=None, acceleration_m_s2=None)
+    assert is_mean_velocity(prepare(slow, log))
+    measured = replace(log, velocity_m_s=run.truth.velocity_m_s)
+    assert not is_mean_velocity(prepare(slow, measured))
+    assert not is_mean_velocity(prepare(slow, replace(measured, friction_N=run.truth.friction_N)))
+    assert is_mean_velocity(prepare(slow, run.ideal_log()))
+
+
+def test_any_measurement_rate_can_be_thinned() -> None:
+    """Readings are none of a search's business; a file that states their rate was refused there."""
+    machine = override_machine(load_machine("etel_xy"), {"sampling": {"measurement_rate": 500.0}})
+    path = make_trajectory("mixed", machine.sampling.rate, duration_s=3.0, max_velocity=0.3)
+    log = simulate_axis(machine, path, AxisConfig(seed=1), truth=False).log
+    thin = thinned(Subject.of(machine, prepare(machine, log)))
+    assert thin.machine.sampling.rate == RATE
+
+
+def test_steps_of_a_microsecond_are_short_enough() -> None:
+    """Half of them would be more updates than a machine file may ask for."""
+    sampling = {"rate": 1e6, "update_rate": 1e6, "velocity_cutoff": 1e4, "integrator": {"substeps": 1}}
+    machine = override_machine(load_machine("etel_xy"), {"sampling": sampling})
+    path = Motion(machine.sampling.rate)
+    path.move_to(0.02, 0.2, 10.0, 1e4)
+    config = AxisConfig(control="prescribed", seed=1)
+    log = simulate_axis(machine, path.trajectory("stroke"), config, truth=False).log
+    subject = Subject.of(machine, prepare(machine, log))
+    assert not of_the_step(subject, fit_model(subject, (), refitted=())).any()
+
+
+def test_a_step_goes_to_where_the_record_has_it(slow: Machine) -> None:
+    """A search may have put it where something else was not known yet."""
+    at, size = 3.7, -0.14
+    hidden = [("step_disturbance", {"force_N": size, "time_s": at})]
+    log = simulated(slow, hidden_effects=hidden).log
+    subject = Subject.of(slow, prepare(slow, log))
+    fit = fit_model(subject, (Extra("step_disturbance", {"force_N": size, "time_s": 4.3}),), refitted=())
+    found = _timed(subject, subject.whole, fit, fit.extras[0])
+    assert found.parameters["time_s"] == pytest.approx(at, abs=0.02)
+    assert found.parameters["force_N"] == fit.extras[0].parameters["force_N"]
