@@ -12,6 +12,9 @@ import numpy as np
 import pytest
 
 from sgms_mhe.configuration import load_machine
+from sgms_mhe.diagnosis import verdict
+from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.selection import Searched, Selection
 from sgms_mhe.diagnosis_benchmark import (
     Draw,
     Found,
@@ -430,6 +433,21 @@ def test_part_of_the_benchmark(
         assert found.held_out_after_N < 1.3 * found.noise_floor_N
 
 
+def test_what_other_numbers_explain_is_not_adequate(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A machine with a level that is wrong, where no cause is found: as it is it leaves 24 noise floors."""
+    monkeypatch.setattr(verdict, "select_causes", without_causes)
+    draw, found = run_draw(machine, 105, 219)
+    assert draw.truth == ("asymmetric_coulomb",)
+    assert not found.names
+    assert found.verdict == "unexplained", found
+
+
+def without_causes(searched: Searched) -> Selection:
+    """A selection that has nothing in it."""
+    fit = fit_model(searched.laws.chosen, (), refitted=(), warm=searched.fit)
+    return Selection(fit=fit, refitted=(), scores=(), rivals=(), rejected={}, p_values={}, free=searched.fit)
+
+
 @pytest.mark.parametrize(
     ("seed", "index", "style", "hidden", "listed"),
     [
@@ -437,6 +455,8 @@ def test_part_of_the_benchmark(
         (77, 59, "one_way", "asymmetric_coulomb", {"coulomb", "asymmetric_coulomb"}),
         # At one speed what comes again in time comes again in place.
         (77, 79, "crawl", "periodic_disturbance", {"periodic_disturbance", "force_ripple"}),
+        # One fold of this record holds all that it tells of some numbers.
+        (105, 219, "one_way", "asymmetric_coulomb", {"coulomb", "asymmetric_coulomb"}),
         (101, 239, "crawl", "force_constant_ripple", {"force_constant_ripple", "position_map"}),
     ],
 )

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine, under_other_law
+from sgms_mhe.diagnosis import half_steps
 from sgms_mhe.diagnosis.alignment import thinned
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra
@@ -78,6 +79,17 @@ def test_what_a_step_gets_wrong_is_known(slow: Machine, law: str, mean_velocity:
     after = rms((truth - subject.friction(fit) - later)[moving])
     assert before > 1e-3
     assert after < 0.1 * before
+
+
+def test_a_long_record_is_taken_in_parts(slow: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory is bounded, and what comes out is what comes out in one."""
+    recording = exact(slow, simulated(slow), mean_velocity=True)
+    subject = Subject.of(slow, recording)
+    fit = fit_model(subject, (), refitted=())
+    at_once = of_the_step(subject, fit)
+    monkeypatch.setattr(half_steps, "AT_A_TIME", 3000)
+    monkeypatch.setattr(half_steps, "LEADS", 2)
+    assert rms(of_the_step(subject, fit) - at_once) < 0.02 * rms(at_once)
 
 
 def test_half_steps_end_where_the_samples_do(slow: Machine) -> None:

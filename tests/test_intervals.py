@@ -16,16 +16,21 @@ from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.diagnosis_benchmark.motions import draw_motion
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.recordings.evidence import cross_loss
 from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.recordings.uncertainty import ALONE, between_blocks
 
-BLOCKS, ROWS = 12, 40
+BLOCKS, ROWS, FOLDS = 12, 40, 4
 
 
 def rows_in_blocks() -> SimpleNamespace:
     """Of a recording what sums over blocks need."""
     return SimpleNamespace(
-        used=np.ones(BLOCKS * ROWS, dtype=np.bool_), block=np.repeat(np.arange(BLOCKS), ROWS), blocks=BLOCKS
+        used=np.ones(BLOCKS * ROWS, dtype=np.bool_),
+        block=np.repeat(np.arange(BLOCKS), ROWS),
+        blocks=BLOCKS,
+        fold=np.arange(BLOCKS) % FOLDS,
+        sum_blocks=lambda series: series.reshape(BLOCKS, ROWS).sum(axis=1),
     )
 
 
@@ -46,6 +51,33 @@ def test_numbers_that_few_blocks_tell_of_are_as_unsure_as_they_scatter() -> None
         sandwich.append((np.linalg.solve(H, sums.T) @ np.linalg.solve(H, sums.T).T)[0, 0])
     true = float(np.var(errors))
     assert float(np.mean(sandwich)) < 0.75 * true < 0.9 * true < float(np.mean(stated)) < 2.5 * true
+
+
+def test_cross_validation_is_that_of_refits() -> None:
+    """Of a linear model, at its optimum, each block is predicted as by a fit to the other folds."""
+    random, recording = np.random.default_rng(2), rows_in_blocks()
+    X, prior = random.normal(size=(BLOCKS * ROWS, 3)), np.full(3, 0.5)
+    y = X @ [1.0, -2.0, 0.5] + random.normal(size=len(X))
+    best = np.linalg.solve(X.T @ X, X.T @ y)
+    found = cross_loss(recording, X, y - X @ best, prior)  # type: ignore[arg-type]
+    for fold in range(FOLDS):
+        left = np.repeat(recording.fold != fold, ROWS)
+        # The prior is about the fit of all rows.
+        H = X[left].T @ X[left] + np.diag(prior)
+        without = np.linalg.solve(H, X[left].T @ y[left] + prior * best)
+        expected = recording.sum_blocks((y - X @ without) ** 2)[recording.fold == fold]
+        np.testing.assert_allclose(found[recording.fold == fold], expected, rtol=1e-9)
+
+
+def test_a_fold_that_alone_tells_of_a_number_condemns_no_fit() -> None:
+    """A fit that stopped short of its optimum there is as much worse again, and not 1e12 times."""
+    random, recording = np.random.default_rng(3), rows_in_blocks()
+    X = np.zeros((BLOCKS * ROWS, 2))
+    X[:, 0] = 1.0
+    X[:ROWS:2, 1] = 10.0
+    residual = 0.1 * random.normal(size=len(X)) + 0.05 * X[:, 1]
+    left = cross_loss(recording, X, residual, np.full(2, 1e-3))  # type: ignore[arg-type]
+    assert left.sum() < 4.0 * float(residual @ residual)
 
 
 def test_a_number_of_one_block_alone_has_a_finite_interval() -> None:

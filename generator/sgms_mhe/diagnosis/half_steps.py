@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.compiling import without_bounds
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.identification.path import displacements
 from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.recording import Recording, reduced
 from sgms_mhe.signals.chain import Signals
 
@@ -20,6 +23,10 @@ Array = NDArray[np.float64]
 CUTOFF: Final = 0.4  # of the rate: a low-pass that a machine file may have at it; the signals passed theirs already
 FASTEST: Final = 1e6  # Hz, as often as a machine file may ask for updates; what such a step does shows nowhere
 SLOWEST: Final = 1e-3  # the same for the lowest
+AT_A_TIME: Final = 1_000_000  # samples of a long record; bounds memory
+LEADS: Final = 10  # of a part: it begins as much of it earlier
+SEAM: Final = 1.5
+"""Steps between two samples from which on they are of different pieces of a record."""
 
 
 def of_the_step(whole: Subject, fit: Fit) -> Array:
@@ -29,14 +36,45 @@ def of_the_step(whole: Subject, fit: Fit) -> Array:
     old. A force is sampled in a point, so viscous friction shows an acceleration h / 2 more of it, which looks like a
     mass of sigma_v h / 2; and an element that sticks while the axis brakes keeps the level of half a sample ago until
     it slides again. Both are proportional to the step, as is what else a model that is held over it gets wrong: twice
-    what half the step changes (Richardson's extrapolation).
+    what half the step changes (Richardson's extrapolation). What rings is left out: about as fast as a sample, it is
+    no series in the step.
     """
     rate = 2.0 * whole.machine.sampling.rate
+    m, factor = len(whole.recording.time), whole.recording.factor
+    change, still = np.zeros(m), _without_ringing(fit)
     if rate > FASTEST:
-        return np.zeros(len(whole.recording.time))
-    machine = at_rate(whole.machine, rate)
-    fine = Subject.of(machine, with_half_steps(whole.recording, machine)).friction(fit)[1::2]
-    return 2.0 * (whole.recording.reduce(fine) - whole.friction(fit))
+        return change
+    machine, rows = at_rate(whole.machine, rate), max(1, AT_A_TIME // factor)
+    for first in range(0, m, rows):
+        # What came before is in both runs, and so hardly in their difference.
+        lead = min(first, rows // LEADS)
+        part = whole if m <= rows else _part(whole, slice(first - lead, min(m, first + rows)))
+        fine = Subject.of(machine, with_half_steps(part.recording, machine)).friction(still)[1::2]
+        change[first : first + rows] = 2.0 * (part.recording.reduce(fine) - part.friction(still))[lead:]
+    return change
+
+
+def _part(whole: Subject, rows: slice) -> Subject:
+    """Some rows of a record, none of which counts."""
+    recording = whole.recording
+    samples = slice(rows.start * recording.factor, rows.stop * recording.factor)
+    signals, clock = recording.signals.part(samples), recording.clock[samples]
+    unused = np.full(rows.stop - rows.start, -1, dtype=np.int64)
+    none, nowhere = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
+    part = reduced(recording.machine, signals, clock, recording.factor, unused, none, nowhere, ())
+    return Subject.of(whole.machine, part)
+
+
+def _without_ringing(fit: Fit) -> Fit:
+    """The same numbers, the sizes of effects that ring set to none."""
+    theta = fit.theta.copy()
+    for i, column in enumerate(fit.model.columns):
+        if column.group.kind != "base":
+            definition = effect_definition(column.group.cause)
+            rings = definition.full_rate and not definition.timed
+            if rings and definition.parameter(column.name).is_size:
+                theta[i] = column.theta(column.none)
+    return replace(fit, theta=theta)
 
 
 def with_half_steps(recording: Recording, machine: Machine) -> Recording:
@@ -65,7 +103,8 @@ def with_half_steps(recording: Recording, machine: Machine) -> Recording:
     )
     clock = np.column_stack((recording.clock - 0.5 * h, recording.clock)).ravel()
     unused = np.full(len(halved), -1, dtype=np.int64)
-    return reduced(machine, halved, clock, 1, unused, recording.fold, recording.held_out, ())
+    none, nowhere = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
+    return reduced(machine, halved, clock, 1, unused, none, nowhere, ())
 
 
 def is_mean_velocity(recording: Recording) -> bool:
@@ -74,13 +113,14 @@ def is_mean_velocity(recording: Recording) -> bool:
     A log may bring its own, which may as well be a reading: what was travelled says.
     """
     signals, h = recording.signals, recording.machine.sampling.step
-    joined = np.diff(recording.clock) < 1.5 * h
-    travelled, before, now = np.diff(signals.position), signals.velocity[:-1], signals.velocity[1:]
+    joined = np.diff(recording.clock) < SEAM * h
+    travelled, now = np.diff(signals.position), signals.velocity[1:]
+    between = 0.5 * (signals.velocity[:-1] + now)
 
     def off(velocity: Array) -> float:
         return float(np.sum((velocity * h - travelled)[joined] ** 2))
 
-    return off(now) <= off(0.5 * (before + now))
+    return off(now) <= off(between)
 
 
 def at_rate(machine: Machine, rate: float) -> Machine:
@@ -99,6 +139,9 @@ def at_rate(machine: Machine, rate: float) -> Machine:
 
 
 def _with_middles(series: Array) -> Array:
-    """Samples (2 n): the mean of each and the one before it, and the sample."""
-    before = np.concatenate((series[:1], series[:-1]))
-    return np.column_stack((0.5 * (before + series), series)).ravel()
+    """Samples (2 n): the middle before each, of a cubic spline through all, and the sample.
+
+    Lines would change a force by its second derivative, which delays and lags show as much of.
+    """
+    places = np.arange(len(series))
+    return np.column_stack((CubicSpline(places, series)(places - 0.5), series)).ravel()

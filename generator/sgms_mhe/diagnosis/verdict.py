@@ -137,7 +137,8 @@ def _judge(settled: Settled) -> _Judged:
     before, after = settled.excess(plain), min(settled.excess(found.selection.fit), settled.excess(free))
     verdict: Verdict
     if not found.selection.causes:
-        verdict = "adequate" if after < _allowed(settled.record.machine, settled.floor) else "unexplained"
+        # As it is, and not with other numbers: what these explain and no cause does is not adequate.
+        verdict = "adequate" if before < _allowed(settled.record.machine, settled.floor) else "unexplained"
     elif after < _allowed(settled.record.machine, settled.floor, found.selection.causes, before):
         verdict = "ambiguous" if found.selection.rivals else "explained"
         if settled.foreign:

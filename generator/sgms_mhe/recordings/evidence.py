@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 TINY: Final = 1e-300  # keeps quotients of nothing finite
 UNSEEN: Final = 1e-9  # of the longest column: a shorter one is not excited
 RANK: Final = 1e-10  # of the largest eigenvalue of the scaled Gram matrix
+SOLVABLE: Final = 1e-12  # of the largest eigenvalue of an information matrix
 SINGULAR: Final = 1e14  # condition of the scores' covariance that no test rests on
 PIECES: Final = 4  # that a noise floor needs
 AT_REST: Final = 1e-3  # RMS speed of a piece over that of all
@@ -108,18 +109,21 @@ def noise_floor(recording: Recording, residual: Array) -> float:
 def cross_loss(recording: Recording, X: Array, residual: Array, prior: Array) -> Array:
     """Sum of squares per block as predicted by a fit without the block's fold.
 
-    That fit is one Gauss-Newton step from the whole one, which counts as the optimum of all rows, where it stopped
-    short of it too: a step that was promised and not found is no merit. X (m, p): derivatives of the model; `prior`
-    (p): information that is always there.
+    That fit is as far from the whole one as the optimum without the fold is from that of all rows, both to first order.
+    Where the whole one stopped short of its optimum, that is left: a step that was promised and not found is no merit.
+    X (m, p): derivatives of the model; `prior` (p): information that is always there.
     """
     if X.shape[1] == 0:
         return recording.sum_blocks(residual**2)
     H, g, s = block_moments(recording, X, residual)
     result = np.empty(recording.blocks)
     total_H = H.sum(axis=0) + np.diag(prior)
+    # Without it a fold that alone tells of a number would send it as far as a fit is short of its optimum there.
+    promised = np.linalg.lstsq(total_H, g.sum(axis=0), rcond=SOLVABLE)[0]
     for fold in np.unique(recording.fold):
         inside = recording.fold == fold
-        step = np.linalg.lstsq(total_H - H[inside].sum(axis=0), -g[inside].sum(axis=0), rcond=1e-12)[0]
+        own_H, own_g = H[inside].sum(axis=0), g[inside].sum(axis=0)
+        step = np.linalg.lstsq(total_H - own_H, own_H @ promised - own_g, rcond=SOLVABLE)[0]
         result[inside] = s[inside] - 2.0 * g[inside] @ step + np.einsum("bij,i,j->b", H[inside], step, step)
     return result
 
