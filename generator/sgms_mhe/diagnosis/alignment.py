@@ -64,23 +64,28 @@ def _samples_per_step(recording: Recording) -> int:
     return max(k for k in range(1, factor + 1) if k == 1 or (factor % k == 0 and rate / k >= least))
 
 
-def aligned(subject: Subject, fit: Fit) -> Subject:
+def aligned(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
     """The subject with measured friction in line with the model at a fit.
 
     Three things are taken out of it: what the length of the model's steps does (`of_the_step`). What is of the sampling
     (`_sampling`), unless a delay or lag is under test. And of a thinned one the difference of its model's friction to
     that at the full rate: residuals are then those of the full rate, but for the change of that difference away from
-    the fit.
+    the fit. `anew`: with the steps of this very fit, for numbers that are reported.
     """
     whole = subject.whole
-    tasks = [partial(whole.friction, fit), partial(of_the_step, whole, fit)]
+    tasks = [partial(whole.friction, fit)]
     if subject.fine is not None:
         tasks.append(partial(subject.friction, fit))
-    exact, later, *own = in_parallel(tasks)
+    exact, *own = in_parallel(tasks)
     used = subject.recording.used
     if not np.all(np.isfinite(exact)):
         return subject
-    measured = whole.alignment.measured - later
+    later = None if anew else whole.alignment.later_at(exact)
+    steps = whole.alignment
+    if later is None:
+        later = of_the_step(whole, fit)
+        steps = replace(steps, later=later, at=exact)
+    measured = steps.measured - later
     names = [extra.name for extra in fit.extras] + [effect.name for effect in subject.machine.effects]
     timed = any(effect_definition(name).timed for name in names)
     sampled = _sampling(whole, fit, measured - exact, timed=timed)
@@ -88,7 +93,7 @@ def aligned(subject: Subject, fit: Fit) -> Subject:
     whole = replace(
         whole,
         recording=replace(whole.recording, friction=measured),
-        alignment=replace(whole.alignment, sampled=sampled),
+        alignment=replace(steps, sampled=sampled),
         known={},
     )
     if subject.fine is None:

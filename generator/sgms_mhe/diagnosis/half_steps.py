@@ -7,12 +7,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.compiling import without_bounds
 from sgms_mhe.diagnosis.subject import Fit, Subject
-from sgms_mhe.identification.path import displacements
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.recording import Recording, reduced
@@ -25,6 +23,8 @@ FASTEST: Final = 1e6  # Hz, as often as a machine file may ask for updates; what
 SLOWEST: Final = 1e-3  # the same for the lowest
 AT_A_TIME: Final = 1_000_000  # samples of a long record; bounds memory
 LEADS: Final = 10  # of a part: it begins as much of it earlier
+MIDDLE: Final = np.array([3.0, -25.0, 150.0, 150.0, -25.0, 3.0]) / 256.0
+"""Weights of the six samples about a middle (Lagrange)."""
 SEAM: Final = 1.5
 """Steps between two samples from which on they are of different pieces of a record."""
 
@@ -83,12 +83,11 @@ def with_half_steps(recording: Recording, machine: Machine) -> Recording:
     (2 n) rows, each second one the sample itself. None counts: what a model makes of them is compared with nothing.
     """
     signals, h = recording.signals, recording.machine.sampling.step
+    velocity = _with_middles(signals.velocity)
     if is_mean_velocity(recording):
         # Along what was travelled: pieces of a record need not meet.
         way = np.concatenate((np.zeros(1), np.cumsum(signals.velocity) * h))
-        velocity = displacements(way, 2)[2:] * (2.0 / h)
-    else:
-        velocity = _with_middles(signals.velocity)
+        velocity = np.diff(_with_middles(way)[1:]) * (2.0 / h)
     middle = signals.position - 0.5 * h * velocity[1::2]
     halved = Signals(
         time=np.column_stack((signals.time - 0.5 * h, signals.time)).ravel(),
@@ -139,9 +138,10 @@ def at_rate(machine: Machine, rate: float) -> Machine:
 
 
 def _with_middles(series: Array) -> Array:
-    """Samples (2 n): the middle before each, of a cubic spline through all, and the sample.
+    """Samples (2 n): the middle before each, of a polynomial through the six about it, and the sample.
 
     Lines would change a force by its second derivative, which delays and lags show as much of.
     """
-    places = np.arange(len(series))
-    return np.column_stack((CubicSpline(places, series)(places - 0.5), series)).ravel()
+    reach = len(MIDDLE) // 2
+    padded = np.pad(series, (reach, reach - 1), mode="reflect", reflect_type="odd")
+    return np.column_stack((np.convolve(padded, MIDDLE, mode="valid"), series)).ravel()

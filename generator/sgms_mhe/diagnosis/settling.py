@@ -155,7 +155,7 @@ def settle(record: Recording, nominal: Fit, laws: Laws, selection: Selection) ->
     along = Subject.of(subject.whole.machine, record) if in_pieces else None
     fit = selection.fit
     for _ in range(subject.thresholds.alignments):
-        subject = aligned(subject, fit)
+        subject = aligned(subject, fit, anew=True)
         extras = tuple(_timed(subject, along or subject.whole, fit, extra) for extra in fit.extras)
         fit = fit_model(subject, extras, refitted=selection.refitted, warm=fit)
     floor = noise_floor(subject.recording, fit.residual)

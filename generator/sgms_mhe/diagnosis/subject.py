@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from sgms_mhe.recordings.recording import Recording
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 FitKey = tuple[object, ...]
+
+ALIKE: Final = 0.1
+"""Standard deviation of a change of friction, over its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +81,23 @@ class Alignment:
     Attributes:
         measured: friction before any of it was (m) [N].
         sampled: coefficients (2) of jerk and snap that the sampling accounts for.
+        later: what the length of the model's steps takes from its friction (m) [N]; None: nobody has asked.
+        at: that friction (m) [N].
     """
 
     measured: Array
     sampled: Array
+    later: Array | None = None
+    at: Array | None = None
+
+    def later_at(self, friction: Array) -> Array | None:
+        """What the length of the steps takes from a friction (m) [N]; None where it has to be asked for.
+
+        It is a part in a thousand of it, and of one that differs by little the same.
+        """
+        if self.later is None or self.at is None:
+            return None
+        return self.later if float(np.std(friction - self.at)) < ALIKE * float(np.std(friction)) else None
 
 
 @dataclass(frozen=True, eq=False)
