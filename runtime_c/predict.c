@@ -39,20 +39,6 @@ static void put_force(
     }
 }
 
-void sgms_predict_forces(long samples, const double *signals, const double *theta, const double *x, double *force)
-{
-    sgms_real node[STATES], scaled[PARAMETERS];
-    for (int p = 0; p < PARAMETERS; p++) {
-        scaled[p] = (sgms_real)theta[p];
-    }
-    for (long k = 0; k < samples; k++) {
-        for (int i = 0; i < STATES; i++) {
-            node[i] = (sgms_real)x[k * STATES + i];
-        }
-        put_force(node, 0, signals + SIGNALS * k, scaled, force + k, 0);
-    }
-}
-
 /* Terms of the step that ends at `last`, of signals that are constant through it or lines; samples lie one behind the
  * other. */
 static void put_terms(const double *last, sgms_real *term)

@@ -19,9 +19,6 @@ int sgms_predict(
     double *force,
     double *d_force);
 
-/* Friction force [N] at node states that are given, x (samples x states), one for each row of signals. */
-void sgms_predict_forces(long samples, const double *signals, const double *theta, const double *x, double *force);
-
 int sgms_predict_states(void);
 int sgms_predict_parameters(void);
 

@@ -209,19 +209,6 @@ def test_wide_registers_change_no_bit(machine: Machine, monkeypatch: pytest.Monk
         np.testing.assert_array_equal(one, other)
 
 
-def test_forces_at_given_nodes_are_those_along_a_run(machine: Machine) -> None:
-    code = CompiledModel(machine)
-    n_x, n_p = code.model.n_x, code.model.n_p
-    w = np.zeros((1, 5))
-    w[0, 1] = 0.01
-    force = np.empty(1)
-    x, theta = np.linspace(0.1, 0.4, n_x), np.linspace(0.9, 1.1, n_p)
-    code.advance(w, theta, x.copy(), np.zeros((n_x, n_p)), force, None)
-    np.testing.assert_array_equal(code.forces(w, theta, x[None]), force)
-    expected = np.array(code.model.function("output")(code.model.function("from_node")(x, theta), w.T, theta))
-    assert force[0] == pytest.approx(float(expected.squeeze()), rel=1e-12)
-
-
 # --- a whole diagnosis ------------------------------------------------------------------------------------------
 
 

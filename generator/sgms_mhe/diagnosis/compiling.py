@@ -62,11 +62,6 @@ class CompiledFit:
         groups |= {g: replace(g, index=places[g.index]) for g in groups if g.is_extra}
         return replace(self, columns=tuple(replace(c, group=groups[c.group]) for c in self.columns))
 
-    def nodes(self, chi: Array, theta: Array) -> Array:
-        """Node states (k, n_x) of states chi (n_x, k)."""
-        with SYMBOLIC:
-            return np.array(self.model.function("to_node")(chi, np.tile(theta[:, None], chi.shape[1]))).T
-
     def run(self, recording: Recording, theta: Array, *, derivatives: bool = True) -> tuple[Array, Array | None]:
         """Friction (m) [N] and its derivatives in theta (m, n_p), not to be written to: it may be asked for again."""
         asked, run = theta, self._run

@@ -1,4 +1,4 @@
-"""What the length of a model's steps does to its friction, and the same without."""
+"""What the length of a model's steps does to its friction."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from sgms_mhe.signals.chain import Signals
 Array = NDArray[np.float64]
 
 CUTOFF: Final = 0.4  # of the rate: a low-pass that a machine file may have at it; the signals passed theirs already
+LOWEST: Final = 1e-3  # of the rate: the same for the lowest one
 FASTEST: Final = 1e6  # Hz, as often as a machine file may ask for updates; what such a step does shows nowhere
-SLOWEST: Final = 1e-3  # the same for the lowest
 AT_A_TIME: Final = 1_000_000  # samples of a long record; bounds memory
 LEADS: Final = 10  # of a part: it begins as much of it earlier
 MIDDLE: Final = np.array([3.0, -25.0, 150.0, 150.0, -25.0, 3.0]) / 256.0
@@ -51,7 +51,8 @@ def of_the_step(whole: Subject, fit: Fit) -> Array:
         part = whole if m <= rows else _part(whole, slice(first - lead, min(m, first + rows)))
         fine = Subject.of(machine, with_half_steps(part.recording, machine)).friction(still)[1::2]
         change[first : first + rows] = 2.0 * (part.recording.reduce(fine) - part.friction(still))[lead:]
-    return change
+    # A model that is not finite at one of the rates says nothing about the other.
+    return change if np.all(np.isfinite(change)) else np.zeros(m)
 
 
 def _part(whole: Subject, rows: slice) -> Subject:
@@ -124,7 +125,7 @@ def is_mean_velocity(recording: Recording) -> bool:
 
 def at_rate(machine: Machine, rate: float) -> Machine:
     """The machine with signals at another rate [Hz], one update and one step of the integrator a sample."""
-    cutoff = float(np.clip(machine.sampling.velocity_cutoff, SLOWEST * rate, CUTOFF * rate))
+    cutoff = float(np.clip(machine.sampling.velocity_cutoff, LOWEST * rate, CUTOFF * rate))
     changes = {
         "sampling": {
             "rate": rate,

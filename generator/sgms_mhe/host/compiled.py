@@ -133,15 +133,6 @@ class CompiledModel:
         """
         return self._run(signals, theta, x, d_x, first, None, None)
 
-    def forces(self, w: Array, theta: Array, x: Array) -> Array:
-        """Friction (n) [N] at signals w (n, 5), scaled parameters theta (n_p) and node states x (n, n_x)."""
-        w, theta, x = (np.ascontiguousarray(a, dtype=np.float64) for a in (w, theta, x))
-        force = np.empty(len(w))
-        self._library.sgms_predict_forces(
-            ctypes.c_long(len(w)), *(ctypes.c_void_p(a.ctypes.data) for a in (w, theta, x, force))
-        )
-        return force
-
     def _run(
         self,
         signals: Signals,
