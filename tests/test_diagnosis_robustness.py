@@ -8,6 +8,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,11 @@ from cli_cases import done, refused
 from sgms_mhe.configuration import load_machine, override_machine, under_other_law
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.compiling import CompiledFit
+from sgms_mhe.diagnosis.confirmation import _imitates
 from sgms_mhe.diagnosis.covariance import covariance
 from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.plan import make_plan
 from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.machine import Machine
@@ -392,3 +395,23 @@ def test_work_on_a_long_record_is_bounded(slow: Machine, long: Log) -> None:
     assert found["force_ripple"]["pitch_m"] == pytest.approx(RIPPLE["pitch_m"], rel=2e-3)
     assert found["step_disturbance"]["force_N"] == pytest.approx(STEP_N, rel=0.05)
     assert found["step_disturbance"]["time_s"] == pytest.approx(LONG_S / 3.0, abs=0.05)
+
+
+def test_stand_ins_for_elements_that_switch_are_no_stribeck_effect(quick: Machine) -> None:
+    """A gap is fitted with elements that do not switch. What they leave of an axis that does is no wrong number."""
+    floor, stribeck = 0.05, Group.base("stribeck")
+    gap = SimpleNamespace(extras=(Extra("backlash", {"gap_m": 1e-4}),))
+    ripple = SimpleNamespace(extras=(Extra("force_ripple", {"amplitude_N": 1.0}),))
+
+    def imitates(fit: object, gain: float, *, may_switch: bool = True, group: Group = stribeck) -> bool:
+        other = SimpleNamespace(machine=under_other_law(quick)) if may_switch else None
+        subject = SimpleNamespace(machine=quick)
+        settled = SimpleNamespace(subject=subject, other=other, floor=floor, thresholds=quick.diagnosis)
+        return _imitates(settled, fit, group, SimpleNamespace(gain_N=gain * floor))  # type: ignore[arg-type]
+
+    assert not quick.friction.switches
+    assert imitates(gap, 2.7)
+    assert not imitates(gap, 3.1)
+    assert not imitates(gap, 2.7, may_switch=False)
+    assert not imitates(ripple, 2.7)
+    assert not imitates(gap, 2.7, group=Group.extra("backlash", 0))

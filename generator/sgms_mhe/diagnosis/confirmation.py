@@ -63,8 +63,12 @@ def confirmed(settled: Settled, selection: Selection, *, constant: bool = False)
 
 
 def _imitates(settled: Settled, fit: Fit, group: Group, cause: Cause) -> bool:
-    """Whether a wrong number may be no more than what elements get wrong that stand in for ones that switch."""
-    if group.is_extra or bearing(settled.subject.machine, fit.extras) is settled.subject.machine:
+    """Whether a wrong number may be no more than what elements get wrong that stand in for ones that switch.
+
+    Beside an effect that stands with no such elements no record says that an axis does not switch.
+    """
+    laws = [settled.subject, *([] if settled.other is None else [settled.other])]
+    if group.is_extra or all(bearing(law.machine, fit.extras) is law.machine for law in laws):
         return False
     return cause.gain_N < settled.thresholds.stood_in * settled.floor
 

@@ -268,10 +268,10 @@ class Thresholds(FitThresholds):
         le=1000,
     )
     stood_in: float = threshold(
-        2.0,
+        3.0,
         "noise floors",
         "gain of a wrong number, where elements that switch are stood in for by ones that slip almost at once",
-        "that leaves 1.5 noise floors, which a Stribeck effect imitates",
+        "that leaves up to 2.7 noise floors, which a Stribeck effect imitates",
         gt=0,
         le=100,
     )
@@ -326,7 +326,7 @@ class Thresholds(FitThresholds):
     explained_most: float = threshold(
         1.25,
         "noise floor",
-        "RMS beyond noise that named causes may leave, whatever the three before it say",
+        "RMS beyond noise that named causes may leave, whatever the three of `unexplained` say",
         "what leaves more has not explained the record, however much it gained",
         gt=0,
         le=100,
