@@ -148,6 +148,6 @@ def test_a_step_goes_to_where_the_record_has_it(slow: Machine) -> None:
     log = simulated(slow, hidden_effects=hidden).log
     subject = Subject.of(slow, prepare(slow, log))
     fit = fit_model(subject, (Extra("step_disturbance", {"force_N": size, "time_s": 4.3}),), refitted=())
-    found = _timed(subject, subject.whole, fit, fit.extras[0])
+    found = _timed(subject, None, fit, fit.extras[0])
     assert found.parameters["time_s"] == pytest.approx(at, abs=0.02)
     assert found.parameters["force_N"] == fit.extras[0].parameters["force_N"]

@@ -67,7 +67,7 @@ def _imitates(settled: Settled, fit: Fit, group: Group, cause: Cause) -> bool:
 
     Beside an effect that stands with no such elements no record says that an axis does not switch.
     """
-    laws = [settled.subject, *([] if settled.other is None else [settled.other])]
+    laws = (settled.subject, settled.other or settled.subject)
     if group.is_extra or all(bearing(law.machine, fit.extras) is law.machine for law in laws):
         return False
     return cause.gain_N < settled.thresholds.stood_in * settled.floor

@@ -60,10 +60,14 @@ def _part(whole: Subject, rows: slice) -> Subject:
     recording = whole.recording
     samples = slice(rows.start * recording.factor, rows.stop * recording.factor)
     signals, clock = recording.signals.part(samples), recording.clock[samples]
-    unused = np.full(rows.stop - rows.start, -1, dtype=np.int64)
+    return Subject.of(whole.machine, _uncounted(recording.machine, signals, clock, recording.factor))
+
+
+def _uncounted(machine: Machine, signals: Signals, clock: Array, factor: int) -> Recording:
+    """A record none of whose rows counts: what a model makes of them is compared with nothing."""
+    unused = np.full(len(signals) // factor, -1, dtype=np.int64)
     none, nowhere = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
-    part = reduced(recording.machine, signals, clock, recording.factor, unused, none, nowhere, ())
-    return Subject.of(whole.machine, part)
+    return reduced(machine, signals, clock, factor, unused, none, nowhere, ())
 
 
 def _without_ringing(fit: Fit) -> Fit:
@@ -81,18 +85,19 @@ def _without_ringing(fit: Fit) -> Fit:
 def with_half_steps(recording: Recording, machine: Machine) -> Recording:
     """The record with a sample in the middle of each step, for a machine at twice its rate.
 
-    (2 n) rows, each second one the sample itself. None counts: what a model makes of them is compared with nothing.
+    (2 n) rows, each second one the sample itself; none counts.
     """
     signals, h = recording.signals, recording.machine.sampling.step
-    velocity = _with_middles(signals.velocity)
     if is_mean_velocity(recording):
         # Along what was travelled: pieces of a record need not meet.
         way = np.concatenate((np.zeros(1), np.cumsum(signals.velocity) * h))
         velocity = np.diff(_with_middles(way)[1:]) * (2.0 / h)
+    else:
+        velocity = _with_middles(signals.velocity)
     middle = signals.position - 0.5 * h * velocity[1::2]
     halved = Signals(
-        time=np.column_stack((signals.time - 0.5 * h, signals.time)).ravel(),
-        position=np.column_stack((middle, signals.position)).ravel(),
+        time=_in_turn(signals.time - 0.5 * h, signals.time),
+        position=_in_turn(middle, signals.position),
         velocity=velocity,
         acceleration=_with_middles(signals.acceleration),
         force=_with_middles(signals.force),
@@ -101,10 +106,7 @@ def with_half_steps(recording: Recording, machine: Machine) -> Recording:
         missing=np.repeat(signals.missing, 2),
         delay=signals.delay,
     )
-    clock = np.column_stack((recording.clock - 0.5 * h, recording.clock)).ravel()
-    unused = np.full(len(halved), -1, dtype=np.int64)
-    none, nowhere = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
-    return reduced(machine, halved, clock, 1, unused, none, nowhere, ())
+    return _uncounted(machine, halved, _in_turn(recording.clock - 0.5 * h, recording.clock), 1)
 
 
 def is_mean_velocity(recording: Recording) -> bool:
@@ -145,4 +147,9 @@ def _with_middles(series: Array) -> Array:
     """
     reach = len(MIDDLE) // 2
     padded = np.pad(series, (reach, reach - 1), mode="reflect", reflect_type="odd")
-    return np.column_stack((np.convolve(padded, MIDDLE, mode="valid"), series)).ravel()
+    return _in_turn(np.convolve(padded, MIDDLE, mode="valid"), series)
+
+
+def _in_turn(middles: Array, series: Array) -> Array:
+    """A middle and its sample, and the next ones (2 n)."""
+    return np.column_stack((middles, series)).ravel()

@@ -156,7 +156,7 @@ def settle(record: Recording, nominal: Fit, laws: Laws, selection: Selection) ->
     fit = selection.fit
     for _ in range(subject.thresholds.alignments):
         subject = aligned(subject, fit, anew=True)
-        extras = tuple(_timed(subject, along or subject.whole, fit, extra) for extra in fit.extras)
+        extras = tuple(_timed(subject, along, fit, extra) for extra in fit.extras)
         fit = fit_model(subject, extras, refitted=selection.refitted, warm=fit)
     floor = noise_floor(subject.recording, fit.residual)
     subject = replace(subject, noise=floor)
@@ -177,18 +177,22 @@ def settle(record: Recording, nominal: Fit, laws: Laws, selection: Selection) ->
     )
 
 
-def _timed(subject: Subject, record: Subject, fit: Fit, extra: Extra) -> Extra:
-    """A step at the instant that the whole record says, its size given.
+def _timed(subject: Subject, along: Subject | None, fit: Fit, extra: Extra) -> Extra:
+    """A step at the instant that the whole record says, its size given; `along`: that record, where pieces are fitted.
 
     Pieces only know what two of them it is between; and a search may have put it where something was not known yet.
     """
     kind = effect_definition(extra.name).search
     if not isinstance(kind, Step):
         return extra
-    recording, size, instant = record.recording, extra.parameters[kind.size], extra.parameters[kind.time]
-    shifts = np.where(recording.time > instant, size, 0.0)
-    without = residual_along(record, fit, subject.alignment.sampled) + shifts
-    inside = _possible_instants(recording, subject.whole.recording, instant)
+    size, instant, whole = extra.parameters[kind.size], extra.parameters[kind.time], subject.whole
+    if along is None:
+        recording, left = whole.recording, whole.recording.friction - whole.friction(fit)
+        inside = _away_from_edges(recording)
+    else:
+        recording, left = along.recording, residual_along(along, fit, subject.alignment.sampled)
+        inside = _between_fitted(recording, whole.recording, instant)
+    without = left + np.where(recording.time > instant, size, 0.0)
     if inside.sum() < 2:
         return extra
     rest, time = without[inside], recording.time[inside]
@@ -197,14 +201,18 @@ def _timed(subject: Subject, record: Subject, fit: Fit, extra: Extra) -> Extra:
     return replace(extra, parameters={**extra.parameters, kind.time: at - 0.5 / recording.rate})
 
 
-def _possible_instants(whole: Recording, fitted: Recording, instant: float) -> Mask:
-    """Rows of a whole record (m) that a step may be at: between the two fitted ones that it was found between."""
+def _away_from_edges(recording: Recording) -> Mask:
+    """Used rows (m) that a step may be at."""
+    inside = recording.used.copy()
+    rows = np.flatnonzero(inside)
+    edge = edge_rows(len(rows), recording.thresholds)
+    inside[rows[:edge]] = inside[rows[len(rows) - edge :]] = False
+    return inside
+
+
+def _between_fitted(whole: Recording, fitted: Recording, instant: float) -> Mask:
+    """Used rows of a whole record (m) between the two fitted ones that an instant is between."""
     inside = whole.used.copy()
-    if len(fitted.signals) == len(whole.signals):  # all of it was fitted: anywhere
-        edge = edge_rows(int(inside.sum()), whole.thresholds)
-        rows = np.flatnonzero(inside)
-        inside[rows[:edge]] = inside[rows[len(rows) - edge :]] = False
-        return inside
     time = fitted.time[fitted.used]
     seen = np.searchsorted(time, instant)
     if seen > 0:
