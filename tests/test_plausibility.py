@@ -16,6 +16,7 @@ from markupsafe import escape
 
 from cli_cases import SMALL, files, refused, run
 from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.logfiles import plausibility
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
@@ -195,6 +196,33 @@ def test_no_effect_passes_for_a_wrong_sign_or_unit(
     log = simulate_axis(machine, reference.repeated(min(reference.duration_s, 8.0)), config, hidden_effects=hidden).log
     for judge in (machine, None, override_machine(machine, {"plant": {"mass": 60.0}, "friction": {"coulomb": 1.0}})):
         check_plausible(log, judge)
+
+
+@pytest.mark.parametrize("amplitude", [0.7, 1.9, 8.0])
+def test_a_controllers_answer_to_a_disturbance_on_a_crawl_is_no_mass(
+    amplitude: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine = load_machine("etel_xy")
+    time = np.arange(16000) / machine.sampling.rate
+    # A stroke of 40 mm in 5 s, and what a stiffness of 1.6 MN/m leaves of the disturbance.
+    answer = amplitude * np.sin(2.0 * math.pi * 4.05 * time)
+    position = 0.25 - 0.02 * np.cos(2.0 * math.pi * time / 10.0) - answer / 1.6e6
+    friction = machine.friction.coulomb * np.tanh(np.sin(2.0 * math.pi * time / 10.0) / 0.1)
+    force = friction + answer + np.random.default_rng(1).normal(0.0, 0.05, len(time))
+    log = Log(rate=machine.sampling.rate, time_s=time, position_m=position, force_N=force)
+    check_plausible(log, machine)
+    with pytest.raises(InputError, match=r"N per m/s\^2"):
+        check_plausible(replace(log, force_N=1e3 * log.force_N), machine)
+    monkeypatch.setattr(plausibility, "WITHIN_FRICTION", 0.0)
+    with pytest.raises(InputError, match=r"N per m/s\^2"):  # as which it would be taken
+        check_plausible(log, machine)
+
+
+def test_positions_in_too_large_a_unit_are_refused() -> None:
+    machine = load_machine("etel_xy")
+    log = simulated(machine, "mixed")
+    with pytest.raises(InputError, match=r"N per m/s\^2"):
+        check_plausible(replace(log, position_m=1e-2 * log.position_m), machine)
 
 
 def test_recorded_columns_in_their_units_are_taken(machine: Machine, log: Log) -> None:
