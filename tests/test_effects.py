@@ -495,6 +495,19 @@ def test_state_of_the_level_stands_in_every_element_and_leaves_it_its_flow(name:
     assert all(block.saturates for block in integrator_of(name).blocks)
 
 
+@pytest.mark.parametrize("extents", [Extents(0.2, 0.5, 10.0, 12.0, RATE), Extents(0.01, 0.02, 60.0, 60.0, RATE)])
+@pytest.mark.parametrize("name", LEVEL_STATES)
+def test_no_value_that_a_record_allows_renews_a_level_many_times_a_row(name: str, extents: Extents) -> None:
+    shortest = {
+        p.name: max(p.lower, p.least(extents) if p.least else 0.0)
+        for p in effect_definition(name).parameters
+        if p.name.endswith(("_m", "_s"))
+    }
+    structure = analyse(build_model(extended((name, CASES[name].parameters | shortest), free=())))
+    blocks = structure.groups[0].blocks
+    assert max(b.rate_per_metre * extents.speed + b.rate_per_second for b in blocks) <= 110.0 * RATE
+
+
 def test_backlash_couples_all_elements() -> None:
     assert group_shapes(build_model(machine_of("backlash"))) == [(1, 5)]
 
