@@ -49,10 +49,11 @@ def simulated(
     law: str = "sgms",
     seed: int = 1,
     scale: Mapping[str, float] | None = None,
+    noise_N: float = 0.1,
 ) -> Log:
     """A log of the plant in closed loop with encoder quantisation and force noise."""
     path = make_trajectory(trajectory, machine.sampling.rate)
-    config = AxisConfig(law=law, seed=seed, force_noise_N=0.1)  # type: ignore[arg-type]
+    config = AxisConfig(law=law, seed=seed, force_noise_N=noise_N)  # type: ignore[arg-type]
     return simulate_axis(machine, path, config, hidden_effects=hidden, scale=scale or {}, truth=False).log
 
 
@@ -165,6 +166,14 @@ def test_thinning_does_not_decide_the_law(machine: Machine) -> None:
     diagnosis = diagnose(machine, simulated(machine, hidden, law="maxwell_slip"))
     assert names(diagnosis) == ["micro_viscous"], diagnosis.summary
     assert diagnosis.law == "switching"
+
+
+@pytest.mark.parametrize("own", ["sgms", "switching"])
+@pytest.mark.parametrize(("law", "told"), [("sgms", "sgms"), ("maxwell_slip", "switching")])
+def test_noise_hides_no_law_behind_a_stribeck_effect(machine: Machine, own: str, law: str, told: str) -> None:
+    axis = override_machine(machine, {"friction": {"law": own}})
+    diagnosis = diagnose(axis, simulated(axis, [], law=law, seed=5, noise_N=0.9))
+    assert (diagnosis.law, diagnosis.verdict, names(diagnosis)) == (told, "adequate", [])
 
 
 @pytest.mark.parametrize("law", ["sgms", "maxwell_slip"])

@@ -20,7 +20,7 @@ from sgms_mhe.diagnosis.starting import convex_start
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
-from sgms_mhe.recordings.evidence import nuisance
+from sgms_mhe.recordings.evidence import difference_statistic, nuisance
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.parallel import beside, in_parallel
 
@@ -146,7 +146,8 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[La
     # Both have as many numbers: what they leave of the rows they saw is a fair comparison, and a sharper one than what
     # they predict of others, where elements that switch are rough.
     ratio = other.rms / fit.rms
-    taken = ratio < thresholds.sharper
+    surer = ratio < 1.0 and difference_statistic(other.loss, fit.loss) > thresholds.surer
+    taken = ratio < thresholds.sharper or surer
     better = other if taken else fit
     decided = (
         not thresholds.decided < ratio < 1.0 / thresholds.decided

@@ -311,6 +311,14 @@ class FitThresholds(Table):
         gt=0,
         le=1,
     )
+    surer: float = threshold(
+        3.0,
+        "1",
+        "t over blocks from which the law is taken that leaves less, though hardly",
+        "near the noise little is left to leave",
+        gt=0,
+        le=100,
+    )
     decided: float = threshold(
         0.8,
         "RMS left by the other",
