@@ -78,7 +78,7 @@ def _search_effect(definition: EffectDefinition, subject: Subject, fit: Fit, see
         case Columns():
             proposal = _search_columns(definition, kind, seen)
             if proposal is not None and kind.exact is not None:
-                proposal = _exact(definition, kind.exact, proposal, subject, fit, seen)
+                proposal = _exact(definition, kind, kind.exact, proposal, subject, fit, seen)
         case Step():
             proposal = _search_step(definition, kind, seen)
         case Derivative():
@@ -157,7 +157,13 @@ def _slope(
 
 
 def _exact(
-    definition: EffectDefinition, size: str, proposal: Proposal, subject: Subject, fit: Fit, seen: Residual
+    definition: EffectDefinition,
+    kind: Columns,
+    size: str,
+    proposal: Proposal,
+    subject: Subject,
+    fit: Fit,
+    seen: Residual,
 ) -> Proposal:
     """The proposal with its column from the compiled model's derivative where the effect is none."""
     trial = {**proposal.parameters, size: definition.parameter(size).none}
@@ -172,7 +178,7 @@ def _exact(
         here,
         here.columns(slope),
         proposal.tests,
-        lambda found: {**proposal.parameters, size: definition.parameter(size).none + float(found[0])},
+        lambda found: kind.parameters(proposal.parameters, found),
     )
 
 

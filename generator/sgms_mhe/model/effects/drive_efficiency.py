@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import casadi as ca
@@ -30,15 +31,14 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, floa
     axis.level_force = axis.level_force + 0.5 * lost
 
 
-def _efficiencies(_: MotionRecord) -> list[Values]:
-    return [{"efficiency_ratio": e} for e in (0.98, 0.95, 0.9, 0.85, 0.8, 0.7, 0.6)]
+def _lost(motion: MotionRecord, _: Values) -> Array:
+    """What a loss changes of the friction, per unit of efficiency where nothing is lost (m, 1) [N]."""
+    return np.asarray((-np.abs(transmitted(motion)) * direction(motion.velocity))[:, None])
 
 
-def _lost(motion: MotionRecord, given: Values) -> Array:
-    """Loss at an efficiency, over the efficiency (m, 1) [N]: the size of the right one comes out as itself."""
-    efficiency, torque, forth = given["efficiency_ratio"], transmitted(motion), direction(motion.velocity)
-    share = np.where(torque * forth > 0.0, 1.0 / efficiency - 1.0, 1.0 - efficiency)
-    return np.asarray((share * np.abs(torque) * forth / efficiency)[:, None])
+def _efficiency(_: Values, size: Array) -> Values:
+    """That of which the mean loss of both sides, (1 / eta - eta) / 2, is the one found."""
+    return {"efficiency_ratio": math.exp(math.asinh(float(size[0])))}
 
 
 DEFINITION = EffectDefinition(
@@ -68,7 +68,7 @@ DEFINITION = EffectDefinition(
     moves=("jerks", "speeds"),
     inertial=True,
     simpler=Simpler(("coulomb",)),
-    search=Columns(_lost, lambda given, _: given, _efficiencies, tests=3.0, own_size="efficiency_ratio"),
+    search=Columns(_lost, _efficiency, exact="efficiency_ratio"),
     stage="level",
     specimen=one_number("efficiency_ratio", lambda _: -0.1, none=1.0, signed=False),
 )
