@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.diagnosis import Diagnosis, diagnose
+from sgms_mhe.diagnosis import Diagnosis, diagnose, maps
 from sgms_mhe.diagnosis.alignment import thinned
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.course import Course
@@ -23,6 +23,7 @@ from sgms_mhe.diagnosis.criteria import criteria_of
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra
 from sgms_mhe.diagnosis.joining import in_lowest_terms, joined
+from sgms_mhe.diagnosis.proposals import Residual
 from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.diagnosis_benchmark.motions import draw_motion
 from sgms_mhe.emission.package import emit_package
@@ -33,7 +34,7 @@ from sgms_mhe.model.effects.periodic_table import POINTS, periodic_spline, splin
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.recordings.evidence import noise_floor, nuisance
+from sgms_mhe.recordings.evidence import Nuisance, noise_floor, nuisance
 from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.support.errors import InputError
@@ -195,6 +196,22 @@ def test_a_period_is_found_though_no_single_sine_tells_it(
     assert found.parameters["pitch_m"] == pytest.approx(pitch, rel=0.01)
     told = {round(value) for key, value in found.parameters.items() if key.startswith("order")}
     assert set(orders) <= told and len(told) <= len(orders) + 1
+
+
+def test_rows_near_each_other_stand_as_one_for_all_of_them() -> None:
+    random, period, orders = np.random.default_rng(3), 0.03, (1, 2, 5)
+    x = np.concatenate((random.uniform(0.0, 0.2, 4000), random.uniform(0.05, 0.06, 4000)))
+    basis = np.linalg.qr(np.column_stack((np.ones(8000), x, random.normal(size=8000))))[0]
+    force = np.sin(2.0 * math.pi * 5.0 * x / period) + random.normal(0.0, 0.3, 8000)
+    seen = Residual(None, None, Nuisance(basis), force - basis @ (basis.T @ force))  # type: ignore[arg-type]
+    gathered, at, root = maps._gathered(seen, x, period / (maps.BINS_PER_PERIOD * max(orders)))
+    assert len(at) < 600 and np.sum(root**2) == pytest.approx(8000)
+    every, few = maps._columns(x, period, orders), root[:, None] * maps._columns(at, period, orders)
+    size = np.sqrt(np.sum(every**2, axis=0))
+    np.testing.assert_allclose(few.T @ few, every.T @ every, atol=0.015 * float(np.max(size)) ** 2)
+    np.testing.assert_allclose(gathered.free.basis.T @ few, basis.T @ every, atol=0.01 * float(np.max(size)))
+    atol = 0.01 * float(np.max(size) * np.linalg.norm(force))
+    np.testing.assert_allclose(few.T @ gathered.e, every.T @ seen.e, atol=atol)
 
 
 def test_a_map_is_stated_over_its_shortest_period() -> None:

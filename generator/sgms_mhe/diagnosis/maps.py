@@ -20,7 +20,7 @@ from sgms_mhe.diagnosis.harmonics import search_harmonic
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, nearest_peak, propose
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Periodic
-from sgms_mhe.recordings.evidence import score_test
+from sgms_mhe.recordings.evidence import Nuisance, score_test
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
@@ -177,11 +177,12 @@ class _Search:
         if not carried.orders:
             return best
         width = STEP * best**2 / (self.travel * max(carried.orders[:STRONGEST]))
+        gathered, x, root = _gathered(self.seen, self.x, best / (BINS_PER_PERIOD * max(carried.orders)))
 
         def columns(period: float) -> Array:
-            return _columns(self.x, period, carried.orders)
+            return np.asarray(root[:, None] * _columns(x, period, carried.orders))
 
-        return nearest_peak(self.seen, columns, best, width, self.kind.room * self.travel)
+        return nearest_peak(gathered, columns, best, width, self.kind.room * self.travel)
 
     def nearest(self, carried: _Carried) -> _Carried:
         """What the record carries at the refined period."""
@@ -296,6 +297,23 @@ def _columns(x: Array, period: float, orders: Sequence[int]) -> Array:
     """Sine and cosine of every order (rows, 2 orders)."""
     angle = TWO_PI / period * x
     return np.column_stack([f(order * angle) for order in orders for f in (np.sin, np.cos)])
+
+
+def _gathered(seen: Residual, x: Array, width: float) -> tuple[Residual, Array, Array]:
+    """Rows that are so near to each other in x that no column changes between them, as one each: (bins) of them.
+
+    Their mean x, and the root of their count. Columns at the one times the other have the products that the rows' own
+    ones have.
+    """
+    _, place, count = np.unique(np.floor((x - x.min()) / width), return_inverse=True, return_counts=True)
+    root = np.sqrt(count)
+
+    def summed(series: Array) -> Array:
+        return np.asarray(np.bincount(place, weights=series) / root)
+
+    basis = np.array([summed(column) for column in seen.free.basis.T]).reshape(-1, len(root)).T
+    gathered = replace(seen, free=Nuisance(basis), e=summed(seen.e))
+    return gathered, np.asarray(summed(x) / root), root
 
 
 def _places(orders: Sequence[int]) -> list[int]:
