@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Final
 
 import numpy as np
@@ -20,17 +20,43 @@ from sgms_mhe.machine import CLOSED_FORMS, Machine
 from sgms_mhe.model import FreeParameter, Model, build_model
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.model.scales import scales_of
-from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.recordings.recording import Recording, rows_spanning
+from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 
 CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memory of derivatives
+SPLIT: Final = 20_000  # rows from which on halves of a record run at the same time
+LONGEST_LEAD: Final = 10  # share of a record, at most, that the second half runs through before it
+FORGOTTEN: Final = 24.0  # deflection scales of motion after which a start should not matter: by e^-24
+SAME_STATE: Final = 1e-9  # of a state of about 1: it then does not
+SAME_SLOPES: Final = 1e-6  # the same for its derivatives
 KEPT: Final = 512  # compiled models; a diagnosis of a rich record asks for about a hundred
 COARSE: Final = 4.0  # factor between nominal values that models are compiled for
 STEP: Final = 1.0  # deflection scales of an effect's states per step, unless the effect says otherwise
 
 Nominal = tuple[tuple[str, float], ...]
 """Nominal values of an effect's parameters, as a key."""
+
+
+@dataclass(eq=False)
+class _State:
+    """State (n_x) at a sample and its derivatives (n_x, n_p); `moved`: whether it is not the one before the first."""
+
+    x: Array
+    d_x: Array
+    moved: bool = False
+
+    def copied(self) -> _State:
+        """The same, whatever this one does next."""
+        return _State(self.x.copy(), self.d_x.copy(), self.moved)
+
+    def is_close(self, other: _State) -> bool:
+        """Whether nothing that comes from here would differ by anything that matters."""
+        return bool(
+            np.max(np.abs(self.x - other.x)) < SAME_STATE
+            and np.max(np.abs(self.d_x - other.d_x)) < SAME_SLOPES * (1.0 + np.max(np.abs(other.d_x)))
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,23 +100,65 @@ class CompiledFit:
 
     def _run(self, recording: Recording, theta: Array, derivatives: bool) -> tuple[Array, Array | None]:
         m, factor, n_p = len(recording.time), recording.factor, self.model.n_p
-        if factor == 1 and m <= CHUNK:  # one piece, whose samples are the rows
-            _, y, d = next(self._pieces(recording, theta, derivatives))
+        begin = self._begin_of_second_half(recording)
+        at = self._relaxed()
+        if factor == 1 and m <= CHUNK and begin is None:  # one piece, whose samples are the rows
+            _, y, d = next(self._pieces(recording, theta, derivatives, slice(0, m), at))
             return y, d
         force, slopes = np.empty(m), np.empty((m, n_p)) if derivatives else None
-        for rows, y, d in self._pieces(recording, theta, derivatives):
-            force[rows] = y.reshape(-1, factor).mean(axis=1)
-            if slopes is not None and d is not None:
-                slopes[rows] = d.reshape(-1, factor, n_p).mean(axis=1)
+
+        def run(rows: slice, at: _State) -> _State:
+            for piece, y, d in self._pieces(recording, theta, derivatives, rows, at):
+                force[piece] = y.reshape(-1, factor).mean(axis=1)
+                if slopes is not None and d is not None:
+                    slopes[piece] = d.reshape(-1, factor, n_p).mean(axis=1)
+            return at
+
+        if begin is None:
+            run(slice(0, m), at)
+            return force, slopes
+        # Whether there is a core for the second half has no say in this: it must not change a result.
+        middle = m // 2
+
+        def run_second(begin: int) -> _State:
+            ahead = self._relaxed()
+            for _ in self._pieces(recording, theta, False, slice(begin, middle), ahead):
+                pass
+            guessed = ahead.copied()
+            run(slice(middle, m), ahead)
+            return guessed
+
+        halves: list[Callable[[], _State]] = [partial(run, slice(0, middle), at), partial(run_second, begin)]
+        reached, guessed = in_parallel(halves)
+        if not guessed.is_close(reached):
+            run(slice(middle, m), reached)
         return force, slopes
+
+    def _begin_of_second_half(self, recording: Recording) -> int | None:
+        """Row from which a long record's second half may be run at the same time as the first; None: from none.
+
+        Elements forget where they began once they have moved far enough; what else there may be forgets by time.
+        """
+        m = len(recording.time)
+        if m < SPLIT or self.model.n_x != recording.machine.friction.n_z:
+            return None
+        middle, most = m // 2, m // LONGEST_LEAD
+        # Along what the model travels: pieces of a record need not meet.
+        step = recording.factor / recording.machine.sampling.rate
+        way = np.cumsum(recording.velocity[middle - most : middle][::-1]) * step
+        lead = rows_spanning(way, FORGOTTEN * scales_of(recording.machine).deflection)
+        return None if lead >= most else middle - lead
+
+    def _relaxed(self) -> _State:
+        return _State(np.zeros(self.model.n_x), np.zeros((self.model.n_x, self.model.n_p)))
 
     def _run_late(self, recording: Recording, theta: Array, derivatives: bool) -> tuple[Array, Array | None]:
         """The same, the drive's force as late as the last parameter says; between samples by cubics.
 
         Lines would lose half of what is near half the rate, which looks like a resonance.
         """
-        late, rate = self.columns[-1], recording.machine.sampling.rate
-        pieces = list(self._pieces(recording, theta[:-1], derivatives))
+        late, rate, m = self.columns[-1], recording.machine.sampling.rate, len(recording.time)
+        pieces = list(self._pieces(recording, theta[:-1], derivatives, slice(0, m), self._relaxed()))
         inertial = recording.machine.plant.moved * recording.signals.acceleration
         drive = np.concatenate([y for _, y, _ in pieces])
         inertial = inertial[: len(drive)]
@@ -113,22 +181,24 @@ class CompiledFit:
         return force, recording.reduce(np.column_stack((own, change)))
 
     def _pieces(
-        self, recording: Recording, theta: Array, derivatives: bool
+        self, recording: Recording, theta: Array, derivatives: bool, wanted: slice, at: _State
     ) -> Iterator[tuple[slice, Array, Array | None]]:
-        """Rows, and at their samples the friction (k) [N] and its derivatives in the code's parameters (k, n_p)."""
-        factor = recording.factor
-        n_x, n_p, m = self.model.n_x, self.model.n_p, len(recording.time)
-        state, sensitivity = np.zeros(n_x), np.zeros((n_x, n_p))
+        """Rows, and at their samples the friction (k) [N] and its derivatives in the code's parameters (k, n_p).
+
+        Of the rows wanted, from a state on, which goes with them.
+        """
+        factor, n_p = recording.factor, self.model.n_p
         values = np.ascontiguousarray(theta, dtype=np.float64)
         rows = max(1, CHUNK // factor)
-        for first in range(0, m, rows):
-            last = min(m, first + rows)
+        for first in range(wanted.start, wanted.stop, rows):
+            last = min(wanted.stop, first + rows)
             start, end = first * factor, last * factor
-            back = min(start, 1)  # the piece begins with the sample that its state belongs to
+            back = int(at.moved)  # the piece begins with the sample that its state belongs to
             w = recording.inputs(start - back, end)
             y = np.empty(len(w))
             d = np.empty((len(w), n_p)) if derivatives else None
-            self.code.advance(w, values, state, sensitivity, y, d)
+            self.code.advance(w, values, at.x, at.d_x, y, d)
+            at.moved = True
             yield slice(first, last), y[back:], None if d is None else d[back:]
 
 
