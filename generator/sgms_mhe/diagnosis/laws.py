@@ -146,7 +146,8 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[La
     # Both have as many numbers: what they leave of the rows they saw is a fair comparison, and a sharper one than what
     # they predict of others, where elements that switch are rough.
     ratio = other.rms / fit.rms
-    surer = ratio < 1.0 and difference_statistic(other.loss, fit.loss) > thresholds.surer
+    near = criteria.excess(other) < thresholds.decided_left * criteria.material
+    surer = near and ratio < 1.0 and difference_statistic(other.loss, fit.loss) > thresholds.surer
     taken = ratio < thresholds.sharper or surer
     better = other if taken else fit
     decided = (
