@@ -18,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.diagnosis import Diagnosis, compiling, diagnose
+from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.alignment import thinned
 from sgms_mhe.diagnosis.compiling import CompiledFit, compiled_once
 from sgms_mhe.diagnosis.subject import Subject
@@ -28,6 +28,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.recordings import recording as recordings
 from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.recordings.runs import KEPT, Runs
 from sgms_mhe.signals.logs import Log
@@ -242,9 +243,9 @@ def test_halves_of_a_record_run_as_the_whole_does(
     monkeypatch.setattr(CompiledFit, "_pieces", counted)
     whole = model._run(recording, theta, True)
     assert begun == [0]
-    monkeypatch.setattr(compiling, "SPLIT", 1000)
-    monkeypatch.setattr(compiling, "LONGEST_LEAD", 3)
-    halves = model._run(recording, theta, True)
+    monkeypatch.setattr(recordings, "SPLIT", 1000)
+    monkeypatch.setattr(recordings, "LONGEST_LEAD", 3)
+    halves = model._run(replace(recording), theta, True)
     middle = len(recording.time) // 2
     assert sum(start == middle for start in begun) == 1 + again
     assert len(begun) == 1 + 3 + again and any(0 < start < middle for start in begun)

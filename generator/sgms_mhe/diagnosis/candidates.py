@@ -77,8 +77,8 @@ def _search_effect(definition: EffectDefinition, subject: Subject, fit: Fit, see
             proposal = search_periodic(definition, kind, seen)
         case Columns():
             proposal = _search_columns(definition, kind, seen)
-            if proposal is not None and kind.exact is not None:
-                proposal = _exact(definition, kind, kind.exact, proposal, subject, fit, seen)
+            if proposal is not None:
+                proposal = _exact(definition, kind, proposal, subject, fit, seen)
         case Step():
             proposal = _search_step(definition, kind, seen)
         case Derivative():
@@ -157,15 +157,12 @@ def _slope(
 
 
 def _exact(
-    definition: EffectDefinition,
-    kind: Columns,
-    size: str,
-    proposal: Proposal,
-    subject: Subject,
-    fit: Fit,
-    seen: Residual,
+    definition: EffectDefinition, kind: Columns, proposal: Proposal, subject: Subject, fit: Fit, seen: Residual
 ) -> Proposal:
-    """The proposal with its column from the compiled model's derivative where the effect is none."""
+    """The proposal with its column from the compiled model's derivative where the effect is none, if that is wanted."""
+    size = kind.exact
+    if size is None:
+        return proposal
     trial = {**proposal.parameters, size: definition.parameter(size).none}
     extras = (*fit.extras, Extra(definition.name, trial))
     suited = subject.suited(extras)

@@ -20,16 +20,13 @@ from sgms_mhe.machine import CLOSED_FORMS, Machine
 from sgms_mhe.model import FreeParameter, Model, build_model
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.model.scales import scales_of
-from sgms_mhe.recordings.recording import Recording, rows_spanning
+from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 
 CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memory of derivatives
-SPLIT: Final = 20_000  # rows from which on halves of a record run at the same time
-LONGEST_LEAD: Final = 10  # share of a record, at most, that the second half runs through before it
-FORGOTTEN: Final = 24.0  # deflection scales of motion after which a start should not matter: by e^-24
-SAME_STATE: Final = 1e-9  # of a state of about 1: it then does not
+SAME_STATE: Final = 1e-9  # of a state of about 1: two that differ by less go on alike
 SAME_SLOPES: Final = 1e-6  # the same for its derivatives
 KEPT: Final = 512  # compiled models; a diagnosis of a rich record asks for about a hundred
 COARSE: Final = 4.0  # factor between nominal values that models are compiled for
@@ -100,10 +97,10 @@ class CompiledFit:
 
     def _run(self, recording: Recording, theta: Array, derivatives: bool) -> tuple[Array, Array | None]:
         m, factor, n_p = len(recording.time), recording.factor, self.model.n_p
-        begin = self._begin_of_second_half(recording)
-        at = self._relaxed()
+        # What effects' states there may be forget by time, not by motion.
+        begin = recording.second_half_begins if self.model.n_x == recording.machine.friction.n_z else None
         if factor == 1 and m <= CHUNK and begin is None:  # one piece, whose samples are the rows
-            _, y, d = next(self._pieces(recording, theta, derivatives, slice(0, m), at))
+            _, y, d = next(self._pieces(recording, theta, derivatives, slice(0, m), self._relaxed()))
             return y, d
         force, slopes = np.empty(m), np.empty((m, n_p)) if derivatives else None
 
@@ -115,39 +112,27 @@ class CompiledFit:
             return at
 
         if begin is None:
-            run(slice(0, m), at)
+            run(slice(0, m), self._relaxed())
             return force, slopes
         # Whether there is a core for the second half has no say in this: it must not change a result.
         middle = m // 2
 
-        def run_second(begin: int) -> _State:
-            ahead = self._relaxed()
-            for _ in self._pieces(recording, theta, False, slice(begin, middle), ahead):
+        def run_second(lead: slice) -> _State:
+            at = self._relaxed()
+            for _ in self._pieces(recording, theta, False, lead, at):
                 pass
-            guessed = ahead.copied()
-            run(slice(middle, m), ahead)
+            guessed = at.copied()
+            run(slice(middle, m), at)
             return guessed
 
-        halves: list[Callable[[], _State]] = [partial(run, slice(0, middle), at), partial(run_second, begin)]
+        halves: list[Callable[[], _State]] = [
+            partial(run, slice(0, middle), self._relaxed()),
+            partial(run_second, slice(begin, middle)),
+        ]
         reached, guessed = in_parallel(halves)
         if not guessed.is_close(reached):
             run(slice(middle, m), reached)
         return force, slopes
-
-    def _begin_of_second_half(self, recording: Recording) -> int | None:
-        """Row from which a long record's second half may be run at the same time as the first; None: from none.
-
-        Elements forget where they began once they have moved far enough; what else there may be forgets by time.
-        """
-        m = len(recording.time)
-        if m < SPLIT or self.model.n_x != recording.machine.friction.n_z:
-            return None
-        middle, most = m // 2, m // LONGEST_LEAD
-        # Along what the model travels: pieces of a record need not meet.
-        step = recording.factor / recording.machine.sampling.rate
-        way = np.cumsum(recording.velocity[middle - most : middle][::-1]) * step
-        lead = rows_spanning(way, FORGOTTEN * scales_of(recording.machine).deflection)
-        return None if lead >= most else middle - lead
 
     def _relaxed(self) -> _State:
         return _State(np.zeros(self.model.n_x), np.zeros((self.model.n_x, self.model.n_p)))

@@ -146,14 +146,14 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[La
     # Both have as many numbers: what they leave of the rows they saw is a fair comparison, and a sharper one than what
     # they predict of others, where elements that switch are rough.
     ratio = other.rms / fit.rms
-    near = criteria.excess(other) < thresholds.decided_left * criteria.material
-    surer = near and ratio < 1.0 and difference_statistic(other.loss, fit.loss) > thresholds.surer
+
+    def leaves_little(one: Fit) -> bool:
+        return criteria.excess(one) < thresholds.decided_left * criteria.material
+
+    surer = leaves_little(other) and difference_statistic(other.loss, fit.loss) > thresholds.surer
     taken = ratio < thresholds.sharper or surer
     better = other if taken else fit
-    decided = (
-        not thresholds.decided < ratio < 1.0 / thresholds.decided
-        and criteria.excess(better) < thresholds.decided_left * criteria.material
-    )
+    decided = not thresholds.decided < ratio < 1.0 / thresholds.decided and leaves_little(better)
     apart = float(np.std((other.residual - fit.residual)[own.recording.used]))
     return Laws(own, foreign, taken, decided, apart), better
 

@@ -24,6 +24,9 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
 
 INPUTS_KEPT: Final = 1_000_000  # samples, 40 MB
+SPLIT: Final = 20_000  # rows from which on halves of a record run at the same time
+LONGEST_LEAD: Final = 10  # share of a record, at most, that the second half runs through before it
+FORGOTTEN: Final = 24.0  # deflection scales of motion after which a start should not matter: by e^-24
 SEED: Final = 20240229  # of folds and held-out blocks: the same log gives the same verdict
 
 
@@ -88,6 +91,21 @@ class Recording:
             end=float(self.time[-1]),
             rate=self.rate,
         )
+
+    @cached_property
+    def second_half_begins(self) -> int | None:
+        """Row from which elements may be run for the second half, rows // 2 on, beside the first; None: from none.
+
+        They forget where they began once they have moved far enough.
+        """
+        m = len(self.time)
+        if m < SPLIT:
+            return None
+        middle, most = m // 2, m // LONGEST_LEAD
+        # Along what a model travels: pieces of a record need not meet.
+        way = np.cumsum(self.velocity[middle - most : middle][::-1]) / self.rate
+        lead = rows_spanning(way, FORGOTTEN * scales_of(self.machine).deflection)
+        return None if lead >= most else middle - lead
 
     def inputs(self, start: int, end: int) -> Array:
         """Position, velocity, acceleration, force and the model's time of samples (k, 5); not to be written to."""
