@@ -6,16 +6,14 @@ import math
 from collections.abc import Mapping
 
 import casadi as ca
-import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.motion import MotionRecord, direction
 from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Array, Columns, Values
 from sgms_mhe.model.effects.specimen import one_number
-from sgms_mhe.model.effects.transmission import loaded, transmitted
+from sgms_mhe.model.effects.transmission import dragged, loaded
 
 _LEAST = 0.5
 
@@ -29,11 +27,6 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, floa
     driving, driven = 1.0 / efficiency - 1.0, 1.0 - efficiency
     lost = (driving + driven) * ca.fabs(torque) + (driving - driven) * torque * ca.sign(axis.velocity)
     axis.level_force = axis.level_force + 0.5 * lost
-
-
-def _lost(motion: MotionRecord, _: Values) -> Array:
-    """What a loss changes of the friction, per unit of efficiency where nothing is lost (m, 1) [N]."""
-    return np.asarray((-np.abs(transmitted(motion)) * direction(motion.velocity))[:, None])
 
 
 def _efficiency(_: Values, size: Array) -> Values:
@@ -68,7 +61,8 @@ DEFINITION = EffectDefinition(
     moves=("jerks", "speeds"),
     inertial=True,
     simpler=Simpler(("coulomb",)),
-    search=Columns(_lost, _efficiency, exact="efficiency_ratio"),
+    # Per unit of efficiency where nothing is lost.
+    search=Columns(lambda m, _: -dragged(m), _efficiency, exact="efficiency_ratio"),
     stage="level",
     specimen=one_number("efficiency_ratio", lambda _: -0.1, none=1.0, signed=False),
 )

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
-import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.motion import direction
 from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Columns, one_size
 from sgms_mhe.model.effects.specimen import one_number
-from sgms_mhe.model.effects.transmission import loaded, transmitted
+from sgms_mhe.model.effects.transmission import dragged, loaded
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
@@ -41,9 +39,7 @@ DEFINITION = EffectDefinition(
     moves=("jerks", "speeds"),
     inertial=True,
     simpler=Simpler(("coulomb",)),
-    search=Columns(
-        lambda m, _: (np.abs(transmitted(m)) * direction(m.velocity))[:, None], one_size("ratio"), exact="ratio"
-    ),
+    search=Columns(lambda m, _: dragged(m), one_size("ratio"), exact="ratio"),
     stage="level",
     specimen=one_number("ratio", lambda _: 0.1, signed=False),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.motion import MotionRecord
+from sgms_mhe.model.effects.motion import MotionRecord, direction
 from sgms_mhe.model.effects.search import Array
 
 LOADED = (Need("load_ratio", 1.0), Need("both_directions", 0.1), Need("moving_s", 0.3))
@@ -17,6 +17,8 @@ def loaded(text: str) -> Excitation:
     return Excitation(text, LOADED)
 
 
-def transmitted(motion: MotionRecord) -> Array:
-    """The drive's torque less the model's friction (m) [N]: what is not in the model yet is in the torque."""
-    return np.asarray(motion.force - motion.level - motion.damping * motion.velocity)
+def dragged(motion: MotionRecord) -> Array:
+    """Friction of the size of the torque transmitted (m, 1) [N]: what a level that grows with it adds per unit."""
+    # The drive's torque less the model's friction: what is not in the model yet is in the torque.
+    torque = motion.force - motion.level - motion.damping * motion.velocity
+    return np.asarray((np.abs(torque) * direction(motion.velocity))[:, None])
