@@ -88,8 +88,9 @@ def aligned(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
     measured = steps.measured - later
     names = [extra.name for extra in fit.extras] + [effect.name for effect in subject.machine.effects]
     timed = any(effect_definition(name).timed for name in names)
-    sampled = _sampling(whole, fit, measured - exact, timed=timed)
-    measured = measured - _jerk_and_snap(whole.recording) @ sampled
+    columns = _of_sampling(whole, exact)
+    sampled = _sampling(whole, fit, columns, measured - exact, timed=timed)
+    measured = measured - columns @ sampled
     whole = replace(
         whole,
         recording=replace(whole.recording, friction=measured),
@@ -111,23 +112,23 @@ def residual_along(whole: Subject, fit: Fit, sampled: Array) -> Array:
 
     `sampled` (2): what the alignment there found of the sampling.
     """
-    measured = whole.alignment.measured - of_the_step(whole, fit) - _jerk_and_snap(whole.recording) @ sampled
-    return np.asarray(measured - whole.friction(fit))
+    exact = whole.friction(fit)
+    measured = whole.alignment.measured - of_the_step(whole, fit) - _of_sampling(whole, exact) @ sampled
+    return np.asarray(measured - exact)
 
 
-def _sampling(whole: Subject, fit: Fit, residual: Array, *, timed: bool) -> Array:
-    """Coefficients of `_jerk_and_snap` (2) in what a residual (m) owes to the sampling of force and position alone.
+def _sampling(whole: Subject, fit: Fit, columns: Array, residual: Array, *, timed: bool) -> Array:
+    """Coefficients of `_of_sampling` (2) in what a residual (m) owes to the sampling of force and position alone.
 
-    Proportional to the jerk: force and position up to `timing` of a sample apart. Proportional to the second derivative
-    of the acceleration: its second difference over a sample h is low by h^2 / 12 of that, against a force that is
-    sampled in a point. `timed`: a delay or lag is under test, which the former belongs to; such as that of a force that
-    is held over a sample, which is low by h^2 / 8.
+    Proportional to the force's rate: force and position up to `timing` of a sample apart. Proportional to the second
+    derivative of the inertial force: its second difference over a sample h is low by h^2 / 12 of that, against a force
+    that is sampled in a point. `timed`: a delay or lag is under test, which the former belongs to; such as that of a
+    force that is held over a sample, which is low by h^2 / 8.
     """
-    used = whole.recording.used
-    step, mass = whole.machine.sampling.step, whole.machine.plant.moved
+    used, step = whole.recording.used, whole.machine.sampling.step
     free = nuisance(fit.slopes[used][:, fit.loose])
-    scale = mass * np.array([whole.thresholds.timing * step, step**2 / 12.0])
-    Z = free.project(_jerk_and_snap(whole.recording)[used] * scale)
+    scale = np.array([whole.thresholds.timing * step, step**2 / 12.0])
+    Z = free.project(columns[used] * scale)
     e = free.project(residual[used])
     if not timed:
         both = lsq_linear(Z, e, ([-1.0, -1.0], [1.0, 0.0])).x
@@ -138,8 +139,15 @@ def _sampling(whole: Subject, fit: Fit, residual: Array, *, timed: bool) -> Arra
     return np.asarray(scale * np.array([0.0, *snap]))
 
 
-def _jerk_and_snap(recording: Recording) -> Array:
-    """First and second derivative of the acceleration (m, 2), as the log's samples have them."""
+def _of_sampling(whole: Subject, friction: Array) -> Array:
+    """Rate of the force [N/s], and second derivative of the inertial one [N/s^2] (m, 2), at a friction (m) [N].
+
+    A force that is late is late with all that it overcomes: the rate is that of the inertial force, as the log's samples
+    have it, and of the model's friction.
+    """
+    recording, mass = whole.recording, whole.machine.plant.moved
     step = recording.machine.sampling.step
     jerk = np.gradient(recording.signals.acceleration) / step
-    return recording.reduce(np.column_stack((jerk, np.gradient(jerk) / step)))
+    inertial = mass * recording.reduce(np.column_stack((jerk, np.gradient(jerk) / step)))
+    inertial[:, 0] += np.gradient(friction) / (recording.factor * step)
+    return np.asarray(inertial)
