@@ -379,11 +379,16 @@ def test_a_thinned_record_agrees_with_the_whole_at_the_fit(machine: Machine, rec
 
 
 def test_the_timing_of_force_and_position_is_no_cause(machine: Machine, recording: Recording) -> None:
-    jerk = recording.reduce(np.gradient(recording.signals.acceleration) / machine.sampling.step)
-    late = 0.05 * machine.sampling.step * machine.plant.moved
+    """A force that is late is late with all that it overcomes: the mass, and the friction where it reverses."""
+    step = machine.sampling.step
+    jerk = recording.reduce(np.gradient(recording.signals.acceleration) / step)
+    subject = Subject.of(machine, recording)
+    friction = subject.friction(fit_model(subject, (), refitted=()))
+    rate = machine.plant.moved * jerk + np.gradient(friction) / (recording.factor * step)
 
     def left(share: float) -> float:
-        subject = Subject.of(machine, replace(recording, friction=recording.friction + share * late * jerk))
+        late = replace(recording, friction=recording.friction + 0.05 * share * step * rate)
+        subject = Subject.of(machine, late)
         return fit_model(aligned(subject, fit_model(subject, (), refitted=())), (), refitted=()).rms
 
     assert left(1.0) == pytest.approx(left(0.0), rel=1e-3)

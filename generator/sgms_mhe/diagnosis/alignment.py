@@ -142,8 +142,8 @@ def _sampling(whole: Subject, fit: Fit, columns: Array, residual: Array, *, time
 def _of_sampling(whole: Subject, friction: Array) -> Array:
     """Rate of the force [N/s], and second derivative of the inertial one [N/s^2] (m, 2), at a friction (m) [N].
 
-    A force that is late is late with all that it overcomes: the rate is that of the inertial force, as the log's samples
-    have it, and of the model's friction.
+    A force that is late is late with all that it overcomes: the rate is that of the inertial force, as the log's
+    samples have it, and of the model's friction.
     """
     recording, mass = whole.recording, whole.machine.plant.moved
     step = recording.machine.sampling.step
