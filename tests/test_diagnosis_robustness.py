@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from cli_cases import done, refused
 from sgms_mhe.configuration import load_machine, override_machine, under_other_law
 from sgms_mhe.diagnosis import Diagnosis, diagnose
+from sgms_mhe.diagnosis.causes import holds
 from sgms_mhe.diagnosis.compiling import CompiledFit
 from sgms_mhe.diagnosis.confirmation import _imitates
 from sgms_mhe.diagnosis.covariance import covariance
@@ -25,6 +26,7 @@ from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.plan import make_plan
+from sgms_mhe.diagnosis.result import Cause, Rms
 from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -415,3 +417,25 @@ def test_stand_ins_for_elements_that_switch_are_no_stribeck_effect(quick: Machin
     assert not imitates(gap, 2.7, may_switch=False)
     assert not imitates(ripple, 2.7)
     assert not imitates(gap, 2.7, group=Group.extra("backlash", 0))
+
+
+def test_a_wrong_number_differs_from_the_file_by_its_own_interval(quick: Machine) -> None:
+    """Two numbers of which neither is known to differ are no cause, however surely they differ together."""
+    file = {"stribeck_ratio": 0.12, "stribeck_velocity_m_s": 2e-3}
+
+    def held(ratio: float) -> bool:
+        cause = Cause(
+            name="stribeck",
+            label="stribeck",
+            parameters=file | {"stribeck_ratio": ratio},
+            std={"stribeck_ratio": 0.11, "stribeck_velocity_m_s": 1e-2},
+            nominal=file,
+            rms=Rms(before=1.0, after=0.9, held_out_before=1.0, held_out_after=0.9),
+            gain_N=0.3,
+            gain_interval_N=(0.1, 0.5),
+            p_value=1e-12,
+        )
+        return holds(cause, quick.diagnosis)
+
+    assert not held(0.17)
+    assert held(0.12 + 1.01 * quick.diagnosis.sigmas * 0.11)

@@ -84,11 +84,9 @@ def holds(cause: Cause, thresholds: Thresholds, *, constant: bool = False, compl
     sizes = _sizes(cause)
     apart = [abs(cause.parameters[key] - none) / cause.std[key] for key, none in sizes.items() if cause.std[key] > 0.0]
     known = complete and bool(apart) and min(apart) > thresholds.certain
-    certain = cause.gain_N > 0.0 and (known or (constant and cause.p_value < thresholds.joint))
+    certain = cause.gain_N > 0.0 and (known or (constant and cause.p_value < thresholds.certain_p))
     if not (cause.gain_interval_N[0] > 0.0 or certain):
         return False
-    if cause.nominal and len(sizes) > 1 and cause.p_value < thresholds.joint:
-        return True  # none of several numbers is determined alone, but together they differ
     return not sizes or any(
         abs(cause.parameters[key] - none) > thresholds.sigmas * cause.std[key] for key, none in sizes.items()
     )

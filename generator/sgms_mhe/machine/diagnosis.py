@@ -283,11 +283,11 @@ class Thresholds(FitThresholds):
         gt=0,
         le=10,
     )
-    joint: float = threshold(
+    certain_p: float = threshold(
         1e-4,
         "1",
-        "p value from which several numbers differ, though none does alone",
-        "stiffnesses are known better together than each",
+        "p value from which a cause that is the same all over the record is certain, whatever its gain's interval",
+        "a short record has few blocks to draw the interval from",
         gt=0,
         lt=1,
     )
