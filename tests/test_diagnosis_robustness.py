@@ -19,7 +19,7 @@ from cli_cases import done, refused
 from sgms_mhe.configuration import load_machine, override_machine, under_other_law
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.causes import holds
-from sgms_mhe.diagnosis.compiling import CompiledFit
+from sgms_mhe.diagnosis.compiling import CompiledFit, compiled_fit
 from sgms_mhe.diagnosis.confirmation import _imitates
 from sgms_mhe.diagnosis.covariance import covariance
 from sgms_mhe.diagnosis.excerpt import excerpt
@@ -28,6 +28,7 @@ from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.plan import make_plan
 from sgms_mhe.diagnosis.result import Cause, Rms
 from sgms_mhe.diagnosis.subject import Subject
+from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -362,6 +363,36 @@ def test_pieces_of_a_long_record_do_not_begin_where_elements_remember(slow: Mach
     diagnosis = diagnose(slow, log)
     assert diagnosis.verdict == "adequate", diagnosis.summary
     assert diagnosis.rms.after < 1.3 * diagnosis.noise_floor_N
+
+
+def test_spring_far_from_its_centre_is_found_in_few_steps(
+    quick: Machine, slow: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Linear in stiffness and in stiffness times centre, so a fit is there in a step, however far the centre is."""
+    spring = {"stiffness_N_m": 0.5, "centre_m": 2.0}
+    subject = Subject.of(slow, prepare(slow, every_tenth(recorded(quick, [("position_spring", spring)]))))
+    run, runs = CompiledFit.run, []
+
+    def counted(*args: Any, **options: Any) -> Any:
+        runs.append(args)
+        return run(*args, **options)
+
+    monkeypatch.setattr(CompiledFit, "run", counted)
+    fit = fit_model(subject, [Extra("position_spring", {"stiffness_N_m": 6.0, "centre_m": 0.0})], refitted=())
+    assert len(runs) <= 4
+    assert fit.extras[0].parameters["centre_m"] == pytest.approx(spring["centre_m"], rel=0.05)
+    assert fit.extras[0].parameters["stiffness_N_m"] == pytest.approx(spring["stiffness_N_m"], rel=0.05)
+
+
+@pytest.mark.parametrize(("stiffer", "largest"), [(1.0, 1e-5), (10.0, 1e-3)])
+def test_steps_of_a_fit_are_short_enough(slow: Machine, rippled: Log, stiffer: float, largest: float) -> None:
+    """Coarser than a controller's below the gate, and far below any noise, also where the file is wrong by far."""
+    code = compiled_fit(slow, ()).code
+    fine = CompiledModel(override_machine(code.machine, {"sampling": {"integrator": {"slow_displacement": 2e-3}}}))
+    theta = np.where(["stiffness" in p.column for p in code.model.parameters], stiffer, 1.0)
+    signals = prepare(slow, rippled).signals
+    ours, theirs = (model.predict(signals, theta).friction_N for model in (code, fine))
+    assert np.max(np.abs(ours - theirs)) < largest * slow.friction.coulomb
 
 
 def test_rows_until_a_motion_has_covered_an_extent() -> None:

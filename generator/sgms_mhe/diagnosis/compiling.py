@@ -31,6 +31,7 @@ SAME_SLOPES: Final = 1e-6  # the same for its derivatives
 KEPT: Final = 512  # compiled models; a diagnosis of a rich record asks for about a hundred
 COARSE: Final = 4.0  # factor between nominal values that models are compiled for
 STEP: Final = 1.0  # deflection scales of an effect's states per step, unless the effect says otherwise
+SLOW_STEP: Final = 0.04  # deflection scales of a smooth element per step below the gate: off by 1e-5 of its level
 
 Nominal = tuple[tuple[str, float], ...]
 """Nominal values of an effect's parameters, as a key."""
@@ -372,7 +373,7 @@ def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
     """Integration for fits: at least one step per sample.
 
     Where the elements are integrated exactly, steps are coarser for the rest: effects' states settle within them, and a
-    search runs them a hundred times.
+    search runs them a hundred times. Below the gate they hold up to ten times the stiffness of the file.
     """
     sampling = machine.sampling
     # By name, so that what a tolerance chose stays chosen.
@@ -384,6 +385,8 @@ def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
         # Long steps of one effect are a matter of cost, which short ones of another would undo.
         long = max(steps, default=STEP)
         integrator["displacement"] = long if long > STEP else min(steps, default=STEP)
+    if sampling.integrator.scheme == "flow":
+        integrator["slow_displacement"] = max(SLOW_STEP, sampling.integrator.slow_displacement)
     return {"integrator": integrator}
 
 
@@ -420,6 +423,7 @@ def _effect_column(group: Group, parameter: str, free: FreeParameter) -> Column:
         timing=known.timing,
         proportional=known.is_proportional,
         none=known.none,
+        times=known.times,
     )
 
 

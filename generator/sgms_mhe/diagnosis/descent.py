@@ -138,8 +138,7 @@ class LeastSquares:
         for _ in range(TRIES):
             A = H + np.diag(prior.binding + damping * diagonal + RIDGE * max(1e-30, float(diagonal.max())))
             step = _bounded_step(A, g, *box)
-            theta = here.theta.copy()
-            theta[free] = here.theta[free] + step
+            theta = self._moved(here.theta, step)
             promised = float(2.0 * g @ step - step @ (H @ step) - prior.binding @ step**2)
             if not promised >= least:
                 break
@@ -148,6 +147,25 @@ class LeastSquares:
                 return there, promised, damping
             damping = max(damping, DAMPED_AGAIN) * MORE_DAMPING
         return None, promised, damping
+
+    def _moved(self, theta: Array, step: Array) -> Array:
+        """theta (n_p) after a step of what is free (free).
+
+        Where the force is linear in s and s p, the step is one of s and s p: p + dp s / (s + ds). One along p alone
+        would follow a curved valley to a place far outside the travel.
+        """
+        columns = self.model.columns
+        moved = theta.copy()
+        moved[self.free] += step
+        for i in np.flatnonzero(self.free):
+            column = columns[i]
+            if not column.times:
+                continue
+            size = next(j for j, c in enumerate(columns) if c.group == column.group and c.name == column.times)
+            before, after = (columns[size].si(float(t[size])) for t in (theta, moved))
+            if after != 0.0:
+                moved[i] = min(max(theta[i] + (moved[i] - theta[i]) * before / after, column.lower), column.upper)
+        return moved
 
 
 def _bounded_step(A: Array, g: Array, lower: Array, upper: Array) -> Array:

@@ -99,6 +99,7 @@ class Column:
         timing: it is a time that force and position are apart.
         proportional: the force is proportional to it, from `none` on.
         none: value [SI] at which its effect is none.
+        times: name of the size of its group that it is multiplied with.
     """
 
     group: Group
@@ -115,6 +116,7 @@ class Column:
     timing: bool = False
     proportional: bool = False
     none: float = 0.0
+    times: str = ""
 
     def si(self, theta: float) -> float:
         """Value in SI units."""

@@ -73,6 +73,7 @@ class EffectParameter:
         array: whether it is a list, whose entries results name one by one; the lists of an effect are equally long.
         whole: whether it counts something.
         step: how far one step of a fit may move it.
+        times: the size that it is multiplied with: the force is linear in their product, which a fit moves.
         least, most: what a record can tell of it, beyond `lower` and `upper`.
     """
 
@@ -92,6 +93,7 @@ class EffectParameter:
     array: bool = False
     whole: bool = False
     step: StepLimit = any_step
+    times: str = ""
     least: RecordLimit | None = None
     most: RecordLimit | None = None
 

@@ -11,7 +11,7 @@ from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
+from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.model.effects.specimen import Specimen
 
@@ -25,7 +25,9 @@ DEFINITION = EffectDefinition(
     summary="force proportional to position",
     parameters=(
         EffectParameter("stiffness_N_m", 0.0, 1e-4, "force over position", unit="stiffness"),
-        EffectParameter("centre_m", 0.0, 0.01, "position without force", role="place", main=False, step=step_by_factor),
+        EffectParameter(
+            "centre_m", 0.0, 0.01, "position without force", role="place", main=False, times="stiffness_N_m"
+        ),
     ),
     contribute=_contribute,
     loads=True,
