@@ -161,7 +161,7 @@ class LeastSquares:
             column = columns[i]
             if not column.times:
                 continue
-            size = next(j for j, c in enumerate(columns) if c.group == column.group and c.name == column.times)
+            size = self.model.index(column.group, column.times)
             before, after = (columns[size].si(float(t[size])) for t in (theta, moved))
             if after != 0.0:
                 moved[i] = min(max(theta[i] + (moved[i] - theta[i]) * before / after, column.lower), column.upper)
