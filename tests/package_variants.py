@@ -76,6 +76,7 @@ UPSTREAM = ("dwell_dependence", "frictional_lag", "backlash")
 
 INTEGRATORS: dict[str, dict[str, Any]] = {
     "flow": scheme("flow"),
+    "flow, many steps below the gate": scheme("flow", slow_displacement=0.003),
     "flow, 2 merged": scheme("flow", substeps=50),
     "flow, 5 merged": scheme("flow", substeps=20),
     "flow, 10 merged": scheme("flow", substeps=10, slow_displacement=0.03),

@@ -74,6 +74,7 @@ MHE_CASES: dict[str, dict[str, Any]] = {
     "merged flow": {"sampling": scheme("flow", substeps=50)},
     "merged rk4": {"sampling": scheme("rk4", substeps=25)},
     "five merged": {"sampling": scheme("flow", substeps=20)},
+    "many steps below the gate": {"sampling": scheme("flow", slow_displacement=0.003)},
     "ten merged": {"sampling": scheme("flow", substeps=10, slow_displacement=0.03)},
     "all merged": {"sampling": scheme("flow", substeps=1)},
     "five merged, bs23": {"sampling": scheme("bs23", substeps=20)},

@@ -193,6 +193,22 @@ def test_python_and_compiled_loops_agree_on_merged_samples(scheme: str) -> None:
         np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-12)
 
 
+def test_steps_below_the_gate_go_with_speed() -> None:
+    """As many as their displacement asks for at the gate, the slower the fewer, and none is longer than at the gate."""
+    longest, gate, h = 0.003, 0.36e-3, 1e-4
+    machine = with_integrator(variant(), scheme="flow", slow_displacement=longest)
+    velocity = gate * np.array([0.0, 1e-3, 0.19, 0.21, 0.5, 0.9, 0.999, 1.001, 30.0])
+    plan = Integrator(build_model(machine)).plan(moving(np.concatenate([[7.0], np.tile(velocity, 100)])))
+    taken = plan.substeps[: len(velocity)]
+    rho = np.array([120e3, 25e3, 7.1e3, 7.9e3]) / (4.0 * np.array([0.067, 0.056, 0.047, 0.83]))
+    most = np.maximum(1.0, np.ceil(gate * h * rho / longest))
+    np.testing.assert_array_equal(most, [6.0, 2.0, 1.0, 1.0])
+    np.testing.assert_array_equal(taken[:, 0], [1.0, 1.0, 2.0, 2.0, 4.0, 6.0, 6.0, 0.0, 0.0])
+    np.testing.assert_array_equal(taken[6], most)
+    slow = velocity < gate
+    assert np.all(velocity[slow, None] * h * rho / taken[slow] <= gate * h * rho / most * (1.0 + 1e-12))
+
+
 def test_merged_samples_take_lines_and_stairs() -> None:
     integrator = one_step()
     # One step each: a reversal, standstill, below the gate, a fast line, constant and fast, a fast reversal.

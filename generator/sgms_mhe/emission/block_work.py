@@ -210,7 +210,7 @@ class _Costs:
     def _sample(self, k: int) -> int:
         """A step at constant signals by the flow."""
         g, m, n_q = self.g, self.g.sizes.m, self.g.sizes.n_q
-        slow = self.runge_kutta(self.slow_steps(k))
+        slow = self.runge_kutta(self.slow_steps(k)) + (2 if g.paced and g.slow_steps != 1 else 0)
         if g.n_upstream:
             sensitivities = n_q * (10 + 2 * (m - 1)) + m * (5 + 2 * (m - 1))
             return 2 + max(slow, self._upstream() + self.level + 15 + self._flow_step() + sensitivities)

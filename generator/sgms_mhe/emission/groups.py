@@ -39,7 +39,8 @@ class GroupView:
         blocks: in the order of their states.
         rates: (name, meaning) of the numbers of a block's substeps.
         most_substeps: Runge-Kutta substeps of a step at max_velocity, of a group without steps in closed form.
-        slow_steps: Runge-Kutta steps of constant signals below the flow's gate, where all blocks take as many.
+        slow_steps: Runge-Kutta steps of constant signals at the flow's gate, where all blocks take as many.
+        paced: the slower a block moves below the gate, the fewer of them it takes.
         rhs: d(chi)/dt and its derivatives in chi and q.
         level: of Maxwell-slip elements, rho and f_C / s(v), or s(v) / f_C where they switch, with their derivatives;
             None where nothing asks for them.
@@ -61,6 +62,7 @@ class GroupView:
     rates: tuple[tuple[str, str], ...]
     most_substeps: int | None
     slow_steps: int | None
+    paced: bool
     rhs: Function
     level: Function | None
     upstream: Function | None
@@ -98,6 +100,18 @@ class GroupView:
         """Whether the propagation ahead moves elastic elements with the axis."""
         return self.is_slider and self.level is not None and self.has_elastic_range
 
+    def slow_count(self, most: str, speed: str) -> str:
+        """Number of Runge-Kutta steps below the gate, in C.
+
+        Args:
+            most: where blocks differ in it, the number at the gate.
+            speed: signed or not.
+        """
+        if self.slow_steps == 1 or (self.slow_steps and not self.paced):
+            return str(self.slow_steps)
+        number = f"{self.slow_steps}.0" if self.slow_steps else most
+        return f"sgms_flow_slow_steps({number}, {speed} * (1.0 / FLOW_GATE))" if self.paced else f"(int){number}"
+
     @property
     def step(self) -> str:
         """How a step is taken: by a clip, by the flow, by the flow at a level with states of its own, by substeps."""
@@ -134,6 +148,7 @@ def _view(group: Group, sizes: GroupSizes, structure: Structure, printer: Functi
         rates=tuple((rate.name, rate.meaning) for rate in rates),
         most_substeps=None if flow or group.switches else max(math.ceil(most) for most in rates[-1].values),
         slow_steps=common_slow_steps(group, structure) if flow else None,
+        paced=flow and not any(block.rate_per_second for block in group.blocks),
         rhs=_rhs(group, printer),
         level=_level(group, printer, in_q=level_in_q) if flow or law or group.switches else None,
         upstream=_upstream(group, printer) if flow or group.switches else None,

@@ -57,7 +57,7 @@ def step_rates(group: Group, structure: Structure) -> tuple[StepRate, ...]:
         rates.append(StepRate("AT_REST", at_rest, tuple(step_time * s / integrator.displacement for s in second)))
     if common_slow_steps(group, structure) is None:
         steps = tuple(float(slow_steps(block, structure)) for block in group.blocks)
-        rates.append(StepRate("SLOW", "Runge-Kutta steps below the gate", steps))
+        rates.append(StepRate("SLOW", "Runge-Kutta steps at the gate", steps))
     return tuple(rates)
 
 

@@ -180,8 +180,10 @@ class Planner:
             if block.switches:
                 counts[:, b] = 0
             elif block.saturates:
-                slow = max(1, math.ceil(self._slow_substeps(block, self._slow, h)))
-                counts[:, b] = np.where(speed > self._slow, 0, slow)
+                most = max(1, math.ceil(self._slow_substeps(block, self._slow, h)))
+                # What moves with the axis alone moves the less the slower it is.
+                paced = most if block.rate_per_second else np.minimum(most, 1.0 + np.floor(most * speed / self._slow))
+                counts[:, b] = np.where(speed > self._slow, 0, paced)
             else:
                 counts[:, b] = self._runge_kutta_substeps(block, speed, h, least)
         return counts
