@@ -88,19 +88,24 @@ def _reach(lambda_: float, precision: str) -> float:
     return math.log(1.0 / _ELASTIC[precision]) / (2.0 * lambda_)
 
 
-@lru_cache(maxsize=16)
 def flow_table(zeta: float, lambda_: float, precision: str, source: str = "machine") -> FlowTable:
     """Build the tables for one smoothing.
 
     Raises:
         InputError: the smoothing is too soft for the elastic range to end above r = 0.
     """
+    if not flow_applies(zeta, lambda_, precision):
+        least = _reach(lambda_, precision) * lambda_
+        allowed = f"scheme flow needs lambda * zeta > {least:.1f}; use rk4"
+        raise InputError(source, "friction.smoothing", lambda_, allowed)
+    return _table(zeta, lambda_, precision)
+
+
+@lru_cache(maxsize=16)
+def _table(zeta: float, lambda_: float, precision: str) -> FlowTable:
+    """Tables of a smoothing that they are for, whichever machine has it."""
     reach = _reach(lambda_, precision)
     start, end = zeta - reach, zeta + reach
-    if not flow_applies(zeta, lambda_, precision):
-        raise InputError(
-            source, "friction.smoothing", lambda_, f"scheme flow needs lambda * zeta > {reach * lambda_:.1f}; use rk4"
-        )
     degree = _DEGREE[precision]
     with mp.workdps(_DIGITS):
         curve = _Curve(zeta, lambda_)
