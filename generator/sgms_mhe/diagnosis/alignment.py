@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from sgms_mhe.diagnosis.half_steps import at_rate, of_the_step
+from sgms_mhe.diagnosis.half_steps import at_rate, compile_half_steps, of_the_step
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import nuisance
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.recordings.rows import row_means
 from sgms_mhe.signals.chain import Signals
-from sgms_mhe.support.parallel import in_parallel
+from sgms_mhe.support.parallel import beside, in_parallel
 
 Array = NDArray[np.float64]
 
@@ -37,7 +38,7 @@ def thinned(subject: Subject) -> Subject:
     n = len(recording.time) * recording.factor
 
     def mean(series: Array) -> Array:
-        return np.asarray(series[:n].reshape(-1, factor).mean(axis=1))
+        return row_means(series[:n], factor)
 
     machine = at_rate(subject.machine, rate)
     signals = recording.signals
@@ -76,7 +77,9 @@ def aligned(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
     tasks = [partial(whole.friction, fit)]
     if subject.fine is not None:
         tasks.append(partial(subject.friction, fit))
-    exact, *own = in_parallel(tasks)
+    # What is certain to run next is compiled beside what runs now.
+    asked = anew or whole.alignment.later is None
+    exact, *own = beside(partial(in_parallel, tasks), [partial(compile_half_steps, whole, fit)] if asked else [])
     used = subject.recording.used
     if not np.all(np.isfinite(exact)):
         return subject

@@ -2,39 +2,36 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Any, Final
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.configuration import make_machine, override_machine
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.diagnosis.forces import Force, force_of, plain_places
+from sgms_mhe.diagnosis.freeing import Structure, extended_machine, nominal_values, typical_sizes, without_bounds
 from sgms_mhe.diagnosis.groups import Column, Extra, Group
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.host.packages import SYMBOLIC, cached_package
-from sgms_mhe.machine import CLOSED_FORMS, Machine
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import FreeParameter, Model, build_model
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.recordings.rows import row_means
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 
 CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memory of derivatives
+SPLIT: Final = 20_000  # rows that forces are put on at a time, where there are cores
 SAME_STATE: Final = 1e-9  # of a state of about 1: two that differ by less go on alike
 SAME_SLOPES: Final = 1e-6  # the same for its derivatives
 KEPT: Final = 512  # compiled models; a diagnosis of a rich record asks for about a hundred
-COARSE: Final = 4.0  # factor between nominal values that models are compiled for
-STEP: Final = 1.0  # deflection scales of an effect's states per step, unless the effect says otherwise
-SLOW_STEP: Final = 0.04  # deflection scales of a smooth element per step below the gate: off by 1e-5 of its level
-
-Nominal = tuple[tuple[str, float], ...]
-"""Nominal values of an effect's parameters, as a key."""
 
 
 @dataclass(eq=False)
@@ -62,14 +59,16 @@ class CompiledFit:
     """The emitted model along a recording, in pieces of bounded memory, reduced to the fit's rate.
 
     Attributes:
-        code: the model, without what delays all of its force.
-        columns: of its parameters, and last the delay where there is one.
+        code: the model, without what delays all of its force and without effects that are plain forces.
+        columns: of its parameters, then the delay where there is one, then those of the forces.
         delayed: whether there is.
+        forces: what stands beside the code.
     """
 
     code: CompiledModel
     columns: tuple[Column, ...]
     delayed: bool = False
+    forces: tuple[Force, ...] = ()
 
     @property
     def model(self) -> Model:
@@ -88,13 +87,45 @@ class CompiledFit:
 
     def run(self, recording: Recording, theta: Array, *, derivatives: bool = True) -> tuple[Array, Array | None]:
         """Friction (m) [N] and its derivatives in theta (m, n_p), not to be written to: it may be asked for again."""
-        asked, run = theta, self._run
+        coded = self.model.n_p + int(self.delayed)
+        own = theta[:coded]
+        asked, run = own, self._run
         if self.delayed:  # models with the same code may scale their delays otherwise
-            late, run = self.columns[-1], self._run_late
-            asked = np.append(theta, (late.si(float(theta[-1])), late.scale))
-        return recording.runs.get(
-            self.code, recording.signals, asked, derivatives, lambda: run(recording, theta, derivatives)
+            asked, run = np.append(own, (self._delay(own), self.columns[coded - 1].scale)), self._run_late
+        friction, slopes = recording.runs.get(
+            self.code, recording.signals, asked, derivatives, lambda: run(recording, own, derivatives)
         )
+        # A code that has just run with the same numbers is not run again for other forces beside it.
+        return self._with_forces(recording, theta, friction, slopes) if self.forces else (friction, slopes)
+
+    def _with_forces(
+        self, recording: Recording, theta: Array, friction: Array, slopes: Array | None
+    ) -> tuple[Array, Array | None]:
+        """What the code makes of theta (n_p), and the forces beside it."""
+        m, coded = len(friction), self.model.n_p + int(self.delayed)
+        total, wide = friction.copy(), None if slopes is None else np.empty((m, len(theta)))
+        shift = _Shift.of(recording, self._delay(theta)) if self.delayed else None
+
+        def put(rows: slice) -> None:
+            if wide is not None and slopes is not None:
+                wide[rows, :coded] = slopes[rows]
+            first = coded
+            for force in self.forces:
+                columns = slice(first, first + len(force.parameters))
+                first = columns.stop
+                own = None if wide is None else wide[:, columns]
+                by_shift = _add_force(force, recording, theta[columns], rows, shift, total, own)
+                if wide is not None and by_shift is not None:
+                    wide[:, coded - 1] += by_shift * self.columns[coded - 1].scale
+
+        # What is shifted reads samples of other rows.
+        parts = [slice(0, m)] if m < SPLIT or shift is not None else [slice(0, m // 2), slice(m // 2, m)]
+        in_parallel([partial(put, rows) for rows in parts])
+        return total, wide
+
+    def _delay(self, theta: Array) -> float:
+        """The delay [s] of a theta that begins with the code's and the delay's."""
+        return self.columns[self.model.n_p].si(float(theta[self.model.n_p]))
 
     def _run(self, recording: Recording, theta: Array, derivatives: bool) -> tuple[Array, Array | None]:
         m, factor, n_p = len(recording.time), recording.factor, self.model.n_p
@@ -107,9 +138,9 @@ class CompiledFit:
 
         def run(rows: slice, at: _State) -> _State:
             for piece, y, d in self._pieces(recording, theta, derivatives, rows, at):
-                force[piece] = y.reshape(-1, factor).mean(axis=1)
+                force[piece] = row_means(y, factor)
                 if slopes is not None and d is not None:
-                    slopes[piece] = d.reshape(-1, factor, n_p).mean(axis=1)
+                    slopes[piece] = row_means(d, factor)
             return at
 
         if begin is None:
@@ -139,32 +170,19 @@ class CompiledFit:
         return _State(np.zeros(self.model.n_x), np.zeros((self.model.n_x, self.model.n_p)))
 
     def _run_late(self, recording: Recording, theta: Array, derivatives: bool) -> tuple[Array, Array | None]:
-        """The same, the drive's force as late as the last parameter says; between samples by cubics.
-
-        Lines would lose half of what is near half the rate, which looks like a resonance.
-        """
-        late, rate, m = self.columns[-1], recording.machine.sampling.rate, len(recording.time)
+        """The same, the drive's force as late as the last parameter says."""
+        scale, m = self.columns[self.model.n_p].scale, len(recording.time)
         pieces = list(self._pieces(recording, theta[:-1], derivatives, slice(0, m), self._relaxed()))
         inertial = recording.machine.plant.moved * recording.signals.acceleration
         drive = np.concatenate([y for _, y, _ in pieces])
         inertial = inertial[: len(drive)]
         drive += inertial
-        last = len(drive) - 1
-        at = np.clip(np.arange(last + 1) - late.si(float(theta[-1])) * rate, 0.0, float(last))
-        places = np.clip(np.floor(at).astype(np.int64) + np.arange(-1, 3)[:, None], 0, last)
-        weights, slopes = _cubic(at - np.floor(at))
-
-        def shifted(series: Array, by: Array = weights) -> Array:
-            return np.asarray(
-                sum((w if series.ndim == 1 else w[:, None]) * series[k] for w, k in zip(by, places, strict=True))
-            )
-
-        force = recording.reduce(shifted(drive) - inertial)
+        shift = _Shift.of(recording, self._delay(theta))
+        force = recording.reduce(shift.of_series(drive) - inertial)
         if not derivatives:
             return force, None
-        own = shifted(np.concatenate([d for _, _, d in pieces if d is not None]))
-        change = -shifted(drive, slopes) * rate * late.scale
-        return force, recording.reduce(np.column_stack((own, change)))
+        own = shift.of_series(np.concatenate([d for _, _, d in pieces if d is not None]))
+        return force, recording.reduce(np.column_stack((own, shift.slope_of(drive) * scale)))
 
     def _pieces(
         self, recording: Recording, theta: Array, derivatives: bool, wanted: slice, at: _State
@@ -188,6 +206,45 @@ class CompiledFit:
             yield slice(first, last), y[back:], None if d is None else d[back:]
 
 
+@dataclass(frozen=True, eq=False)
+class _Shift:
+    """A record's series as they are a while later, between samples by cubics.
+
+    Lines would lose half of what is near half the rate, which looks like a resonance.
+
+    Attributes:
+        places: samples that each one is made of (4, n).
+        weights: of them (4, n), and their derivatives in the delay [1/s].
+    """
+
+    places: NDArray[np.int64]
+    weights: Array
+    slopes: Array
+
+    @classmethod
+    def of(cls, recording: Recording, delay: float) -> Self:
+        """Of all samples that rows are made of, by a delay [s]."""
+        rate = recording.machine.sampling.rate
+        last = len(recording.time) * recording.factor - 1
+        at = np.clip(np.arange(last + 1) - delay * rate, 0.0, float(last))
+        places = np.clip(np.floor(at).astype(np.int64) + np.arange(-1, 3)[:, None], 0, last)
+        weights, slopes = _cubic(at - np.floor(at))
+        return cls(places, weights, -slopes * rate)
+
+    def of_series(self, series: Array) -> Array:
+        """A series (n) or (n, k) later."""
+        return self._sum(series, self.weights)
+
+    def slope_of(self, series: Array) -> Array:
+        """Its derivative in the delay [1/s]."""
+        return self._sum(series, self.slopes)
+
+    def _sum(self, series: Array, by: Array) -> Array:
+        return np.asarray(
+            sum((w if series.ndim == 1 else w[:, None]) * series[k] for w, k in zip(by, self.places, strict=True))
+        )
+
+
 def _cubic(u: Array) -> tuple[Array, Array]:
     """Weights (4, n) of samples -1, 0, 1, 2 at places u (n) between 0 and 1, and their derivatives in u (Lagrange)."""
     weights = (
@@ -205,17 +262,50 @@ def _cubic(u: Array) -> tuple[Array, Array]:
     return np.stack(weights), np.stack(slopes)
 
 
+def _add_force(
+    force: Force,
+    recording: Recording,
+    theta: Array,
+    rows: slice,
+    shift: _Shift | None,
+    friction: Array,
+    slopes: Array | None,
+) -> Array | None:
+    """Add a plain force with its parameters theta (n_p) to rows of the friction (m), and put its derivatives (m, n_p).
+
+    In pieces of bounded memory, and all at once where something shifts it. Returns its derivative in the shift (m)
+    [N/s], if it has one.
+    """
+    factor, by_shift = recording.factor, None
+    at_a_time = rows.stop if shift is not None else max(1, CHUNK // factor)
+    for first in range(rows.start, rows.stop, at_a_time):
+        part = slice(first, min(rows.stop, first + at_a_time))
+        y, d = force.at(recording.inputs(first * factor, part.stop * factor), theta, derivatives=slopes is not None)
+        if shift is not None:
+            by_shift = recording.reduce(shift.slope_of(y))
+            y, d = shift.of_series(y), None if d is None else shift.of_series(d)
+        friction[part] += row_means(y, factor)
+        if slopes is not None and d is not None:
+            slopes[part] = row_means(d, factor)
+    return by_shift
+
+
 def compiled_fit(machine: Machine, extras: Sequence[Extra]) -> CompiledFit:
     """The machine with effects added, everything in it a free parameter.
 
     Their values are where a fit starts; what is compiled is near them, so that few models serve all fits.
     """
-    keys = [(e.name, _nominal(machine, e)) for e in extras]
+    keys = [(e.name, nominal_values(machine, e)) for e in extras]
     machine = bearing(machine, extras)
+    prompt = _prompt(machine)
     late = [i for i, extra in enumerate(extras) if effect_definition(extra.name).delays]
-    # Compiled in the order of their names: what order effects were found in must not cost another compilation.
-    places = sorted((i for i in range(len(keys)) if i not in late), key=lambda i: keys[i])
-    compiled = compiled_structure(Structure(_prompt(machine), tuple(keys[i] for i in places)))
+    others = [i for i in range(len(keys)) if i not in late]
+    alone = {i: Structure(prompt, (keys[i],)) for i in others}
+    # In the order of their names: what order effects were found in must neither cost another compilation nor change a
+    # digit.
+    plain = sorted((others[k] for k in plain_places(prompt, list(alone.values()))), key=lambda i: keys[i])
+    places = sorted((i for i in others if i not in plain), key=lambda i: keys[i])
+    compiled = compiled_structure(Structure(prompt, tuple(keys[i] for i in places)))
     if places != list(range(len(places))):
         compiled = compiled.ordered(places)
     delays = [_delay(machine, extras[i].name, Group.extra(extras[i].name, i), dict(keys[i][1])) for i in late]
@@ -229,7 +319,18 @@ def compiled_fit(machine: Machine, extras: Sequence[Extra]) -> CompiledFit:
         for effect in machine.effects
         if effect_definition(effect.name).delays
     ]
-    return replace(compiled, columns=(*compiled.columns, *delays), delayed=True) if delays else compiled
+    forces = {i: force for i in plain if (force := force_of(alone[i])) is not None}
+    beside = [
+        _effect_column(Group.extra(extras[i].name, i), free.column.partition(".")[2], free)
+        for i, force in forces.items()
+        for free in force.parameters
+    ]
+    return replace(
+        compiled,
+        columns=(*compiled.columns, *delays, *beside),
+        delayed=bool(delays),
+        forces=tuple(forces.values()),
+    )
 
 
 def _prompt(machine: Machine) -> Machine:
@@ -263,18 +364,6 @@ def bearing(machine: Machine, extras: Sequence[Extra]) -> Machine:
         "gamma": thresholds.sharp_gamma,
     }
     return override_machine(machine, {"friction": {"law": "sgms", "smoothing": smoothing}})
-
-
-@dataclass(frozen=True)
-class Structure:
-    """What a compiled model depends on; the machine by its content."""
-
-    machine: Machine = field(compare=False, hash=False)
-    extras: tuple[tuple[str, Nominal], ...]
-    digest: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "digest", self.machine.digest)
 
 
 class _Waiting:
@@ -311,12 +400,11 @@ def compiled_once(structure: Structure) -> CompiledFit:
     """What `compiled_structure` keeps, for one thread at a time."""
     machine = structure.machine
     with SYMBOLIC:
-        zero = _typical_sizes(machine)
-        extended = _with_everything_free(machine, structure.extras, zero)
+        extended = extended_machine(structure)
         model = build_model(extended)
         package = cached_package(extended, model)
     code = CompiledModel(extended, package, model)
-    own = len(machine.effects)
+    own, zero = len(machine.effects), typical_sizes(machine)
     groups = {
         e.label: Group.own(e.name, e.label) if i < own else Group.extra(e.name, i - own)
         for i, e in enumerate(extended.effects)
@@ -327,83 +415,6 @@ def compiled_once(structure: Structure) -> CompiledFit:
         column = _effect_column(groups[label], parameter, free) if parameter else _base_column(free, zero)
         columns.append(column)
     return CompiledFit(code, tuple(columns))
-
-
-def _typical_sizes(machine: Machine) -> dict[str, float]:
-    """Typical values of the base model's numbers that the machine file says 0 of: zero has no scale of its own."""
-    return {
-        number.name: number.typical * scales_of(machine).of(number.unit)
-        for cause in BASE_CAUSES.values()
-        for number in cause.numbers
-        if number.typical is not None and getattr(machine.friction, number.name) == 0.0
-    }
-
-
-def _with_everything_free(
-    machine: Machine, extras: Sequence[tuple[str, Nominal]], friction: Mapping[str, float]
-) -> Machine:
-    """The machine with effects added and numbers of [friction] replaced, all its numbers to be estimated."""
-    units = machine.plant.units
-    effects = [e.entry(units) for e in machine.effects]
-    effects += [{"name": name} | units.keyed(effect_definition(name).lists(dict(values))) for name, values in extras]
-    axis = machine.friction.model_copy(update=dict(friction))
-    names = [name for cause in BASE_CAUSES.values() for name in cause.frees if name in axis.estimable]
-    changes: dict[str, Any] = {
-        "name": "fit",
-        "description": "",
-        "friction": dict(friction),
-        "effects": effects,
-        "code": {"precision": "double"},
-        "estimator": {"parameters": names, "bounds": {}},
-        "sampling": _integrator(machine, [name for name, _ in extras]),
-    }
-    extended = override_machine(without_bounds(machine), changes)
-    names += [units.named(f"{e.label}.{p}") for e in extended.effects for p in e.parameters]
-    return override_machine(extended, {"estimator": {"parameters": names}})
-
-
-def without_bounds(machine: Machine) -> Machine:
-    """The same machine with an estimator that constrains nothing."""
-    estimator = dict(machine.content.get("estimator", {}))
-    kept = {key: value for key, value in estimator.items() if key not in ("bounds", "parameters")}
-    return make_machine({**machine.content, "estimator": kept}, machine.source)
-
-
-def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
-    """Integration for fits: at least one step per sample.
-
-    Where the elements are integrated exactly, steps are coarser for the rest: effects' states settle within them, and a
-    search runs them a hundred times. Below the gate they hold up to ten times the stiffness of the file.
-    """
-    sampling = machine.sampling
-    # By name, so that what a tolerance chose stays chosen.
-    integrator: dict[str, Any] = {"scheme": sampling.integrator.scheme}
-    if sampling.integrator.substeps < sampling.samples_per_update:
-        integrator["substeps"] = sampling.samples_per_update
-    if sampling.integrator.scheme in CLOSED_FORMS:
-        steps = [effect_definition(name).fit_displacement or STEP for name in names]
-        # Long steps of one effect are a matter of cost, which short ones of another would undo.
-        long = max(steps, default=STEP)
-        integrator["displacement"] = long if long > STEP else min(steps, default=STEP)
-    if sampling.integrator.scheme == "flow":
-        integrator["slow_displacement"] = max(SLOW_STEP, sampling.integrator.slow_displacement)
-    return {"integrator": integrator}
-
-
-def _nominal(machine: Machine, extra: Extra) -> Nominal:
-    """Nominal values of an effect's compiled model: coarse, so that few are compiled, near where rates matter."""
-    definition, scales = effect_definition(extra.name), scales_of(machine)
-    values: list[tuple[str, float]] = []
-    for name in definition.names(extra.parameters):
-        parameter = definition.parameter(name)
-        size = parameter.default if parameter.default != 0.0 else abs(parameter.size(scales))
-        if parameter.whole:  # each once; which they are, a fit says
-            size += sum(parameter.holds(known) for known, _ in values)
-        wanted = extra.parameters.get(name, size)
-        if definition.states and wanted > 0.0 and size > 0.0:
-            size *= COARSE ** round(math.log(wanted / size, COARSE))
-        values.append((name, float(min(max(size, parameter.lower), parameter.upper))))
-    return tuple(values)
 
 
 def _effect_column(group: Group, parameter: str, free: FreeParameter) -> Column:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.diagnosis.compiling import without_bounds
+from sgms_mhe.diagnosis.freeing import without_bounds
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
@@ -39,12 +39,11 @@ def of_the_step(whole: Subject, fit: Fit) -> Array:
     what half the step changes (Richardson's extrapolation). What rings is left out: about as fast as a sample, it is
     no series in the step.
     """
-    rate = 2.0 * whole.machine.sampling.rate
     m, factor = len(whole.recording.time), whole.recording.factor
     change, still = np.zeros(m), _without_ringing(fit)
-    if rate > FASTEST:
+    machine, rows = _twice_as_fast(whole.machine), max(1, AT_A_TIME // factor)
+    if machine is None:
         return change
-    machine, rows = at_rate(whole.machine, rate), max(1, AT_A_TIME // factor)
     for first in range(0, m, rows):
         # What came before is in both runs, and so hardly in their difference.
         lead = min(first, rows // LEADS)
@@ -53,6 +52,19 @@ def of_the_step(whole: Subject, fit: Fit) -> Array:
         change[first : first + rows] = 2.0 * (part.recording.reduce(fine) - part.friction(still))[lead:]
     # A model that is not finite at one of the rates says nothing about the other.
     return change if np.all(np.isfinite(change)) else np.zeros(m)
+
+
+def compile_half_steps(whole: Subject, fit: Fit) -> None:
+    """Compile what `of_the_step` runs, while something else is done."""
+    machine = _twice_as_fast(whole.machine)
+    if machine is not None:
+        Subject.of(machine, whole.recording).model(fit.extras)
+
+
+def _twice_as_fast(machine: Machine) -> Machine | None:
+    """The machine at twice the rate; None where that is beyond all that there is."""
+    rate = 2.0 * machine.sampling.rate
+    return None if rate > FASTEST else at_rate(machine, rate)
 
 
 def _part(whole: Subject, rows: slice) -> Subject:

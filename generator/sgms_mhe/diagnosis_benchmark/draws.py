@@ -30,6 +30,7 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.recordings.excitation import measures
+from sgms_mhe.recordings.rows import row_means
 from sgms_mhe.signals.chain import settle_samples, signals_from_log
 from sgms_mhe.signals.logs import Log
 
@@ -338,5 +339,5 @@ def _noise(machine: Machine, log: Log, truth: Any) -> float:
     noise = signals_from_log(log, machine).friction - signals_from_log(true, machine).friction
     noise = noise[settle_samples(machine) + 1 :]
     factor = max(1, round(machine.sampling.rate / 1000.0))
-    means = noise[: len(noise) // factor * factor].reshape(-1, factor).mean(axis=1)
+    means = row_means(noise, factor)
     return float(np.sqrt(np.mean(means**2)))

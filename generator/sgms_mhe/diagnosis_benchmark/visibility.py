@@ -12,6 +12,7 @@ from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.host.packages import cached_package
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
+from sgms_mhe.recordings.rows import row_means
 from sgms_mhe.signals.chain import Signals, settle_samples
 
 Array = NDArray[np.float64]
@@ -28,8 +29,7 @@ def visible_share(machine: Machine, columns: Array, force: Array, others: Array 
     start = settle_samples(machine) // factor + 2
 
     def reduced(series: Array) -> Array:
-        m = len(series) // factor
-        return np.asarray(series[: m * factor].reshape(m, factor, *series.shape[1:]).mean(axis=1))[start:]
+        return row_means(series, factor)[start:]
 
     f, free = reduced(force), reduced(columns)
     if others is not None:

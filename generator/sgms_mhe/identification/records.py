@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sgms_mhe.identification.path import displacements, smooth_path
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.recording import Recording, prepare
+from sgms_mhe.recordings.rows import row_means
 from sgms_mhe.signals.chain import Signals, behind_chain, readings
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import position_noise
@@ -62,8 +63,7 @@ class Motion:
         series = series[self.steps - 1 :: self.steps]
         if self.filtered:
             series = behind_chain(self.machine, series)
-        series = series[: self.rows * self.factor]
-        return np.asarray(series.reshape(self.rows, self.factor, *series.shape[1:]).mean(axis=1))
+        return row_means(series[: self.rows * self.factor], self.factor)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,11 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Final
 
 import casadi as ca
 
 SIGNAL_NAMES = ("position", "velocity", "acceleration", "force", "time")
 """Order of the measured signals w of docs/model.md."""
+
+
+SETTABLE: Final = (
+    "velocity_ratio",
+    "coulomb_factor",
+    "viscous_factor",
+    "micro_viscous",
+    "level_force",
+    "engagement",
+    "load",
+    "stribeck_level",
+    "rest_level",
+    "element_force",
+    "output",
+)
+"""What effects may set on an axis, besides what is really there of the signals."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +140,13 @@ class SymbolicAxis:
     def transmitted(self) -> ca.SX:
         """What the drive delivers behind friction, mass * acceleration + load [N]: of known signals alone."""
         return self.mass * self.acceleration + self.load
+
+    def forget(self) -> dict[str, ca.SX]:
+        """Put a symbol in the place of everything that effects may set but the signals, and return them by name."""
+        symbols = {name: ca.SX.sym(name) for name in SETTABLE}
+        for name, symbol in symbols.items():
+            setattr(self, name, symbol)
+        return symbols
 
     def add_force(self, force: ca.SX) -> None:
         """Add a force [N] to the friction force that the axis shows."""

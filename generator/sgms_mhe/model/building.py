@@ -279,6 +279,25 @@ def _prompt_drive(effects: Sequence[_Effect], axis: SymbolicAxis) -> ca.SX:
     return prompt
 
 
+def _smoothing(machine: Machine) -> Smoothing | None:
+    """How elements go over from sticking to sliding; None: they switch."""
+    soft = machine.friction.smoothing
+    return None if soft is None else Smoothing(soft.zeta, soft.lambda_, soft.gamma)
+
+
+def _bare_axis(machine: Machine) -> SymbolicAxis:
+    """The axis before anything contributes to it."""
+    friction, sampling, smoothing = machine.friction, machine.sampling, _smoothing(machine)
+    return SymbolicAxis(
+        machine.plant.moved,
+        friction.coulomb,
+        step=sampling.step,
+        # Lines through merged samples have them in the middle of their times: half a sample ahead, as held ones are.
+        hold=0.0 if sampling.integrator.velocity == "linear" else sampling.step,
+        gate_per_velocity=(smoothing.gamma if smoothing else _GATE) / friction.stribeck_velocity,
+    )
+
+
 def build_model(machine: Machine) -> Model:
     """Assemble the symbolic model of a machine: the friction law and every effect of its machine file.
 
@@ -286,18 +305,7 @@ def build_model(machine: Machine) -> Model:
         InputError: an effect cannot be built with its numbers, or not where elements switch.
     """
     friction, noise = machine.friction, machine.estimator.noise
-    soft = friction.smoothing
-    smoothing = Smoothing(soft.zeta, soft.lambda_, soft.gamma) if soft is not None else None
-    parameters = _Parameters(machine)
-    integrator, sampling = machine.sampling.integrator, machine.sampling
-    axis = SymbolicAxis(
-        machine.plant.moved,
-        friction.coulomb,
-        step=sampling.step,
-        # Lines through merged samples have them in the middle of their times: half a sample ahead, as held ones are.
-        hold=0.0 if integrator.velocity == "linear" else sampling.step,
-        gate_per_velocity=(smoothing.gamma if smoothing else _GATE) / friction.stribeck_velocity,
-    )
+    parameters, axis = _Parameters(machine), _bare_axis(machine)
     symbols = FrictionSymbols(
         stiffness=parameters.array("stiffness", friction.stiffness),
         fraction=parameters.shares("fraction", friction.fraction),
@@ -320,7 +328,7 @@ def build_model(machine: Machine) -> Model:
     )
     axis.load = _load(effects, axis)
     _contribute(effects, axis, "level")
-    elements = add_friction(axis, symbols, smoothing)
+    elements = add_friction(axis, symbols, _smoothing(machine))
     _contribute(effects, axis, "force", "motor")
     prompt = _prompt_drive(effects, axis)
     _contribute(effects, axis, *_BEHIND_THE_DRIVE)
@@ -375,3 +383,63 @@ def _at_rest(force: ca.SX, rhs: ca.SX, chi: ca.SX, w: ca.SX, elements: int) -> c
 
 def _reads(rhs: ca.SX, states: set[int], symbol: ca.SX) -> bool:
     return any(ca.depends_on(rhs[i], symbol) for i in states)
+
+
+@dataclass(frozen=True)
+class PlainForce:
+    """What an effect adds to the output of a model whose rest it leaves as it is.
+
+    Attributes:
+        parameters: the free ones of the effect.
+        theta: their scaled values (n).
+        w: measured signals (5).
+        force: [N], of (w, theta).
+        loads: whether it acts on the load, which other effects may read.
+    """
+
+    parameters: tuple[FreeParameter, ...]
+    theta: ca.SX
+    w: ca.SX
+    force: ca.SX
+    loads: bool
+
+
+def plain_force(machine: Machine, label: str) -> PlainForce | None:
+    """An effect of the machine as a force of the signals and its own parameters, if it is nothing else.
+
+    What it reads and changes of the axis is told from its contribution to one that nothing is known of.
+    """
+    parameters, axis = _Parameters(machine), _bare_axis(machine)
+    effect = next(e for e in _effects(machine, parameters) if e.label == label)
+    if effect.definition.stage != "force" or effect.definition.states:
+        return None
+    open_ends = axis.forget()
+    effect.contribute(axis)
+    before = open_ends.pop("output")
+    if axis.states or any(getattr(axis, name) is not symbol for name, symbol in open_ends.items()):
+        return None
+    force = ca.simplify(ca.substitute(axis.output, before, 0.0))
+    slope = ca.jacobian(axis.output, before)
+    known = ca.vertcat(axis.measured, *parameters.symbols)
+    reads = {symbol.name() for symbol in ca.symvar(force)}
+    if not (slope.is_constant() and float(ca.DM(slope)) == 1.0 and reads <= {s.name() for s in ca.symvar(known)}):
+        return None
+    own = [i for i, free in enumerate(parameters.free) if free.column.partition(".")[0] == label]
+    return PlainForce(
+        parameters=tuple(parameters.free[i] for i in own),
+        theta=ca.vertcat(*(parameters.symbols[i] for i in own)),
+        w=axis.measured,
+        force=force,
+        loads=effect.definition.loads,
+    )
+
+
+def load_is_read(machine: Machine) -> bool:
+    """Whether anything that effects set on the axis hangs on its load."""
+    axis = _bare_axis(machine)
+    open_ends = axis.forget()
+    for effect in _effects(machine, _Parameters(machine)):
+        effect.contribute(axis)
+    load = open_ends.pop("load")
+    found = [getattr(axis, name) for name in open_ends] + [s.rate for s in axis.states if s.rate is not None]
+    return any(ca.depends_on(expression, load) for expression in found)

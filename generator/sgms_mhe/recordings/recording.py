@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine, Thresholds
 from sgms_mhe.model.effects import Extents
 from sgms_mhe.model.scales import scales_of
+from sgms_mhe.recordings.rows import row_means
 from sgms_mhe.recordings.runs import Runs
 from sgms_mhe.signals.chain import Signals, settle_samples, signals_of_record
 from sgms_mhe.signals.logs import Log
@@ -124,8 +125,7 @@ class Recording:
 
     def reduce(self, series: Array) -> Array:
         """Mean over `factor` samples: (n, ...) to (m, ...)."""
-        m = len(self.time)
-        return np.asarray(series[: m * self.factor].reshape(m, self.factor, *series.shape[1:]).mean(axis=1))
+        return row_means(series[: len(self.time) * self.factor], self.factor)
 
     def rows_held_out(self) -> Mask:
         """Used rows in held-out blocks (m)."""
@@ -224,7 +224,7 @@ def reduced(
     m = len(block)
 
     def reduce(series: Array) -> Array:
-        return np.asarray(series[: m * factor].reshape(m, factor).mean(axis=1))
+        return row_means(series[: m * factor], factor)
 
     return Recording(
         machine=machine,
