@@ -25,4 +25,11 @@ typedef struct {
     sgms_real slope; /* dr1/dxi = g(r1) */
 } sgms_flow_move;
 
+/* Runge-Kutta steps below the gate: `most` of them at the gate, and the slower the fewer, none longer than these.
+ * `pace` is the velocity over the gate's, at most 1 in size. */
+static SGMS_INLINE int sgms_flow_slow_steps(sgms_real most, sgms_real pace)
+{
+    return (int)sgms_fmin(most, most * sgms_fabs(pace) + (sgms_real)1);
+}
+
 #endif
