@@ -214,7 +214,8 @@ class _Shift:
 
     Attributes:
         places: samples that each one is made of (4, n).
-        weights: of them (4, n), and their derivatives in the delay [1/s].
+        weights: of them (4, n).
+        slopes: derivatives of these in the delay (4, n) [1/s].
     """
 
     places: NDArray[np.int64]

@@ -14,6 +14,7 @@ from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import Criteria, addable
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extra, without_group
+from sgms_mhe.diagnosis.noise_response import explains_noise
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.rounds import Ranked, attempted_fit, distinct, is_ruled_out, linear_gain
 from sgms_mhe.diagnosis.subject import Fit, Subject
@@ -197,6 +198,16 @@ def _machine_numbers(subject: Subject, place: _Place, refitted: tuple[Group, ...
 
 def _judge(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Criteria) -> tuple[Judgement, float]:
     """A refitted candidate against the cause whose place it took, and the RMS that it leaves more [N]."""
+    judgement, excess = _compared(subject, place, name, trial, criteria)
+    if judgement != "worse" and name in EFFECT_NAMES:
+        gain = gain_force(place.without.cross, trial.cross, trial.rows)
+        if explains_noise(subject, trial, gain):
+            return "worse", max(0.0, excess)
+    return judgement, excess
+
+
+def _compared(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Criteria) -> tuple[Judgement, float]:
+    """The same by what both leave."""
     thresholds, material = criteria.thresholds, criteria.material
     same_clock = criteria.same_clock(place.cause, name)
     steady = steady_blocks(subject.recording) if same_clock else None

@@ -15,6 +15,7 @@ from sgms_mhe.diagnosis.criteria import Criteria, addable
 from sgms_mhe.diagnosis.descent import FitError
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
+from sgms_mhe.diagnosis.noise_response import explains_noise
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.result import Outcome, Score
 from sgms_mhe.diagnosis.subject import Fit, Subject
@@ -187,7 +188,9 @@ def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: C
     gains = {
         name: gain
         for name, gain in gains.items()
-        if gain > criteria.enough(current) and not is_ruled_out(fits[name], name, subject)
+        if gain > criteria.enough(current)
+        and not is_ruled_out(fits[name], name, subject)
+        and not explains_noise(subject, fits[name], gain)
     }
     if not gains:
         return None

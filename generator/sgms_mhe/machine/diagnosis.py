@@ -218,6 +218,14 @@ class Thresholds(FitThresholds):
         ge=1,
         le=20,
     )
+    noise_answered: float = threshold(
+        0.5,
+        "gain of the effect",
+        "answer to the encoder's noise from which on an effect explains that noise and is none",
+        "a mass that is shaken by noise takes noise out of the force",
+        gt=0,
+        le=100,
+    )
     rival_gain: float = threshold(
         0.7,
         "gain of the cause",

@@ -7,10 +7,12 @@ from collections.abc import Mapping
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
+from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.motion import MotionRecord
+from sgms_mhe.model.effects.motion import Extents, MotionRecord
 from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
+from sgms_mhe.model.effects.scales import Scales
 from sgms_mhe.model.effects.search import Derivative, Values
 from sgms_mhe.model.effects.specimen import Range, Specimen
 from sgms_mhe.model.effects.states import EffectState, add_effect_state
@@ -36,6 +38,16 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
 def _trials(motion: MotionRecord) -> list[Values]:
     lengths = [share * motion.deflection for share in (0.1, 0.4, 1.6)]
     return [{"time_constant_s": time, "length_m": length} for length in lengths for time in (0.04, 0.12, 0.4, 1.2)]
+
+
+def _rises(p: Mapping[str, float], _: Scales) -> bool:
+    """A contact that rests grows stronger."""
+    return p["ratio"] >= 0.0
+
+
+def _is_speed_alone(p: Mapping[str, float], extents: Extents) -> bool:
+    """The contact's age is then that of the speed of the moment, and the level a curve over speed."""
+    return p["time_constant_s"] < 5.0 / extents.rate
 
 
 DEFINITION = EffectDefinition(
@@ -70,6 +82,8 @@ DEFINITION = EffectDefinition(
         "frictional_lag": "break away after rests of different length",
     },
     moves=("rests",),
+    simpler=Simpler(reached=_is_speed_alone),
+    possible=_rises,
     # The level's rise dies away within the way over which the elements come up to it: nothing short of the model itself
     # says what is left.
     search=Derivative("ratio", _trials, tests=6.0, costly=True),

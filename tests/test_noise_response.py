@@ -1,0 +1,102 @@
+"""A cause explains a force, not an encoder's noise; and what is only a curve over speed is no ageing contact."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.groups import Extra
+from sgms_mhe.diagnosis.noise_response import explains_noise, noise_response, with_more_noise
+from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.model.effects.motion import Extents
+from sgms_mhe.model.scales import scales_of
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.recordings.evidence import gain_force
+from sgms_mhe.recordings.recording import Recording, prepare
+from sgms_mhe.signals.logs import Log
+
+NOISE_m = 2e-8
+"""Of the encoder: mass times the noise of its acceleration is then 0.2 N, most of what a good model leaves."""
+RESONANCE = {"frequency_Hz": 45.0, "damping_ratio": 0.05, "mass_kg": 4.0}
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    return override_machine(load_machine("etel_xy"), {"sampling": {"rate": 2000.0, "velocity_cutoff": 300.0}})
+
+
+@cache
+def clean(hidden: tuple[str, ...]) -> Log:
+    """Every fifth sample of a controller at 10 kHz, whose encoder has no noise."""
+    controller = load_machine("etel_xy")
+    path = make_trajectory("mixed", controller.sampling.rate, duration_s=8.0, max_velocity=0.3)
+    effects: Sequence[tuple[str, Mapping[str, float]]] = [(name, RESONANCE) for name in hidden]
+    log = simulate_axis(controller, path, AxisConfig(seed=1), hidden_effects=effects, truth=False).log
+    columns: dict[str, Any] = {name: np.ascontiguousarray(values[::5]) for name, values in log.columns.items()}
+    return replace(log, rate=log.rate / 5.0, **columns)
+
+
+def recorded(machine: Machine, *hidden: str, noise: float = NOISE_m) -> Recording:
+    log = clean(hidden)
+    white = np.random.default_rng(4).standard_normal(len(log))
+    return prepare(machine, replace(log, position_m=log.position_m + noise * white))
+
+
+def fitted(subject: Subject) -> tuple[Fit, float]:
+    """A resonance, from where noise would have it, and what it gains [N]."""
+    without = fit_model(subject, ())
+    found = fit_model(subject, [Extra("structural_resonance", {**RESONANCE, "mass_kg": 15.0})], warm=without)
+    return found, gain_force(without.cross, found.cross, found.rows)
+
+
+def test_a_resonance_that_takes_noise_out_of_the_force_is_none(machine: Machine) -> None:
+    subject = Subject.of(machine, recorded(machine))
+    found, gain = fitted(subject)
+    assert gain > 0.1  # a quarter of what is left, on data that the fit has not seen
+    assert 5.0 < found.extras[0].parameters["mass_kg"] < machine.plant.moved
+    assert noise_response(subject, found) == pytest.approx(gain, rel=0.3)
+    assert explains_noise(subject, found, gain)
+
+
+@pytest.mark.parametrize("noise", [0.0, NOISE_m])
+def test_a_resonance_that_rings_is_one(noise: float, machine: Machine) -> None:
+    subject = Subject.of(machine, recorded(machine, "structural_resonance", noise=noise))
+    found, gain = fitted(subject)
+    assert found.extras[0].parameters["frequency_Hz"] == pytest.approx(RESONANCE["frequency_Hz"], rel=0.01)
+    assert not explains_noise(subject, found, gain)
+
+
+def test_what_is_slower_than_noise_is_not_asked(machine: Machine) -> None:
+    subject = Subject.of(machine, recorded(machine))
+    assert not explains_noise(subject, fit_model(subject, [Extra("constant_offset", {})]), 0.0)
+    assert not explains_noise(subject, fit_model(subject, ()), 0.0)
+
+
+@pytest.mark.parametrize("noise", [3e-9, 3e-8])
+def test_noise_of_an_encoder_is_told_behind_the_chain(noise: float, machine: Machine) -> None:
+    """As large as the difference to the record without it, whatever the motion."""
+    quiet, record = recorded(machine, noise=0.0), recorded(machine, noise=noise)
+    there = record.signals.acceleration - quiet.signals.acceleration
+    added = with_more_noise(record).signals.acceleration - record.signals.acceleration
+    assert float(np.std(added)) == pytest.approx(float(np.std(there)), rel=0.1)
+
+
+def test_a_contact_grows_stronger_at_rest_and_takes_longer_than_samples(machine: Machine) -> None:
+    definition = effect_definition("dwell_dependence")
+    aged = {"ratio": 0.3, "time_constant_s": 0.2, "length_m": 1e-4}
+    extents = Extents(travel=0.1, speed=0.1, duration=10.0, end=10.0, rate=500.0)
+    assert definition.possible(aged, scales_of(machine))
+    assert not definition.possible({**aged, "ratio": -0.3}, scales_of(machine))
+    assert not definition.simpler.reached(aged, extents)
+    assert definition.simpler.reached({**aged, "time_constant_s": 1e-3}, extents)
