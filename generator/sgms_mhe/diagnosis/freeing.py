@@ -15,7 +15,7 @@ from sgms_mhe.model.scales import scales_of
 
 COARSE: Final = 4.0  # factor between nominal values that models are compiled for
 STEP: Final = 1.0  # deflection scales of an effect's states per step, unless the effect says otherwise
-SLOW_STEP: Final = 0.04  # deflection scales of a smooth element per step below the gate: off by 1e-5 of its level
+SLOW_STEP: Final = 0.02  # deflection scales of a smooth element per step below the gate: off by 1e-5 of its level
 
 Nominal = tuple[tuple[str, float], ...]
 """Nominal values of an effect's parameters, as a key."""
