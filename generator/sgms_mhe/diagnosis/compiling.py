@@ -21,14 +21,13 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model import FreeParameter, Model, build_model
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.model.scales import scales_of
-from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.recordings.recording import SPLIT, Recording
 from sgms_mhe.recordings.rows import row_means
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 
 CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memory of derivatives
-SPLIT: Final = 20_000  # rows that forces are put on at a time, where there are cores
 SAME_STATE: Final = 1e-9  # of a state of about 1: two that differ by less go on alike
 SAME_SLOPES: Final = 1e-6  # the same for its derivatives
 KEPT: Final = 512  # compiled models; a diagnosis of a rich record asks for about a hundred

@@ -84,14 +84,12 @@ def _uncounted(machine: Machine, signals: Signals, clock: Array, factor: int) ->
 
 def _without_ringing(fit: Fit) -> Fit:
     """The same numbers, the sizes of effects that ring set to none."""
-    theta = fit.theta.copy()
-    for i, column in enumerate(fit.model.columns):
-        if column.group.kind != "base":
-            definition = effect_definition(column.group.cause)
-            rings = definition.full_rate and not definition.timed
-            if rings and definition.parameter(column.name).is_size:
-                theta[i] = column.theta(column.none)
-    return replace(fit, theta=theta)
+    ringing = set()
+    for group in {column.group for column in fit.model.columns if column.group.kind != "base"}:
+        definition = effect_definition(group.cause)
+        if definition.full_rate and not definition.timed:
+            ringing.add(group)
+    return replace(fit, theta=fit.theta_without(ringing))
 
 
 def with_half_steps(recording: Recording, machine: Machine) -> Recording:

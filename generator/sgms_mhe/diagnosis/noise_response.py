@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import effect_definition
@@ -20,8 +19,6 @@ from sgms_mhe.recordings.runs import Runs
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import position_noise
-
-Array = NDArray[np.float64]
 
 SEED: Final = 20241125
 """Of the noise: the same log gives the same verdict."""
@@ -42,10 +39,10 @@ def noise_response(subject: Subject, fit: Fit) -> float:
     suited = subject.suited(fit.extras)
     recording = suited.recording
     noisy = with_more_noise(recording)
-    theta, without = fit.theta, _without_last(fit)
+    without = fit.theta_without(fit.extra_groups[-1:])
     answers = [
         fit.model.run(noisy, numbers, derivatives=False)[0] - fit.model.run(recording, numbers, derivatives=False)[0]
-        for numbers in (theta, without)
+        for numbers in (fit.theta, without)
     ]
     return float(np.std((answers[0] - answers[1])[recording.used]))
 
@@ -69,13 +66,3 @@ def with_more_noise(recording: Recording) -> Recording:
         acceleration=signals.acceleration + size * noise.acceleration,
     )
     return replace(recording, signals=noisy, runs=Runs())
-
-
-def _without_last(fit: Fit) -> Array:
-    """The fit's numbers (n_p), the sizes of the effect added last set to none."""
-    theta, last = fit.theta.copy(), fit.extra_groups[-1]
-    definition = effect_definition(last.cause)
-    for i, column in enumerate(fit.model.columns):
-        if column.group == last and definition.parameter(column.name).is_size:
-            theta[i] = column.theta(column.none)
-    return theta

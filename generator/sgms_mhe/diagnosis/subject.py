@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -66,6 +66,14 @@ class Fit:
     def cross_rms(self) -> float:
         """RMS by cross-validation [N]."""
         return math.sqrt(max(0.0, float(self.cross.sum() / self.rows.sum())))
+
+    def theta_without(self, groups: Collection[Group]) -> Array:
+        """The same numbers (n_p), the sizes of these effects set to none."""
+        theta = self.theta.copy()
+        for i, column in enumerate(self.model.columns):
+            if column.group in groups and effect_definition(column.group.cause).parameter(column.name).is_size:
+                theta[i] = column.theta(column.none)
+        return theta
 
     def values(self, group: Group) -> dict[str, float]:
         """SI values of a group's parameters."""
