@@ -22,9 +22,11 @@ from sgms_mhe.diagnosis.causes import holds
 from sgms_mhe.diagnosis.compiling import CompiledFit, compiled_fit
 from sgms_mhe.diagnosis.confirmation import _imitates
 from sgms_mhe.diagnosis.covariance import covariance
+from sgms_mhe.diagnosis.descent import FitError
 from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
+from sgms_mhe.diagnosis.laws import fit_chosen, laws_of
 from sgms_mhe.diagnosis.plan import make_plan
 from sgms_mhe.diagnosis.result import Cause, Rms
 from sgms_mhe.diagnosis.subject import Subject
@@ -448,6 +450,22 @@ def test_stand_ins_for_elements_that_switch_are_no_stribeck_effect(quick: Machin
     assert not imitates(gap, 2.7, may_switch=False)
     assert not imitates(ripple, 2.7)
     assert not imitates(gap, 2.7, group=Group.extra("backlash", 0))
+
+
+def test_a_known_fit_stands_where_none_can_begin(slow: Machine, rippled: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside a gap the file's numbers may be none that a model runs through, though the search went round by others."""
+    laws = laws_of(slow, prepare(slow, rippled), 0.05)
+    criteria: Any = SimpleNamespace(thresholds=slow.diagnosis, material=0.02, excess=lambda fit: 0.0)
+    extras = (Extra("force_ripple", RIPPLE),)
+    known = fit_model(laws.chosen, extras)
+
+    def refuse(*_: object) -> None:
+        raise FitError("not finite")
+
+    monkeypatch.setattr("sgms_mhe.diagnosis.laws._fitted", refuse)
+    assert fit_chosen(laws, extras, criteria, known=known) == (laws, known)
+    with pytest.raises(FitError):
+        fit_chosen(laws, extras, criteria)
 
 
 def test_a_wrong_number_differs_from_the_file_by_its_own_interval(quick: Machine) -> None:

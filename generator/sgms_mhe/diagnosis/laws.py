@@ -114,19 +114,19 @@ def starting_unknown(laws: Laws) -> Laws:
     return replace(laws, own=subject.starting_from({**subject.starts, **found}), foreign=foreign)
 
 
-def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[Laws, Fit]:
+def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: Fit | None = None) -> tuple[Laws, Fit]:
     """Fit under the law that fits better, and keep to it from now on.
 
     Both are tried, so that the difference is not taken for an effect, nor an effect for it; each with its own thinned
     model brought into line, or what thinning does to the new effect would decide; each also from numbers that the
     record alone gives. But where an effect takes the elements' motion from them, one run costs a hundred others and
-    the laws hardly differ: the law and the start stay what they were without it.
+    the laws hardly differ: the law and the start stay what they were without it. `known`: as of `fit_chosen`.
     """
     thresholds = criteria.thresholds
     if _is_driven(extras):
-        return fit_chosen(laws, extras, criteria)
+        return fit_chosen(laws, extras, criteria, known=known)
     if laws.foreign is None or laws.decided:
-        laws, fit = fit_chosen(laws, extras, criteria)
+        laws, fit = fit_chosen(laws, extras, criteria, known=known)
         subject, fit = _from_nothing(laws.chosen, fit, criteria)
         return laws.with_chosen(subject), fit
     own, foreign = in_parallel([partial(_starting_stiff, s, extras, criteria) for s in (laws.own, laws.foreign)])
@@ -163,10 +163,25 @@ def _is_driven(extras: Sequence[Extra]) -> bool:
     return any(effect_definition(extra.name).drives_elements for extra in extras)
 
 
-def fit_chosen(laws: Laws, extras: Sequence[Extra], criteria: Criteria) -> tuple[Laws, Fit]:
-    """Fit under the law that is taken."""
+def fit_chosen(
+    laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: Fit | None = None
+) -> tuple[Laws, Fit]:
+    """Fit under the law that is taken.
+
+    `known`: with these effects by this law. It stands where no fit from the machine's own numbers can begin: beside a
+    gap they may be none that a model runs through.
+
+    Raises:
+        FitError: the model is not finite where its fit starts, and no fit is known.
+    """
     subject = laws.chosen if _is_driven(extras) else _starting_stiff(laws.chosen, extras, criteria)
-    subject, fit = in_line(subject, _fitted(subject, extras))
+    try:
+        fit = _fitted(subject, extras)
+    except FitError:
+        if known is None:
+            raise
+        return laws, known
+    subject, fit = in_line(subject, fit)
     return laws.with_chosen(subject), fit
 
 

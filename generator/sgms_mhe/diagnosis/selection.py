@@ -92,14 +92,14 @@ def search_causes(laws: Laws, criteria: Criteria) -> Searched:
             if compared or found.fit is None or _gain(current, found.fit) > laws.doubt:
                 scores += found.scores
                 if found.fit is not None:
-                    extras = pruned(laws.chosen, found.fit, criteria, least=1).extras
-                    laws, current = fit_chosen(laws, extras, criteria)
+                    known = pruned(laws.chosen, found.fit, criteria, least=1)
+                    laws, current = fit_chosen(laws, known.extras, criteria, known=known)
                     compared = False
                     continue
         if compared:
             break
         before, taken = current, laws.taken
-        laws, current = fit_law(laws, current.extras, criteria)
+        laws, current = fit_law(laws, current.extras, criteria, known=current)
         compared = True
         if laws.taken != taken or current.rms < criteria.thresholds.sharper * before.rms:
             ended = False
