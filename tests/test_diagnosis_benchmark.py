@@ -31,11 +31,11 @@ from sgms_mhe.diagnosis_benchmark import (
 )
 from sgms_mhe.diagnosis_benchmark.axes import Axis, draw_axis, machine_file
 from sgms_mhe.diagnosis_benchmark.causes import prescribed_signals, sized_cause
-from sgms_mhe.diagnosis_benchmark.draws import KINDS, VISIBLE, unmodelled_force
+from sgms_mhe.diagnosis_benchmark.draws import KINDS, VISIBLE, _Frame, _unmodelled, unmodelled_force
 from sgms_mhe.diagnosis_benchmark.faults import FAULTS
 from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, draw_motion
 from sgms_mhe.diagnosis_benchmark.scoring import confusion_table, half_found, is_confidently_wrong, parameter_errors
-from sgms_mhe.diagnosis_benchmark.unmodelled import UNMODELLED
+from sgms_mhe.diagnosis_benchmark.unmodelled import SMOOTH_CURVES, UNMODELLED, curves_over_speed
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause
@@ -145,6 +145,25 @@ def test_unmodelled_forces_have_their_size_and_stay_out_of_the_motion(
     assert draw.truth == ()
 
 
+@pytest.mark.parametrize("name", SMOOTH_CURVES)
+def test_unmodelled_curves_over_speed_are_none_of_the_catalogue(machine: Machine, name: str) -> None:
+    """What no sum of its curves takes over has to be seen, or nothing but the sum could be right."""
+    random = np.random.default_rng(5)
+    number = list(UNMODELLED).index(name)
+    frame = _Frame(machine, SEED, number, random)
+    draw = next(d for d in (_unmodelled(frame, frame.draw("unmodelled", "workout"), number) for _ in range(25)) if d)
+    (hidden,) = draw.hidden
+    axis = machine_of(machine, draw)
+    left = hidden.visible * float(np.sqrt(np.mean(unmodelled_force(machine, draw, hidden) ** 2)))
+    assert left >= max(0.01 * axis.friction.coulomb, 0.5 * draw.force_noise_N)
+    v = np.geomspace(1e-3, 0.8, 500)
+    v = np.concatenate((-v[::-1], v))
+    force = UNMODELLED[name](np.random.default_rng(1), v, v, v)
+    X = np.column_stack((np.sign(v), v, curves_over_speed(v)))
+    rest = force - X @ np.linalg.lstsq(X, force, rcond=None)[0]
+    assert 0.002 < np.std(rest) / np.std(force) < 0.2  # nearly a sum of them, and none
+
+
 def test_noise_is_known_where_nothing_distorts_the_log(machine: Machine, draws: list[Draw]) -> None:
     clean = next(d for d in draws if d.kind == "clean")
     _, noise = simulate_draw(machine, clean)
@@ -202,6 +221,17 @@ OFFSET, COULOMB = "constant_offset", "asymmetric_coulomb"
         (drawn("unmodelled", "bursts"), said("unexplained"), "unexplained"),
         (drawn("unmodelled", "bursts"), said("adequate"), "missed"),
         (drawn("unmodelled", "bursts"), said("unexplained", "force_ripple"), "misnamed"),
+        # What may stand for something else is not named for certain, whether it is there or not.
+        (
+            drawn("unmodelled", "log_of_speed"),
+            replace(said("unexplained", "viscous"), doubted=("viscous",)),
+            "unexplained",
+        ),
+        (
+            drawn("single", "quadratic_drag"),
+            replace(said("unexplained", "viscous"), doubted=("viscous",)),
+            "unexplained",
+        ),
         (drawn("weak", OFFSET), said("ambiguous", COULOMB, rivals=[(OFFSET, COULOMB)]), "right"),
         (drawn("weak", OFFSET), said("explained", OFFSET), "overclaimed"),
         (drawn("weak", OFFSET), said("explained", COULOMB), "misnamed"),

@@ -48,6 +48,7 @@ class Cause:
         gain_interval_N: 95 % interval of `gain_N` over held-out blocks.
         p_value: of the score test against the model without it, multiplicity included.
         vague: parameters that the record does not determine.
+        stands_in: whether it may stand for a part of a curve over speed of another form, some of which is left.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Cause:
     gain_interval_N: tuple[float, float]
     p_value: float
     vague: tuple[str, ...] = ()
+    stands_in: bool = False
 
 
 @dataclass(frozen=True)
@@ -248,8 +250,9 @@ class Diagnosis:
     undecided: tuple[str, ...] = ()
 
     def identifies(self, cause: Cause) -> bool:
-        """Whether the record determines a cause's numbers, and no other cause would do as well."""
-        return not cause.vague and all(a.instead_of != cause.name for a in self.alternatives if a.rival)
+        """Whether the record determines a cause's numbers, and nothing else would do as well."""
+        doubted = cause.vague or cause.stands_in
+        return not doubted and all(a.instead_of != cause.name for a in self.alternatives if a.rival)
 
     @property
     def limits(self) -> tuple[str, ...]:
@@ -271,7 +274,8 @@ class Diagnosis:
             if cause.vague
         ]
         unknown = [f"{named(b.name)}: the record does not show it" for b in self.base if not math.isfinite(b.std)]
-        return (*map(Limit, self._left), *pairs, *map(Limit, (*self.undecided, *vague, *unknown)))
+        others = (*self.undecided, *self._curves, *vague, *unknown)
+        return (*map(Limit, self._left), *pairs, *map(Limit, others))
 
     @property
     def _left(self) -> tuple[str, ...]:
@@ -283,6 +287,14 @@ class Diagnosis:
             f"{rms:.3g} {unit} are left, {rms / self.noise_floor_N:.2g} times the noise: something acts on this axis "
             "that no cause in the catalogue accounts for",
         )
+
+    @property
+    def _curves(self) -> tuple[str, ...]:
+        """What may only stand for a curve over speed."""
+        names = ", ".join(dict.fromkeys(cause.name for cause in self.causes if cause.stands_in))
+        if not names:
+            return ()
+        return (f"{names}: may stand for a curve over speed of another form, a part of which is left",)
 
     @property
     def extended_name(self) -> str | None:

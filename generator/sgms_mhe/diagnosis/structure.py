@@ -34,6 +34,11 @@ def structure_map(recording: Recording, residual: Array) -> tuple[Structure, ...
     return (*found, _spectrum(recording, np.where(used, residual, 0.0)))
 
 
+def force_over_speed(recording: Recording, residual: Array) -> float:
+    """RMS of what a residual (m) holds as a function of velocity, on the used rows and beyond their noise [N]."""
+    return _binned(recording, residual, "velocity", recording.velocity).rms_N
+
+
 def _way_after_reversal(recording: Recording) -> Array:
     """Distance travelled since the last change of direction (m) [m], as its decimal logarithm."""
     moved = np.diff(recording.position, prepend=recording.position[:1])

@@ -20,21 +20,23 @@ from sgms_mhe.diagnosis.confirmation import (
     without_undetermined,
 )
 from sgms_mhe.diagnosis.course import Course, Progress
-from sgms_mhe.diagnosis.criteria import criteria_of, small_force
+from sgms_mhe.diagnosis.criteria import criteria_of, material_force, small_force
 from sgms_mhe.diagnosis.descent import FitError
 from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Group
 from sgms_mhe.diagnosis.laws import compile_laws, laws_of
-from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
+from sgms_mhe.diagnosis.result import Cause, Diagnosis, Rms, Score, Traces, Verdict
 from sgms_mhe.diagnosis.sampling import in_step, offset_notes, sampling_offset
 from sgms_mhe.diagnosis.selection import search_causes, select_causes
 from sgms_mhe.diagnosis.settling import Left, Settled, settle, split_rms
 from sgms_mhe.diagnosis.standins import rival_fits
-from sgms_mhe.diagnosis.structure import structure_map
+from sgms_mhe.diagnosis.structure import force_over_speed, structure_map
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.diagnosis.wording import alternatives_of, experiment_of, summary_of
 from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import BASE_CAUSES
+from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.recordings.evidence import gain_interval, noise_floor
 from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.recordings.recording import Recording, prepare
@@ -134,12 +136,14 @@ def _judge(settled: Settled) -> _Judged:
     plain = settled.fit((), refitted=())
     # The base numbers' own small errors are no structure that asks for a name.
     free = settled.fit(found.selection.fit.extras, warm=found.selection.fit)
-    before, after = settled.excess(plain), min(settled.excess(found.selection.fit), settled.excess(free))
+    best = min(found.selection.fit, free, key=settled.excess)
+    before, after = settled.excess(plain), settled.excess(best)
+    allowed = _allowed(settled.record.machine, settled.floor, found.selection.causes, before)
     verdict: Verdict
     if not found.selection.causes:
         # As it is, and not with other numbers: what these explain and no cause does is not adequate.
-        verdict = "adequate" if before < _allowed(settled.record.machine, settled.floor) else "unexplained"
-    elif after < _allowed(settled.record.machine, settled.floor, found.selection.causes, before):
+        verdict = "adequate" if before < allowed else "unexplained"
+    elif after < allowed and not _leaves_curve(settled, best):
         verdict = "ambiguous" if found.selection.rivals else "explained"
         if settled.foreign:
             found = refitted_beside(settled, found, constant=False)
@@ -151,7 +155,25 @@ def _judge(settled: Settled) -> _Judged:
         before = settled.excess(settled.fit((), refitted=found.selection.unnamed))
         if not found.causes or not settled.excess(found.selection.fit) < thresholds.most_left * before:
             found = Confirmed(replace(found.selection, fit=plain, refitted=(), rivals=()), plain, ())
-    return _Judged(verdict, without_undetermined(settled, found) if found.causes else found, plain, free)
+    if found.causes:
+        found = without_undetermined(settled, found)
+        if verdict == "unexplained" and _leaves_curve(settled, found.selection.fit):
+            found = replace(found, causes=tuple(map(_standing_in, found.causes)))
+    return _Judged(verdict, found, plain, free)
+
+
+def _standing_in(cause: Cause) -> Cause:
+    """A cause beside a curve over speed that is left: a number of the machine or a curve may be a part of that."""
+    return replace(cause, stands_in=cause.name in BASE_CAUSES or cause_definition(cause.name).over_speed)
+
+
+def _leaves_curve(settled: Settled, fit: Fit) -> bool:
+    """Whether a good part of what a fit leaves is a curve over speed, and it matters."""
+    thresholds, material = settled.thresholds, material_force(settled.record.machine, settled.floor)
+    left = settled.left(fit)
+    curve = force_over_speed(settled.record, left.residual)
+    beyond = math.sqrt(max(0.0, left.rms**2 - settled.floor**2))
+    return curve > max(thresholds.curve_left * material, thresholds.curve_share * beyond)
 
 
 def _allowed(machine: Machine, floor: float, causes: Sequence[Group] = (), before: float = 0.0) -> float:
@@ -191,7 +213,7 @@ def _diagnosis(machine: Machine, log: Log, settled: Settled, judged: _Judged) ->
         summary=summary_of(verdict, causes, rivals, held_before, held_after, machine.plant.units),
         causes=causes,
         alternatives=alternatives,
-        separating_experiment=experiment_of(verdict, rivals),
+        separating_experiment=experiment_of(verdict, causes, rivals),
         rms=Rms(rms_before, rms_after, held_before, held_after),
         noise_floor_N=settled.floor if settled.along is None else noise_floor(record, final.residual),
         gain_interval_N=gain_interval(nominal.loss[held], unseen.loss[held], unseen.rows[held])

@@ -12,6 +12,7 @@ from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.model.effects import separating_moves
 
 TWICE = "the same motion twice, and once at half the speed: what stays in place, in time or in velocity shows"
+PLATEAUS = "constant speeds from the slowest to the fastest, in both directions: friction over speed shows as it is"
 
 
 def alternatives_of(selection: Selection, units: Units) -> tuple[Alternative, ...]:
@@ -61,9 +62,10 @@ def _why_not(selection: Selection, name: str, units: Units) -> str:
     return f"in place of {lost.instead_of} leaves {lost.excess_N:.3g} {units.force} more"
 
 
-def experiment_of(verdict: Verdict, rivals: Sequence[Alternative]) -> str | None:
+def experiment_of(verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Alternative]) -> str | None:
     """What to record next: the moves that tell causes and rivals apart; None: nothing."""
-    moves = [TWICE] if verdict == "unexplained" else []
+    left = PLATEAUS if any(cause.stands_in for cause in causes) else TWICE
+    moves = [left] if verdict == "unexplained" else []
     for rival in rivals:
         if rival.instead_of is None:
             continue
@@ -85,7 +87,12 @@ def summary_of(
     if verdict == "unexplained" and not causes:
         return f"{before:.3g} {unit} RMS are left that no known effect accounts for; nothing is named."
     if verdict == "unexplained":
-        return f"{', '.join(names)}, and more that no known effect accounts for: {gain}."
+        doubted = [cause.name for cause in causes if cause.stands_in]
+        certain = [cause.name for cause in causes if not cause.stands_in]
+        if not certain:
+            return f"{', '.join(doubted)} in place of a curve over speed that no known effect has: {gain}."
+        also = f" ({', '.join(doubted)} for a curve over speed)" if doubted else ""
+        return f"{', '.join(certain)}, and more that no known effect accounts for{also}: {gain}."
     if verdict == "ambiguous":
         others = [name for name in dict.fromkeys(rival.name for rival in rivals) if name not in names]
         return f"{', '.join(names)}, but {', '.join(others)} would fit as well: {gain}."

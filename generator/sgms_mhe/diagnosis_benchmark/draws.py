@@ -20,7 +20,7 @@ from sgms_mhe.diagnosis_benchmark.axes import Axis, PlantLaw, draw_axis, machine
 from sgms_mhe.diagnosis_benchmark.causes import Hidden, Values, draw_size, peak_force, prescribed_signals, sized_cause
 from sgms_mhe.diagnosis_benchmark.faults import FAULTS
 from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, draw_motion
-from sgms_mhe.diagnosis_benchmark.unmodelled import UNMODELLED
+from sgms_mhe.diagnosis_benchmark.unmodelled import SMOOTH_CURVES, UNMODELLED, curves_over_speed
 from sgms_mhe.diagnosis_benchmark.visibility import sensitivities, visible_share
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition, own_effects
@@ -47,6 +47,9 @@ ATTEMPTS: Final = 25
 OFF_SIZE: Final = 0.25
 """What a size that was asked for may be missed by, of itself."""
 _RARE: Final = 4.0  # largest force of an unmodelled cause, over its size
+_CURVE_SIZE: Final = (1.0, 4.0)  # of an unmodelled curve over speed
+_CURVE_LEFT: Final = 0.01  # least RMS that no sum of the catalogue's curves takes over, over f_C
+_CURVE_NOISE: Final = 0.5  # the same over the force's noise
 _TOGETHER: Final = {"double": 2, "triple": 3}
 _BEYOND_SAMPLING: Final = 1.2
 _CLOCK_SIZE: Final = 0.1  # least size of what is hidden where position is a clock
@@ -199,7 +202,7 @@ class _Frame:
             seconds=float(random.uniform(*SECONDS)),
             motion_seed=int(random.integers(2**31)),
             force_noise_N=coulomb * log_uniform(random, 0.004, 0.06),
-            encoder_noise_m=coulomb * log_uniform(random, 0.001, 0.02) / gain,
+            encoder_noise_m=coulomb * log_uniform(random, 0.001, 0.08) / gain,
             encoder_resolution_m=coulomb * log_uniform(random, 0.001, 0.03) / gain,
             noise_seed=int(random.integers(2**31)),
         )
@@ -237,14 +240,20 @@ def _attempt(frame: _Frame, kind: str, number: int) -> Draw | None:
 
 def _unmodelled(frame: _Frame, draw: Draw, number: int) -> Draw | None:
     axis = machine_of(frame.machine, draw)
-    hidden = Hidden(list(UNMODELLED)[number % len(UNMODELLED)], size=draw_size(frame.random, 0.1))
+    name = list(UNMODELLED)[number % len(UNMODELLED)]
+    smooth = name in SMOOTH_CURVES
+    size = log_uniform(frame.random, *_CURVE_SIZE) if smooth else draw_size(frame.random, 0.1)
+    hidden = Hidden(name, size=size)
     draw = replace(draw, hidden=(hidden,))
     plain = prescribed_signals(axis, _motion(axis, draw), Hidden(""))
     force = unmodelled_force(axis, draw, hidden)
     if np.abs(force).max() > _RARE * hidden.size * axis.friction.coulomb:
         return None  # hardly ever there: its size says nothing
-    left = visible_share(axis, sensitivities(axis, plain), force)
-    return replace(draw, hidden=(replace(hidden, visible=left),)) if left >= 0.6 else None
+    columns = sensitivities(axis, plain)
+    left = visible_share(axis, columns, force, curves_over_speed(plain.velocity) if smooth else None)
+    rms = left * float(np.sqrt(np.mean(force**2)))
+    fair = rms >= max(_CURVE_LEFT * axis.friction.coulomb, _CURVE_NOISE * draw.force_noise_N) if smooth else left >= 0.6
+    return replace(draw, hidden=(replace(hidden, visible=left),)) if fair else None
 
 
 def _in_turn(names: tuple[str, ...], number: int, seed: int) -> str:

@@ -29,7 +29,8 @@ class Found:
 
     `causes`: (name, parameters, std); `rivals`: (name, instead of which cause); `law`: of friction, as told; `noise_N`:
     of the log, known from its making, over means of ten samples, NaN where it is not; `refused`: what was said of a log
-    that was refused for its sign, scale or unit; `error`: why there was no diagnosis.
+    that was refused for its sign, scale or unit; `doubted`: causes that may stand for something else; `error`: why
+    there was no diagnosis.
     """
 
     verdict: str
@@ -43,6 +44,7 @@ class Found:
     noise_N: float = math.nan
     seconds: float = math.nan
     refused: str = ""
+    doubted: tuple[str, ...] = ()
     error: str = ""
 
     @classmethod
@@ -59,6 +61,7 @@ class Found:
             noise_floor_N=diagnosis.noise_floor_N,
             noise_N=noise_N,
             seconds=seconds,
+            doubted=tuple(c.name for c in diagnosis.causes if c.stands_in),
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -72,12 +75,13 @@ class Found:
         causes = tuple((name, values, std) for name, values, std in content["causes"])
         rivals = tuple((name, instead) for name, instead in content["rivals"])
         numbers = {key: math.nan for key, value in content.items() if value is None}
-        return cls(**{**content, **numbers, "causes": causes, "rivals": rivals})
+        lists = {"causes": causes, "rivals": rivals, "doubted": tuple(content["doubted"])}
+        return cls(**{**content, **numbers, **lists})
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the causes, one per kind."""
-        return tuple(dict.fromkeys(name for name, _, _ in self.causes))
+        """Of the causes that are certain, one per kind."""
+        return tuple(dict.fromkeys(name for name, _, _ in self.causes if name not in self.doubted))
 
 
 def outcome(draw: Draw, found: Found) -> str:

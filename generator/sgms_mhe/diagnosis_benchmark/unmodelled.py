@@ -1,4 +1,4 @@
-"""Forces that no effect of the catalogue can represent, alone or by two: what is left has to be called unexplained."""
+"""Forces that no effects of the catalogue can represent: what is left has to be called unexplained."""
 
 from __future__ import annotations
 
@@ -66,6 +66,17 @@ def _bump_in_speed(random: Generator, t: Array, _: Array, v: Array) -> Array:
     return np.asarray(np.sign(v) * np.exp(-(((np.abs(v) - at) / (0.12 * at)) ** 2)))
 
 
+def _power_of_speed(random: Generator, _: Array, __: Array, v: Array) -> Array:
+    """Friction that rises with a power of speed well below 1."""
+    return np.asarray(np.sign(v) * np.abs(v) ** random.uniform(0.35, 0.6))
+
+
+def _log_of_speed(random: Generator, _: Array, __: Array, v: Array) -> Array:
+    """Friction that rises with the logarithm of speed, as that of rubber and of hard contacts does."""
+    slow = float(np.quantile(np.abs(v), 0.95)) * math.exp(random.uniform(math.log(2e-3), math.log(2e-2)))
+    return np.asarray(np.sign(v) * np.log1p(np.abs(v) / slow))
+
+
 def _spots(random: Generator, t: Array, q: Array, _: Array) -> Array:
     """A few places that push, not in a row, each for a part of the time: all the time they would be a map."""
     low, high = float(q.min()), float(q.max())
@@ -87,6 +98,19 @@ UNMODELLED: Final[Mapping[str, Unmodelled]] = MappingProxyType(
         "place_and_time": _in_place_and_time,
         "bump_in_speed": _bump_in_speed,
         "spots": _spots,
+        "power_of_speed": _power_of_speed,
+        "log_of_speed": _log_of_speed,
     }
 )
 """Unmodelled forces by name."""
+
+SMOOTH_CURVES: Final = ("power_of_speed", "log_of_speed")
+"""Those that numbers of the base model and the catalogue's curves over speed nearly add up to. Only a large one leaves
+enough beside them to be told from their sum."""
+
+
+def curves_over_speed(v: Array) -> Array:
+    """The catalogue's curves over speed (n, 6): drag, and eddy currents of many corners, of velocity (n)."""
+    fastest = float(np.max(np.abs(v)))
+    eddies = [v / (1.0 + (v / (corner * fastest)) ** 2) for corner in (0.05, 0.1, 0.2, 0.4, 0.8)]
+    return np.column_stack((v * np.abs(v), *eddies))

@@ -371,6 +371,22 @@ class Thresholds(FitThresholds):
         ge=2,
         le=100,
     )
+    curve_left: float = threshold(
+        0.5,
+        "gain that matters",
+        "RMS of what is left as a curve over speed, from which a curve is taken for another one, with curve_share",
+        "curves over speed add up to nearly any other one, and what they miss of it is such a curve",
+        gt=0,
+        le=100,
+    )
+    curve_share: float = threshold(
+        0.3,
+        "RMS beyond noise",
+        "the same over all that is left",
+        "where much else is left the map over speed shows some of that",
+        ge=0,
+        le=1,
+    )
     follows: float = threshold(
         0.5,
         "gain beside the effects",

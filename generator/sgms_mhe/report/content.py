@@ -165,14 +165,16 @@ def _headline(d: Diagnosis) -> str:
         known = "The simulation explains this record down to the noise of the measurement."
         return f"{rest}." if d.verdict == "unexplained" else known
     rivals = rivals_by_cause(d)
-    settled = [with_size(c) for c in d.causes if c.label not in rivals]
+    settled = [with_size(c) for c in d.causes if c.label not in rivals and not c.stands_in]
     choices = [
         f"{capital(listed([title(c.name), *(title(r.name) for r in rivals[c.label])], 'or'))}?"
         for c in d.causes
         if c.label in rivals
     ]
     found = f"Found: {listed(shortened(settled))}." if settled else ""
-    if d.verdict == "unexplained":
+    if any(c.stands_in for c in d.causes):
+        found = f"{found} Friction over speed has a form that no known effect has."
+    elif d.verdict == "unexplained":
         found = f"{found} {rest}, too."
     return " ".join((found, *choices)).strip()
 
@@ -271,6 +273,7 @@ def _cause(c: Cause, rivals: Sequence[Alternative]) -> dict[str, Any]:
         "title": capital(cause_title(c)),
         "label": c.label,
         "wrong_number": wrong,
+        "stands_in": c.stands_in,
         "parameters": [
             {
                 "words": split_name(name)[0],

@@ -185,6 +185,7 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                 summary="Coulomb level differs from the machine file",
                 numbers=(BaseNumber("coulomb", "Coulomb friction", "_N"),),
                 factors=_coulomb,
+                over_speed=True,
                 moves=("speeds", "again"),
                 excitation=Excitation(
                     "sliding in both directions", (Need("both_directions", 0.1), Need("reversals", 1.0))
@@ -201,6 +202,7 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                 summary="viscous friction differs from the machine file",
                 numbers=(BaseNumber("viscous", "viscous friction", "_N_s_m", lower=0.0, typical=0.1, unit="damping"),),
                 factors=_viscous,
+                over_speed=True,
                 moves=("speeds", "again"),
                 excitation=Excitation(
                     "constant speeds that differ by a factor of three",
@@ -228,6 +230,7 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                 ),
                 start_search=_RISE,
                 factors=_stribeck,
+                over_speed=True,
                 moves=("speeds", "rests"),
                 excitation=Excitation(
                     "constant speeds from well below to well above the Stribeck velocity", (Need("speed_ratio", 10.0),)

@@ -51,6 +51,8 @@ class CauseDefinition:
         moves: parts of an experiment that show it.
         inertial: it acts where the axis accelerates. There the model's errors at break-away are mixed with it, and its
             constancy over a record is judged by time alone.
+        over_speed: in steady sliding its force is a curve over speed, the same in either direction, and nothing else.
+            Any other such curve is nearly a sum of these.
         excludes: causes that never stand beside it, because together they cancel.
         simpler: limits in which it is another cause.
     """
@@ -61,5 +63,6 @@ class CauseDefinition:
     confused_with: Mapping[str, str]
     moves: tuple[Move, ...]
     inertial: bool = False
+    over_speed: bool = False
     excludes: tuple[str, ...] = ()
     simpler: Simpler = Simpler()

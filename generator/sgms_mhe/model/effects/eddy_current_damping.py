@@ -42,6 +42,7 @@ DEFINITION = EffectDefinition(
         ),
     ),
     contribute=_contribute,
+    over_speed=True,
     excitation=Excitation(
         "constant speeds from well below to beyond the corner velocity",
         (Need("speed_m_s", 1.0, times="corner_velocity_m_s"), Need("speed_ratio", 2.5)),

@@ -24,6 +24,7 @@ DEFINITION = EffectDefinition(
     summary="drag proportional to speed squared",
     parameters=(EffectParameter("coefficient_N_s2_m2", 0.0, 0.1, "force over v |v|", unit="coulomb"),),
     contribute=_contribute,
+    over_speed=True,
     excitation=Excitation(
         "three constant speeds or more, up to the fastest", (Need("speed_ratio", 2.5), Need("moving_s", 0.5))
     ),
