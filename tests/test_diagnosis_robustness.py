@@ -30,6 +30,9 @@ from sgms_mhe.diagnosis.laws import fit_chosen, laws_of
 from sgms_mhe.diagnosis.plan import make_plan
 from sgms_mhe.diagnosis.result import Cause, Rms
 from sgms_mhe.diagnosis.subject import Subject
+from sgms_mhe.diagnosis_benchmark.axes import Axis
+from sgms_mhe.diagnosis_benchmark.causes import Hidden
+from sgms_mhe.diagnosis_benchmark.draws import Draw, machine_of, simulate_draw
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -39,7 +42,7 @@ from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.recording import Recording, prepare, rows_spanning
 from sgms_mhe.signals.logs import Log, write_log
 
-Hidden = Sequence[tuple[str, Mapping[str, float]]]
+Effects = Sequence[tuple[str, Mapping[str, float]]]
 
 RIPPLE = {"amplitude_N": 0.5, "pitch_m": 0.0173, "phase_rad": 0.7}
 SECONDS = 6.0
@@ -59,7 +62,7 @@ def slow(quick: Machine) -> Machine:
     return override_machine(quick, {"sampling": {"rate": 1000.0, "velocity_cutoff": 100.0}})
 
 
-def recorded(machine: Machine, hidden: Hidden = (), path: Trajectory | None = None, **options: Any) -> Log:
+def recorded(machine: Machine, hidden: Effects = (), path: Trajectory | None = None, **options: Any) -> Log:
     """What a controller at 10 kHz logs."""
     path = path or make_trajectory("mixed", machine.sampling.rate, duration_s=SECONDS, max_velocity=0.3)
     scale = options.pop("scale", {})
@@ -450,6 +453,29 @@ def test_stand_ins_for_elements_that_switch_are_no_stribeck_effect(quick: Machin
     assert not imitates(gap, 2.7, may_switch=False)
     assert not imitates(ripple, 2.7)
     assert not imitates(gap, 2.7, group=Group.extra("backlash", 0))
+
+
+def test_the_difference_of_the_laws_is_no_wrong_number(quick: Machine) -> None:
+    """Where either law fits, the one stands that needs fewer wrong numbers: by the other one a Stribeck effect goes."""
+    draw = Draw(
+        index=0,
+        kind="base",
+        axis=Axis("linear", other_law=True, obeys="sgms"),
+        hidden=(Hidden("coulomb", factors={"coulomb": 0.5121214720402487}),),
+        machine_changes={},
+        style="dies",
+        seconds=10.593301230586455,
+        motion_seed=1631138469,
+        force_noise_N=0.037,
+        encoder_noise_m=2.1e-9,
+        encoder_resolution_m=1.8e-10,
+        noise_seed=583605344,
+    )
+    log, _ = simulate_draw(quick, draw)
+    found = diagnose(machine_of(quick, draw), log)
+    assert found.verdict == "explained"
+    assert [cause.name for cause in found.causes] == ["coulomb"]
+    assert found.law == "sgms"
 
 
 def test_a_known_fit_stands_where_none_can_begin(slow: Machine, rippled: Log, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -123,7 +123,7 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: F
     the laws hardly differ: the law and the start stay what they were without it. `known`: as of `fit_chosen`.
     """
     thresholds = criteria.thresholds
-    if _is_driven(extras):
+    if is_driven(extras):
         return fit_chosen(laws, extras, criteria, known=known)
     if laws.foreign is None or laws.decided:
         laws, fit = fit_chosen(laws, extras, criteria, known=known)
@@ -158,7 +158,7 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: F
     return Laws(own, foreign, taken, decided, apart), better
 
 
-def _is_driven(extras: Sequence[Extra]) -> bool:
+def is_driven(extras: Sequence[Extra]) -> bool:
     """Whether an effect takes the elements' motion from them."""
     return any(effect_definition(extra.name).drives_elements for extra in extras)
 
@@ -174,7 +174,7 @@ def fit_chosen(
     Raises:
         FitError: the model is not finite where its fit starts, and no fit is known.
     """
-    subject = laws.chosen if _is_driven(extras) else _starting_stiff(laws.chosen, extras, criteria)
+    subject = laws.chosen if is_driven(extras) else _starting_stiff(laws.chosen, extras, criteria)
     try:
         fit = _fitted(subject, extras)
     except FitError:

@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from sgms_mhe.diagnosis.criteria import Criteria
+from sgms_mhe.diagnosis.descent import FitError
+from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Group
-from sgms_mhe.diagnosis.laws import Laws, fit_chosen, fit_law, starting_unknown
+from sgms_mhe.diagnosis.laws import Laws, fit_chosen, fit_law, is_driven, starting_unknown
 from sgms_mhe.diagnosis.reduction import necessary, pruned
 from sgms_mhe.diagnosis.result import Score
 from sgms_mhe.diagnosis.rivals import Contest, Rejected, Rival, cause_significance, find_rivals
@@ -105,7 +107,30 @@ def search_causes(laws: Laws, criteria: Criteria) -> Searched:
             ended = False
     # What is left unexplained is no measure for the machine's numbers, but no finer one than that is possible.
     told = criteria.thresholds.left * criteria.excess(current)
-    return Searched(laws, current, replace(criteria, material=max(criteria.material, told)), scores, seen)
+    criteria = replace(criteria, material=max(criteria.material, told))
+    return _by_simpler_law(Searched(laws, current, criteria, scores, seen))
+
+
+def _by_simpler_law(searched: Searched) -> Searched:
+    """What was found, under the other law where the record decides for none and fewer causes explain as much there.
+
+    A cause may be the difference of the laws.
+    """
+    laws, criteria = searched.laws, searched.criteria
+    if laws.other is None or laws.decided or is_driven(searched.fit.extras):
+        return searched
+    causes, fit = necessary(laws.chosen, searched.fit, criteria)
+    count = len(causes) + len(fit.extras)
+    if count == 0:
+        return searched
+    try:
+        found = fit_model(laws.other, searched.fit.extras, warm=searched.fit)
+    except FitError:
+        return searched
+    causes, other = necessary(laws.other, found, criteria)
+    if len(causes) + len(other.extras) < count and criteria.costs_nothing(fit, other):
+        return replace(searched, laws=replace(laws, taken=not laws.taken), fit=found)
+    return searched
 
 
 def _gain(before: Fit, after: Fit) -> float:
