@@ -63,8 +63,11 @@ def search(subject: Subject, fit: Fit, names: Sequence[str], free: Nuisance) -> 
     recording = subject.recording
     e = free.project(fit.residual[recording.used])
     seen = Residual(recording, motion_of(recording, fit), free, e)
-    found = in_parallel([partial(_search_effect, effect_definition(name), subject, fit, seen) for name in names])
-    return [proposal for proposals in found for proposal in proposals]
+    # Maps take longest: begun last, one core would search and the others wait.
+    order = sorted(names, key=lambda name: not isinstance(effect_definition(name).search, Periodic))
+    found = in_parallel([partial(_search_effect, effect_definition(name), subject, fit, seen) for name in order])
+    by_name = dict(zip(order, found, strict=True))
+    return [proposal for name in names for proposal in by_name[name]]
 
 
 def _search_effect(definition: EffectDefinition, subject: Subject, fit: Fit, seen: Residual) -> list[Proposal]:
@@ -190,8 +193,8 @@ def _search_derivative(
     grid = kind.grid(seen.motion)
     model = suited.model((*fit.extras, Extra(definition.name, grid[0])))
     best: tuple[float, Mapping[str, float], Array] | None = None
-    for given in grid:
-        slope = _slope(definition, size, {size: none, **given}, suited, model, fit)
+    trials = [partial(_slope, definition, size, {size: none, **given}, suited, model, fit) for given in grid]
+    for given, slope in zip(grid, in_parallel(trials), strict=True):
         if slope is None:
             continue
         Z = here.columns(slope)

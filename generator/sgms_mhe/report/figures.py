@@ -36,10 +36,10 @@ def measured_figure(diagnosis: Diagnosis) -> Figure:
             t.time_s, shown(t.held_out_fit_N), color=AFTER, linewidth=0.9, linestyle="--", label="simulated, extended"
         )
         bottom.plot(t.time_s, shown(t.residual_after), color=AFTER, linewidth=0.6)
+    kept = [(t.time_s[a], t.time_s[b - 1] - t.time_s[a]) for a, b in runs(t.held_out)]
     for axis in (top, bottom):
-        for a, b in runs(t.held_out):
-            axis.axvspan(t.time_s[a], t.time_s[b - 1], color=HELD_OUT, linewidth=0, zorder=0)
         axis.margins(x=0)
+        axis.broken_barh(kept, (0.0, 1.0), transform=axis.get_xaxis_transform(), color=HELD_OUT, linewidth=0, zorder=0)
     top.set_ylabel(f"friction [{axis_units().force}]")
     bottom.set_ylabel(f"measured -\nsimulated [{axis_units().force}]")
     bottom.set_xlabel("time [s]; shaded: kept from the fit")
