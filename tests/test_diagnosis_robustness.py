@@ -254,7 +254,7 @@ def test_presliding_alone(quick: Machine) -> None:
 def standing(quick: Machine, rest: str) -> Log:
     """Two seconds of an axis that holds its place."""
     path = Trajectory("rest", quick.sampling.rate, np.zeros(20_000))
-    disturbances: dict[str, Hidden] = {
+    disturbances: dict[str, Effects] = {
         "held": (),
         "loaded": [("constant_offset", {"force_N": 1.0})],
         "humming": [("periodic_disturbance", {"amplitude_N": 0.5, "frequency_Hz": 13.0, "phase_rad": 0.0})],

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra
-from sgms_mhe.diagnosis.noise_response import explains_noise, noise_response, with_more_noise
+from sgms_mhe.diagnosis.noise_response import explains_noise, noise_explained, with_more_noise
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
@@ -22,7 +23,7 @@ from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.recordings.evidence import gain_force
+from sgms_mhe.recordings.evidence import gain_force, noise_floor
 from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.signals.logs import Log
 
@@ -65,7 +66,7 @@ def test_a_resonance_that_takes_noise_out_of_the_force_is_none(machine: Machine)
     found, gain = fitted(subject)
     assert gain > 0.1  # a quarter of what is left, on data that the fit has not seen
     assert 5.0 < found.extras[0].parameters["mass_kg"] < machine.plant.moved
-    assert noise_response(subject, found) == pytest.approx(gain, rel=0.3)
+    assert noise_explained(subject, found) == pytest.approx(gain, rel=0.3)
     assert explains_noise(subject, found, gain)
 
 
@@ -75,6 +76,27 @@ def test_a_resonance_that_rings_is_one(noise: float, machine: Machine) -> None:
     found, gain = fitted(subject)
     assert found.extras[0].parameters["frequency_Hz"] == pytest.approx(RESONANCE["frequency_Hz"], rel=0.01)
     assert not explains_noise(subject, found, gain)
+
+
+def test_a_delay_makes_other_noise_but_not_less(machine: Machine) -> None:
+    subject = Subject.of(machine, recorded(machine))
+    late = fit_model(subject, [Extra("force_delay", {"delay_s": 1.5e-3})], iterations=0)
+    assert noise_explained(subject, late) < 0.1 * noise_floor(subject.recording, late.residual)
+
+
+def test_the_interval_of_a_mass_knows_of_errors_in_variables(machine: Machine) -> None:
+    """Noise of an acceleration is in the force that is left and in the mass's slope: a mass comes out too small."""
+    subject = Subject.of(machine, recorded(machine, noise=5.0 * NOISE_m))
+    fit = fit_model(subject, [Extra("mass_mismatch", {"mass_kg": 0.0})])
+    (column,) = [i for i, c in enumerate(fit.model.columns) if c.name == "mass_kg"]
+    missed = fit.model.columns[column].si(float(fit.theta[column]))  # there is none
+    spread = standard_deviations(covariance(subject, fit), fit)[column]
+    record = subject.recording
+    added = record.reduce(with_more_noise(record).signals.acceleration - record.signals.acceleration)
+    share = np.var(added[record.used]) / np.var(record.acceleration[record.used])
+    wanted = -machine.plant.moved * float(share)
+    assert missed == pytest.approx(wanted, rel=0.3)
+    assert abs(missed) < 2.0 * spread < 6.0 * abs(missed)
 
 
 def test_what_is_slower_than_noise_is_not_asked(machine: Machine) -> None:

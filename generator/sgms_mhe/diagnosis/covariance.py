@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.fitting import prior_information
+from sgms_mhe.diagnosis.noise_response import noise_left, with_more_noise
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.recordings.uncertainty import robust_covariance
 from sgms_mhe.support.parallel import in_parallel
@@ -26,8 +27,8 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
     """Covariance of theta (n_p, n_p), 0 where not free.
 
     Noise and what the model gets wrong anywhere (`robust_covariance`): its RMS beyond the noise floor, or `unseen` of
-    that, which it may hide; what the law gets wrong, the same way at every reversal (`_law`); and of a delay or lag,
-    the timing of force against position that no log is sure of.
+    that, which it may hide; what the law gets wrong, the same way at every reversal (`_law`); what the encoder's noise
+    makes of the numbers (`_noise`); and of a delay or lag, the timing of force against position that no log is sure of.
 
     Args:
         subject: machine and record of the fit.
@@ -43,6 +44,8 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
     inner = robust_covariance(recording, X, fit.residual, H, inverse, max(wrong, thresholds.unseen * subject.noise))
     change = _law(subject, fit, other, inverse, wrong)
     inner += np.outer(change, change)
+    shift = _noise(subject, fit, inverse)
+    inner += np.outer(shift, shift)
     inner += np.diag(_timing(subject, fit)[fit.free] ** 2)
     result = np.zeros((len(fit.theta), len(fit.theta)))
     result[np.ix_(fit.free, fit.free)] = inner
@@ -81,6 +84,22 @@ def _is_smooth(subject: Subject, fit: Fit) -> NDArray[np.bool_]:
     own = [c.group.kind == "base" for c in fit.model.columns]
     most = RUNAWAY * float(np.max(np.abs(subject.recording.friction[subject.recording.used])))
     return np.asarray((np.abs(fit.slopes[:, own]) <= most).all(axis=1))
+
+
+def _noise(subject: Subject, fit: Fit, inverse: Array) -> Array:
+    """What the free parameters are off by because the signals that they act on are noisy (free).
+
+    Noise of an acceleration is in the measured force and in a mass's slope alike, so that they go together where
+    nothing moved (errors in variables): it makes a mass 0.4 % of all that moves too small where it has 0.4 % of the
+    acceleration's power. No average over blocks sees that either. As much noise once more says how much.
+    """
+    recording = subject.suited(fit.extras).recording
+    _, slopes = fit.model.run(with_more_noise(recording), fit.theta)
+    if slopes is None or not np.all(np.isfinite(slopes)):
+        return np.zeros(len(inverse))
+    used = recording.used
+    apart = (slopes - fit.slopes)[used][:, fit.free]
+    return np.asarray(inverse @ (apart.T @ noise_left(recording, fit, fit.theta)[used]))
 
 
 def _law(subject: Subject, fit: Fit, other: Subject | None, inverse: Array, wrong: float) -> Array:

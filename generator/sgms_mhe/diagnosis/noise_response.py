@@ -7,10 +7,13 @@ then leaves less on any record, also on one that it was not fitted to.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import effect_definition
@@ -20,33 +23,43 @@ from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import position_noise
 
+Array = NDArray[np.float64]
+
+KEPT: Final = 2  # records with more noise: that of the rows' rate, and the full one
 SEED: Final = 20241125
 """Of the noise: the same log gives the same verdict."""
 
 
 def explains_noise(subject: Subject, fit: Fit, gain: float) -> bool:
-    """Whether the effect that was added last explains noise: its answer to that is most of its gain (RMS) [N].
+    """Whether the effect that was added last explains noise: what it takes out of that is most of its gain (RMS) [N].
 
     Asked of what is about as fast as a sample; what is slower cannot follow noise.
     """
     if not fit.extras or not effect_definition(fit.extras[-1].name).full_rate:
         return False
-    return noise_response(subject, fit) > subject.thresholds.noise_answered * gain
+    return noise_explained(subject, fit) > subject.thresholds.noise_answered * gain
 
 
-def noise_response(subject: Subject, fit: Fit) -> float:
-    """RMS of the force that the effect added last makes of the encoder's noise [N]."""
-    suited = subject.suited(fit.extras)
-    recording = suited.recording
+def noise_explained(subject: Subject, fit: Fit) -> float:
+    """RMS of what the effect added last takes out of a residual that is the encoder's noise [N].
+
+    A delay makes other noise of it, but not less.
+    """
+    recording = subject.suited(fit.extras).recording
+    numbers = (fit.theta_without(fit.extra_groups[-1:]), fit.theta)
+    without, left = (float(np.mean(noise_left(recording, fit, n)[recording.used] ** 2)) for n in numbers)
+    return math.sqrt(max(0.0, without - left))
+
+
+def noise_left(recording: Recording, fit: Fit, theta: Array) -> Array:
+    """What the encoder's noise adds to the residual of a fit's model at theta (n_p), (m) [N]."""
     noisy = with_more_noise(recording)
-    without = fit.theta_without(fit.extra_groups[-1:])
-    answers = [
-        fit.model.run(noisy, numbers, derivatives=False)[0] - fit.model.run(recording, numbers, derivatives=False)[0]
-        for numbers in (fit.theta, without)
-    ]
-    return float(np.std((answers[0] - answers[1])[recording.used]))
+    inertial = recording.machine.plant.moved * (noisy.signals.acceleration - recording.signals.acceleration)
+    answers = [fit.model.run(record, theta, derivatives=False)[0] for record in (noisy, recording)]
+    return np.asarray(answers[1] - answers[0] - recording.reduce(inertial))
 
 
+@lru_cache(maxsize=KEPT)
 def with_more_noise(recording: Recording) -> Recording:
     """The record with as much noise of its encoder once more, sent through the chain.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Final
 
 import casadi as ca
 import numpy as np
@@ -14,13 +15,23 @@ from sgms_mhe.model.effects.parameters import EffectParameter, step_by_factor
 from sgms_mhe.model.effects.search import Array, Columns, Values, one_size
 from sgms_mhe.model.effects.specimen import TIME_CONSTANT, Specimen
 
+SLOWEST: Final = 20.0
+"""Largest time constant that a record tells, over its length: a slower drift is a line in time."""
+
 
 def drift_parameters(level: str) -> tuple[EffectParameter, ...]:
     """Parameters of a drift of `level`."""
     return (
         EffectParameter("ratio", 0.0, 0.1, f"final change over the initial {level}", lower=-0.95),
         EffectParameter(
-            "time_constant_s", 10.0, 1.0, "time to 63 % of the change", lower=1e-3, role="shape", step=step_by_factor
+            "time_constant_s",
+            10.0,
+            1.0,
+            "time to 63 % of the change",
+            lower=1e-3,
+            role="shape",
+            step=step_by_factor,
+            most=lambda extents: SLOWEST * extents.end,
         ),
     )
 
