@@ -20,7 +20,7 @@ from sgms_mhe.configuration import load_machine, override_machine, under_other_l
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.causes import holds
 from sgms_mhe.diagnosis.compiling import CompiledFit, compiled_fit
-from sgms_mhe.diagnosis.confirmation import _imitates
+from sgms_mhe.diagnosis.confirmation import _echoes, _imitates
 from sgms_mhe.diagnosis.covariance import covariance
 from sgms_mhe.diagnosis.descent import FitError
 from sgms_mhe.diagnosis.excerpt import excerpt
@@ -492,6 +492,26 @@ def test_a_known_fit_stands_where_none_can_begin(slow: Machine, rippled: Log, mo
     assert fit_chosen(laws, extras, criteria, known=known) == (laws, known)
     with pytest.raises(FitError):
         fit_chosen(laws, extras, criteria)
+
+
+def test_a_small_sine_with_the_period_of_a_large_one_is_none(quick: Machine) -> None:
+    """It comes again with what the form of the large one gets wrong."""
+
+    def sine(name: str, gain: float, period: str, length: float) -> Any:
+        return SimpleNamespace(name=name, gain_N=gain, parameters={period: length}, std={period: 2e-5})
+
+    large = sine("position_dependent_friction", 0.4, "pitch_m", 0.037)
+    level: Any = SimpleNamespace(name="coulomb", gain_N=9.0, parameters={"coulomb_N": 0.037}, std={"coulomb_N": 1e-3})
+
+    def echoes(cause: Any) -> bool:
+        return _echoes(cause, (large, level, cause), quick.diagnosis)
+
+    assert echoes(sine("encoder_periodic_error", 0.03, "pitch_m", 0.03705))
+    assert not echoes(sine("encoder_periodic_error", 0.05, "pitch_m", 0.03705))  # too large to be a flaw of the other
+    assert not echoes(sine("encoder_periodic_error", 0.03, "pitch_m", 0.0372))
+    assert not echoes(sine("periodic_disturbance", 0.03, "frequency_Hz", 0.037))
+    assert not echoes(large)
+    assert not echoes(level)
 
 
 def test_a_wrong_number_differs_from_the_file_by_its_own_interval(quick: Machine) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 from sgms_mhe.diagnosis.causes import holds, is_possible, measured_causes
@@ -16,6 +16,8 @@ from sgms_mhe.diagnosis.rivals import Rejected
 from sgms_mhe.diagnosis.selection import Selection
 from sgms_mhe.diagnosis.settling import Settled, split_rms
 from sgms_mhe.diagnosis.subject import Fit
+from sgms_mhe.machine import Thresholds
+from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.recordings.evidence import gain_force, inconstancy
 
@@ -53,6 +55,7 @@ def confirmed(settled: Settled, selection: Selection, *, constant: bool = False)
             if not holds(cause, settled.thresholds, constant=constant, complete=complete)
             or not is_possible(cause, settled)
             or _imitates(settled, fit, g, cause)
+            or _echoes(cause, causes.values(), settled.thresholds)
             or cause.gain_N < (min(small, left) if g.is_extra else small)
         ]
         if not doubtful:
@@ -60,6 +63,29 @@ def confirmed(settled: Settled, selection: Selection, *, constant: bool = False)
         weakest = min(doubtful, key=lambda group: causes[group].gain_N)
         selection = _not_named(settled, selection, weakest) if constant else _without(settled, selection, weakest)
     return Confirmed(selection, selection.fit, ())
+
+
+def _echoes(cause: Cause, causes: Collection[Cause], thresholds: Thresholds) -> bool:
+    """Whether a small sine has the period of a large one: what the form of that gets wrong comes again with it."""
+    own = _period(cause, thresholds)
+    if own is None:
+        return False
+    coordinate, length, margin = own
+    return any(
+        cause.gain_N < thresholds.echo * other.gain_N
+        and (period := _period(other, thresholds)) is not None
+        and period[0] == coordinate
+        and abs(period[1] - length) < margin + period[2]
+        for other in causes
+    )
+
+
+def _period(cause: Cause, thresholds: Thresholds) -> tuple[str, float, float] | None:
+    """Of a sine: over what it repeats, how long, and how far off that may be; None: it is none."""
+    sine = None if cause.name in BASE_CAUSES else effect_definition(cause.name).sine
+    if sine is None:
+        return None
+    return sine.coordinate, cause.parameters[sine.period], thresholds.sigmas * cause.std[sine.period]
 
 
 def _imitates(settled: Settled, fit: Fit, group: Group, cause: Cause) -> bool:

@@ -371,6 +371,14 @@ class Thresholds(FitThresholds):
         ge=2,
         le=100,
     )
+    echo: float = threshold(
+        0.1,
+        "gain of the other",
+        "gain below which a sine of the same period as another effect is none",
+        "what the form of a large sine gets wrong comes again with it",
+        ge=0,
+        le=1,
+    )
     curve_left: float = threshold(
         0.5,
         "gain that matters",
