@@ -29,6 +29,8 @@ from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.laws import fit_chosen, laws_of
 from sgms_mhe.diagnosis.plan import make_plan
 from sgms_mhe.diagnosis.result import Cause, Rms
+from sgms_mhe.diagnosis.rivals import Contest
+from sgms_mhe.diagnosis.selection import Searched, Selection, select_causes
 from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.diagnosis_benchmark.axes import Axis
 from sgms_mhe.diagnosis_benchmark.causes import Hidden
@@ -492,6 +494,25 @@ def test_a_known_fit_stands_where_none_can_begin(slow: Machine, rippled: Log, mo
     assert fit_chosen(laws, extras, criteria, known=known) == (laws, known)
     with pytest.raises(FitError):
         fit_chosen(laws, extras, criteria)
+
+
+def test_an_effect_without_a_finite_model_is_left_out_and_said_to_be(
+    slow: Machine, rippled: Log, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = select_causes
+
+    def refuse(searched: Searched) -> Selection:
+        if searched.fit.extras:
+            raise FitError("not finite")
+        return real(searched)
+
+    monkeypatch.setattr("sgms_mhe.diagnosis.verdict.select_causes", refuse)
+    # A place among the wrong numbers would bring it back.
+    monkeypatch.setattr("sgms_mhe.diagnosis.selection.find_rivals", lambda *_: Contest(None, (), {}))
+    found = diagnose(slow, rippled)
+    assert found.verdict == "unexplained"
+    assert "force_ripple" not in names(found)
+    assert any(warning.startswith("force_ripple: it looked good") for warning in found.warnings)
 
 
 def test_a_small_sine_with_the_period_of_a_large_one_is_none(quick: Machine) -> None:

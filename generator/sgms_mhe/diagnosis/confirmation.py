@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from sgms_mhe.diagnosis.causes import holds, is_possible, measured_causes
 from sgms_mhe.diagnosis.compiling import bearing
 from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
 from sgms_mhe.diagnosis.criteria import material_force, small_force
+from sgms_mhe.diagnosis.descent import FitError
 from sgms_mhe.diagnosis.groups import Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.result import Cause
 from sgms_mhe.diagnosis.rivals import Rejected
@@ -128,8 +130,12 @@ def refitted_beside(settled: Settled, found: Confirmed, *, constant: bool) -> Co
     # Where all is explained the numbers are near the file's; else a fit may have far to go.
     starts = (selection.free, settled.start, fit) if constant else (fit,)
     iterations = thresholds.patient_iterations if constant else thresholds.iterations
+    free: Fit | None = None
     for warm in starts:
-        free = settled.fit(fit.extras, refitted=groups, warm=warm, iterations=iterations, again=True)
+        with suppress(FitError):  # beside a gap some of them are no model of the record
+            free = settled.fit(fit.extras, refitted=groups, warm=warm, iterations=iterations, again=True)
+    if free is None:
+        return found
     blind = settled.fit(fit.extras, refitted=groups, warm=free, rows=settled.seen, iterations=iterations)
     if not split_rms(blind, settled.recording)[1] < split_rms(found.blind, settled.recording)[1]:
         return found

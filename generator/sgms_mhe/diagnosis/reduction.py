@@ -27,20 +27,21 @@ def pruned(
 ) -> Fit:
     """The fit without effects that the others have made superfluous; `least` effects stay.
 
-    `refitted`: groups of the machine's own numbers that are free; None: all.
+    `refitted`: groups of the machine's own numbers that are free; None: all. An effect without which there is no model
+    of the record is not superfluous.
     """
     while len(fit.extras) > least:
-        trials = in_parallel(
+        fits = in_parallel(
             [
-                partial(fit_model, subject, without_extra(fit.extras, group), refitted=refitted, warm=fit)
+                partial(attempted_fit, subject, without_extra(fit.extras, group), refitted=refitted, warm=fit)
                 for group in fit.extra_groups
             ]
         )
+        trials = [trial for trial in fits if trial is not None]
         gains = [gain_force(trial.cross, fit.cross, fit.rows) for trial in trials]
-        smallest = min(range(len(gains)), key=lambda i: gains[i])
-        if gains[smallest] > criteria.material:
+        if not gains or min(gains) > criteria.material:
             return fit
-        fit = trials[smallest]
+        fit = trials[gains.index(min(gains))]
     return fit
 
 

@@ -133,6 +133,12 @@ def _by_simpler_law(searched: Searched) -> Searched:
     return searched
 
 
+def without_effects(searched: Searched) -> Searched:
+    """The same with none of the effects that were found."""
+    laws, fit = fit_law(searched.laws, (), searched.criteria)
+    return replace(searched, laws=laws, fit=fit)
+
+
 def _gain(before: Fit, after: Fit) -> float:
     """RMS of the force that a fit explains and the one before it did not, on unseen folds [N]."""
     return gain_force(before.cross, after.cross, before.rows)

@@ -26,9 +26,9 @@ from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Group
 from sgms_mhe.diagnosis.laws import compile_laws, laws_of
-from sgms_mhe.diagnosis.result import Cause, Diagnosis, Rms, Score, Traces, Verdict
+from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
 from sgms_mhe.diagnosis.sampling import in_step, offset_notes, sampling_offset
-from sgms_mhe.diagnosis.selection import search_causes, select_causes
+from sgms_mhe.diagnosis.selection import Searched, search_causes, select_causes, without_effects
 from sgms_mhe.diagnosis.settling import Left, Settled, settle, split_rms
 from sgms_mhe.diagnosis.standins import rival_fits
 from sgms_mhe.diagnosis.structure import force_over_speed, structure_map
@@ -100,9 +100,23 @@ def _diagnosed(
     one_speed = steady_blocks(record) is not None
     criteria = criteria_of(machine, floor, measures(record.signals, machine), course, one_speed=one_speed)
     searched = search_causes(laws_of(machine, recording, floor), criteria)
+    left_out: tuple[str, ...] = ()
+    try:
+        settled, judged = _judged(record, nominal, searched, course)
+    except FitError:
+        # A gap that opens again and again has no finite derivatives, wherever a fit of it would begin.
+        left_out = tuple(dict.fromkeys(extra.name for extra in searched.fit.extras))
+        if not left_out:
+            raise
+        settled, judged = _judged(record, nominal, without_effects(searched), course)
+    return _diagnosis(machine, log, settled, judged, left_out)
+
+
+def _judged(record: Recording, nominal: Fit, searched: Searched, course: Course) -> tuple[Settled, _Judged]:
+    """Of what was found, the causes that hold."""
     settled = settle(record, nominal, searched.laws, select_causes(searched))
     course.judgement()
-    return _diagnosis(machine, log, settled, _judge(settled))
+    return settled, _judge(settled)
 
 
 def _excited(recording: Recording, nominal: Fit) -> bool:
@@ -143,7 +157,9 @@ def _judge(settled: Settled) -> _Judged:
     if not found.selection.causes:
         # As it is, and not with other numbers: what these explain and no cause does is not adequate.
         verdict = "adequate" if before < allowed else "unexplained"
-    elif after < allowed and not _leaves_curve(settled, best):
+    elif after < allowed and not (
+        any(_may_stand_in(group.cause) for group in found.selection.causes) and _leaves_curve(settled, best)
+    ):
         verdict = "ambiguous" if found.selection.rivals else "explained"
         if settled.foreign:
             found = refitted_beside(settled, found, constant=False)
@@ -158,13 +174,13 @@ def _judge(settled: Settled) -> _Judged:
     if found.causes:
         found = without_undetermined(settled, found)
         if verdict == "unexplained" and _leaves_curve(settled, found.selection.fit):
-            found = replace(found, causes=tuple(map(_standing_in, found.causes)))
+            found = replace(found, causes=tuple(replace(c, stands_in=_may_stand_in(c.name)) for c in found.causes))
     return _Judged(verdict, found, plain, free)
 
 
-def _standing_in(cause: Cause) -> Cause:
-    """A cause beside a curve over speed that is left: a number of the machine or a curve may be a part of that."""
-    return replace(cause, stands_in=cause.name in BASE_CAUSES or cause_definition(cause.name).over_speed)
+def _may_stand_in(name: str) -> bool:
+    """Whether a cause beside a curve over speed that is left may be a part of it: a number of the machine, a curve."""
+    return name in BASE_CAUSES or cause_definition(name).over_speed
 
 
 def _leaves_curve(settled: Settled, fit: Fit) -> bool:
@@ -191,8 +207,10 @@ def _allowed(machine: Machine, floor: float, causes: Sequence[Group] = (), befor
     return min(wanted, max(most * floor, least))
 
 
-def _diagnosis(machine: Machine, log: Log, settled: Settled, judged: _Judged) -> Diagnosis:
-    """The verdict with everything that a report needs."""
+def _diagnosis(
+    machine: Machine, log: Log, settled: Settled, judged: _Judged, left_out: Sequence[str] = ()
+) -> Diagnosis:
+    """The verdict with everything that a report needs; `left_out`: effects that looked good, but have no model here."""
     record, verdict, causes = settled.record, judged.verdict, judged.found.causes
     selection = judged.found.selection
     named = bool(causes)
@@ -232,6 +250,11 @@ def _diagnosis(machine: Machine, log: Log, settled: Settled, judged: _Judged) ->
             *settled.recording.warnings,
             *_law_notes(settled, judged.plain),
             *_estimation_notes(machine, extended),
+            *(
+                f"{name}: it looked good, but its model is not finite along this record: left out"
+                for name in left_out
+                if name not in {cause.name for cause in causes}
+            ),
         ),
         seconds=0.0,
         rival_fits=rival_fits(settled, selection),
