@@ -36,7 +36,7 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
         other: the same axis with the other transition from sticking to slipping; None: it has none.
     """
     recording, thresholds = subject.recording, subject.thresholds
-    X = np.where(_is_smooth(subject, fit)[:, None], fit.slopes[:, fit.free], 0.0)
+    X = np.where(_is_smooth(subject, fit, fit.slopes)[:, None], fit.slopes[:, fit.free], 0.0)
     prior = np.diag(prior_information(subject, fit.model, fit.free))
     H = X[recording.used].T @ X[recording.used] + prior
     inverse = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
@@ -75,15 +75,15 @@ def standard_deviations(covariance: Array, fit: Fit) -> list[float]:
     ]
 
 
-def _is_smooth(subject: Subject, fit: Fit) -> NDArray[np.bool_]:
-    """Rows (m) whose slopes say what a change of the numbers does.
+def _is_smooth(subject: Subject, fit: Fit, slopes: Array) -> NDArray[np.bool_]:
+    """Rows (m) whose slopes (m, n_p) say what a change of the numbers of a fit does.
 
     Where elements let go or a gap opens again and again along a short way, a derivative grows with every time, far
     beyond what any real change makes. Numbers of the machine are relative: no friction has many times itself for slope.
     """
     own = [c.group.kind == "base" for c in fit.model.columns]
     most = RUNAWAY * float(np.max(np.abs(subject.recording.friction[subject.recording.used])))
-    return np.asarray((np.abs(fit.slopes[:, own]) <= most).all(axis=1))
+    return np.asarray((np.abs(slopes[:, own]) <= most).all(axis=1))
 
 
 def _noise(subject: Subject, fit: Fit, inverse: Array) -> Array:
@@ -97,9 +97,9 @@ def _noise(subject: Subject, fit: Fit, inverse: Array) -> Array:
     _, slopes = fit.model.run(with_more_noise(recording), fit.theta)
     if slopes is None or not np.all(np.isfinite(slopes)):
         return np.zeros(len(inverse))
-    used = recording.used
-    apart = (slopes - fit.slopes)[used][:, fit.free]
-    return np.asarray(inverse @ (apart.T @ noise_left(recording, fit, fit.theta)[used]))
+    told = recording.used & _is_smooth(subject, fit, fit.slopes) & _is_smooth(subject, fit, slopes)
+    apart = (slopes - fit.slopes)[told][:, fit.free]
+    return np.asarray(inverse @ (apart.T @ noise_left(recording, fit, fit.theta)[told]))
 
 
 def _law(subject: Subject, fit: Fit, other: Subject | None, inverse: Array, wrong: float) -> Array:
