@@ -70,6 +70,7 @@ class _Place:
         extras: effects under test that stay, as they are beside it.
         refitted: groups of the machine's own numbers that stay free without it.
         gain: RMS of the force that it explains [N].
+        ranked: candidates for it, the most promising first.
     """
 
     group: Group
@@ -78,6 +79,7 @@ class _Place:
     extras: tuple[Extra, ...]
     refitted: tuple[Group, ...]
     gain: float
+    ranked: tuple[Ranked, ...]
 
     @property
     def cause(self) -> str:
@@ -106,37 +108,46 @@ def find_rivals(
     rivals: list[Rival] = []
     rejected: dict[str, Rejected] = {}
     groups = (*refitted, *fit.extra_groups)
-    for k, group in enumerate(groups):
-        extras, base = without_extra(fit.extras, group), without_group(refitted, group)
-        without = fit_model(subject, extras, refitted=base, warm=fit)
-        gain = gain_force(without.cross, fit.cross, fit.rows)
-        if gain <= 0.0:
+    places = in_parallel([partial(_place, subject, fit, refitted, group, seen, criteria) for group in groups])
+    for k, place in enumerate(places):
+        if place is None:
             continue
-        place = _Place(group, fit, without, extras, base, gain)
-        comparing = partial(criteria.course.rivals, number, k / len(groups), group.cause)
-        for judged in _contest(subject, place, refitted, seen, criteria, comparing):
+        comparing = partial(criteria.course.rivals, number, k / len(groups), place.cause)
+        for judged in _contest(subject, place, criteria, comparing):
             if judged.judgement == "better":
                 return Contest(judged.fit, (), {})
             if judged.judgement == "rival" and judged.fit is not None:
                 own = judged.group or judged.fit.extra_groups[-1]
-                rivals.append(Rival(own, group.cause, judged.fit, judged.excess))
+                rivals.append(Rival(own, place.cause, judged.fit, judged.excess))
             elif judged.judgement == "worse" or judged.name not in rejected:
-                rejected[judged.name] = Rejected(group.cause, judged.excess)
+                rejected[judged.name] = Rejected(place.cause, judged.excess)
     return Contest(None, tuple(rivals), rejected)
 
 
-def _contest(
+def _place(
     subject: Subject,
-    place: _Place,
+    fit: Fit,
     refitted: tuple[Group, ...],
+    group: Group,
     seen: Collection[str],
     criteria: Criteria,
-    comparing: Callable[[Sequence[str]], None],
+) -> _Place | None:
+    """The place of a cause and who might take it; None where it explains nothing."""
+    extras, base = without_extra(fit.extras, group), without_group(refitted, group)
+    without = fit_model(subject, extras, refitted=base, warm=fit)
+    gain = gain_force(without.cross, fit.cross, fit.rows)
+    if gain <= 0.0:
+        return None
+    found = (*_effects(subject, without, group.cause, seen, criteria), *_machine_numbers(subject, without, refitted))
+    ranked = tuple(sorted(found, key=lambda r: -r.gain))
+    return _Place(group, fit, without, extras, base, gain, ranked)
+
+
+def _contest(
+    subject: Subject, place: _Place, criteria: Criteria, comparing: Callable[[Sequence[str]], None]
 ) -> Iterator[_Judged]:
     """Judge all candidates for a place, the most promising first; `comparing` is told which are tried."""
-    thresholds = criteria.thresholds
-    ranked = [*_effects(subject, place, seen, criteria), *_machine_numbers(subject, place, refitted)]
-    ranked.sort(key=lambda r: -r.gain)
+    thresholds, ranked = criteria.thresholds, place.ranked
     kept = distinct(ranked, thresholds.same_force)[: thresholds.refits]
     if criteria.one_speed:
         kept += [r for r in ranked if r not in kept and criteria.same_clock(place.cause, _name(r))]
@@ -166,23 +177,24 @@ def _trial(subject: Subject, place: _Place, candidate: Ranked) -> Fit | None:
     return attempted_fit(subject, extras, refitted=base, warm=place.without)
 
 
-def _effects(subject: Subject, place: _Place, seen: Collection[str], criteria: Criteria) -> list[Ranked]:
+def _effects(
+    subject: Subject, without: Fit, instead_of: str, seen: Collection[str], criteria: Criteria
+) -> list[Ranked]:
     """Effects in a cause's place; costly ones only if they ever looked good or are known to be confused with it."""
-    without = place.without
     free = nuisance(without.slopes[subject.recording.used][:, without.loose])
     names = [
         name
-        for name in addable(subject.machine, without.extras, criteria, instead_of=place.cause)
-        if name != place.cause
-        and (not effect_definition(name).costly or name in seen or place.cause in cause(name).confused_with)
+        for name in addable(subject.machine, without.extras, criteria, instead_of=instead_of)
+        if name != instead_of
+        and (not effect_definition(name).costly or name in seen or instead_of in cause(name).confused_with)
     ]
     proposals = [p for p in search(subject, without, names, free) if p.feasible]
     return [Ranked(linear_gain(subject, without, p), p) for p in proposals]
 
 
-def _machine_numbers(subject: Subject, place: _Place, refitted: tuple[Group, ...]) -> list[Ranked]:
+def _machine_numbers(subject: Subject, without: Fit, refitted: tuple[Group, ...]) -> list[Ranked]:
     """The machine's own numbers that are not refitted yet, in a cause's place."""
-    recording, without = subject.recording, place.without
+    recording = subject.recording
     slopes = without.slopes[recording.used]
     free = nuisance(slopes[:, without.loose])
     found = []
