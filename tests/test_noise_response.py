@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra
@@ -25,10 +27,14 @@ from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings.evidence import gain_force, noise_floor
 from sgms_mhe.recordings.recording import Recording, prepare
+from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.noise import noise_course
 
 NOISE_m = 2e-8
 """Of the encoder: mass times the noise of its acceleration is then 0.2 N, most of what a good model leaves."""
+STEP_m = 2e-6
+"""Of a coarse encoder."""
 RESONANCE = {"frequency_Hz": 45.0, "damping_ratio": 0.05, "mass_kg": 4.0}
 
 
@@ -76,6 +82,41 @@ def test_a_resonance_that_rings_is_one(noise: float, machine: Machine) -> None:
     found, gain = fitted(subject)
     assert found.extras[0].parameters["frequency_Hz"] == pytest.approx(RESONANCE["frequency_Hz"], rel=0.01)
     assert not explains_noise(subject, found, gain)
+
+
+def coarse(machine: Machine, extra_mass: float = 0.0) -> Log:
+    """What an encoder of micrometres reads: noise where the axis moves, and none at rest."""
+    log = clean(())
+    still = log.position_m * 0.0
+    force = log.force_N + extra_mass * signals_from_log(replace(log, force_N=still), machine).acceleration
+    return replace(log, position_m=np.round(log.position_m / STEP_m) * STEP_m, force_N=force)
+
+
+def test_a_mass_that_takes_a_coarse_encoders_noise_out_of_the_force_is_none(machine: Machine) -> None:
+    found = diagnose(machine, coarse(machine))
+    assert not found.causes
+    if found.verdict == "unexplained":
+        assert "noise of the encoder" in found.limits[0]
+
+
+def test_a_coarse_encoder_does_not_hide_a_payload(machine: Machine) -> None:
+    found = diagnose(machine, coarse(machine, extra_mass=0.5 * machine.plant.moved))
+    assert [cause.name for cause in found.causes] == ["mass_mismatch"]
+
+
+def test_noise_is_told_where_it_is() -> None:
+    white = np.random.default_rng(2).standard_normal(8000)
+    sizes = np.where(np.arange(8000) < 4000, 1e-9, 1e-6)
+    turn = 1e-3 * np.sin(2.0 * np.pi * np.arange(8000) / 2000.0)
+    course = noise_course(turn + sizes * white)
+    apart = np.abs(np.arange(8000) - 4000) > 200
+    assert np.median(course[:4000] / 1e-9) == pytest.approx(1.0, rel=0.1)  # the least of three orders
+    assert np.median(course[4000:] / 1e-6) == pytest.approx(1.0, rel=0.1)
+    assert np.max(np.abs(np.log(course / sizes))[apart]) < math.log(1.6)
+    short = noise_course(1e-6 * white[:300])
+    assert short.shape == (300,)
+    assert np.ptp(short) == 0.0
+    assert short[0] == pytest.approx(1e-6, rel=0.2)
 
 
 def test_a_delay_makes_other_noise_but_not_less(machine: Machine) -> None:

@@ -54,7 +54,9 @@ def thinned(subject: Subject) -> Subject:
         delay=signals.delay,
     )
     clock = mean(recording.clock)
-    less = replace(recording, machine=machine, signals=thin, clock=clock, factor=recording.factor // factor)
+    noise = None if recording.noise is None else mean(recording.noise)
+    fewer = recording.factor // factor
+    less = replace(recording, machine=machine, signals=thin, clock=clock, factor=fewer, noise=noise)
     return replace(Subject.of(machine, less), noise=subject.noise, starts=subject.starts, fine=subject)
 
 

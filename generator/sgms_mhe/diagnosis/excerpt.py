@@ -75,7 +75,8 @@ def excerpt(recording: Recording) -> Recording:
         f"models are fitted to {float(fitted.used.sum()) / fitted.rate:.0f} s of the record's {m * step:.0f} s, in "
         f"{len(pieces)} pieces from all over it; what is left is stated for the whole record"
     )
-    return replace(fitted, warnings=(*recording.warnings, note))
+    noise = None if recording.noise is None else recording.noise[samples]
+    return replace(fitted, warnings=(*recording.warnings, note), noise=noise)
 
 
 def _pieces(recording: Recording) -> list[_Piece]:

@@ -21,7 +21,7 @@ from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.recordings.runs import Runs
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.signals.noise import position_noise
+from sgms_mhe.signals.noise import noise_course, position_noise
 
 Array = NDArray[np.float64]
 
@@ -33,9 +33,12 @@ SEED: Final = 20241125
 def explains_noise(subject: Subject, fit: Fit, gain: float) -> bool:
     """Whether the effect that was added last explains noise: what it takes out of that is most of its gain (RMS) [N].
 
-    Asked of what is about as fast as a sample; what is slower cannot follow noise.
+    Asked of what is about as fast as a sample and of what acts on the acceleration; nothing else follows noise.
     """
-    if not fit.extras or not effect_definition(fit.extras[-1].name).full_rate:
+    if not fit.extras:
+        return False
+    added = effect_definition(fit.extras[-1].name)
+    if not (added.full_rate or added.inertial):
         return False
     return noise_explained(subject, fit) > subject.thresholds.noise_answered * gain
 
@@ -54,9 +57,14 @@ def noise_explained(subject: Subject, fit: Fit) -> float:
 def noise_left(recording: Recording, fit: Fit, theta: Array) -> Array:
     """What the encoder's noise adds to the residual of a fit's model at theta (n_p), (m) [N]."""
     noisy = with_more_noise(recording)
-    inertial = recording.machine.plant.moved * (noisy.signals.acceleration - recording.signals.acceleration)
     answers = [fit.model.run(record, theta, derivatives=False)[0] for record in (noisy, recording)]
-    return np.asarray(answers[1] - answers[0] - recording.reduce(inertial))
+    return np.asarray(answers[1] - answers[0] - inertial_noise(recording))
+
+
+def inertial_noise(recording: Recording) -> Array:
+    """Force that the encoder's noise makes of the acceleration (m) [N]: as large as what is in measured friction."""
+    noise = with_more_noise(recording).signals.acceleration - recording.signals.acceleration
+    return recording.reduce(recording.machine.plant.moved * noise)
 
 
 @lru_cache(maxsize=KEPT)
@@ -64,18 +72,29 @@ def with_more_noise(recording: Recording) -> Recording:
     """The record with as much noise of its encoder once more, sent through the chain.
 
     How much there is, the acceleration tells: of a position behind the chain's filters no difference shows it, and a
-    log may bring an acceleration of its own.
+    log may bring an acceleration of its own. Where an encoder's steps show and make more, theirs: none at rest, and a
+    slow saw where few of them pass.
     """
+    signals = recording.signals
+    noise = _white_noise(recording)
+    counting = recording.noise
+    if counting is not None and float(np.mean(counting[:, 2] ** 2)) > float(np.mean(noise[:, 2] ** 2)):
+        noise = counting
+    noisy = replace(
+        signals,
+        position=signals.position + noise[:, 0],
+        velocity=signals.velocity + noise[:, 1],
+        acceleration=signals.acceleration + noise[:, 2],
+    )
+    return replace(recording, signals=noisy, runs=Runs())
+
+
+def _white_noise(recording: Recording) -> Array:
+    """Noise of position, velocity and acceleration (n, 3), of a position's white one."""
     signals, plant = recording.signals, recording.machine.plant
     n, rate = len(signals), recording.machine.sampling.rate
     white = np.random.default_rng(SEED).standard_normal(n)
     noise = signals_from_log(Log(np.arange(n) / rate, white, np.zeros(n), rate, kind=plant.kind), recording.machine)
     unit = position_noise(noise.acceleration)
-    size = position_noise(signals.acceleration) / unit if unit > 0.0 else 0.0
-    noisy = replace(
-        signals,
-        position=signals.position + size * noise.position,
-        velocity=signals.velocity + size * noise.velocity,
-        acceleration=signals.acceleration + size * noise.acceleration,
-    )
-    return replace(recording, signals=noisy, runs=Runs())
+    size = noise_course(signals.acceleration) / unit if unit > 0.0 else np.zeros(n)
+    return np.asarray(size[:, None] * np.column_stack((noise.position, noise.velocity, noise.acceleration)))

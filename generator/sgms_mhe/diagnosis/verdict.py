@@ -26,6 +26,7 @@ from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Group
 from sgms_mhe.diagnosis.laws import compile_laws, laws_of
+from sgms_mhe.diagnosis.noise_response import inertial_noise
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
 from sgms_mhe.diagnosis.sampling import in_step, offset_notes, sampling_offset
 from sgms_mhe.diagnosis.selection import Searched, search_causes, select_causes, without_effects
@@ -259,7 +260,14 @@ def _diagnosis(
         seconds=0.0,
         rival_fits=rival_fits(settled, selection),
         undecided=clock_note(record),
+        encoder_noise_N=_encoder_noise(record) if verdict == "unexplained" else 0.0,
     )
+
+
+def _encoder_noise(record: Recording) -> float:
+    """RMS of the force that the encoder's noise makes of the acceleration, where nothing was fitted [N]."""
+    rows = record.used & record.rows_held_out()
+    return float(np.sqrt(np.mean(inertial_noise(record)[rows] ** 2))) if rows.any() else 0.0
 
 
 def _law_notes(settled: Settled, plain: Fit) -> tuple[str, ...]:

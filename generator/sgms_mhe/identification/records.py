@@ -17,7 +17,7 @@ from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.recordings.rows import row_means
 from sgms_mhe.signals.chain import Signals, behind_chain, readings
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.signals.noise import position_noise
+from sgms_mhe.signals.noise import encoder_step, position_noise
 
 Array = NDArray[np.float64]
 
@@ -25,12 +25,6 @@ FORGOTTEN: Final = 2.0
 """Excursion after which an element does not remember its start, over its break-away distance."""
 LEAD: Final = 0.6
 """Largest share of a log that is left out for that."""
-ROUNDING: Final = 1e-9
-"""Of the largest step of a position: smaller ones are none."""
-SMALL: Final = 20.0
-UNEVEN: Final = 0.1
-EVEN: Final = 0.9
-"""Changes of up to so many steps are multiples of an encoder's step, within so much of it; so many of them have to."""
 PATH_RATE: Final = 16000.0
 """Points of a way a second, where samples are fewer [Hz]: of a step the speed that rules a level is the mean."""
 
@@ -152,6 +146,7 @@ def _joined(recordings: Sequence[Recording]) -> Recording:
         signals=Signals(**signals, delay=first.signals.delay),
         block=np.concatenate(blocks),
         held_out=np.concatenate([r.held_out for r in recordings]),
+        noise=None,
         warnings=tuple(w for r in recordings for w in r.warnings),
     )
 
@@ -197,20 +192,9 @@ def _bridged(log: Log) -> Array:
 
 
 def _resolution(log: Log) -> float:
-    """How finely position is read [m], one standard deviation: the larger of noise and of the encoder's step.
-
-    The step is the smallest change but for one in a hundred, if the other small ones are multiples of it.
-    """
+    """How finely position is read [m], one standard deviation: the larger of noise and of the encoder's step."""
     position = readings(log).position_m
-    changes = np.abs(np.diff(position))
-    changes = changes[changes > ROUNDING * float(np.nanmax(changes, initial=0.0))]
-    if not len(changes):
-        return 0.0
-    step = float(np.quantile(changes, 0.01))
-    steps = changes[changes <= SMALL * step] / step  # of many steps the rounding of a file's digits adds up
-    off = np.abs(steps - np.round(steps))
-    counted = float(np.mean(off < UNEVEN)) > EVEN
-    return max(position_noise(position), step / math.sqrt(12.0) if counted else 0.0)
+    return max(position_noise(position), encoder_step(position) / math.sqrt(12.0))
 
 
 def started(records: Records, distance: float) -> Records:

@@ -16,8 +16,9 @@ from sgms_mhe.model.effects import Extents
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.rows import row_means
 from sgms_mhe.recordings.runs import Runs
-from sgms_mhe.signals.chain import Signals, settle_samples, signals_of_record
+from sgms_mhe.signals.chain import Signals, readings, settle_samples, signals_from_log, signals_of_record
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.signals.noise import encoder_step, reading_error
 from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
@@ -47,6 +48,8 @@ class Recording:
         fold: cross-validation fold of each block (blocks).
         held_out: blocks that the fit behind the reported gain does not see (blocks).
         warnings: what a user should know about the record.
+        noise: what a coarse encoder adds to position, velocity and acceleration (n, 3): the error that it would have
+            made as well, had its lines been elsewhere; None where its steps do not show.
         runs: the newest ones of models along it; copies share them.
     """
 
@@ -65,6 +68,7 @@ class Recording:
     fold: Index
     held_out: Mask
     warnings: tuple[str, ...]
+    noise: Array | None = None
     runs: Runs = field(default_factory=Runs, repr=False)
 
     @property
@@ -164,7 +168,23 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
     fold, held_out = split_blocks(count, machine.diagnosis)
     clock = np.arange(n) / rate - signals.delay
     recording = reduced(machine, signals, clock, factor, np.where(used, block, -1), fold, held_out, warnings)
+    recording = replace(recording, noise=_counting_noise(machine, log))
     return recording if held_out_s is None else _holding_out(recording, held_out_s)
+
+
+def _counting_noise(machine: Machine, log: Log) -> Array | None:
+    """`Recording.noise` of a log whose speeds come from its position."""
+    if log.velocity_m_s is not None or log.acceleration_m_s2 is not None:
+        return None
+    position = readings(log).position_m
+    good, at = np.isfinite(position), np.arange(len(position))
+    step = encoder_step(position)
+    if step == 0.0:
+        return None
+    error = reading_error(np.interp(at, at[good], position[good]), step)
+    read = Log(at / machine.sampling.rate, error, np.zeros(len(error)), machine.sampling.rate, kind=machine.plant.kind)
+    signals = signals_from_log(read, machine)
+    return np.column_stack((signals.position, signals.velocity, signals.acceleration))
 
 
 def _usable(machine: Machine, log: Log, signals: Signals) -> tuple[Mask, tuple[str, ...]]:

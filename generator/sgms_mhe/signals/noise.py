@@ -15,6 +15,18 @@ MEDIAN_OF_NORMAL: Final = 0.6745
 ORDERS: Final = (3, 5, 7)
 """Differences that tell noise from motion: of motion the higher ones hold less, of white noise they say the same."""
 
+ROUNDING: Final = 1e-9
+"""Of the largest step of a position: smaller ones are none."""
+SMALL: Final = 20.0
+UNEVEN: Final = 0.1
+EVEN: Final = 0.9
+"""Changes of up to so many steps are multiples of an encoder's step, within so much of it; so many of them have to."""
+SEED: Final = 20261125
+"""Of where an encoder's lines might be as well."""
+
+PIECE: Final = 200
+"""Samples that noise is told from where it changes over a record: a median of so many is sure to a tenth."""
+
 
 def position_noise(position: NDArray[np.float64]) -> float:
     """Standard deviation of the noise in a position (n) [its unit]; 0 where too few samples are there.
@@ -28,5 +40,61 @@ def position_noise(position: NDArray[np.float64]) -> float:
         difference = np.abs(np.diff(position, n=order))
         difference = difference[np.isfinite(difference)]
         if len(difference):
-            found.append(float(np.median(difference)) / (MEDIAN_OF_NORMAL * math.sqrt(math.comb(2 * order, order))))
+            found.append(float(np.median(difference)) / _median_of_noise(order))
     return min(found, default=0.0)
+
+
+def noise_course(series: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Standard deviation of a series' noise at each of its samples (n) [its unit]; see `position_noise`.
+
+    An encoder of coarse steps is quiet at rest, and a line's own error is as fast as the motion: told in pieces, with
+    lines between their middles. No sample may be missing.
+    """
+    pieces = len(series) // PIECE
+    if pieces < 2:
+        return np.full(len(series), position_noise(series))
+    cut = series[: pieces * PIECE].reshape(pieces, PIECE)
+    sizes = np.min(
+        [np.median(np.abs(np.diff(cut, n=order)), axis=1) / _median_of_noise(order) for order in ORDERS], axis=0
+    )
+    middles = (np.arange(pieces) + 0.5) * PIECE
+    return np.asarray(np.interp(np.arange(len(series)), middles, sizes))
+
+
+def _median_of_noise(order: int) -> float:
+    """Median size of the differences of white noise of one standard deviation."""
+    return MEDIAN_OF_NORMAL * math.sqrt(math.comb(2 * order, order))
+
+
+def encoder_step(position: NDArray[np.float64]) -> float:
+    """Step of the encoder that read a position (n) [its unit]; 0 where none shows. Missing samples are NaN.
+
+    The smallest change but for one in a hundred, if the other small ones are multiples of it.
+    """
+    changes = np.abs(np.diff(position))
+    changes = changes[changes > ROUNDING * float(np.nanmax(changes, initial=0.0))]
+    if not len(changes):
+        return 0.0
+    step = float(np.quantile(changes, 0.01))
+    steps = changes[changes <= SMALL * step] / step  # of many steps the rounding of a file's digits adds up
+    off = np.abs(steps - np.round(steps))
+    return step if float(np.mean(off < UNEVEN)) > EVEN else 0.0
+
+
+def reading_error(position: NDArray[np.float64], step: float) -> NDArray[np.float64]:
+    """What an encoder of this step is off by along the same motion with its lines elsewhere (n) [unit of position].
+
+    The motion goes straight from one line that was passed to the next. Where it passes more than one a sample, any
+    error is as likely as another: there its readings say no more of it.
+    """
+    n = len(position)
+    steps = np.diff(position)
+    passed = np.flatnonzero(steps)
+    if not len(passed):
+        return np.zeros(n)
+    lines = 0.5 * (position[passed] + position[passed + 1])
+    counts = np.interp(np.arange(n), passed + 0.5, lines) / step + 0.25
+    slow = counts - np.round(counts)
+    many = np.abs(steps) > 0.5 * step
+    fast = np.append(many, False) & np.append(False, many)
+    return np.asarray(step * np.where(fast, np.random.default_rng(SEED).uniform(-0.5, 0.5, n), slow))
