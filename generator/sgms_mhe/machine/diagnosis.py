@@ -234,6 +234,14 @@ class Thresholds(FitThresholds):
         ge=0,
         le=1,
     )
+    steps_most: float = threshold(
+        0.2,
+        "f_C",
+        "RMS of the force that an encoder's steps make of the acceleration, as much of which is noise of the record",
+        "what hides more than that says of no model that it is adequate",
+        ge=0,
+        le=10,
+    )
     rival_t: float = threshold(
         2.5, "1", "t over blocks up to which two fits are equally good", "two-sided one percent", gt=0, le=100
     )

@@ -91,7 +91,7 @@ def noise_floor(recording: Recording, residual: Array) -> float:
 
     Model errors are smooth over `noise_rows` but at reversals and pushes, whose pieces are told by what they leave
     (`quiet_variance`). Of the pieces in which the axis moves, where there are enough: at rest an encoder that rounds
-    has no noise.
+    has no noise. What the encoder's steps make is slow where few of them pass: no less than that.
     """
     width = recording.thresholds.noise_rows
     k = len(residual) // width
@@ -103,7 +103,21 @@ def noise_floor(recording: Recording, residual: Array) -> float:
     moves = speed > AT_REST * float(np.sqrt(np.mean(speed**2)))
     if moves.sum() >= max(PIECES, MOVING * len(pieces)):
         pieces = pieces[moves]
-    return math.sqrt(quiet_variance(pieces, colour_of(recording.machine, recording.factor, width)))
+    quiet = math.sqrt(quiet_variance(pieces, colour_of(recording.machine, recording.factor, width)))
+    return max(quiet, _of_steps(recording))
+
+
+def _of_steps(recording: Recording) -> float:
+    """RMS of the force that an encoder's steps make of the acceleration [N]; 0 where they would hide friction.
+
+    Such a record does not tell whether a model is right.
+    """
+    if recording.noise is None:
+        return 0.0
+    machine = recording.machine
+    force = machine.plant.moved * recording.reduce(recording.noise[:, 2])[recording.used]
+    size = float(np.sqrt(np.mean(force**2))) if len(force) else 0.0
+    return size if size < recording.thresholds.steps_most * machine.friction.coulomb else 0.0
 
 
 def cross_loss(recording: Recording, X: Array, residual: Array, prior: Array) -> Array:
