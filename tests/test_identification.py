@@ -22,7 +22,6 @@ from sgms_mhe.identification import Wanted, identify, interval
 from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
 from sgms_mhe.identification.fitting import AxisFit
 from sgms_mhe.identification.linear import solve_bounded
-from sgms_mhe.identification.path import smooth_path
 from sgms_mhe.identification.records import Motion, in_order, records_of
 from sgms_mhe.identification.result import Number, rounded
 from sgms_mhe.identification.sampling import common_rate, rounded_up
@@ -35,6 +34,7 @@ from sgms_mhe.model import build_model
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion as Path_
+from sgms_mhe.recordings.path import smooth_path
 from sgms_mhe.reference import Integrator
 from sgms_mhe.signals.chain import Signals, behind_chain, signals_from_log
 from sgms_mhe.signals.logs import Log, write_log

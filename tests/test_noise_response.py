@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra
-from sgms_mhe.diagnosis.noise_response import explains_noise, noise_explained, with_more_noise
+from sgms_mhe.diagnosis.noise_response import explains_noise, inertial_noise, noise_explained, with_more_noise
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
@@ -84,19 +85,55 @@ def test_a_resonance_that_rings_is_one(noise: float, machine: Machine) -> None:
     assert not explains_noise(subject, found, gain)
 
 
-def coarse(machine: Machine, extra_mass: float = 0.0) -> Log:
+def rms_of(recording: Recording, force: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(force[recording.used] ** 2)))
+
+
+def coarse(machine: Machine, extra_mass: float = 0.0, step_m: float = STEP_m) -> Log:
     """What an encoder of micrometres reads: noise where the axis moves, and none at rest."""
     log = clean(())
     still = log.position_m * 0.0
     force = log.force_N + extra_mass * signals_from_log(replace(log, force_N=still), machine).acceleration
-    return replace(log, position_m=np.round(log.position_m / STEP_m) * STEP_m, force_N=force)
+    return replace(log, position_m=np.round(log.position_m / step_m) * step_m, force_N=force)
 
 
 def test_a_mass_that_takes_a_coarse_encoders_noise_out_of_the_force_is_none(machine: Machine) -> None:
     found = diagnose(machine, coarse(machine))
     assert not found.causes
-    if found.verdict == "unexplained":
-        assert "noise of the encoder" in found.limits[0]
+    assert found.verdict == "unexplained"
+    assert found.encoder_noise_N == pytest.approx(found.rms.held_out_after, rel=0.15)
+    assert "noise of the encoder" in found.summary
+    assert "noise of the encoder" in found.limits[0]
+    assert found.separating_experiment is not None
+    assert "velocity_cutoff" in found.separating_experiment
+
+
+@pytest.mark.parametrize(
+    ("extra_mass", "verdict", "names"), [(0.0, "adequate", []), (1.0, "explained", ["mass_mismatch"])]
+)
+def test_a_lower_cutoff_shows_what_is_below_a_coarse_encoders_noise(
+    extra_mass: float, verdict: str, names: list[str], machine: Machine
+) -> None:
+    calmer = override_machine(machine, {"sampling": {"velocity_cutoff": 60.0}})
+    found = diagnose(calmer, coarse(machine, extra_mass))
+    assert found.verdict == verdict
+    assert [cause.name for cause in found.causes] == names
+
+
+@pytest.mark.parametrize("step_m", [2e-7, 5e-7, 2e-6, 1e-5])
+def test_what_an_encoders_steps_make_of_the_force_is_known(step_m: float, machine: Machine) -> None:
+    true, read = (signals_from_log(log, machine).acceleration for log in (clean(()), coarse(machine, step_m=step_m)))
+    recording = prepare(machine, coarse(machine, step_m=step_m))
+    made = rms_of(recording, recording.reduce(machine.plant.moved * (read - true)))
+    assert rms_of(recording, inertial_noise(recording)) == pytest.approx(made, rel=0.1)
+
+
+def test_the_noise_floor_knows_an_encoders_steps(machine: Machine) -> None:
+    calmer = override_machine(machine, {"sampling": {"velocity_cutoff": 110.0}})
+    subject = Subject.of(calmer, prepare(calmer, coarse(calmer)))
+    floor = noise_floor(subject.recording, fit_model(subject, (), refitted=()).residual)
+    assert floor == pytest.approx(rms_of(subject.recording, inertial_noise(subject.recording)), rel=0.01)
+    assert fit_model(subject, ()).rms == pytest.approx(floor, rel=0.15)
 
 
 def test_a_coarse_encoder_does_not_hide_a_payload(machine: Machine) -> None:

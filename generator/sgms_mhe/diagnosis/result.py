@@ -22,9 +22,6 @@ Verdict = Literal["explained", "unexplained", "ambiguous", "adequate"]
 Outcome = Literal["named", "redundant", "too small", "not significant"]
 """Of a candidate in a round: added; good, but another was better; found, but less than matters; not found."""
 
-MOSTLY: Final = 0.5
-"""Share of the power of what is left from which on it is what makes it that is said."""
-
 
 @dataclass(frozen=True)
 class Rms:
@@ -226,7 +223,8 @@ class Diagnosis:
         seconds: computing time.
         rival_fits: of the alternatives that are rivals.
         undecided: sentences on what no record of this motion can decide.
-        encoder_noise_N: RMS of the force that the encoder's noise makes of the acceleration; 0 where nobody asked.
+        encoder_noise_N: RMS of the force that the encoder's noise makes of the acceleration where most of what is left
+            is that, and not explained; else 0.
     """
 
     machine: Machine
@@ -288,10 +286,10 @@ class Diagnosis:
         if self.verdict != "unexplained" or not self.excited:
             return ()
         unit, rms = self.machine.plant.units.force, self.rms.held_out_after
-        if self.encoder_noise_N**2 > MOSTLY * rms**2:
+        if self.encoder_noise_N > 0.0:
             return (
                 f"{rms:.3g} {unit} are left, about {self.encoder_noise_N:.2g} {unit} of them noise of the encoder in "
-                "the acceleration: a lower [sampling] velocity_cutoff, or a finer encoder, shows what is below it",
+                "the acceleration: what acts on this axis below that does not show",
             )
         return (
             f"{rms:.3g} {unit} are left, {rms / self.noise_floor_N:.2g} times the noise: something acts on this axis "

@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -225,14 +226,16 @@ def _diagnosis(
     held = record.held_out
     alternatives = alternatives_of(selection, machine.plant.units)
     rivals = [alternative for alternative in alternatives if alternative.rival]
+    encoder = _encoder_noise(record) if verdict == "unexplained" else 0.0
+    hidden_by = min(encoder, held_after) if encoder**2 > MOSTLY * held_after**2 else 0.0
     return Diagnosis(
         machine=machine,
         source=log.source,
         verdict=verdict,
-        summary=summary_of(verdict, causes, rivals, held_before, held_after, machine.plant.units),
+        summary=summary_of(verdict, causes, rivals, held_before, held_after, machine.plant.units, hidden_by),
         causes=causes,
         alternatives=alternatives,
-        separating_experiment=experiment_of(verdict, causes, rivals),
+        separating_experiment=experiment_of(verdict, causes, rivals, hidden_by),
         rms=Rms(rms_before, rms_after, held_before, held_after),
         noise_floor_N=settled.floor if settled.along is None else noise_floor(record, final.residual),
         gain_interval_N=gain_interval(nominal.loss[held], unseen.loss[held], unseen.rows[held])
@@ -260,8 +263,12 @@ def _diagnosis(
         seconds=0.0,
         rival_fits=rival_fits(settled, selection),
         undecided=clock_note(record),
-        encoder_noise_N=_encoder_noise(record) if verdict == "unexplained" else 0.0,
+        encoder_noise_N=hidden_by,
     )
+
+
+MOSTLY: Final = 0.5
+"""Share of the power of what is left from which on it is said to be the encoder's noise."""
 
 
 def _encoder_noise(record: Recording) -> float:

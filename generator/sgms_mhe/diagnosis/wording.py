@@ -12,6 +12,7 @@ from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.model.effects import separating_moves
 
 TWICE = "the same motion twice, and once at half the speed: what stays in place, in time or in velocity shows"
+FINER = "the same log with a lower [sampling] velocity_cutoff, or a finer encoder: what is below its noise shows"
 PLATEAUS = "constant speeds from the slowest to the fastest, in both directions: friction over speed shows as it is"
 
 
@@ -62,9 +63,11 @@ def _why_not(selection: Selection, name: str, units: Units) -> str:
     return f"in place of {lost.instead_of} leaves {lost.excess_N:.3g} {units.force} more"
 
 
-def experiment_of(verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Alternative]) -> str | None:
-    """What to record next: the moves that tell causes and rivals apart; None: nothing."""
-    left = PLATEAUS if any(cause.stands_in for cause in causes) else TWICE
+def experiment_of(
+    verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Alternative], noise: float = 0.0
+) -> str | None:
+    """What to record next: the moves that tell causes and rivals apart; None: nothing. `noise`: as of `summary_of`."""
+    left = FINER if noise > 0.0 else PLATEAUS if any(cause.stands_in for cause in causes) else TWICE
     moves = [left] if verdict == "unexplained" else []
     for rival in rivals:
         if rival.instead_of is None:
@@ -76,14 +79,23 @@ def experiment_of(verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Al
 
 
 def summary_of(
-    verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Alternative], before: float, after: float, units: Units
+    verdict: Verdict,
+    causes: Sequence[Cause],
+    rivals: Sequence[Alternative],
+    before: float,
+    after: float,
+    units: Units,
+    noise: float = 0.0,
 ) -> str:
-    """One sentence; `before`, `after`: RMS on held-out data [N, N m]."""
+    """One sentence; `before`, `after`: RMS on held-out data; `noise`: of the encoder, where most is that [N, N m]."""
     unit = units.force
     names = [cause.name for cause in causes]
     gain = f"the residual on data not used in the fit goes from {before:.3g} {unit} to {after:.3g} {unit} RMS"
     if verdict == "adequate":
         return f"The simulation explains the record; {before:.3g} {unit} RMS are left, nothing is named."
+    if verdict == "unexplained" and noise > 0.0:
+        found = f"{', '.join(names)}: {gain}; " if causes else f"{before:.3g} {unit} RMS are left, "
+        return f"{found}about {noise:.2g} {unit} of that are noise of the encoder in the acceleration."
     if verdict == "unexplained" and not causes:
         return f"{before:.3g} {unit} RMS are left that no known effect accounts for; nothing is named."
     if verdict == "unexplained":

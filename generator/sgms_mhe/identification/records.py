@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.identification.path import displacements, smooth_path
 from sgms_mhe.machine import Machine
+from sgms_mhe.recordings.path import displacements, smooth_path
 from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.recordings.rows import row_means
 from sgms_mhe.signals.chain import Signals, behind_chain, readings

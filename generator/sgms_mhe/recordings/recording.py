@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine, Thresholds
 from sgms_mhe.model.effects import Extents
 from sgms_mhe.model.scales import scales_of
+from sgms_mhe.recordings.path import reading_error
 from sgms_mhe.recordings.rows import row_means
 from sgms_mhe.recordings.runs import Runs
 from sgms_mhe.signals.chain import Signals, readings, settle_samples, signals_from_log, signals_of_record
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.signals.noise import encoder_step, reading_error
+from sgms_mhe.signals.noise import encoder_step
 from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
@@ -48,8 +49,8 @@ class Recording:
         fold: cross-validation fold of each block (blocks).
         held_out: blocks that the fit behind the reported gain does not see (blocks).
         warnings: what a user should know about the record.
-        noise: what a coarse encoder adds to position, velocity and acceleration (n, 3): the error that it would have
-            made as well, had its lines been elsewhere; None where its steps do not show.
+        noise: what an encoder of these steps adds to position, velocity and acceleration (n, 3), its lines being
+            elsewhere; None where its steps do not show.
         runs: the newest ones of models along it; copies share them.
     """
 

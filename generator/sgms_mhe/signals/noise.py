@@ -21,9 +21,6 @@ SMALL: Final = 20.0
 UNEVEN: Final = 0.1
 EVEN: Final = 0.9
 """Changes of up to so many steps are multiples of an encoder's step, within so much of it; so many of them have to."""
-SEED: Final = 20261125
-"""Of where an encoder's lines might be as well."""
-
 PIECE: Final = 200
 """Samples that noise is told from where it changes over a record: a median of so many is sure to a tenth."""
 
@@ -79,22 +76,3 @@ def encoder_step(position: NDArray[np.float64]) -> float:
     steps = changes[changes <= SMALL * step] / step  # of many steps the rounding of a file's digits adds up
     off = np.abs(steps - np.round(steps))
     return step if float(np.mean(off < UNEVEN)) > EVEN else 0.0
-
-
-def reading_error(position: NDArray[np.float64], step: float) -> NDArray[np.float64]:
-    """What an encoder of this step is off by along the same motion with its lines elsewhere (n) [unit of position].
-
-    The motion goes straight from one line that was passed to the next. Where it passes more than one a sample, any
-    error is as likely as another: there its readings say no more of it.
-    """
-    n = len(position)
-    steps = np.diff(position)
-    passed = np.flatnonzero(steps)
-    if not len(passed):
-        return np.zeros(n)
-    lines = 0.5 * (position[passed] + position[passed + 1])
-    counts = np.interp(np.arange(n), passed + 0.5, lines) / step + 0.25
-    slow = counts - np.round(counts)
-    many = np.abs(steps) > 0.5 * step
-    fast = np.append(many, False) & np.append(False, many)
-    return np.asarray(step * np.where(fast, np.random.default_rng(SEED).uniform(-0.5, 0.5, n), slow))

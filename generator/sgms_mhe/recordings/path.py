@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -20,6 +21,8 @@ CLOSE: Final = 1.75
 WEIGHTS: Final = (-3.0, 8.0)
 """Decimal logarithms of the weights of smoothness that are tried."""
 HALVINGS: Final = 8
+ELSEWHERE: Final = 0.25
+"""Steps between an encoder's lines and where they might be as well."""
 
 
 def smooth_path(position: Array, noise: float) -> Array:
@@ -48,6 +51,20 @@ def smooth_path(position: Array, noise: float) -> Array:
         else:
             high = weight
     return np.asarray(position[0] + noise * found)
+
+
+def reading_error(position: Array, step: float) -> Array:
+    """What an encoder of this step would be off by along the same way with its lines elsewhere (n) [m].
+
+    The way is known to a tenth or a quarter of a step: about its own lines an axis at rest would show no error, and a
+    slow one too little.
+
+    Args:
+        position: readings, without gaps (n) [m].
+        step: from line to line [m].
+    """
+    way = smooth_path(position, step / math.sqrt(12.0)) / step + ELSEWHERE
+    return np.asarray(step * (np.round(way) - way))
 
 
 def _graduated(readings: Array, weight: float) -> Array:
