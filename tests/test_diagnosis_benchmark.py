@@ -499,3 +499,18 @@ def test_what_the_motion_makes_one_is_ambiguous(
     assert listed <= {*found.names, *(name for name, _ in found.rivals)}
     assert found.has_experiment
     assert outcome(draw, found) == "right"
+
+
+def test_no_number_is_wrong_that_is_within_its_interval(machine: Machine) -> None:
+    """Of a Stribeck effect the ratio is not known: with the file's the velocity is the file's too."""
+    draw, found = run_draw(machine, 112, 50)
+    assert draw.truth == ("micro_viscous",)
+    assert (found.verdict, found.names) == ("explained", ("micro_viscous",)), found
+
+
+def test_what_is_known_to_look_alike_is_tried_where_a_derivative_tells_half(machine: Machine) -> None:
+    """Beside a lag and an asymmetry the derivative of a friction that grows with the load has 0.65 of its gain."""
+    draw, found = run_draw(machine, 112, 377)
+    assert "load_dependent_friction" in draw.truth
+    assert found.verdict == "ambiguous", found
+    assert {"load_dependent_friction", "drive_efficiency"} <= {*found.names, *(name for name, _ in found.rivals)}

@@ -38,7 +38,7 @@ from sgms_mhe.recordings.path import smooth_path
 from sgms_mhe.reference import Integrator
 from sgms_mhe.signals.chain import Signals, behind_chain, signals_from_log
 from sgms_mhe.signals.logs import Log, write_log
-from sgms_mhe.signals.noise import position_noise
+from sgms_mhe.signals.noise import encoder_step, position_noise
 
 Array = NDArray[np.float64]
 
@@ -233,6 +233,17 @@ def test_step_of_an_encoder_is_told_from_motion() -> None:
         step / math.sqrt(12.0), rel=0.1
     )
     assert records_of(axis(), [Log(time, motion, force, RATE)]).resolution < 0.01 * step
+
+
+def test_changes_of_one_size_are_no_steps_of_an_encoder() -> None:
+    """A crawl at one speed, from rest and back to it: nearly all of its changes are as large as each other."""
+    speed = np.interp(np.arange(8000), [1000, 1100, 7000, 7100], [0.0, 1e-6, 1e-6, 0.0])
+    crawl = np.cumsum(speed) + 1e-9 * np.random.default_rng(1).standard_normal(8000)
+    assert encoder_step(crawl) == 0.0
+    fine = np.round(crawl / 1e-8) * 1e-8
+    assert encoder_step(fine) in (0.0, pytest.approx(1e-8))
+    assert encoder_step(np.round(crawl / 1e-5) * 1e-5) == pytest.approx(1e-5)
+    assert encoder_step(np.round(0.3 * crawl / 1e-6) * 1e-6) == pytest.approx(1e-6)
 
 
 def test_fast_motion_is_no_noise() -> None:

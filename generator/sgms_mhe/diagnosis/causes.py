@@ -85,8 +85,12 @@ def holds(cause: Cause, thresholds: Thresholds, *, constant: bool = False, compl
     apart = [abs(cause.parameters[key] - none) / cause.std[key] for key, none in sizes.items() if cause.std[key] > 0.0]
     known = complete and bool(apart) and min(apart) > thresholds.certain
     certain = cause.gain_N > 0.0 and (known or (constant and cause.p_value < thresholds.certain_p))
-    if not (cause.gain_interval_N[0] > 0.0 or certain):
-        return False
+    return (cause.gain_interval_N[0] > 0.0 or certain) and has_size(cause, thresholds)
+
+
+def has_size(cause: Cause, thresholds: Thresholds) -> bool:
+    """Whether one of its numbers that the record determines is not what it is where there is no such cause."""
+    sizes = _sizes(cause)
     return not sizes or any(
         abs(cause.parameters[key] - none) > thresholds.sigmas * cause.std[key] for key, none in sizes.items()
     )

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from sgms_mhe.diagnosis.causes import holds, is_possible, measured_causes
+from sgms_mhe.diagnosis.causes import has_size, holds, is_possible, measured_causes
 from sgms_mhe.diagnosis.compiling import bearing
 from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
 from sgms_mhe.diagnosis.criteria import material_force, small_force
@@ -61,7 +61,10 @@ def confirmed(settled: Settled, selection: Selection, *, constant: bool = False)
             or cause.gain_N < (min(small, left) if g.is_extra else small)
         ]
         if not doubtful:
-            return Confirmed(selection, blind, _strongest_first(causes))
+            found = Confirmed(selection, blind, _strongest_first(causes))
+            doubtful = _undetermined(settled, found)
+        if not doubtful:
+            return found
         weakest = min(doubtful, key=lambda group: causes[group].gain_N)
         selection = _not_named(settled, selection, weakest) if constant else _without(settled, selection, weakest)
     return Confirmed(selection, selection.fit, ())
@@ -186,6 +189,18 @@ def without_undetermined(settled: Settled, found: Confirmed) -> Confirmed:
     blind = settled.fit(least.extras, refitted=selection.refitted, warm=least, rows=settled.seen, held=names)
     selection = replace(selection, fit=least)
     return Confirmed(selection, blind, _strongest_first(measured_causes(settled, selection, blind)))
+
+
+def _undetermined(settled: Settled, found: Confirmed) -> list[Group]:
+    """Wrong numbers of the machine that are none once the ones are as in its file that the record does not determine.
+
+    Together they may make up for what something else gets wrong.
+    """
+    own = [group for group in found.selection.causes if not group.is_extra]
+    if not own:
+        return own
+    known = {cause.name for cause in without_undetermined(settled, found).causes if has_size(cause, settled.thresholds)}
+    return [group for group in own if group.cause not in known]
 
 
 def _strongest_first(causes: Mapping[Group, Cause]) -> tuple[Cause, ...]:

@@ -18,6 +18,7 @@ from sgms_mhe.diagnosis.noise_response import explains_noise
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.rounds import Ranked, attempted_fit, distinct, is_ruled_out, linear_gain
 from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.machine import Thresholds
 from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, gain_force, nuisance, score_test
 from sgms_mhe.recordings.repetition import steady_blocks
@@ -152,7 +153,7 @@ def _contest(
     if criteria.one_speed:
         kept += [r for r in ranked if r not in kept and criteria.same_clock(place.cause, _name(r))]
     others = [r for r in ranked if _name(r) != place.cause]
-    tried = [r for r in others if r in kept and not r.gain < thresholds.rival_gain * place.gain]
+    tried = [r for r in others if r in kept and not r.gain < _promising(place.cause, _name(r), thresholds) * place.gain]
     if tried:
         comparing([_name(r) for r in tried])
     trials = iter(in_parallel([partial(_trial, subject, place, r) for r in tried]))
@@ -164,6 +165,12 @@ def _contest(
         elif (trial := next(trials)) is not None:
             judgement, excess = _judge(subject, place, name, trial, criteria)
             yield _Judged(name, judgement, excess, candidate.group, trial)
+
+
+def _promising(named: str, other: str, thresholds: Thresholds) -> float:
+    """Share of a cause's gain from which on a candidate's linear one makes a refit worth its while."""
+    alike = other in cause(named).confused_with or named in cause(other).confused_with
+    return thresholds.rival_gain_alike if alike else thresholds.rival_gain
 
 
 def _name(candidate: Ranked) -> str:

@@ -234,6 +234,14 @@ class Thresholds(FitThresholds):
         ge=0,
         le=1,
     )
+    rival_gain_alike: float = threshold(
+        0.5,
+        "gain of the cause",
+        "the same for a candidate that is known to be confused with it",
+        "beside others a derivative tells half of an effect that fits to the noise",
+        ge=0,
+        le=1,
+    )
     steps_most: float = threshold(
         0.2,
         "f_C",

@@ -18,6 +18,10 @@ ORDERS: Final = (3, 5, 7)
 ROUNDING: Final = 1e-9
 """Of the largest step of a position: smaller ones are none."""
 SMALL: Final = 20.0
+OTHERS: Final = 0.05
+"""Share of changes other than of one step from which on they tell whether it is one."""
+ALONE: Final = 0.5
+"""Share of changes with none beside them from which on they are steps, where there are no others."""
 UNEVEN: Final = 0.1
 EVEN: Final = 0.9
 """Changes of up to so many steps are multiples of an encoder's step, within so much of it; so many of them have to."""
@@ -73,6 +77,15 @@ def encoder_step(position: NDArray[np.float64]) -> float:
     if not len(changes):
         return 0.0
     step = float(np.quantile(changes, 0.01))
-    steps = changes[changes <= SMALL * step] / step  # of many steps the rounding of a file's digits adds up
-    off = np.abs(steps - np.round(steps))
-    return step if float(np.mean(off < UNEVEN)) > EVEN else 0.0
+    small = changes <= SMALL * step  # of many steps the rounding of a file's digits adds up
+    steps = changes[small] / step
+    even = np.abs(steps - np.round(steps)) < UNEVEN
+    others = ~even | (np.round(steps) != 1.0)
+    if float(np.mean(others)) > OTHERS:
+        counted = float(np.mean(even[others])) > EVEN and float(np.mean(even)) > EVEN
+    else:
+        # One step at a time: a motion of constant speed has changes of one size as well, but no pauses between them.
+        moves = np.abs(np.diff(position)) > 0.5 * step
+        alone = ~moves[:-2] | ~moves[2:]
+        counted = float(np.mean(alone[moves[1:-1]])) > ALONE if moves[1:-1].any() else False
+    return step if counted else 0.0
