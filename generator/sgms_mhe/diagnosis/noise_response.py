@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import effect_definition
-from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.recordings.recording import Recording, chained
 from sgms_mhe.recordings.runs import Runs
-from sgms_mhe.signals.chain import signals_from_log
-from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import noise_course, position_noise
 
 Array = NDArray[np.float64]
@@ -91,10 +89,8 @@ def with_more_noise(recording: Recording) -> Recording:
 
 def _white_noise(recording: Recording) -> Array:
     """Noise of position, velocity and acceleration (n, 3), of a position's white one."""
-    signals, plant = recording.signals, recording.machine.plant
-    n, rate = len(signals), recording.machine.sampling.rate
-    white = np.random.default_rng(SEED).standard_normal(n)
-    noise = signals_from_log(Log(np.arange(n) / rate, white, np.zeros(n), rate, kind=plant.kind), recording.machine)
-    unit = position_noise(noise.acceleration)
-    size = noise_course(signals.acceleration) / unit if unit > 0.0 else np.zeros(n)
-    return np.asarray(size[:, None] * np.column_stack((noise.position, noise.velocity, noise.acceleration)))
+    acceleration = recording.signals.acceleration
+    noise = chained(recording.machine, np.random.default_rng(SEED).standard_normal(len(acceleration)))
+    unit = position_noise(noise[:, 2])
+    size = noise_course(acceleration) / unit if unit > 0.0 else np.zeros(len(acceleration))
+    return np.asarray(size[:, None] * noise)

@@ -183,8 +183,14 @@ def _counting_noise(machine: Machine, log: Log) -> Array | None:
     if step == 0.0:
         return None
     error = reading_error(np.interp(at, at[good], position[good]), step)
-    read = Log(at / machine.sampling.rate, error, np.zeros(len(error)), machine.sampling.rate, kind=machine.plant.kind)
-    signals = signals_from_log(read, machine)
+    return chained(machine, error)
+
+
+def chained(machine: Machine, position: Array) -> Array:
+    """What the chain makes of a position (n) [m]: position, velocity and acceleration (n, 3)."""
+    n, rate = len(position), machine.sampling.rate
+    log = Log(np.arange(n) / rate, position, np.zeros(n), rate, kind=machine.plant.kind)
+    signals = signals_from_log(log, machine)
     return np.column_stack((signals.position, signals.velocity, signals.acceleration))
 
 
