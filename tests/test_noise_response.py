@@ -27,7 +27,7 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings.evidence import gain_force, noise_floor
-from sgms_mhe.recordings.recording import Recording, prepare
+from sgms_mhe.recordings.recording import Recording, encoder_noise, prepare
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import noise_course
@@ -97,6 +97,11 @@ def coarse(machine: Machine, extra_mass: float = 0.0, step_m: float = STEP_m) ->
     return replace(log, position_m=np.round(log.position_m / step_m) * step_m, force_N=force)
 
 
+def read_in_steps(machine: Machine, step_m: float) -> Recording:
+    log = coarse(machine, step_m=step_m)
+    return replace(prepare(machine, log), noise=encoder_noise(machine, log))
+
+
 def test_a_mass_that_takes_a_coarse_encoders_noise_out_of_the_force_is_none(machine: Machine) -> None:
     found = diagnose(machine, coarse(machine))
     assert not found.causes
@@ -123,14 +128,14 @@ def test_a_lower_cutoff_shows_what_is_below_a_coarse_encoders_noise(
 @pytest.mark.parametrize("step_m", [2e-7, 5e-7, 2e-6, 1e-5])
 def test_what_an_encoders_steps_make_of_the_force_is_known(step_m: float, machine: Machine) -> None:
     true, read = (signals_from_log(log, machine).acceleration for log in (clean(()), coarse(machine, step_m=step_m)))
-    recording = prepare(machine, coarse(machine, step_m=step_m))
+    recording = read_in_steps(machine, step_m)
     made = rms_of(recording, recording.reduce(machine.plant.moved * (read - true)))
     assert rms_of(recording, inertial_noise(recording)) == pytest.approx(made, rel=0.1)
 
 
 def test_the_noise_floor_knows_an_encoders_steps(machine: Machine) -> None:
     calmer = override_machine(machine, {"sampling": {"velocity_cutoff": 110.0}})
-    subject = Subject.of(calmer, prepare(calmer, coarse(calmer)))
+    subject = Subject.of(calmer, read_in_steps(calmer, STEP_m))
     floor = noise_floor(subject.recording, fit_model(subject, (), refitted=()).residual)
     assert floor == pytest.approx(rms_of(subject.recording, inertial_noise(subject.recording)), rel=0.01)
     assert fit_model(subject, ()).rms == pytest.approx(floor, rel=0.15)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -73,9 +73,9 @@ def laws_of(machine: Machine, recording: Recording, floor: float) -> Laws:
     return Laws(own, others[0] if others else None)
 
 
-def compile_laws(machine: Machine, recording: Recording) -> None:
-    """Compile what `laws_of` runs, while something else is done."""
-    in_parallel([partial(one.model, ()) for thin in _thinned(machine, recording, 1.0) for one in (thin.whole, thin)])
+def compilations(machine: Machine, recording: Recording) -> list[Callable[[], object]]:
+    """What compiles all that `laws_of` runs, to be done beside something else."""
+    return [partial(one.model, ()) for thin in _thinned(machine, recording, 1.0) for one in (thin.whole, thin)]
 
 
 def _thinned(machine: Machine, recording: Recording, floor: float) -> list[Subject]:

@@ -26,7 +26,7 @@ from sgms_mhe.diagnosis.descent import FitError
 from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Group
-from sgms_mhe.diagnosis.laws import compile_laws, laws_of
+from sgms_mhe.diagnosis.laws import compilations, laws_of
 from sgms_mhe.diagnosis.noise_response import inertial_noise
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
 from sgms_mhe.diagnosis.sampling import in_step, offset_notes, sampling_offset
@@ -41,7 +41,7 @@ from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.recordings.evidence import gain_interval, noise_floor
 from sgms_mhe.recordings.excitation import measures
-from sgms_mhe.recordings.recording import Recording, prepare
+from sgms_mhe.recordings.recording import Recording, encoder_noise, prepare
 from sgms_mhe.recordings.repetition import clock_note, steady_blocks
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -89,9 +89,10 @@ def _diagnosed(
     """The diagnosis of a log as it is."""
     course.begun()
     record = prepare(machine, log, held_out_s)
+    noise = beside(partial(encoder_noise, machine, log), compilations(machine, excerpt(record)))
+    record = replace(record, noise=noise)
     recording = excerpt(record)
-    as_it_is = partial(fit_model, Subject.of(machine, recording), (), refitted=())
-    nominal = beside(as_it_is, [partial(compile_laws, machine, recording)])
+    nominal = fit_model(Subject.of(machine, recording), (), refitted=())
     if not _excited(recording, nominal):
         if recording is not record:
             # A long rest may hold all pieces; a whole record costs no more than this one run.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
-from sgms_mhe.recordings.path import displacements, smooth_path
+from sgms_mhe.recordings.path import bridged, displacements, smooth_path
 from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.recordings.rows import row_means
 from sgms_mhe.signals.chain import Signals, behind_chain, readings
@@ -146,7 +146,6 @@ def _joined(recordings: Sequence[Recording]) -> Recording:
         signals=Signals(**signals, delay=first.signals.delay),
         block=np.concatenate(blocks),
         held_out=np.concatenate([r.held_out for r in recordings]),
-        noise=None,
         warnings=tuple(w for r in recordings for w in r.warnings),
     )
 
@@ -172,7 +171,7 @@ def _at_encoder(recording: Recording, log: Log, resolution: float) -> Motion:
     if bypassed:
         velocity = recording.signals.velocity
     else:
-        velocity = displacements(smooth_path(_bridged(log), resolution), steps) * (rate * steps)
+        velocity = displacements(smooth_path(bridged(readings(log).position_m), resolution), steps) * (rate * steps)
     return Motion(
         machine=recording.machine,
         rate=rate * steps,
@@ -182,13 +181,6 @@ def _at_encoder(recording: Recording, log: Log, resolution: float) -> Motion:
         rows=len(recording.time),
         filtered=not bypassed,
     )
-
-
-def _bridged(log: Log) -> Array:
-    position = readings(log).position_m
-    good = np.isfinite(position)
-    at = np.arange(len(position))
-    return position if good.all() else np.interp(at, at[good], position[good])
 
 
 def _resolution(log: Log) -> float:

@@ -53,6 +53,12 @@ def smooth_path(position: Array, noise: float) -> Array:
     return np.asarray(position[0] + noise * found)
 
 
+def bridged(position: Array) -> Array:
+    """Readings (n) [m] with straight lines over those that are missing (NaN)."""
+    good, at = np.isfinite(position), np.arange(len(position))
+    return position if good.all() else np.interp(at, at[good], position[good])
+
+
 def reading_error(position: Array, step: float) -> Array:
     """What an encoder of this step would be off by along the same way with its lines elsewhere (n) [m].
 

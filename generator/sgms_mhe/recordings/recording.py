@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine, Thresholds
 from sgms_mhe.model.effects import Extents
 from sgms_mhe.model.scales import scales_of
-from sgms_mhe.recordings.path import reading_error
+from sgms_mhe.recordings.path import bridged, reading_error
 from sgms_mhe.recordings.rows import row_means
 from sgms_mhe.recordings.runs import Runs
 from sgms_mhe.signals.chain import Signals, readings, settle_samples, signals_from_log, signals_of_record
@@ -50,7 +50,7 @@ class Recording:
         held_out: blocks that the fit behind the reported gain does not see (blocks).
         warnings: what a user should know about the record.
         noise: what an encoder of these steps adds to position, velocity and acceleration (n, 3), its lines being
-            elsewhere; None where its steps do not show.
+            elsewhere; None where its steps do not show, and where nobody asked (`encoder_noise`).
         runs: the newest ones of models along it; copies share them.
     """
 
@@ -169,21 +169,16 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
     fold, held_out = split_blocks(count, machine.diagnosis)
     clock = np.arange(n) / rate - signals.delay
     recording = reduced(machine, signals, clock, factor, np.where(used, block, -1), fold, held_out, warnings)
-    recording = replace(recording, noise=_counting_noise(machine, log))
     return recording if held_out_s is None else _holding_out(recording, held_out_s)
 
 
-def _counting_noise(machine: Machine, log: Log) -> Array | None:
-    """`Recording.noise` of a log whose speeds come from its position."""
+def encoder_noise(machine: Machine, log: Log) -> Array | None:
+    """`Recording.noise` of a log: None too where its speeds do not come from its position."""
     if log.velocity_m_s is not None or log.acceleration_m_s2 is not None:
         return None
     position = readings(log).position_m
-    good, at = np.isfinite(position), np.arange(len(position))
     step = encoder_step(position)
-    if step == 0.0:
-        return None
-    error = reading_error(np.interp(at, at[good], position[good]), step)
-    return chained(machine, error)
+    return None if step == 0.0 else chained(machine, reading_error(bridged(position), step))
 
 
 def chained(machine: Machine, position: Array) -> Array:
