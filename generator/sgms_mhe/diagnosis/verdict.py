@@ -227,7 +227,7 @@ def _diagnosis(
     held = record.held_out
     alternatives = alternatives_of(selection, machine.plant.units)
     rivals = [alternative for alternative in alternatives if alternative.rival]
-    encoder = _encoder_noise(record) if verdict == "unexplained" else 0.0
+    encoder = _force_of_noise(record) if verdict == "unexplained" else 0.0
     hidden_by = min(encoder, held_after) if encoder**2 > MOSTLY * held_after**2 else 0.0
     return Diagnosis(
         machine=machine,
@@ -272,7 +272,7 @@ MOSTLY: Final = 0.5
 """Share of the power of what is left from which on it is said to be the encoder's noise."""
 
 
-def _encoder_noise(record: Recording) -> float:
+def _force_of_noise(record: Recording) -> float:
     """RMS of the force that the encoder's noise makes of the acceleration, where nothing was fitted [N]."""
     rows = record.used & record.rows_held_out()
     return float(np.sqrt(np.mean(inertial_noise(record)[rows] ** 2))) if rows.any() else 0.0
