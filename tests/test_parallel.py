@@ -34,7 +34,7 @@ from sgms_mhe.recordings.runs import KEPT, Runs
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support import toolchain
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.parallel import VARIABLE, in_parallel, workers
+from sgms_mhe.support.parallel import VARIABLE, _cores, in_parallel, workers
 
 Array = NDArray[np.float64]
 RIPPLE = {"amplitude_N": 0.5, "pitch_m": 0.0173, "phase_rad": 0.7}
@@ -96,6 +96,61 @@ def test_a_core_that_is_free_takes_what_another_piece_starts(monkeypatch: pytest
     assert in_parallel([lambda: True, lasting]) == [True, True]
     assert in_parallel([lasting, lambda: True]) == [True, True]
     assert len(set(in_parallel([piece] * 8))) == 2  # as many as before
+
+
+def all_cores_come_back() -> bool:
+    """Whether nobody has one in the end: who worked for another gives it back after the other goes on."""
+    until = time.monotonic() + 60.0
+    while _cores._busy != 0 and time.monotonic() < until:
+        time.sleep(0.001)
+    return _cores._busy == 0
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_core_that_gets_free_takes_what_was_begun_without_it(swapped: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "2")
+    begun, together = threading.Event(), threading.Barrier(2, timeout=60.0)
+
+    def short() -> bool:
+        return begun.wait(60.0)
+
+    def first() -> int:
+        begun.set()  # both cores are taken up to here
+        together.wait()
+        return threading.get_ident()
+
+    def second() -> int:
+        together.wait()  # and neither gets past it alone
+        return threading.get_ident()
+
+    def long() -> bool:
+        return len(set(in_parallel([first, second]))) == 2
+
+    assert in_parallel([long, short] if swapped else [short, long]) == [True, True]
+    assert all_cores_come_back()
+
+
+def test_many_batches_within_each_other_keep_no_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "3")
+    at_work, most, guard = 0, 0, threading.Lock()
+
+    def leaf() -> int:
+        nonlocal at_work, most
+        with guard:
+            at_work += 1
+            most = max(most, at_work)
+        time.sleep(1e-4)
+        with guard:
+            at_work -= 1
+        return 1
+
+    def node(depth: int) -> int:
+        return leaf() if depth == 0 else sum(in_parallel([partial(node, depth - 1)] * 3))
+
+    assert node(5) == 3**5
+    assert 1 < most <= 3
+    assert all_cores_come_back()
+    assert not any(batch.left for batch in _cores._offered)
 
 
 def test_the_first_task_s_error_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:

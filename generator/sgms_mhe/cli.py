@@ -6,6 +6,7 @@ and 143 interrupted. Every command is a module of its own in `commands`, importe
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import signal
@@ -47,6 +48,8 @@ COMMANDS: Final = {
 }
 """Commands by name and the module of `sgms_mhe.commands` whose `command` each is, in the order of --help."""
 
+GARBAGE_THRESHOLDS: Final = (50_000, 20, 50)
+"""Of the interpreter's three generations of objects: how many more of the youngest, and how often the others."""
 INTERRUPTED: Final = 128 + signal.SIGINT
 TERMINATED: Final = 128 + signal.SIGTERM
 PIPE_CLOSED: Final = 128 + signal.SIGPIPE
@@ -129,5 +132,8 @@ def _terminate(number: int, frame: FrameType | None) -> NoReturn:
 
 def main() -> None:
     """Entry point of the console script."""
+    # Modules and symbolic models are many objects that stay: to look through them as often as the usual thresholds ask
+    # for finds nothing and takes time.
+    gc.set_threshold(*GARBAGE_THRESHOLDS)
     signal.signal(signal.SIGTERM, _terminate)
     cli(prog_name="sgms-mhe")

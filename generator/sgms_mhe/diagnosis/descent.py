@@ -79,16 +79,16 @@ class LeastSquares:
     def at(self, theta: Array) -> Point:
         """The model at theta (n_p)."""
         recording, free, prior = self.recording, self.free, self.prior
-        scale = max(float(np.max(np.abs(recording.friction))), recording.machine.friction.coulomb)
+        scale = max(_largest(recording.friction), recording.machine.friction.coulomb)
         largest = recording.thresholds.unstable * scale
         y, slopes = self.model.run(recording, theta)
         residual = recording.friction - y
-        if not float(np.max(np.abs(residual))) < largest:
+        if not _largest(residual) < largest:
             return Point(theta, residual, np.empty((0, 0)), math.inf)
         seen = residual[self.seen]
         cost = float(seen @ seen) + float(prior.binding @ (theta[free] - prior.centre) ** 2)
         # A state that its steps are too long for shows in its derivatives first.
-        if slopes is None or not math.isfinite(cost) or not float(np.max(np.abs(slopes))) < largest:
+        if slopes is None or not math.isfinite(cost) or not _largest(slopes) < largest:
             return Point(theta, residual, np.empty((0, 0)), math.inf)
         return Point(theta, residual, slopes, cost)
 
@@ -166,6 +166,11 @@ class LeastSquares:
             if after != 0.0:
                 moved[i] = min(max(theta[i] + (moved[i] - theta[i]) * before / after, column.lower), column.upper)
         return moved
+
+
+def _largest(values: Array) -> float:
+    """The largest magnitude (NaN where there is one); without an array of all of them, which takes longer to fill."""
+    return max(float(values.max()), -float(values.min()))
 
 
 def _bounded_step(A: Array, g: Array, lower: Array, upper: Array) -> Array:

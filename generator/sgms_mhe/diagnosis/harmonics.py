@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
+from scipy.sparse import csc_array
 
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, nearest_peak, propose
 from sgms_mhe.model.effects import EffectDefinition
@@ -26,6 +27,7 @@ Complex = NDArray[np.complex128]
 TWO_PI: Final = 2.0 * math.pi
 BINS_PER_PERIOD: Final = 6.0
 SINGULAR: Final = 1e-5  # of its square: the least determinant that two columns are told apart by
+AT_A_TIME: Final = 300_000  # samples that are transformed at a time; bounds memory
 STEP: Final = 0.25  # of the resolution that the range of x gives: the grid's, at most
 
 
@@ -50,11 +52,21 @@ class _Sine:
 
     def columns(self, kappa: float) -> Array:
         """Sine and cosine of a wavenumber (rows used, 2)."""
-        k = np.array([kappa])
-        g = sum(c[0] * w for c, w in zip(self.factors(k), self.weights, strict=True))
-        angle = TWO_PI * kappa * self.x
-        E = g * (np.cos(angle) + 1j * np.sin(angle))
-        return np.column_stack((E.imag, E.real))
+        turns = kappa * self.x
+        angle = TWO_PI * (turns - np.floor(turns))  # functions of small angles take half as long
+        sine, cosine = np.sin(angle), np.cos(angle)
+        found = np.zeros((len(angle), 2))
+        for factor, w in zip(self.factors(np.array([kappa])), self.weights, strict=True):
+            c = complex(factor[0])
+            if c.real != 0.0:
+                scaled = c.real * w
+                found[:, 0] += scaled * sine
+                found[:, 1] += scaled * cosine
+            if c.imag != 0.0:
+                scaled = c.imag * w
+                found[:, 0] += scaled * cosine
+                found[:, 1] -= scaled * sine
+        return found
 
 
 def search_harmonic(definition: EffectDefinition, kind: Harmonic, seen: Residual) -> list[Proposal]:
@@ -131,28 +143,33 @@ def _energies(sine: _Sine, band: tuple[float, float], free: Nuisance, e: Array) 
     length = int(next_fast_len(4 * count, real=True))
     grid = 1.0 / (length * bin_width)
     first, last = math.ceil(band[0] / grid), max(math.ceil(band[0] / grid) + 1, math.ceil(band[1] / grid))
-    wanted = np.arange(first, last)
-    kappa: Array = np.asarray(wanted * grid, dtype=np.float64)
+    kappa: Array = np.asarray(np.arange(first, last) * grid, dtype=np.float64)
     factors = sine.factors(kappa)
+    rows = np.arange(len(x) + 1)
 
-    def transform(series: Array, at: NDArray[np.int64]) -> Complex:
-        """sum over rows of series exp(2 pi i kappa x) up to the phase of the first bin, which cancels in energies."""
-        sums = np.bincount(index, weights=series, minlength=count)
-        return np.asarray(np.conj(rfft(sums, length)[at]))
+    def transform(weight: Array, series: Array, at: slice) -> Complex:
+        """sum over rows of weight series exp(2 pi i kappa x) of each of some series (rows, k): (k, n).
+
+        Up to the phase of the first bin, which cancels in energies.
+        """
+        sums = csc_array((weight, index, rows), shape=(count, len(x))) @ series
+        return np.asarray(np.conj(rfft(sums.T, length)[:, at]))
 
     def along(series: Array) -> Complex:
-        return np.asarray(sum(c * transform(w * series, wanted) for c, w in zip(factors, weights, strict=True)))
+        parts = (c * transform(w, series, slice(first, last)) for c, w in zip(factors, weights, strict=True))
+        return np.asarray(sum(parts))
 
-    target = along(e)
     square = np.zeros(len(kappa))
     double = np.zeros(len(kappa), dtype=np.complex128)
+    one = np.ones((len(x), 1))
     for i, (ci, wi) in enumerate(zip(factors, weights, strict=True)):
         for cj, wj in zip(factors[i:], weights[i:], strict=True):
             both = 1.0 if wi is wj else 2.0
             square += both * float(wi @ wj) * np.real(ci * np.conj(cj))
-            double += both * ci * cj * transform(wi * wj, 2 * wanted)
-    basis = (along(free.basis[:, j]) for j in range(free.basis.shape[1]))
-    return kappa, _explained(target, square, double, basis)
+            double += both * ci * cj * transform(wi * wj, one, slice(2 * first, 2 * last, 2))[0]
+    at_a_time = max(1, AT_A_TIME // length)
+    basis = (free.basis[:, j : j + at_a_time] for j in range(0, free.basis.shape[1], at_a_time))
+    return kappa, _explained(along(e[:, None])[0], square, double, (b for part in basis for b in along(part)))
 
 
 def _explained(target: Complex, square: Array, double: Complex, basis: Iterable[Complex]) -> Array:

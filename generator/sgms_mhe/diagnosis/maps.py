@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csc_array
 
 from sgms_mhe.diagnosis.harmonics import search_harmonic
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, nearest_peak, propose
@@ -299,6 +300,13 @@ def _columns(x: Array, period: float, orders: Sequence[int]) -> Array:
     return np.column_stack([f(order * angle) for order in orders for f in (np.sin, np.cos)])
 
 
+@lru_cache(maxsize=8)
+def _at_middles(highest: int) -> Array:
+    """The columns of all orders at the middles of a period's bins; not to be written to: most periods have the same."""
+    bins = BINS_PER_PERIOD * highest
+    return _columns((np.arange(bins) + 0.5) / bins, 1.0, range(1, highest + 1))
+
+
 def _gathered(seen: Residual, x: Array, width: float) -> tuple[Residual, Array, Array]:
     """Rows that are so near to each other in x that no column changes between them, as one each: (bins) of them.
 
@@ -348,15 +356,15 @@ def _moments(seen: Residual, beside: _Beside, x: Array, slow: Mask, period: floa
     folds, bins = len(beside.own), BINS_PER_PERIOD * highest
     turns = x / period
     place = np.minimum(bins - 1, (bins * (turns - np.floor(turns))).astype(np.int64))
-    key = (fold * bins + place)[slow]
+    rows = np.arange(len(x) + 1)
+    into_bins = csc_array((slow.astype(np.float64), fold * bins + place, rows), shape=(folds * bins, len(x)))
 
-    def binned(weights: Array | None) -> Array:
-        sums = np.bincount(key, weights=weights, minlength=folds * bins)
-        return np.asarray(sums.reshape(folds, bins), dtype=np.float64)
+    def binned(series: Array) -> Array:
+        """Sums of series (rows, k) over the slow rows of each bin (folds, k, bins)."""
+        return np.asarray((into_bins @ series).reshape(folds, bins, -1).transpose(0, 2, 1))
 
-    F = _columns((np.arange(bins) + 0.5) / bins, 1.0, range(1, highest + 1))
-    count, target = binned(None), binned(seen.e[slow])
-    inside = np.stack([binned(Q[slow, j]) for j in range(Q.shape[1])]) if Q.shape[1] else np.zeros((0, folds, bins))
-    mixed = np.asarray(inside.transpose(1, 0, 2) @ F)
+    F = _at_middles(highest)
+    count, target = binned(np.ones((len(x), 1)))[:, 0], binned(seen.e[:, None])[:, 0]
+    mixed = np.asarray(binned(Q) @ F)
     product = target @ F - beside.target @ mixed.sum(axis=0)
     return _Moments(F, count, product, mixed, beside.own)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal, localcontext
 from functools import lru_cache
 
 from mpmath import mp, mpf
@@ -20,6 +21,8 @@ TAIL = 1e-10
 # The elastic range ends where slip changes g by this much: sensitivities are then right to 1e-10, or to rounding.
 _ELASTIC = {"double": 1e-12, "single": 1e-8}
 _DIGITS = 22
+_GUARD = 3  # further ones of nodes and weights
+_CONTEXT = Context(prec=_DIGITS + _GUARD, Emax=MAX_EMAX, Emin=MIN_EMIN)
 _QUADRATURE = 12
 _SEGMENT = 0.5  # width over 1/lambda: the poles of g lie pi/2 away
 _DEGREE = {"double": 12, "single": 6}
@@ -107,14 +110,13 @@ def _table(zeta: float, lambda_: float, precision: str) -> FlowTable:
     reach = _reach(lambda_, precision)
     start, end = zeta - reach, zeta + reach
     degree = _DEGREE[precision]
-    with mp.workdps(_DIGITS):
+    with localcontext(_CONTEXT):
         curve = _Curve(zeta, lambda_)
         segments = math.ceil((end - start) / (_SEGMENT / lambda_))
-        width = (mpf(end) - mpf(start)) / segments
-        edges = [mpf(start) + width * j for j in range(segments + 1)]
+        width = (Decimal(end) - Decimal(start)) / segments
+        edges = [Decimal(start) + width * j for j in range(segments + 1)]
         integrals = curve.integrals(edges)
-        angles = [mp.cos(mp.pi * (2 * i + 1) / (2 * (degree + 1))) for i in range(degree + 1)]
-        to_monomials = _interpolation(angles)
+        angles, to_monomials = _interpolation(degree)
         forward, inverse = [], []
         psi = [curve.psi(r, value) for r, value in zip(edges, integrals, strict=True)]
         for j in range(segments):
@@ -133,24 +135,24 @@ def _table(zeta: float, lambda_: float, precision: str) -> FlowTable:
                 r = curve.root(target, r, low, integrals[j])
                 roots.append(r)
             inverse.append(_times(to_monomials, roots[::-1]))
-        near = mpf(_NEAR / lambda_)
+        near = Decimal(_NEAR / lambda_)
         near_degree = _NEAR_DEGREE[precision]
-        near_angles = [mp.cos(mp.pi * (2 * i + 1) / (2 * (near_degree + 1))) for i in range(near_degree + 1)]
+        near_angles, near_to_monomials = _interpolation(near_degree)
         near_forward = _times(
-            _interpolation(near_angles),
+            near_to_monomials,
             [
                 curve.psi(curve.r_star + near * t, curve.integral(curve.r_star, curve.r_star + near * t)) / near
                 for t in near_angles
             ],
         )
         near_roots = [
-            (curve.root(near * t, curve.r_star - near * t, curve.r_star, mpf(0)) - curve.r_star) / near
+            (curve.root(near * t, curve.r_star - near * t, curve.r_star, Decimal(0)) - curve.r_star) / near
             for t in near_angles
         ]
         cells_per_s = _CELLS / float(psi[0] - psi[-1])
         cell = []
         for c in range(_CELLS):
-            upper = psi[0] - mpf(c) / mpf(cells_per_s)
+            upper = psi[0] - Decimal(c) / Decimal(cells_per_s)
             cell.append(next((j for j in range(segments) if upper > psi[j + 1]), segments - 1))
         return FlowTable(
             start=float(start),
@@ -167,7 +169,7 @@ def _table(zeta: float, lambda_: float, precision: str) -> FlowTable:
             near=float(near),
             near_degree=near_degree,
             near_forward=tuple(float(c) for c in near_forward),
-            near_inverse=tuple(float(c) for c in _times(_interpolation(near_angles), near_roots)),
+            near_inverse=tuple(float(c) for c in _times(near_to_monomials, near_roots)),
             bend=float(curve.curvature(curve.r_star) / curve.k),
         )
 
@@ -176,44 +178,44 @@ class _Curve:
     """g, its fixed point and the integral that defines psi, in extended precision."""
 
     def __init__(self, zeta: float, lambda_: float) -> None:
-        self.zeta, self.lambda_ = mpf(zeta), mpf(lambda_)
-        r = mpf(1)
+        self.zeta, self.lambda_ = Decimal(zeta), Decimal(lambda_)
+        r = Decimal(1)
         for _ in range(60):
             step = self.g(r) / self.slope(r)
             r -= step
-            if abs(step) < mpf(10) ** (2 - _DIGITS):
+            if abs(step) < Decimal(10) ** (2 - _DIGITS):
                 break
         self.r_star = r
         self.k = -self.slope(r)
         self.rule = _gauss_legendre(_QUADRATURE)
 
-    def logistic(self, r: mpf) -> mpf:
-        return 1 / (1 + mp.exp(-2 * self.lambda_ * (r - self.zeta)))
+    def logistic(self, r: Decimal) -> Decimal:
+        return 1 / (1 + (-2 * self.lambda_ * (r - self.zeta)).exp())
 
-    def g(self, r: mpf) -> mpf:
+    def g(self, r: Decimal) -> Decimal:
         return 1 - self.logistic(r) * r
 
-    def slope(self, r: mpf) -> mpf:
+    def slope(self, r: Decimal) -> Decimal:
         a = self.logistic(r)
         return -(a + 2 * self.lambda_ * a * (1 - a) * r)
 
-    def curvature(self, r: mpf) -> mpf:
+    def curvature(self, r: Decimal) -> Decimal:
         a = self.logistic(r)
         slope = 2 * self.lambda_ * a * (1 - a)
         return -2 * slope * (1 + self.lambda_ * (1 - 2 * a) * r)
 
-    def regular(self, r: mpf) -> mpf:
+    def regular(self, r: Decimal) -> Decimal:
         """-k / g(r) - 1 / (r - r*), the part of d ln|psi| / dr without the pole."""
         return -self.k / self.g(r) - 1 / (r - self.r_star)
 
-    def integral(self, low: mpf, high: mpf) -> mpf:
+    def integral(self, low: Decimal, high: Decimal) -> Decimal:
         half, middle = (high - low) / 2, (high + low) / 2
         return half * sum(w * self.regular(middle + half * t) for t, w in self.rule)
 
-    def integrals(self, edges: list[mpf]) -> list[mpf]:
+    def integrals(self, edges: list[Decimal]) -> list[Decimal]:
         """Integral of the regular part from r* to every edge."""
         below = max(j for j, r in enumerate(edges) if r < self.r_star)
-        values = [mpf(0)] * len(edges)
+        values = [Decimal(0)] * len(edges)
         values[below] = -self.integral(edges[below], self.r_star)
         for j in range(below, len(edges) - 1):
             values[j + 1] = values[j] + self.integral(edges[j], edges[j + 1])
@@ -221,71 +223,79 @@ class _Curve:
             values[j - 1] = values[j] - self.integral(edges[j - 1], edges[j])
         return values
 
-    def root(self, target: mpf, r: mpf, edge: mpf, integral: mpf) -> mpf:
+    def root(self, target: Decimal, r: Decimal, edge: Decimal, integral: Decimal) -> Decimal:
         """Solve psi(r) = target by Newton's method from r; `integral` is that from r* to `edge`."""
         for _ in range(12):  # the caller's guess is good: mostly one step
             value = self.psi(r, integral + self.integral(edge, r))
             # psi' = -k psi / g, which tends to -1 at the fixed point
-            slope = -self.k * value / self.g(r) if abs(r - self.r_star) > mpf(10) ** (-_DIGITS // 2) else mpf(-1)
+            slope = -self.k * value / self.g(r) if abs(r - self.r_star) > Decimal(10) ** (-_DIGITS // 2) else Decimal(-1)
             step = (target - value) / slope
             r += step
-            if abs(step) < mpf(10) ** (-_DIGITS // 2 + 2):
+            if abs(step) < Decimal(10) ** (-_DIGITS // 2 + 2):
                 break
         return r
 
-    def psi(self, r: mpf, integral: mpf) -> mpf:
-        return (self.r_star - r) * mp.exp(integral)
+    def psi(self, r: Decimal, integral: Decimal) -> Decimal:
+        return (self.r_star - r) * integral.exp()
 
 
 @lru_cache(maxsize=2)
-def _gauss_legendre(n: int) -> tuple[tuple[mpf, mpf], ...]:
+def _gauss_legendre(n: int) -> tuple[tuple[Decimal, Decimal], ...]:
     rule = []
-    for i in range(n):
-        x = mp.cos(mp.pi * (i + mpf(3) / 4) / (n + mpf(1) / 2))
-        for _ in range(20):
-            p0, p1 = mpf(1), x
-            for m in range(2, n + 1):
-                p0, p1 = p1, ((2 * m - 1) * x * p1 - (m - 1) * p0) / m
-            derivative = n * (x * p1 - p0) / (x * x - 1)
-            step = p1 / derivative
-            x -= step
-            if abs(step) < mpf(10) ** (2 - _DIGITS):
-                break
-        rule.append((x, 2 / ((1 - x * x) * derivative**2)))
+    with mp.workdps(_DIGITS + _GUARD):
+        for i in range(n):
+            x = mp.cos(mp.pi * (i + mpf(3) / 4) / (n + mpf(1) / 2))
+            for _ in range(20):
+                p0, p1 = mpf(1), x
+                for m in range(2, n + 1):
+                    p0, p1 = p1, ((2 * m - 1) * x * p1 - (m - 1) * p0) / m
+                derivative = n * (x * p1 - p0) / (x * x - 1)
+                step = p1 / derivative
+                x -= step
+                if abs(step) < mpf(10) ** (2 - _DIGITS):
+                    break
+            rule.append((_decimal(x), _decimal(2 / ((1 - x * x) * derivative**2))))
     return tuple(rule)
 
 
-def _interpolation(nodes: list[mpf]) -> list[list[mpf]]:
-    """Matrix from values at Chebyshev nodes to monomial coefficients on [-1, 1]."""
-    n = len(nodes)
-    chebyshev = [[mpf(1)], [mpf(0), mpf(1)]]
-    for _ in range(2, n):
-        twice = [mpf(0), *(2 * c for c in chebyshev[-1])]
-        previous = [*chebyshev[-2], *[mpf(0)] * (len(twice) - len(chebyshev[-2]))]
-        chebyshev.append([a - b for a, b in zip(twice, previous, strict=True)])
-    matrix = [[mpf(0)] * n for _ in range(n)]
-    for m in range(n):
-        scale = mpf(1 if m == 0 else 2) / n
-        for i, x in enumerate(nodes):
-            weight = scale * mp.cos(m * mp.acos(x))
-            for power, c in enumerate(chebyshev[m]):
-                matrix[power][i] += weight * c
-    return matrix
+@lru_cache(maxsize=4)
+def _interpolation(degree: int) -> tuple[list[Decimal], list[list[Decimal]]]:
+    """Chebyshev nodes of a polynomial, and the matrix from values there to its monomial coefficients on [-1, 1]."""
+    n = degree + 1
+    with mp.workdps(_DIGITS + _GUARD):
+        angles = [mp.pi * (2 * i + 1) / (2 * n) for i in range(n)]
+        chebyshev = [[1], [0, 1]]
+        for _ in range(2, n):
+            twice = [0, *(2 * c for c in chebyshev[-1])]
+            previous = [*chebyshev[-2], *[0] * (len(twice) - len(chebyshev[-2]))]
+            chebyshev.append([a - b for a, b in zip(twice, previous, strict=True)])
+        matrix = [[mpf(0)] * n for _ in range(n)]
+        for m in range(n):
+            scale = mpf(1 if m == 0 else 2) / n
+            for i, angle in enumerate(angles):
+                weight = scale * mp.cos(m * angle)
+                for power, c in enumerate(chebyshev[m]):
+                    matrix[power][i] += weight * c
+        return [_decimal(mp.cos(angle)) for angle in angles], [[_decimal(entry) for entry in row] for row in matrix]
 
 
-def _times(matrix: list[list[mpf]], values: list[mpf]) -> list[mpf]:
-    return [sum((a * v for a, v in zip(row, values, strict=True)), mpf(0)) for row in matrix]
+def _decimal(x: mpf) -> Decimal:
+    return Decimal(mp.nstr(x, _DIGITS + _GUARD))
 
 
-def _polynomial_root(coefficients: list[mpf], target: mpf, t: mpf, low: mpf, half: mpf) -> mpf:
+def _times(matrix: list[list[Decimal]], values: list[Decimal]) -> list[Decimal]:
+    return [sum((a * v for a, v in zip(row, values, strict=True)), Decimal(0)) for row in matrix]
+
+
+def _polynomial_root(coefficients: list[Decimal], target: Decimal, t: Decimal, low: Decimal, half: Decimal) -> Decimal:
     """Solve p(t) = target by Newton's method and return r = low + half (t + 1); as good as p is."""
     for _ in range(20):
-        value, slope = coefficients[-1], mpf(0)
+        value, slope = coefficients[-1], Decimal(0)
         for c in coefficients[-2::-1]:
             slope = slope * t + value
             value = value * t + c
         step = (target - value) / slope
         t += step
-        if abs(step) < mpf(10) ** (-_DIGITS // 2 + 2):
+        if abs(step) < Decimal(10) ** (-_DIGITS // 2 + 2):
             break
     return low + half * (t + 1)

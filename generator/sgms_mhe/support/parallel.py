@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Sequence
-from typing import Final, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 from sgms_mhe.support.errors import InputError
 
@@ -48,24 +48,15 @@ def leave_cores_to_tasks() -> None:
 def in_parallel(tasks: Sequence[Callable[[], T]]) -> list[T]:
     """Results of tasks that do not depend on each other, in their order.
 
-    What a task starts in its turn is shared out likewise, among the cores that no other piece has at that moment. Of
-    several errors the first task's is raised, once all that were begun are done.
+    What a task starts in its turn is shared out likewise: to cores that no other piece has at that moment, or gets rid
+    of before all has begun. Of several errors the first task's is raised, once all that were begun are done.
     """
-    count = min(workers(), len(tasks))
-    if count < 2:
+    if min(workers(), len(tasks)) < 2:
         return [task() for task in tasks]
     batch = _Batch(tasks)
-    helpers = [threading.Thread(target=_help, args=(batch,), daemon=True) for _ in range(_cores.taken(count - 1))]
-    for helper in helpers:
-        helper.start()
+    _cores.offer(batch)
     batch.work()
-    if helpers:
-        _cores.give_back()  # while it waits, what the others start may have its core
-        try:
-            for helper in helpers:
-                helper.join()
-        finally:
-            _cores.take_again()
+    batch.wait()
     return batch.outcome()
 
 
@@ -81,23 +72,47 @@ class _Batch(Generic[T]):
 
     def __init__(self, tasks: Sequence[Callable[[], T]]) -> None:
         self._tasks = tasks
-        self._guard = threading.Lock()
-        self._begun = 0
+        self._changed = threading.Condition()
+        self._begun = self._ended = 0
+        self._waited_for = False
         self._results: dict[int, T] = {}
         self._errors: dict[int, BaseException] = {}
+
+    @property
+    def left(self) -> int:
+        """Tasks that nobody has begun, and somebody still has to."""
+        return 0 if self._errors else len(self._tasks) - self._begun
 
     def work(self) -> None:
         """Take tasks as long as there are any."""
         while True:
-            with self._guard:
-                number = self._begun
-                if number == len(self._tasks) or self._errors:
+            with self._changed:
+                if not self.left:
                     return
+                number = self._begun
                 self._begun += 1
             try:
                 self._results[number] = self._tasks[number]()
             except BaseException as error:
                 self._errors[number] = error
+            with self._changed:
+                self._ended += 1
+                if self._waited_for and self._is_done():
+                    self._waited_for = False
+                    _cores.take_again()  # for who waits, before this one's own core is free for others
+                    self._changed.notify_all()
+
+    def _is_done(self) -> bool:
+        """Whether all that were begun have ended, and no more are to be."""
+        return not self.left and self._ended == self._begun
+
+    def wait(self) -> None:
+        """Return when it is done. Others may have the core meanwhile."""
+        with self._changed:
+            if not self._is_done():
+                self._waited_for = True
+                _cores.give_back()
+                self._changed.wait_for(self._is_done)
 
     def outcome(self) -> list[T]:
         """All results; of the errors the first task's, which was begun before any other that failed."""
@@ -107,34 +122,46 @@ class _Batch(Generic[T]):
 
 
 class _Cores:
-    """How many pieces are at work beside the one that asked first."""
+    """How many pieces are at work beside the one that asked first, and what waits for a core."""
 
     def __init__(self) -> None:
         self._guard = threading.Lock()
         self._busy = 0
+        self._offered: list[_Batch[Any]] = []  # the outermost first, whose pieces are the largest
 
-    def taken(self, most: int) -> int:
-        """Take as many cores as are free, at most `most`, and say how many."""
+    def offer(self, batch: _Batch[Any]) -> None:
+        """Have a batch worked on by as many cores as are free, and by others as soon as they are.
+
+        One task is for who offers it.
+        """
         with self._guard:
-            free = max(0, min(most, workers() - 1 - self._busy))
-            self._busy += free
-            return free
+            self._offered.append(batch)
+            for _ in range(batch.left - 1):
+                self._employ()
 
     def give_back(self) -> None:
         """A piece is done, or waits."""
         with self._guard:
             self._busy -= 1
+            self._employ()
 
     def take_again(self) -> None:
         """One that waited goes on, whoever has its core meanwhile."""
         with self._guard:
             self._busy += 1
 
+    def _employ(self) -> None:
+        """Give a core that is free, if one is, to the first batch that has work for it."""
+        self._offered = [batch for batch in self._offered if batch.left]
+        if self._offered and self._busy < workers() - 1:
+            self._busy += 1
+            threading.Thread(target=_help, args=(self._offered[0],), daemon=True).start()
+
 
 _cores = _Cores()
 
 
-def _help(batch: _Batch[T]) -> None:
+def _help(batch: _Batch[Any]) -> None:
     """Work on a batch with a core that was taken for it."""
     try:
         batch.work()

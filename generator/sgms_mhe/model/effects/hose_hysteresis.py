@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 import numpy as np
+from scipy.linalg.blas import dtbsv
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
@@ -47,11 +48,10 @@ def _dahl(motion: MotionRecord, length: float) -> Array:
     moved = np.diff(motion.position, prepend=motion.position[:1])
     keep = np.exp(-np.abs(moved) / length)
     add = np.sign(moved) * (1.0 - keep)
-    force, result = 0.0, np.empty(len(moved))
-    for k, (a, b) in enumerate(zip(keep.tolist(), add.tolist(), strict=True)):
-        force = a * force + b
-        result[k] = force
-    return result
+    # F_k - keep_k F_(k-1) = add_k: a triangular system of two diagonals, solved forwards.
+    diagonals = np.ones((2, len(moved)), order="F")
+    diagonals[1, :-1] = -keep[1:]
+    return np.asarray(dtbsv(1, diagonals, add, lower=1, diag=1))
 
 
 DEFINITION = EffectDefinition(
