@@ -29,7 +29,7 @@ from sgms_mhe.model.effects import (
     effect_definition,
 )
 from sgms_mhe.model.effects.base import DAMPING, LEVEL
-from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Periodic, Step, Trials
+from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Periodic, Search, Step, Trials
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import Nuisance, score_test
 from sgms_mhe.recordings.recording import Recording
@@ -63,11 +63,19 @@ def search(subject: Subject, fit: Fit, names: Sequence[str], free: Nuisance) -> 
     recording = subject.recording
     e = free.project(fit.residual[recording.used])
     seen = Residual(recording, motion_of(recording, fit), free, e)
-    # Maps take longest: begun last, one core would search and the others wait.
-    order = sorted(names, key=lambda name: not isinstance(effect_definition(name).search, Periodic))
+    # Begun last, what takes longest would have one core search and the others wait.
+    order = sorted(names, key=lambda name: _place_by_duration(effect_definition(name).search))
     found = in_parallel([partial(_search_effect, effect_definition(name), subject, fit, seen) for name in order])
     by_name = dict(zip(order, found, strict=True))
     return [proposal for name in names for proposal in by_name[name]]
+
+
+def _place_by_duration(kind: Search) -> int:
+    """Place of a search in an order that begins with the longest: maps, then what needs a model compiled."""
+    if isinstance(kind, Periodic):
+        return 0
+    compiles = isinstance(kind, Derivative | Trials) or (isinstance(kind, Columns) and kind.exact is not None)
+    return 1 if compiles else 2
 
 
 def _search_effect(definition: EffectDefinition, subject: Subject, fit: Fit, seen: Residual) -> list[Proposal]:

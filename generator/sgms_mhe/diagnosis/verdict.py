@@ -26,6 +26,7 @@ from sgms_mhe.diagnosis.descent import FitError
 from sgms_mhe.diagnosis.excerpt import excerpt
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Group
+from sgms_mhe.diagnosis.half_steps import compile_half_steps
 from sgms_mhe.diagnosis.laws import compilations, laws_of
 from sgms_mhe.diagnosis.noise_response import inertial_noise
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
@@ -117,7 +118,11 @@ def _diagnosed(
 
 def _judged(record: Recording, nominal: Fit, searched: Searched, course: Course) -> tuple[Settled, _Judged]:
     """Of what was found, the causes that hold."""
-    settled = settle(record, nominal, searched.laws, select_causes(searched))
+    # What was found is mostly what is selected, and settled next.
+    selection = beside(
+        partial(select_causes, searched), [partial(compile_half_steps, searched.laws.chosen.whole, searched.fit)]
+    )
+    settled = settle(record, nominal, searched.laws, selection)
     course.judgement()
     return settled, _judge(settled)
 
