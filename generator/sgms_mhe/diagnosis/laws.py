@@ -129,8 +129,12 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: F
         laws, fit = fit_chosen(laws, extras, criteria, known=known)
         subject, fit = _from_nothing(laws.chosen, fit, criteria)
         return laws.with_chosen(subject), fit
-    own, foreign = in_parallel([partial(_starting_stiff, s, extras, criteria) for s in (laws.own, laws.foreign)])
-    own, fit = in_line(own, _fitted(own, extras, foreign))
+    both = (laws.own, laws.foreign)
+    own, foreign = beside(
+        partial(in_parallel, [partial(_starting_stiff, subject, extras, criteria) for subject in both]),
+        [partial(subject.whole.model, extras) for subject in both],
+    )
+    own, fit = in_line(own, _fitted(own, extras))
 
     def fit_other() -> tuple[Subject, Fit | None]:
         subject, found = _fit_foreign(foreign, fit)
@@ -174,7 +178,9 @@ def fit_chosen(
     Raises:
         FitError: the model is not finite where its fit starts, and no fit is known.
     """
-    subject = laws.chosen if is_driven(extras) else _starting_stiff(laws.chosen, extras, criteria)
+    subject = laws.chosen
+    if not is_driven(extras):
+        subject = beside(partial(_starting_stiff, subject, extras, criteria), [partial(subject.whole.model, extras)])
     try:
         fit = _fitted(subject, extras)
     except FitError:
@@ -185,10 +191,9 @@ def fit_chosen(
     return laws.with_chosen(subject), fit
 
 
-def _fitted(subject: Subject, extras: Sequence[Extra], *others: Subject) -> Fit:
-    """The fit; what is to run next is compiled beside it: at the full rate, and of other subjects."""
-    others = (subject.whole, *(one for other in others for one in (other, other.whole)))
-    return beside(partial(fit_model, subject, extras), [partial(one.model, extras) for one in others])
+def _fitted(subject: Subject, extras: Sequence[Extra]) -> Fit:
+    """The fit; the model at the full rate, which runs next, is compiled beside it."""
+    return beside(partial(fit_model, subject, extras), [partial(subject.whole.model, extras)])
 
 
 def in_line(subject: Subject, fit: Fit) -> tuple[Subject, Fit]:

@@ -16,7 +16,7 @@ from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.noise_response import explains_noise
 from sgms_mhe.diagnosis.proposals import Proposal
-from sgms_mhe.diagnosis.rounds import Ranked, attempted_fit, distinct, is_ruled_out, linear_gain
+from sgms_mhe.diagnosis.rounds import Ranked, attempted_fit, distinct, is_ruled_out, linear_gain, with_gains
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.machine import Thresholds
 from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition
@@ -195,8 +195,7 @@ def _effects(
         if name != instead_of
         and (not effect_definition(name).costly or name in seen or instead_of in cause(name).confused_with)
     ]
-    proposals = [p for p in search(subject, without, names, free) if p.feasible]
-    return [Ranked(linear_gain(subject, without, p), p) for p in proposals]
+    return with_gains(subject, without, [p for p in search(subject, without, names, free) if p.feasible])
 
 
 def _machine_numbers(subject: Subject, without: Fit, refitted: tuple[Group, ...]) -> list[Ranked]:

@@ -117,7 +117,7 @@ def _candidates(
     free = nuisance(current.slopes[subject.recording.used][:, current.loose])
 
     def ranked(wanted: Sequence[str]) -> list[Ranked]:
-        return [Ranked(linear_gain(subject, current, p), p) for p in search(subject, current, wanted, free)]
+        return with_gains(subject, current, search(subject, current, wanted, free))
 
     found = ranked([name for name in names if not effect_definition(name).costly])
     costly = _worth_a_search(current, found, seen, criteria)
@@ -206,6 +206,12 @@ def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: C
         return best
     alone = {name: fit_model(subject, fits[name].extras, refitted=()) for name in equal}
     return min(alone, key=lambda name: float(alone[name].cross.sum()))
+
+
+def with_gains(subject: Subject, current: Fit, proposals: Sequence[Proposal]) -> list[Ranked]:
+    """Proposals with what they explain by cross-validation, in their order."""
+    gains = in_parallel([partial(linear_gain, subject, current, proposal) for proposal in proposals])
+    return [Ranked(gain, proposal) for gain, proposal in zip(gains, proposals, strict=True)]
 
 
 def linear_gain(subject: Subject, current: Fit, proposal: Proposal) -> float:

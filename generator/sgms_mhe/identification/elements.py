@@ -86,8 +86,7 @@ def run_element(motion: Motion, law: Law, distance: float, rise: Stribeck, *, sl
         return ElementRun(motion.to_rows(chi), np.empty((motion.rows, 0)))
     # d/d(log D) = -(1/D) d/d(1/D); the others in their own units.
     d *= np.array([-values[0], 1.0, values[2]]) / nominal
-    columns = motion.to_rows(np.column_stack((chi, d)))
-    return ElementRun(columns[:, 0], columns[:, 1:])
+    return ElementRun(motion.to_rows(chi), motion.to_rows(d))
 
 
 def run_elements(

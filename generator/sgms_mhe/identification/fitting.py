@@ -159,7 +159,7 @@ class _Problem:
         count = len(runs)
         positive = np.concatenate((np.ones(count, dtype=np.bool_), self.positive))
         information = np.concatenate((np.zeros(count), self.information))
-        X, y = linear[self.seen], self.view.rows.friction[self.seen]
+        X, y = linear.compress(self.seen, axis=0), self.view.rows.friction[self.seen]
         b = solve_bounded(X.T @ X, X.T @ y, positive, information)
         residual = self.view.rows.friction - linear @ b
         nonlinear = [b[k] * run.slopes[:, 0] for k, run in enumerate(runs)]
@@ -171,9 +171,9 @@ class _Problem:
 
     def step(self, here: _Point, damping: float) -> Array:
         """Change of log D, beta, log v_s that a quadratic model of the cost asks for."""
-        N, X = here.nonlinear[self.seen], here.linear[self.seen]
+        N = here.nonlinear.compress(self.seen, axis=0)
         held = np.concatenate((here.levels, np.where(self.positive, here.coefficients, 1.0))) == 0.0
-        X = X[:, ~held]
+        X = here.linear.compress(self.seen, axis=0).compress(~held, axis=1)
         scale = np.sqrt(np.sum(X**2, axis=0)) + 1e-300
         X = X / scale
         gram = X.T @ X + 1e-9 * np.eye(X.shape[1])
