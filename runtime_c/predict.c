@@ -120,9 +120,11 @@ int sgms_predict(
             integrate_blocks(term, blocks);
         }
         if (force) {
-            blocks_end(&at, blocks, start, &map);
             if (d_force) {
+                blocks_end(&at, blocks, start, &map);
                 put_sensitivity(&map, d_start, sensitivity);
+            } else {
+                blocks_states(&at, blocks, map.x);
             }
             put_force(
                 map.x, sensitivity, signals + SIGNALS * k, at.theta, force + k, d_force ? d_force + k * PARAMETERS : 0);

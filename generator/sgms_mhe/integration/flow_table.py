@@ -1,8 +1,8 @@
 """Tables of the displacement flow: the linearising function psi of the slip law and its inverse.
 
 For dr/dxi = g(r) with the fixed point r*, d(ln|psi|)/dr = -k / g(r), k = -g'(r*), psi ~ r* - r. psi is analytic and
-monotone through r*, so one piecewise polynomial serves loading and relaxation. Computed with more digits than a double
-holds, so that every machine emits the same bytes.
+monotone through r*, so one piecewise polynomial serves loading and relaxation. Computed in decimal numbers of more
+digits than a double holds, so that every machine emits the same bytes.
 """
 
 from __future__ import annotations
@@ -228,7 +228,8 @@ class _Curve:
         for _ in range(12):  # the caller's guess is good: mostly one step
             value = self.psi(r, integral + self.integral(edge, r))
             # psi' = -k psi / g, which tends to -1 at the fixed point
-            slope = -self.k * value / self.g(r) if abs(r - self.r_star) > Decimal(10) ** (-_DIGITS // 2) else Decimal(-1)
+            at_fixed_point = abs(r - self.r_star) <= Decimal(10) ** (-_DIGITS // 2)
+            slope = Decimal(-1) if at_fixed_point else -self.k * value / self.g(r)
             step = (target - value) / slope
             r += step
             if abs(step) < Decimal(10) ** (-_DIGITS // 2 + 2):

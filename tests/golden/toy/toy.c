@@ -940,9 +940,9 @@ static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms
     copy(w, self->signal, SIGNALS);
     copy(x, node, STATES);
     if (started) {
-        interval_map map;
-        blocks_end(&self->parameters, self->newest, node, &map);
-        copy(x, is_plausible(map.x) ? map.x : self->good_state, STATES);
+        sgms_real end[STATES];
+        blocks_states(&self->parameters, self->newest, end);
+        copy(x, is_plausible(end) ? end : self->good_state, STATES);
     }
     copy(self->parameters.theta, self->good_theta, PARAMETERS);
     self->parameters.theta[p] = theta;

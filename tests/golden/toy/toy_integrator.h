@@ -98,25 +98,29 @@ static void element_end(
         const sgms_real chi = lane[i * LANE_STRIDE];
         sgms_real *const a_row = map->a + state * STATES;
         sgms_real *const b_row = map->b + state * PARAMETERS;
+        const sgms_real *const d_scale = p->d_scale + state * PARAMETERS;
+        sgms_real by_q[ELEMENT_Q];
+        sgms_real by_scale[ELEMENT_STATES];
         map->x[state] = scale * chi;
         fill(a_row, 0.0, STATES);
-        for (int j = 0; j < PARAMETERS; j++) {
-            b_row[j] = chi * p->d_scale[state * PARAMETERS + j];
-        }
         for (int k = 0; k < ELEMENT_Q; k++) {
-            const sgms_real by_q = scale * lane[(ELEMENT_PSI + i * ELEMENT_Q + k) * LANE_STRIDE];
-            for (int j = 0; j < PARAMETERS; j++) {
-                b_row[j] += by_q * d_q[k * PARAMETERS + j];
-            }
+            by_q[k] = scale * lane[(ELEMENT_PSI + i * ELEMENT_Q + k) * LANE_STRIDE];
         }
         for (int k = 0; k < ELEMENT_STATES; k++) {
             const int from = block_states[ELEMENT_FIRST + block][k];
             const sgms_real by_node = phi[k * LANE_STRIDE] * (scale / p->scale[from]);
-            const sgms_real by_scale = by_node * (start[from] / p->scale[from]);
             a_row[from] = by_node;
-            for (int j = 0; j < PARAMETERS; j++) {
-                b_row[j] -= by_scale * p->d_scale[from * PARAMETERS + j];
+            by_scale[k] = by_node * (start[from] / p->scale[from]);
+        }
+        for (int j = 0; j < PARAMETERS; j++) {
+            sgms_real b = chi * d_scale[j];
+            for (int k = 0; k < ELEMENT_Q; k++) {
+                b += by_q[k] * d_q[k * PARAMETERS + j];
             }
+            for (int k = 0; k < ELEMENT_STATES; k++) {
+                b -= by_scale[k] * p->d_scale[block_states[ELEMENT_FIRST + block][k] * PARAMETERS + j];
+            }
+            b_row[j] = b;
         }
     }
 }
@@ -334,6 +338,17 @@ static void blocks_end(const toy_parameters *p, const sgms_real *blocks, const s
 {
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
         element_end(p, block, blocks + ELEMENT_PLACE + block, start, map);
+    }
+}
+
+/* The states there, where what they depend on is of no interest. */
+static void blocks_states(const toy_parameters *p, const sgms_real *blocks, sgms_real *x)
+{
+    for (int block = 0; block < ELEMENT_BLOCKS; block++) {
+        for (int i = 0; i < ELEMENT_STATES; i++) {
+            const int state = block_states[ELEMENT_FIRST + block][i];
+            x[state] = p->scale[state] * blocks[ELEMENT_PLACE + block + i * LANE_STRIDE];
+        }
     }
 }
 
