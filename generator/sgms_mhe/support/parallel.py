@@ -48,8 +48,8 @@ def leave_cores_to_tasks() -> None:
 def in_parallel(tasks: Sequence[Callable[[], T]]) -> list[T]:
     """Results of tasks that do not depend on each other, in their order.
 
-    What a task starts in its turn is shared out likewise: to cores that no other piece has at that moment, or gets rid
-    of before all has begun. Of several errors the first task's is raised, once all that were begun are done.
+    What a task starts in its turn is shared out likewise, among the cores that are free, or get free before all of it
+    has begun. Of several errors the first task's is raised, once all that were begun are done.
     """
     if min(workers(), len(tasks)) < 2:
         return [task() for task in tasks]
