@@ -41,7 +41,7 @@ GAPS: Final[tuple[Gap, ...]] = (
     Gap("NAME_tick", r"self->phase == IDLE", OVERLAPS),
     Gap("NAME_estimate", r"attempt < 3|version % 2 == 0|NAME_OVERLAP", OVERLAPS),
     Gap("NAME_save", r"attempt < 3|version % 2 == 0|NAME_OVERLAP|~checksum_of", OVERLAPS),
-    Gap("start_with", r"is_plausible\(map.x\)", NO_NUMBER),
+    Gap("start_with", r"is_plausible\(end\)", NO_NUMBER),
     Gap("start_with", r"== PREPARING \|\| self->phase == VOIDED", OVERLAPS),
     Gap("NAME_status_text", r"OVERLAP|overlapped", OVERLAPS),
     Gap("update", r"!is_plausible\(x\)", NO_NUMBER),
