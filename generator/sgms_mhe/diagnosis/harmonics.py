@@ -12,13 +12,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
-from scipy.sparse import csc_array
 
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, nearest_peak, propose
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Harmonic
 from sgms_mhe.recordings.evidence import Nuisance
 from sgms_mhe.recordings.repetition import in_step
+from sgms_mhe.recordings.rows import bin_sums
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
@@ -145,15 +145,13 @@ def _energies(sine: _Sine, band: tuple[float, float], free: Nuisance, e: Array) 
     first, last = math.ceil(band[0] / grid), max(math.ceil(band[0] / grid) + 1, math.ceil(band[1] / grid))
     kappa: Array = np.asarray(np.arange(first, last) * grid, dtype=np.float64)
     factors = sine.factors(kappa)
-    rows = np.arange(len(x) + 1)
 
     def transform(weight: Array, series: Array, at: slice) -> Complex:
         """sum over rows of weight series exp(2 pi i kappa x) of each of some series (rows, k): (k, n).
 
         Up to the phase of the first bin, which cancels in energies.
         """
-        sums = csc_array((weight, index, rows), shape=(count, len(x))) @ series
-        return np.asarray(np.conj(rfft(sums.T, length)[:, at]))
+        return np.asarray(np.conj(rfft(bin_sums(series, weight, index, count).T, length)[:, at]))
 
     def along(series: Array) -> Complex:
         parts = (c * transform(w, series, slice(first, last)) for c, w in zip(factors, weights, strict=True))

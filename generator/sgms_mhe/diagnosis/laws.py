@@ -130,11 +130,12 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: F
         subject, fit = _from_nothing(laws.chosen, fit, criteria)
         return laws.with_chosen(subject), fit
     both = (laws.own, laws.foreign)
+    # What runs next, at the full rate, is compiled beside.
     own, foreign = beside(
         partial(in_parallel, [partial(_starting_stiff, subject, extras, criteria) for subject in both]),
         [partial(subject.whole.model, extras) for subject in both],
     )
-    own, fit = in_line(own, _fitted(own, extras))
+    own, fit = in_line(own, fit_model(own, extras))
 
     def fit_other() -> tuple[Subject, Fit | None]:
         subject, found = _fit_foreign(foreign, fit)
@@ -179,21 +180,16 @@ def fit_chosen(
         FitError: the model is not finite where its fit starts, and no fit is known.
     """
     subject = laws.chosen
-    if not is_driven(extras):
+    if not is_driven(extras):  # what runs next, at the full rate, is compiled beside
         subject = beside(partial(_starting_stiff, subject, extras, criteria), [partial(subject.whole.model, extras)])
     try:
-        fit = _fitted(subject, extras)
+        fit = fit_model(subject, extras)
     except FitError:
         if known is None:
             raise
         return laws, known
     subject, fit = in_line(subject, fit)
     return laws.with_chosen(subject), fit
-
-
-def _fitted(subject: Subject, extras: Sequence[Extra]) -> Fit:
-    """The fit; the model at the full rate, which runs next, is compiled beside it."""
-    return beside(partial(fit_model, subject, extras), [partial(subject.whole.model, extras)])
 
 
 def in_line(subject: Subject, fit: Fit) -> tuple[Subject, Fit]:

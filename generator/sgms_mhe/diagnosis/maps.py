@@ -15,13 +15,13 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array
 
 from sgms_mhe.diagnosis.harmonics import search_harmonic
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, nearest_peak, propose
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Periodic
 from sgms_mhe.recordings.evidence import Nuisance, score_test
+from sgms_mhe.recordings.rows import bin_sums
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
@@ -356,12 +356,11 @@ def _moments(seen: Residual, beside: _Beside, x: Array, slow: Mask, period: floa
     folds, bins = len(beside.own), BINS_PER_PERIOD * highest
     turns = x / period
     place = np.minimum(bins - 1, (bins * (turns - np.floor(turns))).astype(np.int64))
-    rows = np.arange(len(x) + 1)
-    into_bins = csc_array((slow.astype(np.float64), fold * bins + place, rows), shape=(folds * bins, len(x)))
+    key, counts = fold * bins + place, slow.astype(np.float64)
 
     def binned(series: Array) -> Array:
         """Sums of series (rows, k) over the slow rows of each bin (folds, k, bins)."""
-        return np.asarray((into_bins @ series).reshape(folds, bins, -1).transpose(0, 2, 1))
+        return np.asarray(bin_sums(series, counts, key, folds * bins).reshape(folds, bins, -1).transpose(0, 2, 1))
 
     F = _at_middles(highest)
     count, target = binned(np.ones((len(x), 1)))[:, 0], binned(seen.e[:, None])[:, 0]
