@@ -490,7 +490,7 @@ def test_a_known_fit_stands_where_none_can_begin(slow: Machine, rippled: Log, mo
     def refuse(*_: object) -> None:
         raise FitError("not finite")
 
-    monkeypatch.setattr("sgms_mhe.diagnosis.laws._fitted", refuse)
+    monkeypatch.setattr("sgms_mhe.diagnosis.laws.fit_model", refuse)
     assert fit_chosen(laws, extras, criteria, known=known) == (laws, known)
     with pytest.raises(FitError):
         fit_chosen(laws, extras, criteria)
