@@ -78,7 +78,7 @@ static const struct {
     [MASS_MISMATCH] = {"mass_mismatch", {"mass_kg"}},
     /* logged force = gain times the force on the mass */
     [FORCE_GAIN] = {"force_gain", {"gain"}},
-    /* logged force = force on the mass, delay_s ago */
+    /* logged force = force on the mass, delay_s ago; below zero: force on the mass = logged force, -delay_s ago */
     [FORCE_DELAY] = {"force_delay", {"delay_s"}},
     /* force on the mass follows the logged one with a first-order lag */
     [ACTUATOR_LAG] = {"actuator_lag", {"time_constant_s"}},
@@ -767,11 +767,12 @@ int axis_apply(struct axis *axis)
             }
         }
     }
-    const double delay = delay_of(axis);
+    axis->late = delay_of(axis) / axis->step;
     if (!(axis->moving_mass > 0.0)) {
         return AXIS_NO_MASS;
     }
-    if (!(delay >= 0.0) || delay / axis->step > AXIS_HISTORY - 2) {
+    /* no force makes a prescribed motion, so none can be logged before it acts */
+    if (!(fabs(axis->late) <= AXIS_HISTORY - 2) || (axis->control == AXIS_CONTROL_PRESCRIBED && axis->late < 0.0)) {
         return AXIS_LONG_DELAY;
     }
     find_slip_root(axis);
@@ -844,15 +845,17 @@ static double measure_position(struct axis *axis)
     return position;
 }
 
+/* What the current loop made so many substeps ago. */
+static double made_before(const struct axis *axis, double substeps)
+{
+    const double whole = floor(substeps), part = substeps - whole;
+    const uint64_t back = axis->substep_count - (uint64_t)whole;
+    return (1.0 - part) * axis->history[back % AXIS_HISTORY] + part * axis->history[(back - 1) % AXIS_HISTORY];
+}
+
 static double measure_force(struct axis *axis)
 {
-    const double delay = delay_of(axis) / axis->step;
-    double force = axis->force;
-    if (delay > 0.0) {
-        const double whole = floor(delay), part = delay - whole;
-        const uint64_t back = axis->substep_count - (uint64_t)whole;
-        force = (1.0 - part) * axis->history[back % AXIS_HISTORY] + part * axis->history[(back - 1) % AXIS_HISTORY];
-    }
+    double force = made_before(axis, fmax(axis->late, 0.0));
     for (size_t i = 0; i < axis->effects; ++i) {
         if (axis->effect[i].kind == FORCE_GAIN) {
             force *= axis->effect[i].parameter[0];
@@ -900,7 +903,7 @@ static double accelerate(struct axis *axis, double v)
 
 static void drift(struct axis *axis, double v, double end, double command)
 {
-    const double force = axis->force;
+    const double force = axis->force, made = made_before(axis, 0.0);
     axis->position += axis->step * v;
     ++axis->substep_count;
     if (axis->effects > 0) {
@@ -908,8 +911,8 @@ static void drift(struct axis *axis, double v, double end, double command)
     }
     move_level(axis, v, end);
     move_elements(axis, engaged_velocity(axis, v));
-    axis->force = command + (force - command) * axis->decay;
-    axis->history[axis->substep_count % AXIS_HISTORY] = axis->force;
+    axis->history[axis->substep_count % AXIS_HISTORY] = command + (made - command) * axis->decay;
+    axis->force = made_before(axis, fmax(-axis->late, 0.0));
     if (axis->effects > 0) {
         drift_hanging(axis);
         move_effects(axis, v, force);
@@ -918,7 +921,7 @@ static void drift(struct axis *axis, double v, double end, double command)
 
 static void run_controlled(struct axis *axis, double command)
 {
-    if (axis->decay == 0.0) {
+    if (axis->decay == 0.0 && !(axis->late < 0.0)) {
         axis->force = command; /* a drive without lag follows the command at once */
         axis->acceleration = accelerate(axis, axis->velocity);
     }

@@ -21,7 +21,7 @@ extern "C" {
 #define AXIS_MAX_ELEMENTS 10
 #define AXIS_MAX_EFFECTS 128
 #define AXIS_MAX_EFFECT_PARAMETERS 6
-#define AXIS_HISTORY 4096 /* substeps of drive force kept for a delayed measurement */
+#define AXIS_HISTORY 4096 /* substeps of drive force kept for a delayed measurement, or a delayed drive */
 #define AXIS_MAX_SUBSTEPS 256
 
 enum axis_law { AXIS_LAW_SGMS = 0, AXIS_LAW_MAXWELL_SLIP = 1 };
@@ -100,7 +100,8 @@ struct axis {
     axis_compensation *compensation;
     void *compensation_context;
 
-    double position, velocity, acceleration, force;
+    double position, velocity, acceleration;
+    double force; /* of the current loop, that acts: what it makes is in `history` */
     double deflection[AXIS_MAX_ELEMENTS];
     double deflection_rate[AXIS_MAX_ELEMENTS];
     double level;       /* s(v) with all factors, N, of the latest substep */
@@ -118,6 +119,7 @@ struct axis {
     /* derived from the settings by axis_apply */
     int law, control, elements, substeps;
     double step, half_step, decay, filter, moving_mass;
+    double late;                 /* substeps that the force is logged after it acts; below zero: before */
     double slip_root, slip_rate; /* g(root) = 0, -g'(root) of the saturated S-GMS element */
     double elastic_limit;        /* |r| below which no S-GMS element slips */
 };
@@ -150,7 +152,7 @@ void axis_set_compensation(struct axis *axis, axis_compensation *compensation, v
 enum axis_refusal {
     AXIS_BAD_SETTING = -1,   /* rate, substeps or elements */
     AXIS_NO_MASS = -2,       /* nothing is left to move */
-    AXIS_LONG_DELAY = -3,    /* more than AXIS_HISTORY - 2 substeps */
+    AXIS_LONG_DELAY = -3,    /* more than AXIS_HISTORY - 2 substeps, or below zero under prescribed motion */
     AXIS_FAST_RESONANCE = -4 /* a hanging mass that the substeps do not resolve */
 };
 int axis_apply(struct axis *axis);

@@ -229,6 +229,29 @@ def test_a_force_that_is_held_is_no_delay(law: str) -> None:
     assert names(late) == {"force_delay"}, late.summary
     delay = late.causes[0]
     assert abs(delay.parameters["delay_s"] - 2e-3) < 2.0 * delay.std["delay_s"]
+    # A command that the drive obeys within the sample is none either.
+    young = diagnose(axis, recorded(axis, [("force_delay", {"delay_s": -8e-4})], path.trajectory("strokes"), law=law))
+    assert names(young) == set(), young.summary
+    assert [w for w in young.warnings if "samples" in w and "younger than the position" in w], young.warnings
+
+
+@pytest.mark.parametrize(
+    ("hidden", "other"),
+    [
+        (("force_delay", {"delay_s": -5e-4}), "actuator_lag"),
+        (("actuator_lag", {"time_constant_s": 5e-4}), "force_delay"),
+    ],
+)
+def test_a_drive_that_obeys_late_and_one_that_lags_are_rivals(
+    quick: Machine, hidden: tuple[str, dict[str, float]], other: str
+) -> None:
+    """Either is named for itself, and the other one is tried in its place."""
+    found = diagnose(quick, recorded(quick, [hidden]))
+    assert found.verdict in {"explained", "ambiguous"}, found.summary
+    assert [cause.name for cause in found.causes] == [hidden[0]], found.summary
+    (cause,), (parameter, value) = found.causes, next(iter(hidden[1].items()))
+    assert abs(cause.parameters[parameter] - value) < 3.0 * cause.std[parameter]
+    assert other in {alternative.name for alternative in found.alternatives}
 
 
 # --- hardly any motion ------------------------------------------------------------------------------------------

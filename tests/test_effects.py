@@ -431,6 +431,17 @@ def test_prediction_matches_the_plant(name: str) -> None:
     assert rms(without) > 5.0 * rms(error)
 
 
+def test_an_early_force_matches_the_plant() -> None:
+    """Below zero the drive obeys later than the log says: expanded in what was logged, not in the model."""
+    machine = extended(("force_delay", {"delay_s": -5e-4}), free=("force_delay.delay_s",))
+    integrator, signals = Integrator(build_model(machine)), simulated(machine, as_read=False)
+    error, without = deviation(integrator, signals)[START:], deviation(base_integrator(), signals)[START:]
+    # As of a lag, the steps of the command.
+    assert rms(error) < CASES["actuator_lag"].rms_N and np.abs(error).max() < CASES["actuator_lag"].largest_N
+    assert rms(without) > 10.0 * rms(error)
+    assert_c_agrees(machine, integrator, signals)
+
+
 @cache
 def base_integrator(kind: Kind = "linear") -> Integrator:
     return Integrator(build_model(base(kind)))

@@ -569,6 +569,22 @@ def test_force_constant_gain_and_delay(machine: Machine) -> None:
     np.testing.assert_allclose(run.log.force_N[1:], middle, atol=0.3)
 
 
+def test_a_drive_that_obeys_late_logs_its_force_early(machine: Machine) -> None:
+    effect = ("force_delay", {"delay_s": -3e-4})
+    run = simulate_axis(machine, sweep(), clean(bandwidth_Hz=30.0), hidden_effects=[effect])
+    assert run.truth is not None
+    np.testing.assert_allclose(run.truth.force_N[3:], run.log.force_N[:-3], atol=1e-12)
+    assert not run.truth.force_N[:3].any() and np.abs(run.log.force_N).max() > 5.0
+    # Half a sample lies between two.
+    effect = ("force_delay", {"delay_s": -5e-5})
+    run = simulate_axis(machine, sweep(), clean(bandwidth_Hz=30.0), hidden_effects=[effect])
+    assert run.truth is not None
+    middle = 0.5 * (run.log.force_N[1:] + run.log.force_N[:-1])
+    np.testing.assert_allclose(run.truth.force_N[1:], middle, atol=0.3)
+    with pytest.raises(InputError, match="force_delay"):
+        simulate_axis(machine, sweep(), prescribed(), hidden_effects=[effect])
+
+
 def test_actuator_lag(machine: Machine) -> None:
     lag = 2e-3
     run = simulate_axis(
@@ -749,6 +765,7 @@ def test_machine_effects_are_part_of_the_plant() -> None:
         ({"hidden_effects": [("mass_mismatch", {"mass_kg": -20.0})]}, "mass"),
         ({"hidden_effects": [("force_delay", {"delay_s": 1.0})]}, "force_delay.delay_s"),
         ({"hidden_effects": [("force_delay", {"delay_s": 0.1})]}, "force_delay.delay_s"),
+        ({"hidden_effects": [("force_delay", {"delay_s": -0.1})]}, "force_delay.delay_s"),
     ],
 )
 def test_bad_parameters_are_named(machine: Machine, options: dict[str, Any], where: str) -> None:

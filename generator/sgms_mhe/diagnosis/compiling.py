@@ -347,7 +347,7 @@ def _delay(machine: Machine, name: str, group: Group, nominal: Mapping[str, floa
     definition = effect_definition(name)
     parameter = definition.parameter(definition.delays)
     value = nominal[parameter.name]
-    scale = parameter.estimation_scale(scales_of(machine), value)
+    scale = abs(parameter.estimation_scale(scales_of(machine), value))
     lower, upper = ((edge - value) / scale + 1.0 for edge in (parameter.lower, parameter.upper))
     free = FreeParameter(f"{name}.{parameter.name}", f"{name}.{parameter.name}", value, scale, lower, upper)
     return _effect_column(group, parameter.name, free)

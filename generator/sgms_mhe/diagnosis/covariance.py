@@ -61,7 +61,7 @@ def _timing(subject: Subject, fit: Fit) -> Array:
     step, thresholds = subject.whole.machine.sampling.step, subject.thresholds
     deviations = []
     for column, theta in zip(fit.model.columns, fit.theta.tolist(), strict=True):
-        of_axis = column.si(theta) > thresholds.timing_most * step
+        of_axis = abs(column.si(theta)) > thresholds.timing_most * step
         apart = (HELD if of_axis else thresholds.timing) * step / math.sqrt(3.0)
         deviations.append(apart / abs(column.scale) if column.timing else 0.0)
     return np.array(deviations)

@@ -13,39 +13,41 @@ from sgms_mhe.signals.logs import Log
 
 
 def sampling_offset(diagnosis: Diagnosis) -> float:
-    """Time [s] that a diagnosis names as a delay or lag of the axis, but that sampling alone makes; 0: none.
+    """How old [s] the logged force is by a delay or lag that a diagnosis names, but that sampling alone makes; 0: none.
 
-    A drive that holds its force over a sample logs one that is half a sample old on average, or half a sample young,
-    depending on when it writes it down. What is less than that and a margin says nothing about the axis.
+    A drive that holds its force over a sample logs one that is half a sample old on average, or half a sample young
+    (below zero), depending on when it writes it down. What is less than that and a margin says nothing about the axis.
     """
     machine = diagnosis.machine
     most = machine.diagnosis.timing_most * machine.sampling.step
     for cause in diagnosis.causes:
         if cause.name not in EFFECT_NAMES:
             continue
-        for parameter in effect_definition(cause.name).parameters:
+        definition = effect_definition(cause.name)
+        for parameter in definition.parameters:
             value = cause.parameters.get(parameter.name, 0.0)
-            if parameter.timing and 0.0 < value <= most:
-                return value
+            if parameter.timing and abs(value) <= most:
+                return value if definition.delays else -value  # a force that lags the logged one makes that one young
     return 0.0
 
 
 def in_step(log: Log, offset: float) -> Log:
     """The log with its force that time [s] younger: of the cubic through four samples (Lagrange).
 
-    What the controller computed itself stays. Samples next to gaps are missing; beyond the end the last one goes on.
+    What the controller computed itself stays. Samples next to gaps are missing; beyond the ends the last one goes on.
     """
     samples = offset * log.rate
     whole = int(np.floor(samples))
-    u, n = samples - whole, len(log)
+    u = samples - whole
     weights = (
         -u * (u - 1.0) * (u - 2.0) / 6.0,
         (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
         -(u + 1.0) * u * (u - 2.0) / 2.0,
         (u + 1.0) * u * (u - 1.0) / 6.0,
     )
-    padded = np.pad(log.force_N, (1, whole + 2), mode="edge")
-    force = sum(weight * padded[whole + k : whole + k + n] for k, weight in enumerate(weights))
+    n = len(log)
+    places = np.clip(np.arange(n) + whole + np.arange(-1, 3)[:, None], 0, n - 1)
+    force = np.sum([weight * log.force_N[place] for weight, place in zip(weights, places, strict=True)], axis=0)
     return replace(log, force_N=np.asarray(force))
 
 
@@ -53,7 +55,8 @@ def offset_notes(machine: Machine, offset: float) -> tuple[str, ...]:
     """What a user should know of a force that was put in step with the position by that time [s]."""
     if offset == 0.0:
         return ()
+    age = "older" if offset > 0.0 else "younger"
     return (
-        f"the logged force is {offset * machine.sampling.rate:.2f} samples ({offset:.2g} s) older than the position, "
-        "as where a drive holds its force over a sample: taken out, and no delay of the axis",
+        f"the logged force is {abs(offset) * machine.sampling.rate:.2f} samples ({abs(offset):.2g} s) {age} than the "
+        "position, as where a drive holds its force over a sample: taken out, and no delay of the axis",
     )

@@ -75,7 +75,7 @@ def diagnose(
     most, offset = machine.diagnosis.timing_most * machine.sampling.step, 0.0
     try:
         found = _diagnosed(machine, log, held_out_s, course)
-        while (more := sampling_offset(found)) and offset + more <= most:
+        while (more := sampling_offset(found)) and abs(offset + more) <= most:
             offset += more
             found = _diagnosed(machine, in_step(log, offset), held_out_s, course)
     except FitError as error:

@@ -109,14 +109,12 @@ def _wrong_number(
 def prescribed_signals(machine: Machine, motion: Trajectory, hidden: Hidden) -> Signals:
     """Signals of an axis that follows the motion exactly, without noise."""
     specimen = effect_definition(hidden.name).specimen if hidden.name in EFFECT_NAMES else None
-    lead = specimen.leads if specimen is not None else None
-    effects = [(hidden.name, hidden.parameters)] if hidden.parameters and lead is None else []
+    logged = specimen.logged if specimen is not None else None
+    effects = [(hidden.name, hidden.parameters)] if hidden.parameters and logged is None else []
     config = AxisConfig(control="prescribed", encoder_resolution_m=0.0, force_noise_N=0.0, substeps=2)
     log = simulate_axis(machine, motion, config, hidden_effects=effects, scale=hidden.factors, truth=False).log
-    if lead is not None:
-        # The logged force leads: u = lagged + T d(lagged)/dt makes the motion.
-        force = log.force_N
-        log = replace(log, force_N=force + hidden.parameters[lead] * np.gradient(force, 1.0 / machine.sampling.rate))
+    if logged is not None:
+        log = replace(log, force_N=logged(log.force_N, machine.sampling.step, hidden.parameters))
     return signals_from_log(log, machine)
 
 

@@ -37,8 +37,8 @@ COARSE: Final = 2.0
 DISTANCE: Final = 1e-9
 SLOW_STEP: Final = 0.05
 """Longest step of smooth elements below the gate, in break-away distances: off by 2e-5 of a level at most."""
-MOST_STEPS: Final = 500
-"""Such steps in one sample, at most."""
+MOST_STEPS: Final = 100
+"""Such steps in one sample, at most: more would be spent on what a row cannot tell from less."""
 GATE: Final = 0.36
 """Speed over the Stribeck velocity from which the gate of the smooth law, with its usual smoothing, is saturated."""
 RATE: Final = 1000.0

@@ -170,7 +170,11 @@ class _Problem:
         return _Point(shape, b[:count], b[count:], residual, np.column_stack(nonlinear), linear, cost)
 
     def step(self, here: _Point, damping: float) -> Array:
-        """Change of log D, beta, log v_s that a quadratic model of the cost asks for."""
+        """Change of log D, beta, log v_s that a quadratic model of the cost asks for.
+
+        What stands at its limit and would leave it stays: the others would be changed to go with a change that it
+        does not make.
+        """
         N = here.nonlinear.compress(self.seen, axis=0)
         held = np.concatenate((here.levels, np.where(self.positive, here.coefficients, 1.0))) == 0.0
         X = here.linear.compress(self.seen, axis=0).compress(~held, axis=1)
@@ -181,7 +185,11 @@ class _Problem:
         H = projected.T @ projected
         g = projected.T @ here.residual[self.seen]
         diagonal = np.diag(H) + 1e-12 * max(float(np.diag(H).max(initial=0.0)), 1e-300)
-        return np.asarray(np.linalg.solve(H + damping * np.diag(diagonal), g))
+        below, above = _at_limits(here.shape, self.view)
+        moves = np.flatnonzero(~(below & (g < 0.0)) & ~(above & (g > 0.0)))
+        step = np.zeros(len(g))
+        step[moves] = np.linalg.solve((H + damping * np.diag(diagonal))[np.ix_(moves, moves)], g[moves])
+        return step
 
 
 def fit_axis(
@@ -262,14 +270,35 @@ def _moved(shape: Shape, step: Array, view: View) -> Shape:
 
 def _within(shape: Shape, view: View) -> Shape:
     """The shape within what the records can tell, distances in order."""
-    low, high = view.limits
     rise = shape.rise
     if rise is not None:
-        slow, fast = (share * view.rows.extents.speed for share in STRIBECK)
+        slow, fast = _speeds(view)
         rise = Stribeck(min(max(rise.ratio, 0.0), MOST_RISE), min(max(rise.velocity, slow), fast))
+    return Shape(shape.law, np.sort(np.clip(shape.distances, *_distances(shape.law, rise, view))), rise)
+
+
+def _at_limits(shape: Shape, view: View) -> tuple[Mask, Mask]:
+    """Which of log D, beta, log v_s of a shape within what the records can tell stand at its lower and upper end."""
+    low, high = (np.full(len(shape.distances), end) for end in _distances(shape.law, shape.rise, view))
+    here = shape.distances
+    if shape.rise is not None:
+        slow, fast = _speeds(view)
+        here = np.append(here, (shape.rise.ratio, shape.rise.velocity))
+        low, high = np.append(low, (0.0, slow)), np.append(high, (MOST_RISE, fast))
+    return here <= low, here >= high
+
+
+def _distances(law: Law, rise: Stribeck | None, view: View) -> tuple[float, float]:
+    """Smallest and largest break-away distance [m] that a fit follows."""
+    low, high = view.limits
     low = max(
         low / WIDER,
-        *(least_distance(shape.law, rise or NO_RISE, motion.rate / motion.steps) for motion in view.motions),
+        *(least_distance(law, rise or NO_RISE, motion.rate / motion.steps) for motion in view.motions),
     )
-    distances = np.sort(np.clip(shape.distances, low, max(low, high * WIDER)))
-    return Shape(shape.law, distances, rise)
+    return low, max(low, high * WIDER)
+
+
+def _speeds(view: View) -> tuple[float, float]:
+    """Smallest and largest Stribeck velocity [m/s] that a fit follows."""
+    slow, fast = STRIBECK
+    return slow * view.rows.extents.speed, fast * view.rows.extents.speed

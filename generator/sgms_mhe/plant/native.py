@@ -313,9 +313,13 @@ class NativeAxis:
     def _apply(self) -> None:
         refusal = self._c.axis_apply(self._memory)
         if refusal:
+            longest = (_HISTORY - 2) * self._substep_s
             where, allowed = {
                 _NO_MASS: ("mass", "a mass of which effects leave a positive part"),
-                _LONG_DELAY: ("force_delay.delay_s", f"0 to {(_HISTORY - 2) * self._substep_s:g} s in all"),
+                _LONG_DELAY: (
+                    "force_delay.delay_s",
+                    f"{0.0 if self._prescribed else -longest:g} to {longest:g} s in all",
+                ),
                 _FAST_RESONANCE: (
                     "structural_resonance.frequency_Hz",
                     f"at most {_RESONANT / (2.0 * math.pi * self._substep_s):.6g} Hz at this sample rate",

@@ -63,6 +63,9 @@ DEFINITION = EffectDefinition(
     stage="actuator",
     states=("lagged_force",),
     specimen=Specimen(
-        lambda scene, _, x: {"time_constant_s": x * scene.scales.step}, signed=False, leads="time_constant_s"
+        lambda scene, _, x: {"time_constant_s": x * scene.scales.step},
+        signed=False,
+        # u = lagged + T d(lagged)/dt makes the motion.
+        logged=lambda force, step, p: force + p["time_constant_s"] * np.gradient(force, step),
     ),
 )

@@ -1,7 +1,12 @@
-"""A logged force that is later than the motion: sampling order, bus cycles, filters of the current."""
+"""A logged force that is later than the motion, or earlier.
+
+Late by sampling order and filters of the measured current; early where the log has the command, which a bus or the
+drive's own cycles bring to the motor later.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import casadi as ca
@@ -9,23 +14,40 @@ import numpy as np
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.definition import EffectDefinition
-from sgms_mhe.model.effects.lag import JERK, LAG_DISPLACEMENT, add_lag, shortest_lag, time_apart
-from sgms_mhe.model.effects.search import Columns, one_size
-from sgms_mhe.model.effects.specimen import one_number
+from sgms_mhe.model.effects.lag import JERK, LAG_DISPLACEMENT, add_lag, no_shorter, shortest_lag, time_apart
+from sgms_mhe.model.effects.search import Array, Columns, one_size
+from sgms_mhe.model.effects.specimen import Specimen, Values
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+    if nominal["delay_s"] < 0.0:
+        _advance(axis, -p["delay_s"], -nominal["delay_s"])
+    else:
+        _delay(axis, p["delay_s"], nominal["delay_s"])
+
+
+def _advance(axis: SymbolicAxis, early: ca.SX, nominal: float) -> None:
+    """Real force = logged force, `early` seconds ago: Pade's (1 - s T) / (1 + s T) with T half of that.
+
+    Exact to second order. What is logged is known, so the log is ahead by logged - delayed = 2 (logged - lagged).
+    """
+    half = 0.5 * early
+    lag = no_shorter(axis, half)
+    lagged = add_lag(axis, "lagged_force", axis.force, lag, math.hypot(0.5 * nominal, shortest_lag(axis)))
+    axis.drive = axis.drive + 2.0 * half / lag * (axis.force - lagged)
+
+
+def _delay(axis: SymbolicAxis, d: ca.SX, late: float) -> None:
     """u(t - d) = u - d du/dt, exact to first order in d for any sign of d.
 
     Of du/dt, everything but the jerk is known: states have their rates, the signals q, v, t their derivatives. The
     jerk is (a - a_lagged) / T; T = (d - h) / 2 makes the inertial part exact to second order (h / 2: the lag's
     own sampling).
     """
-    d, late = p["delay_s"], nominal["delay_s"]
     lag = max(0.5 * (late - axis.hold), shortest_lag(axis))
     w = ca.vertsplit(axis.measured)
     inertial = axis.mass * w[2]
-    jerk_force = (inertial - add_lag(axis, "inertial_force", inertial, lag, lag)) / lag
+    jerk_force = (inertial - add_lag(axis, "lagged_force", inertial, lag, lag)) / lag
     drive = axis.drive
     change = ca.gradient(drive, axis.measured)
     slope = change[0] * w[1] + change[1] * w[2] + change[4]
@@ -43,10 +65,24 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
     axis.drive = drive - d * slope
 
 
+def _logged(force: Array, step: float, p: Values) -> Array:
+    """What is logged of the force (n) that makes a motion [N]."""
+    time = step * np.arange(len(force))
+    return np.asarray(np.interp(time - p["delay_s"], time, force))
+
+
 DEFINITION = EffectDefinition(
     name="force_delay",
-    summary="logged force is later than the motion",
-    parameters=(time_apart("delay_s", 0.5, "how late the force is", upper=0.1),),
+    summary="logged force is later or earlier than the motion",
+    parameters=(
+        time_apart(
+            "delay_s",
+            0.5,
+            "how late the force is; below zero: how early, as a command that is obeyed later",
+            upper=0.1,
+            signed=True,
+        ),
+    ),
     contribute=_contribute,
     excitation=JERK,
     confused_with={
@@ -57,13 +93,13 @@ DEFINITION = EffectDefinition(
     },
     moves=("jerks",),
     inertial=True,
-    # One makes the log late, the other the force.
+    # One may make the log late, the other makes the force.
     excludes=("actuator_lag",),
     search=Columns(lambda m, _: -np.gradient(m.force)[:, None] * m.extents.rate, one_size("delay_s")),
     full_rate=True,
     delays="delay_s",
     fit_displacement=LAG_DISPLACEMENT,
     stage="log",
-    states=("inertial_force",),
-    specimen=one_number("delay_s", lambda scene: scene.scales.step, signed=False),
+    states=("lagged_force",),
+    specimen=Specimen(lambda scene, _, x: {"delay_s": x * scene.scales.step}, logged=_logged),
 )

@@ -30,8 +30,13 @@ def longest_lag(_: Extents) -> float:
     return _LONGEST_LAG
 
 
+def longest_lead(_: Extents) -> float:
+    """The same where the logged force is early, below zero [s]."""
+    return -_LONGEST_LAG
+
+
 def time_apart(
-    name: str, scale: float, description: str, *, upper: float, proportional: bool = True
+    name: str, scale: float, description: str, *, upper: float, signed: bool = False, proportional: bool = True
 ) -> EffectParameter:
     """A time [s] that force and position are apart, none by default; `scale` counts samples."""
     return EffectParameter(
@@ -39,12 +44,13 @@ def time_apart(
         0.0,
         scale,
         description,
-        lower=0.0,
+        lower=-upper if signed else 0.0,
         upper=upper,
         unit="step",
         proportional=proportional,
         timing=True,
         step=step_by_factor,
+        least=longest_lead if signed else None,
         most=longest_lag,
     )
 

@@ -7,11 +7,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
+import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 
 from sgms_mhe.model.effects.scales import Scales
 
+Array = NDArray[np.float64]
 Values = Mapping[str, float]
+Logged = Callable[[Array, float, Values], Array]
 Concealing = Literal["presliding", "one_way"]
 """Motions that hide a cause: loops below break-away; sliding in one direction only."""
 
@@ -92,8 +96,8 @@ class Specimen:
         ranges: numbers that are drawn, in this order.
         signed: whether x may be negative.
         least: what the machine's base numbers must at least be for the effect to have something to act on.
-        leads: the time by which it makes the log lead the motion; along a prescribed motion, which no force makes, the
-            log is worked out by that.
+        logged: (force, step, values) -> what is logged of the force (n) that makes a prescribed motion, samples `step`
+            apart: of an effect by which the log may lead the motion, which no plant does along a prescribed one.
         concealed: the same where a log cannot tell of it.
     """
 
@@ -101,7 +105,7 @@ class Specimen:
     ranges: tuple[Range, ...] = ()
     signed: bool = True
     least: Values | None = None
-    leads: str | None = None
+    logged: Logged | None = None
     concealed: Concealed | None = None
 
     def draw(self, scene: Scene) -> Callable[[float], Values]:
