@@ -903,7 +903,7 @@ static double accelerate(struct axis *axis, double v)
 
 static void drift(struct axis *axis, double v, double end, double command)
 {
-    const double force = axis->force, made = made_before(axis, 0.0);
+    const double force = axis->force, made = axis->history[axis->substep_count % AXIS_HISTORY];
     axis->position += axis->step * v;
     ++axis->substep_count;
     if (axis->effects > 0) {

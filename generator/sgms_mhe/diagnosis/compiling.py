@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.forces import Force, force_of, plain_places
 from sgms_mhe.diagnosis.freeing import Structure, extended_machine, nominal_values, typical_sizes, without_bounds
 from sgms_mhe.diagnosis.groups import Column, Extra, Group
+from sgms_mhe.diagnosis.shifting import Shift
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.host.packages import SYMBOLIC, cached_package
 from sgms_mhe.machine import Machine
@@ -103,7 +104,7 @@ class CompiledFit:
         """What the code makes of theta (n_p), and the forces beside it."""
         m, coded = len(friction), self.model.n_p + int(self.delayed)
         total, wide = friction.copy(), None if slopes is None else np.empty((m, len(theta)))
-        shift = _Shift.of(recording, self._delay(theta)) if self.delayed else None
+        shift = Shift.of(self._delay(theta), recording.machine.sampling.rate) if self.delayed else None
 
         def put(rows: slice) -> None:
             if wide is not None and slopes is not None:
@@ -176,7 +177,7 @@ class CompiledFit:
         drive = np.concatenate([y for _, y, _ in pieces])
         inertial = inertial[: len(drive)]
         drive += inertial
-        shift = _Shift.of(recording, self._delay(theta))
+        shift = Shift.of(self._delay(theta), recording.machine.sampling.rate)
         force = recording.reduce(shift.of_series(drive) - inertial)
         if not derivatives:
             return force, None
@@ -205,69 +206,12 @@ class CompiledFit:
             yield slice(first, last), y[back:], None if d is None else d[back:]
 
 
-@dataclass(frozen=True, eq=False)
-class _Shift:
-    """A record's series as they are a while later, between samples by cubics.
-
-    Lines would lose half of what is near half the rate, which looks like a resonance.
-
-    Attributes:
-        places: samples that each one is made of (4, n).
-        weights: of them (4, n).
-        slopes: derivatives of these in the delay (4, n) [1/s].
-    """
-
-    places: NDArray[np.int64]
-    weights: Array
-    slopes: Array
-
-    @classmethod
-    def of(cls, recording: Recording, delay: float) -> Self:
-        """Of all samples that rows are made of, by a delay [s]."""
-        rate = recording.machine.sampling.rate
-        last = len(recording.time) * recording.factor - 1
-        at = np.clip(np.arange(last + 1) - delay * rate, 0.0, float(last))
-        places = np.clip(np.floor(at).astype(np.int64) + np.arange(-1, 3)[:, None], 0, last)
-        weights, slopes = _cubic(at - np.floor(at))
-        return cls(places, weights, -slopes * rate)
-
-    def of_series(self, series: Array) -> Array:
-        """A series (n) or (n, k) later."""
-        return self._sum(series, self.weights)
-
-    def slope_of(self, series: Array) -> Array:
-        """Its derivative in the delay [1/s]."""
-        return self._sum(series, self.slopes)
-
-    def _sum(self, series: Array, by: Array) -> Array:
-        return np.asarray(
-            sum((w if series.ndim == 1 else w[:, None]) * series[k] for w, k in zip(by, self.places, strict=True))
-        )
-
-
-def _cubic(u: Array) -> tuple[Array, Array]:
-    """Weights (4, n) of samples -1, 0, 1, 2 at places u (n) between 0 and 1, and their derivatives in u (Lagrange)."""
-    weights = (
-        -u * (u - 1.0) * (u - 2.0) / 6.0,
-        (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
-        -(u + 1.0) * u * (u - 2.0) / 2.0,
-        (u + 1.0) * u * (u - 1.0) / 6.0,
-    )
-    slopes = (
-        -(3.0 * u**2 - 6.0 * u + 2.0) / 6.0,
-        (3.0 * u**2 - 4.0 * u - 1.0) / 2.0,
-        -(3.0 * u**2 - 2.0 * u - 2.0) / 2.0,
-        (3.0 * u**2 - 1.0) / 6.0,
-    )
-    return np.stack(weights), np.stack(slopes)
-
-
 def _add_force(
     force: Force,
     recording: Recording,
     theta: Array,
     rows: slice,
-    shift: _Shift | None,
+    shift: Shift | None,
     friction: Array,
     slopes: Array | None,
 ) -> Array | None:

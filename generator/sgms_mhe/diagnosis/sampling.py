@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from sgms_mhe.diagnosis.result import Diagnosis
+from sgms_mhe.diagnosis.shifting import Shift
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 from sgms_mhe.signals.logs import Log
@@ -32,23 +31,11 @@ def sampling_offset(diagnosis: Diagnosis) -> float:
 
 
 def in_step(log: Log, offset: float) -> Log:
-    """The log with its force that time [s] younger: of the cubic through four samples (Lagrange).
+    """The log with its force that time [s] younger.
 
-    What the controller computed itself stays. Samples next to gaps are missing; beyond the ends the last one goes on.
+    What the controller computed itself stays. Samples next to gaps are missing.
     """
-    samples = offset * log.rate
-    whole = int(np.floor(samples))
-    u = samples - whole
-    weights = (
-        -u * (u - 1.0) * (u - 2.0) / 6.0,
-        (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
-        -(u + 1.0) * u * (u - 2.0) / 2.0,
-        (u + 1.0) * u * (u - 1.0) / 6.0,
-    )
-    n = len(log)
-    places = np.clip(np.arange(n) + whole + np.arange(-1, 3)[:, None], 0, n - 1)
-    force = np.sum([weight * log.force_N[place] for weight, place in zip(weights, places, strict=True)], axis=0)
-    return replace(log, force_N=np.asarray(force))
+    return replace(log, force_N=Shift.of(-offset, log.rate).of_series(log.force_N))
 
 
 def offset_notes(machine: Machine, offset: float) -> tuple[str, ...]:

@@ -1,0 +1,63 @@
+"""Series as they are a while later or earlier, between samples by cubics."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Shift:
+    """A delay of all samples: each is made of four, and beyond the ends the last one goes on (Lagrange).
+
+    Lines would lose half of what is near half the rate, which looks like a resonance.
+
+    Attributes:
+        first: the first of the four, from the sample on.
+        weights: of the four.
+        slopes: derivatives of these in the delay [1/s].
+    """
+
+    first: int
+    weights: tuple[float, ...]
+    slopes: tuple[float, ...]
+
+    @classmethod
+    def of(cls, delay: float, rate: float) -> Self:
+        """By a delay [s], below zero to what is earlier, of samples at a rate [Hz]."""
+        back = -delay * rate
+        whole = math.floor(back)
+        u = back - whole  # the place between the second and the third
+        weights = (
+            -u * (u - 1.0) * (u - 2.0) / 6.0,
+            (u + 1.0) * (u - 1.0) * (u - 2.0) / 2.0,
+            -(u + 1.0) * u * (u - 2.0) / 2.0,
+            (u + 1.0) * u * (u - 1.0) / 6.0,
+        )
+        by_place = (
+            -(3.0 * u**2 - 6.0 * u + 2.0) / 6.0,
+            (3.0 * u**2 - 4.0 * u - 1.0) / 2.0,
+            -(3.0 * u**2 - 2.0 * u - 2.0) / 2.0,
+            (3.0 * u**2 - 1.0) / 6.0,
+        )
+        return cls(whole - 1, weights, tuple(-slope * rate for slope in by_place))
+
+    def of_series(self, series: Array) -> Array:
+        """A series (n) or (n, k) later."""
+        return self._sum(series, self.weights)
+
+    def slope_of(self, series: Array) -> Array:
+        """Its derivative in the delay [1/s]."""
+        return self._sum(series, self.slopes)
+
+    def _sum(self, series: Array, by: tuple[float, ...]) -> Array:
+        before, after = max(0, -self.first), max(0, self.first + len(by) - 1)
+        padded = np.pad(series, [(before, after), *[(0, 0)] * (series.ndim - 1)], mode="edge")
+        start, n = self.first + before, len(series)
+        return np.asarray(sum(weight * padded[start + k : start + k + n] for k, weight in enumerate(by)))
