@@ -156,6 +156,40 @@ def test_a_part_that_stands_still_is_refused(machine: Machine, log: Log, tmp_pat
     assert "every row" in refused("diagnose", machine.source, path, "--to", "0.4", "--out", tmp_path / "out")
 
 
+def stuck(log: Log, spans: tuple[tuple[float, float], ...]) -> Log:
+    """The log of an encoder that repeats its value over these spans [share of the record]."""
+    position = log.position_m.copy()
+    for start, end in spans:
+        first, last = (int(share * len(log)) for share in (start, end))
+        position[first:last] = position[first]
+    return replace(log, position_m=position)
+
+
+@pytest.mark.parametrize("spans", [((0.4, 0.46),), ((0.1, 0.13), (0.5, 0.7), (0.8, 0.85)), ((0.3, 0.8),)])
+@pytest.mark.parametrize(("trajectory", "name"), [("mixed", "etel_xy"), ("circle_x", "small")])
+def test_a_stuck_encoder_is_no_unit(
+    spans: tuple[tuple[float, float], ...], trajectory: str, name: str, machine: Machine
+) -> None:
+    chosen = machine if name == "small" else load_machine(name)
+    log = stuck(simulated(chosen, trajectory), spans)
+    moved = np.gradient(log.position_m) * log.rate
+    check_plausible(log, chosen)
+    check_plausible(log, None)
+    check_plausible(replace(log, velocity_m_s=moved), chosen)
+    for wrong in (replace(log, position_m=1e3 * log.position_m), replace(log, force_N=1e-3 * log.force_N)):
+        with pytest.raises(InputError, match="unit ="):
+            check_plausible(wrong, chosen)
+
+
+def test_an_estimator_says_where_the_encoder_stuck(machine: Machine, log: Log, tmp_path: Path) -> None:
+    write_log(tmp_path / "log.npz", stuck(log, ((0.4, 0.5),)))
+    result = run("estimate", machine.source, tmp_path / "log.npz", "--out", tmp_path / "out.csv", "--json")
+    assert result.exit_code == 0, result.output
+    status = json.loads(result.stdout)["status"]
+    assert status["doubt"] + status["missing"] > 0
+    assert status["good"] > 0
+
+
 @pytest.mark.parametrize("trajectory", ["paper", "mixed", "step_and_settle", "circle_x"])
 @pytest.mark.parametrize("name", ["etel_xy", "small"])
 def test_what_an_axis_leaves_is_taken(name: str, trajectory: str, machine: Machine) -> None:

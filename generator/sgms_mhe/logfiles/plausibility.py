@@ -40,6 +40,8 @@ APART: Final = 2.0
 """Factor between the two from which its unit or sign is wrong."""
 STRAIGHT: Final = 1e-9
 """Deviation from a line, over the range: less than any measured signal has."""
+USUAL: Final = 0.98
+"""Share of the nodes that count, those with the smallest accelerations: a few jumps of position are no unit."""
 INTERVAL: Final = 0.01
 """Seconds over which means are taken where no machine says."""
 _TRAVEL: Final = 0.01
@@ -173,11 +175,18 @@ class _Motion:
         acceleration = np.diff(nodes, n=2) * per_second**2
         mean = triangular_mean(force, samples)
         sound = np.isfinite(acceleration) & np.isfinite(mean)
+        sound[sound] = _is_usual(acceleration[sound])
         self.position, self.velocity = nodes[1:-1][sound], (nodes[2:] - nodes[:-2])[sound] * per_second / 2.0
         self.acceleration, self.force = acceleration[sound], mean[sound]
 
     def __len__(self) -> int:
         return len(self.force)
+
+
+def _is_usual(values: Array) -> NDArray[np.bool_]:
+    """Mask (n,) of the values that are not among the largest, either way; all where they are equal."""
+    sizes = np.abs(values)
+    return sizes <= (np.quantile(sizes, USUAL) if len(sizes) else 0.0)
 
 
 def triangular_mean(values: Array, samples: int) -> Array:
@@ -211,6 +220,7 @@ def _check_derivatives(log: Log, samples: int) -> None:
         else:
             mean = triangular_mean(recorded, samples)
         both = np.isfinite(mean) & np.isfinite(expected)
+        both[both] = _is_usual(expected[both])
         mean, expected = mean[both], expected[both]
         if len(mean) < 3 or not np.std(mean) > 0.0 or not np.std(expected) > 0.0:
             continue
