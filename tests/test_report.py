@@ -17,15 +17,18 @@ import numpy as np
 import pytest
 
 import diagnosis_cases as cases
+from cli_cases import done
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.diagnosis import Alternative, Diagnosis
+from sgms_mhe.diagnosis import Alternative, BaseParameter, Cause, Diagnosis, Rms
 from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import BASE_CAUSES, cause, cause_names, effect_definition, reported_name
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.report import closed_loop_gain, write_report
 from sgms_mhe.report.series import MISSING, pack, since_reversal, views
 from sgms_mhe.report.units import SPACE, force, probability, quantity, split_name
+from sgms_mhe.report.words import base_words, capital, sentence
 from sgms_mhe.support.errors import InputError
 
 CASES: dict[str, Callable[[Machine], Diagnosis]] = {
@@ -222,6 +225,92 @@ def test_limits_of_any_wording_are_shown(machine: Machine, tmp_path: Path) -> No
     words = read(write_report(cases.explained(machine), tmp_path)).words
     assert "What this record cannot decide Stiffness of element 4: the record does not show it." in words
     assert "cannot decide" not in read(write_report(cases.certain(cases.explained(machine)), tmp_path)).words
+
+
+def vague_cause(name: str, machine: Machine, rms: Rms) -> Cause:
+    """A cause none of whose numbers the record determines."""
+    elements = machine.friction.n_z
+    if name in BASE_CAUSES:
+        numbers = [reported_name(c) for n in BASE_CAUSES[name].numbers for c in n.columns(elements)]
+    else:
+        numbers = [p.name for p in effect_definition(name).parameters]
+    nominal = dict.fromkeys(numbers, 1.0) if name in BASE_CAUSES else {}
+    std = dict.fromkeys(numbers, math.nan)
+    return Cause(
+        name,
+        f"{name}_2",
+        dict.fromkeys(numbers, 0.7),
+        std,
+        nominal,
+        rms,
+        0.4,
+        (0.3, 0.5),
+        1e-9,
+        vague=tuple(numbers),
+        stands_in=cause(name).over_speed,
+    )
+
+
+@pytest.mark.parametrize("axis", ["etel_xy", "etel_xy_rotary"])
+def test_every_cause_with_limits_and_rivals_has_a_report(axis: str, tmp_path: Path) -> None:
+    machine = load_machine(axis)
+    first = cases.ambiguous(machine)
+    names = cause_names(machine.plant.kind)
+    found = tuple(vague_cause(name, machine, first.rms) for name in names)
+    rivals = [
+        Alternative(r, f"fits as {name}", True, name, {}, 0.0) for name in names for r in cause(name).confused_with
+    ]
+    columns = [c for base in BASE_CAUSES.values() for n in base.numbers for c in n.columns(machine.friction.n_z)]
+    diagnosis = replace(
+        first,
+        verdict="unexplained",
+        causes=found,
+        alternatives=tuple(rivals),
+        rival_fits=(),
+        base=tuple(BaseParameter(c, 1.0, 1.0, math.nan) for c in columns),
+        undecided=(*(f"{name}: may begin a sentence" for name in (*names, *columns)), "no name: here", ": nor here"),
+    )
+    words = read(write_report(diagnosis, tmp_path)).words
+    for limit in diagnosis.undecidable:
+        if limit.number is None and limit.between is None:
+            assert sentence(limit.words) in words
+    for column in columns:
+        assert f"{capital(base_words(column))}: the record does not show it." in words
+
+
+@pytest.mark.parametrize("name", ["residual.png", "plots", "views"])
+def test_a_report_that_fails_costs_no_verdict(
+    name: str, machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(*_: Any) -> None:
+        raise ZeroDivisionError("of a plot")
+
+    failing = {"residual.png": "figures.residual_figure"}.get(name, name)
+    monkeypatch.setattr(f"sgms_mhe.report.page.{failing}", fail)
+    monkeypatch.setattr("sgms_mhe.diagnosis.diagnose", lambda *_, **__: cases.explained(machine))
+    time = np.arange(2000) / 1e3
+    log = tmp_path / "log.csv"
+    np.savetxt(
+        log,
+        np.column_stack((time, 0.01 * np.sin(9.0 * time), 5.0 * np.cos(9.0 * time))),
+        delimiter=",",
+        header="time_s,position_m,force_N",
+        comments="",
+    )
+    monkeypatch.setattr("sgms_mhe.logfiles.plausibility.check_plausible", lambda *_: None)
+    (tmp_path / "axis.toml").write_text(
+        'extends = "etel_xy"\nname = "axis"\n[sampling]\nrate = 1000.0\nvelocity_cutoff = 100.0\n'
+    )
+    arguments = ("--quiet", "diagnose", tmp_path / "axis.toml", log, "--out", tmp_path / "out")
+    with caplog.at_level("DEBUG", "sgms_mhe.report"):
+        result = done(*arguments)
+    assert result.stdout.startswith("explained: The axis has a force ripple")
+    assert "report:" not in result.stdout
+    assert "no report: ZeroDivisionError: of a plot" in result.stderr
+    assert "Traceback" not in result.stderr
+    assert caplog.records[0].exc_info is not None
+    assert json.loads((tmp_path / "out" / "diagnosis.json").read_text())["verdict"] == "explained"
+    assert json.loads(done(*arguments, "--json").stdout)["verdict"] == "explained"
 
 
 def test_a_choice_is_told_once_whatever_its_sentence(machine: Machine, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +26,7 @@ from sgms_mhe.commands.common import (
     show,
     steps_bar,
 )
-from sgms_mhe.support.errors import ImplausibleError
+from sgms_mhe.support.errors import ImplausibleError, InputError
 from sgms_mhe.support.parallel import leave_cores_to_tasks
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ def command(
     from sgms_mhe.api.inputs import read_log
     from sgms_mhe.diagnosis import diagnose, write_diagnosis
     from sgms_mhe.logfiles.plausibility import check_plausible
-    from sgms_mhe.report import closed_loop_gain, write_report
+    from sgms_mhe.report import attempt_report, closed_loop_gain
 
     recorded = read_log(log, resolved, start_s=start_s, end_s=end_s, note=note)
     try:
@@ -98,16 +99,21 @@ def command(
     with steps_bar() as progress:
         found = diagnose(resolved, recorded, progress=progress, held_out_s=held_out or None)
     write_diagnosis(found, folder)
-    gain = None
+    gain, refused = None, None
     if another is not None and found.extended is not None:
         note("estimators of the machine and of the extended machine on the unseen log")
-        gain = closed_loop_gain(resolved, found.extended, another)
-    report = write_report(found, folder, estimator=gain)
+        try:
+            gain = closed_loop_gain(resolved, found.extended, another)
+        except InputError as error:  # said after the verdict, which does not hang on this log
+            refused = error
+    report = attempt_report(found, folder, partial(click.echo, err=True), estimator=gain)
     units = resolved.plant.units
     if as_json:
         show(json_text(found.to_json() | ({} if gain is None else {"unseen": units.keyed(_gain(gain))})))
     else:
         show(_text(found, folder, report, gain))
+    if refused is not None:
+        raise refused
     if found.verdict == "unexplained":
         click.get_current_context().exit(1)
 
@@ -133,7 +139,7 @@ def _gain(gain: EstimatorGain) -> dict[str, object]:
     }
 
 
-def _text(diagnosis: Diagnosis, folder: Path, report: Path, gain: EstimatorGain | None) -> str:
+def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: EstimatorGain | None) -> str:
     lines = [f"{diagnosis.verdict}: {diagnosis.summary}"]
     units = diagnosis.machine.plant.units
     for cause in diagnosis.causes:
@@ -159,5 +165,6 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path, gain: EstimatorGain 
     lines += [f"note: {warning}" for warning in diagnosis.warnings]
     if diagnosis.extended_name:
         lines.append(f"extended machine: {folder / diagnosis.extended_name}")
-    lines.append(f"report: {report}")
+    if report is not None:
+        lines.append(f"report: {report}")
     return "\n".join(lines)

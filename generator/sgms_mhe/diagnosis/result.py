@@ -191,10 +191,17 @@ class Traces:
 
 @dataclass(frozen=True)
 class Limit:
-    """What a record cannot decide: in words; `between` a named cause and its rival, None where it is no choice."""
+    """Undecidable question of a record.
+
+    Attributes:
+        words: sentence of diagnosis.json.
+        between: a named cause and its rival, None where it is no choice.
+        number: column of the base model that the sentence begins with, None where it is about something else.
+    """
 
     words: str
     between: tuple[str, str] | None = None
+    number: str | None = None
 
 
 @dataclass(frozen=True)
@@ -276,9 +283,13 @@ class Diagnosis:
             for cause in self.causes
             if cause.vague
         ]
-        unknown = [f"{named(b.name)}: the record does not show it" for b in self.base if not math.isfinite(b.std)]
-        others = (*self.undecided, *self._curves, *vague, *unknown)
-        return (*map(Limit, self._left), *pairs, *map(Limit, others))
+        unknown = [
+            Limit(f"{named(b.name)}: the record does not show it", number=b.name)
+            for b in self.base
+            if not math.isfinite(b.std)
+        ]
+        others = (*self.undecided, *self._curves, *vague)
+        return (*map(Limit, self._left), *pairs, *map(Limit, others), *unknown)
 
     @property
     def _left(self) -> tuple[str, ...]:

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from sgms_mhe.report.estimator import EstimatorGain, EstimatorRun, Wander, closed_loop_gain
 from sgms_mhe.report.fleet import FleetCourse, FleetLog, FleetPoint, FleetTrend
-from sgms_mhe.report.page import write_fleet_report, write_refusal_report, write_report, write_watch_page
+from sgms_mhe.report.page import (
+    attempt_report,
+    write_fleet_report,
+    write_refusal_report,
+    write_report,
+    write_watch_page,
+)
 from sgms_mhe.report.watch import Watched
 
 __all__ = [
@@ -16,6 +22,7 @@ __all__ = [
     "FleetTrend",
     "Wander",
     "Watched",
+    "attempt_report",
     "closed_loop_gain",
     "write_fleet_report",
     "write_refusal_report",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -28,6 +29,7 @@ from sgms_mhe.support.files import write_text
 Progress = Callable[[str, float], None]
 """Called with (what is being done, share of the work done)."""
 
+_LOGGER: Final = logging.getLogger(__name__)
 _HERE: Final = Path(__file__).resolve().parent
 
 
@@ -55,6 +57,26 @@ def write_report(
     tell("residuals", 0.0)
     with in_units(diagnosis.machine.plant.units):
         return _written(diagnosis, folder, estimator, tell)
+
+
+def attempt_report(
+    diagnosis: Diagnosis, out_dir: str | Path, say: Callable[[str], None], *, estimator: EstimatorGain | None = None
+) -> Path | None:
+    """Write the report; return its path, or None where it cannot be written.
+
+    A verdict costs minutes and a report is only its picture: a full disk or a defect of a plot must not lose it. The
+    failure is said in a sentence and logged with its traceback.
+
+    Args:
+        diagnosis, out_dir, estimator: as of `write_report`.
+        say: called with the sentence.
+    """
+    try:
+        return write_report(diagnosis, out_dir, estimator=estimator)
+    except Exception as error:
+        _LOGGER.debug("report of %s", diagnosis.source, exc_info=True)
+        say(f"no report: {type(error).__name__}: {error}; verdict, causes and diagnosis.json are whole")
+        return None
 
 
 def write_refusal_report(sentence: str, machine: Machine, log: Log, out_dir: str | Path) -> Path:

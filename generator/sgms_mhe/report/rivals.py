@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, RivalFit
-from sgms_mhe.model.effects import base_number, separating_moves
+from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, Limit, RivalFit
+from sgms_mhe.model.effects import separating_moves
 from sgms_mhe.report.ranking import bar_width
 from sgms_mhe.report.series import View, views
 from sgms_mhe.report.units import force, quantity, split_name
@@ -85,16 +85,17 @@ def undecided(d: Diagnosis) -> dict[str, Any] | None:
         for cause, rival in pairs
     ]
     told = {(rival.instead_of, rival.name) for _, rival in pairs}
-    others = [_words(limit.words) for limit in d.undecidable if limit.between not in told]
+    others = [_words(limit) for limit in d.undecidable if limit.between not in told]
     if not choices and not others:
         return None
     return {"title": "What this record cannot decide", "choices": choices, "others": others}
 
 
-def _words(limit: str) -> str:
-    """A limit as a sentence; a number of the machine by its words."""
-    name, colon, rest = limit.partition(":")
-    return sentence(capital(base_words(name)) + colon + rest if base_number(name) is not None else limit)
+def _words(limit: Limit) -> str:
+    """Return a limit as a sentence, a number of the machine by its words."""
+    if limit.number is None:
+        return sentence(limit.words)
+    return sentence(f"{capital(base_words(limit.number))}:{limit.words.partition(':')[2]}")
 
 
 def rival_blocks(d: Diagnosis, rivals: Sequence[InPlace]) -> list[dict[str, Any]]:

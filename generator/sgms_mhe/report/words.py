@@ -38,7 +38,8 @@ def base_words(name: str) -> str:
     number = base_number(name)
     if number is None:
         return name.replace("_", " ")
-    return f"{number.words} of element {number.element(name) + 1}" if number.array else number.words
+    # The stem of an array is the cause that means all of its elements.
+    return f"{number.words} of element {number.element(name) + 1}" if number.is_element(name) else number.words
 
 
 def relative_change(before: float, after: float) -> str:

@@ -20,7 +20,7 @@ from sgms_mhe.api.identification import identify
 from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.model.effects import BASE_CAUSES
-from sgms_mhe.report import write_report
+from sgms_mhe.report import attempt_report
 from sgms_mhe.signals.estimates import Estimates, write_estimates
 from sgms_mhe.signals.status import flagged, measured
 from sgms_mhe.support.json_values import finite
@@ -103,8 +103,8 @@ def _write_json(path: Path, content: Any) -> None:
 
 def _diagnosed(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Result:
     found = diagnose(machine, row.log, note=notes.append)
-    write_report(found, folder)
     _write_json(folder / "diagnosis.json", found.to_json())
+    attempt_report(found, folder, notes.append)
     effects = [cause for cause in found.causes if cause.name not in BASE_CAUSES and found.identifies(cause)]
     numbers = [Number(b.name, b.refitted, b.std, b.nominal) for b in found.base]
     numbers += [
