@@ -27,6 +27,7 @@ from sgms_mhe.identification.result import Number, rounded
 from sgms_mhe.identification.sampling import common_rate, rounded_up
 from sgms_mhe.identification.search import gains
 from sgms_mhe.identification.spectrum import Spectrum, clustered
+from sgms_mhe.identification.starting import element_numbers
 from sgms_mhe.integration.flow_table import gate_ratio
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine, Smoothing
@@ -35,10 +36,12 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion as Path_
 from sgms_mhe.recordings.path import smooth_path
+from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.reference import Integrator
 from sgms_mhe.signals.chain import Signals, behind_chain, signals_from_log
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.signals.noise import encoder_step, position_noise
+from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -411,6 +414,43 @@ def test_no_motion(log: Log, tmp_path: Path) -> None:
 def test_presliding_alone(tmp_path: Path) -> None:
     said = refusal(moved(strokes=False), tmp_path, "--mass", str(MASS))
     assert "beyond break-away" in said
+
+
+def viscous_log(*, both: bool, level: float, seconds: float = 10.0, seed: int = 1) -> Log:
+    """An axis of 20 kg and 20 N s/m at speed, to and fro or one way, with a level of dry friction [N]."""
+    random, time = np.random.default_rng(seed), np.arange(round(seconds * RATE)) / RATE
+    mean, swing = (0.0, 0.2) if both else (0.1, 0.05)
+    velocity = mean + swing * np.sin(3.1 * time) + 0.4 * swing * np.sin(7.3 * time)
+    force = 20.0 * np.gradient(velocity, time) + 20.0 * velocity + level * np.sign(velocity)
+    noise = 0.1 * random.standard_normal(len(time))
+    return Log(time, np.cumsum(velocity) / RATE, force + noise, RATE, source="viscous.csv")
+
+
+@pytest.mark.parametrize(("both", "elements"), [(True, None), (False, None), (False, 1)])
+def test_an_axis_without_dry_friction_is_refused_for_that(both: bool, elements: int | None) -> None:
+    """The level of a fit may end at 0, in the convex start or after a constant force has taken its place."""
+    with pytest.raises(InputError, match="a log that shows dry friction: inertia, viscous friction and forces"):
+        identify([viscous_log(both=both, level=0.0)], Wanted("found", mass=20.0, elements=elements))
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_a_little_dry_friction_is_not_refused(both: bool) -> None:
+    found = identify([viscous_log(both=both, level=1.0)], Wanted("found", mass=20.0, elements=1))
+    numbers = {number.name: number for number in found.numbers}
+    assert numbers["viscous"].value == pytest.approx(20.0, rel=0.02)
+    assert numbers["coulomb"].determined == both
+
+
+def test_numbers_to_start_from_where_no_level_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A trace of a level in the convex start, for which the fit has no use."""
+    machine = load_machine("emps")
+    record = prepare(machine, viscous_log(both=True, level=0.0))
+    viscous, level = 20.0 * record.velocity, 0.5 * np.sign(record.velocity)
+    trace = Spectrum(np.array([1e-5, 1e-4]), np.array([1e-3, 1e-3]), None)
+    monkeypatch.setattr("sgms_mhe.identification.starting.find_spectrum", lambda *_: trace)
+    assert element_numbers(dataclasses.replace(record, friction=viscous - level), 0.03) == {}
+    found = element_numbers(dataclasses.replace(record, friction=viscous + level), 0.03)
+    assert found["coulomb"] == pytest.approx(0.5, rel=0.1)
 
 
 def test_force_that_is_constant(log: Log, tmp_path: Path) -> None:

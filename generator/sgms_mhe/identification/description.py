@@ -54,6 +54,8 @@ def check_slides(view: View, fit: AxisFit, shown: Collection[str], source: str) 
     Raises:
         InputError: what is needed.
     """
+    if not fit.coulomb > 0.0:
+        raise frictionless(source)
     travel, length = view.rows.extents.travel, view.rows.machine.plant.units.position
     open_level = float(fit.levels[fit.shape.distances > SLID * travel].sum())
     level = fit.coulomb
@@ -70,6 +72,17 @@ def check_slides(view: View, fit: AxisFit, shown: Collection[str], source: str) 
             "motion well beyond break-away, in both directions: below it friction is a spring, and its level is open "
             f"({MOVES['speeds']}; {MOVES['loops']})",
         )
+
+
+def frictionless(source: str) -> InputError:
+    """Return the refusal of logs whose fit ends at a Coulomb level of 0, which no machine file may state."""
+    return InputError(
+        source,
+        "friction",
+        None,
+        "a log that shows dry friction: inertia, viscous friction and forces that do not change with direction "
+        f"explain this one ({MOVES['speeds']}; {MOVES['loops']})",
+    )
 
 
 def unexcited(measured: Mapping[Measure, float]) -> tuple[str, ...]:

@@ -11,7 +11,14 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.configuration import make_machine
-from sgms_mhe.identification.description import check_slides, law_numbers, limits_of, mass_number, unexcited
+from sgms_mhe.identification.description import (
+    check_slides,
+    frictionless,
+    law_numbers,
+    limits_of,
+    mass_number,
+    unexcited,
+)
 from sgms_mhe.identification.fitting import View
 from sgms_mhe.identification.records import Records, in_order, records_of, started
 from sgms_mhe.identification.result import Identification, Number
@@ -105,6 +112,8 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
     limits = float(grid[0]), float(grid[-1])
     views = Views(View(rows, records.coarse, noise, limits), View(rows, records.fine, noise, limits))
     found = search(views, (*base, *companions), spectrum, wanted.elements, report)
+    if not found.fit.coulomb > 0.0:
+        raise frictionless(records.names[0])
     measured = _measured(records, found)
     excited = tuple(term for term in companions if _is_excited(effect_definition(term.name), measured))
     shown = [term.name for term in excited]
@@ -129,7 +138,7 @@ def _spectrum(records: Records, per_decade: float) -> Spectrum:
     terms = (*_base_terms(rows), *companion_terms(rows))
     spectrum = find_spectrum(records, terms, noise_floor(rows, rows.friction), distance_grid(records, per_decade))
     if not len(spectrum.distances):
-        raise InputError(records.names[0], "friction", 0.0, "a log with friction in it: the force is all inertia")
+        raise frictionless(records.names[0])
     return spectrum
 
 

@@ -53,7 +53,7 @@ def quantities(fit: AxisFit, cov: Array) -> dict[str, Quantity]:
     """The friction law's numbers with their deviations, named as in a machine file.
 
     `coulomb`, `viscous`, `stribeck_ratio`, `stribeck_velocity`, `stiffness_k`, `fraction_k`; what the fit does not have
-    is left out.
+    is left out. Where all levels are 0 shares have no meaning and are NaN.
     """
     count, level = len(fit.levels), fit.coulomb
     p = len(cov)
@@ -69,9 +69,12 @@ def quantities(fit: AxisFit, cov: Array) -> dict[str, Quantity]:
         stiffness = np.zeros(p)
         stiffness[k], stiffness[count + k] = -own / distance, 1.0 / distance
         add(f"stiffness_{k + 1}", own / distance, stiffness)
-        share = -own / level**2 * total
-        share[count + k] += 1.0 / level
-        add(f"fraction_{k + 1}", own / level, share)
+        if level > 0.0:
+            share = -own / level**2 * total
+            share[count + k] += 1.0 / level
+            add(f"fraction_{k + 1}", own / level, share)
+        else:
+            found[f"fraction_{k + 1}"] = Quantity(math.nan, math.nan)
     rise = fit.shape.rise
     if rise is not None:
         for place, name, value, unit in (

@@ -43,6 +43,8 @@ def element_numbers(recording: Recording, noise: float) -> dict[str, float]:
     view = View(recording, records.coarse, noise, (float(grid[0]), float(grid[-1])))
     start = Shape("switching", split_distances(spectrum, friction.n_z), spectrum.rise)
     found = fit_axis(view, terms, start, iterations=ITERATIONS)
+    if not found.coulomb > 0.0:  # the spectrum had a trace of a level, the fit at this rate has no use for it
+        return {}
     levels = np.maximum(found.levels, LEAST_SHARE * found.coulomb)
     coulomb = float(levels.sum())
     numbers = {"coulomb": coulomb, "viscous": float(found.coefficient("viscous")[0])}
