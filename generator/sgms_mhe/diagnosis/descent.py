@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.compiling import CompiledFit
 from sgms_mhe.diagnosis.groups import Column
+from sgms_mhe.recordings.box import solve_box
 from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
@@ -137,7 +138,7 @@ class LeastSquares:
         promised = 0.0
         for _ in range(TRIES):
             A = H + np.diag(prior.binding + damping * diagonal + RIDGE * max(1e-30, float(diagonal.max())))
-            step = _bounded_step(A, g, *box)
+            step = solve_box(A, g, *box)
             theta = self._moved(here.theta, step)
             promised = float(2.0 * g @ step - step @ (H @ step) - prior.binding @ step**2)
             if not promised >= least:
@@ -171,22 +172,6 @@ class LeastSquares:
 def _largest(values: Array) -> float:
     """The largest magnitude (NaN where there is one); without an array of all of them, which takes longer to fill."""
     return max(float(values.max()), -float(values.min()))
-
-
-def _bounded_step(A: Array, g: Array, lower: Array, upper: Array) -> Array:
-    """Minimise s'As/2 - g's over a box, approximately: what leaves it is held at its edge, the rest solved again."""
-    step, held = np.zeros(len(g)), np.zeros(len(g), dtype=np.bool_)
-    for _ in range(len(g)):
-        loose = ~held
-        if not loose.any():
-            break
-        step[loose] = np.linalg.solve(A[np.ix_(loose, loose)], g[loose] - A[np.ix_(loose, held)] @ step[held])
-        outside = loose & ((step < lower) | (step > upper))
-        if not outside.any():
-            break
-        step = np.clip(step, lower, upper)
-        held |= outside
-    return step
 
 
 def _step_limit(column: Column, theta: float, recording: Recording) -> float:
