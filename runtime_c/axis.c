@@ -4,113 +4,16 @@
  * constant, so every friction element sees an exact displacement and its equation is solved on its own: by clipping
  * (Maxwell-slip) or in steps that are bounded in displacement (S-GMS), at any speed.
  */
-#include "axis.h"
+#include "axis_effects.h"
 
-#include <math.h>
 #include <string.h>
 
-#define TWO_PI 6.283185307179586
 #define SETTLED 3e-5  /* distance in r at which the linear equation is good to 1e-8 */
 #define AT_REST 1e-12 /* dr/dxi of an element that moves no more */
 #define FARTHEST 4e6  /* m; no axis is there: the loop is unstable */
 #define STRONGEST 1e9 /* N, likewise */
-#define RESONANT 0.5  /* omega times step of a hanging mass, at most: its frequency is then right to 1 % */
 
-/* ---- tables ------------------------------------------------------------------------------------------------- */
-
-enum effect_kind {
-    CONSTANT_OFFSET,
-    FORCE_RIPPLE,
-    FORCE_CONSTANT_RIPPLE,
-    POSITION_SPRING,
-    HOSE_HYSTERESIS,
-    ASYMMETRIC_COULOMB,
-    ASYMMETRIC_VISCOUS,
-    POSITION_DEPENDENT_FRICTION,
-    FRICTION_DRIFT,
-    VISCOUS_DRIFT,
-    MASS_MISMATCH,
-    FORCE_GAIN,
-    FORCE_DELAY,
-    ACTUATOR_LAG,
-    QUADRATIC_DRAG,
-    EDDY_CURRENT_DAMPING,
-    ENCODER_PERIODIC_ERROR,
-    STRUCTURAL_RESONANCE,
-    PERIODIC_DISTURBANCE,
-    STEP_DISTURBANCE,
-    BACKLASH,
-    FRICTIONAL_LAG,
-    DWELL_DEPENDENCE,
-    MICRO_VISCOUS,
-    UNBALANCE,
-    LOAD_DEPENDENT_FRICTION,
-    DRIVE_EFFICIENCY,
-    POSITION_MAP,
-    EFFECT_KINDS
-};
-
-static const struct {
-    const char *name;
-    const char *parameter[AXIS_MAX_EFFECT_PARAMETERS];
-} effect_table[EFFECT_KINDS] = {
-    /* force = force_N */
-    [CONSTANT_OFFSET] = {"constant_offset", {"force_N"}},
-    /* force = amplitude sin(2 pi q / pitch + phase) */
-    [FORCE_RIPPLE] = {"force_ripple", {"amplitude_N", "pitch_m", "phase_rad"}},
-    /* force on the mass = logged force (1 + ratio sin(2 pi q / pitch + phase)) */
-    [FORCE_CONSTANT_RIPPLE] = {"force_constant_ripple", {"ratio", "pitch_m", "phase_rad"}},
-    /* force = stiffness (q - centre) */
-    [POSITION_SPRING] = {"position_spring", {"stiffness_N_m", "centre_m"}},
-    /* Dahl: dF/dq = stiffness (1 - F sign(v) / force_N) */
-    [HOSE_HYSTERESIS] = {"hose_hysteresis", {"stiffness_N_m", "force_N"}},
-    /* s(v) (1 + ratio sign(v)) */
-    [ASYMMETRIC_COULOMB] = {"asymmetric_coulomb", {"ratio"}},
-    /* sigma_v + difference sign(v) */
-    [ASYMMETRIC_VISCOUS] = {"asymmetric_viscous", {"difference_N_s_m"}},
-    /* s(v) (1 + ratio sin(2 pi q / pitch + phase)) */
-    [POSITION_DEPENDENT_FRICTION] = {"position_dependent_friction", {"ratio", "pitch_m", "phase_rad"}},
-    /* s(v) (1 + ratio (1 - exp(-t / time_constant))) */
-    [FRICTION_DRIFT] = {"friction_drift", {"ratio", "time_constant_s"}},
-    /* sigma_v (1 + ratio (1 - exp(-t / time_constant))) */
-    [VISCOUS_DRIFT] = {"viscous_drift", {"ratio", "time_constant_s"}},
-    /* true mass = mass + mass_kg */
-    [MASS_MISMATCH] = {"mass_mismatch", {"mass_kg"}},
-    /* logged force = gain times the force on the mass */
-    [FORCE_GAIN] = {"force_gain", {"gain"}},
-    /* logged force = force on the mass, delay_s ago; below zero: force on the mass = logged force, -delay_s ago */
-    [FORCE_DELAY] = {"force_delay", {"delay_s"}},
-    /* force on the mass follows the logged one with a first-order lag */
-    [ACTUATOR_LAG] = {"actuator_lag", {"time_constant_s"}},
-    /* force = coefficient v |v| */
-    [QUADRATIC_DRAG] = {"quadratic_drag", {"coefficient_N_s2_m2"}},
-    /* force = damping v / (1 + (v / corner)^2) */
-    [EDDY_CURRENT_DAMPING] = {"eddy_current_damping", {"damping_N_s_m", "corner_velocity_m_s"}},
-    /* encoder reads q + amplitude sin(2 pi q / pitch + phase) */
-    [ENCODER_PERIODIC_ERROR] = {"encoder_periodic_error", {"amplitude_m", "pitch_m", "phase_rad"}},
-    /* `mass_kg` of the mass hangs on a spring; frequency is its own, with the rest held */
-    [STRUCTURAL_RESONANCE] = {"structural_resonance", {"frequency_Hz", "damping_ratio", "mass_kg"}},
-    /* force = amplitude sin(2 pi frequency t + phase) */
-    [PERIODIC_DISTURBANCE] = {"periodic_disturbance", {"amplitude_N", "frequency_Hz", "phase_rad"}},
-    /* force = force_N from time_s on */
-    [STEP_DISTURBANCE] = {"step_disturbance", {"force_N", "time_s"}},
-    /* friction acts behind a gap: no friction while the mass crosses it */
-    [BACKLASH] = {"backlash", {"gap_m"}},
-    /* s follows s(v) with a first-order lag */
-    [FRICTIONAL_LAG] = {"frictional_lag", {"time_constant_s"}},
-    /* s(v) (1 + ratio d), dd/dt = (1 - d) / time_constant - |v| d / length: ages at rest, renewed by motion */
-    [DWELL_DEPENDENCE] = {"dwell_dependence", {"ratio", "time_constant_s", "length_m"}},
-    /* sigma_i + nu_i damping */
-    [MICRO_VISCOUS] = {"micro_viscous", {"damping_N_s_m"}},
-    /* force = amplitude sin(q + phase), q an angle */
-    [UNBALANCE] = {"unbalance", {"amplitude_N", "phase_rad"}},
-    /* s(v) + ratio |T|, T: what the drive transmits */
-    [LOAD_DEPENDENT_FRICTION] = {"load_dependent_friction", {"ratio"}},
-    /* s(v) + |T| (1 / efficiency - 1) where T drives the motion, s(v) + |T| (1 - efficiency) where it brakes it */
-    [DRIVE_EFFICIENCY] = {"drive_efficiency", {"efficiency_ratio"}},
-    /* force = sum over its sines of sine sin(2 pi order q / pitch) + cosine cos(...); one effect of the plant each */
-    [POSITION_MAP] = {"position_map", {"pitch_m", "order", "sine_N", "cosine_N"}},
-};
+/* ---- table of settings -------------------------------------------------------------------------------------- */
 
 static const struct {
     const char *name;
@@ -136,16 +39,6 @@ const char *axis_setting(size_t i, size_t *offset, size_t *count)
     *offset = setting_table[i].offset;
     *count = setting_table[i].count;
     return setting_table[i].name;
-}
-
-const char *axis_effect_name(size_t kind)
-{
-    return kind < EFFECT_KINDS ? effect_table[kind].name : NULL;
-}
-
-const char *axis_effect_parameter(size_t kind, size_t j)
-{
-    return kind < EFFECT_KINDS && j < AXIS_MAX_EFFECT_PARAMETERS ? effect_table[kind].parameter[j] : NULL;
 }
 
 /* ---- noise: xoshiro256** and the polar method --------------------------------------------------------------- */
@@ -283,248 +176,63 @@ static double sgms_move(const struct axis *axis, double r, double xi, double gat
 
 /* ---- effects ------------------------------------------------------------------------------------------------ */
 
-static double sign(double x)
+static double change_each(const struct axis *axis, enum axis_quantity quantity, double value, double v, double position)
 {
-    return (double)((x > 0.0) - (x < 0.0));
-}
-
-static double periodic(double amplitude, double x, double period, double phase)
-{
-    return amplitude * sin(TWO_PI * (x / period) + phase);
-}
-
-static double now(const struct axis *axis)
-{
-    return (double)axis->substep_count * axis->step;
-}
-
-static double settled(double t, double time_constant)
-{
-    return 1.0 - exp(-t / time_constant);
-}
-
-/* Factor on s(v). */
-static double level_factor(const struct axis *axis, double v, double position)
-{
-    double factor = 1.0;
+    struct axis_view at = {
+        .axis = axis, .v = v, .position = position, .time = (double)axis->substep_count * axis->step};
     for (size_t i = 0; i < axis->effects; ++i) {
-        const struct axis_effect *effect = &axis->effect[i];
-        const double *p = effect->parameter;
-        switch (effect->kind) {
-        case ASYMMETRIC_COULOMB:
-            factor *= 1.0 + p[0] * sign(v);
-            break;
-        case POSITION_DEPENDENT_FRICTION:
-            factor *= 1.0 + periodic(p[0], position, p[1], p[2]);
-            break;
-        case FRICTION_DRIFT:
-            factor *= 1.0 + p[0] * settled(now(axis), p[1]);
-            break;
-        case DWELL_DEPENDENCE:
-            factor *= 1.0 + p[0] * effect->state[0];
-            break;
-        default:
-            break;
+        axis_change *own = axis->effect[i].row->change[quantity];
+        if (own != NULL) {
+            at.effect = &axis->effect[i];
+            at.p = at.effect->parameter;
+            at.x = at.effect->state;
+            value = own(&at, value);
         }
     }
-    return factor;
+    return value;
 }
 
-/* What the torque transmitted adds to the level, N. */
-static double load_level(const struct axis *axis, double v)
+/* A quantity as the effects change it, one after the other. */
+static double change(const struct axis *axis, enum axis_quantity quantity, double value, double v, double position)
 {
-    double level = 0.0;
-    for (size_t i = 0; i < axis->effects; ++i) {
-        const double *p = axis->effect[i].parameter;
-        switch (axis->effect[i].kind) {
-        case LOAD_DEPENDENT_FRICTION:
-            level += p[0] * fabs(axis->transmitted);
-            break;
-        case DRIVE_EFFICIENCY:
-            level += fabs(axis->transmitted) * (axis->transmitted * v > 0.0 ? 1.0 / p[0] - 1.0 : 1.0 - p[0]);
-            break;
-        default:
-            break;
-        }
-    }
-    return level;
+    return axis->changed & (1u << quantity) ? change_each(axis, quantity, value, v, position) : value;
 }
 
-/* Viscous coefficient sigma_v. */
-static double viscous(const struct axis *axis, double v)
+/* Likewise, for the axis as it moves. */
+static double change_now(const struct axis *axis, enum axis_quantity quantity, double value)
 {
-    double result = axis->set.viscous;
-    for (size_t i = 0; i < axis->effects; ++i) {
-        const double *p = axis->effect[i].parameter;
-        switch (axis->effect[i].kind) {
-        case VISCOUS_DRIFT:
-            result += axis->set.viscous * p[0] * settled(now(axis), p[1]);
-            break;
-        case ASYMMETRIC_VISCOUS:
-            result += p[0] * sign(v);
-            break;
-        default:
-            break;
-        }
-    }
-    return result;
-}
-
-/* Micro-viscous coefficient sigma_i. */
-static double micro_viscous(const struct axis *axis, int element)
-{
-    double result = axis->set.micro_viscous[element];
-    for (size_t i = 0; i < axis->effects; ++i) {
-        if (axis->effect[i].kind == MICRO_VISCOUS) {
-            result += axis->effect[i].parameter[0] * axis->set.fraction[element];
-        }
-    }
-    return result;
-}
-
-/* Forces on the load from outside: what a drive transmits beside the inertial force. */
-static double outside_force(const struct axis *axis)
-{
-    double force = 0.0;
-    for (size_t i = 0; i < axis->effects; ++i) {
-        const double *p = axis->effect[i].parameter;
-        switch (axis->effect[i].kind) {
-        case CONSTANT_OFFSET:
-            force += p[0];
-            break;
-        case POSITION_SPRING:
-            force += p[0] * (axis->position - p[1]);
-            break;
-        case PERIODIC_DISTURBANCE:
-            force += p[0] * sin(TWO_PI * p[1] * now(axis) + p[2]);
-            break;
-        case STEP_DISTURBANCE:
-            force += now(axis) >= p[1] ? p[0] : 0.0;
-            break;
-        case UNBALANCE:
-            force += p[0] * sin(axis->position + p[1]);
-            break;
-        default:
-            break;
-        }
-    }
-    return force;
+    return change(axis, quantity, value, axis->velocity, axis->position);
 }
 
 /* Sum of the effects' forces, friction-like in sign. */
 static double effect_force(const struct axis *axis, double v)
 {
-    double force = outside_force(axis);
-    for (size_t i = 0; i < axis->effects; ++i) {
-        const struct axis_effect *effect = &axis->effect[i];
-        const double *p = effect->parameter;
-        switch (effect->kind) {
-        case FORCE_RIPPLE:
-            force += periodic(p[0], axis->position, p[1], p[2]);
-            break;
-        case POSITION_MAP: {
-            const double turns = p[1] * fmod(axis->position, p[0]) / p[0];
-            force += p[2] * sin(TWO_PI * turns) + p[3] * cos(TWO_PI * turns);
-            break;
-        }
-        case HOSE_HYSTERESIS:
-            force += effect->state[0];
-            break;
-        case QUADRATIC_DRAG:
-            force += p[0] * v * fabs(v);
-            break;
-        case EDDY_CURRENT_DAMPING:
-            force += p[0] * v / (1.0 + (v / p[1]) * (v / p[1]));
-            break;
-        case STRUCTURAL_RESONANCE: {
-            const double omega = TWO_PI * p[0];
-            force += p[2] * omega * (omega * (axis->position - effect->state[0]) + 2.0 * p[1] * (v - effect->state[1]));
-            break;
-        }
-        case EFFECT_KINDS:
-            force += effect->force(effect->context, axis->position, v, now(axis));
-            break;
-        default:
-            break;
-        }
-    }
-    return force;
-}
-
-/* Force on the mass per force that the current loop makes, as it depends on position. */
-static double force_constant(const struct axis *axis)
-{
-    double factor = 1.0;
-    for (size_t i = 0; i < axis->effects; ++i) {
-        const double *p = axis->effect[i].parameter;
-        if (axis->effect[i].kind == FORCE_CONSTANT_RIPPLE) {
-            factor *= 1.0 + periodic(p[0], axis->position, p[1], p[2]);
-        }
-    }
-    return factor;
+    const double outside = change(axis, AXIS_OUTSIDE_FORCE, 0.0, v, axis->position);
+    return change(axis, AXIS_OTHER_FORCE, outside, v, axis->position);
 }
 
 /* Force on the mass for the force that the current loop makes. */
 static double drive_force(const struct axis *axis)
 {
-    double force = axis->force;
-    for (size_t i = 0; i < axis->effects; ++i) {
-        if (axis->effect[i].kind == ACTUATOR_LAG) {
-            force = axis->effect[i].state[0];
-        }
-    }
-    return force * force_constant(axis);
+    return change_now(axis, AXIS_DRIVE, axis->force) * change_now(axis, AXIS_FORCE_CONSTANT, 1.0);
 }
 
-/* Advance the effects' own states through a drift at constant velocity. */
-static void move_effects(struct axis *axis, double v, double force_before)
-{
-    const double h = axis->step;
-    for (size_t i = 0; i < axis->effects; ++i) {
-        struct axis_effect *effect = &axis->effect[i];
-        const double *p = effect->parameter;
-        double *x = effect->state;
-        switch (effect->kind) {
-        case HOSE_HYSTERESIS: {
-            const double end = p[1] * sign(v);
-            x[0] = end + (x[0] - end) * exp(-p[0] * fabs(v) * h / p[1]);
-            break;
-        }
-        case ACTUATOR_LAG: {
-            const double mean = 0.5 * (force_before + axis->force);
-            x[0] = mean + (x[0] - mean) * exp(-h / p[0]);
-            break;
-        }
-        case DWELL_DEPENDENCE: {
-            const double rate = 1.0 / p[1] + fabs(v) / p[2];
-            x[0] += (1.0 / (p[1] * rate) - x[0]) * (1.0 - exp(-rate * h));
-            break;
-        }
-        default:
-            break;
-        }
-    }
-}
-
-/* Leapfrog of the hanging masses: half a kick, and the drift. */
-static void kick_hanging(struct axis *axis, double v)
+static void kick_effects(struct axis *axis)
 {
     for (size_t i = 0; i < axis->effects; ++i) {
         struct axis_effect *effect = &axis->effect[i];
-        if (effect->kind != STRUCTURAL_RESONANCE) {
-            continue;
+        if (effect->row->kick != NULL) {
+            effect->row->kick(axis, effect);
         }
-        const double omega = TWO_PI * effect->parameter[0], c = 2.0 * effect->parameter[1] * omega * axis->half_step;
-        const double pull = omega * omega * (axis->position - effect->state[0]) * axis->half_step;
-        effect->state[1] = (effect->state[1] + pull + c * v) / (1.0 + c);
     }
 }
 
-static void drift_hanging(struct axis *axis)
+static void move_effects(struct axis *axis)
 {
     for (size_t i = 0; i < axis->effects; ++i) {
-        if (axis->effect[i].kind == STRUCTURAL_RESONANCE) {
-            axis->effect[i].state[0] += axis->step * axis->effect[i].state[1];
+        struct axis_effect *effect = &axis->effect[i];
+        if (effect->row->move != NULL) {
+            effect->row->move(axis, effect);
         }
     }
 }
@@ -542,13 +250,8 @@ static double stribeck(const struct axis *axis, double v)
  * acceleration and the torque sets the level: taken whole, a step would overshoot where a loss is near the torque. */
 static void move_transmitted(struct axis *axis)
 {
-    double inertia = axis->set.mass;
-    for (size_t i = 0; i < axis->effects; ++i) {
-        if (axis->effect[i].kind == MASS_MISMATCH) {
-            inertia += axis->effect[i].parameter[0];
-        }
-    }
-    axis->transmitted += 0.5 * (inertia * axis->acceleration + outside_force(axis) - axis->transmitted);
+    const double force = axis->inertia * axis->acceleration + change_now(axis, AXIS_OUTSIDE_FORCE, 0.0);
+    axis->transmitted += 0.5 * (force - axis->transmitted);
 }
 
 /* Move s(v) with its factors through a drift at mean velocity v, which ends at velocity `end`. A smoothed element sees
@@ -561,25 +264,14 @@ static void move_level(struct axis *axis, double v, double end)
     double level = stribeck(axis, velocity);
     for (size_t i = 0; i < axis->effects; ++i) {
         struct axis_effect *effect = &axis->effect[i];
-        if (effect->kind == FRICTIONAL_LAG) {
-            effect->state[0] = level + (effect->state[0] - level) * exp(-axis->step / effect->parameter[0]);
-            level = effect->state[0];
+        if (effect->row->follow != NULL) {
+            level = effect->row->follow(axis, effect, level);
         }
     }
     const double position = at_end ? axis->position : axis->position - axis->half_step * v;
     /* the direction is that of the drift, which moves the elements */
-    axis->level = level * level_factor(axis, v, position) + load_level(axis, v);
-}
-
-/* Whether friction is in contact with the mass, and the crossing of the gap (state: side -1, 0, 1; where it left). */
-static struct axis_effect *find_backlash(struct axis *axis)
-{
-    for (size_t i = 0; i < axis->effects; ++i) {
-        if (axis->effect[i].kind == BACKLASH) {
-            return &axis->effect[i];
-        }
-    }
-    return NULL;
+    const double factor = change(axis, AXIS_LEVEL_FACTOR, 1.0, v, position);
+    axis->level = level * factor + change(axis, AXIS_LOAD_LEVEL, 0.0, v, position);
 }
 
 static double spring_force(const struct axis *axis)
@@ -591,32 +283,14 @@ static double spring_force(const struct axis *axis)
     return force;
 }
 
-/* Share of the displacement in a drift that moves the friction elements: all but what crosses the gap. */
+/* Share of a drift at velocity v that moves the friction elements. */
 static double engaged_velocity(struct axis *axis, double v)
 {
-    struct axis_effect *gap = find_backlash(axis);
-    if (gap == NULL) {
-        return v;
-    }
-    double *side = &gap->state[0], *contact = &gap->state[1]; /* contact: position at which the + side touches */
-    const double from = axis->position - axis->step * v, to = axis->position;
-    if (*side > 0.0 && v < 0.0 && spring_force(axis) <= 0.0) {
-        *side = 0.0;
-        *contact = from;
-    } else if (*side < 0.0 && v > 0.0 && spring_force(axis) >= 0.0) {
-        *side = 0.0;
-        *contact = from + gap->parameter[0];
-    }
-    if (*side == 0.0) {
-        double path = 0.0;
-        if (to > *contact) {
-            *side = 1.0;
-            path = to - *contact;
-        } else if (to < *contact - gap->parameter[0]) {
-            *side = -1.0;
-            path = to - (*contact - gap->parameter[0]);
+    for (size_t i = 0; i < axis->effects; ++i) {
+        struct axis_effect *effect = &axis->effect[i];
+        if (effect->row->engage != NULL) {
+            v = effect->row->engage(axis, effect, v, spring_force(axis));
         }
-        return path / axis->step;
     }
     return v;
 }
@@ -659,20 +333,17 @@ static void move_elements(struct axis *axis, double v)
 }
 
 /* y_f of equation (2). */
-static double friction_force(struct axis *axis, double v)
+static double friction_force(const struct axis *axis, double v)
 {
-    const struct axis_effect *gap = find_backlash(axis);
-    if (gap != NULL && gap->state[0] == 0.0) {
-        return 0.0;
-    }
-    double force = spring_force(axis) + viscous(axis, v) * v;
+    double force = spring_force(axis) + change(axis, AXIS_VISCOUS, axis->set.viscous, v, axis->position) * v;
+    const double shared = change(axis, AXIS_MICRO_VISCOUS, 0.0, v, axis->position);
     for (int i = 0; i < axis->elements; ++i) {
-        const double sigma = micro_viscous(axis, i);
+        const double sigma = axis->set.micro_viscous[i] + shared * axis->set.fraction[i];
         if (sigma != 0.0) {
             force += sigma * deflection_rate(axis, i, v);
         }
     }
-    return force;
+    return change(axis, AXIS_FRICTION, force, v, axis->position);
 }
 
 /* ---- settings ----------------------------------------------------------------------------------------------- */
@@ -691,50 +362,10 @@ void axis_set(struct axis *axis, size_t offset, double value)
     }
 }
 
-int axis_add_effect(struct axis *axis, size_t kind, const double *parameter)
-{
-    if (kind >= EFFECT_KINDS || axis->effects >= AXIS_MAX_EFFECTS) {
-        return -1;
-    }
-    struct axis_effect *effect = &axis->effect[axis->effects];
-    effect->kind = (int)kind;
-    for (size_t j = 0; j < AXIS_MAX_EFFECT_PARAMETERS && effect_table[kind].parameter[j] != NULL; ++j) {
-        effect->parameter[j] = parameter[j];
-    }
-    return (int)axis->effects++;
-}
-
-int axis_add_force(struct axis *axis, axis_force *force, void *context)
-{
-    if (axis->effects >= AXIS_MAX_EFFECTS) {
-        return -1;
-    }
-    axis->effect[axis->effects] = (struct axis_effect){.kind = EFFECT_KINDS, .force = force, .context = context};
-    return (int)axis->effects++;
-}
-
-void axis_set_effect(struct axis *axis, size_t effect, size_t j, double value)
-{
-    if (effect < axis->effects && j < AXIS_MAX_EFFECT_PARAMETERS) {
-        axis->effect[effect].parameter[j] = value;
-    }
-}
-
 void axis_set_compensation(struct axis *axis, axis_compensation *compensation, void *context)
 {
     axis->compensation = compensation;
     axis->compensation_context = context;
-}
-
-static double delay_of(const struct axis *axis)
-{
-    double delay = 0.0;
-    for (size_t i = 0; i < axis->effects; ++i) {
-        if (axis->effect[i].kind == FORCE_DELAY) {
-            delay += axis->effect[i].parameter[0];
-        }
-    }
-    return delay;
 }
 
 int axis_apply(struct axis *axis)
@@ -755,19 +386,16 @@ int axis_apply(struct axis *axis)
     axis->half_step = 0.5 * axis->step;
     axis->decay = set->current_loop_lag > 0.0 ? exp(-axis->step / set->current_loop_lag) : 0.0;
     axis->filter = set->derivative_filter > 0.0 ? 1.0 - exp(-TWO_PI * set->derivative_filter / set->rate) : 1.0;
-    axis->moving_mass = set->mass;
     for (size_t i = 0; i < axis->effects; ++i) {
-        if (axis->effect[i].kind == MASS_MISMATCH) {
-            axis->moving_mass += axis->effect[i].parameter[0];
-        }
-        if (axis->effect[i].kind == STRUCTURAL_RESONANCE) {
-            axis->moving_mass -= axis->effect[i].parameter[2];
-            if (!(TWO_PI * axis->effect[i].parameter[0] * axis->step <= RESONANT)) {
-                return AXIS_FAST_RESONANCE;
-            }
+        const struct axis_effect *effect = &axis->effect[i];
+        const int refusal = effect->row->check != NULL ? effect->row->check(axis, effect) : 0;
+        if (refusal != 0) {
+            return refusal;
         }
     }
-    axis->late = delay_of(axis) / axis->step;
+    axis->inertia = change_now(axis, AXIS_INERTIA, set->mass);
+    axis->moving_mass = change_now(axis, AXIS_MOVING_MASS, set->mass);
+    axis->late = change_now(axis, AXIS_DELAY, 0.0) / axis->step;
     if (!(axis->moving_mass > 0.0)) {
         return AXIS_NO_MASS;
     }
@@ -792,22 +420,16 @@ void axis_place(struct axis *axis, double position)
     axis->derivative = 0.0;
     memset(axis->deflection, 0, sizeof axis->deflection);
     memset(axis->history, 0, sizeof axis->history);
+    axis->level = stribeck(axis, 0.0);
     for (size_t i = 0; i < axis->effects; ++i) {
         struct axis_effect *effect = &axis->effect[i];
-        effect->state[0] = 0.0;
-        effect->state[1] = 0.0;
-        if (effect->kind == STRUCTURAL_RESONANCE) {
-            effect->state[0] = position;
-        }
-        if (effect->kind == FRICTIONAL_LAG) {
-            effect->state[0] = stribeck(axis, 0.0);
-        }
-        if (effect->kind == BACKLASH) {
-            effect->state[1] = position + 0.5 * effect->parameter[0];
+        memset(effect->state, 0, sizeof effect->state);
+        if (effect->row->place != NULL) {
+            effect->row->place(axis, effect);
         }
     }
-    axis->transmitted = outside_force(axis);
-    axis->level = stribeck(axis, 0.0) * level_factor(axis, 0.0, position) + load_level(axis, 0.0);
+    axis->transmitted = change_now(axis, AXIS_OUTSIDE_FORCE, 0.0);
+    axis->level = axis->level * change_now(axis, AXIS_LEVEL_FACTOR, 1.0) + change_now(axis, AXIS_LOAD_LEVEL, 0.0);
 }
 
 /* ---- a sample ----------------------------------------------------------------------------------------------- */
@@ -829,13 +451,7 @@ static double acceleration_at(const double *reference, size_t length, size_t k, 
 
 static double measure_position(struct axis *axis)
 {
-    double position = axis->position;
-    for (size_t i = 0; i < axis->effects; ++i) {
-        const double *p = axis->effect[i].parameter;
-        if (axis->effect[i].kind == ENCODER_PERIODIC_ERROR) {
-            position += periodic(p[0], axis->position, p[1], p[2]);
-        }
-    }
+    double position = change_now(axis, AXIS_READ_POSITION, axis->position);
     if (axis->set.encoder_noise > 0.0) {
         position += axis->set.encoder_noise * random_normal(&axis->encoder_random);
     }
@@ -855,12 +471,7 @@ static double made_before(const struct axis *axis, double substeps)
 
 static double measure_force(struct axis *axis)
 {
-    double force = made_before(axis, fmax(axis->late, 0.0));
-    for (size_t i = 0; i < axis->effects; ++i) {
-        if (axis->effect[i].kind == FORCE_GAIN) {
-            force *= axis->effect[i].parameter[0];
-        }
-    }
+    double force = change_now(axis, AXIS_READ_FORCE, made_before(axis, fmax(axis->late, 0.0)));
     if (axis->set.force_noise > 0.0) {
         force += axis->set.force_noise * random_normal(&axis->force_random);
     }
@@ -896,14 +507,15 @@ static double control(
     return command;
 }
 
-static double accelerate(struct axis *axis, double v)
+static double accelerate(const struct axis *axis, double v)
 {
     return (drive_force(axis) - friction_force(axis, v) - effect_force(axis, v)) / axis->moving_mass;
 }
 
 static void drift(struct axis *axis, double v, double end, double command)
 {
-    const double force = axis->force, made = axis->history[axis->substep_count % AXIS_HISTORY];
+    const double made = axis->history[axis->substep_count % AXIS_HISTORY];
+    axis->force_before = axis->force;
     axis->position += axis->step * v;
     ++axis->substep_count;
     if (axis->effects > 0) {
@@ -914,8 +526,7 @@ static void drift(struct axis *axis, double v, double end, double command)
     axis->history[axis->substep_count % AXIS_HISTORY] = command + (made - command) * axis->decay;
     axis->force = made_before(axis, fmax(-axis->late, 0.0));
     if (axis->effects > 0) {
-        drift_hanging(axis);
-        move_effects(axis, v, force);
+        move_effects(axis);
     }
 }
 
@@ -927,13 +538,13 @@ static void run_controlled(struct axis *axis, double command)
     }
     for (int s = 0; s < axis->substeps; ++s) {
         const double kick = axis->half_step * axis->acceleration;
-        kick_hanging(axis, axis->velocity);
+        kick_effects(axis);
         axis->velocity += kick;
         drift(axis, axis->velocity, axis->velocity + kick, command);
         /* friction at the end of the second kick, whose velocity the first kick predicts to second order */
         axis->acceleration = accelerate(axis, axis->velocity + kick);
         axis->velocity += axis->half_step * axis->acceleration;
-        kick_hanging(axis, axis->velocity);
+        kick_effects(axis);
     }
 }
 
@@ -942,9 +553,9 @@ static void run_prescribed(struct axis *axis, double here, double next)
 {
     axis->velocity = (next - here) * axis->set.rate;
     for (int s = 0; s < axis->substeps; ++s) {
-        kick_hanging(axis, axis->velocity);
+        kick_effects(axis);
         drift(axis, axis->velocity, axis->velocity, axis->force);
-        kick_hanging(axis, axis->velocity);
+        kick_effects(axis);
     }
     axis->position = next; /* without the rounding of the sum */
 }
@@ -974,7 +585,8 @@ size_t axis_run(
         const double friction = friction_force(axis, axis->velocity), effects = effect_force(axis, axis->velocity);
         if (prescribed) {
             axis->acceleration = (next - 2.0 * here + before) * rate * rate;
-            axis->force = (axis->moving_mass * axis->acceleration + friction + effects) / force_constant(axis);
+            axis->force = (axis->moving_mass * axis->acceleration + friction + effects) /
+                          change_now(axis, AXIS_FORCE_CONSTANT, 1.0);
             axis->history[axis->substep_count % AXIS_HISTORY] = axis->force;
         } else {
             axis->acceleration = (drive_force(axis) - friction - effects) / axis->moving_mass;
@@ -990,7 +602,8 @@ size_t axis_run(
         put(record->true_position_m, row, axis->position);
         put(record->true_velocity_m_s, row, axis->velocity);
         put(record->true_acceleration_m_s2, row, axis->acceleration);
-        put(record->true_force_N, row, prescribed ? axis->force * force_constant(axis) : drive_force(axis));
+        put(record->true_force_N, row,
+            prescribed ? axis->force * change_now(axis, AXIS_FORCE_CONSTANT, 1.0) : drive_force(axis));
         put(record->true_friction_N, row, friction);
         put(record->true_effect_force_N, row, effects);
         if (record->true_deflection_m != NULL) {

@@ -70,7 +70,7 @@ struct axis_settings {
 typedef double axis_force(void *context, double position, double velocity, double time);
 
 struct axis_effect {
-    int kind; /* index into the table of effects, or one beyond it: a force of the caller's own */
+    const struct axis_effect_row *row;
     double parameter[AXIS_MAX_EFFECT_PARAMETERS];
     double state[2];
     axis_force *force;
@@ -97,13 +97,14 @@ struct axis {
     struct axis_settings set;
     struct axis_effect effect[AXIS_MAX_EFFECTS];
     size_t effects;
+    unsigned changed; /* quantities that any of them changes, a bit each (enum axis_quantity) */
     axis_compensation *compensation;
     void *compensation_context;
 
     double position, velocity, acceleration;
-    double force; /* of the current loop, that acts: what it makes is in `history` */
+    double force;        /* of the current loop, that acts: what it makes is in `history` */
+    double force_before; /* at the start of the drift */
     double deflection[AXIS_MAX_ELEMENTS];
-    double deflection_rate[AXIS_MAX_ELEMENTS];
     double level;       /* s(v) with all factors, N, of the latest substep */
     double transmitted; /* what the drive delivers behind friction: inertial force and forces on the load, N */
     double integral;    /* of the position error, m s */
@@ -118,7 +119,8 @@ struct axis {
 
     /* derived from the settings by axis_apply */
     int law, control, elements, substeps;
-    double step, half_step, decay, filter, moving_mass;
+    double step, half_step, decay, filter;
+    double inertia, moving_mass; /* all that moves, and without what hangs on a spring */
     double late;                 /* substeps that the force is logged after it acts; below zero: before */
     double slip_root, slip_rate; /* g(root) = 0, -g'(root) of the saturated S-GMS element */
     double elastic_limit;        /* |r| below which no S-GMS element slips */

@@ -1,4 +1,4 @@
-"""The plant's C side: `runtime_c/axis.c` compiled and loaded, one axis and its true parameters by name."""
+"""The plant's C side: `runtime_c/axis.c`, `axis_effects.c` compiled; one axis, its true parameters by name."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from sgms_mhe.support.toolchain import load_library, shared_library
 
 Array = NDArray[np.float64]
 
+_SOURCES: Final = ("axis.c", "axis_effects.c")
 _HISTORY: Final = 4096
 _RESONANT: Final = 0.5
 """AXIS_HISTORY and RESONANT of the C."""
@@ -84,7 +85,7 @@ class Library:
 @lru_cache(maxsize=1)
 def loaded_library() -> Library:
     """The plant, compiled once and kept. Raises BuildError where the compiler refuses."""
-    c = load_library(shared_library([runtime_dir() / "axis.c"], libraries=("m",)))
+    c = load_library(shared_library([runtime_dir() / name for name in _SOURCES], libraries=("m",)))
     size, text, number, axis = ctypes.c_size_t, ctypes.c_char_p, ctypes.c_double, ctypes.c_void_p
     signatures: dict[str, tuple[Any, list[Any]]] = {
         "axis_size": (size, []),

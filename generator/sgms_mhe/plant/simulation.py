@@ -1,7 +1,8 @@
 """Simulated axis: a machine's plant in a closed position loop, written apart from the symbolic model.
 
-The equations of motion, both friction laws and the effects are integrated by `runtime_c/axis.c`, which shares nothing
-with the model that estimators are generated from. Forces that oppose the drive count positive, as friction does:
+`runtime_c/axis.c` integrates the equations of motion and both friction laws with the effects of `axis_effects.c`; they
+share nothing with the model that estimators are generated from. Forces that oppose the drive count positive, as
+friction does:
 
     mass * acceleration = drive force - friction - sum of the effects' forces
 """

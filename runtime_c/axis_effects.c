@@ -1,0 +1,369 @@
+/* Effects of the simulated axis: see axis_effects.h. A row of the table at the end is all that there is of an effect;
+ * the functions that it names stand above it.
+ */
+#include "axis_effects.h"
+
+#define RESONANT 0.5 /* omega times step of a hanging mass, at most: its frequency is then right to 1 % */
+
+static double periodic(double amplitude, double x, double period, double phase)
+{
+    return amplitude * sin(TWO_PI * (x / period) + phase);
+}
+
+static double approach(double t, double time_constant)
+{
+    return 1.0 - exp(-t / time_constant);
+}
+
+/* ---- changes that several effects make ---------------------------------------------------------------------- */
+
+static double add_parameter(const struct axis_view *at, double value)
+{
+    return value + at->p[0];
+}
+
+static double add_state(const struct axis_view *at, double value)
+{
+    return value + at->x[0];
+}
+
+static double multiply(const struct axis_view *at, double value)
+{
+    return value * at->p[0];
+}
+
+static double add_ripple(const struct axis_view *at, double value)
+{
+    return value + periodic(at->p[0], at->position, at->p[1], at->p[2]);
+}
+
+static double multiply_ripple(const struct axis_view *at, double value)
+{
+    return value * (1.0 + periodic(at->p[0], at->position, at->p[1], at->p[2]));
+}
+
+/* ---- forces ------------------------------------------------------------------------------------------------- */
+
+static double add_position_spring(const struct axis_view *at, double force)
+{
+    return force + at->p[0] * (at->position - at->p[1]);
+}
+
+static double add_oscillation(const struct axis_view *at, double force)
+{
+    return force + at->p[0] * sin(TWO_PI * at->p[1] * at->time + at->p[2]);
+}
+
+static double add_step(const struct axis_view *at, double force)
+{
+    return force + (at->time >= at->p[1] ? at->p[0] : 0.0);
+}
+
+static double add_unbalance(const struct axis_view *at, double force)
+{
+    return force + at->p[0] * sin(at->position + at->p[1]);
+}
+
+static double add_map_sine(const struct axis_view *at, double force)
+{
+    const double turns = at->p[1] * fmod(at->position, at->p[0]) / at->p[0];
+    return force + (at->p[2] * sin(TWO_PI * turns) + at->p[3] * cos(TWO_PI * turns));
+}
+
+static double add_quadratic_drag(const struct axis_view *at, double force)
+{
+    return force + at->p[0] * at->v * fabs(at->v);
+}
+
+static double add_eddy_current_damping(const struct axis_view *at, double force)
+{
+    const double ratio = at->v / at->p[1];
+    return force + at->p[0] * at->v / (1.0 + ratio * ratio);
+}
+
+static void move_hysteresis(const struct axis *axis, struct axis_effect *effect)
+{
+    const double *p = effect->parameter, v = axis->velocity, end = p[1] * sign(v);
+    double *force = &effect->state[0];
+    *force = end + (*force - end) * exp(-p[0] * fabs(v) * axis->step / p[1]);
+}
+
+static double call_own_force(const struct axis_view *at, double force)
+{
+    return force + at->effect->force(at->effect->context, at->position, at->v, at->time);
+}
+
+/* ---- friction ----------------------------------------------------------------------------------------------- */
+
+static double multiply_by_direction(const struct axis_view *at, double factor)
+{
+    return factor * (1.0 + at->p[0] * sign(at->v));
+}
+
+static double add_by_direction(const struct axis_view *at, double viscous)
+{
+    return viscous + at->p[0] * sign(at->v);
+}
+
+static double multiply_drift(const struct axis_view *at, double factor)
+{
+    return factor * (1.0 + at->p[0] * approach(at->time, at->p[1]));
+}
+
+static double add_viscous_drift(const struct axis_view *at, double viscous)
+{
+    return viscous + at->axis->set.viscous * at->p[0] * approach(at->time, at->p[1]);
+}
+
+static double multiply_age(const struct axis_view *at, double factor)
+{
+    return factor * (1.0 + at->p[0] * at->x[0]);
+}
+
+static void move_age(const struct axis *axis, struct axis_effect *effect)
+{
+    const double *p = effect->parameter, rate = 1.0 / p[1] + fabs(axis->velocity) / p[2];
+    double *age = &effect->state[0];
+    *age += (1.0 / (p[1] * rate) - *age) * (1.0 - exp(-rate * axis->step));
+}
+
+static double add_load(const struct axis_view *at, double level)
+{
+    return level + at->p[0] * fabs(at->axis->transmitted);
+}
+
+static double add_loss(const struct axis_view *at, double level)
+{
+    const double transmitted = at->axis->transmitted;
+    return level + fabs(transmitted) * (transmitted * at->v > 0.0 ? 1.0 / at->p[0] - 1.0 : 1.0 - at->p[0]);
+}
+
+static void place_lagging_level(const struct axis *axis, struct axis_effect *effect)
+{
+    effect->state[0] = axis->level;
+}
+
+static double follow_level(const struct axis *axis, struct axis_effect *effect, double level)
+{
+    effect->state[0] = level + (effect->state[0] - level) * exp(-axis->step / effect->parameter[0]);
+    return effect->state[0];
+}
+
+/* States of a gap: its side, -1, 0 (within) or 1, and the position at which the + side touches. */
+static void place_gap(const struct axis *axis, struct axis_effect *effect)
+{
+    effect->state[1] = axis->position + 0.5 * effect->parameter[0];
+}
+
+static double cut_friction(const struct axis_view *at, double friction)
+{
+    return at->x[0] == 0.0 ? 0.0 : friction;
+}
+
+/* All of a drift but what crosses the gap. */
+static double engage_behind_gap(const struct axis *axis, struct axis_effect *effect, double v, double spring)
+{
+    double *side = &effect->state[0], *contact = &effect->state[1];
+    const double gap = effect->parameter[0], from = axis->position - axis->step * v, to = axis->position;
+    if (*side > 0.0 && v < 0.0 && spring <= 0.0) {
+        *side = 0.0;
+        *contact = from;
+    } else if (*side < 0.0 && v > 0.0 && spring >= 0.0) {
+        *side = 0.0;
+        *contact = from + gap;
+    }
+    if (*side == 0.0) {
+        double path = 0.0;
+        if (to > *contact) {
+            *side = 1.0;
+            path = to - *contact;
+        } else if (to < *contact - gap) {
+            *side = -1.0;
+            path = to - (*contact - gap);
+        }
+        return path / axis->step;
+    }
+    return v;
+}
+
+/* ---- drive and mechanics ------------------------------------------------------------------------------------ */
+
+static double replace_by_state(const struct axis_view *at, double force)
+{
+    (void)force;
+    return at->x[0];
+}
+
+static void move_lagging_force(const struct axis *axis, struct axis_effect *effect)
+{
+    const double mean = 0.5 * (axis->force_before + axis->force);
+    effect->state[0] = mean + (effect->state[0] - mean) * exp(-axis->step / effect->parameter[0]);
+}
+
+static double subtract_hanging_mass(const struct axis_view *at, double mass)
+{
+    return mass - at->p[2];
+}
+
+static int check_resonance(const struct axis *axis, const struct axis_effect *effect)
+{
+    return TWO_PI * effect->parameter[0] * axis->step <= RESONANT ? 0 : AXIS_FAST_RESONANCE;
+}
+
+/* States of a hanging mass: position and velocity. */
+static void place_hanging(const struct axis *axis, struct axis_effect *effect)
+{
+    effect->state[0] = axis->position;
+}
+
+static void kick_hanging(const struct axis *axis, struct axis_effect *effect)
+{
+    const double omega = TWO_PI * effect->parameter[0], c = 2.0 * effect->parameter[1] * omega * axis->half_step;
+    const double pull = omega * omega * (axis->position - effect->state[0]) * axis->half_step;
+    effect->state[1] = (effect->state[1] + pull + c * axis->velocity) / (1.0 + c);
+}
+
+static void move_hanging(const struct axis *axis, struct axis_effect *effect)
+{
+    effect->state[0] += axis->step * effect->state[1];
+}
+
+static double add_pull(const struct axis_view *at, double force)
+{
+    const double *p = at->p, *x = at->x, omega = TWO_PI * p[0];
+    return force + p[2] * omega * (omega * (at->position - x[0]) + 2.0 * p[1] * (at->v - x[1]));
+}
+
+/* ---- table -------------------------------------------------------------------------------------------------- */
+
+static const struct axis_effect_row table[] = {
+    /* force = force_N */
+    {"constant_offset", {"force_N"}, .change = {[AXIS_OUTSIDE_FORCE] = add_parameter}},
+    /* force = amplitude sin(2 pi q / pitch + phase) */
+    {"force_ripple", {"amplitude_N", "pitch_m", "phase_rad"}, .change = {[AXIS_OTHER_FORCE] = add_ripple}},
+    /* force on the mass = logged force (1 + ratio sin(2 pi q / pitch + phase)) */
+    {"force_constant_ripple", {"ratio", "pitch_m", "phase_rad"}, .change = {[AXIS_FORCE_CONSTANT] = multiply_ripple}},
+    /* force = stiffness (q - centre) */
+    {"position_spring", {"stiffness_N_m", "centre_m"}, .change = {[AXIS_OUTSIDE_FORCE] = add_position_spring}},
+    /* Dahl: dF/dq = stiffness (1 - F sign(v) / force_N) */
+    {"hose_hysteresis",
+     {"stiffness_N_m", "force_N"},
+     .change = {[AXIS_OTHER_FORCE] = add_state},
+     .move = move_hysteresis},
+    /* s(v) (1 + ratio sign(v)) */
+    {"asymmetric_coulomb", {"ratio"}, .change = {[AXIS_LEVEL_FACTOR] = multiply_by_direction}},
+    /* sigma_v + difference sign(v) */
+    {"asymmetric_viscous", {"difference_N_s_m"}, .change = {[AXIS_VISCOUS] = add_by_direction}},
+    /* s(v) (1 + ratio sin(2 pi q / pitch + phase)) */
+    {"position_dependent_friction",
+     {"ratio", "pitch_m", "phase_rad"},
+     .change = {[AXIS_LEVEL_FACTOR] = multiply_ripple}},
+    /* s(v) (1 + ratio (1 - exp(-t / time_constant))) */
+    {"friction_drift", {"ratio", "time_constant_s"}, .change = {[AXIS_LEVEL_FACTOR] = multiply_drift}},
+    /* sigma_v (1 + ratio (1 - exp(-t / time_constant))) */
+    {"viscous_drift", {"ratio", "time_constant_s"}, .change = {[AXIS_VISCOUS] = add_viscous_drift}},
+    /* true mass = mass + mass_kg */
+    {"mass_mismatch", {"mass_kg"}, .change = {[AXIS_INERTIA] = add_parameter, [AXIS_MOVING_MASS] = add_parameter}},
+    /* logged force = gain times the force on the mass */
+    {"force_gain", {"gain"}, .change = {[AXIS_READ_FORCE] = multiply}},
+    /* logged force = force on the mass, delay_s ago; below zero: force on the mass = logged force, -delay_s ago */
+    {"force_delay", {"delay_s"}, .change = {[AXIS_DELAY] = add_parameter}},
+    /* force on the mass follows the logged one with a first-order lag */
+    {"actuator_lag", {"time_constant_s"}, .change = {[AXIS_DRIVE] = replace_by_state}, .move = move_lagging_force},
+    /* force = coefficient v |v| */
+    {"quadratic_drag", {"coefficient_N_s2_m2"}, .change = {[AXIS_OTHER_FORCE] = add_quadratic_drag}},
+    /* force = damping v / (1 + (v / corner)^2) */
+    {"eddy_current_damping",
+     {"damping_N_s_m", "corner_velocity_m_s"},
+     .change = {[AXIS_OTHER_FORCE] = add_eddy_current_damping}},
+    /* encoder reads q + amplitude sin(2 pi q / pitch + phase) */
+    {"encoder_periodic_error", {"amplitude_m", "pitch_m", "phase_rad"}, .change = {[AXIS_READ_POSITION] = add_ripple}},
+    /* `mass_kg` of the mass hangs on a spring; frequency is its own, with the rest held */
+    {"structural_resonance",
+     {"frequency_Hz", "damping_ratio", "mass_kg"},
+     .change = {[AXIS_MOVING_MASS] = subtract_hanging_mass, [AXIS_OTHER_FORCE] = add_pull},
+     .check = check_resonance,
+     .place = place_hanging,
+     .kick = kick_hanging,
+     .move = move_hanging},
+    /* force = amplitude sin(2 pi frequency t + phase) */
+    {"periodic_disturbance",
+     {"amplitude_N", "frequency_Hz", "phase_rad"},
+     .change = {[AXIS_OUTSIDE_FORCE] = add_oscillation}},
+    /* force = force_N from time_s on */
+    {"step_disturbance", {"force_N", "time_s"}, .change = {[AXIS_OUTSIDE_FORCE] = add_step}},
+    /* friction acts behind a gap: no friction while the mass crosses it */
+    {"backlash",
+     {"gap_m"},
+     .change = {[AXIS_FRICTION] = cut_friction},
+     .place = place_gap,
+     .engage = engage_behind_gap},
+    /* s follows s(v) with a first-order lag */
+    {"frictional_lag", {"time_constant_s"}, .place = place_lagging_level, .follow = follow_level},
+    /* s(v) (1 + ratio d), dd/dt = (1 - d) / time_constant - |v| d / length: ages at rest, renewed by motion */
+    {"dwell_dependence",
+     {"ratio", "time_constant_s", "length_m"},
+     .change = {[AXIS_LEVEL_FACTOR] = multiply_age},
+     .move = move_age},
+    /* sigma_i + nu_i damping */
+    {"micro_viscous", {"damping_N_s_m"}, .change = {[AXIS_MICRO_VISCOUS] = add_parameter}},
+    /* force = amplitude sin(q + phase), q an angle */
+    {"unbalance", {"amplitude_N", "phase_rad"}, .change = {[AXIS_OUTSIDE_FORCE] = add_unbalance}},
+    /* s(v) + ratio |T|, T: what the drive transmits */
+    {"load_dependent_friction", {"ratio"}, .change = {[AXIS_LOAD_LEVEL] = add_load}},
+    /* s(v) + |T| (1 / efficiency - 1) where T drives the motion, s(v) + |T| (1 - efficiency) where it brakes it */
+    {"drive_efficiency", {"efficiency_ratio"}, .change = {[AXIS_LOAD_LEVEL] = add_loss}},
+    /* force = sum over its sines of sine sin(2 pi order q / pitch) + cosine cos(...); one effect of the plant each */
+    {"position_map", {"pitch_m", "order", "sine_N", "cosine_N"}, .change = {[AXIS_OTHER_FORCE] = add_map_sine}},
+};
+
+#define ROWS (sizeof table / sizeof table[0])
+
+const char *axis_effect_name(size_t kind)
+{
+    return kind < ROWS ? table[kind].name : NULL;
+}
+
+const char *axis_effect_parameter(size_t kind, size_t j)
+{
+    return kind < ROWS && j < AXIS_MAX_EFFECT_PARAMETERS ? table[kind].parameter[j] : NULL;
+}
+
+static int add_row(struct axis *axis, const struct axis_effect_row *row)
+{
+    if (axis->effects >= AXIS_MAX_EFFECTS) {
+        return -1;
+    }
+    axis->effect[axis->effects].row = row;
+    for (unsigned quantity = 0; quantity < AXIS_QUANTITIES; ++quantity) {
+        axis->changed |= row->change[quantity] != NULL ? 1u << quantity : 0u;
+    }
+    return (int)axis->effects++;
+}
+
+int axis_add_effect(struct axis *axis, size_t kind, const double *parameter)
+{
+    const int index = kind < ROWS ? add_row(axis, &table[kind]) : -1;
+    for (size_t j = 0; index >= 0 && axis_effect_parameter(kind, j) != NULL; ++j) {
+        axis->effect[index].parameter[j] = parameter[j];
+    }
+    return index;
+}
+
+int axis_add_force(struct axis *axis, axis_force *force, void *context)
+{
+    static const struct axis_effect_row row = {.change = {[AXIS_OTHER_FORCE] = call_own_force}};
+    const int index = add_row(axis, &row);
+    if (index >= 0) {
+        axis->effect[index].force = force;
+        axis->effect[index].context = context;
+    }
+    return index;
+}
+
+void axis_set_effect(struct axis *axis, size_t effect, size_t j, double value)
+{
+    if (effect < axis->effects && j < AXIS_MAX_EFFECT_PARAMETERS) {
+        axis->effect[effect].parameter[j] = value;
+    }
+}
