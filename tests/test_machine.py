@@ -416,7 +416,7 @@ BAD_VALUES = [
     ("log.time = 't'", "log.time", "did you mean time_s?"),
     ("log.force_N = 3", "log.force_N", "a table"),
     ("log.force_N = ''", "log.force_N.variable", "at least 1"),
-    ("log.force_N = { scale = 2.0 }", "log.force_N.variable", "required key is missing"),
+    ("log.force_N = {}", "log.force_N.variable", "required key is missing"),
     ("log.force_N = { variable = 'u', scale = 0.0 }", "log.force_N.scale", "other than 0"),
     ("log.force_N = { variable = 'u', scale = inf }", "log.force_N.scale", "finite"),
     ("log.force_N = { variable = 'u', unit = 'mm' }", "log.force_N.unit", "N, mN, kN"),

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from sgms_mhe.configuration import load_machine
+from sgms_mhe.configuration import load_machine, with_log
 from sgms_mhe.logfiles.frames import FRAME, Frame, read_frame
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import check_kind, log_of, understand, understand_table
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Machine, log_mapping
 from sgms_mhe.signals.logs import Log, check_rate
 
 LogSource = str | Path | Log | Frame
@@ -46,6 +46,7 @@ def read_log(
     *,
     start_s: float = 0.0,
     end_s: float = math.inf,
+    table: Mapping[str, Any] | None = None,
     note: Note | None = None,
 ) -> Log:
     """Read a log in SI units; every array (n,), NaN where a sample is missing.
@@ -55,21 +56,23 @@ def read_log(
             file are: by their names and units, or by `[log]` of the machine.
         machine: whose `[log]`, kind of axis and rate count; None: the log speaks for itself.
         start_s, end_s: part of it [s since the first sample].
+        table: content of a table `[log]`, laid over that of the machine: `{"rate": 1000.0}`.
         note: called with each sentence on what was left out or changed.
 
     Raises:
         InputError: it cannot be read, is of another kind of axis or rate than the machine, or time is not uniform.
     """
-    axis = None if machine is None else load(machine)
+    axis = None if machine is None else with_log(load(machine), table or {})
+    mapping = log_mapping(table, "[log]") if table and axis is None else None
     if isinstance(log, Log):
         if axis is not None:
             check_kind(log.source or "log", log.kind, log.units.keyed(log.columns), axis)
             check_rate(log, axis)
         return log.part(start_s, end_s)
     if isinstance(log, str | Path):
-        reading = understand(log, axis)
+        reading = understand(log, axis, mapping)
     else:
-        reading = understand_table(FRAME, read_frame(log), axis)
+        reading = understand_table(FRAME, read_frame(log), axis, mapping)
     found = log_of(reading, axis).part(start_s, end_s)
     if note is not None:
         for sentence in reading.notes:

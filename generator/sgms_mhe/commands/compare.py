@@ -19,6 +19,7 @@ from sgms_mhe.commands.common import (
     show,
     table_text,
 )
+from sgms_mhe.commands.log_options import load_for_log, log_options
 
 if TYPE_CHECKING:
     from sgms_mhe.evaluation.comparison import Comparison
@@ -27,8 +28,9 @@ if TYPE_CHECKING:
 @click.command(short_help="Generated C against the reference solver.", epilog=example("compare etel_xy axis.csv"))
 @machine_argument
 @log_argument
+@log_options
 @json_option
-def command(machine: str, log: Path, as_json: bool) -> None:
+def command(machine: str, log: Path, table: dict[str, Any], as_json: bool) -> None:
     """Run the generated C and the reference solver on the same signals and compare them, update by update.
 
     Differences are relative: of friction and deflections to their range, of parameters and standard deviations to the
@@ -39,9 +41,7 @@ def command(machine: str, log: Path, as_json: bool) -> None:
 
     Exit code 1 where the two are further apart.
     """
-    from sgms_mhe.configuration import load_machine
-
-    resolved = load_machine(machine)
+    resolved = load_for_log(machine, table)
 
     from sgms_mhe.api.estimation import check_length
     from sgms_mhe.evaluation.comparison import compare_signals

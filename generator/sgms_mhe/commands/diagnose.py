@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -26,6 +26,7 @@ from sgms_mhe.commands.common import (
     show,
     steps_bar,
 )
+from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.errors import ImplausibleError, InputError
 from sgms_mhe.support.parallel import leave_cores_to_tasks
 
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 )
 @machine_argument
 @log_argument
+@log_options
 @out_option("Folder of the results; default: MACHINE's name and _diagnosis.", metavar="DIR", required=False)
 @click.option(
     "--unseen",
@@ -61,6 +63,7 @@ if TYPE_CHECKING:
 def command(
     machine: str,
     log: Path,
+    table: dict[str, Any],
     out: Path | None,
     unseen: Path | None,
     start_s: float,
@@ -77,9 +80,7 @@ def command(
     Exit code 1: unexplained; so is a log whose force or position has another sign, scale or unit, which is said.
     """
     leave_cores_to_tasks()  # before anything loads numpy
-    from sgms_mhe.configuration import load_machine
-
-    resolved = load_machine(machine)
+    resolved = load_for_log(machine, table)
     note_broken_effects()
     folder = out or Path(f"{resolved.name}_diagnosis")
     check_output_folder(folder)

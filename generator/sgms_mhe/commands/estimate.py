@@ -23,6 +23,7 @@ from sgms_mhe.commands.common import (
     show,
     table_text,
 )
+from sgms_mhe.commands.log_options import load_for_log, log_options
 
 if TYPE_CHECKING:
     from sgms_mhe.machine import Machine
@@ -41,6 +42,7 @@ SOLVERS: Final = ("c", "reference", "ekf", "smoother")
 )
 @machine_argument
 @log_argument
+@log_options
 @out_option("CSV to write: one row per update.")
 @click.option(
     "--solver",
@@ -54,15 +56,15 @@ SOLVERS: Final = ("c", "reference", "ekf", "smoother")
     "--plot", type=click.Path(path_type=Path), metavar="DIR", help="Also draw friction.png and parameters.png."
 )
 @json_option
-def command(machine: str, log: Path, out: Path, solver: Solver, plot: Path | None, as_json: bool) -> None:
+def command(
+    machine: str, log: Path, table: dict[str, Any], out: Path, solver: Solver, plot: Path | None, as_json: bool
+) -> None:
     """Estimate friction and parameters from LOG as the controller would, one row per update.
 
     The generated C takes position and force through its own signal chain; a log that brings velocity_m_s,
     acceleration_m_s2 or friction_N goes through the Python one, which uses those columns.
     """
-    from sgms_mhe.configuration import load_machine
-
-    resolved = load_machine(machine)
+    resolved = load_for_log(machine, table)
     check_output_file(out)
     if plot is not None:
         check_output_folder(plot)

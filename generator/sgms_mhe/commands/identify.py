@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -19,6 +19,7 @@ from sgms_mhe.commands.common import (
     show,
     table_text,
 )
+from sgms_mhe.commands.log_options import load_for_log, log_options, log_text
 
 if TYPE_CHECKING:
     from sgms_mhe.identification import Identification
@@ -44,6 +45,7 @@ def _elements(ctx: click.Context, param: click.Parameter, text: str) -> int | No
     ),
 )
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@log_options
 @out_option("The machine file to write; its stem is the machine's name.", metavar="MACHINE.toml")
 @click.option(
     "--mass", type=Number(1e-9, HEAVIEST), metavar="KG", help="Moved mass; default: the one that the motion shows."
@@ -61,6 +63,7 @@ def _elements(ctx: click.Context, param: click.Parameter, text: str) -> int | No
 @json_option
 def command(
     logs: tuple[Path, ...],
+    table: dict[str, Any],
     out: Path,
     mass: float | None,
     inertia: float | None,
@@ -75,16 +78,15 @@ def command(
     """
     check_output_file(out, (".toml",))
 
-    from sgms_mhe.configuration import load_machine
+    from sgms_mhe.api.inputs import read_log
     from sgms_mhe.identification import Wanted, identify
-    from sgms_mhe.logfiles.reading import read_log
     from sgms_mhe.support.files import write_text
 
-    model = load_machine(like) if like is not None else None
-    read = [read_log(path, model) for path in logs]
+    model = load_for_log(like, table) if like is not None else None
+    read = [read_log(path, model, table=table, note=note) for path in logs]
     moved = moved_mass("identify", read[0].units, mass, inertia)
     found = identify(read, Wanted(out.stem, moved, elements, model), note)
-    write_text(out, found.toml)
+    write_text(out, found.toml if model is not None else found.toml + log_text(table, read[0].kind))
     show(json_text(found.to_json() | {"file": str(out)}) if as_json else _text(found, out), out)
 
 

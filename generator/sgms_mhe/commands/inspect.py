@@ -7,7 +7,15 @@ from typing import Any
 
 import click
 
-from sgms_mhe.commands.common import example, json_option, json_text, log_argument, show, table_text
+from sgms_mhe.commands.common import (
+    example,
+    json_option,
+    json_text,
+    log_argument,
+    show,
+    table_text,
+)
+from sgms_mhe.commands.log_options import load_for_log, log_options
 
 SHOWN = 12
 """Names of columns that are not read, that the text repeats."""
@@ -18,22 +26,23 @@ SHOWN = 12
     epilog=example("inspect axis.csv", "inspect DATA_EMPS.mat --machine emps"),
 )
 @log_argument
+@log_options
 @click.option("--machine", metavar="MACHINE", help="Machine file whose [log] and whose axis LOG is read for.")
 @json_option
 @click.pass_context
-def command(ctx: click.Context, log: Path, machine: str | None, as_json: bool) -> None:
+def command(ctx: click.Context, log: Path, table: dict[str, Any], machine: str | None, as_json: bool) -> None:
     """Show what is understood of LOG: dialect, columns, units, rate, jitter, missing samples, range.
 
     Exit code 1 where the commands that read logs would refuse this one; the reason is printed.
     """
-    from sgms_mhe.configuration import load_machine
-
-    resolved = None if machine is None else load_machine(machine)
+    resolved = None if machine is None else load_for_log(machine, table)
 
     from sgms_mhe.logfiles.inspection import inspect_reading
     from sgms_mhe.logfiles.reading import understand
+    from sgms_mhe.machine import log_mapping
 
-    found = inspect_reading(understand(log, resolved), resolved)
+    mapping = log_mapping(table, "[log]") if resolved is None and table else None
+    found = inspect_reading(understand(log, resolved, mapping), resolved)
     content = found.as_dict()
     show(json_text(content) if as_json else _text(content))
     if found.problems:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -20,6 +21,7 @@ from sgms_mhe.commands.common import (
     progress_bar,
     show,
 )
+from sgms_mhe.commands.log_options import load_for_log, log_options
 
 
 @click.command(
@@ -31,6 +33,7 @@ from sgms_mhe.commands.common import (
 )
 @machine_argument
 @log_argument
+@log_options
 @out_option("CSV to write: time_s, friction_measured_N, friction_N (of a rotary axis _Nm) at every sample.")
 @part_options("Compare from here on [s since the log's start]; the model runs through the whole log.")
 @click.option("--lowpass", type=Number(1e-3, 1e7), metavar="HZ", help="In place of the machine's velocity_cutoff.")
@@ -47,6 +50,7 @@ from sgms_mhe.commands.common import (
 def command(
     machine: str,
     log: Path,
+    table: dict[str, Any],
     out: Path,
     start_s: float,
     end_s: float,
@@ -60,9 +64,7 @@ def command(
     nothing is missing. Elsewhere friction_measured_N is NaN. The force error is that RMS over the RMS of the drive
     force, as inverse dynamic models are judged.
     """
-    from sgms_mhe.configuration import load_machine
-
-    resolved = load_machine(machine)
+    resolved = load_for_log(machine, table)
     check_output_file(out)
 
     from sgms_mhe.api import estimation

@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from sgms_mhe.commands.common import Number, check_output_file, example, moved_mass, note, out_option, show
+from sgms_mhe.commands.common import (
+    Number,
+    check_output_file,
+    example,
+    moved_mass,
+    note,
+    out_option,
+    show,
+)
+from sgms_mhe.commands.log_options import log_options, log_text
 from sgms_mhe.support.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,10 +38,10 @@ _positive = Number(1e-12, LARGEST)
     ),
 )
 @click.argument("logs", metavar="[LOG]...", nargs=-1, type=click.Path(path_type=Path))
+@log_options
 @out_option("The machine file to write; its stem is the machine's name.", metavar="MACHINE.toml")
 @click.option("--mass", type=_positive, metavar="KG", help="Moved mass.")
 @click.option("--inertia", type=_positive, metavar="KG_M2", help="The same of an axis that turns.")
-@click.option("--rate", type=Number(1.0, 1e6), metavar="HZ", help="Samples per second; of a log its own.")
 @click.option("--coulomb", type=_positive, metavar="N", help="Level of sliding friction, if known.")
 @click.option("--viscous", type=_positive, metavar="N_S_M", help="Its rise with speed, if known.")
 @click.option("--break-away", type=_positive, metavar="M", help="Distance after a reversal until all slides, if known.")
@@ -40,10 +49,10 @@ _positive = Number(1e-12, LARGEST)
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
 def command(
     logs: tuple[Path, ...],
+    table: dict[str, Any],
     out: Path,
     mass: float | None,
     inertia: float | None,
-    rate: float | None,
     coulomb: float | None,
     viscous: float | None,
     break_away: float | None,
@@ -65,15 +74,16 @@ def command(
     if mass is not None and inertia is not None:
         raise InputError("start", "--inertia", inertia, "none beside --mass: an axis goes or turns")
     if logs:
-        given = {"--rate": rate, "--coulomb": coulomb, "--viscous": viscous, "--break-away": break_away}
+        given = {"--coulomb": coulomb, "--viscous": viscous, "--break-away": break_away}
         for option, value in given.items():
             if value is not None:
                 raise InputError("start", option, value, "none with a log, which says so itself")
-        write_text(out, _from_logs(logs, out.stem, mass, inertia))
+        write_text(out, _from_logs(logs, table, out.stem, mass, inertia))
     else:
         kind: Kind = "linear" if inertia is None else "rotary"
         given_mass = mass if inertia is None else inertia
         moved = _asked("--mass", "Moved mass [kg]") if given_mass is None else given_mass
+        rate = table.get("rate")
         if rate is None:
             rate = _asked("--rate", "Samples per second [Hz]")
         known = Known(out.stem, kind, moved, rate, coulomb, viscous, break_away, max_velocity)
@@ -92,10 +102,13 @@ def _asked(option: str, question: str) -> float:
     return float(click.prompt(question, type=_positive, err=True))
 
 
-def _from_logs(logs: tuple[Path, ...], name: str, mass: float | None, inertia: float | None) -> str:
+def _from_logs(
+    logs: tuple[Path, ...], table: dict[str, Any], name: str, mass: float | None, inertia: float | None
+) -> str:
     """The file that identification writes, and on stderr how the logs were read."""
     from sgms_mhe.api.identification import identify
     from sgms_mhe.api.inputs import read_log
 
-    read = [read_log(path, note=note) for path in logs]
-    return identify(read, name, mass=moved_mass("start", read[0].units, mass, inertia), note=note).toml
+    read = [read_log(path, table=table, note=note) for path in logs]
+    found = identify(read, name, mass=moved_mass("start", read[0].units, mass, inertia), note=note)
+    return found.toml + log_text(table, read[0].kind)

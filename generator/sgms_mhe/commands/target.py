@@ -19,6 +19,7 @@ from sgms_mhe.commands.common import (
     show,
     table_text,
 )
+from sgms_mhe.commands.log_options import load_for_log, log_options
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 )
 @machine_argument
 @click.argument("log", type=click.Path(path_type=Path), required=False)
+@log_options
 @click.option(
     "--core",
     type=click.Choice(("cortex_m7", "riscv32")),
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
 def command(
     machine: str,
     log: Path | None,
+    table: dict[str, Any],
     core: str,
     trajectory: str,
     updates: int,
@@ -70,9 +73,7 @@ def command(
     Exit code 1 where the target's estimates are further from the host's than rounding explains, or the package holds
     double-precision arithmetic.
     """
-    from sgms_mhe.configuration import load_machine
-
-    resolved = load_machine(machine)
+    resolved = load_for_log(machine, table)
 
     from sgms_mhe.api.estimation import check_length
     from sgms_mhe.emission.package import emit_package

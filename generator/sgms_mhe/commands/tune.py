@@ -20,6 +20,7 @@ from sgms_mhe.commands.common import (
     show,
     table_text,
 )
+from sgms_mhe.commands.log_options import load_for_log, log_options
 
 if TYPE_CHECKING:
     from sgms_mhe.evaluation.tuning import Tuned
@@ -31,19 +32,18 @@ if TYPE_CHECKING:
 )
 @machine_argument
 @log_argument
+@log_options
 @out_option("A machine file that extends MACHINE by the weights.", metavar="MACHINE.toml", required=False)
 @click.option("--plot", type=click.Path(path_type=Path), metavar="PNG", help="Draw what every weight was worth.")
 @json_option
-def command(machine: str, log: Path, out: Path | None, plot: Path | None, as_json: bool) -> None:
+def command(machine: str, log: Path, table: dict[str, Any], out: Path | None, plot: Path | None, as_json: bool) -> None:
     """Find the noise weights and the horizon under which LOG is likeliest.
 
     The innovations are then as large as the estimator says they are: the mean test ratio is near 1. Weights that the
     log cannot tell from the file's stay as they are. What the estimator shall be allowed to believe at its start
     (parameter, initial_state) is the user's to say, and not touched.
     """
-    from sgms_mhe.configuration import load_machine
-
-    resolved = load_machine(machine)
+    resolved = load_for_log(machine, table)
     if out is not None:
         check_output_file(out, (".toml",))
     if plot is not None:

@@ -28,6 +28,7 @@ from sgms_mhe.commands.common import (
     show,
     table_text,
 )
+from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.errors import InputError
 
 if TYPE_CHECKING:
@@ -90,6 +91,7 @@ class Interrupt:
 )
 @machine_argument
 @log_argument
+@log_options
 @click.option("--follow", is_flag=True, help="LOG grows: go on with what is written to it.")
 @click.option(
     "--speed",
@@ -117,6 +119,7 @@ def command(
     ctx: click.Context,
     machine: str,
     log: Path,
+    table: dict[str, Any],
     follow: bool,
     speed: float,
     idle_s: float | None,
@@ -131,9 +134,7 @@ def command(
     LOG is a log that is replayed; with --follow a text that grows; - for standard input, or a pipe. The numbers are
     those of estimate, to the last bit.
     """
-    from sgms_mhe.configuration import load_machine
-
-    resolved = load_machine(machine)
+    resolved = load_for_log(machine, table)
     for path, suffixes in ((out, ()), (page, (".html", ".htm"))):
         if path is not None:
             check_output_file(path, suffixes)

@@ -18,6 +18,7 @@ from sgms_mhe.integration.flow_table import gate_saturates
 from sgms_mhe.integration.work_precision import ROUNDING, candidates, choose
 from sgms_mhe.machine import (
     BASE_PARAMETERS,
+    BY_COLUMN,
     Estimator,
     Integrator,
     Layer,
@@ -26,7 +27,9 @@ from sgms_mhe.machine import (
     ResolvedEffect,
     Sampling,
     estimable_names,
+    kinds_of,
     listing,
+    log_table,
     machine_file,
     merged,
     read_machine_file,
@@ -39,6 +42,7 @@ _INTEGRATOR: Final = ("sampling", "integrator")
 _Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 _NUMBERS: Final = TypeAdapter(dict[str, _Number])
 _LISTS: Final = TypeAdapter(dict[str, list[_Number]])
+_NAMES: Final = frozenset(("variable", "member", "row"))
 MOST_ENTRIES: Final = 64
 """Entries that the lists of an effect may have."""
 
@@ -57,6 +61,16 @@ def override_machine(machine: Machine, changes: Mapping[str, Any]) -> Machine:
     Defaults that depend on other keys follow the changes. Raises InputError as load_machine does.
     """
     return _resolved(machine_file(merged(machine.content, changes), [Layer(machine.source, changes)]))
+
+
+def with_log(machine: Machine, stated: Mapping[str, Any]) -> Machine:
+    """The machine with what is stated of its logs laid over its table [log]; bare columns of its own kind alone."""
+    if not stated:
+        return machine
+    other = {key for key in set(BY_COLUMN) & set(stated) if machine.plant.kind not in kinds_of(key)}
+    bare = {key for key in other if isinstance(stated[key], Mapping) and not _NAMES & set(stated[key])}
+    kept = {key: entry for key, entry in stated.items() if key not in bare}
+    return override_machine(machine, {"log": log_table(machine.content.get("log", {}), kept)})
 
 
 def make_machine(content: Mapping[str, Any], source: Path) -> Machine:

@@ -194,7 +194,7 @@ class _Rows:
     def __init__(self, path: Path, machine: Machine, dialect: Dialect) -> None:
         hints, lines = machine.log, [line for _, line in dialect.rows]
         cells = Cells(path, dialect, hints)
-        self._path = path
+        self._path, self._rate = path, None if hints is None else hints.rate
         self._table = Table(
             "text",
             cells.columns,
@@ -279,7 +279,11 @@ class _Rows:
         return columns
 
     def _si(self, told: _Told, raw: Mapping[str, NDArray[Any]]) -> dict[str, Array]:
-        return si_piece(self._path, self._table, self._sources, raw, told.turns)
+        columns = si_piece(self._path, self._table, self._sources, raw, told.turns)
+        if "time_s" in columns or self._rate is None:
+            return columns
+        count = len(next(iter(columns.values())))
+        return {"time_s": (told.samples + np.arange(count)) / self._rate} | columns
 
     def _piece(self, told: _Told, rows: Sequence[Row]) -> Dialect:
         return replace(self._dialect, rows=tuple(rows), decimal=told.decimal, first=told.samples)

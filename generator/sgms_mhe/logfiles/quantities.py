@@ -50,8 +50,8 @@ def turns_of(sources: tuple[Source, ...]) -> dict[str, Turns]:
     return {source.column: Turns(source.wrap) for source in sources if source.wrap is not None}
 
 
-def si_values(path: Path, table: Table, sources: tuple[Source, ...]) -> dict[str, Array]:
-    """Columns of the log (n,) by their names, in SI units, all of one length.
+def si_values(path: Path, table: Table, sources: tuple[Source, ...], rate: float | None = None) -> dict[str, Array]:
+    """Columns of the log (n,) by their names, in SI units, all of one length; time by `rate` [Hz] where it has none.
 
     Raises InputError for a matrix without a row, columns of unequal length, and a position that starts over.
     """
@@ -60,6 +60,8 @@ def si_values(path: Path, table: Table, sources: tuple[Source, ...]) -> dict[str
         if source.quantity.role == "position" and source.wrap is None:
             _check_jumps(path, source, _vector(path, source, raw[source.column]), table.row)
     columns = si_piece(path, table, sources, raw, turns_of(sources))
+    if "time_s" not in columns and rate is not None:
+        columns = {"time_s": np.arange(len(next(iter(columns.values())))) / rate} | columns
     length = len(columns["time_s"])
     for name, values in columns.items():
         if len(values) != length:

@@ -77,18 +77,26 @@ def read_log(path: str | Path, machine: Machine | None = None) -> Log:
     return log_of(understand(path, machine), machine)
 
 
-def understand(path: str | Path, machine: Machine | None = None) -> Reading:
-    """Read a file as far as it can be understood. Raises InputError, with what to write where, for what cannot."""
-    path = Path(path)
-    return understand_table(path, _table(path, machine.log if machine is not None else None), machine)
+def understand(path: str | Path, machine: Machine | None = None, mapping: LogMapping | None = None) -> Reading:
+    """Read a file as far as it can be understood; `mapping` takes the place of the machine's [log].
+
+    Raises InputError, with what to write where, for what cannot be understood.
+    """
+    path, mapping = Path(path), _mapping(machine, mapping)
+    return understand_table(path, _table(path, mapping), machine, mapping)
 
 
-def understand_table(path: Path, table: Table, machine: Machine | None = None) -> Reading:
+def understand_table(
+    path: Path, table: Table, machine: Machine | None = None, mapping: LogMapping | None = None
+) -> Reading:
     """Understand a table that was read from `path`, or that messages call so. Raises InputError as `understand`."""
-    mapping = machine.log if machine is not None else None
+    mapping = _mapping(machine, mapping)
     kind, sources = choose_sources(path, table, mapping, machine.plant.kind if machine is not None else None)
-    columns = si_values(path, table, sources)
+    stated = mapping.rate if mapping is not None else None
+    columns = si_values(path, table, sources, stated)
     timing = measure_time(path, columns["time_s"], table.row)
+    if stated is not None and abs(timing.rate - stated) > JITTER * stated:
+        raise InputError(path, "[log] rate", stated, f"{timing.rate:.6g} Hz, as its time column says")
     rate = machine.sampling.rate if machine is not None else None
     resampling = None
     if mapping is not None and mapping.resample and not _on_grid(timing, rate):
@@ -127,6 +135,10 @@ def check_kind(source: str | Path, kind: Kind, columns: Iterable[str], machine: 
         f"columns of a {wanted} axis, as {machine.name} is ([plant] kind); [log] of the machine file maps {needed}"
     )
     raise InputError(source, "columns", f"{', '.join(columns)} of a {kind} axis", allowed)
+
+
+def _mapping(machine: Machine | None, mapping: LogMapping | None) -> LogMapping | None:
+    return machine.log if mapping is None and machine is not None else mapping
 
 
 def _table(path: Path, mapping: LogMapping | None) -> Table:

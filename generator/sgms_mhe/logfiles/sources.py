@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -69,10 +69,16 @@ def choose_sources(
     mapped = mapping.columns if mapping is not None else {}
     sources = []
     for quantity in QUANTITIES[kind]:
-        source = _source(path, table, quantity, mapped.get(quantity.column))
+        source = _source(path, table, quantity, mapped.get(quantity.column), optional=_is_optional(quantity, mapping))
         if source is not None:
             sources.append(source)
     return kind, tuple(sources)
+
+
+def _is_optional(quantity: Quantity, mapping: LogMapping | None) -> bool:
+    """Return True for a quantity that a log need not have: all but the required ones, and time where a rate says it."""
+    by_rate = mapping is not None and mapping.rate is not None
+    return quantity.role not in REQUIRED or (quantity.role == "time" and by_rate)
 
 
 def split_name(name: str) -> tuple[str, str]:
@@ -112,13 +118,19 @@ def _stated(column: Column, quantity: Quantity) -> str:
     return "N m" if unit in ("nm", "NM") and quantity.unit == "N m" else unit  # no torque is in nanometres
 
 
-def _candidates(table: Table, quantity: Quantity) -> list[Column]:
-    """Columns that are this quantity by the log's own name, or else by a usual name with one of its units."""
+def _candidates(table: Table, quantity: Quantity, bare: LogColumn | None = None) -> list[Column]:
+    """Columns that are this quantity by the log's own name, or else by a usual name with one of its units.
+
+    `bare`: what [log] says of it without naming it; where that makes SI values, the unit need not be the file's.
+    """
     own = [column for column in table.columns if column.header == quantity.column]
     if own or quantity.role not in REQUIRED:
         return own
     named = [column for column in table.columns if _is_alias(column, quantity)]
     stamps = [column for column in named if column.name in table.stamped] if quantity.role == "time" else []
+    if bare is not None and (bare.unit is not None or bare.scale != 1.0):
+        stated = [column for column in named if _stated(column, quantity) == normal_unit(bare.unit or "")]
+        return stamps or stated or [column for column in named if not _stated(column, quantity)] or named
     sound = [column for column in named if _stated(column, quantity) in quantity.units]
     return stamps or sound or [column for column in named if _stated(column, quantity) in quantity.allowed]
 
@@ -126,14 +138,14 @@ def _candidates(table: Table, quantity: Quantity) -> list[Column]:
 def _kind(path: Path, table: Table, mapping: LogMapping | None, preferred: Kind | None) -> Kind:
     if mapping is not None and mapping.kind is not None:
         return mapping.kind
-    found = _kinds(table, sure=True) or _kinds(table, sure=False)
+    found = _kinds(table, mapping, sure=True) or _kinds(table, mapping, sure=False)
     if len(found) == 2 and preferred is None:
         allowed = "columns of one kind of axis; [log] of the machine file says which: position_m or position_rad = ..."
         raise InputError(path, "columns", _shown(table), allowed)
     return preferred if preferred is not None and (preferred in found or not found) else [*found, "linear"][0]
 
 
-def _kinds(table: Table, *, sure: bool) -> list[Kind]:
+def _kinds(table: Table, mapping: LogMapping | None, *, sure: bool) -> list[Kind]:
     """Kinds of axis whose position or force the file has; `sure`: in a unit that no other kind has."""
     return [
         kind
@@ -142,7 +154,9 @@ def _kinds(table: Table, *, sure: bool) -> list[Kind]:
             not sure or column.header == quantity.column or _stated(column, quantity) in quantity.units
             for quantity in quantities
             if quantity.role in ("position", "force")
-            for column in _candidates(table, quantity)
+            for column in _candidates(
+                table, quantity, None if mapping is None else mapping.columns.get(quantity.column)
+            )
         )
     ]
 
@@ -153,31 +167,32 @@ def _shown(table: Table) -> str:
     return f"{shown} (no header was found above its rows)" if dict(table.dialect).get("header") == "none" else shown
 
 
-def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | None) -> Source | None:
-    column = None if mapped is None else _named(path, table, quantity, mapped)
-    if mapped is not None and column is not None:
-        return Source(
-            quantity,
-            column.name,
-            *_mapped_unit(path, quantity, mapped, column, column.name in table.stamped),
-            mapped.row,
-            mapped.scale,
-            mapped.offset,
-            mapped.counts_per,
-            mapped.wrap,
-        )
-    found = _candidates(table, quantity)
-    if mapped is not None:  # what [log] names is not there: only a log of this package's own takes its place
-        found = [candidate for candidate in found if candidate.header == quantity.column]
-    if len(found) > 1:
-        names = ", ".join(candidate.name for candidate in found)
-        allowed = f"one column; [log] of the machine file says which: {_line(quantity, found[0].name)}"
-        raise InputError(path, f"column {quantity.column}", found[0].header if _same(found) else names, allowed)
-    if not found:
-        if quantity.role in REQUIRED or mapped is not None:
-            raise _missing(path, table, quantity, mapped)
-        return None
-    return _own(path, quantity, found[0], found[0].name in table.stamped)
+def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | None, *, optional: bool) -> Source | None:
+    bare = mapped if mapped is not None and mapped.is_bare else None
+    named = mapped if bare is None else None
+    column = None if named is None else _named(path, table, quantity, named)
+    if column is None:
+        found = _candidates(table, quantity, bare)
+        if named is not None:  # what [log] names is not there: only a log of this package's own takes its place
+            found = [candidate for candidate in found if candidate.header == quantity.column]
+        if len(found) > 1:
+            names = ", ".join(candidate.name for candidate in found)
+            allowed = f"one column; [log] of the machine file says which: {_line(quantity, found[0].name)}"
+            raise InputError(path, f"column {quantity.column}", found[0].header if _same(found) else names, allowed)
+        if not found:
+            if optional and named is None:
+                return None
+            raise _missing(path, table, quantity, named)
+        column, mapped = found[0], bare
+    stamped = column.name in table.stamped
+    if mapped is None or (bare is not None and mapped.unit is None and mapped.scale == 1.0):
+        source = _own(path, quantity, column, stamped)
+    else:
+        source = Source(quantity, column.name, *_mapped_unit(path, quantity, mapped, column, stamped))
+    if mapped is None:
+        return source
+    stated = {key: getattr(mapped, key) for key in ("row", "scale", "offset", "counts_per", "wrap")}
+    return replace(source, **stated)
 
 
 def _same(columns: Sequence[Column]) -> bool:
@@ -200,6 +215,7 @@ def _missing(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | N
         hint = f"{named.name} is there {seen}; [log] of the machine file says: {_line(quantity, named.name)}"
     else:
         hint = f"[log] of the machine file says where it is: {_line(quantity, '...')}"
+        hint += "; where there is none it has rate = ... [Hz], as --rate" if quantity.role == "time" else ""
     allowed = f"missing: a column {wanted}; the file has {_shown(table)}. {hint}"
     return InputError(path, f"column {quantity.column}", None, allowed)
 

@@ -6,9 +6,18 @@ from sgms_mhe.machine.diagnosis import Thresholds
 from sgms_mhe.machine.estimator import ArrivalCost, Estimator, Noise
 from sgms_mhe.machine.fields import listing
 from sgms_mhe.machine.file import Tables, json_schema
-from sgms_mhe.machine.log_mapping import SEPARATORS, LogColumn, LogMapping
+from sgms_mhe.machine.log_mapping import SEPARATORS, LogColumn, LogMapping, kinds_of, table_of_flags
 from sgms_mhe.machine.log_units import BY_COLUMN, COUNTS, QUANTITIES, REQUIRED, Quantity, Role, normal_unit
-from sgms_mhe.machine.reading import Layer, MachineFile, machine_file, merged, read_machine_file
+from sgms_mhe.machine.reading import (
+    Layer,
+    MachineFile,
+    log_mapping,
+    log_table,
+    machine_file,
+    merged,
+    read_log_table,
+    read_machine_file,
+)
 from sgms_mhe.machine.resolved import Machine, ResolvedEffect, estimable_names
 from sgms_mhe.machine.sampling import CLOSED_FORMS, DISPLACEMENT, Integrator, Sampling, runge_kutta_scheme
 from sgms_mhe.machine.units import LINEAR, OF_KIND, ROTARY, Kind, Units
@@ -49,11 +58,16 @@ __all__ = [
     "Units",
     "estimable_names",
     "json_schema",
+    "kinds_of",
     "listing",
+    "log_mapping",
+    "log_table",
     "machine_file",
     "merged",
     "normal_unit",
     "plant_content",
+    "read_log_table",
     "read_machine_file",
     "runge_kutta_scheme",
+    "table_of_flags",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
@@ -9,6 +10,7 @@ from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, mode
 from sgms_mhe.machine.fields import Table, listing, quantity, refusal, text
 from sgms_mhe.machine.log_units import BY_COLUMN, COUNTS, QUANTITIES, Quantity, normal_unit
 from sgms_mhe.machine.units import Kind
+from sgms_mhe.support.errors import InputError
 
 SEPARATORS: Final = (",", ";", "\t", "|", " ")
 """What stands between the fields of a text; the space for any number of spaces and tabs."""
@@ -60,14 +62,19 @@ class LogColumn(_Spare):
     def described(self) -> str:
         """Name and row, as messages say them."""
         row = "" if self.row is None else f"row {self.row}"
-        return f"{self.name}, {row}" if self.name and row else self.name or row
+        return f"{self.name}, {row}" if self.name and row else self.name or row or "its usual name"
+
+    @property
+    def is_bare(self) -> bool:
+        """True where no variable is named: what is said holds for the one that is found by its own or usual name."""
+        return not self.name and self.row is None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         if self.scale == 0.0:
             raise refusal("scale", self.scale, "a number other than 0")
-        if self.variable is None and self.member is None and self.row is None:
-            raise refusal("variable", None, "required key is missing: a variable, a member or a row")
+        if not self.model_fields_set:
+            raise refusal("variable", None, "required key is missing: a variable, a member, a row, or a unit")
         return self
 
     def check_unit(self, where: str, quantity: Quantity) -> None:
@@ -116,6 +123,9 @@ class LogMapping(_Spare):
     velocity_rad_s: Source = _column("velocity_rad_s")
     acceleration_rad_s2: Source = _column("acceleration_rad_s2")
     friction_Nm: Source = _column("friction_Nm")
+    rate: float | None = Field(
+        None, gt=0, le=1e7, description="samples per second of a file without a time column [Hz]; default none"
+    )
     resample: bool = text("uneven time, or another rate, interpolated to the machine's", "true or false", False)
     separator: Literal[",", ";", "\t", "|", " "] | None = text(
         "between the fields of a text", "one of , ; | tab, or a space for any number of them", None
@@ -135,20 +145,26 @@ class LogMapping(_Spare):
 
     @property
     def kind(self) -> Kind | None:
-        """The kind of axis whose columns are mapped; None where only columns of both are."""
-        own = {kind: {q.column for q in quantities} for kind, quantities in QUANTITIES.items()}
-        shared = own["linear"] & own["rotary"]
-        return next((kind for kind in own if (own[kind] - shared) & set(self.columns)), None)
+        """The kind of axis whose columns are named, or else have a unit; None where that is no one kind."""
+        own = {name: kinds[0] for name in self.columns if len(kinds := kinds_of(name)) == 1}
+        named = [kind for name, kind in own.items() if not self.columns[name].is_bare]
+        told = {kind for name, kind in own.items() if self.columns[name].unit is not None}
+        return named[0] if named else told.pop() if len(told) == 1 else None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         for name, column in self.columns.items():
             column.check_unit(name, BY_COLUMN[name])
         known = [quantity.column for quantity in QUANTITIES[self.kind]] if self.kind else list(self.columns)
-        for name in self.columns:
-            if name not in known:
+        for name, column in self.columns.items():
+            if name not in known and not column.is_bare:
                 raise refusal(name, getattr(self, name).described, f"columns of one kind of axis: {listing(known)}")
         return self
+
+
+def kinds_of(column: str) -> list[Kind]:
+    """Kinds of axis whose logs have a column."""
+    return [kind for kind, quantities in QUANTITIES.items() if column in {q.column for q in quantities}]
 
 
 _ALWAYS: Final = frozenset(
@@ -156,3 +172,40 @@ _ALWAYS: Final = frozenset(
     "temperature_degC".split()
 )
 """Keys that a table is always written with."""
+
+
+def table_of_flags(
+    rate: float | None, wrap: float | None, units: Mapping[str, str], force_scale: float | None
+) -> dict[str, Any]:
+    """A table [log] of what holds for columns of either kind of axis that are found by their usual names.
+
+    Args:
+        rate: samples per second of a file without a time column [Hz].
+        wrap: period of position, in its recorded unit.
+        units: by quantity (position, torque, ...) or column (position_m).
+        force_scale: N, or N m, per recorded unit of force or torque.
+
+    Raises:
+        InputError: a name that is no quantity, a unit that it does not have.
+    """
+    table: dict[str, Any] = {} if rate is None else {"rate": rate}
+
+    def state(role: str, key: str, value: float | str) -> None:
+        for column, known in BY_COLUMN.items():
+            if role in (column, known.role) and (key != "unit" or normal_unit(str(value)) in known.allowed):
+                table.setdefault(column, {})[key] = value
+
+    if wrap is not None:
+        state("position", "wrap", wrap)
+    if force_scale is not None:
+        state("force", "scale", force_scale)
+    for name, unit in units.items():
+        role = {"torque": "force"}.get(name, name)
+        quantities = [q for column, q in BY_COLUMN.items() if role in (column, q.role)]
+        allowed = dict.fromkeys(unit for quantity in quantities for unit in quantity.allowed)
+        if normal_unit(unit) not in allowed:
+            roles = listing(dict.fromkeys(quantity.role for quantity in BY_COLUMN.values()))
+            wanted = f"{name}={' or '.join(allowed)}" if quantities else f"a quantity out of {roles}, torque"
+            raise InputError("command line", "--unit", f"{name}={unit}", wanted)
+        state(role, "unit", unit)
+    return table

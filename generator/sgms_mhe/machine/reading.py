@@ -16,6 +16,7 @@ from pydantic_core import ErrorDetails
 
 from sgms_mhe.machine.fields import listing
 from sgms_mhe.machine.file import Tables
+from sgms_mhe.machine.log_mapping import LogMapping
 from sgms_mhe.machine.sampling import CHOSEN_BY_LAW, CHOSEN_BY_TOLERANCE
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import machines_dir
@@ -79,6 +80,36 @@ def machine_file(content: Mapping[str, Any], layers: Sequence[Layer]) -> Machine
         return MachineFile(Tables.model_validate(content), content, tuple(layers))
     except ValidationError as error:
         raise _input_error(error, layers) from None
+
+
+def read_log_table(path: Path) -> dict[str, Any]:
+    """The table [log] of a file that holds nothing else. Raises InputError for any other file."""
+    content = _read_toml(path)
+    table = content.get("log")
+    if not isinstance(table, dict) or len(content) > 1:
+        raise InputError(path, "tables", listing(content) or None, "the table [log] alone; --machine takes more")
+    return table
+
+
+def log_mapping(table: Mapping[str, Any], source: str | Path) -> LogMapping:
+    """The table [log] of this content, checked; errors name `source`."""
+    try:
+        return LogMapping.model_validate(table)
+    except ValidationError as error:
+        raise _input_error(error, [Layer(Path(source), {"log": table})], ("log",)) from None
+
+
+def log_table(own: Mapping[str, Any], stated: Mapping[str, Any]) -> dict[str, Any]:
+    """Content of [log] with what is stated besides laid over it; a variable that stands alone is still named."""
+    return {
+        **own,
+        **{
+            key: merged({"variable": own[key]} if isinstance(own.get(key), str) else own.get(key), entry)
+            if isinstance(entry, Mapping)
+            else entry
+            for key, entry in stated.items()
+        },
+    }
 
 
 def merged(base: Any, over: Any) -> Any:
