@@ -10,7 +10,7 @@ BIN := .venv/bin
 RUN := $(BIN)/sgms-mhe
 STAMP := .venv/.installed
 MACHINES := $(sort $(patsubst machines/%.toml,%,$(wildcard machines/*.toml)))
-WRITTEN_C = $(sort $(shell find runtime_c tests/c -name '*.[ch]' -o -name '*.[ch]pp'))
+WRITTEN_C = $(sort $(shell find runtime_c bench/c tests/c -name '*.[ch]' -o -name '*.[ch]pp'))
 
 # Strict enough for a firmware project's own rules.
 CFLAGS ?= -O2
@@ -41,10 +41,10 @@ help: ## this list
 
 # --- environment -----------------------------------------------------------------------------------------------------
 
-venv: $(STAMP) ## .venv with exactly the versions of requirements.lock, and this package editable
+venv: $(STAMP) ## .venv with exactly the versions of requirements.lock, this package and its workbench editable
 
 # Only the lock decides: no dependency is resolved, and the build backend comes from the lock too.
-$(STAMP): requirements.lock pyproject.toml
+$(STAMP): requirements.lock pyproject.toml bench/pyproject.toml
 	@command -v $(PYTHON) >/dev/null || { echo "make: $(PYTHON) not found; name a Python 3.11 or later: make PYTHON=..." >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	    echo "make: $(PYTHON) is $$($(PYTHON) --version 2>&1), 3.11 or later is needed: make PYTHON=python3.11" >&2; exit 1; }
@@ -52,14 +52,14 @@ $(STAMP): requirements.lock pyproject.toml
 	    echo "make: $(PYTHON) cannot make virtual environments; on Debian install python3-venv" >&2; exit 1; }
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e . -e bench
 	$(BIN)/python -m pip check
 	@touch $@
 
 lock: ## resolve the newest allowed versions and rewrite requirements.lock
 	rm -rf $(BUILD)/lock && $(PYTHON) -m venv $(BUILD)/lock
 	$(BUILD)/lock/bin/python -m pip install --quiet --upgrade setuptools hatchling
-	$(BUILD)/lock/bin/python -m pip install --quiet --no-build-isolation -e '.[dev]'
+	$(BUILD)/lock/bin/python -m pip install --quiet --no-build-isolation -e '.[dev]' -e bench
 	{ sed -n '/^#/p' requirements.lock; \
 	  $(BUILD)/lock/bin/python -m pip freeze --all --exclude pip --exclude-editable; } > $(BUILD)/requirements.lock
 	mv $(BUILD)/requirements.lock requirements.lock
@@ -102,11 +102,11 @@ figures: experiment ## run the experiment and put its figures into docs/figures
 studies: $(STAMP) ## statistics: coverage, Monte Carlo against EKF and smoother, creep over 1e5 updates; half an hour
 	@mkdir -p $(BUILD)/studies
 	@for name in coverage monte-carlo plant creep; do \
-	    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_mhe.evaluation.studies $$name > $(BUILD)/studies/$$name.txt && \
+	    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_bench.studies $$name > $(BUILD)/studies/$$name.txt && \
 	    cat $(BUILD)/studies/$$name.txt || exit; done
 
 faults: $(STAMP) ## broken sensors in good logs: what each does to the estimate, worst of twenty; a few minutes
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_mhe.evaluation.studies faults
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_bench.studies faults
 
 benchmark: $(STAMP) ## time, instructions and errors of MACHINE's variants beside CasADi's export; figures in build/benchmark
 	$(RUN) bench machines/$(MACHINE).toml --out $(BUILD)/benchmark
@@ -115,7 +115,7 @@ target: $(STAMP) ## MACHINE on an emulated Cortex-M7: instructions, flash, RAM; 
 	$(RUN) target machines/$(MACHINE).toml
 
 verify: $(STAMP) ## random calls, bits, coverage, limits, constructs of emitted C: one table; CALLS=1e8 FUZZED=100 takes hours
-	$(BIN)/python -m sgms_mhe.evaluation.verification --keep $(BUILD)/verify $(if $(CALLS),--calls $(CALLS)) \
+	$(BIN)/python -m sgms_bench.verification --keep $(BUILD)/verify $(if $(CALLS),--calls $(CALLS)) \
 	    $(if $(FUZZED),--machines $(FUZZED)) $(if $(ONLY),--only $(ONLY))
 
 benchmark-diagnosis: $(STAMP) ## plant every effect in simulated logs; how many are found, missed, invented
@@ -169,7 +169,7 @@ wheel: $(STAMP) ## dist/*.whl, which carries templates, runtime C and machine fi
 
 clean: ## remove what was built, keep .venv
 	rm -rf $(BUILD) dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	find generator tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find generator bench tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 distclean: clean ## clean, and remove .venv
 	rm -rf .venv

@@ -13,10 +13,10 @@ from typing import Any
 from numpy.typing import NDArray
 
 from c_packages import machine, written
+from sgms_bench.motions import simulated_log
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.bindings import BINDINGS
 from sgms_mhe.emission.package import Package, emit_package
-from sgms_mhe.evaluation.motions import simulated_log
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.estimates import Estimates

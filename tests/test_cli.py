@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,9 @@ import numpy as np
 import pytest
 
 import sgms_mhe
+import sgms_mhe.cli
 from cli_cases import SMALL, done, files, refused, run
-from sgms_mhe.cli import COMMANDS, cli
+from sgms_mhe.cli import COMMANDS, WORKBENCH, cli, command_names
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.logfiles.reading import read_log
@@ -63,7 +65,7 @@ def with_field(row: int, column: int, text: str) -> Callable[[list[str]], list[s
 # --- help -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", command_names())
 def test_help_of_every_command_has_an_example(name: str) -> None:
     text = done(name, "--help").stdout
     assert f"Example:\n    sgms-mhe {name}" in text
@@ -71,8 +73,26 @@ def test_help_of_every_command_has_an_example(name: str) -> None:
 
 def test_help_lists_every_command_in_the_order_of_work() -> None:
     text = done("--help").stdout
-    places = [text.index(f"\n  {name} ") for name in COMMANDS]
+    places = [text.index(f"\n  {name} ") for name in command_names()]
     assert places == sorted(places)
+
+
+def test_commands_of_the_workbench_are_refused_where_it_is_absent(monkeypatch: pytest.MonkeyPatch) -> None:
+    added = set(command_names()) - set(COMMANDS)
+    assert added == set(WORKBENCH)
+    monkeypatch.setattr(sgms_mhe.cli, "entry_points", lambda group: ())
+    assert command_names() == list(COMMANDS)
+    for name in added:
+        assert f"'{name}' belongs to the workbench, which is in a checkout" in refused(name, "etel_xy")
+        assert f"\n  {name} " not in done("--help").stdout
+
+
+def test_another_distribution_adds_a_command_and_takes_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    entries = [EntryPoint(name, "sgms_mhe.commands.schema:command", "sgms_mhe.commands") for name in ("own", "check")]
+    monkeypatch.setattr(sgms_mhe.cli, "entry_points", lambda group: entries)
+    assert command_names() == [*COMMANDS, "own"]
+    assert done("own").stdout == done("schema").stdout
+    assert done("check", "--help").stdout != done("own", "--help").stdout
 
 
 def test_version() -> None:
@@ -194,7 +214,7 @@ def test_simulate_refuses_a_suffix_that_no_log_has(small: Path, tmp_path: Path) 
 def float_options() -> list[tuple[str, str, int]]:
     """(command, option, number of values) of every option that takes numbers with a fraction."""
     found = []
-    for name in COMMANDS:
+    for name in command_names():
         for parameter in cli.get_command(click.Context(cli), name).params:
             kind = parameter.type
             kinds = kind.types if isinstance(kind, click.Tuple) else [kind]

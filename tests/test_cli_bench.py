@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from cli_cases import SMALL, done, files
+from sgms_bench.benchmark.figures import STYLES
+from sgms_bench.benchmark.harness import build_harness
+from sgms_bench.benchmark.integration_errors import Recording, emitted_errors
+from sgms_bench.benchmark.peers import KINDS, Evaluation, Kind, PeerExport
+from sgms_bench.benchmark.running import Bench, fitted_exponents, with_elements
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package
-from sgms_mhe.evaluation.benchmark import Bench, fitted_exponents, with_elements
-from sgms_mhe.evaluation.benchmark_figures import STYLES
-from sgms_mhe.evaluation.harness import build_harness
-from sgms_mhe.evaluation.integration_errors import Recording, emitted_errors
-from sgms_mhe.evaluation.peers import KINDS, Evaluation, Kind, PeerExport
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
@@ -222,13 +222,13 @@ def test_bench_in_full_compares_motions_integrators_and_sizes(
     small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Few sizes and two integrators take the same way as all of them.
-    monkeypatch.setattr("sgms_mhe.evaluation.benchmark.HORIZONS", (3, 6, 12))
-    monkeypatch.setattr("sgms_mhe.evaluation.benchmark.ELEMENTS", (1, 2, 3))
-    monkeypatch.setattr("sgms_mhe.evaluation.benchmark.MOTIONS", ())
-    monkeypatch.setattr("sgms_mhe.evaluation.benchmark.SPEEDS", (1.0,))
-    monkeypatch.setattr("sgms_mhe.evaluation.benchmark.INTEGRATORS", (("flow", 0.02), ("rk4", 0.1)))
-    monkeypatch.setattr("sgms_mhe.evaluation.benchmark.PRECISIONS", ("double",))
-    monkeypatch.setattr("sgms_mhe.evaluation.benchmark.RUNS", 1)
+    monkeypatch.setattr("sgms_bench.benchmark.running.HORIZONS", (3, 6, 12))
+    monkeypatch.setattr("sgms_bench.benchmark.running.ELEMENTS", (1, 2, 3))
+    monkeypatch.setattr("sgms_bench.benchmark.running.MOTIONS", ())
+    monkeypatch.setattr("sgms_bench.benchmark.running.SPEEDS", (1.0,))
+    monkeypatch.setattr("sgms_bench.benchmark.running.INTEGRATORS", (("flow", 0.02), ("rk4", 0.1)))
+    monkeypatch.setattr("sgms_bench.benchmark.running.PRECISIONS", ("double",))
+    monkeypatch.setattr("sgms_bench.benchmark.running.RUNS", 1)
     folder = tmp_path / "out"
     printed = done("bench", small, "--updates", "20", "--out", folder).stdout
     assert "horizon^" in printed

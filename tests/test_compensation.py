@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from c_packages import PROBES, machine, scheme, written
 from cli_cases import done, refused
-from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.emission.package import emit_package
-from sgms_mhe.evaluation.compensation import (
+from sgms_bench.compensation.loop import LoopCompensation, compile_for_loop
+from sgms_bench.compensation.running import (
     actuation_delay,
     axis_config,
     compare_compensations,
@@ -27,8 +26,7 @@ from sgms_mhe.evaluation.compensation import (
     set_point_ahead,
     truth_of,
 )
-from sgms_mhe.evaluation.plots import save_figure
-from sgms_mhe.evaluation.tracking import (
+from sgms_bench.compensation.tracking import (
     EKF,
     MHE,
     NONE,
@@ -42,7 +40,10 @@ from sgms_mhe.evaluation.tracking import (
     reversals,
     settling_times,
 )
-from sgms_mhe.host.compiled import CompiledEstimator, LoopCompensation, replay_definitions
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.emission.package import emit_package
+from sgms_mhe.evaluation.plots import save_figure
+from sgms_mhe.host.compiled import CompiledEstimator, replay_definitions
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig, Controller
 from sgms_mhe.plant.simulation import simulate_axis
@@ -604,7 +605,7 @@ def test_single_precision_in_the_loop(compensated: Machine) -> None:
     for precision in ("double", "single"):
         settings = override_machine(compensated, {"code": {"precision": precision}, "estimator": {"kind": "ekf"}})
         run = run_axis(
-            settings, CompiledEstimator(settings), x, truth_of(settings), EKF, config=axis_config(settings, 0)
+            settings, compile_for_loop(settings), x, truth_of(settings), EKF, config=axis_config(settings, 0)
         )
         found.append(float(np.sqrt(np.mean(run.error_m**2))))
     assert found[1] == pytest.approx(found[0], rel=0.05)
@@ -619,7 +620,7 @@ def stand(compensated: Machine, hold: float) -> tuple[float, float]:
     trajectory = path.trajectory("stand")
     settings = override_machine(compensated, {"compensation": {"hold": hold}, "estimator": {"kind": "ekf"}})
     truth, config = truth_of(settings, drift=0.0), axis_config(settings, 0)
-    run = run_axis(settings, CompiledEstimator(settings), trajectory, truth, EKF, config=config)
+    run = run_axis(settings, compile_for_loop(settings), trajectory, truth, EKF, config=config)
     return float(np.ptp(run.error_m[-5000:])), float(np.ptp(run.compensation_N[-5000:]))
 
 
@@ -655,13 +656,13 @@ def test_series_fed_forward_is_what_a_callback_feeds(compensated: Machine) -> No
     x, _ = circle(RATE, laps=1)
     x = Trajectory("part", RATE, x.position_m[:4000])
     force = np.sin(np.arange(4000) / 100.0)
-    loop = LoopCompensation(CompiledEstimator(compensated), 4000, force=force)
+    loop = LoopCompensation(compile_for_loop(compensated), 4000, force=force)
     values = iter(force.tolist())
     native = simulate_axis(compensated, x, compensation=loop.native)
     called = simulate_axis(compensated, x, compensation=lambda *_: next(values))
     np.testing.assert_array_equal(native.log.position_m, called.log.position_m)
     with pytest.raises(ValueError, match="shape"):
-        LoopCompensation(CompiledEstimator(compensated), 100, force=force)
+        LoopCompensation(compile_for_loop(compensated), 100, force=force)
 
 
 def test_inertia_fed_forward_in_time_leaves_no_error(compensated: Machine) -> None:
@@ -716,7 +717,7 @@ def test_contour_error_is_the_distance_from_the_circle(compensated: Machine) -> 
 
 
 def _run(trajectory: Trajectory, error: Array) -> Any:
-    from sgms_mhe.evaluation.tracking import AxisRun
+    from sgms_bench.compensation.tracking import AxisRun
 
     return AxisRun(trajectory, error, np.zeros(len(error)), np.zeros(len(error)), None)
 

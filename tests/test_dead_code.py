@@ -1,20 +1,21 @@
-"""Nothing that nothing uses: in the Python package, in the runtime headers, in emitted packages."""
+"""Nothing that nothing uses: in the Python package and its workbench, in runtime headers, in emitted packages."""
 
 from __future__ import annotations
 
 import ast
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 import pytest
 
+import sgms_bench
 import sgms_mhe
 from package_variants import VARIANTS
 from sgms_mhe.support.paths import runtime_dir, templates_dir
 
-PACKAGE = Path(sgms_mhe.__file__).parent
+PACKAGE, BENCH = (Path(package.__file__).parent for package in (sgms_mhe, sgms_bench))
 
 USED_FROM_OUTSIDE = {
     "list_commands": "click",
@@ -28,7 +29,7 @@ USED_FROM_OUTSIDE = {
     "plant_effects": "the test that model and plant know the same effects",
     "forget_distributions": "tests that install distributions",
 }
-"""What nothing in the package uses, and who does."""
+"""What nothing in the packages uses, and who does."""
 
 # Others register what they decorate, or call it.
 PLAIN_DECORATORS = {"property", "cached_property", "staticmethod", "classmethod", "cache", "lru_cache", "dataclass"}
@@ -67,19 +68,20 @@ def uses(tree: ast.Module, *, imports: bool) -> Iterator[str]:
             yield from (alias.name for alias in node.names)
 
 
-def unused(package: Path, templates: Path) -> set[str]:
-    """Names that a package defines and uses nowhere, its templates included."""
-    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in package.rglob("*.py")}
+def unused(packages: Collection[Path], templates: Path) -> set[str]:
+    """Names that packages define and use nowhere, their templates included."""
+    files = [path for package in packages for path in package.rglob("*.py")]
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in files}
     defined = {name for tree in trees.values() for name in definitions(tree) if not name.startswith("__")}
     used = {name for path, tree in trees.items() for name in uses(tree, imports=path.name != "__init__.py")}
-    for folder in (package, templates):
+    for folder in (*packages, templates):
         used |= {name for path in folder.rglob("*.jinja") for name in words(path.read_text(encoding="utf-8"))}
     return defined - used
 
 
 def test_everything_in_the_package_is_used() -> None:
     """Exactly the names stated are not: one that finds a use is taken from the list."""
-    assert unused(PACKAGE, templates_dir()) == set(USED_FROM_OUTSIDE)
+    assert unused((PACKAGE, BENCH), templates_dir()) == set(USED_FROM_OUTSIDE)
 
 
 def test_everything_in_the_runtime_headers_is_used() -> None:
@@ -157,4 +159,4 @@ def test_what_nothing_uses_is_found(tmp_path: Path) -> None:
     (tmp_path / "__init__.py").write_text("from one import lonely, Thing\n")
     (tmp_path / "two.py").write_text("from one import Thing\n")
     (tmp_path / "page.jinja").write_text("{{ used_by_template }}")
-    assert unused(tmp_path, tmp_path) == {"LIMIT", "lonely", "weight"}
+    assert unused((tmp_path,), tmp_path) == {"LIMIT", "lonely", "weight"}

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sgms_bench.diagnosis.motions import draw_motion
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
 from sgms_mhe.diagnosis.alignment import aligned, thinned
@@ -20,7 +21,6 @@ from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
 from sgms_mhe.diagnosis.plan import make_plan, write_plan
 from sgms_mhe.diagnosis.subject import Subject
-from sgms_mhe.diagnosis_benchmark.motions import draw_motion
 from sgms_mhe.evaluation.prediction import force_error, predict_log
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine

@@ -11,11 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sgms_mhe.configuration import load_machine
-from sgms_mhe.diagnosis import verdict
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.selection import Searched, Selection
-from sgms_mhe.diagnosis_benchmark import (
+from sgms_bench.diagnosis import (
     Draw,
     Found,
     Hidden,
@@ -29,14 +25,18 @@ from sgms_mhe.diagnosis_benchmark import (
     summary_json,
     summary_text,
 )
-from sgms_mhe.diagnosis_benchmark.axes import Axis, draw_axis, machine_file
-from sgms_mhe.diagnosis_benchmark.causes import prescribed_signals, sized_cause
-from sgms_mhe.diagnosis_benchmark.draws import KINDS, VISIBLE, _Frame, _unmodelled, unmodelled_force
-from sgms_mhe.diagnosis_benchmark.faults import FAULTS
-from sgms_mhe.diagnosis_benchmark.motions import STYLES, WEAK_STYLES, draw_motion
-from sgms_mhe.diagnosis_benchmark.running import diagnosed
-from sgms_mhe.diagnosis_benchmark.scoring import confusion_table, half_found, is_confidently_wrong, parameter_errors
-from sgms_mhe.diagnosis_benchmark.unmodelled import SMOOTH_CURVES, UNMODELLED, curves_over_speed
+from sgms_bench.diagnosis.axes import Axis, draw_axis, machine_file
+from sgms_bench.diagnosis.causes import prescribed_signals, sized_cause
+from sgms_bench.diagnosis.draws import KINDS, VISIBLE, _Frame, _unmodelled, unmodelled_force
+from sgms_bench.diagnosis.faults import FAULTS
+from sgms_bench.diagnosis.motions import STYLES, WEAK_STYLES, draw_motion
+from sgms_bench.diagnosis.running import diagnosed
+from sgms_bench.diagnosis.scoring import confusion_table, half_found, is_confidently_wrong, parameter_errors
+from sgms_bench.diagnosis.unmodelled import SMOOTH_CURVES, UNMODELLED, curves_over_speed
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.diagnosis import verdict
+from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.selection import Searched, Selection
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause

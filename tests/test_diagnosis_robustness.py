@@ -16,6 +16,9 @@ import pytest
 from numpy.typing import NDArray
 
 from cli_cases import done, refused
+from sgms_bench.diagnosis.axes import Axis
+from sgms_bench.diagnosis.causes import Hidden
+from sgms_bench.diagnosis.draws import Draw, machine_of, simulate_draw
 from sgms_mhe.configuration import load_machine, override_machine, under_other_law
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.causes import holds
@@ -32,9 +35,6 @@ from sgms_mhe.diagnosis.result import Cause, Rms
 from sgms_mhe.diagnosis.rivals import Contest
 from sgms_mhe.diagnosis.selection import Searched, Selection, select_causes
 from sgms_mhe.diagnosis.subject import Subject
-from sgms_mhe.diagnosis_benchmark.axes import Axis
-from sgms_mhe.diagnosis_benchmark.causes import Hidden
-from sgms_mhe.diagnosis_benchmark.draws import Draw, machine_of, simulate_draw
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig

@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 import pytest
 
-from sgms_mhe.cli import COMMANDS, Commands
+from sgms_mhe.cli import Commands, command_names
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES, cause, effect_definition
 
@@ -121,11 +121,11 @@ def calls(text: str) -> Iterator[tuple[str, set[str]]]:
 @each_page
 def test_commands_and_options_exist(page: Path) -> None:
     for name, given in calls(read(page)):
-        assert name in COMMANDS, f"sgms-mhe {name}"
+        assert name in command_names(), f"sgms-mhe {name}"
         assert given <= options(name), f"sgms-mhe {name}: {given - options(name)}"
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", command_names())
 def test_every_command_is_described_with_all_its_options(name: str) -> None:
     synopsis = FENCE.findall(section(read(ROOT / "docs" / "commands.md"), name))[0][1]
     assert synopsis.startswith(f"sgms-mhe {name}")
@@ -134,7 +134,8 @@ def test_every_command_is_described_with_all_its_options(name: str) -> None:
 
 @each_page
 def test_modules_exist(page: Path) -> None:
-    for module, argument in re.findall(r"python -m (sgms_mhe[\w.]*) ?([a-z-]*)", re.sub(r"\s+", " ", read(page))):
+    text = re.sub(r"\s+", " ", read(page))
+    for module, argument in re.findall(r"python -m (sgms_(?:mhe|bench)[\w.]*) ?([a-z-]*)", text):
         found = importlib.import_module(module)
         if hasattr(found, "__path__"):
             found = importlib.import_module(f"{module}.__main__")
@@ -146,15 +147,15 @@ def test_modules_exist(page: Path) -> None:
 
 
 def places(path: str) -> Iterator[Path]:
-    """What a path on a page may stand for: in the repository, in tests/, in the Python package, or in one of its rooms.
+    """What a path on a page may stand for: in the repository, in tests/, in a Python package, or in one of its rooms.
 
     Or in an emitted package, whose machine is called NAME.
     """
-    package = ROOT / "generator" / "sgms_mhe"
     yield from ROOT.glob(path)
     yield from (ROOT / "tests").glob(path)
-    for pattern in (path, f"*/{path}", f"*/*/{path}"):
-        yield from package.glob(pattern)
+    for package in ("generator/sgms_mhe", "bench/sgms_bench"):
+        for pattern in (path, f"*/{path}", f"*/*/{path}"):
+            yield from (ROOT / package).glob(pattern)
     for machine in (ROOT / "generated").iterdir():
         yield from machine.glob(path.replace("NAME", machine.name))
 

@@ -8,10 +8,14 @@ from pathlib import Path
 
 import pytest
 
+import sgms_bench
 import sgms_mhe
 from sgms_mhe.model.effects import BASE_CAUSES, CAUSE_NAMES, EFFECT_NAMES, effect_definition
 
+ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = Path(sgms_mhe.__file__).parent
+BENCH = Path(sgms_bench.__file__).parent
+ROOTS = (PACKAGE, BENCH)
 CATALOGUE = PACKAGE / "model" / "effects"
 PLANT = PACKAGE / "plant"  # independent of the catalogue: it has the effects a second time
 
@@ -23,11 +27,17 @@ PARAMETERS = {p.name for name in EFFECT_NAMES for p in effect_definition(name).p
 
 ENDS = ("startswith", "endswith", "removeprefix", "removesuffix")
 
-OF_EFFECTS = ("diagnosis", "diagnosis_benchmark", "report")
+OF_EFFECTS = ("diagnosis", "report")
 
-SPECIMENS = PACKAGE / "evaluation" / "verification" / "specimens.py"  # machine files, which have effects by name
+SPECIMENS = BENCH / "verification" / "specimens.py"  # machine files, which have effects by name
 
-MODULES = sorted({*PACKAGE.rglob("*.py")} - {*CATALOGUE.rglob("*.py"), *PLANT.rglob("*.py"), SPECIMENS})
+EXEMPT = {*CATALOGUE.rglob("*.py"), *PLANT.rglob("*.py"), SPECIMENS}
+MODULES = sorted({path for root in ROOTS for path in root.rglob("*.py")} - EXEMPT)
+
+
+def own_name(path: Path) -> Path:
+    """Path of a module below its package."""
+    return next(path.relative_to(root) for root in ROOTS if path.is_relative_to(root))
 
 
 def texts(tree: ast.AST) -> Iterator[tuple[int, str]]:
@@ -49,7 +59,7 @@ def named(path: Path) -> list[str]:
     """What a module says of single effects."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     forbidden = set(EFFECT_NAMES) - MACHINE_KEYS
-    if path.relative_to(PACKAGE).parts[0] in OF_EFFECTS:
+    if own_name(path).parts[0] in OF_EFFECTS:
         forbidden |= set(CAUSE_NAMES) | PARAMETERS
         ends = [
             (line, text)
@@ -59,16 +69,16 @@ def named(path: Path) -> list[str]:
     else:
         ends = []
     found = [(line, text) for line, text in texts(tree) if text in forbidden]
-    return [f"{path.relative_to(PACKAGE)}:{line}: {text!r}" for line, text in sorted({*found, *ends})]
+    return [f"{own_name(path)}:{line}: {text!r}" for line, text in sorted({*found, *ends})]
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_module_names_no_effect(path: Path) -> None:
     assert not named(path)
 
 
 def test_a_name_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(globals(), "PACKAGE", tmp_path)
+    monkeypatch.setitem(globals(), "ROOTS", (tmp_path,))
     (tmp_path / "diagnosis").mkdir()
     module = tmp_path / "diagnosis" / "module.py"
     for line in ('x == "backlash"', 'x == "coulomb"', 'x in ("a", "pitch_m")', 'x.startswith(("amplitude", "b"))'):

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sgms_bench.experiment import figures
+from sgms_bench.experiment.running import PAPER_WEIGHTS, PAPER_WEIGHTS_EKF, TRUE_STIFFNESS, papers, run_experiment
+from sgms_bench.records import Record, coverage, friction_rms, run_estimator, simulate_record, smoothness
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.evaluation import figures
-from sgms_mhe.evaluation.experiment import PAPER_WEIGHTS, PAPER_WEIGHTS_EKF, TRUE_STIFFNESS, papers, run_experiment
-from sgms_mhe.evaluation.records import Record, coverage, friction_rms, run_estimator, simulate_record, smoothness
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis

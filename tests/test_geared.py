@@ -12,11 +12,11 @@ import pytest
 from numpy.typing import NDArray
 
 from package_variants import GEARED
+from sgms_bench.diagnosis.causes import Hidden, prescribed_signals
+from sgms_bench.diagnosis.visibility import sensitivities, visible_share
 from sgms_mhe.configuration import load_machine, make_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.plan import make_plan
-from sgms_mhe.diagnosis_benchmark.causes import Hidden, prescribed_signals
-from sgms_mhe.diagnosis_benchmark.visibility import sensitivities, visible_share
 from sgms_mhe.evaluation.comparison import compare_signals
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from cli_cases import done, refused
+from sgms_bench.studies.identification import identified_axis
 from sgms_mhe.configuration import load_machine, make_machine
-from sgms_mhe.evaluation.studies.identification import identified_axis
 from sgms_mhe.identification import Wanted, identify, interval
 from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
 from sgms_mhe.identification.fitting import AxisFit
@@ -386,7 +386,7 @@ def test_one_direction_shows_no_level(log: Log) -> None:
 # fails without it; 92: told by the speed at which its element turns round.
 @pytest.mark.parametrize("seed", [2, 3, 4, 5, 9, 22, 83, 92])
 def test_axes_drawn_at_random(seed: int) -> None:
-    """A few of `python -m sgms_mhe.evaluation.studies identify`."""
+    """A few of `python -m sgms_bench.studies identify`."""
     row = identified_axis(seed, 15.0)
     print(row)
     assert row["found"] == f"{row['law']} {row['elements']}"

@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sgms_bench.diagnosis.motions import draw_motion
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis.covariance import covariance
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra
 from sgms_mhe.diagnosis.subject import Subject
-from sgms_mhe.diagnosis_benchmark.motions import draw_motion
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.recordings.evidence import cross_loss

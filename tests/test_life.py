@@ -15,8 +15,8 @@ import pytest
 from numpy.typing import NDArray
 
 from c_packages import PROBES, elements, machine, written
+from sgms_bench.motions import simulated_log
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.evaluation.motions import simulated_log
 from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model

@@ -20,6 +20,7 @@ import pytest
 
 from c_packages import PRECISIONS, PROBES, STRICT, Array, machine, pointer, run, scheme, symbols, written
 from reference_cases import linear_model
+from sgms_bench import C_DIR
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.host.compiled import replay_definitions
@@ -184,7 +185,7 @@ def test_harness_passes_the_self_test_of_its_package(
     folder = written(emit_package(machine(code={"precision": precision}, estimator={"kind": kind})), tmp_path)
     own = [f'-DSGMS_CONFIG_HEADER="{folder.name}_config.h"', "-DSGMS_SELFTEST"]
     harness = tmp_path / "harness"
-    sources = [folder / "etel_xy.c", folder / "etel_xy_selftest.c", runtime_dir() / "harness.c"]
+    sources = [folder / "etel_xy.c", folder / "etel_xy_selftest.c", C_DIR / "harness.c"]
     files = [f"-I{folder}", *sources, "-o", harness, "-lm"]
     run(require_tool("gcc"), STRICT, "-O1", replay_definitions("etel_xy"), own, files)
     assert "selftest passed" in run(harness, "--selftest")

@@ -48,6 +48,10 @@ def test_wheel_carries_every_file_of_the_data_folders(repo_root: Path, tmp_path:
             if path.is_file() and "__pycache__" not in path.parts:
                 assert f"sgms_mhe/_data/{path.relative_to(repo_root).as_posix()}" in packed
     assert "sgms_mhe/py.typed" in packed
+    # The workbench stays in the checkout: its modules, its C programs, its commands.
+    workbench = {path.name for path in (repo_root / "bench" / "c").iterdir()}
+    assert {Path(file).parts[0] for file in packed} == {"sgms_mhe", f"sgms_mhe-{sgms_mhe.__version__}.dist-info"}
+    assert "harness.c" in workbench and not workbench & {Path(file).name for file in packed}
 
 
 def test_missing_data_folder_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -61,6 +65,8 @@ def test_lock_holds_every_declared_dependency_at_one_version(repo_root: Path) ->
     project = tomllib.loads((repo_root / "pyproject.toml").read_text())
     declared = project["project"]["dependencies"] + project["project"]["optional-dependencies"]["dev"]
     declared += project["build-system"]["requires"]
+    bench = tomllib.loads((repo_root / "bench" / "pyproject.toml").read_text())["project"]["dependencies"]
+    declared += [name for name in bench if name != project["project"]["name"]]
     lines = (repo_root / "requirements.lock").read_text().splitlines()
     pins = [line for line in lines if line and not line.startswith("#")]
     assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[^ ;@]+", pin) for pin in pins)

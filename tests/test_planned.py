@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from cli_cases import done
+from sgms_bench.diagnosis import planned
+from sgms_bench.diagnosis.planned import Experiment, experiments, run_experiment, run_planned, verdict_on
+from sgms_bench.diagnosis.scoring import Found
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis.plan import LEAST_S, make_plan
-from sgms_mhe.diagnosis_benchmark import planned
-from sgms_mhe.diagnosis_benchmark.planned import Experiment, experiments, run_experiment, run_planned, verdict_on
-from sgms_mhe.diagnosis_benchmark.scoring import Found
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import cause, separating_moves
 

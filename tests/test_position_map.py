@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sgms_bench.diagnosis.motions import draw_motion
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, maps
 from sgms_mhe.diagnosis.alignment import thinned
@@ -25,7 +26,6 @@ from sgms_mhe.diagnosis.groups import Extra
 from sgms_mhe.diagnosis.joining import in_lowest_terms, joined
 from sgms_mhe.diagnosis.proposals import Residual
 from sgms_mhe.diagnosis.subject import Subject
-from sgms_mhe.diagnosis_benchmark.motions import draw_motion
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine

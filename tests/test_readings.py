@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sgms_bench.records import simulate_record
+from sgms_bench.studies.cases import counted
+from sgms_bench.studies.faults import FAULTS, Fault, Trial
+from sgms_bench.studies.readings import readings_row
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.evaluation.records import simulate_record
-from sgms_mhe.evaluation.studies.cases import counted
-from sgms_mhe.evaluation.studies.faults import FAULTS, Fault, Trial
-from sgms_mhe.evaluation.studies.readings import readings_row
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model

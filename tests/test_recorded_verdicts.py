@@ -17,9 +17,9 @@ from typing import Any
 
 import pytest
 
+from sgms_bench.diagnosis import Draw, machine_of, make_draw, simulate_draw
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
-from sgms_mhe.diagnosis_benchmark import Draw, machine_of, make_draw, simulate_draw
 
 RECORDED = Path(__file__).parent / "recorded" / "verdicts.json"
 UPDATE = "python tests/test_recorded_verdicts.py --update"

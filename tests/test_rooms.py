@@ -12,7 +12,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "generator" / "sgms_mhe"
-MOST_ROOMS, MOST_ARROWS = 20, 100
+BENCH = ROOT / "bench" / "sgms_bench"
+MOST_ROOMS, MOST_ARROWS = 19, 89
 LONGEST_FILE, LONGEST_FUNCTION, LONGEST_TEMPLATE = 500, 80, 300
 """Lines."""
 DOORS = {"__main__": "cli"}
@@ -89,10 +90,18 @@ def test_imports_stand_at_the_top() -> None:
     assert not hidden
 
 
+def test_the_product_knows_nothing_of_the_workbench() -> None:
+    """It may be absent: a wheel does not hold it. Entry points alone lead there."""
+    files = [path for folder in ("generator", "templates", "runtime_c") for path in (ROOT / folder).rglob("*.*")]
+    texts = {path.relative_to(ROOT): path.read_bytes() for path in files if path.is_file() and path.suffix != ".pyc"}
+    assert [str(path) for path, text in texts.items() if b"sgms_bench" in text] == []
+    assert any("sgms_mhe" in path.read_text(encoding="utf-8") for path in BENCH.rglob("*.py"))
+
+
 def test_no_file_and_no_function_is_too_long() -> None:
     long = []
-    for path in sorted(PACKAGE.rglob("*.py")):
-        text, own = path.read_text(encoding="utf-8"), path.relative_to(PACKAGE)
+    for path in [*sorted(PACKAGE.rglob("*.py")), *sorted(BENCH.rglob("*.py"))]:
+        text, own = path.read_text(encoding="utf-8"), path.relative_to(ROOT)
         if text.count("\n") > LONGEST_FILE:
             long.append(f"{own}: {text.count(chr(10))} lines")
         for node in ast.walk(ast.parse(text)):

@@ -13,11 +13,11 @@ import pytest
 
 from c_packages import run
 from cli_cases import done, refused
+from sgms_bench.benchmark.harness import build_harness
 from sgms_mhe.configuration import load_machine, make_machine, override_machine
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.evaluation.comparison import compare_signals
-from sgms_mhe.evaluation.harness import build_harness
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import LINEAR, ROTARY, Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from c_packages import PRECISIONS, STRICT, machine, run, symbols, written
+from sgms_bench.target.firmware import double_arithmetic
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.evaluation.acceptance import build_selftest
-from sgms_mhe.evaluation.firmware import TARGETS, Target, double_arithmetic
-from sgms_mhe.evaluation.target import emulate
+from sgms_mhe.host.targets import TARGETS, Target, emulate
 
 Tool = Callable[[str], str]
 MAIN = '#include "etel_xy.h"\nint main(void)\n{\n    return etel_xy_selftest();\n}\n'

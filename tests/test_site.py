@@ -18,7 +18,7 @@ import pytest
 
 from browser import Browser
 from cli_cases import run
-from sgms_mhe.cli import COMMANDS
+from sgms_mhe.cli import command_names
 from sgms_mhe.model.effects import EFFECT_NAMES
 from sgms_mhe.support.toolchain import compiler
 
@@ -156,7 +156,7 @@ def test_search_finds_in_files_without_a_server(browser: Browser, site: Path) ->
 # --- references that are made ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", command_names())
 def test_every_option_is_in_the_reference(pages: dict[str, Addresses], site: Path, name: str) -> None:
     page = (site / "reference" / "commands.html").read_text(encoding="utf-8")
     section = re.search(rf'<h2 id="{name}">(.*?)(<h2|</article>)', page, flags=re.DOTALL)

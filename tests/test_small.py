@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from cli_cases import done, refused
+from sgms_bench.diagnosis import Draw, Found, machine_of, small
+from sgms_bench.diagnosis.draws import OFF_SIZE, VISIBLE, sized_draw
+from sgms_bench.diagnosis.running import kept_result, read_result
+from sgms_bench.diagnosis.small import LAWS, Cell, cells, covered_shares, run_small
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.diagnosis_benchmark import Draw, Found, machine_of, small
-from sgms_mhe.diagnosis_benchmark.draws import OFF_SIZE, VISIBLE, sized_draw
-from sgms_mhe.diagnosis_benchmark.running import kept_result, read_result
-from sgms_mhe.diagnosis_benchmark.small import LAWS, Cell, cells, covered_shares, run_small
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import CAUSE_NAMES
 

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from sgms_bench.target.stacks import call_paths
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission import measured_stack, stack
 from sgms_mhe.emission.package import Package, emit_package, write_package
-from sgms_mhe.evaluation.stacks import call_paths
 from sgms_mhe.support.toolchain import tool_output
 
 UPDATE = "python tests/test_stated_stack.py --update"

@@ -1,17 +1,17 @@
-"""Statistics of the estimator, small and seeded; `python -m sgms_mhe.evaluation.studies` runs the large versions."""
+"""Statistics of the estimator, small and seeded; `python -m sgms_bench.studies` runs the large versions."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from sgms_bench.studies.__main__ import main
+from sgms_bench.studies.cases import Case
+from sgms_bench.studies.coverage import draw, normalised_errors, statistics_machine
+from sgms_bench.studies.creep import CREEP_TRUTH, FORMULATIONS, Formulation, creep_signals, follow
+from sgms_bench.studies.monte_carlo import CASES, compare_case
+from sgms_bench.studies.relinearise import RELINEARISE_CASES, relinearise_errors
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.evaluation.studies.__main__ import main
-from sgms_mhe.evaluation.studies.cases import Case
-from sgms_mhe.evaluation.studies.coverage import draw, normalised_errors, statistics_machine
-from sgms_mhe.evaluation.studies.creep import CREEP_TRUTH, FORMULATIONS, Formulation, creep_signals, follow
-from sgms_mhe.evaluation.studies.monte_carlo import CASES, compare_case
-from sgms_mhe.evaluation.studies.relinearise import RELINEARISE_CASES, relinearise_errors
 
 
 def case(name: str) -> Case:

@@ -13,26 +13,20 @@ import click
 import numpy as np
 import pytest
 
-import sgms_mhe.evaluation.target
+import sgms_bench.target.trial
+import sgms_mhe.host.targets
 from c_packages import machine
 from cli_cases import SMALL, done, refused, run
-from sgms_mhe.commands.target import command
+from sgms_bench.commands.target import command
+from sgms_bench.motions import simulated_log
+from sgms_bench.target import firmware
+from sgms_bench.target.firmware import LOOPS, build_program, double_arithmetic
+from sgms_bench.target.stacks import LIBRARY_FRAME, call_paths
+from sgms_bench.target.trial import Trial, compare_with_host, identical_updates, run_trial, single_precision
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.evaluation import firmware
-from sgms_mhe.evaluation.firmware import (
-    LOOPS,
-    TARGET_FLAGS,
-    TARGETS,
-    Target,
-    build_program,
-    double_arithmetic,
-    run_tool,
-)
-from sgms_mhe.evaluation.motions import simulated_log
-from sgms_mhe.evaluation.stacks import LIBRARY_FRAME, call_paths
-from sgms_mhe.evaluation.target import Trial, compare_with_host, identical_updates, run_trial, single_precision
 from sgms_mhe.host.compiled import CompiledEstimator
+from sgms_mhe.host.targets import TARGET_FLAGS, TARGETS, Target, run_tool
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.status import FLAGS
@@ -314,7 +308,7 @@ def test_fault_is_reported(small: Machine, small_log: Log) -> None:
 @pytest.mark.needs_arm
 def test_run_that_stalls_is_stopped(small: Machine, small_log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     # Before its first instruction: the emulator waits for a debugger.
-    monkeypatch.setattr(sgms_mhe.evaluation.target, "_STALLED_S", 0.3)
+    monkeypatch.setattr(sgms_mhe.host.targets, "_STALLED_S", 0.3)
     with pytest.raises(BuildError, match=r"nothing came out of it for 0\.3 s"):
         run_trial(small, small_log, replace(M7, emulator=(*M7.emulator, "-S")))
 
@@ -378,7 +372,7 @@ def test_command_says_so_where_the_host_disagrees(small_file: Path, monkeypatch:
         friction = trial.estimates.friction_N + 1.0
         return compare_with_host(replace(trial, estimates=replace(trial.estimates, friction_N=friction)), log)
 
-    monkeypatch.setattr(sgms_mhe.evaluation.target, "compare_with_host", off)
+    monkeypatch.setattr(sgms_bench.target.trial, "compare_with_host", off)
     result = run("target", small_file, "--updates", "5")
     assert result.exit_code == 1
     assert "0 updates the same" in result.stdout and "friction_N off by" in result.stdout

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from cli_cases import SCRIPT, SMALL, done, on_terminal, refused
-from sgms_mhe.cli import COMMANDS
+from sgms_mhe.cli import command_names
 from sgms_mhe.commands import common
 from sgms_mhe.commands.common import LONGEST_LOOK_S, AwakeClock
 from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES
@@ -52,7 +52,7 @@ def test_shells_complete(words: list[str], names: list[str]) -> None:
 
 
 def test_shells_complete_every_command_and_fall_back_to_files() -> None:
-    assert offered("") == [f"plain,{name}" for name in COMMANDS]
+    assert offered("") == [f"plain,{name}" for name in command_names()]
     assert offered("check", "./mach") == ["file,./mach"]
     assert offered("inspect", "ax") == ["file,ax"]
 

@@ -8,20 +8,20 @@ from pathlib import Path
 
 import pytest
 
+from sgms_bench.verification import __main__ as command
+from sgms_bench.verification import coverage, fuzzing, limits
+from sgms_bench.verification.bits import Build, exercise, same_bits, statuses_wanted, target_builds
+from sgms_bench.verification.constructs import jumps_and_storage, pointers_and_recursion, unbounded_loops
+from sgms_bench.verification.coverage import covered, measure
+from sgms_bench.verification.fuzzing import SANITIZERS, Sanitizer, fuzz_machines, fuzz_package
+from sgms_bench.verification.gaps import GAPS, Gap
+from sgms_bench.verification.limits import STATED, stated_operations, within_limits
+from sgms_bench.verification.machines import random_package
+from sgms_bench.verification.outcome import Outcome
+from sgms_bench.verification.specimens import SPECIMENS, specimen, specimens
+from sgms_bench.verification.syntax import syntax_tree
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.emission.package import Package, emit_package
-from sgms_mhe.evaluation.verification import __main__ as command
-from sgms_mhe.evaluation.verification import coverage, fuzzing, limits
-from sgms_mhe.evaluation.verification.bits import Build, exercise, same_bits, statuses_wanted, target_builds
-from sgms_mhe.evaluation.verification.constructs import jumps_and_storage, pointers_and_recursion, unbounded_loops
-from sgms_mhe.evaluation.verification.coverage import covered, measure
-from sgms_mhe.evaluation.verification.fuzzing import SANITIZERS, Sanitizer, fuzz_machines, fuzz_package
-from sgms_mhe.evaluation.verification.gaps import GAPS, Gap
-from sgms_mhe.evaluation.verification.limits import STATED, stated_operations, within_limits
-from sgms_mhe.evaluation.verification.machines import random_package
-from sgms_mhe.evaluation.verification.outcome import Outcome
-from sgms_mhe.evaluation.verification.specimens import SPECIMENS, specimen, specimens
-from sgms_mhe.evaluation.verification.syntax import syntax_tree
 
 Tool = Callable[[str], str]
 PLAIN = SANITIZERS["plain"]

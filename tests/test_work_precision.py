@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from cli_cases import SMALL, done, refused
+from sgms_bench.benchmark.integration_errors import Recording, emitted_errors
+from sgms_bench.benchmark.running import Bench
+from sgms_bench.motions import there_and_back
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package
-from sgms_mhe.evaluation.benchmark import Bench
-from sgms_mhe.evaluation.integration_errors import Recording, emitted_errors
-from sgms_mhe.evaluation.motions import there_and_back
 from sgms_mhe.integration.schemes import SCHEMES
 from sgms_mhe.integration.work_precision import CANDIDATES, ROUNDING, candidates, element_errors
 from sgms_mhe.machine import Machine

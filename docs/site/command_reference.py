@@ -8,7 +8,7 @@ from inspect import cleandoc
 import click
 
 from markup import table
-from sgms_mhe.cli import COMMANDS, cli
+from sgms_mhe.cli import cli, command_names
 
 HEAD = """# Commands, every option
 
@@ -22,7 +22,7 @@ input."""
 def page() -> str:
     """Markdown of all commands, in the order of --help."""
     context = click.Context(cli, info_name="sgms-mhe")
-    found = ((name, cli.get_command(context, name)) for name in COMMANDS)
+    found = ((name, cli.get_command(context, name)) for name in command_names())
     return "\n\n".join([HEAD, *(_section(name, command, context) for name, command in found if command is not None)])
 
 

@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import sgms_mhe
-from sgms_mhe.evaluation.compensation import compare_compensations
+from sgms_bench.compensation.running import compare_compensations
 
 machine = sgms_mhe.load("etel_xy_compensation")
 compared = compare_compensations(machine, ["circle"], duration_s=6.0)

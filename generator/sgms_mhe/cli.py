@@ -1,7 +1,8 @@
 """Command line `sgms-mhe`: the table of commands, exit codes, and what an error or an interrupt looks like.
 
 Results go to stdout, messages and progress to stderr. Exit codes: 0 done, 1 done and the answer is no, 2 bad input, 130
-and 143 interrupted. Every command is a module of its own in `commands`, imported when it is asked for.
+and 143 interrupted. Every command is a module of its own, in `commands` or in a distribution that adds it, imported
+when it is asked for.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ import importlib
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from importlib.metadata import EntryPoint, entry_points
 from types import FrameType
 from typing import Any, Final, NoReturn
 
@@ -36,17 +38,16 @@ COMMANDS: Final = {
     "diagnose": "diagnose",
     "fleet": "fleet",
     "plan": "plan",
-    "experiment": "experiment",
-    "compensate": "compensate",
-    "bench": "bench",
-    "target": "target",
-    "bench-diagnosis": "bench_diagnosis",
     "check": "check",
     "ci": "ci",
     "effects": "effects",
     "schema": "schema",
 }
 """Commands by name and the module of `sgms_mhe.commands` whose `command` each is, in the order of --help."""
+ENTRY_POINTS: Final = "sgms_mhe.commands"
+"""Group of entry points by which installed distributions add commands; the names above stay the product's."""
+WORKBENCH: Final = ("bench", "bench-diagnosis", "compensate", "experiment", "target")
+"""Commands that `bench/` of a checkout adds."""
 
 GARBAGE_THRESHOLDS: Final = (50_000, 20, 50)
 """Of the interpreter's three generations of objects: how many more of the youngest, and how often the others."""
@@ -65,24 +66,31 @@ class Commands(click.Group):
     """The group of commands: imports each when it is named, and turns errors into messages and exit codes."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names in the order of a user's work."""
-        return list(COMMANDS)
+        """Names in the order of --help."""
+        return command_names()
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import a command's module."""
-        if cmd_name not in COMMANDS:
-            return None
-        module = importlib.import_module(f"sgms_mhe.commands.{COMMANDS[cmd_name]}")
-        command: click.Command = module.command
-        return command
+        if cmd_name in COMMANDS:
+            command: click.Command = importlib.import_module(f"sgms_mhe.commands.{COMMANDS[cmd_name]}").command
+            return command
+        entry = added_commands().get(cmd_name)
+        return None if entry is None else entry.load()
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """The command that the arguments name; the error of an unknown one has the nearest."""
-        if args[0] in COMMANDS or args[0].startswith("-") or ctx.resilient_parsing:
+        name = args[0]
+        if name in COMMANDS or name.startswith("-") or ctx.resilient_parsing or name in added_commands():
             return super().resolve_command(ctx, args)
-        raise click.UsageError(f"No such command {args[0]!r}{did_you_mean(args[0], COMMANDS) or '.'}", ctx)
+        if name in WORKBENCH:
+            raise click.UsageError(
+                f"{name!r} belongs to the workbench, which is in a checkout of the repository and not in the installed "
+                "package: `make venv` there, then .venv/bin/sgms-mhe",
+                ctx,
+            )
+        raise click.UsageError(f"No such command {name!r}{did_you_mean(name, command_names()) or '.'}", ctx)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that the arguments name."""
@@ -90,6 +98,16 @@ class Commands(click.Group):
             result = super().invoke(ctx)
             sys.stdout.flush()  # here, where a closed pipe can still be told from success
             return result
+
+
+def added_commands() -> Mapping[str, EntryPoint]:
+    """Return the commands that other installed distributions add, by name."""
+    return {entry.name: entry for entry in entry_points(group=ENTRY_POINTS) if entry.name not in COMMANDS}
+
+
+def command_names() -> list[str]:
+    """Return the names of all commands: the product's in the order of a user's work, then those that are added."""
+    return [*COMMANDS, *sorted(added_commands())]
 
 
 @contextmanager

@@ -45,7 +45,7 @@ def command(
     """
     from sgms_mhe.evaluation.acceptance import accept, machines_below
     from sgms_mhe.evaluation.acceptance import junit as junit_text
-    from sgms_mhe.evaluation.firmware import TARGETS
+    from sgms_mhe.host.targets import TARGETS
     from sgms_mhe.support.files import write_text
 
     if junit is not None:

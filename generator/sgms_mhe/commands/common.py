@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 import sys
 import tempfile
 import threading
@@ -89,18 +88,6 @@ def out_option(meaning: str, *, metavar: str = "FILE", required: bool = True) ->
     return click.option(
         "--out", type=click.Path(path_type=Path), metavar=metavar, required=required, help=meaning, show_default=False
     )
-
-
-def flags_option(default: str) -> Callable[[F], F]:
-    """The option --cflags: words as a shell splits them, None where it is not given."""
-    return click.option("--cflags", callback=_words, metavar="FLAGS", help=f"Compiler flags; default {default}.")
-
-
-def _words(ctx: click.Context, param: click.Parameter, text: str | None) -> tuple[str, ...] | None:
-    try:
-        return None if text is None else tuple(shlex.split(text))
-    except ValueError as error:
-        raise click.BadParameter(f"{text!r}: {str(error).lower()}.", ctx, param) from None
 
 
 def part_options(meaning: str) -> Callable[[F], F]:

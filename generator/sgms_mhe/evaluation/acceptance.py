@@ -24,8 +24,7 @@ from sgms_mhe.emission.delivery import MANIFEST
 from sgms_mhe.emission.fmu import without_binaries
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.evaluation.comparison import compare_signals
-from sgms_mhe.evaluation.firmware import TARGET_FLAGS, Target, link_program
-from sgms_mhe.evaluation.target import emulate
+from sgms_mhe.host.targets import TARGET_FLAGS, Target, emulate, link_program
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.model import Model, build_model
-from sgms_mhe.plant.native import COMPENSATION, NativeCompensation
 from sgms_mhe.signals.chain import Signals, signal_array
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
@@ -45,7 +44,9 @@ class _Series(ctypes.Structure):
 
 
 @dataclass(frozen=True)
-class _Run:
+class Replay:
+    """Updates of a replay as the C writes them: `rows` (u, columns), `status` (u), `compensation` [N] (n)."""
+
     rows: Array
     status: NDArray[np.int64]
     compensation: Array
@@ -188,6 +189,7 @@ class CompiledEstimator:
         package: its package, if it was generated already.
         flags: compiler flags.
         model: the model that the package was generated from, where that is not the machine's own.
+        beside: C files of the caller that are compiled into `library`; they may include `replay.h`.
 
     Raises:
         BuildError: the compiler refused.
@@ -199,30 +201,32 @@ class CompiledEstimator:
         package: Package | None = None,
         flags: Sequence[str] = DEFAULT_FLAGS,
         model: Model | None = None,
+        beside: Sequence[Path] = (),
     ) -> None:
         self.machine = machine
         self.model = model or build_model(machine)
-        self._library = load_library(_compile(machine, package, flags, f"{machine.name}.c", "replay.c", "loop.c"))
-        self._library.sgms_replay_memory.restype = ctypes.c_size_t
-        self._library.sgms_replay_run.restype = ctypes.c_long
-        self._columns = int(self._library.sgms_replay_columns())
+        sources = (f"{machine.name}.c", "replay.c", *map(str, beside))
+        self.library = load_library(_compile(machine, package, flags, *sources))
+        self.library.sgms_replay_memory.restype = ctypes.c_size_t
+        self.library.sgms_replay_run.restype = ctypes.c_long
+        self._columns = int(self.library.sgms_replay_columns())
         self._samples = machine.sampling.samples_per_update
 
     @property
     def memory_bytes(self) -> int:
         """Size of one estimator."""
-        return int(self._library.sgms_replay_memory())
+        return int(self.library.sgms_replay_memory())
 
     def start(self) -> ctypes.Array[ctypes.c_char]:
         """Memory of a fresh estimator, for `run`."""
         memory = ctypes.create_string_buffer(self.memory_bytes + 64)
-        self._library.sgms_replay_start(memory)
+        self.library.sgms_replay_start(memory)
         return memory
 
     def estimate(self, signals: Signals, *, progress: Progress | None = None) -> Estimates:
         """Estimate from aligned signals (the Python signal chain), prepare and feedback."""
         run = self._run(self.start(), _arrays(signals), len(signals), "tasks", progress, delay=signals.delay)
-        return self._estimates(run, signals.time[self._samples :: self._samples])
+        return self.estimates_of(run, signals.time[self._samples :: self._samples])
 
     def estimate_log(
         self, log: Log, *, mode: Literal["tasks", "tick"] = "tick", progress: Progress | None = None
@@ -231,7 +235,7 @@ class CompiledEstimator:
         run = self._run(
             self.start(), {"position": log.position_m, "force": log.force_N}, len(log.time_s), mode, progress
         )
-        return self._estimates(run, log.time_s[self._samples :: self._samples])
+        return self.estimates_of(run, log.time_s[self._samples :: self._samples])
 
     def running(self) -> RunningEstimator:
         """A fresh estimator for samples that come one piece after the other."""
@@ -245,7 +249,7 @@ class CompiledEstimator:
         mode: str,
         progress: Progress | None,
         delay: float = 0.0,
-    ) -> _Run:
+    ) -> Replay:
         total = max(0, (samples - 1) // self._samples)
         rows = np.zeros((total + 1, self._columns))
         status = np.zeros(total + 1, dtype=np.int32)
@@ -261,7 +265,7 @@ class CompiledEstimator:
             series = _Series(samples=count, delay=delay)
             for name, array in held.items():
                 setattr(series, name, array.ctypes.data + first * array.itemsize)
-            done += self._library.sgms_replay_run(
+            done += self.library.sgms_replay_run(
                 memory,
                 ctypes.byref(series),
                 _MODES[mode],
@@ -271,9 +275,9 @@ class CompiledEstimator:
             )
             if progress is not None:
                 progress(done, total)
-        return _Run(rows[:done], status[:done].astype(np.int64), compensation)
+        return Replay(rows[:done], status[:done].astype(np.int64), compensation)
 
-    def _estimates(self, run: _Run, time: Array) -> Estimates:
+    def estimates_of(self, run: Replay, time: Array) -> Estimates:
         """Estimates of a run; `time` of the samples that end an interval, as many as there were updates."""
         n_z, n_p = self.model.n_z, self.model.n_p
         columns = np.split(run.rows, np.cumsum([1, 1, n_z, n_p, n_p]), axis=1)
@@ -318,7 +322,7 @@ class RunningEstimator:
         # Updates are at the samples number 1, 2, ... times `samples`, counted from 0.
         first = samples if self._taken == 0 else -self._taken % samples
         self._taken += len(piece)
-        return self._estimator._estimates(run, time[first::samples])
+        return self._estimator.estimates_of(run, time[first::samples])
 
     def state(self) -> tuple[bytes, int]:
         """Where it is: its memory and how many samples it has taken."""
@@ -342,79 +346,6 @@ def _arrays(signals: Signals) -> dict[str, NDArray[Any]]:
     }
 
 
-class _Loop(ctypes.Structure):
-    """sgms_loop."""
-
-    _fields_ = (
-        ("memory", ctypes.c_void_p),
-        ("velocity", ctypes.c_void_p),
-        ("acceleration", ctypes.c_void_p),
-        ("force", ctypes.c_void_p),
-        ("rows", ctypes.c_void_p),
-        ("statuses", ctypes.c_void_p),
-        ("samples", ctypes.c_long),
-        ("sample", ctypes.c_long),
-        ("updates", ctypes.c_long),
-    )
-
-
-class LoopCompensation:
-    """One estimator, a fresh one, in the loop of a simulated axis.
-
-    Args:
-        estimator: its package; serves any number of axes.
-        velocity: set-point ahead of each sample (n) [m/s], mean over the loop's delay; None: the drive does not tell.
-        acceleration: likewise (n) [m/s^2].
-        samples: n.
-        force: fed forward instead of what the estimator says (n) [N].
-    """
-
-    def __init__(
-        self,
-        estimator: CompiledEstimator,
-        samples: int,
-        *,
-        velocity: Array | None = None,
-        acceleration: Array | None = None,
-        force: Array | None = None,
-    ) -> None:
-        self._estimator = estimator
-        updates = samples // estimator._samples + 1
-        self._rows = np.zeros((updates, estimator._columns))
-        self._status = np.zeros(updates, dtype=np.int32)
-        self.force_N: Array = np.zeros(samples) if force is None else np.array(force, dtype=np.float64)
-        self._memory = estimator.start() if force is None else None
-        held = [None if a is None else np.ascontiguousarray(a, dtype=np.float64) for a in (velocity, acceleration)]
-        for array in (*held, self.force_N):
-            if array is not None and array.shape != (samples,):
-                raise ValueError(f"an array of shape {array.shape} for {samples} samples")
-        if velocity is not None and acceleration is None:
-            held[1] = np.zeros(samples)
-        self._held = held
-        self._loop = _Loop(
-            memory=None if self._memory is None else ctypes.addressof(self._memory),
-            velocity=None if held[0] is None else held[0].ctypes.data,
-            acceleration=None if held[1] is None else held[1].ctypes.data,
-            force=self.force_N.ctypes.data,
-            rows=self._rows.ctypes.data,
-            statuses=self._status.ctypes.data,
-            samples=samples,
-        )
-
-    @property
-    def native(self) -> NativeCompensation:
-        """For `simulate_axis`; `force_N` (n) then holds what was fed forward."""
-        function = ctypes.cast(self._estimator._library.sgms_loop_compensate, COMPENSATION)
-        return NativeCompensation(function, ctypes.addressof(self._loop))
-
-    def estimates(self, log: Log) -> Estimates:
-        """What the estimator said at its updates, once the run that left `log` is over."""
-        done = int(self._loop.updates)
-        run = _Run(self._rows[:done], self._status[:done].astype(np.int64), self.force_N)
-        samples = self._estimator._samples
-        return self._estimator._estimates(run, log.time_s[samples::samples])
-
-
 def _compile(machine: Machine, package: Package | None, flags: Sequence[str], *sources: str) -> Path:
     """Compile sources of a package, or of the runtime, against the package's headers; return the shared library."""
     package = package or emit_package(machine, selftest=False)
@@ -423,7 +354,9 @@ def _compile(machine: Machine, package: Package | None, flags: Sequence[str], *s
         write_package(package, folder)
         paths = [folder / name if name in package.files else runtime_dir() / name for name in sources]
         return shared_library(
-            paths, include_dirs=[folder], flags=[*flags, *replay_definitions(machine.name, machine.plant.kind)]
+            paths,
+            include_dirs=[folder, runtime_dir()],
+            flags=[*flags, *replay_definitions(machine.name, machine.plant.kind)],
         )
 
 

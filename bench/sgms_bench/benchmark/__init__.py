@@ -1,0 +1,1 @@
+"""Time, instructions and errors of an update, beside what CasADi exports."""

@@ -1,0 +1,1 @@
+"""Commands that an installed workbench adds to `sgms-mhe`, one per module."""

@@ -1,0 +1,1 @@
+"""Friction compensation in closed loop, by several methods."""

@@ -1,0 +1,496 @@
+"""From what diagnoses said to rates: how each log came out, the confusion matrix, errors, coverage, smallest sizes."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from sgms_bench.diagnosis.causes import LEAST_SIZE
+from sgms_bench.diagnosis.draws import Draw
+from sgms_mhe.diagnosis import Diagnosis
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES, base_number, effect_definition, reported_name
+
+NOTHING, UNEXPLAINED, ERROR = "(nothing)", "(unexplained)", "(error)"
+SIGMAS: Final = 1.96
+MOST_LISTED: Final = 3
+"""An `ambiguous` that lists more rivals per cause than this has told nothing apart."""
+WITHIN: Final = 0.1
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a diagnosis said, as far as it is scored.
+
+    `causes`: (name, parameters, std); `rivals`: (name, instead of which cause); `law`: of friction, as told; `noise_N`:
+    of the log, known from its making, over means of ten samples, NaN where it is not; `refused`: what was said of a log
+    that was refused for its sign, scale or unit; `doubted`: causes that may stand for something else; `error`: why
+    there was no diagnosis.
+    """
+
+    verdict: str
+    causes: tuple[tuple[str, Mapping[str, float], Mapping[str, float]], ...] = ()
+    rivals: tuple[tuple[str, str | None], ...] = ()
+    law: str = ""
+    has_experiment: bool = False
+    held_out_before_N: float = math.nan
+    held_out_after_N: float = math.nan
+    noise_floor_N: float = math.nan
+    noise_N: float = math.nan
+    seconds: float = math.nan
+    refused: str = ""
+    doubted: tuple[str, ...] = ()
+    error: str = ""
+
+    @classmethod
+    def of(cls, diagnosis: Diagnosis, noise_N: float, seconds: float) -> Found:
+        """The part of a diagnosis that is scored."""
+        return cls(
+            verdict=diagnosis.verdict,
+            causes=tuple((c.name, dict(c.parameters), dict(c.std)) for c in diagnosis.causes),
+            rivals=tuple((a.name, a.instead_of) for a in diagnosis.alternatives if a.rival),
+            law=diagnosis.law,
+            has_experiment=bool(diagnosis.separating_experiment),
+            held_out_before_N=diagnosis.rms.held_out_before,
+            held_out_after_N=diagnosis.rms.held_out_after,
+            noise_floor_N=diagnosis.noise_floor_N,
+            noise_N=noise_N,
+            seconds=seconds,
+            doubted=tuple(c.name for c in diagnosis.causes if c.stands_in),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain content."""
+        content: dict[str, Any] = asdict(self)
+        return content
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> Found:
+        """What `to_json` gave."""
+        causes = tuple((name, values, std) for name, values, std in content["causes"])
+        rivals = tuple((name, instead) for name, instead in content["rivals"])
+        numbers = {key: math.nan for key, value in content.items() if value is None}
+        lists = {"causes": causes, "rivals": rivals, "doubted": tuple(content["doubted"])}
+        return cls(**{**content, **numbers, **lists})
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the causes that are certain, one per kind."""
+        return tuple(dict.fromkeys(name for name, _, _ in self.causes if name not in self.doubted))
+
+
+def outcome(draw: Draw, found: Found) -> str:
+    """How a log came out.
+
+    named: exactly the hidden causes. ambiguous: not more than that, and every hidden cause is among the causes or
+    their rivals, with the experiment that tells them apart. extra: all hidden causes and something that is not there.
+    partial: not all of several, nothing wrong. missed: nothing named, the record called adequate. unexplained: nothing
+    named, but something seen. misnamed: a name that is not there in place of one that is. Clean logs: right, invented
+    or unexplained. Unmodelled forces: unexplained (right), misnamed, missed. Faults: right (refused, or unexplained
+    with no name), misnamed, missed. Logs that cannot tell: right (nothing, or ambiguous with the truth), overclaimed (a
+    name that happens to be right), misnamed. refused: a log that is as it should be.
+    """
+    if found.error:
+        return "error"
+    if found.refused and draw.kind != "fault":
+        return "refused"
+    truth, names = set(draw.truth), set(found.names)
+    if draw.kind == "clean":
+        return "invented" if names else "unexplained" if found.verdict == "unexplained" else "right"
+    if draw.kind in ("unmodelled", "fault"):
+        if names:
+            return "misnamed"
+        right = "right" if draw.kind == "fault" else "unexplained"
+        return right if found.verdict == "unexplained" else "missed"
+    listed = names | {name for name, _ in found.rivals}
+    hedged = found.verdict == "ambiguous" and found.has_experiment and truth <= listed and bool(names)
+    if draw.kind == "weak":  # all that its motion makes one of may be listed
+        if not names or (hedged and truth):
+            return "right"
+        return "overclaimed" if names <= truth else "misnamed"
+    hedged = hedged and len(listed) <= len(truth) + MOST_LISTED * max(1, len(names))
+    if names == truth and found.verdict != "ambiguous":
+        return "named"
+    if hedged and len(found.names) <= len(truth):
+        return "ambiguous"
+    if not names:
+        return "unexplained" if found.verdict == "unexplained" else "missed"
+    if truth < names:
+        return "extra"
+    if names < truth:
+        return "partial"
+    return "misnamed"
+
+
+def is_confidently_wrong(draw: Draw, found: Found) -> bool:
+    """Whether all is said to be explained by something that is not there, or that the log cannot tell.
+
+    Or nothing to be wrong with a log that no axis has left.
+    """
+    if draw.kind == "fault":
+        return found.verdict in ("explained", "adequate")
+    if found.verdict != "explained":
+        return False
+    return draw.kind == "weak" or not set(found.names) <= set(draw.truth)
+
+
+FOUND: Final = ("named", "ambiguous")
+
+
+@dataclass(frozen=True)
+class Share:
+    """`hits` of `total`, and the 95 % interval of the share (Wilson)."""
+
+    hits: int
+    total: int
+
+    @property
+    def value(self) -> float:
+        """Hits over total; NaN of nothing."""
+        return self.hits / self.total if self.total else math.nan
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval."""
+        if not self.total:
+            return math.nan, math.nan
+        n, p, z = self.total, self.value, SIGMAS
+        middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+        return max(0.0, (middle - half) / (1 + z * z / n)), min(1.0, (middle + half) / (1 + z * z / n))
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """Size at which a cause is found half of the time, over the Coulomb level, with its 80 % interval."""
+
+    name: str
+    size: float
+    low: float
+    high: float
+    draws: int
+
+
+@dataclass(frozen=True)
+class Summary:
+    """All numbers of the benchmark.
+
+    Rates over sizes from `LEAST_SIZE` on: `recovery` (single effects and wrong numbers, named or correctly ambiguous),
+    `ambiguous` of them, `misnamed`, `extra`, `missed`, `doubles`, `triples`; `false_alarms` of clean logs;
+    `unmodelled_unexplained`, `unmodelled_misnamed`; `weak` right; `faults` seen; `refused` without a fault;
+    `confidently_wrong` of all; `laws` told right where a law is told. `within`: parameters within 10 %; `covered`: by
+    their 95 % intervals; `at_floor`: held-out residual after extension within 10 % of the noise floor; `floor_ratio`:
+    (median, 90 %) of it; `own_floor_ratio`: median of the diagnosis's noise floor over the noise known from the log's
+    making. `confusion`: (truth, named) -> count. `outcomes`: (kind, outcome) -> count.
+    """
+
+    draws: int
+    recovery: Share
+    ambiguous: Share
+    misnamed: Share
+    extra: Share
+    missed: Share
+    doubles: Share
+    triples: Share
+    false_alarms: Share
+    unmodelled_unexplained: Share
+    unmodelled_misnamed: Share
+    weak: Share
+    faults: Share
+    refused: Share
+    confidently_wrong: Share
+    laws: Share
+    errors: Share
+    within: Share
+    covered: Share
+    at_floor: Share
+    floor_ratio: tuple[float, float]
+    own_floor_ratio: float
+    seconds: tuple[float, float]
+    thresholds: tuple[Threshold, ...]
+    confusion: Mapping[tuple[str, str], int]
+    outcomes: Mapping[tuple[str, str], int]
+    worst_parameters: tuple[tuple[str, float, int], ...]
+
+
+def summarise(machine: Machine, results: Iterable[tuple[Draw, Found]]) -> Summary:
+    """Score all results."""
+    rows = [(draw, found, outcome(draw, found)) for draw, found in results]
+    ones = [r for r in rows if r[0].kind in ("single", "base") and r[0].size >= LEAST_SIZE]
+    doubles, triples = (
+        [r for r in rows if r[0].kind == kind and r[0].size >= LEAST_SIZE] for kind in ("double", "triple")
+    )
+    clean, unmodelled, weak, faults = (
+        [r for r in rows if r[0].kind == kind] for kind in ("clean", "unmodelled", "weak", "fault")
+    )
+    sound = [r for r in rows if r[0].kind != "fault"]
+    told = [
+        (draw, found)
+        for draw, found, how in rows
+        if how in (*FOUND, "right") and found.verdict != "unexplained" and draw.kind != "weak" and found.law
+    ]
+
+    def share(chosen: Sequence[tuple[Draw, Found, str]], *which: str) -> Share:
+        return Share(sum(r[2] in which for r in chosen), len(chosen))
+
+    errors = [e for draw, found, how in rows if how in FOUND for e in parameter_errors(machine, draw, found)]
+    ratios = [
+        found.held_out_after_N / found.noise_floor_N
+        for draw, found, how in rows
+        if how in FOUND and found.noise_floor_N > 0.0
+    ]
+    own = [f.noise_floor_N / f.noise_N for _, f, _ in rows if f.noise_N > 0.0 and math.isfinite(f.noise_floor_N)]
+    times = [f.seconds for _, f, _ in rows if math.isfinite(f.seconds)]
+    stated = [e for e in errors if math.isfinite(e.std)]
+    by_name: dict[str, list[float]] = {}
+    for e in errors:
+        by_name.setdefault(e.name, []).append(abs(e.relative))
+    return Summary(
+        draws=len(rows),
+        recovery=share(ones, *FOUND),
+        ambiguous=share(ones, "ambiguous"),
+        misnamed=share(ones, "misnamed"),
+        extra=share(ones, "extra"),
+        missed=share(ones, "missed", "unexplained"),
+        doubles=share(doubles, *FOUND),
+        triples=share(triples, *FOUND),
+        false_alarms=share(clean, "invented"),
+        unmodelled_unexplained=share(unmodelled, "unexplained"),
+        unmodelled_misnamed=share(unmodelled, "misnamed"),
+        weak=share(weak, "right"),
+        faults=share(faults, "right"),
+        refused=share(sound, "refused"),
+        confidently_wrong=Share(sum(is_confidently_wrong(draw, found) for draw, found, _ in rows), len(rows)),
+        laws=Share(sum((found.law == "switching") == draw.axis.switches for draw, found in told), len(told)),
+        errors=share(rows, "error"),
+        within=Share(sum(abs(e.relative) <= WITHIN for e in errors), len(errors)),
+        covered=Share(sum(abs(e.error) <= SIGMAS * e.std for e in stated), len(stated)),
+        at_floor=Share(sum(r <= 1.1 for r in ratios), len(ratios)),
+        floor_ratio=_quantiles(ratios),
+        own_floor_ratio=_quantiles(own)[0],
+        seconds=_quantiles(times),
+        thresholds=tuple(_thresholds(rows)),
+        confusion=Counter(pair for draw, found, _ in rows for pair in _pairs(draw, found)),
+        outcomes=Counter((draw.kind, how) for draw, _, how in rows),
+        worst_parameters=tuple(
+            sorted(((n, float(np.median(v)), len(v)) for n, v in by_name.items()), key=lambda row: -row[1])
+        ),
+    )
+
+
+# --- parameters -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ParameterError:
+    """`name`: cause.parameter; `error`: found minus true; `relative`: over the true value; `std` as stated."""
+
+    name: str
+    error: float
+    relative: float
+    std: float
+
+
+def parameter_errors(machine: Machine, draw: Draw, found: Found) -> list[ParameterError]:
+    """Errors of sizes, periods and time constants; places (phases, instants) have no scale to be relative to."""
+    errors = []
+    for hidden in draw.hidden:
+        match = next((c for c in found.causes if c[0] == hidden.name), None)
+        if match is None:
+            continue
+        _, values, std = match
+        for key, true in _true_values(machine, hidden.name, hidden.parameters, hidden.factors).items():
+            if values.get(key) is None or true == 0.0:
+                continue
+            value = values[key]
+            if _has_sign_of_phase(hidden.name, key):
+                value, true = abs(value), abs(true)
+            # A size counts from where the effect is none: a gain's by what it differs from one.
+            none = effect_definition(hidden.name).parameter(key).none if hidden.name in EFFECT_NAMES else 0.0
+            scale = true - none
+            error = value - true
+            errors.append(ParameterError(f"{hidden.name}.{key}", error, error / scale, _number(std.get(key, math.nan))))
+    return errors
+
+
+def _true_values(
+    machine: Machine, name: str, parameters: Mapping[str, float], factors: Mapping[str, float]
+) -> dict[str, float]:
+    if name in EFFECT_NAMES:
+        definition = effect_definition(name)
+        return {k: v for k, v in parameters.items() if definition.parameter(k).role != "place" and k in definition.main}
+    friction, values = machine.friction, {}
+    for key, factor in factors.items():
+        number = base_number(key)
+        if number is not None:
+            nominal = getattr(friction, number.name)
+            values[reported_name(key)] = factor * float(nominal[number.element(key)] if number.array else nominal)
+    return values
+
+
+def _has_sign_of_phase(name: str, key: str) -> bool:
+    """An amplitude whose sign half a turn of the phase makes up for."""
+    sine = effect_definition(name).sine if name in EFFECT_NAMES else None
+    return sine is not None and key == sine.size
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+# --- confusion --------------------------------------------------------------------------------------------------
+
+
+def _pairs(draw: Draw, found: Found) -> list[tuple[str, str]]:
+    """(truth, what it was called): what is right goes with itself, the rest with what is left."""
+    rows = list(draw.truth) or [": ".join((draw.kind, *(hidden.name for hidden in draw.hidden)))]
+    if found.error:
+        return [(row, ERROR) for row in rows]
+    names = list(found.names)
+    for hidden in draw.truth:  # a rival that is the truth counts as itself
+        if hidden not in names and found.verdict == "ambiguous" and hidden in {n for n, _ in found.rivals}:
+            instead = next((i for n, i in found.rivals if n == hidden), None)
+            gone = next((n for n in names if n == instead), names[0] if names else None)
+            if gone is not None and gone not in draw.truth:
+                names[names.index(gone)] = hidden
+    pairs = [(row, row) for row in rows if row in names]
+    wrong = [n for n in names if n not in rows]
+    left = [row for row in rows if row not in names]
+    empty = UNEXPLAINED if found.verdict == "unexplained" else NOTHING
+    if not left:
+        return pairs + [("(nothing more)", n) for n in wrong]
+    return pairs + [(row, n) for row in left for n in (wrong or [empty])]
+
+
+def confusion_table(confusion: Mapping[tuple[str, str], int]) -> tuple[list[str], list[str], list[list[int]]]:
+    """(rows, columns, counts) of everything that occurs, in the order of the catalogue."""
+    order = {name: k for k, name in enumerate((*CAUSE_NAMES, "clean", "weak"))}
+
+    def sort(names: set[str]) -> list[str]:
+        return sorted(names, key=lambda n: (order.get(n, len(order)), n))
+
+    rows, columns = sort({a for a, _ in confusion}), sort({b for _, b in confusion})
+    return rows, columns, [[confusion.get((row, column), 0) for column in columns] for row in rows]
+
+
+# --- smallest sizes ---------------------------------------------------------------------------------------------
+
+
+def _thresholds(rows: Sequence[tuple[Draw, Found, str]]) -> list[Threshold]:
+    found: dict[str, list[tuple[float, bool]]] = {}
+    for draw, said, how in rows:
+        if draw.kind in ("single", "base") and how != "error":
+            found.setdefault(draw.hidden[0].name, []).append((draw.size, how in FOUND))
+        elif draw.kind in ("double", "triple") and how != "error":
+            for hidden in draw.hidden:
+                listed = {*said.names, *(n for n, _ in said.rivals)}
+                found.setdefault(hidden.name, []).append((hidden.size, hidden.name in listed))
+    return [
+        half_found(name, [s for s, _ in found[name]], [f for _, f in found[name]])
+        for name in CAUSE_NAMES
+        if name in found
+    ]
+
+
+def half_found(name: str, sizes: Sequence[float], found: Sequence[bool]) -> Threshold:
+    """Size at which a logistic curve over log(size) reaches one half.
+
+    A posterior over the curve's middle and slope on a grid, flat in the logarithm of both: unlike a maximum of the
+    likelihood it exists where all, or none, were found. Its middle is then just below, or above, what was tried.
+    """
+    middles = np.linspace(math.log(3e-3), math.log(1.0), 240)
+    slopes = np.geomspace(1.5, 12.0, 12)
+    x, hit = np.log(np.asarray(sizes))[:, None, None], np.asarray(found)[:, None, None]
+    z = slopes[None, None, :] * (x - middles[None, :, None])
+    # 3 % of anything goes wrong at any size.
+    p = 0.03 * 0.5 + 0.97 / (1.0 + np.exp(-np.clip(z, -60.0, 60.0)))
+    logarithm = np.where(hit, np.log(p), np.log1p(-p)).sum(axis=0)
+    weight = np.exp(logarithm - logarithm.max()).sum(axis=1)
+    below = np.cumsum(weight) / weight.sum()
+    low, middle, high = (float(math.exp(middles[int(np.searchsorted(below, q))])) for q in (0.1, 0.5, 0.9))
+    return Threshold(name, middle, low, high, len(sizes))
+
+
+# --- in words ---------------------------------------------------------------------------------------------------
+
+
+def summary_text(summary: Summary) -> str:
+    """The benchmark as a page of text."""
+    s = summary
+    lines = [
+        f"{s.draws} logs; sizes are peak forces over the Coulomb level, rates count those from {LEAST_SIZE:.0%} on",
+        "",
+    ]
+    rates = (
+        ("named right (a correct ambiguous counts)", s.recovery, ">= 97 %"),
+        ("  of these ambiguous, the truth among them", s.ambiguous, ""),
+        ("  called something else", s.misnamed, ""),
+        ("  right, and something that is not there", s.extra, ""),
+        ("  not named", s.missed, ""),
+        ("two effects, both found", s.doubles, ">= 85 %"),
+        ("three effects, all found", s.triples, ""),
+        ("clean logs with any name", s.false_alarms, "<= 0.5 %"),
+        ("unmodelled forces called unexplained", s.unmodelled_unexplained, ">= 97 %"),
+        ("  given a name", s.unmodelled_misnamed, ""),
+        ("logs that cannot tell, and it says so", s.weak, ""),
+        ("wrong signs, units and columns seen", s.faults, ""),
+        ("  said of logs that are right", s.refused, "0"),
+        ("CONFIDENTLY WRONG, of all logs", s.confidently_wrong, "<= 0.5 %"),
+        ("law of friction told right", s.laws, ""),
+        ("parameters within 10 %", s.within, ""),
+        ("parameters inside their 95 % interval", s.covered, "95 %"),
+        ("held-out residual within 10 % of the noise floor", s.at_floor, ""),
+        ("no diagnosis (error)", s.errors, "0"),
+    )
+    for words, share, goal in rates:
+        low, high = share.interval
+        value = "-" if not share.total else f"{100 * share.value:5.1f} %  ({100 * low:.0f} to {100 * high:.0f})"
+        lines.append(f"{words:<50} {share.hits:>4} of {share.total:<4} {value:<26} {goal}".rstrip())
+    lines += [
+        "",
+        f"held-out residual over noise floor: median {s.floor_ratio[0]:.3f}, 90 % below {s.floor_ratio[1]:.3f}; "
+        f"floor over known noise: {s.own_floor_ratio:.3f}",
+        f"time per log: median {s.seconds[0]:.1f} s, 90 % below {s.seconds[1]:.1f} s",
+        "",
+        "found half of the time from (80 % interval), of the Coulomb level",
+    ]
+    lines += [
+        f"  {t.name:<30} {100 * t.size:6.1f} %  ({100 * t.low:.1f} to {100 * t.high:.1f})   {t.draws} logs"
+        for t in s.thresholds
+    ]
+    lines += ["", "confusion: hidden -> called"]
+    rows, columns, counts = confusion_table(s.confusion)
+    for row, line in zip(rows, counts, strict=True):
+        own = f"{line[columns.index(row)] if row in columns else 0} of {sum(line)}"
+        others = ", ".join(f"{c} {n}" for c, n in zip(columns, line, strict=True) if n and c != row)
+        lines.append(f"  {row:<30} {own:>9}" + (f"   {others}" if others else ""))
+    if s.worst_parameters:
+        lines += ["", "median error of parameters, the largest ten"]
+        lines += [f"  {name:<50} {100 * error:6.1f} %   {count}" for name, error, count in s.worst_parameters[:10]]
+    return "\n".join(lines)
+
+
+def summary_json(summary: Summary) -> dict[str, Any]:
+    """Plain content."""
+    content: dict[str, Any] = {}
+    for key, value in vars(summary).items():
+        if isinstance(value, Share):
+            content[key] = {"hits": value.hits, "total": value.total, "share": value.value, "interval": value.interval}
+        elif key in ("confusion", "outcomes"):
+            content[key] = [[a, b, n] for (a, b), n in sorted(value.items())]
+        elif key == "thresholds":
+            content[key] = [asdict(t) for t in value]
+        else:
+            content[key] = value
+    return content
+
+
+def _quantiles(values: Sequence[float]) -> tuple[float, float]:
+    if not values:
+        return math.nan, math.nan
+    median, high = np.quantile(values, (0.5, 0.9))
+    return float(median), float(high)

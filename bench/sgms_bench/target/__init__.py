@@ -1,0 +1,1 @@
+"""The package on an emulated microcontroller: instructions, memory, stack."""

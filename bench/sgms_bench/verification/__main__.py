@@ -1,0 +1,98 @@
+"""What emitted C has to hold, in one table: check, tried, failed.
+
+Random calls under sanitizers, the same bits from every compiler and processor, every line and branch reached or
+explained, work and stack within what is stated, nothing in the code that a proof could not deal with.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from sgms_bench.verification.bits import host_builds, same_bits, target_builds
+from sgms_bench.verification.constructs import without_constructs
+from sgms_bench.verification.coverage import covered
+from sgms_bench.verification.fuzzing import SANITIZERS, fuzz_machines
+from sgms_bench.verification.limits import within_limits
+from sgms_bench.verification.outcome import Outcome
+from sgms_bench.verification.specimens import specimen, specimens
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.machine import Machine
+from sgms_mhe.support.paths import machines_dir
+from sgms_mhe.support.tables import Table
+
+Progress = Callable[[str], None]
+
+ON_TARGETS: Final = ("merged_auto", "switching", "groups")
+"""Specimens whose bits the emulated processors repeat; in double precision they take their time."""
+
+
+def _fuzz(chosen: argparse.Namespace, progress: Progress) -> list[Outcome]:
+    seeds = range(chosen.seed, chosen.seed + chosen.machines)
+    calls = int(chosen.calls) // len(SANITIZERS)
+    return [fuzz_machines(of, seeds, calls, chosen.keep / name, progress) for name, of in SANITIZERS.items()]
+
+
+def _bits(_: argparse.Namespace, progress: Progress) -> list[Outcome]:
+    on_host = same_bits([*_machine_files(), *specimens()], list(host_builds()), progress)
+    on_targets = same_bits([specimen(name) for name in ON_TARGETS], list(target_builds()), progress)
+    return on_host + on_targets
+
+
+def _machine_files() -> list[Machine]:
+    """The machine files of this package."""
+    return [load_machine(path.stem) for path in sorted(machines_dir().glob("*.toml"))]
+
+
+CHECKS: Final[Mapping[str, Callable[[argparse.Namespace, Progress], list[Outcome]]]] = {
+    "constructs": lambda _, progress: without_constructs(list(specimens()), progress),
+    "coverage": lambda _, progress: [covered(list(specimens()), progress)],
+    "limits": lambda _, progress: within_limits(list(specimens()), progress),
+    "bits": _bits,
+    "fuzz": _fuzz,
+}
+"""Groups of checks by name."""
+
+
+def table(outcomes: Sequence[Outcome]) -> Table:
+    """Check, tried, failed."""
+    rows = [
+        {
+            "check": o.check,
+            "tried": o.tried or f"nothing: {o.skipped}",
+            "failed": "skipped" if o.skipped else len(o.failures),
+        }
+        for o in outcomes
+    ]
+    return Table("verification of emitted C", {"check": "", "tried": "", "failed": ""}, rows)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the checks and print the table; 1 where one failed."""
+    parser = argparse.ArgumentParser(
+        prog="python -m sgms_bench.verification", description=(__doc__ or "").splitlines()[0]
+    )
+    parser.add_argument("--calls", type=float, default=3e5, help="random calls, in all (1e8: an hour or more)")
+    parser.add_argument("--machines", type=int, default=6, help="random machines")
+    parser.add_argument("--seed", type=int, default=0, help="of the first of them")
+    parser.add_argument("--keep", type=Path, default=Path("build/verify"), help="folder for inputs that fail")
+    parser.add_argument("--only", choices=[*CHECKS], nargs="+", default=[*CHECKS], help="groups of checks")
+    chosen = parser.parse_args(arguments)
+
+    def progress(line: str) -> None:
+        sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()
+
+    outcomes = [outcome for name in CHECKS if name in chosen.only for outcome in CHECKS[name](chosen, progress)]
+    sys.stdout.write(f"{table(outcomes)}\n")
+    for outcome in outcomes:
+        for failure in outcome.failures:
+            sys.stdout.write(f"failed: {outcome.check}: {failure}\n")
+    return int(any(outcome.failures for outcome in outcomes))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

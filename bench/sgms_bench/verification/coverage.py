@@ -1,0 +1,169 @@
+"""Lines and branches of emitted C that its self-test and an exercise of all calls reach; the rest has a reason each."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import re
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from sgms_bench import C_DIR
+from sgms_bench.verification.gaps import GAPS, Gap
+from sgms_bench.verification.outcome import AbsentError, Outcome, definitions, require, run
+from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_mhe.machine import Machine
+from sgms_mhe.support.errors import BuildError
+
+# Without inlining every branch of a function stands for all of its callers, once.
+FLAGS: Final = ("-std=c99", "-O0", "-ffp-contract=off", "--coverage", "-fno-inline")
+INLINED: Final = "__attribute__((always_inline)) inline"
+
+
+@dataclass(frozen=True)
+class Place:
+    """A line of emitted C as packages have it in common.
+
+    Attributes:
+        function: in which; the machine's name in it is NAME.
+        code: text of the line, likewise, without what tells single precision.
+        nth: of the same text in the function.
+        branches: that it has.
+    """
+
+    function: str
+    code: str
+    nth: int
+    branches: int
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Of one package: how often every line was executed, and its branches taken."""
+
+    counts: Mapping[Place, tuple[int, ...]]
+
+    @property
+    def lines(self) -> tuple[int, int]:
+        """(executed, all)."""
+        return sum(line > 0 for line, *_ in self.counts.values()), len(self.counts)
+
+    @property
+    def branches(self) -> tuple[int, int]:
+        """(taken, all)."""
+        taken = sum(count > 0 for _, *branches in self.counts.values() for count in branches)
+        return taken, sum(place.branches for place in self.counts)
+
+
+def covered(machines: Sequence[Machine], progress: Callable[[str], None]) -> Outcome:
+    """Whether every line and branch of packages is reached: in each, in another one of them, or not for a reason."""
+    check = "coverage: every line and branch, or a reason"
+    try:
+        require("gcc", "gcov")
+    except AbsentError as absent:
+        return Outcome(check, "", skipped=str(absent))
+    found = []
+    for machine in machines:
+        found.append(measure(emit_package(machine)))
+        progress(f"{check}: {machine.name}, {found[-1].lines} lines, {found[-1].branches} branches")
+    lines, branches = (np.sum([getattr(of, name) for of in found], axis=0) for name in ("lines", "branches"))
+    left = never_reached(found)
+    explained = {place: reason_of(place) for place in left}
+    failures = [f"{place.function}: {place.code}" for place, reason in explained.items() if reason is None]
+    used = set(explained.values())
+    failures += [f"no package has this gap any more: {gap.function}: {gap.code}" for gap in GAPS if gap not in used]
+    tried = (
+        f"{lines[0]} of {lines[1]} lines, {branches[0]} of {branches[1]} branches of {len(found)} packages; "
+        f"{len(left)} lines in none of them, for {len(GAPS)} reasons"
+    )
+    return Outcome(check, tried, tuple(failures))
+
+
+def never_reached(found: Sequence[Coverage]) -> list[Place]:
+    """Lines that no package executes, or of which a branch is taken in none."""
+    most: dict[Place, tuple[int, ...]] = {}
+    for coverage in found:
+        for place, counts in coverage.counts.items():
+            most[place] = tuple(map(max, most.get(place, counts), counts))
+    return [place for place, counts in most.items() if 0 in counts]
+
+
+def reason_of(place: Place) -> Gap | None:
+    """The entry of the list that explains it."""
+    return next((gap for gap in GAPS if gap.explains(place.function, place.code)), None)
+
+
+def measure(package: Package, *, exercised: bool = True) -> Coverage:
+    """Run a package's self-test, and the exercise of all its calls, and count what they reach.
+
+    Args:
+        package: with self-test vectors.
+        exercised: with the exercise; without, the self-test alone.
+
+    Raises:
+        BuildError: a program does not compile, or fails.
+    """
+    name = package.machine.name
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        write_package(package, folder / name)
+        header = folder / name / "sgms_real.h"
+        header.write_text(header.read_text().replace(INLINED, "inline"))
+        options: list[str | Path] = [*FLAGS, *definitions(package), f"-I{folder / name}"]
+        _succeed(["gcc", *options, "-c", folder / name / f"{name}.c", "-o", folder / "package.o"])
+        selftest: list[str | Path] = [C_DIR / "harness.c", folder / name / f"{name}_selftest.c"]
+        programs = {"selftest": (selftest, ["-DSGMS_SELFTEST"], ["--selftest"])}
+        if exercised:
+            programs["exercise"] = ([C_DIR / "exercise.c"], [], [])
+        for program, (parts, defined, arguments) in programs.items():
+            bare: list[str | Path] = [*(option for option in options if option != "--coverage"), *defined]
+            objects: list[str | Path] = [folder / f"{program}_{part}.o" for part in range(len(parts))]
+            for source, compiled in zip(parts, objects, strict=True):
+                _succeed(["gcc", *bare, source, "-c", "-o", compiled])
+            _succeed(["gcc", "--coverage", *objects, folder / "package.o", "-o", folder / program, "-lm"])
+            _succeed([folder / program, *arguments])
+        _succeed(["gcov", "--json-format", "--branch-probabilities", "-o", folder, folder / "package.o"], folder)
+        reports = list(folder.glob("*.gcov.json.gz"))
+        content = json.loads(gzip.decompress(reports[0].read_bytes()))
+        return _coverage(content, folder / name, name)
+
+
+def _succeed(command: Sequence[str | Path], folder: Path | None = None) -> None:
+    done = run(command, folder=folder)
+    if done.code != 0:
+        raise BuildError(f"{command[0]}: exit code {done.code}\n{done.output}")
+
+
+def _coverage(content: Mapping[str, Any], folder: Path, name: str) -> Coverage:
+    counts: dict[Place, tuple[int, ...]] = {}
+    seen = Counter[tuple[str, str]]()
+    for line, text in _lines(content, folder):
+        function = line.get("function_name", "")
+        own = (line["count"], *(branch["count"] for branch in line["branches"]))
+        place = Place(_common(function, name), _common(text, name), seen[function, text], len(own) - 1)
+        seen[function, text] += 1
+        counts[place] = tuple(map(max, counts.get(place, own), own))  # groups of blocks have the same function
+    return Coverage(counts)
+
+
+def _lines(content: Mapping[str, Any], folder: Path) -> Iterator[tuple[Mapping[str, Any], str]]:
+    """Lines of the package's files that hold code, with their text."""
+    for file in content["files"]:
+        path = Path(file["file"])
+        if path.parent != folder:
+            continue
+        texts = path.read_text().splitlines()
+        yield from ((line, texts[line["line_number"] - 1].strip()) for line in file["lines"])
+
+
+def _common(text: str, name: str) -> str:
+    """Code as packages of all names, groups of blocks and precisions have it."""
+    text = re.sub(rf"\b{name.upper()}_", "NAME_", re.sub(rf"\b{name}_", "NAME_", text))
+    text = re.sub(r"\b(?:element|block\d+)_", "GROUP_", re.sub(r"\b(?:ELEMENT|BLOCK\d+)_", "GROUP_", text))
+    return re.sub(r"(\d)f\b", r"\1", text)

@@ -1,0 +1,94 @@
+"""What a check found, and the tools and programs that checks take."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from sgms_mhe.emission.package import Package
+from sgms_mhe.host.compiled import replay_definitions
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one check came to.
+
+    Attributes:
+        check: its name.
+        tried: how many of what.
+        failures: what failed, a text each.
+        skipped: why it could not run; None: it did.
+    """
+
+    check: str
+    tried: str
+    failures: tuple[str, ...] = ()
+    skipped: str | None = None
+
+
+class AbsentError(Exception):
+    """A tool is not there; the message says which, and what brings it."""
+
+
+def require(*tools: str) -> None:
+    """Make sure that commands are there.
+
+    Raises:
+        AbsentError: one is not.
+    """
+    absent = [tool for tool in tools if shutil.which(tool) is None]
+    if absent:
+        raise AbsentError(f"tool absent: {', '.join(absent)}")
+
+
+def definitions(package: Package) -> list[str]:
+    """Compiler definitions that bind a program of the verification to a package."""
+    name = package.machine.name
+    header, config = (package.files[f"{name}{end}.h"] for end in ("", "_config"))
+    own = {
+        "HAS_TIME": "int64_t elapsed;" in header,
+        "WINDOW": "int32_t complete, cursor;" in header,
+        "BOUNDED": "lower_bound[" in config,
+    }
+    return [
+        *replay_definitions(name),
+        f'-DSGMS_CONFIG_HEADER="{name}_config.h"',
+        *(f"-D{key}={int(value)}" for key, value in own.items()),
+    ]
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a program came to."""
+
+    code: int
+    output: str
+
+
+def run(
+    command: Sequence[str | Path],
+    environment: Mapping[str, str] | None = None,
+    folder: Path | None = None,
+    seconds: float = 3600.0,
+) -> Run:
+    """Run a program; its exit code, and all that it printed. One that does not end in time has code 124."""
+    words = [str(word) for word in command]
+    try:
+        done = subprocess.run(
+            words,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            check=False,
+            env=environment,
+            cwd=folder,
+            timeout=seconds,
+        )
+    except subprocess.TimeoutExpired:
+        return Run(124, f"did not end within {seconds:g} s")
+    return Run(done.returncode, done.stdout)

@@ -1,1 +1,0 @@
-"""What emitted C holds whatever comes in, wherever it is compiled: `python -m sgms_mhe.evaluation.verification`."""
