@@ -52,12 +52,29 @@ def test_importing_the_package_imports_nothing_else() -> None:
     assert ran.stdout == "['sgms_mhe']\n"
 
 
-def test_pandas_is_not_imported_until_a_frame_is_asked_for() -> None:
-    script = (
-        "import sys, sgms_mhe\nsgms_mhe.read_log\nsgms_mhe.estimate\nsgms_mhe.simulate\nprint('pandas' in sys.modules)"
+def test_what_extras_bring_is_needed_for_no_result(small: Path, tmp_path: Path) -> None:
+    command = (
+        "import sys, sgms_mhe\nsys.modules |= dict.fromkeys(('matplotlib', 'pandas', 'h5py', 'distributed'))\n"
+        "for name in sgms_mhe.__all__: getattr(sgms_mhe, name)\nimport sgms_mhe.report\n"
+        "from sgms_mhe.cli import main\nmain()"
     )
-    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert ran.stdout == "False\n"
+    calls = [
+        ["simulate", small, "--out", "log.csv", "--duration", "2", "--scale", "coulomb=1.2"],
+        ["inspect", "log.csv"],
+        ["predict", small, "log.csv", "--out", "p.csv"],
+        ["estimate", small, "log.csv", "--out", "e.csv", "--plot", "figures"],
+        ["estimate", small, "log.csv", "--out", "e.csv"],
+    ]
+    options = {"cwd": tmp_path, "text": True, "stderr": subprocess.PIPE}
+    ran = [subprocess.run([sys.executable, "-c", command, *call], check=False, **options) for call in calls]
+    assert [process.returncode for process in ran] == [0, 0, 0, 2, 0], [process.stderr for process in ran]
+    assert "'matplotlib': not installed, a figure needs it: pip install 'sgms-mhe[plot]'" in ran[3].stderr
+
+
+def test_a_frame_without_pandas_says_what_to_install(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match=r"pip install 'sgms-mhe\[frames\]'"):
+        log.to_frame()
 
 
 def test_every_function_is_there_described_and_typed() -> None:

@@ -7,6 +7,7 @@ import json
 import math
 import re
 import struct
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -133,6 +134,15 @@ def test_pictures_lie_beside_the_report(name: str, machine: Machine, tmp_path: P
         width, height = struct.unpack(">II", content[16:24])
         assert min(width, height) > 250
     assert not list(tmp_path.glob(".*")), "a temporary file is left"
+
+
+def test_report_without_matplotlib_has_no_pictures(
+    machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    page = read(write_report(cases.explained(machine), tmp_path))
+    assert "pictures: none, since matplotlib is not installed" in page.words
+    assert page.canvases and not list(tmp_path.glob("*.png"))
 
 
 @pytest.mark.usefixtures("pictures")

@@ -12,7 +12,8 @@ import pytest
 
 from cli_cases import SMALL, done, refused, run
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.evaluation.tuning import Trial, trade_off_figure, tune
+from sgms_mhe.evaluation.plots import trade_off_figure
+from sgms_mhe.evaluation.tuning import Trial, tune
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig

@@ -24,6 +24,7 @@ from sgms_mhe.commands.common import (
     table_text,
 )
 from sgms_mhe.commands.log_options import load_for_log, log_options
+from sgms_mhe.support.libraries import optional_library
 
 if TYPE_CHECKING:
     from sgms_mhe.machine import Machine
@@ -68,6 +69,7 @@ def command(
     check_output_file(out)
     if plot is not None:
         check_output_folder(plot)
+        optional_library("matplotlib", "plot", "a figure", "--plot")
 
     from sgms_mhe.api import estimation
     from sgms_mhe.signals.estimates import write_estimates

@@ -21,6 +21,7 @@ from sgms_mhe.commands.common import (
     table_text,
 )
 from sgms_mhe.commands.log_options import load_for_log, log_options
+from sgms_mhe.support.libraries import optional_library
 
 if TYPE_CHECKING:
     from sgms_mhe.evaluation.tuning import Tuned
@@ -48,9 +49,10 @@ def command(machine: str, log: Path, table: dict[str, Any], out: Path | None, pl
         check_output_file(out, (".toml",))
     if plot is not None:
         check_output_file(plot, (".png", ".svg"))
+        optional_library("matplotlib", "plot", "a figure", "--plot")
 
-    from sgms_mhe.evaluation.plots import save_figure
-    from sgms_mhe.evaluation.tuning import trade_off_figure, tune
+    from sgms_mhe.evaluation.plots import save_figure, trade_off_figure
+    from sgms_mhe.evaluation.tuning import tune
     from sgms_mhe.support.files import write_text
 
     tuned = tune(resolved, recorded_log(log, resolved), note)

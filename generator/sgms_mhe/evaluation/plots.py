@@ -1,23 +1,29 @@
-"""Figures of estimates, drawn without a display and without global state."""
+"""Figures of estimates and of a tuning, drawn without a display and without global state.
+
+matplotlib is imported when a figure is made: nothing that is computed or emitted needs it.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from sgms_mhe.evaluation.tuning import Tuned
 from sgms_mhe.machine import OF_KIND
 from sgms_mhe.model import FreeParameter
 from sgms_mhe.model.effects import base_number
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.status import FLAGS, REFUSED, flagged, measured
 from sgms_mhe.support.files import atomic_write
+from sgms_mhe.support.libraries import optional_library
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Dark enough on white, and apart for the colour-blind.
 MEASURED, ESTIMATED, BAND, NOMINAL = "0.6", "#0b5394", "#9fc5e8", "#b45f06"
@@ -26,7 +32,7 @@ WIDTH_IN = 9.0
 
 def friction_figure(estimates: Estimates, title: str) -> Figure:
     """Friction measured and estimated, their difference, and the status of every update."""
-    figure, unit = _figure(6.6), OF_KIND[estimates.kind].force
+    figure, unit = blank_figure(6.6), OF_KIND[estimates.kind].force
     axes = figure.subplots(3, 1, sharex=True, height_ratios=(4, 2, 1.6))
     counted = measured(estimates.status)
     taken = np.where(counted, estimates.friction_measured_N, np.nan)
@@ -48,7 +54,7 @@ def friction_figure(estimates: Estimates, title: str) -> Figure:
 
 def parameter_figure(estimates: Estimates, parameters: Sequence[FreeParameter], title: str) -> Figure:
     """Every estimated parameter with its band of two standard deviations and its nominal value."""
-    figure = _figure(1.2 + 1.9 * len(parameters))
+    figure = blank_figure(1.2 + 1.9 * len(parameters))
     axes = figure.subplots(len(parameters), 1, sharex=True, squeeze=False)[:, 0]
     units = OF_KIND[estimates.kind]
     for axis, parameter, value, std in zip(axes, parameters, estimates.parameters.T, estimates.std.T, strict=True):
@@ -66,17 +72,47 @@ def parameter_figure(estimates: Estimates, parameters: Sequence[FreeParameter], 
     return figure
 
 
+def trade_off_figure(tuned: Tuned) -> Figure:
+    """L over every weight that was tried, the file's and the chosen one marked."""
+    names = [name for name, tried in tuned.trials.items() if len(tried) > 1]
+    figure = blank_figure(2.6 * math.ceil(len(names) / 2))
+    axes = figure.subplots(math.ceil(len(names) / 2), 2, squeeze=False).ravel()
+    for axis, name in zip(axes, names, strict=False):
+        values = [value for value, _ in tuned.trials[name]]
+        axis.plot(values, [trial.mean for _, trial in tuned.trials[name]], "o-", color="0.4", markersize=3)
+        chosen = tuned.best.changes.get(name)
+        if chosen is not None:
+            axis.axvline(chosen, color=ESTIMATED, linewidth=1.4, label="chosen")
+        own = next((value for value, trial in tuned.trials[name] if trial is tuned.start), None)
+        if own is not None:
+            axis.axvline(own, color=NOMINAL, linewidth=1.0, linestyle="--", label="file")
+        axis.set_xscale("log")
+        axis.set_xlabel(name)
+        axis.set_ylabel("L")
+        if chosen is not None or own is not None:
+            axis.legend(frameon=False, fontsize="small")
+    for axis in axes[len(names) :]:
+        axis.set_visible(False)
+    return figure
+
+
 def save_figure(path: Path, figure: Figure) -> None:
     """Write a figure as PNG, or SVG where the path says so, atomically; the same figure gives the same bytes."""
-    FigureCanvasAgg(figure)
+    _drawing("matplotlib.backends.backend_agg").FigureCanvasAgg(figure)
     is_svg = path.suffix == ".svg"
     metadata = {"Date": None, "Creator": None} if is_svg else {"Software": None}
-    with atomic_write(path) as stream, rc_context({"svg.hashsalt": "sgms-mhe"}):
+    with atomic_write(path) as stream, _drawing("matplotlib").rc_context({"svg.hashsalt": "sgms-mhe"}):
         figure.savefig(stream, format="svg" if is_svg else "png", dpi=150, metadata=metadata)
 
 
-def _figure(height_in: float) -> Figure:
-    return Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+def blank_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:
+    """Return a figure without axes. Raises InputError where matplotlib is not installed."""
+    figure: Figure = _drawing("matplotlib.figure").Figure(figsize=(width_in, height_in), layout="constrained")
+    return figure
+
+
+def _drawing(module: str) -> Any:
+    return optional_library(module, "plot", "a figure")
 
 
 def _head(axis: Any, title: str, *, columns: int) -> None:

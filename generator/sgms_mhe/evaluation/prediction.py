@@ -18,7 +18,7 @@ from sgms_mhe.signals.chain import Signals, signals_from_log
 from sgms_mhe.signals.columns import write_columns
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.frames import data_frame
+from sgms_mhe.support.libraries import data_frame
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
@@ -222,27 +221,3 @@ class _Search:
                 allowed = f"at least {LEAST_UPDATES}: a log in which the axis moves for longer"
                 raise InputError(self._source, "updates with a reading in motion", int(self._counted.sum()), allowed)
         return innovation_loss(estimates, self._counted)
-
-
-def trade_off_figure(tuned: Tuned) -> Figure:
-    """L over every weight that was tried, the file's and the chosen one marked."""
-    names = [name for name, tried in tuned.trials.items() if len(tried) > 1]
-    figure = Figure(figsize=(9.0, 2.6 * math.ceil(len(names) / 2)), layout="constrained")
-    axes = figure.subplots(math.ceil(len(names) / 2), 2, squeeze=False).ravel()
-    for axis, name in zip(axes, names, strict=False):
-        values = [value for value, _ in tuned.trials[name]]
-        axis.plot(values, [trial.mean for _, trial in tuned.trials[name]], "o-", color="0.4", markersize=3)
-        chosen = tuned.best.changes.get(name)
-        if chosen is not None:
-            axis.axvline(chosen, color="#0b5394", linewidth=1.4, label="chosen")
-        own = next((value for value, trial in tuned.trials[name] if trial is tuned.start), None)
-        if own is not None:
-            axis.axvline(own, color="#b45f06", linewidth=1.0, linestyle="--", label="file")
-        axis.set_xscale("log")
-        axis.set_xlabel(name)
-        axis.set_ylabel("L")
-        if chosen is not None or own is not None:
-            axis.legend(frameon=False, fontsize="small")
-    for axis in axes[len(names) :]:
-        axis.set_visible(False)
-    return figure

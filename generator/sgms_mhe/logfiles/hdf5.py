@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damaged, extra, real
+from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damaged, real
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.libraries import optional_library
 
 _WHOLE = "a whole HDF5 file, its columns arrays of real numbers"
 
@@ -18,7 +19,7 @@ def read_hdf5(path: Path, form: str = "HDF5") -> Table:
     MATLAB writes its matrices' columns as rows, so those of a MAT file are turned. Raises InputError for a damaged file
     and where h5py is absent, OSError as open does.
     """
-    h5py = extra(path, "h5py", "h5py", form)
+    h5py = optional_library("h5py", "hdf5", form, path)
     turned = form != "HDF5"
     with path.open("rb"):
         pass  # a file that cannot be opened is told from one that is no HDF5

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from sgms_mhe.logfiles.table import Array, Table, array_row, columns_of, damaged, extra, real
+from sgms_mhe.logfiles.table import Array, Table, array_row, columns_of, damaged, real
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.libraries import optional_library
 
 _WHOLE = "a whole MDF file of numeric channels"
 
@@ -22,7 +23,7 @@ def read_mdf(path: Path) -> Table:
     Wanted channels have to be of one group, or sampled at the same times. Raises InputError for a damaged file and
     where asammdf is absent, OSError as open does.
     """
-    asammdf = extra(path, "asammdf", "asammdf", "MDF")
+    asammdf = optional_library("asammdf", "mdf", "MDF", path)
     with path.open("rb"):
         pass  # a file that cannot be opened is told from one that is no MDF
 

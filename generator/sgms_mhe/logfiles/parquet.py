@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damaged, extra, real, seconds
+from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damaged, real, seconds
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.libraries import optional_library
 
 _WHOLE = "a whole Parquet file, its columns numbers or time stamps"
 
@@ -19,8 +20,8 @@ def read_parquet(path: Path) -> Table:
 
     Raises InputError for a damaged file and where pyarrow is absent, OSError as open does.
     """
-    parquet = extra(path, "pyarrow.parquet", "pyarrow", "Parquet")
-    arrow = extra(path, "pyarrow", "pyarrow", "Parquet")
+    parquet = optional_library("pyarrow.parquet", "parquet", "Parquet", path)
+    arrow = optional_library("pyarrow", "parquet", "Parquet", path)
     with path.open("rb"):
         pass  # a file that cannot be opened is told from one that is no Parquet
     try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -95,12 +94,3 @@ def seconds(stamps: NDArray[Any]) -> Array:
         return np.full(len(whole), np.nan)
     since = (whole - whole[known][0]).astype(np.int64) / 1e9
     return np.where(known, since, np.nan)
-
-
-def extra(path: Path, module: str, package: str, form: str) -> Any:
-    """A library that is not among this package's own. Raises InputError, with how to install it, where it is absent."""
-    try:
-        return import_module(module)
-    except ImportError:
-        allowed = f"the library {package} for {form}, which is not installed: pip install {package}"
-        raise InputError(path, "file", path.name, allowed) from None

@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from sgms_mhe.diagnosis import Diagnosis
+from sgms_mhe.evaluation.plots import WIDTH_IN, blank_figure
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.ranking import NAMED, ranked_scores
 from sgms_mhe.report.series import View, runs
 from sgms_mhe.report.units import axis_units
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 MEASURED, BEFORE, AFTER = "#374151", "#c2540a", "#0b6aa8"
-WIDTH_IN: Final = 9.0
 HELD_OUT: Final = "#efeee2"
 
 
 def measured_figure(diagnosis: Diagnosis) -> Figure:
     """Friction measured and simulated over time, and the residual before and after."""
     t = diagnosis.traces
-    figure = Figure(figsize=(WIDTH_IN, 5.6), layout="constrained")
+    figure = blank_figure(5.6)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
 
     def shown(values: Any) -> Any:
@@ -52,7 +54,7 @@ def measured_figure(diagnosis: Diagnosis) -> Figure:
 
 def residual_figure(diagnosis: Diagnosis, views: Sequence[View]) -> Figure:
     """The residual over every coordinate, before and after."""
-    figure = Figure(figsize=(WIDTH_IN, 7.6), layout="constrained")
+    figure = blank_figure(7.6)
     for axis, view in zip(figure.subplots(3, 2).flat, views, strict=True):
         pairs = [("machine file as it is", BEFORE, view.before, view.mean_before)]
         if diagnosis.extended is not None:
@@ -77,7 +79,7 @@ def residual_figure(diagnosis: Diagnosis, views: Sequence[View]) -> Figure:
 def candidates_figure(diagnosis: Diagnosis) -> Figure:
     """How much force every candidate would explain."""
     scores = ranked_scores(diagnosis.scores)[::-1]
-    figure = Figure(figsize=(WIDTH_IN, 1.0 + 0.24 * max(4, len(scores))), layout="constrained")
+    figure = blank_figure(1.0 + 0.24 * max(4, len(scores)))
     axis = figure.subplots()
     axis.barh(
         [s.name for s in scores],
@@ -98,7 +100,7 @@ def gain_figure(diagnosis: Diagnosis, estimator: EstimatorGain | None) -> Figure
         names.append("estimator's prediction,\nlog it has not seen")
         before.append(estimator.base.predicted_rms_N)
         after.append(estimator.extended.predicted_rms_N)
-    figure = Figure(figsize=(0.6 * WIDTH_IN, 3.4), layout="constrained")
+    figure = blank_figure(3.4, 0.6 * WIDTH_IN)
     axis = figure.subplots()
     at = np.arange(len(names))
     axis.bar(at - 0.19, before, 0.36, color=BEFORE, label="machine file as it is")

@@ -6,11 +6,10 @@ import json
 import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import jinja2
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.evaluation.plots import save_figure
@@ -25,6 +24,10 @@ from sgms_mhe.report.units import in_units
 from sgms_mhe.report.watch import Watched, watch_content, watch_plots
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.files import write_text
+from sgms_mhe.support.libraries import has_library
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Progress = Callable[[str, float], None]
 """Called with (what is being done, share of the work done)."""
@@ -40,7 +43,7 @@ def write_report(
     estimator: EstimatorGain | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Write report.html, its figures as PNG and the extended machine file that it links to.
+    """Write report.html, its figures as PNG where matplotlib is installed, and the extended machine file.
 
     Args:
         diagnosis: to be reported.
@@ -107,6 +110,8 @@ def _written(diagnosis: Diagnosis, folder: Path, estimator: EstimatorGain | None
         "candidates.png": lambda: figures.candidates_figure(diagnosis),
         "gain.png": lambda: figures.gain_figure(diagnosis, estimator),
     }
+    if not has_library("matplotlib"):  # the page draws for itself
+        drawings.clear()
     for k, (name, draw) in enumerate(drawings.items()):
         tell(name, 0.1 + 0.7 * k / len(drawings))
         save_figure(folder / name, draw())

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import LINEAR, OF_KIND, ROTARY, Kind
 from sgms_mhe.signals.columns import read_columns, write_columns
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.frames import data_frame
+from sgms_mhe.support.libraries import data_frame
 
 Array = NDArray[np.float64]
 

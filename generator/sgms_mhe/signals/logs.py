@@ -14,7 +14,7 @@ from sgms_mhe.machine import OF_KIND, QUANTITIES, Kind, Machine, Units
 from sgms_mhe.signals.columns import write_columns
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
-from sgms_mhe.support.frames import data_frame
+from sgms_mhe.support.libraries import data_frame
 
 Array = NDArray[np.float64]
 

@@ -20,13 +20,13 @@ from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from multiprocessing import Pipe
 from typing import Any, Final
 
 from sgms_mhe import __version__
 from sgms_mhe.support.child import Answer, answered
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.libraries import optional_library
 from sgms_mhe.support.parallel import LIBRARIES, VARIABLE, workers
 
 ATTEMPTS: Final = 2
@@ -310,11 +310,7 @@ def _version() -> str:
 
 
 def _on_cluster(tasks: Sequence[Task], address: str, limit_s: float | None) -> Iterator[Outcome]:
-    try:
-        distributed = import_module("distributed")
-    except ImportError:
-        allowed = "needs the package distributed: pip install 'sgms-mhe[dask]'"
-        raise InputError("scheduler", "address", address, allowed) from None
+    distributed = optional_library("distributed", "dask", "a Dask scheduler", "scheduler")
     try:
         client = distributed.Client(address, timeout=10, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
