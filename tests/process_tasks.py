@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sgms_mhe.support.errors import InputError
+
+if TYPE_CHECKING:
+    from sgms_mhe.api.fleet.table import Row, Verb
+    from sgms_mhe.machine import Machine
 
 
 def squared(number: int) -> int:
@@ -39,9 +45,8 @@ def left() -> None:
     os._exit(7)
 
 
-def hung(seconds: float) -> str:
-    time.sleep(seconds)
-    return "woke up"
+def hung() -> None:
+    threading.Event().wait()
 
 
 def unpicklable() -> object:
@@ -68,6 +73,13 @@ def no_files() -> dict[str, bytes]:
     raise ValueError("no result")
 
 
-def slow_work(*_: object) -> dict[str, bytes]:
-    time.sleep(60.0)
+def hung_work(*_: object) -> dict[str, bytes]:
+    hung()
     return {}
+
+
+def work_on_the_first(verb: Verb, row: Row, machine: Machine | None) -> dict[str, bytes]:
+    """The work on the first row of a fleet's table; on any other it never ends."""
+    from sgms_mhe.api.fleet.work import work
+
+    return work(verb, row, machine) if row.number == 2 else hung_work()
