@@ -16,6 +16,7 @@ from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
 from sgms_mhe.diagnosis.alignment import aligned, thinned
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.compiling import compiled_once
+from sgms_mhe.diagnosis.criteria import material_force
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
@@ -300,6 +301,20 @@ def test_a_number_that_a_bound_holds_is_not_rounded_beyond_it() -> None:
     lag = {"name": "actuator_lag", "time_constant_s": -1e-20}
     extended, _ = extend_machine(load_machine("etel_xy"), ["actuator_lag"], {}, [lag])
     assert extended.effects[0].parameters == {"time_constant_s": 0.0}
+
+
+def test_a_machine_file_says_how_a_record_is_split_and_what_matters(machine: Machine) -> None:
+    log = simulated(machine, [])
+    usual, changed = (
+        prepare(override_machine(machine, {"diagnosis": table}), log)
+        for table in ({}, {"folds": 4, "held_out_one_in": 2, "material": 0.1})
+    )
+    assert set(usual.fold) == set(range(5)) and set(changed.fold) == set(range(4))
+    assert usual.held_out.mean() == pytest.approx(1 / 3, abs=0.05)
+    assert changed.held_out.mean() == pytest.approx(1 / 2, abs=0.05)
+    floor, level = 0.05, machine.friction.coulomb
+    assert material_force(machine, floor) == pytest.approx(max(0.004 * level, 0.25 * floor))
+    assert material_force(changed.machine, floor) == pytest.approx(0.1 * level)
 
 
 def test_held_out_intervals_are_not_seen(machine: Machine) -> None:

@@ -21,7 +21,7 @@ from sgms_bench.diagnosis.causes import Hidden
 from sgms_bench.diagnosis.draws import Draw, machine_of, simulate_draw
 from sgms_mhe.configuration import load_machine, override_machine, under_other_law
 from sgms_mhe.diagnosis import Diagnosis, diagnose
-from sgms_mhe.diagnosis.causes import holds
+from sgms_mhe.diagnosis.causes import SIGMAS, holds
 from sgms_mhe.diagnosis.compiling import CompiledFit, compiled_fit
 from sgms_mhe.diagnosis.confirmation import _echoes, _imitates
 from sgms_mhe.diagnosis.covariance import covariance
@@ -469,7 +469,7 @@ def test_stand_ins_for_elements_that_switch_are_no_stribeck_effect(quick: Machin
     def imitates(fit: object, gain: float, *, may_switch: bool = True, group: Group = stribeck) -> bool:
         other = SimpleNamespace(machine=under_other_law(quick)) if may_switch else None
         subject = SimpleNamespace(machine=quick)
-        settled = SimpleNamespace(subject=subject, other=other, floor=floor, thresholds=quick.diagnosis)
+        settled = SimpleNamespace(subject=subject, other=other, floor=floor)
         return _imitates(settled, fit, group, SimpleNamespace(gain_N=gain * floor))  # type: ignore[arg-type]
 
     assert not quick.friction.switches
@@ -506,7 +506,7 @@ def test_the_difference_of_the_laws_is_no_wrong_number(quick: Machine) -> None:
 def test_a_known_fit_stands_where_none_can_begin(slow: Machine, rippled: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside a gap the file's numbers may be none that a model runs through, though the search went round by others."""
     laws = laws_of(slow, prepare(slow, rippled), 0.05)
-    criteria: Any = SimpleNamespace(thresholds=slow.diagnosis, material=0.02, excess=lambda fit: 0.0)
+    criteria: Any = SimpleNamespace(material=0.02, excess=lambda fit: 0.0)
     extras = (Extra("force_ripple", RIPPLE),)
     known = fit_model(laws.chosen, extras)
 
@@ -538,7 +538,7 @@ def test_an_effect_without_a_finite_model_is_left_out_and_said_to_be(
     assert any(warning.startswith("force_ripple: it looked good") for warning in found.warnings)
 
 
-def test_a_small_sine_with_the_period_of_a_large_one_is_none(quick: Machine) -> None:
+def test_a_small_sine_with_the_period_of_a_large_one_is_none() -> None:
     """It comes again with what the form of the large one gets wrong."""
 
     def sine(name: str, gain: float, period: str, length: float) -> Any:
@@ -548,7 +548,7 @@ def test_a_small_sine_with_the_period_of_a_large_one_is_none(quick: Machine) -> 
     level: Any = SimpleNamespace(name="coulomb", gain_N=9.0, parameters={"coulomb_N": 0.037}, std={"coulomb_N": 1e-3})
 
     def echoes(cause: Any) -> bool:
-        return _echoes(cause, (large, level, cause), quick.diagnosis)
+        return _echoes(cause, (large, level, cause))
 
     assert echoes(sine("encoder_periodic_error", 0.03, "pitch_m", 0.03705))
     assert not echoes(sine("encoder_periodic_error", 0.05, "pitch_m", 0.03705))  # too large to be a flaw of the other
@@ -558,7 +558,7 @@ def test_a_small_sine_with_the_period_of_a_large_one_is_none(quick: Machine) -> 
     assert not echoes(level)
 
 
-def test_a_wrong_number_differs_from_the_file_by_its_own_interval(quick: Machine) -> None:
+def test_a_wrong_number_differs_from_the_file_by_its_own_interval() -> None:
     """Two numbers of which neither is known to differ are no cause, however surely they differ together."""
     file = {"stribeck_ratio": 0.12, "stribeck_velocity_m_s": 2e-3}
 
@@ -574,7 +574,7 @@ def test_a_wrong_number_differs_from_the_file_by_its_own_interval(quick: Machine
             gain_interval_N=(0.1, 0.5),
             p_value=1e-12,
         )
-        return holds(cause, quick.diagnosis)
+        return holds(cause)
 
     assert not held(0.17)
-    assert held(0.12 + 1.01 * quick.diagnosis.sigmas * 0.11)
+    assert held(0.12 + 1.01 * SIGMAS * 0.11)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sgms_bench.diagnosis.motions import draw_motion
-from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis.covariance import covariance
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra
@@ -90,18 +90,18 @@ def test_a_number_of_one_block_alone_has_a_finite_interval() -> None:
     assert moved == pytest.approx((1.0 / ROWS / (1.0 - ALONE)) ** 2 * (BLOCKS - 1) / BLOCKS)
 
 
-def test_errors_that_a_noise_floor_may_hide_widen_an_interval() -> None:
+def test_errors_that_a_noise_floor_may_hide_widen_an_interval(monkeypatch: pytest.MonkeyPatch) -> None:
     machine = load_machine("etel_xy")
     motion = draw_motion("strokes", machine, 4.0, np.random.default_rng(2))
     run = simulate_axis(machine, motion, AxisConfig(force_noise_N=0.1, seed=2))
     widths = []
     for unseen in (0.0, 0.15, 0.3):
-        changed = override_machine(machine, {"diagnosis": {"unseen": unseen}})
-        recording = prepare(changed, run.log)
-        subject = Subject.of(changed, recording)
+        monkeypatch.setattr("sgms_mhe.diagnosis.covariance.UNSEEN_ERROR", unseen)
+        recording = prepare(machine, run.log)
+        subject = Subject.of(machine, recording)
         fit = fit_model(subject, ())
         # A floor at the residual's own RMS: nothing is seen beyond it.
-        quiet = Subject(changed, recording, subject.alignment, noise=fit.cross_rms)
+        quiet = Subject(machine, recording, subject.alignment, noise=fit.cross_rms)
         widths.append(np.diag(covariance(quiet, fit)))
     more = widths[1] - widths[0]
     assert (more[fit.free] > 0.0).all()

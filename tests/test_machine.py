@@ -16,6 +16,9 @@ from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.machine import BASE_PARAMETERS, Tables, estimable_names, json_schema
 from sgms_mhe.support.errors import InputError
 
+MOST_KEYS = 85
+"""Keys of all tables of a machine file: more are a wall to whoever writes one."""
+
 MINIMAL = """
 name = "axis"
 [plant]
@@ -414,6 +417,10 @@ BAD_VALUES = [
     ('effects = [{ name = "force_ripple", pitch_m = -0.032 }]', "effects[1].pitch_m", "number from 1e-06"),
     # log
     ("log.time = 't'", "log.time", "did you mean time_s?"),
+    ("diagnosis.materiel = 0.1", "diagnosis.materiel", "did you mean material?"),
+    ("diagnosis.search_rate = 500.0", "diagnosis.search_rate", "a constant of the diagnosis since 0.2"),
+    ("diagnosis.material = -0.1", "diagnosis.material", "RMS gain that matters"),
+    ("diagnosis.rounds = 2.5", "diagnosis.rounds", "integer"),
     ("log.force_N = 3", "log.force_N", "a table"),
     ("log.force_N = ''", "log.force_N.variable", "at least 1"),
     ("log.force_N = {}", "log.force_N.variable", "required key is missing"),
@@ -528,6 +535,14 @@ def test_override_is_what_an_extending_file_says(tmp_path: Path) -> None:
         override_machine(machine, {"plant": {"mass": -1}})
 
 
+def test_choices_of_a_diagnosis_are_no_part_of_what_is_emitted() -> None:
+    machine = load_machine("etel_xy")
+    changed = override_machine(machine, {"diagnosis": {"material": 0.01}})
+    assert changed.diagnosis.changed == {"material": 0.01}
+    assert changed.as_dict()["diagnosis"]["material"] == 0.01
+    assert changed.digest == machine.digest
+
+
 def _tables(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
     yield model
     for field in model.model_fields.values():
@@ -563,6 +578,7 @@ def test_schema_is_json_and_knows_the_file_s_keys() -> None:
     smoothing = schema["$defs"]["Smoothing"]["properties"]
     assert set(smoothing) == {"zeta", "lambda", "gamma"}
     assert "[kg]" in schema["$defs"]["Plant"]["properties"]["mass"]["description"]
+    assert sum(len(table.get("properties", ())) for table in schema["$defs"].values()) <= MOST_KEYS
     number = {"type": "number"}
     values = schema["$defs"]["Effect"]["additionalProperties"]["anyOf"]
     assert values == [number, {"items": number, "type": "array"}]

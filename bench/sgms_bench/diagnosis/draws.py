@@ -22,6 +22,7 @@ from sgms_bench.diagnosis.motions import STYLES, WEAK_STYLES, draw_motion
 from sgms_bench.diagnosis.unmodelled import SMOOTH_CURVES, UNMODELLED, curves_over_speed
 from sgms_bench.diagnosis.visibility import sensitivities, visible_share
 from sgms_mhe.configuration import override_machine
+from sgms_mhe.diagnosis.sampling import TIMING_MOST
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition, own_effects
 from sgms_mhe.model.effects.specimen import log_uniform
@@ -296,7 +297,7 @@ def _with_causes(frame: _Frame, draw: Draw, names: tuple[str, ...], size: float 
 
 def _is_sampling(machine: Machine, hidden: Hidden) -> bool:
     """Whether sampling alone puts force and position as far apart as this cause does, or nearly."""
-    least = _BEYOND_SAMPLING * machine.diagnosis.timing_most * machine.sampling.step
+    least = _BEYOND_SAMPLING * TIMING_MOST * machine.sampling.step
     return any(
         abs(value) < least and effect_definition(hidden.name).parameter(key).timing
         for key, value in hidden.parameters.items()

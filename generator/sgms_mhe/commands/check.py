@@ -109,7 +109,7 @@ def _text(machine: Machine, package: Package) -> str:
         numbers = ", ".join(f"{units.named(key)} {value:g}" for key, value in effect.parameters.items())
         lines.append(f"  effect      {effect.label}: {numbers}")
     changed = ", ".join(f"{key} {value:g}" for key, value in machine.diagnosis.changed.items())
-    lines.append(f"  diagnosis   {changed or 'all thresholds at their defaults'}")
+    lines.append(f"  diagnosis   {changed or 'defaults'}")
     if machine.log is not None:
         sources = ", ".join(f"{name} from {column.described}" for name, column in machine.log.columns.items())
         lines.append(f"  log         {sources}")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from sgms_mhe.diagnosis.half_steps import at_rate, compile_half_steps, of_the_step
+from sgms_mhe.diagnosis.sampling import TIMING
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import nuisance
@@ -24,6 +25,12 @@ Array = NDArray[np.float64]
 AT_LIMIT: Final = 1e-6
 HELD: Final = 1.5
 """Of h^2 / 12: a force that is held moves by the mean of two samples, low by h^2 / 8 between them."""
+SEARCH_RATE: Final = 1000.0
+"""Steps of a search per second, at least, as many samples sharing one as that allows [Hz]: the rate of the rows;
+alignment takes out what a longer step changes."""
+ALIGNABLE: Final = 0.1
+"""Change of friction by a longer step that alignment takes out, standard deviations [friction]: a model that it changes
+more is fitted at the full rate."""
 
 
 def thinned(subject: Subject) -> Subject:
@@ -61,10 +68,9 @@ def thinned(subject: Subject) -> Subject:
 
 
 def _samples_per_step(recording: Recording) -> int:
-    """How many samples share a step: the most, dividing those of a row, that keep at least `search_rate`."""
+    """How many samples share a step: the most, dividing those of a row, that keep at least SEARCH_RATE."""
     rate, factor = recording.machine.sampling.rate, recording.factor
-    least = recording.thresholds.search_rate
-    return max(k for k in range(1, factor + 1) if k == 1 or (factor % k == 0 and rate / k >= least))
+    return max(k for k in range(1, factor + 1) if k == 1 or (factor % k == 0 and rate / k >= SEARCH_RATE))
 
 
 def aligned(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
@@ -106,7 +112,7 @@ def aligned(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
         return whole
     recording, change = subject.recording, exact - own[0]
     # What is no small difference is a model that the longer steps do not suit: it is fitted at the full rate.
-    if float(np.std(change[used])) < subject.thresholds.alignable * float(np.std(exact[used])):
+    if float(np.std(change[used])) < ALIGNABLE * float(np.std(exact[used])):
         recording = replace(recording, friction=measured - change)
     alignment = replace(subject.alignment, sampled=sampled)
     return replace(subject, recording=recording, alignment=alignment, fine=whole, known={})
@@ -125,14 +131,14 @@ def residual_along(whole: Subject, fit: Fit, sampled: Array) -> Array:
 def _sampling(whole: Subject, fit: Fit, columns: Array, residual: Array, *, timed: bool) -> Array:
     """Coefficients of `_of_sampling` (2) in what a residual (m) owes to the sampling of force and position alone.
 
-    Proportional to the force's rate: force and position up to `timing` of a sample apart. Proportional to the second
+    Proportional to the force's rate: force and position up to TIMING of a sample apart. Proportional to the second
     derivative of the inertial force: its second difference over a sample h is low by h^2 / 12 of that, against a force
     that is sampled in a point. `timed`: a delay or lag is under test, which the former belongs to; such as that of a
     force that is held over a sample, which is low by h^2 / 8.
     """
     used, step = whole.recording.used, whole.machine.sampling.step
     free = nuisance(fit.slopes[used][:, fit.loose])
-    scale = np.array([whole.thresholds.timing * step, step**2 / 12.0])
+    scale = np.array([TIMING * step, step**2 / 12.0])
     Z = free.project(columns[used] * scale)
     e = free.project(residual[used])
     if not timed:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,6 @@ from sgms_mhe.diagnosis.harmonics import search_harmonic
 from sgms_mhe.diagnosis.maps import search_periodic
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
 from sgms_mhe.diagnosis.subject import Fit, Subject
-from sgms_mhe.machine import Thresholds
 from sgms_mhe.model.effects import (
     BASE_CAUSES,
     EffectDefinition,
@@ -36,6 +36,16 @@ from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
+
+START_SIGNIFICANCE: Final = 1e-3
+"""P value of a rise of friction towards low speed that fits start from [1]: where the machine file knows of none."""
+EDGE_ROWS: Final = 20
+"""Rows between a step in time and an end of the record, at least [rows]: a few rows at an end are no step."""
+EDGE_SHARE: Final = 0.05
+"""Rows between a step in time and an end of the record, at least [rows that count]: what is only there at an end is a
+drift as well."""
+STEP_RESIDUAL: Final = 1e-3
+"""What must be left of a step's column beside the free numbers [rows after a step]: of less there is nothing to fit."""
 
 
 def motion_of(recording: Recording, fit: Fit) -> MotionRecord:
@@ -129,14 +139,14 @@ def _agreement(found: float, wanted: float) -> float:
 
 def _search_step(definition: EffectDefinition, kind: Step, seen: Residual) -> Proposal | None:
     """All instants at once: sums over what follows each of them."""
-    e, thresholds = seen.e, seen.recording.thresholds
+    e = seen.e
     time = seen.motion.time[seen.recording.used]
     after = np.arange(len(time), 0, -1.0)
     numerator = np.cumsum(e[::-1])[::-1]
     inside = np.cumsum(seen.free.basis[::-1], axis=0)[::-1]
     denominator = after - np.sum(inside**2, axis=1)
-    edge = edge_rows(len(time), thresholds)
-    found = np.where(denominator > thresholds.step_left * after, numerator**2 / np.maximum(denominator, 1e-9), 0.0)
+    edge = edge_rows(len(time))
+    found = np.where(denominator > STEP_RESIDUAL * after, numerator**2 / np.maximum(denominator, 1e-9), 0.0)
     found[:edge] = found[-edge:] = 0.0
     best = int(np.argmax(found))
     if found[best] <= 0.0:
@@ -147,9 +157,9 @@ def _search_step(definition: EffectDefinition, kind: Step, seen: Residual) -> Pr
     return propose(definition, seen, Z, kind.tests, lambda size: {kind.size: float(size[0]), kind.time: at})
 
 
-def edge_rows(rows: int, thresholds: Thresholds) -> int:
+def edge_rows(rows: int) -> int:
     """Rows next to the beginning, and to the end, of so many that no step is looked for in."""
-    return max(thresholds.edge_rows, int(thresholds.edge_share * rows))
+    return max(EDGE_ROWS, int(EDGE_SHARE * rows))
 
 
 # --- effects whose force only their own equations give ----------------------------------------------------------
@@ -307,7 +317,7 @@ def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> dict[str, 
             Z = free.project(kind.columns(motion, given)[recording.used])
             p, size = score_test(recording, Z, e)
             found = energy(Z, e)
-            if p * kind.tests < recording.thresholds.start_significance and size[0] > 0.0 and found > best[0]:
+            if p * kind.tests < START_SIGNIFICANCE and size[0] > 0.0 and found > best[0]:
                 best = found, dict(kind.parameters(given, size))
     return best[1]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from sgms_mhe.diagnosis.result import BaseParameter, Cause, Rms
 from sgms_mhe.diagnosis.selection import Selection
 from sgms_mhe.diagnosis.settling import Settled, split_rms
 from sgms_mhe.diagnosis.subject import Fit
-from sgms_mhe.machine import Machine, Thresholds
+from sgms_mhe.machine import Machine
 from sgms_mhe.model import whole_shares
 from sgms_mhe.model.effects import BASE_CAUSES, base_number, effect_definition, reported_name
 from sgms_mhe.model.effects.base import LEVEL
@@ -27,6 +27,19 @@ from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import gain_force, gain_interval
 
 Array = NDArray[np.float64]
+
+SIGMAS: Final = 2.0
+"""Difference from none, or from the machine file, that a size must have [standard deviations]: 95 %, as the interval of
+its gain."""
+CERTAIN_SIGMAS: Final = 10.0
+"""The same of a size that is certain, whatever the interval of its gain, where its cause leaves nothing [standard
+deviations]: what acts in a few blocks alone may be in none of those that the interval draws."""
+VAGUE: Final = 0.5
+"""Interval from which a number of the machine that does not differ from the file is not determined [value]: half of it
+may be chance: the file's stays."""
+CERTAIN_P: Final = 1e-4
+"""P value from which a cause that is the same all over the record is certain, whatever its gain's interval [1]: a short
+record has few blocks to draw the interval from."""
 
 
 def measured_causes(settled: Settled, selection: Selection, blind: Fit) -> dict[Group, Cause]:
@@ -56,16 +69,16 @@ def measured_causes(settled: Settled, selection: Selection, blind: Fit) -> dict[
             gain_interval_N=gain_interval(without.loss[held], blind.loss[held], fit.rows[held]),
             p_value=selection.p_values.get(group, math.nan),
         )
-    return {group: replace(cause, vague=_vague(cause, settled.thresholds)) for group, cause in causes.items()}
+    return {group: replace(cause, vague=_vague(cause)) for group, cause in causes.items()}
 
 
-def _vague(cause: Cause, thresholds: Thresholds) -> tuple[str, ...]:
+def _vague(cause: Cause) -> tuple[str, ...]:
     """Parameters that the record does not determine: their intervals are as wide as they are, or there are none."""
     found = []
     for key, value in cause.parameters.items():
-        margin = thresholds.sigmas * cause.std[key]
+        margin = SIGMAS * cause.std[key]
         if cause.nominal:
-            known = margin <= thresholds.vague * abs(value)
+            known = margin <= VAGUE * abs(value)
         else:
             parameter = effect_definition(cause.name).parameter(key)
             known = parameter.role == "place" or margin < abs(value - parameter.none)
@@ -74,7 +87,7 @@ def _vague(cause: Cause, thresholds: Thresholds) -> tuple[str, ...]:
     return tuple(found)
 
 
-def holds(cause: Cause, thresholds: Thresholds, *, constant: bool = False, complete: bool = False) -> bool:
+def holds(cause: Cause, *, constant: bool = False, complete: bool = False) -> bool:
     """Whether a cause has a size, and a gain on data that its fit has not seen.
 
     The gain may be uncertain where it is certain that the cause is there: few blocks of a short record, not all of
@@ -83,17 +96,15 @@ def holds(cause: Cause, thresholds: Thresholds, *, constant: bool = False, compl
     """
     sizes = _sizes(cause)
     apart = [abs(cause.parameters[key] - none) / cause.std[key] for key, none in sizes.items() if cause.std[key] > 0.0]
-    known = complete and bool(apart) and min(apart) > thresholds.certain
-    certain = cause.gain_N > 0.0 and (known or (constant and cause.p_value < thresholds.certain_p))
-    return (cause.gain_interval_N[0] > 0.0 or certain) and has_size(cause, thresholds)
+    known = complete and bool(apart) and min(apart) > CERTAIN_SIGMAS
+    certain = cause.gain_N > 0.0 and (known or (constant and cause.p_value < CERTAIN_P))
+    return (cause.gain_interval_N[0] > 0.0 or certain) and has_size(cause)
 
 
-def has_size(cause: Cause, thresholds: Thresholds) -> bool:
+def has_size(cause: Cause) -> bool:
     """Whether one of its numbers that the record determines is not what it is where there is no such cause."""
     sizes = _sizes(cause)
-    return not sizes or any(
-        abs(cause.parameters[key] - none) > thresholds.sigmas * cause.std[key] for key, none in sizes.items()
-    )
+    return not sizes or any(abs(cause.parameters[key] - none) > SIGMAS * cause.std[key] for key, none in sizes.items())
 
 
 def is_possible(cause: Cause, settled: Settled) -> bool:

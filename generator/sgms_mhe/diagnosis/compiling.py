@@ -32,6 +32,9 @@ CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memor
 SAME_STATE: Final = 1e-9  # of a state of about 1: two that differ by less go on alike
 SAME_SLOPES: Final = 1e-6  # the same for its derivatives
 KEPT: Final = 512  # compiled models; a diagnosis of a rich record asks for about a hundred
+SHARP_SMOOTHING: Final = {"zeta": 0.985, "lambda": 233.0, "gamma": 233.0}
+"""Elements that slip almost at once, for effects that do not stand with switching ones: lambda (1 - zeta) = 3.5, as in
+the default smoothing; with zeta = 0.995 derivatives outgrow the steps of a fit."""
 
 
 @dataclass(eq=False)
@@ -301,13 +304,7 @@ def bearing(machine: Machine, extras: Sequence[Extra]) -> Machine:
     """The machine with a law that effects can stand with: for elements that switch, ones that slip almost at once."""
     if not machine.friction.switches or not any(effect_definition(extra.name).smooth_only for extra in extras):
         return machine
-    thresholds = machine.diagnosis
-    smoothing = {
-        "zeta": thresholds.sharp_zeta,
-        "lambda": thresholds.sharp_lambda,
-        "gamma": thresholds.sharp_gamma,
-    }
-    return override_machine(machine, {"friction": {"law": "sgms", "smoothing": smoothing}})
+    return override_machine(machine, {"friction": {"law": "sgms", "smoothing": SHARP_SMOOTHING}})
 
 
 class _Waiting:

@@ -6,22 +6,38 @@ import math
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Final
 
-from sgms_mhe.diagnosis.causes import has_size, holds, is_possible, measured_causes
+from sgms_mhe.diagnosis.causes import SIGMAS, VAGUE, has_size, holds, is_possible, measured_causes
 from sgms_mhe.diagnosis.compiling import bearing
 from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
-from sgms_mhe.diagnosis.criteria import material_force, small_force
+from sgms_mhe.diagnosis.criteria import MATERIAL_NOISE, material_force, small_force
 from sgms_mhe.diagnosis.descent import FitError
+from sgms_mhe.diagnosis.fitting import ITERATIONS
 from sgms_mhe.diagnosis.groups import Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.result import Cause
 from sgms_mhe.diagnosis.rivals import Rejected
 from sgms_mhe.diagnosis.selection import Selection
 from sgms_mhe.diagnosis.settling import Settled, split_rms
 from sgms_mhe.diagnosis.subject import Fit
-from sgms_mhe.machine import Thresholds
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.recordings.evidence import gain_force, inconstancy
+
+PATIENT_ITERATIONS: Final = 40
+"""Steps of a fit, at most, where all of the machine's numbers may have far to go [1]: what is left then moves all of
+them."""
+REPLACED_LAW_GAIN: Final = 3.0
+"""Gain of a wrong number, where elements that switch are stood in for by ones that slip almost at once [noise floors]:
+that leaves up to 2.7 noise floors, which a Stribeck effect imitates."""
+INCONSTANT: Final = 0.3
+"""RMS change of a cause's size over the record that rules it out [size]: an imitation fits here and misfits there."""
+ECHO: Final = 0.1
+"""Gain below which a sine of the same period as another effect is none [gain of the other]: what the form of a large
+sine gets wrong comes again with it."""
+FOLLOWS: Final = 0.5
+"""Gain of a refitted number without the effects, from which it is a cause of its own [gain beside the effects]: with
+less it was right for a model without them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +70,10 @@ def confirmed(settled: Settled, selection: Selection, *, constant: bool = False)
         doubtful = [
             g
             for g, cause in causes.items()
-            if not holds(cause, settled.thresholds, constant=constant, complete=complete)
+            if not holds(cause, constant=constant, complete=complete)
             or not is_possible(cause, settled)
             or _imitates(settled, fit, g, cause)
-            or _echoes(cause, causes.values(), settled.thresholds)
+            or _echoes(cause, causes.values())
             or cause.gain_N < (min(small, left) if g.is_extra else small)
         ]
         if not doubtful:
@@ -70,27 +86,27 @@ def confirmed(settled: Settled, selection: Selection, *, constant: bool = False)
     return Confirmed(selection, selection.fit, ())
 
 
-def _echoes(cause: Cause, causes: Collection[Cause], thresholds: Thresholds) -> bool:
+def _echoes(cause: Cause, causes: Collection[Cause]) -> bool:
     """Whether a small sine has the period of a large one: what the form of that gets wrong comes again with it."""
-    own = _period(cause, thresholds)
+    own = _period(cause)
     if own is None:
         return False
     coordinate, length, margin = own
     return any(
-        cause.gain_N < thresholds.echo * other.gain_N
-        and (period := _period(other, thresholds)) is not None
+        cause.gain_N < ECHO * other.gain_N
+        and (period := _period(other)) is not None
         and period[0] == coordinate
         and abs(period[1] - length) < margin + period[2]
         for other in causes
     )
 
 
-def _period(cause: Cause, thresholds: Thresholds) -> tuple[str, float, float] | None:
+def _period(cause: Cause) -> tuple[str, float, float] | None:
     """Of a sine: over what it repeats, how long, and how far off that may be; None: it is none."""
     sine = None if cause.name in BASE_CAUSES else effect_definition(cause.name).sine
     if sine is None:
         return None
-    return sine.coordinate, cause.parameters[sine.period], thresholds.sigmas * cause.std[sine.period]
+    return sine.coordinate, cause.parameters[sine.period], SIGMAS * cause.std[sine.period]
 
 
 def _imitates(settled: Settled, fit: Fit, group: Group, cause: Cause) -> bool:
@@ -101,7 +117,7 @@ def _imitates(settled: Settled, fit: Fit, group: Group, cause: Cause) -> bool:
     laws = (settled.subject, settled.other or settled.subject)
     if group.is_extra or all(bearing(law.machine, fit.extras) is law.machine for law in laws):
         return False
-    return cause.gain_N < settled.thresholds.stood_in * settled.floor
+    return cause.gain_N < REPLACED_LAW_GAIN * settled.floor
 
 
 def constant_causes(settled: Settled, selection: Selection) -> Confirmed:
@@ -112,7 +128,7 @@ def constant_causes(settled: Settled, selection: Selection) -> Confirmed:
     while selection.causes:
         change = {group: _inconstancy(settled, selection, group) for group in selection.causes}
         worst = max(change, key=lambda group: change[group])
-        if change[worst] < settled.thresholds.inconstant:
+        if change[worst] < INCONSTANT:
             break
         less = _not_named(settled, selection, worst)
         selection = replace(less, inconstant=(*selection.inconstant, worst.cause))
@@ -128,11 +144,11 @@ def refitted_beside(settled: Settled, found: Confirmed, *, constant: bool) -> Co
     """
     if not found.causes:
         return found
-    selection, thresholds = found.selection, settled.thresholds
+    selection = found.selection
     fit, groups = selection.fit, machine_groups(settled.subject.machine)
     # Where all is explained the numbers are near the file's; else a fit may have far to go.
     starts = (selection.free, settled.start, fit) if constant else (fit,)
-    iterations = thresholds.patient_iterations if constant else thresholds.iterations
+    iterations = PATIENT_ITERATIONS if constant else ITERATIONS
     free: Fit | None = None
     for warm in starts:
         with suppress(FitError):  # beside a gap some of them are no model of the record
@@ -148,7 +164,7 @@ def refitted_beside(settled: Settled, found: Confirmed, *, constant: bool) -> Co
     lost = [
         group
         for group, cause in causes.items()
-        if not holds(cause, thresholds) or (constant and _inconstancy(settled, whole, group) > thresholds.inconstant)
+        if not holds(cause) or (constant and _inconstancy(settled, whole, group) > INCONSTANT)
     ]
     if any(group.is_extra for group in lost) or (lost and not constant):
         return found
@@ -163,28 +179,26 @@ def without_undetermined(settled: Settled, found: Confirmed) -> Confirmed:
     A refit moves all numbers of a cause together. One of an element that hardly shows may end anywhere, and would stand
     in the extended machine as if it were known.
     """
-    selection, thresholds = found.selection, settled.thresholds
+    selection = found.selection
     fit = selection.fit
     deviations = standard_deviations(covariance(settled.subject, fit, settled.other), fit)
     held: set[str] = set()
     for group in machine_groups(settled.subject.machine):
         numbers = [
-            (c.name, c.si(float(t)), c.si(c.machine_theta), thresholds.sigmas * s)
+            (c.name, c.si(float(t)), c.si(c.machine_theta), SIGMAS * s)
             for c, t, s in zip(fit.model.columns, fit.theta, deviations, strict=True)
             if c.group == group and math.isfinite(s)
         ]
         vague = {
-            name
-            for name, value, file, margin in numbers
-            if abs(value - file) <= margin and margin > thresholds.vague * abs(value)
+            name for name, value, file, margin in numbers if abs(value - file) <= margin and margin > VAGUE * abs(value)
         }
         held |= vague if len(vague) < len(numbers) else set()
     if not held:
         return found
     names = frozenset(held)
     least = settled.fit(fit.extras, refitted=selection.refitted, warm=fit, held=names)
-    level = thresholds.material * settled.subject.machine.friction.coulomb
-    if gain_force(least.cross, fit.cross, fit.rows) > max(level, thresholds.material_noise * settled.floor):
+    level = settled.subject.machine.diagnosis.material * settled.subject.machine.friction.coulomb
+    if gain_force(least.cross, fit.cross, fit.rows) > max(level, MATERIAL_NOISE * settled.floor):
         return found
     blind = settled.fit(least.extras, refitted=selection.refitted, warm=least, rows=settled.seen, held=names)
     selection = replace(selection, fit=least)
@@ -199,7 +213,7 @@ def _undetermined(settled: Settled, found: Confirmed) -> list[Group]:
     own = [group for group in found.selection.causes if not group.is_extra]
     if not own:
         return own
-    known = {cause.name for cause in without_undetermined(settled, found).causes if has_size(cause, settled.thresholds)}
+    known = {cause.name for cause in without_undetermined(settled, found).causes if has_size(cause)}
     return [group for group in own if group.cause not in known]
 
 
@@ -252,4 +266,4 @@ def _follows(settled: Settled, selection: Selection, group: Group) -> bool:
     without = settled.fit(fit.extras, refitted=without_group(selection.refitted, group), warm=fit)
     alone = settled.fit((), refitted=(group,), warm=plain)
     gained = gain_force(plain.cross, alone.cross, fit.rows)
-    return gained < settled.thresholds.follows * gain_force(without.cross, fit.cross, fit.rows)
+    return gained < FOLLOWS * gain_force(without.cross, fit.cross, fit.rows)

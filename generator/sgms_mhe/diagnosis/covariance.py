@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.fitting import prior_information
 from sgms_mhe.diagnosis.noise_response import noise_left, with_more_noise
+from sgms_mhe.diagnosis.sampling import TIMING, TIMING_MOST
 from sgms_mhe.diagnosis.subject import Fit, Subject
-from sgms_mhe.recordings.uncertainty import robust_covariance
+from sgms_mhe.recordings.uncertainty import UNSEEN_ERROR, robust_covariance
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
@@ -26,22 +27,23 @@ RUNAWAY: Final = 10.0  # slope of a number of the machine, over the largest fric
 def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Array:
     """Covariance of theta (n_p, n_p), 0 where not free.
 
-    Noise and what the model gets wrong anywhere (`robust_covariance`): its RMS beyond the noise floor, or `unseen` of
-    that, which it may hide; what the law gets wrong, the same way at every reversal (`_law`); what the encoder's noise
-    makes of the numbers (`_noise`); and of a delay or lag, the timing of force against position that no log is sure of.
+    Noise and what the model gets wrong anywhere (`robust_covariance`): its RMS beyond the noise floor, or UNSEEN_ERROR
+    of that, which it may hide; what the law gets wrong, the same way at every reversal (`_law`); what the encoder's
+    noise makes of the numbers (`_noise`); and of a delay or lag, the timing of force against position that no log is
+    sure of.
 
     Args:
         subject: machine and record of the fit.
         fit: (n_p).
         other: the same axis with the other transition from sticking to slipping; None: it has none.
     """
-    recording, thresholds = subject.recording, subject.thresholds
+    recording = subject.recording
     X = np.where(_is_smooth(subject, fit, fit.slopes)[:, None], fit.slopes[:, fit.free], 0.0)
     prior = np.diag(prior_information(subject, fit.model, fit.free))
     H = X[recording.used].T @ X[recording.used] + prior
     inverse = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
     wrong = math.sqrt(max(0.0, fit.cross_rms**2 - (FLOOR_SURE * subject.noise) ** 2))
-    inner = robust_covariance(recording, X, fit.residual, H, inverse, max(wrong, thresholds.unseen * subject.noise))
+    inner = robust_covariance(recording, X, fit.residual, H, inverse, max(wrong, UNSEEN_ERROR * subject.noise))
     change = _law(subject, fit, other, inverse, wrong)
     inner += np.outer(change, change)
     shift = _noise(subject, fit, inverse)
@@ -58,11 +60,11 @@ def _timing(subject: Subject, fit: Fit) -> Array:
     Anywhere within what they may be apart for other reasons: a uniform distribution. Of a delay of the axis that is
     what a drive may add to it by holding its force; a smaller one is that itself, and known as well as it is seen.
     """
-    step, thresholds = subject.whole.machine.sampling.step, subject.thresholds
+    step = subject.whole.machine.sampling.step
     deviations = []
     for column, theta in zip(fit.model.columns, fit.theta.tolist(), strict=True):
-        of_axis = abs(column.si(theta)) > thresholds.timing_most * step
-        apart = (HELD if of_axis else thresholds.timing) * step / math.sqrt(3.0)
+        of_axis = abs(column.si(theta)) > TIMING_MOST * step
+        apart = (HELD if of_axis else TIMING) * step / math.sqrt(3.0)
         deviations.append(apart / abs(column.scale) if column.timing else 0.0)
     return np.array(deviations)
 

@@ -11,11 +11,21 @@ from typing import Final
 from sgms_mhe.diagnosis.course import Course
 from sgms_mhe.diagnosis.groups import Extra
 from sgms_mhe.diagnosis.subject import Fit
-from sgms_mhe.machine import Machine, Thresholds
+from sgms_mhe.machine import DiagnosisTable, Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, Measure, cause, effect_definition, effect_names
 from sgms_mhe.recordings.evidence import gain_force
 
 _ANY: Final[Mapping[str, float]] = defaultdict(float)
+MATERIAL_NOISE: Final = 0.25
+"""RMS gain that matters, at least this and `material` of the machine file [noise floor]: a smaller gain drowns."""
+SMALL_GAIN: Final = 0.007
+"""Gain from which on more than an effect explains may be left beside it, and of any wrong number [f_C]: a smaller one
+may be a part of what is left, or of what the law gets wrong."""
+GAIN_SHARE: Final = 0.25
+"""Gain that an effect must have to be added [RMS beyond noise]: a small share of a lot only imitates a part of what is
+really there."""
+MOST_ALIKE: Final = 2
+"""Effects of one name, at most [1]: more sines are the Fourier series of something else."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +33,7 @@ class Criteria:
     """What a gain must be, on this record, to count.
 
     Attributes:
-        thresholds: of the machine file.
+        table: [diagnosis] of the machine file.
         floor: noise of the measured friction [N].
         material: RMS gain that matters [N].
         excited: effects that the record can show.
@@ -31,7 +41,7 @@ class Criteria:
         course: told of each step.
     """
 
-    thresholds: Thresholds
+    table: DiagnosisTable
     floor: float
     material: float
     excited: tuple[str, ...]
@@ -63,32 +73,30 @@ class Criteria:
 
         Where a lot is left, something with a small share of it only imitates a part of what is really there.
         """
-        return max(self.material, self.thresholds.share * self.excess(fit))
+        return max(self.material, GAIN_SHARE * self.excess(fit))
 
 
 def material_force(machine: Machine, floor: float) -> float:
     """RMS of a force that matters on a record of this noise floor [N]."""
-    thresholds = machine.diagnosis
-    return max(thresholds.material * machine.friction.coulomb, thresholds.material_noise * floor)
+    return max(machine.diagnosis.material * machine.friction.coulomb, MATERIAL_NOISE * floor)
 
 
 def small_force(machine: Machine) -> float:
     """RMS of a force that matters only where nothing else is left [N]."""
-    return machine.diagnosis.small * machine.friction.coulomb
+    return SMALL_GAIN * machine.friction.coulomb
 
 
 def criteria_of(
     machine: Machine, floor: float, excitation: Mapping[Measure, float], course: Course, *, one_speed: bool = False
 ) -> Criteria:
     """The criteria of a record of this noise floor [N] and these measures."""
-    thresholds = machine.diagnosis
     # What a record does not excite cannot be found in it; what only imitates it can.
     excited = tuple(
         name
         for name in effect_names(machine.plant.kind)
         if not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
     )
-    return Criteria(thresholds, floor, material_force(machine, floor), excited, one_speed, course)
+    return Criteria(machine.diagnosis, floor, material_force(machine, floor), excited, one_speed, course)
 
 
 def addable(
@@ -102,7 +110,7 @@ def addable(
     tested = [extra.name for extra in extras]
     taken = {*tested, *(effect.name for effect in machine.effects)}
     taken |= {other for name in taken for other in cause(name).excludes}
-    full = {name for name in tested if tested.count(name) >= criteria.thresholds.alike}
+    full = {name for name in tested if tested.count(name) >= MOST_ALIKE}
     return [
         name
         for name in effect_names(machine.plant.kind)

@@ -28,6 +28,11 @@ AFTER_POOR: Final = 3.0
 TRIES: Final = 3
 RIDGE: Final = 1e-12  # of the largest diagonal term
 AT_BOUND: Final = 1e-9
+MACHINE_STEP: Final = 0.5
+"""Change of the machine's numbers in a step, at most [nominal or present value]: derivatives hold no farther."""
+UNSTABLE: Final = 1e6
+"""Derivative from which no integration step was short enough [largest friction]: a state that diverges shows in its
+derivatives first."""
 
 
 class FitError(RuntimeError):
@@ -81,7 +86,7 @@ class LeastSquares:
         """The model at theta (n_p)."""
         recording, free, prior = self.recording, self.free, self.prior
         scale = max(_largest(recording.friction), recording.machine.friction.coulomb)
-        largest = recording.thresholds.unstable * scale
+        largest = UNSTABLE * scale
         y, slopes = self.model.run(recording, theta)
         residual = recording.friction - y
         if not _largest(residual) < largest:
@@ -177,8 +182,7 @@ def _largest(values: Array) -> float:
 def _step_limit(column: Column, theta: float, recording: Recording) -> float:
     """Largest change of theta in one step, beyond which derivatives do not hold."""
     if not column.group.is_extra or column.step is None:
-        most = recording.thresholds.machine_step
-        return max(most, most * abs(theta))
+        return MACHINE_STEP * max(1.0, abs(theta))
     scale = abs(column.scale)
     return column.step(column.si(theta), scale, recording.extents) / scale
 

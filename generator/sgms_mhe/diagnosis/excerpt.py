@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.recordings.recording import (
+    BLOCKS,
     Recording,
     forgotten_after,
     reduced,
@@ -19,6 +20,20 @@ from sgms_mhe.recordings.recording import (
 )
 
 SEAM: Final = 2  # rows at the end of a piece that derivatives of a row's neighbours would mix with the next
+LEAD_MIN: Final = 0.5
+"""Motion before a piece, at least [s]: what only time settles."""
+LEAD_MAX: Final = 2.0
+"""Motion before a piece, at most [s]: it is run through and says nothing."""
+LEAD_TRAVEL: Final = 0.3
+"""Way of the motion before a piece, within LEAD_MIN and LEAD_MAX [range of position]: slow hysteresis is known after
+it."""
+SLOW_SPEED: Final = 0.02
+"""Speed below which motion counts as slow where pieces are chosen [largest speed]: pieces rich in slow motion are
+wanted too."""
+REST_SPEED: Final = 4e-4
+"""Speed below which the axis rests where pieces are chosen [largest speed]: reversals count from rest too."""
+PLACES: Final = 60
+"""Parts of the range of position that pieces are to have been at [1]: pitches show over all of it."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +54,7 @@ def excerpt(recording: Recording) -> Recording:
     whole range, and what an axis does rarely is seen too. Rows are as fine as those of a short record.
     """
     step = recording.factor / recording.machine.sampling.rate
-    seconds = recording.thresholds.fitted_time
+    seconds = recording.machine.diagnosis.fitted_time
     m = len(recording.time)
     if m * step <= seconds:
         return recording
@@ -48,7 +63,7 @@ def excerpt(recording: Recording) -> Recording:
         ends = [float(recording.time[recording.block == b][-1]) for b in range(recording.blocks)]
         pieces = [_Piece(b, 0) for b, end in enumerate(ends) if end < seconds]
     wanted, chosen = np.zeros(m, dtype=np.bool_), np.full(m, -1, dtype=np.int64)
-    parts = math.ceil(recording.thresholds.blocks / len(pieces))
+    parts = math.ceil(BLOCKS / len(pieces))
     for number, piece in enumerate(pieces):
         rows = np.flatnonzero(recording.block == piece.block)
         wanted[piece.first : rows[-1] + 1] = True
@@ -67,7 +82,7 @@ def excerpt(recording: Recording) -> Recording:
         recording.clock[samples],
         fine,
         np.repeat(block, recording.factor // fine).astype(np.int64),
-        split_blocks(len(kept), recording.thresholds)[0],
+        split_blocks(len(kept), recording.machine)[0],
         recording.held_out[[pieces[k // parts].block for k in kept.tolist()]],
         recording.warnings,
     )
@@ -87,10 +102,10 @@ def _pieces(recording: Recording) -> list[_Piece]:
     span = {b: slice(first, int(np.flatnonzero(recording.block == b)[-1]) + 1) for b, first in leads.items()}
     step = recording.factor / recording.machine.sampling.rate
     length = float(np.mean([rows.stop - rows.start for rows in span.values()])) * step
-    count = max(2, min(len(leads), int(recording.thresholds.fitted_time / length)))
-    one_in = recording.thresholds.held_out_one_in
+    count = max(2, min(len(leads), int(recording.machine.diagnosis.fitted_time / length)))
+    one_in = recording.machine.diagnosis.held_out_one_in
     place = _places(recording)
-    seen = np.zeros(recording.thresholds.places, dtype=np.bool_)
+    seen = np.zeros(PLACES, dtype=np.bool_)
 
     def new_places(rows: slice) -> float:
         return float(np.count_nonzero(~seen[np.unique(place[rows])]))
@@ -109,13 +124,12 @@ def _pieces(recording: Recording) -> list[_Piece]:
 
 def _leads(recording: Recording) -> dict[int, int]:
     """Row that the motion before a block begins at, of every block before which states forget."""
-    thresholds = recording.thresholds
     step = recording.factor / recording.machine.sampling.rate
     path = np.concatenate(([0.0], np.cumsum(np.abs(recording.velocity)) * step))
     low, high = float(np.min(recording.position)), float(np.max(recording.position))
     forget = forgotten_after(recording.machine)
-    way = thresholds.lead_travel * (high - low)
-    least, most = (math.ceil(lead / step) for lead in (thresholds.lead_min, thresholds.lead_max))
+    way = LEAD_TRAVEL * (high - low)
+    least, most = (math.ceil(lead / step) for lead in (LEAD_MIN, LEAD_MAX))
     leads: dict[int, int] = {}
     for block in range(recording.blocks):
         start = int(np.flatnonzero(recording.block == block)[0])
@@ -130,18 +144,17 @@ def _leads(recording: Recording) -> dict[int, int]:
 
 def _places(recording: Recording) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Which part of the range of position each row is in (m)."""
-    count = recording.thresholds.places
     low, high = float(np.min(recording.position)), float(np.max(recording.position))
-    return np.minimum(count - 1, (recording.position - low) / max(high - low, 1e-12) * count).astype(np.int64)
+    return np.minimum(PLACES - 1, (recording.position - low) / max(high - low, 1e-12) * PLACES).astype(np.int64)
 
 
 def _riches(recording: Recording) -> tuple[Callable[[slice], float], ...]:
     """How much there is in rows: reversals, acceleration, speed, slow motion."""
     velocity, speed = recording.velocity, np.abs(recording.velocity)
     fastest = float(speed.max())
-    sign = np.sign(np.where(speed > recording.thresholds.rest_speed * fastest, velocity, 0.0))
+    sign = np.sign(np.where(speed > REST_SPEED * fastest, velocity, 0.0))
     turns = np.append(sign[1:] * sign[:-1] < 0.0, False) | np.append((sign[1:] != 0.0) & (sign[:-1] == 0.0), False)
-    slow = (sign != 0.0) & (speed < recording.thresholds.slow_speed * fastest)
+    slow = (sign != 0.0) & (speed < SLOW_SPEED * fastest)
     return (
         lambda rows: float(np.count_nonzero(turns[rows])),
         lambda rows: float(np.sum(recording.acceleration[rows] ** 2)),

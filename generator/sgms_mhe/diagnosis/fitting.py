@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,13 @@ from sgms_mhe.recordings.evidence import cross_loss
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+ITERATIONS: Final = 12
+"""Steps of a fit, at most [1]: it starts from a proposal, near its end."""
+MACHINE_PRIOR: Final = 1.0
+"""Prior of the machine's numbers, 1 sigma [nominal value]: holds what the record does not excite."""
+EFFECT_PRIOR: Final = 10.0
+"""Prior of an effect's numbers in a step, 1 sigma [nominal value]: it damps the step and says nothing of a size."""
 
 
 def fit_model(
@@ -52,7 +60,7 @@ def fit_model(
     )
     known = subject.known.get(key)
     if known is None or again:
-        wanted = _Wanted(refitted, rows, held, iterations or subject.thresholds.iterations)
+        wanted = _Wanted(refitted, rows, held, iterations or ITERATIONS)
         fit = _fit(subject, extras, warm, wanted)
         subject.known[key] = fit if known is None or fit.rms < known.rms else known
     return subject.known[key]
@@ -133,8 +141,7 @@ def _fit_here(subject: Subject, extras: Sequence[Extra], warm: Fit | None, wante
 
 def prior_information(subject: Subject, model: CompiledFit, free: Mask) -> Array:
     """Information of the prior of the parameters `free` (n_p) in units of the sum of squares, (free)."""
-    thresholds = subject.thresholds
-    sd = np.array([thresholds.effect_prior if c.group.is_extra else thresholds.machine_prior for c in model.columns])
+    sd = np.array([EFFECT_PRIOR if c.group.is_extra else MACHINE_PRIOR for c in model.columns])
     return np.asarray((subject.noise / sd[free]) ** 2)
 
 

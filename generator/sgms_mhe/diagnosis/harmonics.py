@@ -29,6 +29,19 @@ BINS_PER_PERIOD: Final = 6.0
 SINGULAR: Final = 1e-5  # of its square: the least determinant that two columns are told apart by
 AT_A_TIME: Final = 300_000  # samples that are transformed at a time; bounds memory
 STEP: Final = 0.25  # of the resolution that the range of x gives: the grid's, at most
+PITCH_BAND: Final = 0.3
+"""Frequency up to which a ripple is seen in passing [rate of the rows]: means over a row have lost it above."""
+CUTOFF_BAND: Final = 0.7
+"""Frequency up to which a ripple passes the chain's filters [velocity cutoff]: above, they turn its phase."""
+FREQUENCY_BAND: Final = 0.45
+"""Frequency up to which sines in time are searched [rate of the rows]: near half the rate they are no sines any more.
+"""
+SHORT_PERIOD: Final = 4.0
+"""Wavenumber from which a sine has a short period, with a proposal of its own [least wavenumber]: slow trends have more
+energy than they deserve."""
+VISIBLE_SHARE: Final = 0.2
+"""Rows slow enough for an octave of ripples, for it to be searched [rows]: a ripple that is seen hardly anywhere is
+told from nothing."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +94,7 @@ def search_harmonic(definition: EffectDefinition, kind: Harmonic, seen: Residual
 def _search(definition: EffectDefinition, kind: Harmonic, seen: Residual, fine: bool) -> Proposal | None:
     """The best period: of those that the record covers many times (`fine`), or of the longer ones."""
     motion, extents, used = seen.motion, seen.motion.extents, seen.recording.used
-    thresholds = seen.recording.thresholds
+    machine = seen.recording.machine
     in_time = kind.coordinate == "time"
     x = (motion.time if in_time else motion.position)[used]
     span = float(np.ptp(x))
@@ -90,19 +103,19 @@ def _search(definition: EffectDefinition, kind: Harmonic, seen: Residual, fine: 
     weights = [w[used] for w in kind.weights(motion)]
     speed = np.abs(motion.velocity[used])
     if in_time:
-        bands = [(extents.lowest_frequency, thresholds.frequency_band * extents.rate)]
+        bands = [(extents.lowest_frequency, FREQUENCY_BAND * extents.rate)]
     else:
-        edges = 1.0 / extents.longest_pitch * 2.0 ** np.arange(0, math.ceil(math.log2(thresholds.finest_pitch)) + 1)
+        octaves = math.ceil(math.log2(machine.diagnosis.finest_pitch))
+        edges = 1.0 / extents.longest_pitch * 2.0 ** np.arange(0, octaves + 1)
         bands = [(float(low), float(high)) for low, high in pairwise(edges)]
-    split = thresholds.short_period * bands[0][0]
+    split = SHORT_PERIOD * bands[0][0]
     bands = [(max(low, split), high) for low, high in bands if high > split] if fine else [(bands[0][0], split)]
     best: tuple[float, float, _Sine] | None = None
     tests = 0.0
-    cutoff = seen.recording.machine.sampling.velocity_cutoff
-    limit = min(thresholds.pitch_band * extents.rate, thresholds.cutoff_band * cutoff)
+    limit = min(PITCH_BAND * extents.rate, CUTOFF_BAND * machine.sampling.velocity_cutoff)
     for low, high in bands:
         visible = np.ones(len(x)) if in_time else (speed * high < limit).astype(np.float64)
-        if visible.mean() < thresholds.band_seen:
+        if visible.mean() < VISIBLE_SHARE:
             continue
         if not in_time and float((speed * visible).sum()) / extents.rate * low < 1.0:  # not one period is passed
             continue

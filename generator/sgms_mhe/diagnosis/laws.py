@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Final
 
 import numpy as np
 
@@ -23,6 +24,21 @@ from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, nuisance
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.parallel import beside, in_parallel
+
+SHARPER: Final = 0.97
+"""RMS below which the law is taken that is not the machine file's [RMS left by the other]: of a smaller difference the
+machine file is right."""
+SURER_T: Final = 3.0
+"""T over blocks from which the law is taken that leaves less, though hardly [1]: near the noise little is left to
+leave."""
+DECIDED: Final = 0.8
+"""RMS below which a law is the axis's, and the other is not tried again [RMS left by the other]: no effect turns so
+much round."""
+DECIDED_RESIDUAL: Final = 2.0
+"""RMS beyond noise up to which a law is decided [gain that matters]: with more left something large is still missing.
+"""
+ALIGNMENTS: Final = 2
+"""Alignments of a model at a selection, each with a fit [1]: to the second order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +138,6 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: F
     record alone gives. But where an effect takes the elements' motion from them, one run costs a hundred others and
     the laws hardly differ: the law and the start stay what they were without it. `known`: as of `fit_chosen`.
     """
-    thresholds = criteria.thresholds
     if is_driven(extras):
         return fit_chosen(laws, extras, criteria, known=known)
     if laws.foreign is None or laws.decided:
@@ -153,12 +168,12 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: F
     ratio = other.rms / fit.rms
 
     def leaves_little(one: Fit) -> bool:
-        return criteria.excess(one) < thresholds.decided_left * criteria.material
+        return criteria.excess(one) < DECIDED_RESIDUAL * criteria.material
 
-    surer = leaves_little(other) and difference_statistic(other.loss, fit.loss) > thresholds.surer
-    taken = ratio < thresholds.sharper or surer
+    surer = leaves_little(other) and difference_statistic(other.loss, fit.loss) > SURER_T
+    taken = ratio < SHARPER or surer
     better = other if taken else fit
-    decided = not thresholds.decided < ratio < 1.0 / thresholds.decided and leaves_little(better)
+    decided = not DECIDED < ratio < 1.0 / DECIDED and leaves_little(better)
     apart = float(np.std((other.residual - fit.residual)[own.recording.used]))
     return Laws(own, foreign, taken, decided, apart), better
 
@@ -194,7 +209,7 @@ def fit_chosen(
 
 def in_line(subject: Subject, fit: Fit) -> tuple[Subject, Fit]:
     """The fit with everything at hand, the record brought into line with it."""
-    for _ in range(subject.thresholds.alignments):
+    for _ in range(ALIGNMENTS):
         subject = aligned(subject, fit)
         fit = fit_model(subject, fit.extras, warm=fit)
     return subject, fit
@@ -230,7 +245,7 @@ def _from_nothing(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Subje
         again, better = in_line(again, fit_model(again, fit.extras))
     except FitError:
         return subject, fit
-    return (again, better) if better.rms < criteria.thresholds.sharper * fit.rms else (subject, fit)
+    return (again, better) if better.rms < SHARPER * fit.rms else (subject, fit)
 
 
 def _fit_foreign(foreign: Subject, fit: Fit) -> tuple[Subject, Fit | None]:
@@ -239,7 +254,7 @@ def _fit_foreign(foreign: Subject, fit: Fit) -> tuple[Subject, Fit | None]:
     The switching law's sum of squares is rough: from the machine's numbers and from the fit's.
     """
     found: Fit | None = None
-    for _ in range(foreign.thresholds.alignments):
+    for _ in range(ALIGNMENTS):
         if found is not None:
             foreign = aligned(foreign, found)
         for warm in (None, found or fit):

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.harmonics import search_harmonic
+from sgms_mhe.diagnosis.harmonics import CUTOFF_BAND, PITCH_BAND, search_harmonic
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, nearest_peak, propose
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Periodic
@@ -42,6 +42,9 @@ PARTS: Final = 40  # of a period: each is visited or not
 VISITED: Final = 0.95  # share of them from which a map is looked for
 NOTHING: Final = 1e-8  # of a column's square: what must be left of it beside the others
 STEP: Final = 0.25  # of the resolution that the travel gives
+ENTRY_GAIN: Final = 0.4
+"""RMS that an entry of an effect's lists must gain on unseen folds [gain that matters]: a sine of a map that gains less
+is none."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +146,7 @@ class _Search:
     @property
     def least_gain(self) -> float:
         """Sum of squares that one order has to explain [N^2]."""
-        return (self.seen.recording.thresholds.entry * self.material) ** 2 * len(self.x)
+        return (ENTRY_GAIN * self.material) ** 2 * len(self.x)
 
     def carried(self, period: float) -> _Carried:
         """Orders of a period that gain on unseen folds, one after the other."""
@@ -272,10 +275,10 @@ def _search_of(kind: Periodic, seen: Residual) -> _Search | None:
     fastest = float(speed[slow].max(initial=0.0))
     if float(np.ptp(x)) <= 0.0 or fastest <= 0.0:
         return None
-    thresholds, machine = seen.recording.thresholds, seen.recording.machine
-    limit = min(thresholds.pitch_band * motion.extents.rate, thresholds.cutoff_band * machine.sampling.velocity_cutoff)
+    machine = seen.recording.machine
+    limit = min(PITCH_BAND * motion.extents.rate, CUTOFF_BAND * machine.sampling.velocity_cutoff)
     return _Search(
-        kind, seen, _Beside.of(seen), x, slow, limit / fastest, thresholds.material * machine.friction.coulomb
+        kind, seen, _Beside.of(seen), x, slow, limit / fastest, machine.diagnosis.material * machine.friction.coulomb
     )
 
 

@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 KEPT: Final = 2  # records with more noise: that of the rows' rate, and the full one
 SEED: Final = 20241125
 """Of the noise: the same log gives the same verdict."""
+NOISE_SHARE: Final = 0.5
+"""Answer to the encoder's noise from which on an effect explains that noise and is none [gain of the effect]: a mass
+that is shaken by noise takes noise out of the force."""
 
 
 def explains_noise(subject: Subject, fit: Fit, gain: float) -> bool:
@@ -38,7 +41,7 @@ def explains_noise(subject: Subject, fit: Fit, gain: float) -> bool:
     added = effect_definition(fit.extras[-1].name)
     if not (added.full_rate or added.inertial):
         return False
-    return noise_explained(subject, fit) > subject.thresholds.noise_answered * gain
+    return noise_explained(subject, fit) > NOISE_SHARE * gain
 
 
 def noise_explained(subject: Subject, fit: Fit) -> float:

@@ -12,6 +12,7 @@ from sgms_mhe.diagnosis.criteria import Criteria, small_force
 from sgms_mhe.diagnosis.fitting import fit_model, prior_information
 from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.joining import in_lowest_terms, joined
+from sgms_mhe.diagnosis.maps import ENTRY_GAIN
 from sgms_mhe.diagnosis.rounds import attempted_fit
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import effect_definition
@@ -91,7 +92,7 @@ def shortened(subject: Subject, fit: Fit, criteria: Criteria, refitted: Sequence
 
     What is left of a map is stated over its shortest period.
     """
-    gain = criteria.thresholds.entry * criteria.material
+    gain = ENTRY_GAIN * criteria.material
     for group in fit.extra_groups:
         definition = effect_definition(group.cause)
         entries = _entries(fit, group)

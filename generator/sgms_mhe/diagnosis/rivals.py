@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
@@ -16,15 +16,37 @@ from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extra, without_group
 from sgms_mhe.diagnosis.noise_response import explains_noise
 from sgms_mhe.diagnosis.proposals import Proposal
-from sgms_mhe.diagnosis.rounds import Ranked, attempted_fit, distinct, is_ruled_out, linear_gain, with_gains
+from sgms_mhe.diagnosis.rounds import (
+    EQUAL_T,
+    SAME_FORCE,
+    Ranked,
+    attempted_fit,
+    distinct,
+    is_ruled_out,
+    linear_gain,
+    with_gains,
+)
 from sgms_mhe.diagnosis.subject import Fit, Subject
-from sgms_mhe.machine import Thresholds
 from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, gain_force, nuisance, score_test
 from sgms_mhe.recordings.repetition import steady_blocks
 from sgms_mhe.support.parallel import in_parallel
 
 Judgement = Literal["better", "rival", "worse", "untried"]
+
+PROMISING_RIVAL: Final = 0.7
+"""Linear gain from which a candidate is refitted in a cause's place [gain of the cause]: a refit finds more."""
+PROMISING_ALIKE: Final = 0.5
+"""The same for a candidate that is known to be confused with it [gain of the cause]: beside others a derivative tells
+half of an effect that fits to the noise."""
+EQUAL_EXCESS: Final = 0.3
+"""RMS that a rival may leave more whatever t says [gain that matters]: it does not matter."""
+EQUAL_SHARE: Final = 0.15
+"""RMS that a rival may leave more where t does not tell the two apart [gain of the cause]: it explains 98 % of the
+power as well."""
+BETTER: Final = 0.2
+"""RMS that a candidate must leave less, t telling, to take a cause's place [gain that matters]: a cause stays unless
+something is clearly better."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,12 +170,12 @@ def _contest(
     subject: Subject, place: _Place, criteria: Criteria, comparing: Callable[[Sequence[str]], None]
 ) -> Iterator[_Judged]:
     """Judge all candidates for a place, the most promising first; `comparing` is told which are tried."""
-    thresholds, ranked = criteria.thresholds, place.ranked
-    kept = distinct(ranked, thresholds.same_force)[: thresholds.refits]
+    ranked = place.ranked
+    kept = distinct(ranked, SAME_FORCE)[: criteria.table.refits]
     if criteria.one_speed:
         kept += [r for r in ranked if r not in kept and criteria.same_clock(place.cause, _name(r))]
     others = [r for r in ranked if _name(r) != place.cause]
-    tried = [r for r in others if r in kept and not r.gain < _promising(place.cause, _name(r), thresholds) * place.gain]
+    tried = [r for r in others if r in kept and not r.gain < _promising(place.cause, _name(r)) * place.gain]
     if tried:
         comparing([_name(r) for r in tried])
     trials = iter(in_parallel([partial(_trial, subject, place, r) for r in tried]))
@@ -167,10 +189,10 @@ def _contest(
             yield _Judged(name, judgement, excess, candidate.group, trial)
 
 
-def _promising(named: str, other: str, thresholds: Thresholds) -> float:
+def _promising(named: str, other: str) -> float:
     """Share of a cause's gain from which on a candidate's linear one makes a refit worth its while."""
     alike = other in cause(named).confused_with or named in cause(other).confused_with
-    return thresholds.rival_gain_alike if alike else thresholds.rival_gain
+    return PROMISING_ALIKE if alike else PROMISING_RIVAL
 
 
 def _name(candidate: Ranked) -> str:
@@ -226,7 +248,7 @@ def _judge(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Cri
 
 def _compared(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Criteria) -> tuple[Judgement, float]:
     """The same by what both leave."""
-    thresholds, material = criteria.thresholds, criteria.material
+    material = criteria.material
     same_clock = criteria.same_clock(place.cause, name)
     steady = steady_blocks(subject.recording) if same_clock else None
     if steady is not None and _is_clearly_better(place.fit, trial, criteria):
@@ -238,20 +260,20 @@ def _compared(subject: Subject, place: _Place, name: str, trial: Fit, criteria: 
     unseen = same_clock or (name in EFFECT_NAMES and name not in criteria.excited)
     if is_ruled_out(trial, name, subject):
         return "worse", max(0.0, excess)
-    as_good = excess < thresholds.rival_excess * material
+    as_good = excess < EQUAL_EXCESS * material
     if as_good and unseen:
         return "rival", excess  # however well it fits: the record does not hold what would show it
     clearly = _clearly(t, excess, criteria)
     simpler = name in cause(place.cause).simpler.causes and excess < material
-    if simpler and t > thresholds.rival_t and excess > thresholds.better * material:
+    if simpler and t > EQUAL_T and excess > BETTER * material:
         return "rival", excess  # something more is there for sure, but not enough to matter
     if clearly or simpler:
         return "better", excess
-    hardly = excess > -thresholds.better * material or t > -thresholds.rival_t
+    hardly = excess > -BETTER * material or t > -EQUAL_T
     if place.cause in cause(name).simpler.causes and hardly:
         return "worse", max(0.0, excess)  # more numbers and no better: it only imitates
     # The start and the stop pull at the numbers of what is told by them alone.
-    if as_good or (excess < thresholds.rival_share * place.gain and (same_clock or t < thresholds.rival_t)):
+    if as_good or (excess < EQUAL_SHARE * place.gain and (same_clock or t < EQUAL_T)):
         return "rival", excess
     return "worse", excess
 
@@ -263,7 +285,7 @@ def _is_clearly_better(fit: Fit, trial: Fit, criteria: Criteria) -> bool:
 
 
 def _clearly(t: float, excess: float, criteria: Criteria) -> bool:
-    return t < -criteria.thresholds.rival_t and excess < -criteria.thresholds.better * criteria.material
+    return t < -EQUAL_T and excess < -BETTER * criteria.material
 
 
 def cause_significance(subject: Subject, fit: Fit, group: Group) -> float:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,22 @@ from sgms_mhe.recordings.repetition import in_step
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
+
+PROMISING: Final = 0.8
+"""Linear gain from which a candidate is refitted, if it is close too [gain to be added]: a refit finds more."""
+CLOSE: Final = 0.55
+"""Linear gain from which a candidate is refitted, if it is promising too [best linear gain]: a refit changes the order.
+"""
+CLEAR: Final = 0.8
+"""Linear gain from which a candidate is refitted whose force is linear in its sizes [best linear gain]: its linear gain
+says all of it."""
+SAME_FORCE: Final = 0.985
+"""Correlation from which two candidates make one force [1]: the one with fewer numbers is refitted."""
+EQUAL_GAIN: Final = 0.97
+"""Gain from which refitted candidates are equals [best gain]: the one that leaves the machine's numbers alone is added.
+"""
+EQUAL_T: Final = 2.5
+"""T over blocks up to which two fits are equally good [1]: two-sided one percent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +74,12 @@ class Round:
 
 def search_round(subject: Subject, current: Fit, number: int, seen: Collection[str], criteria: Criteria) -> Round:
     """Search, refit the best, choose the one to add to the current fit; `seen`: what looked good before."""
-    thresholds = criteria.thresholds
     names = addable(subject.machine, current.extras, criteria)
     candidates = _candidates(subject, current, names, seen, criteria)
     significant = [
-        r for r in candidates if r.proposal.feasible and r.proposal.p_value * len(names) < thresholds.significance
+        r for r in candidates if r.proposal.feasible and r.proposal.p_value * len(names) < criteria.table.significance
     ]
-    least = thresholds.promising * criteria.enough(current)
+    least = PROMISING * criteria.enough(current)
     strong = sorted((r for r in significant if r.gain > least), key=lambda r: -r.gain)
     fits = _refits(subject, current, _shortlist(strong, criteria), number, criteria)
     chosen = _choose(subject, current, fits, criteria)
@@ -100,7 +116,7 @@ def _refits(
     fits: dict[str, Fit] = {}
     for stage in (cheap, [r for r in shortlist if r not in cheap]):
         best = max((gain_force(current.cross, fit.cross, fit.rows) for fit in fits.values()), default=0.0)
-        proposals = [r.proposal for r in stage if r.gain > criteria.thresholds.clear * best]
+        proposals = [r.proposal for r in stage if r.gain > CLEAR * best]
         if proposals:
             criteria.course.refits(number, [p.name for p in proposals])
         tried = in_parallel(
@@ -146,14 +162,11 @@ def _worth_a_search(current: Fit, found: Sequence[Ranked], seen: Collection[str]
 
 def _shortlist(strong: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
     """Candidates, the best first, that a refit might put before the others."""
-    thresholds = criteria.thresholds
     if not strong:
         return []
-    near = [r for r in strong if r.gain > thresholds.close * strong[0].gain]
-    kept = distinct(near, thresholds.same_force)[: thresholds.refits]
-    return [
-        r for r in kept if r.gain > thresholds.clear * kept[0].gain or not effect_definition(r.proposal.name).linear
-    ]
+    near = [r for r in strong if r.gain > CLOSE * strong[0].gain]
+    kept = distinct(near, SAME_FORCE)[: criteria.table.refits]
+    return [r for r in kept if r.gain > CLEAR * kept[0].gain or not effect_definition(r.proposal.name).linear]
 
 
 def attempted_fit(
@@ -183,7 +196,6 @@ def is_ruled_out(fit: Fit, name: str, subject: Subject) -> bool:
 
 def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: Criteria) -> str | None:
     """The candidate to add: the best by cross-validation; among equals the one that leaves other numbers alone."""
-    thresholds = criteria.thresholds
     gains = {name: gain_force(current.cross, fit.cross, fit.rows) for name, fit in fits.items()}
     gains = {
         name: gain
@@ -199,8 +211,8 @@ def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: C
         name
         for name in gains
         if name == best
-        or difference_statistic(fits[best].cross, fits[name].cross) < thresholds.rival_t
-        or gains[name] > thresholds.equal_gain * gains[best]
+        or difference_statistic(fits[best].cross, fits[name].cross) < EQUAL_T
+        or gains[name] > EQUAL_GAIN * gains[best]
     ]
     if len(equal) == 1:
         return best

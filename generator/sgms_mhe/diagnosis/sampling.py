@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 from sgms_mhe.diagnosis.result import Diagnosis
 from sgms_mhe.diagnosis.shifting import Shift
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 from sgms_mhe.signals.logs import Log
+
+TIMING: Final = 0.1
+"""Time that force and position may be apart without that being a delay [sample]: no two signals are sampled at quite
+the same instant."""
+TIMING_MOST: Final = 0.6
+"""Delay up to which it is the sampling's and not the axis's [sample]: a force that is held over a sample is half a
+sample old on average; and a margin."""
 
 
 def sampling_offset(diagnosis: Diagnosis) -> float:
@@ -18,7 +26,7 @@ def sampling_offset(diagnosis: Diagnosis) -> float:
     (below zero), depending on when it writes it down. What is less than that and a margin says nothing about the axis.
     """
     machine = diagnosis.machine
-    most = machine.diagnosis.timing_most * machine.sampling.step
+    most = TIMING_MOST * machine.sampling.step
     for cause in diagnosis.causes:
         if cause.name not in EFFECT_NAMES:
             continue

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Final
 
 from sgms_mhe.diagnosis.criteria import Criteria
 from sgms_mhe.diagnosis.descent import FitError
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Group
-from sgms_mhe.diagnosis.laws import Laws, fit_chosen, fit_law, is_driven, starting_unknown
+from sgms_mhe.diagnosis.laws import SHARPER, Laws, fit_chosen, fit_law, is_driven, starting_unknown
 from sgms_mhe.diagnosis.reduction import necessary, pruned
 from sgms_mhe.diagnosis.result import Score
 from sgms_mhe.diagnosis.rivals import Contest, Rejected, Rival, cause_significance, find_rivals
 from sgms_mhe.diagnosis.rounds import search_round
 from sgms_mhe.diagnosis.subject import Fit
 from sgms_mhe.recordings.evidence import gain_force
+
+END_SHARE: Final = 0.2
+"""RMS gain that matters once the search has ended, at least [RMS beyond noise]: a smaller one is not told from that."""
+RIVAL_STEPS: Final = 3
+"""Times that a better candidate takes a cause's place, at most [1]: two that are better in turns would never end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +90,7 @@ def search_causes(laws: Laws, criteria: Criteria) -> Searched:
     while True:
         excess = criteria.excess(current)
         # Where less is left than matters, no cause could.
-        ended = ended or number == criteria.thresholds.rounds or excess < criteria.material
+        ended = ended or number == criteria.table.rounds or excess < criteria.material
         if not ended and (compared or excess > laws.doubt):
             number += 1
             criteria.course.search(number)
@@ -103,10 +109,10 @@ def search_causes(laws: Laws, criteria: Criteria) -> Searched:
         before, taken = current, laws.taken
         laws, current = fit_law(laws, current.extras, criteria, known=current)
         compared = True
-        if laws.taken != taken or current.rms < criteria.thresholds.sharper * before.rms:
+        if laws.taken != taken or current.rms < SHARPER * before.rms:
             ended = False
     # What is left unexplained is no measure for the machine's numbers, but no finer one than that is possible.
-    told = criteria.thresholds.left * criteria.excess(current)
+    told = END_SHARE * criteria.excess(current)
     criteria = replace(criteria, material=max(criteria.material, told))
     return _by_simpler_law(Searched(laws, current, criteria, scores, seen))
 
@@ -149,7 +155,7 @@ def select_causes(searched: Searched) -> Selection:
     subject, criteria = searched.laws.chosen, searched.criteria
     refitted, fit = necessary(subject, searched.fit, criteria)
     contest = Contest(None, (), {})
-    for number in range(1, criteria.thresholds.rival_rounds + 1):
+    for number in range(1, RIVAL_STEPS + 1):
         criteria.course.rivals(number, 0.0, "", ())
         contest = find_rivals(subject, fit, refitted, searched.seen, criteria, number)
         if contest.better is None:

@@ -13,10 +13,9 @@ from sgms_mhe.diagnosis.alignment import aligned, residual_along
 from sgms_mhe.diagnosis.candidates import edge_rows
 from sgms_mhe.diagnosis.fitting import fit_model
 from sgms_mhe.diagnosis.groups import Extra, Group
-from sgms_mhe.diagnosis.laws import Laws
+from sgms_mhe.diagnosis.laws import ALIGNMENTS, Laws
 from sgms_mhe.diagnosis.selection import Selection
 from sgms_mhe.diagnosis.subject import Fit, Subject
-from sgms_mhe.machine import Thresholds
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.effects.search import Step
 from sgms_mhe.recordings.evidence import noise_floor
@@ -98,11 +97,6 @@ class Settled:
         return self.subject.recording
 
     @property
-    def thresholds(self) -> Thresholds:
-        """What is decided by."""
-        return self.subject.thresholds
-
-    @property
     def seen(self) -> Mask:
         """Rows (m) that the fit behind the reported gains sees."""
         return self.recording.used & ~self.recording.rows_held_out()
@@ -154,7 +148,7 @@ def settle(record: Recording, nominal: Fit, laws: Laws, selection: Selection) ->
     in_pieces = len(subject.whole.recording.signals) < len(record.signals)
     along = Subject.of(subject.whole.machine, record) if in_pieces else None
     fit = selection.fit
-    for _ in range(subject.thresholds.alignments):
+    for _ in range(ALIGNMENTS):
         subject = aligned(subject, fit, anew=True)
         extras = tuple(_timed(subject, along, fit, extra) for extra in fit.extras)
         fit = fit_model(subject, extras, refitted=selection.refitted, warm=fit)
@@ -205,7 +199,7 @@ def _away_from_edges(recording: Recording) -> Mask:
     """Used rows (m) that a step may be at."""
     inside = recording.used.copy()
     rows = np.flatnonzero(inside)
-    edge = edge_rows(len(rows), recording.thresholds)
+    edge = edge_rows(len(rows))
     inside[rows[:edge]] = inside[rows[len(rows) - edge :]] = False
     return inside
 

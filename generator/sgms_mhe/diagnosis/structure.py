@@ -16,6 +16,10 @@ from sgms_mhe.recordings.recording import Recording
 Array = NDArray[np.float64]
 
 REST: Final = 1e-9  # m in a row that are no motion
+MAP_BINS: Final = 40
+"""Bins of a map of the residual [1]: a curve to look at."""
+LINE_POWER: Final = 3.0
+"""Power of a spectrum's bin that counts as structure [median power]: above the scatter of the bins."""
 
 
 def structure_map(recording: Recording, residual: Array) -> tuple[Structure, ...]:
@@ -55,7 +59,7 @@ def _way_after_reversal(recording: Recording) -> Array:
 def _binned(recording: Recording, residual: Array, coordinate: str, series: Array) -> Structure:
     used = recording.used
     x, e, block = series[used], residual[used], recording.block[used]
-    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, recording.thresholds.map_bins + 1)))
+    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, MAP_BINS + 1)))
     if len(edges) < 3:
         return Structure(coordinate, 0.0, 1.0, math.nan, np.empty(0), np.empty(0))
     index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
@@ -88,5 +92,5 @@ def _spectrum(recording: Recording, residual: Array) -> Structure:
     segments = max(1.0, 2.0 * len(residual) / length - 1.0)
     ratio = float(power[peak] / max(typical, 1e-300))
     p = min(1.0, len(power) * float(stats.chi2.sf(2.0 * segments * 0.7 * ratio, 1.4 * segments)))
-    excess = float(np.sum(np.maximum(0.0, power - recording.thresholds.line_power * typical))) * width
+    excess = float(np.sum(np.maximum(0.0, power - LINE_POWER * typical))) * width
     return Structure("frequency", math.sqrt(excess), p, float(frequency[peak]), frequency, np.sqrt(power * width))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.compiling import CompiledFit, bearing, compiled_fit
 from sgms_mhe.diagnosis.groups import Extra, Group
-from sgms_mhe.machine import Machine, Thresholds
+from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.recording import Recording
 
@@ -22,6 +22,10 @@ FitKey = tuple[object, ...]
 
 ALIKE: Final = 0.1
 """Standard deviation of a change of friction, over its own."""
+SEARCH_STEP: Final = 10.0
+"""What a step of a search must promise [rows' worth of noise]: less decides nothing."""
+FINAL_STEP: Final = 0.01
+"""What a step must promise where numbers are reported [rows' worth of noise]: a tenth of a standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,12 +141,7 @@ class Subject:
     def of(cls, machine: Machine, recording: Recording) -> Subject:
         """A machine along a record as it was prepared."""
         alignment = Alignment(recording.friction, np.zeros(2))
-        return cls(machine, recording, alignment, enough=machine.diagnosis.search_step)
-
-    @property
-    def thresholds(self) -> Thresholds:
-        """What a diagnosis of this machine decides by."""
-        return self.machine.diagnosis
+        return cls(machine, recording, alignment, enough=SEARCH_STEP)
 
     @property
     def whole(self) -> Subject:
@@ -169,9 +168,8 @@ class Subject:
 
     def settled(self) -> Subject:
         """The same with fits that go on until their numbers can be reported."""
-        enough = self.thresholds.settled_step
-        fine = None if self.fine is None else replace(self.fine, enough=enough)
-        return replace(self, enough=enough, fine=fine)
+        fine = None if self.fine is None else replace(self.fine, enough=FINAL_STEP)
+        return replace(self, enough=FINAL_STEP, fine=fine)
 
     def start(self, model: CompiledFit, extras: Sequence[Extra], warm: Fit | None = None) -> Array:
         """Theta (n_p) to start from: the machine's, a warm fit's where it has them, the proposals' otherwise."""

@@ -30,7 +30,7 @@ from sgms_mhe.diagnosis.half_steps import compile_half_steps
 from sgms_mhe.diagnosis.laws import compilations, laws_of
 from sgms_mhe.diagnosis.noise_response import inertial_noise
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
-from sgms_mhe.diagnosis.sampling import in_step, offset_notes, sampling_offset
+from sgms_mhe.diagnosis.sampling import TIMING_MOST, in_step, offset_notes, sampling_offset
 from sgms_mhe.diagnosis.selection import Searched, search_causes, select_causes, without_effects
 from sgms_mhe.diagnosis.settling import Left, Settled, settle, split_rms
 from sgms_mhe.diagnosis.standins import rival_fits
@@ -49,6 +49,32 @@ from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.parallel import beside
 
 Array = NDArray[np.float64]
+
+EXCITED: Final = 0.05
+"""Range of the simulated friction below which a record says nothing of it [f_C]: the axis hardly moves."""
+ALLOWED_NOISE: Final = 0.5
+"""RMS beyond noise that a complete explanation may leave; the largest of the three counts [noise floor]: the floor
+itself is an estimate."""
+ALLOWED_SHARE: Final = 0.15
+"""RMS beyond noise that a complete explanation may leave; the largest of the three counts [RMS beyond noise before]: 98
+% of the power is explained."""
+MOST_WITHOUT_CAUSES: Final = 3.0
+"""RMS beyond noise that a machine without causes may leave, whatever the three before it say [noise floor]: what leaves
+more is not adequate."""
+MOST_WITH_CAUSES: Final = 1.25
+"""RMS beyond noise that named causes may leave, whatever the three of `unexplained` say [noise floor]: what leaves more
+has not explained the record, however much it gained."""
+LEAST_ALLOWED: Final = 0.012
+"""RMS beyond noise that either may leave, however quiet the record; numbers beside effects only what is small [f_C]:
+sampling, integration and a low cutoff leave as much of a log without noise."""
+MOST_RESIDUAL: Final = 0.75
+"""RMS beyond noise that may be left for causes to be listed that are constant over the record [RMS beyond noise
+before]: measured axes have what no catalogue has; a quarter must go."""
+CURVE_GAIN: Final = 0.5
+"""RMS of what is left as a curve over speed, from which a curve is taken for another one, with CURVE_SHARE [gain that
+matters]: curves over speed add up to nearly any other one, and what they miss of it is such a curve."""
+CURVE_SHARE: Final = 0.3
+"""The same over all that is left [RMS beyond noise]: where much else is left the map over speed shows some of that."""
 
 
 def diagnose(
@@ -72,7 +98,7 @@ def diagnose(
     """
     started = time.monotonic()
     course = Course(progress or (lambda step, share: None))
-    most, offset = machine.diagnosis.timing_most * machine.sampling.step, 0.0
+    most, offset = TIMING_MOST * machine.sampling.step, 0.0
     try:
         found = _diagnosed(machine, log, held_out_s, course)
         while (more := sampling_offset(found)) and abs(offset + more) <= most:
@@ -131,7 +157,7 @@ def _excited(recording: Recording, nominal: Fit) -> bool:
     """Whether the axis moved enough for its friction to show."""
     simulated = (recording.friction - nominal.residual)[recording.used]
     machine = recording.machine
-    return not float(np.ptp(simulated)) < machine.diagnosis.excited * machine.friction.coulomb
+    return not float(np.ptp(simulated)) < EXCITED * machine.friction.coulomb
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +179,6 @@ class _Judged:
 
 def _judge(settled: Settled) -> _Judged:
     """Confirm the causes, and say whether they explain the record."""
-    thresholds = settled.thresholds
     found = confirmed(settled, settled.selection)
     plain = settled.fit((), refitted=())
     # The base numbers' own small errors are no structure that asks for a name.
@@ -177,7 +202,7 @@ def _judge(settled: Settled) -> _Judged:
         found = constant_causes(settled, settled.selection)
         # What refitted numbers explain that are no cause is no merit of the causes.
         before = settled.excess(settled.fit((), refitted=found.selection.unnamed))
-        if not found.causes or not settled.excess(found.selection.fit) < thresholds.most_left * before:
+        if not found.causes or not settled.excess(found.selection.fit) < MOST_RESIDUAL * before:
             found = Confirmed(replace(found.selection, fit=plain, refitted=(), rivals=()), plain, ())
     if found.causes:
         found = without_undetermined(settled, found)
@@ -193,11 +218,11 @@ def _may_stand_in(name: str) -> bool:
 
 def _leaves_curve(settled: Settled, fit: Fit) -> bool:
     """Whether a good part of what a fit leaves is a curve over speed, and it matters."""
-    thresholds, material = settled.thresholds, material_force(settled.record.machine, settled.floor)
+    material = material_force(settled.record.machine, settled.floor)
     left = settled.left(fit)
     curve = force_over_speed(settled.record, left.residual)
     beyond = math.sqrt(max(0.0, left.rms**2 - settled.floor**2))
-    return curve > max(thresholds.curve_left * material, thresholds.curve_share * beyond)
+    return curve > max(CURVE_GAIN * material, CURVE_SHARE * beyond)
 
 
 def _allowed(machine: Machine, floor: float, causes: Sequence[Group] = (), before: float = 0.0) -> float:
@@ -205,13 +230,11 @@ def _allowed(machine: Machine, floor: float, causes: Sequence[Group] = (), befor
 
     A wrong number beside effects may stand for a part of what they leave: then that is no more than what is small.
     """
-    thresholds, level = machine.diagnosis, machine.friction.coulomb
-    wanted = max(
-        thresholds.unexplained * level, thresholds.unexplained_noise * floor, thresholds.unexplained_share * before
-    )
-    most = thresholds.explained_most if causes else thresholds.unexplained_most
+    level = machine.friction.coulomb
+    wanted = max(machine.diagnosis.unexplained * level, ALLOWED_NOISE * floor, ALLOWED_SHARE * before)
+    most = MOST_WITH_CAUSES if causes else MOST_WITHOUT_CAUSES
     mixed = len({group.is_extra for group in causes}) > 1
-    least = small_force(machine) if mixed else thresholds.unexplained_least * level
+    least = small_force(machine) if mixed else LEAST_ALLOWED * level
     return min(wanted, max(most * floor, least))
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.identification.fitting import AxisFit, View
 from sgms_mhe.recordings.evidence import noise_floor
-from sgms_mhe.recordings.uncertainty import robust_covariance
+from sgms_mhe.recordings.uncertainty import UNSEEN_ERROR, robust_covariance
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ def covariance(view: View, fit: AxisFit) -> Array:
     H = X[rows.used].T @ X[rows.used] + np.diag(fit.prior[loose] / scale**2)
     inverse = np.asarray(np.linalg.pinv(H, hermitian=True, rcond=1e-14))
     floor = noise_floor(rows, fit.residual)
-    wrong = max(math.sqrt(max(0.0, fit.cross_rms**2 - floor**2)), rows.thresholds.unseen * floor)
+    wrong = max(math.sqrt(max(0.0, fit.cross_rms**2 - floor**2)), UNSEEN_ERROR * floor)
     result = np.zeros((len(loose), len(loose)))
     inner = robust_covariance(rows, X, fit.residual, H, inverse, wrong)
     result[np.ix_(loose, loose)] = inner / np.outer(scale, scale)

@@ -2,7 +2,7 @@
 
 from sgms_mhe.machine.axis import BASE_PARAMETERS, Friction, Plant, Smoothing, plant_content
 from sgms_mhe.machine.code import Code, Compensation
-from sgms_mhe.machine.diagnosis import Thresholds
+from sgms_mhe.machine.diagnosis import DiagnosisTable
 from sgms_mhe.machine.estimator import ArrivalCost, Estimator, Noise
 from sgms_mhe.machine.fields import listing
 from sgms_mhe.machine.file import Tables, json_schema
@@ -37,6 +37,7 @@ __all__ = [
     "ArrivalCost",
     "Code",
     "Compensation",
+    "DiagnosisTable",
     "Estimator",
     "Friction",
     "Integrator",
@@ -54,7 +55,6 @@ __all__ = [
     "Sampling",
     "Smoothing",
     "Tables",
-    "Thresholds",
     "Units",
     "estimable_names",
     "json_schema",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import PydanticCustomError, PydanticUndefined
@@ -37,6 +37,7 @@ class Table(BaseModel):
     """A TOML table: unknown keys, coerced types and non-finite numbers are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    unknown: ClassVar[str] = "unknown key"
 
 
 Positives = Annotated[tuple[Annotated[float, Field(gt=0, le=1e12)], ...], Field(strict=False)]

@@ -13,7 +13,7 @@ from pydantic import ConfigDict, Field, SkipValidation, model_validator
 
 from sgms_mhe.machine.axis import Friction, Plant
 from sgms_mhe.machine.code import Code, Compensation
-from sgms_mhe.machine.diagnosis import Thresholds
+from sgms_mhe.machine.diagnosis import DiagnosisTable
 from sgms_mhe.machine.estimator import Estimator
 from sgms_mhe.machine.fields import Table, refusal, text
 from sgms_mhe.machine.log_mapping import LogMapping
@@ -80,8 +80,8 @@ class Tables(Table):
     effects: Annotated[tuple[Effect, ...], Field(strict=False)] = Field(
         (), description="what the axis has beyond S-GMS; none, one or many; default none"
     )
-    diagnosis: Thresholds = Field(
-        Thresholds(), description="what a diagnosis decides by, not part of the emitted C; default as in its keys"
+    diagnosis: DiagnosisTable = Field(
+        DiagnosisTable(), description="what a diagnosis decides by, not part of the emitted C; default as in its keys"
     )
     log: LogMapping | None = Field(None, description="mapping of a measured file; default: columns named as in a log")
 

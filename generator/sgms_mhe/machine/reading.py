@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from sgms_mhe.machine.fields import listing
+from sgms_mhe.machine.fields import Table, listing
 from sgms_mhe.machine.file import Tables
 from sgms_mhe.machine.log_mapping import LogMapping
 from sgms_mhe.machine.sampling import CHOSEN_BY_LAW, CHOSEN_BY_TOLERANCE
@@ -264,12 +264,14 @@ def _input_error(error: ValidationError, layers: Sequence[Layer], table: Sequenc
     elif detail["type"] == "missing":
         value, allowed = None, f"required key is missing; {described}"
     elif detail["type"] == "extra_forbidden":
-        known = [str(key) for key in _fields(_field(Tables, loc[:-1])[0])]
+        holder = _field(Tables, loc[:-1])[0]
+        known = [str(key) for key in _fields(holder)]
         if len(loc) == 1:
             known.append("extends")
         close = difflib.get_close_matches(str(loc[-1]), known, n=1)
         hint = f" (did you mean {close[0]}?)" if close else ""
-        allowed = f"unknown key{hint}; allowed: {listing(known)}"
+        said = holder.unknown if holder is not None and issubclass(holder, Table) else Table.unknown
+        allowed = f"{said}{hint}; allowed: {listing(known)}"
     elif detail["type"] == "model_type" or (detail["type"] == "dict_type"):
         allowed = f"a table; {described}"
     else:

@@ -11,7 +11,7 @@ from typing import Any
 
 from sgms_mhe.machine.axis import BASE_PARAMETERS, Friction, Plant
 from sgms_mhe.machine.code import Code, Compensation
-from sgms_mhe.machine.diagnosis import Thresholds
+from sgms_mhe.machine.diagnosis import DiagnosisTable
 from sgms_mhe.machine.estimator import Estimator
 from sgms_mhe.machine.log_mapping import LogMapping
 from sgms_mhe.machine.sampling import Sampling
@@ -62,7 +62,7 @@ class Machine:
     compensation: Compensation
     code: Code
     effects: tuple[ResolvedEffect, ...]
-    diagnosis: Thresholds
+    diagnosis: DiagnosisTable
     log: LogMapping | None
     source: Path
     content: Mapping[str, Any]

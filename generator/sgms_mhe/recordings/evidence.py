@@ -28,6 +28,16 @@ MOVING: Final = 0.1  # of the pieces: fewer are no sample of the noise
 INTERVAL: Final = (0.025, 0.975)  # quantiles of the 95 % interval
 FAST_PARTS: Final = 20  # of a record: what is slower than one of them may be a force that wanders
 DRAWS: Final = 1000  # of blocks; the interval's ends are then sure to a few percent of its width
+NOISE_ROWS: Final = 16
+"""Stretch that a model's errors are smooth over: what a parabola leaves there is noise [rows]: they are, but where the
+axis is fast; the quieter half decides."""
+WHITE_FLOOR: Final = 0.1
+"""Scatter of scores over blocks, at least [white noise]: blocks that balance by chance prove nothing."""
+ENCODER_STEPS_MOST: Final = 0.2
+"""RMS of the force that an encoder's steps make of the acceleration, as much of which is noise of the record [f_C]:
+what hides more than that says of no model that it is adequate."""
+CONSTANCY_PARTS: Final = 6
+"""Parts of a record that a size is compared in, by time, place and speed [1]: each with several blocks."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +88,7 @@ def score_test(recording: Recording, Z: Array, residual: Array) -> tuple[float, 
         return 1.0, coefficients
     meat = scores.T @ scores * B / (B - k)
     # At least what white noise would give: blocks that balance by chance prove nothing.
-    meat = meat + recording.thresholds.white_floor * H * float(rest @ rest) / len(rest)
+    meat = meat + WHITE_FLOOR * H * float(rest @ rest) / len(rest)
     if not np.all(np.isfinite(meat)) or np.linalg.cond(meat) > SINGULAR:
         return 1.0, coefficients
     score = H @ coefficients
@@ -89,11 +99,11 @@ def score_test(recording: Recording, Z: Array, residual: Array) -> tuple[float, 
 def noise_floor(recording: Recording, residual: Array) -> float:
     """RMS of the noise at the fit's rate, from what a smooth curve through a few rows leaves [N].
 
-    Model errors are smooth over `noise_rows` but at reversals and pushes, whose pieces are told by what they leave
+    Model errors are smooth over NOISE_ROWS but at reversals and pushes, whose pieces are told by what they leave
     (`quiet_variance`). Of the pieces in which the axis moves, where there are enough: at rest an encoder that rounds
     has no noise. What the encoder's steps make is slow where few of them pass: no less than that.
     """
-    width = recording.thresholds.noise_rows
+    width = NOISE_ROWS
     k = len(residual) // width
     whole = recording.used[: k * width].reshape(k, width).all(axis=1)
     if whole.sum() < PIECES:
@@ -117,7 +127,7 @@ def _of_steps(recording: Recording) -> float:
     machine = recording.machine
     force = machine.plant.moved * recording.reduce(recording.noise[:, 2])[recording.used]
     size = float(np.sqrt(np.mean(force**2))) if len(force) else 0.0
-    return size if size < recording.thresholds.steps_most * machine.friction.coulomb else 0.0
+    return size if size < ENCODER_STEPS_MOST * machine.friction.coulomb else 0.0
 
 
 def cross_loss(recording: Recording, X: Array, residual: Array, prior: Array) -> Array:
@@ -213,7 +223,7 @@ def inconstancy(recording: Recording, contribution: Array, residual: Array, *, i
     total = float(c @ c)
     if total <= 0.0:
         return math.inf
-    worst, parts = 0.0, recording.thresholds.constancy_parts
+    worst, parts = 0.0, CONSTANCY_PARTS
     for coordinate in (recording.time, recording.position, np.abs(recording.velocity))[: 1 if inertial else 3]:
         x = coordinate[used]
         # Parts that the cause acts equally much in, so that none has no say.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from sgms_mhe.machine import Machine
@@ -9,15 +11,21 @@ from sgms_mhe.model.effects import Measure
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.signals.chain import Signals
 
+MOVING_WAY: Final = 0.1
+"""Way within MOVING_TIME from which the axis moves, for what excites an effect [smallest deflection scale]: less is
+rest and noise."""
+MOVING_TIME: Final = 0.01
+"""Time that MOVING_WAY is covered in [s]: averages the noise of the position."""
+
 
 def measures(signals: Signals, machine: Machine) -> dict[Measure, float]:
-    """All measures of a log; the axis moves where it covers `moving_way` in `moving_time`."""
-    scales, thresholds = scales_of(machine), machine.diagnosis
+    """All measures of a log; the axis moves where it covers MOVING_WAY in MOVING_TIME."""
+    scales = scales_of(machine)
     velocity = np.asarray(signals.velocity)
     rate = machine.sampling.rate
-    width = max(1, round(thresholds.moving_time * rate))
+    width = max(1, round(MOVING_TIME * rate))
     mean = np.convolve(velocity, np.full(width, 1.0 / width), mode="same")
-    moving = np.abs(mean) > thresholds.moving_way * scales.least_deflection / thresholds.moving_time
+    moving = np.abs(mean) > MOVING_WAY * scales.least_deflection / MOVING_TIME
     speed = np.abs(velocity[moving])
     direction = np.sign(mean[moving])
     rests = np.sort(_runs(~moving))[::-1] / rate

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.machine import Machine, Thresholds
+from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import Extents
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.path import bridged, reading_error
@@ -31,6 +31,33 @@ SPLIT: Final = 20_000  # rows from which on halves of a record run at the same t
 LONGEST_LEAD: Final = 10  # share of a record, at most, that the second half runs through before it
 FORGOTTEN: Final = 24.0  # deflection scales of motion after which a start should not matter: by e^-24
 SEED: Final = 20240229  # of folds and held-out blocks: the same log gives the same verdict
+RATE_MAX: Final = 1000.0
+"""Rows of a fit per second, at most [Hz]: friction has nothing to say above it."""
+RATE_MIN: Final = 200.0
+"""Rows of a fit per second, at least; otherwise twice the velocity cutoff [Hz]: reversals still show behind a slow
+filter."""
+ROWS_MAX: Final = 150_000
+"""Rows of a record; a longer one has coarser rows [1]: bounds the memory of derivatives."""
+ROWS_MIN: Final = 100
+"""Rows that a record must have, and as many that count [1]: blocks of a shorter one hold next to nothing."""
+BLOCKS: Final = 48
+"""Blocks that a record is cut into, the independent units of all tests [1]: enough for tests of several numbers."""
+BLOCK_MIN: Final = 0.1
+"""Shortest block [s]: what a model gets wrong at a reversal is over within it."""
+BLOCK_MAX: Final = 2.0
+"""Longest block [s]: a long record gives more units, not longer ones."""
+BLOCK_ROWS_MIN: Final = 5
+"""Rows that count in a block, at least [1]: fewer are no unit."""
+BLOCK_USED_MIN: Final = 0.2
+"""Share of its rows that count in a block, at least [block]: a block that is mostly gap is no unit."""
+FORGET_EXTENT: Final = 4.0
+"""Extent of a motion after which elements do not remember where they started [deflection scales]: all of them slip by
+then."""
+REMEMBERED_MIN: Final = 0.5
+"""Share that must stay where samples are left out at which a gap makes states unknown [good samples]: presliding alone
+never forgets; it is kept, and taken to start from relaxed elements."""
+SATURATED_RUN: Final = 5
+"""Run of exactly the largest force that is a saturation [samples]: noise does not repeat a number so often."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +98,6 @@ class Recording:
     warnings: tuple[str, ...]
     noise: Array | None = None
     runs: Runs = field(default_factory=Runs, repr=False)
-
-    @property
-    def thresholds(self) -> Thresholds:
-        """What a diagnosis of this record decides by."""
-        return self.machine.diagnosis
 
     @property
     def rate(self) -> float:
@@ -156,17 +178,17 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
     """
     signals = signals_of_record(log, machine)
     good, warnings = _usable(machine, log, signals)
-    n, rate, least = len(signals), machine.sampling.rate, machine.diagnosis.rows_min
+    n, rate = len(signals), machine.sampling.rate
     factor = samples_per_row(machine)
-    factor *= math.ceil(n / factor / machine.diagnosis.rows_max)
+    factor *= math.ceil(n / factor / ROWS_MAX)
     m = n // factor
-    if m < least:
-        raise InputError(log.source or "log", "samples", n, f"at least {least * factor} for a diagnosis")
+    if m < ROWS_MIN:
+        raise InputError(log.source or "log", "samples", n, f"at least {ROWS_MIN * factor} for a diagnosis")
     used = np.asarray(good[: m * factor].reshape(m, factor).all(axis=1))
-    if used.sum() < least:
-        raise InputError(log.source or "log", "usable samples", int(good.sum()), f"at least {least * factor}")
-    block, count = _blocks(used, factor / rate, machine.diagnosis)
-    fold, held_out = split_blocks(count, machine.diagnosis)
+    if used.sum() < ROWS_MIN:
+        raise InputError(log.source or "log", "usable samples", int(good.sum()), f"at least {ROWS_MIN * factor}")
+    block, count = _blocks(used, factor / rate)
+    fold, held_out = split_blocks(count, machine)
     clock = np.arange(n) / rate - signals.delay
     recording = reduced(machine, signals, clock, factor, np.where(used, block, -1), fold, held_out, warnings)
     return recording if held_out_s is None else _holding_out(recording, held_out_s)
@@ -197,7 +219,7 @@ def _usable(machine: Machine, log: Log, signals: Signals) -> tuple[Mask, tuple[s
     gaps = int(signals.missing.sum())
     if gaps:
         warnings.append(f"{gaps} of {n} samples are missing; they and {settle} samples after each gap are left out")
-    saturated = _saturated(log.force_N, machine.diagnosis.saturated_run)
+    saturated = _saturated(log.force_N)
     if saturated.any():
         near = _dilate(saturated, settle)
         warnings.append(f"the {units.push} is saturated in {int(saturated.sum())} of {n} samples; they are left out")
@@ -227,8 +249,8 @@ def _holding_out(recording: Recording, intervals: Sequence[tuple[float, float]])
 
 def samples_per_row(machine: Machine) -> int:
     """Samples of the log per row of a fit, as few as make a difference."""
-    rate, thresholds = machine.sampling.rate, machine.diagnosis
-    wanted = min(rate, thresholds.rate_max, max(2.0 * machine.sampling.velocity_cutoff, thresholds.rate_min))
+    rate = machine.sampling.rate
+    wanted = min(rate, RATE_MAX, max(2.0 * machine.sampling.velocity_cutoff, RATE_MIN))
     return max(1, int(rate / wanted + 1e-9))
 
 
@@ -267,8 +289,8 @@ def reduced(
     )
 
 
-def _saturated(force: Array, run: int) -> Mask:
-    """Samples in runs of exactly the largest or smallest force, `run` samples or more."""
+def _saturated(force: Array) -> Mask:
+    """Samples in runs of exactly the largest or smallest force, SATURATED_RUN samples or more."""
     finite = np.isfinite(force)
     mask = np.zeros(len(force), dtype=np.bool_)
     if not finite.any():
@@ -281,7 +303,7 @@ def _saturated(force: Array, run: int) -> Mask:
         starts = np.flatnonzero(np.diff(np.concatenate(([False], at)).astype(np.int8)) == 1)
         ends = np.flatnonzero(np.diff(np.concatenate((at, [False])).astype(np.int8)) == -1) + 1
         for start, end in zip(starts, ends, strict=True):
-            if end - start >= run:
+            if end - start >= SATURATED_RUN:
                 mask[start:end] = True
     return mask
 
@@ -305,7 +327,7 @@ def _remembered(signals: Signals, machine: Machine, good: Mask) -> Mask:
     starts = np.flatnonzero(np.diff(signals.missing.astype(np.int8)) == -1) + 1
     for start in starts:
         known[start : start + rows_spanning(signals.position[start:], scale)] = False
-    least = machine.diagnosis.remembered_min * good.sum()
+    least = REMEMBERED_MIN * good.sum()
     return known if (known & good).sum() >= least else np.ones(len(signals), dtype=np.bool_)
 
 
@@ -314,7 +336,7 @@ def forgotten_after(machine: Machine) -> float:
 
     Not its way: loops below break-away never forget, however many there are.
     """
-    return machine.diagnosis.forget * scales_of(machine).deflection
+    return FORGET_EXTENT * scales_of(machine).deflection
 
 
 def rows_spanning(position: Array, extent: float) -> int:
@@ -329,22 +351,22 @@ def rows_spanning(position: Array, extent: float) -> int:
         seen *= 4
 
 
-def _blocks(used: Mask, step: float, thresholds: Thresholds) -> tuple[Index, int]:
+def _blocks(used: Mask, step: float) -> tuple[Index, int]:
     """Cut the record into pieces of equal time; those with too few usable rows get no number."""
     m = len(used)
-    length = float(np.clip(m * step / thresholds.blocks, thresholds.block_min, thresholds.block_max))
+    length = float(np.clip(m * step / BLOCKS, BLOCK_MIN, BLOCK_MAX))
     raw = (np.arange(m) * step / length).astype(np.int64)
     count = np.bincount(raw[used], minlength=int(raw[-1]) + 1)
     rows = np.bincount(raw)
-    keep = count >= np.maximum(thresholds.block_rows_min, thresholds.block_used_min * rows)
+    keep = count >= np.maximum(BLOCK_ROWS_MIN, BLOCK_USED_MIN * rows)
     number = np.where(keep, np.cumsum(keep) - 1, -1)
     return np.asarray(number[raw], dtype=np.int64), int(keep.sum())
 
 
-def split_blocks(count: int, thresholds: Thresholds) -> tuple[Index, Mask]:
+def split_blocks(count: int, machine: Machine) -> tuple[Index, Mask]:
     """Folds and held-out blocks: drawn at random within neighbours, so that no lap time falls into step with them."""
     random = np.random.default_rng(SEED)
-    folds, one_in = thresholds.folds, thresholds.held_out_one_in
+    folds, one_in = machine.diagnosis.folds, machine.diagnosis.held_out_one_in
     fold = np.concatenate([random.permutation(folds) for _ in range(-(-count // folds))])[:count]
     held_out = np.concatenate([random.permutation(one_in) == 0 for _ in range(-(-count // one_in))])[:count]
     return fold.astype(np.int64), held_out

@@ -15,6 +15,11 @@ Array = NDArray[np.float64]
 UNKNOWN: Final = 1e-15  # of the largest eigenvalue of the information
 ALONE: Final = 0.9
 """Share of the information on a number that one block may hold: with all of it there is none to move to without it."""
+COHERENT_ROWS: Final = 16
+"""Stretch that a model's own error keeps its sign over, for intervals [rows]: a reversal."""
+UNSEEN_ERROR: Final = 0.15
+"""RMS that a model may get wrong beyond what is seen, for intervals [noise floor]: a floor that is right to 1 % hides
+as much."""
 
 
 def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array, inverse: Array, wrong: float) -> Array:
@@ -22,7 +27,7 @@ def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array,
 
     Noise, by what each block moves the numbers by (`between_blocks`), robust to colour within a block and to numbers
     that few blocks tell of, but no less than if the residual were white. And what the model gets wrong, which does not
-    average out as noise does: taken as coherent over `coherent_rows`.
+    average out as noise does: taken as coherent over COHERENT_ROWS.
 
     Args:
         recording: rows of the fit.
@@ -36,7 +41,7 @@ def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array,
     # Blocks that happen to balance must not promise more than white noise would allow.
     white = inverse * float(np.mean(residual[recording.used] ** 2))
     noise = np.where(np.eye(len(noise), dtype=np.bool_), np.maximum(noise, white), noise)
-    return np.asarray(noise + inverse * recording.thresholds.coherent_rows * wrong**2)
+    return np.asarray(noise + inverse * COHERENT_ROWS * wrong**2)
 
 
 def between_blocks(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
