@@ -30,8 +30,7 @@ class Variant:
         if self.model is not None:
             model = self.model()
             return emit_package(model.machine, model, selftest=self.selftest)
-        base = override_machine(load_machine(self.machine), {"estimator": {"relinearise": "all"}})
-        return emit_package(override_machine(base, self.changes), selftest=self.selftest)
+        return emit_package(override_machine(load_machine(self.machine), self.changes), selftest=self.selftest)
 
 
 EFFECTS: dict[str, dict[str, Any]] = {
@@ -85,27 +84,16 @@ INTEGRATORS: dict[str, dict[str, Any]] = {
     "rk4, two substeps": scheme("rk4", substeps=200),
     "rk4, fine": scheme("rk4", displacement=0.01),
     "rk4, 4 merged": scheme("rk4", substeps=25),
-    "rk4, linear": scheme("rk4", velocity="linear"),
-    "rk4, two substeps, linear": scheme("rk4", substeps=200, velocity="linear"),
-    "rk2": scheme("rk2"),
-    "rk2, 5 merged": scheme("rk2", substeps=20),
-    "rk2, linear": scheme("rk2", velocity="linear"),
-    "bs23": scheme("bs23"),
-    "bs23, 5 merged": scheme("bs23", substeps=20),
-    "bs23, linear": scheme("bs23", velocity="linear"),
-    "euler": scheme("euler"),
-    "euler, 5 merged": scheme("euler", substeps=20),
-    "euler, linear": scheme("euler", velocity="linear"),
 }
 """Tables `sampling`."""
 
 ESTIMATORS: dict[str, dict[str, Any]] = {
-    "auto": {"relinearise": "auto"},
+    "all": {"relinearise": "all"},
     "newest": {"relinearise": "newest"},
     "ekf": {"kind": "ekf"},
     "fixed": {"arrival_cost": {"update": "fixed"}},
 }
-"""Tables `estimator`, beside that of the mhe that linearises everything anew, with the Riccati equation."""
+"""Tables `estimator`, beside that of the default: relinearise = "auto", with the Riccati equation."""
 
 
 def _entries(*names: str) -> list[dict[str, Any]]:
@@ -118,12 +106,9 @@ def _estimating(*parameters: str, **more: Any) -> dict[str, Any]:
 
 def _integration() -> dict[str, Variant]:
     variants = {name: Variant({"sampling": sampling}) for name, sampling in INTEGRATORS.items()}
-    for name in ("flow", "flow, 5 merged", "flow, all merged", "rk4", "rk4, 4 merged", "rk4, linear", "bs23", "euler"):
+    for name in ("flow", "flow, 5 merged", "flow, all merged", "rk4", "rk4, 4 merged"):
         for kind, estimator in ESTIMATORS.items():
             variants[f"{name}, {kind}"] = Variant({"sampling": INTEGRATORS[name], "estimator": estimator})
-    for tolerance in (1e-2, 1e-4, 1e-6):
-        chosen = {"sampling": {"integrator": {"tolerance": tolerance}}}
-        variants[f"tolerance {tolerance:.0e}"] = Variant(chosen)
     variants |= {
         "sample an update": Variant({"sampling": {"update_rate": 10000.0, **scheme("flow")}}),
         "five samples an update": Variant({"sampling": {"update_rate": 2000.0, **scheme("rk4")}}),
@@ -150,7 +135,7 @@ def _elements() -> dict[str, Variant]:
         friction = {"friction": elements(n)}
         variants |= {
             f"n_z {n}": Variant(friction),
-            f"n_z {n}, auto": Variant({**friction, "estimator": {"relinearise": "auto"}}),
+            f"n_z {n}, all": Variant({**friction, "estimator": ESTIMATORS["all"]}),
             f"n_z {n}, newest, 5 merged": Variant(
                 {**friction, "sampling": INTEGRATORS["flow, 5 merged"], "estimator": {"relinearise": "newest"}}
             ),
@@ -161,7 +146,7 @@ def _elements() -> dict[str, Variant]:
     return variants | {
         "micro-viscous": Variant({"friction": damped}),
         "micro-viscous, fixed": Variant({"friction": damped, "estimator": ESTIMATORS["fixed"]}),
-        "micro-viscous, auto": Variant({"friction": damped, "estimator": {"relinearise": "auto"}}),
+        "micro-viscous, all": Variant({"friction": damped, "estimator": ESTIMATORS["all"]}),
         "micro-viscous, ekf, 5 merged": Variant(
             {"friction": damped, "estimator": {"kind": "ekf"}, "sampling": INTEGRATORS["flow, 5 merged"]}
         ),
@@ -185,15 +170,15 @@ def _estimation() -> dict[str, Variant]:
         "all parameters": Variant({"estimator": _estimating(*BASE_PARAMETERS)}),
         "coulomb, viscous": Variant({"estimator": _estimating("coulomb", "viscous")}),
         "bounds of two": Variant({"estimator": {"parameters": ["stiffness", "coulomb"], "bounds": bounds}}),
-        "bounds of two, auto, 5 merged": Variant(
+        "bounds of two, 5 merged": Variant(
             {
-                "estimator": {"parameters": ["stiffness", "coulomb"], "bounds": bounds, "relinearise": "auto"},
+                "estimator": {"parameters": ["stiffness", "coulomb"], "bounds": bounds},
                 "sampling": INTEGRATORS["flow, 5 merged"],
             }
         ),
         "deflection": Variant({"estimator": {"noise": {"state_as": "deflection"}}}),
         "no drift": Variant({"estimator": {"noise": {"parameter_drift": 0.0}}}),
-        "auto, fixed": Variant({"estimator": {"relinearise": "auto", **ESTIMATORS["fixed"]}}),
+        "all, fixed": Variant({"estimator": {**ESTIMATORS["all"], **ESTIMATORS["fixed"]}}),
         "newest, fixed, horizon 1": Variant(
             {"estimator": {"relinearise": "newest", "horizon": 1, **ESTIMATORS["fixed"]}}
         ),
@@ -221,11 +206,9 @@ def _effects() -> dict[str, Variant]:
         effects = {"effects": _entries(*names)}
         variants |= {
             f"effects: {title}": Variant(effects),
-            f"effects: {title}, auto, 5 merged": Variant(
-                {**effects, "estimator": {"relinearise": "auto"}, "sampling": INTEGRATORS["flow, 5 merged"]}
-            ),
-            f"effects: {title}, newest, linear": Variant(
-                {**effects, "estimator": {"relinearise": "newest"}, "sampling": INTEGRATORS["rk4, linear"]}
+            f"effects: {title}, 5 merged": Variant({**effects, "sampling": INTEGRATORS["flow, 5 merged"]}),
+            f"effects: {title}, newest, rk4": Variant(
+                {**effects, "estimator": ESTIMATORS["newest"], "sampling": INTEGRATORS["rk4"]}
             ),
             f"effects: {title}, ekf": Variant({**effects, "estimator": {"kind": "ekf"}}),
         }
@@ -242,8 +225,11 @@ def _effects() -> dict[str, Variant]:
             }
         ),
         "two hoses": Variant({"effects": _entries("hose_hysteresis", "hose_hysteresis")}),
-        "forces": Variant({"effects": _entries(*FORCES), "estimator": {"relinearise": "auto"}}),
+        "forces": Variant({"effects": _entries(*FORCES)}),
         "every effect": Variant({"effects": _entries(*EFFECTS), "estimator": _estimating(*all_main)}),
+        "every effect, all": Variant(
+            {"effects": _entries(*EFFECTS), "estimator": _estimating(*all_main, **ESTIMATORS["all"])}
+        ),
         "every effect, fixed, rk4, 4 merged": Variant(
             {
                 "effects": _entries(*EFFECTS),
@@ -270,8 +256,8 @@ def _geared() -> dict[str, Variant]:
     merged = INTEGRATORS["flow, 5 merged"]
     kept: dict[str, dict[str, Any]] = {
         "": {},
-        ", auto, 5 merged": {"estimator": {"relinearise": "auto"}, "sampling": merged},
-        ", newest, linear": {"estimator": {"relinearise": "newest"}, "sampling": INTEGRATORS["rk4, linear"]},
+        ", 5 merged": {"sampling": merged},
+        ", newest, rk4": {"estimator": ESTIMATORS["newest"], "sampling": INTEGRATORS["rk4"]},
         ", ekf": {"estimator": {"kind": "ekf"}},
         ", switching, 5 merged": {"friction": {"law": "switching"}, "sampling": {"integrator": {"substeps": 20}}},
         ", compensation": {"compensation": {"delay": 210e-6, "limit": 20.0, "hold": 5e-6}},
@@ -289,7 +275,6 @@ def _compensation() -> dict[str, Variant]:
     kept: dict[str, dict[str, Any]] = {
         "": {},
         ", rk4": {"sampling": scheme("rk4")},
-        ", rk4, linear": {"sampling": INTEGRATORS["rk4, linear"]},
         ", flow, 5 merged": {"sampling": INTEGRATORS["flow, 5 merged"]},
         ", ekf": {"estimator": {"kind": "ekf"}},
         ", n_z 10": {"friction": elements(10)},
@@ -315,8 +300,8 @@ def _switching() -> dict[str, Variant]:
     kept: dict[str, dict[str, Any]] = {
         "": {},
         ", 5 merged": {"sampling": merged},
-        ", auto": {"estimator": {"relinearise": "auto"}},
-        ", 5 merged, auto": {"estimator": {"relinearise": "auto"}, "sampling": merged},
+        ", all": {"estimator": ESTIMATORS["all"]},
+        ", 5 merged, all": {"estimator": ESTIMATORS["all"], "sampling": merged},
         ", ekf": {"estimator": {"kind": "ekf"}},
         ", all parameters, 5 merged": {"estimator": _estimating(*BASE_PARAMETERS), "sampling": merged},
         ", levels": {"effects": _entries(*levels), "estimator": _estimating("stiffness", "asymmetric_coulomb.ratio")},
@@ -331,13 +316,13 @@ def _switching() -> dict[str, Variant]:
 def _single(variants: Mapping[str, Variant]) -> dict[str, Variant]:
     """What a precision may change, in single precision: one of each kind of code."""
     names = """
-        flow; flow, 2 merged; flow, 5 merged; flow, all merged; rk4; rk4, linear; rk4, 4 merged; rk2; euler;
-        bs23, 5 merged; flow, ekf; flow, auto; flow, newest; flow, fixed; flow, 5 merged, auto; flow, 5 merged, ekf;
-        rk4, linear, newest; tolerance 1e-02; sample an update; sharp smoothing; n_z 1; n_z 2, auto; n_z 10;
-        n_z 10, newest, 5 merged; micro-viscous; two elements micro-viscous, rk4; horizon 1; horizon 40; all parameters;
-        bounds of two, auto, 5 merged; deflection; every effect; every effect, fixed, rk4, 4 merged;
-        effects: states, auto, 5 merged; effects: upstream, auto, 5 merged; effects: upstream, newest, linear;
-        effects: time, ekf; effects: lags; compensation; compensation, flow, 5 merged; compensation, ekf;
+        flow; flow, 2 merged; flow, 5 merged; flow, all merged; rk4; rk4, 4 merged; flow, ekf; flow, all; flow, newest;
+        flow, fixed; flow, 5 merged, all; flow, 5 merged, ekf; rk4, newest; sample an update; sharp smoothing; n_z 1;
+        n_z 2, all; n_z 10; n_z 10, newest, 5 merged; micro-viscous; two elements micro-viscous, rk4; horizon 1;
+        horizon 40; all parameters; bounds of two, 5 merged; deflection; every effect;
+        every effect, fixed, rk4, 4 merged; effects: states, 5 merged; effects: upstream, 5 merged;
+        effects: upstream, newest, rk4; effects: time, ekf; effects: lags; compensation; compensation, flow, 5 merged;
+        compensation, ekf;
         compensation, upstream; compensation off; switching, 5 merged; switching, levels; switching, compensation
     """
     chosen = [" ".join(name.split()) for name in names.split(";")]

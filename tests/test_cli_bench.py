@@ -210,14 +210,6 @@ def test_bench_without_valgrind_has_null_for_instructions(small: Path, monkeypat
     assert {entry["instructions_mean"] for entry in result["variants"] + result["peers"]} == {None}
 
 
-def test_bench_without_peers_where_velocity_is_linear(small: Path, tmp_path: Path) -> None:
-    path = tmp_path / "linear.toml"
-    path.write_text(SMALL.replace('{ scheme = "flow" }', '{ scheme = "rk4", velocity = "linear" }'))
-    printed = done("bench", path, "--quick", "--updates", "5").stdout
-    assert "double, all" in printed
-    assert "CasADi" not in printed
-
-
 def test_bench_in_full_compares_motions_integrators_and_sizes(
     small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -226,7 +218,7 @@ def test_bench_in_full_compares_motions_integrators_and_sizes(
     monkeypatch.setattr("sgms_bench.benchmark.running.ELEMENTS", (1, 2, 3))
     monkeypatch.setattr("sgms_bench.benchmark.running.MOTIONS", ())
     monkeypatch.setattr("sgms_bench.benchmark.running.SPEEDS", (1.0,))
-    monkeypatch.setattr("sgms_bench.benchmark.running.INTEGRATORS", (("flow", 0.02), ("rk4", 0.1)))
+    monkeypatch.setattr("sgms_bench.benchmark.running.INTEGRATORS", ({"scheme": "flow"}, {"scheme": "rk4"}))
     monkeypatch.setattr("sgms_bench.benchmark.running.PRECISIONS", ("double",))
     monkeypatch.setattr("sgms_bench.benchmark.running.RUNS", 1)
     folder = tmp_path / "out"

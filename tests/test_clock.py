@@ -85,7 +85,6 @@ def test_sine_keeps_its_phase_for_a_year(frequency_Hz: float, kind: str, precisi
 SAMPLINGS: dict[str, dict[str, Any]] = {
     "flow": {},
     "merged": scheme("flow", substeps=20),
-    "linear": scheme("rk4", velocity="linear"),
 }
 
 

@@ -100,9 +100,9 @@ def test_everything_in_the_runtime_headers_is_used() -> None:
 
 
 SHAPES = (
-    "flow, ekf", "flow, newest, single", "flow, 5 merged, auto", "flow, all merged", "rk4, fixed", "rk4, linear, auto",
-    "rk4, 4 merged, newest", "bs23", "euler, ekf", "horizon 1", "n_z 1", "micro-viscous",
-    "compensation off", "every effect", "every effect, fixed, rk4, 4 merged", "effects: upstream, auto, 5 merged",
+    "flow", "flow, ekf", "flow, newest, single", "flow, 5 merged", "flow, all merged", "rk4, fixed", "rk4, all",
+    "rk4, 4 merged, newest", "rk4, ekf", "horizon 1", "n_z 1", "micro-viscous",
+    "compensation off", "every effect, all", "every effect, fixed, rk4, 4 merged", "effects: upstream, 5 merged",
     "linear model", "toy, states",
 )  # fmt: skip
 """Variants whose code differs in kind."""

@@ -66,10 +66,6 @@ MHE_CASES: dict[str, dict[str, Any]] = {
     "no drift": {"estimator": {"noise": {"parameter_drift": 0.0}}},
     # integrators
     "rk4": {"sampling": scheme("rk4")},
-    "bs23": {"sampling": scheme("bs23")},
-    "rk2": {"sampling": scheme("rk2")},
-    "euler": {"sampling": scheme("euler")},
-    "linear velocity": {"sampling": scheme("rk4", velocity="linear")},
     "two substeps": {"sampling": scheme("rk4", substeps=200)},
     "merged flow": {"sampling": scheme("flow", substeps=50)},
     "merged rk4": {"sampling": scheme("rk4", substeps=25)},
@@ -77,7 +73,6 @@ MHE_CASES: dict[str, dict[str, Any]] = {
     "many steps below the gate": {"sampling": scheme("flow", slow_displacement=0.003)},
     "ten merged": {"sampling": scheme("flow", substeps=10, slow_displacement=0.03)},
     "all merged": {"sampling": scheme("flow", substeps=1)},
-    "five merged, bs23": {"sampling": scheme("bs23", substeps=20)},
     "five merged, stiffness, coulomb": {
         "sampling": scheme("flow", substeps=20),
         "estimator": {"parameters": ["stiffness", "coulomb"], "bounds": {}},
@@ -109,7 +104,7 @@ MHE_CASES: dict[str, dict[str, Any]] = {
         "effects": [{"name": "dwell_dependence"}],
         "estimator": {"relinearise": "auto", "horizon": 8},
     },
-    "auto, linear velocity": {"sampling": scheme("rk4", velocity="linear"), "estimator": {"relinearise": "auto"}},
+    "auto, rk4": {"sampling": scheme("rk4"), "estimator": {"relinearise": "auto"}},
     "auto, merged flow": {"sampling": scheme("flow", substeps=50), "estimator": {"relinearise": "auto"}},
     "auto, five merged": {"sampling": scheme("flow", substeps=20), "estimator": {"relinearise": "auto"}},
     "auto, five merged, ten elements": {
@@ -135,7 +130,7 @@ MHE_CASES: dict[str, dict[str, Any]] = {
     "auto, much drift": {"estimator": {"relinearise": "auto", "horizon": 7, "noise": {"parameter_drift": 0.02}}},
     "newest": {"estimator": {"relinearise": "newest"}},
     "newest, fixed": {"estimator": {"relinearise": "newest", "arrival_cost": {"update": "fixed"}}},
-    "newest, linear velocity": {"sampling": scheme("rk4", velocity="linear"), "estimator": {"relinearise": "newest"}},
+    "newest, rk4": {"sampling": scheme("rk4"), "estimator": {"relinearise": "newest"}},
     "newest, merged rk4": {"sampling": scheme("rk4", substeps=25), "estimator": {"relinearise": "newest"}},
     # filter
     "ekf": {"estimator": {"kind": "ekf"}},
@@ -344,10 +339,9 @@ DISTURBED: list[dict[str, Any]] = [
     [
         {},
         {"estimator": {"kind": "ekf"}},
-        {"sampling": scheme("rk4", velocity="linear")},
         {"sampling": scheme("flow", substeps=20)},
     ],
-    ids=["mhe", "ekf", "linear", "merged"],
+    ids=["mhe", "ekf", "merged"],
 )
 def test_time_is_that_of_the_signals_through_either_chain(changes: Mapping[str, Any]) -> None:
     free = ["stiffness", "periodic_disturbance.amplitude_N", "periodic_disturbance.phase_rad"]

@@ -472,15 +472,6 @@ def test_two_effects_of_one_name() -> None:
     assert rms(deviation(integrator, simulated(machine, as_read=False))[START:]) < 2e-3
 
 
-@pytest.mark.parametrize("name", ["actuator_lag", "force_delay", "structural_resonance"])
-def test_states_follow_interpolated_signals_too(name: str) -> None:
-    # Without the hold of a sample the lags are integrated as they are.
-    sampling = {"integrator": {"scheme": "rk4", "velocity": "linear"}}
-    machine = extended((name, CASES[name].parameters), free=(), sampling=sampling)
-    error = deviation(Integrator(build_model(machine)), simulated(machine, as_read=False))[START:]
-    assert rms(error) < 3.0 * CASES[name].rms_N
-
-
 # --- structure --------------------------------------------------------------------------------------------------
 
 

@@ -28,10 +28,10 @@ from sgms_mhe.identification.sampling import common_rate, rounded_up
 from sgms_mhe.identification.search import gains
 from sgms_mhe.identification.spectrum import Spectrum, clustered
 from sgms_mhe.identification.starting import element_numbers
-from sgms_mhe.integration.flow_table import gate_ratio
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine, Smoothing
 from sgms_mhe.model import build_model
+from sgms_mhe.model.flow_table import gate_ratio
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion as Path_

@@ -105,10 +105,8 @@ def test_defaults_are_resolved(tmp_path: Path) -> None:
     assert machine.sampling.integrator.model_dump() == {
         "scheme": "flow",
         "substeps": 100,
-        "velocity": "constant",
         "displacement": 0.1,
         "slow_displacement": 0.02,
-        "tolerance": None,
     }
     assert machine.estimator.bounds == {}
     assert machine.log is None
@@ -120,10 +118,8 @@ def test_defaults_are_resolved(tmp_path: Path) -> None:
     [
         ("rate = 1000.0", 10, 0.1),
         ("rate = 8000\nupdate_rate = 250", 32, 0.1),
-        ('integrator = { velocity = "linear" }', 100, 0.03),
-        ('integrator = { scheme = "euler" }', 100, 0.01),
-        ('integrator = { scheme = "bs23", substeps = 20 }', 20, 0.02),
-        ('integrator = { scheme = "rk2", substeps = 300, displacement = 0.02 }', 300, 0.02),
+        ('integrator = { scheme = "rk4" }', 100, 0.03),
+        ('integrator = { scheme = "rk4", substeps = 300, displacement = 0.02 }', 300, 0.02),
     ],
 )
 def test_integrator_defaults_follow_rates_and_scheme(
@@ -139,15 +135,11 @@ def test_integrator_defaults_follow_rates_and_scheme(
     [
         ("", "flow"),
         ("[sampling]\nintegrator = { substeps = 20 }\n", "flow"),
-        ('[sampling]\nintegrator = { velocity = "linear" }\n', "rk4"),
         ("[friction.smoothing]\nzeta = 0.5\nlambda = 3.0\ngamma = 3.0\n", "rk4"),
         ('[friction]\nlaw = "switching"\n', "clip"),
-        ("[sampling]\nintegrator = { tolerance = 1e-3 }\n", "flow"),
     ],
 )
-def test_default_scheme_is_the_one_that_the_law_and_the_velocity_allow(
-    tmp_path: Path, written: str, scheme: str
-) -> None:
+def test_default_scheme_is_the_one_that_the_law_allows(tmp_path: Path, written: str, scheme: str) -> None:
     text = MINIMAL.replace("[friction]\n", written) if "law" in written else MINIMAL + written
     assert load_machine(write(tmp_path, text)).sampling.integrator.scheme == scheme
 
@@ -330,7 +322,17 @@ BAD_VALUES = [
     ("effects = 3", "effects", "what the axis has"),
     ("name = 3", "name", "valid string"),
     # choices
-    ('sampling.integrator.scheme = "rk45"', "sampling.integrator.scheme", "'bs23'"),
+    ('sampling.integrator.scheme = "rk45"', "sampling.integrator.scheme", "'rk4', 'flow' or 'clip'"),
+    ('sampling.integrator.scheme = "rk2"', "sampling.integrator.scheme", "rk4 or flow: rk2, bs23 and euler"),
+    ('sampling.integrator.scheme = "bs23"', "sampling.integrator.scheme", "rk4 or flow: rk2, bs23 and euler"),
+    ('sampling.integrator.scheme = "euler"', "sampling.integrator.scheme", "rk4 or flow: rk2, bs23 and euler"),
+    (
+        'sampling.integrator.velocity = "linear"',
+        "sampling.integrator.velocity",
+        "the velocity is constant from",
+    ),
+    ('sampling.integrator.velocity = "constant"', "sampling.integrator.velocity", "substeps < rate / update_rate"),
+    ("sampling.integrator.tolerance = 1e-3", "sampling.integrator.tolerance", "displacement and slow_displacement"),
     ('estimator.kind = "ukf"', "estimator.kind", "'mhe' or 'ekf'"),
     ('estimator.relinearise = "some"', "estimator.relinearise", "'all', 'auto' or 'newest'"),
     ('estimator.arrival_cost.update = "kalman"', "estimator.arrival_cost.update", "'riccati' or 'fixed'"),
@@ -340,7 +342,7 @@ BAD_VALUES = [
     ("plant.mas = 20.0", "plant.mas", "did you mean mass?"),
     ("plants.mass = 20.0", "plants", "did you mean plant?"),
     ("friction.smoothing.lambda_ = 35.0", "friction.smoothing.lambda_", "did you mean lambda?"),
-    ("sampling.integrator.steps = 5", "sampling.integrator.steps", "velocity, scheme, substeps, displacement"),
+    ("sampling.integrator.steps = 5", "sampling.integrator.steps", "scheme, substeps, displacement, slow_displacement"),
     ("estimator.noise.sigma = 0.5", "estimator.noise.sigma", "measurement, state"),
     ("colour = 3", "colour", "extends"),
     # between keys
@@ -358,12 +360,6 @@ BAD_VALUES = [
     ("sampling.integrator.substeps = 0", "sampling.integrator.substeps", "greater than or equal to 1"),
     ("sampling.integrator.substeps = 30", "sampling.integrator.substeps", "rate / update_rate = 100"),
     ("sampling.integrator.substeps = 150", "sampling.integrator.substeps", "rate / update_rate = 100"),
-    ('sampling.integrator.velocity = "linear"', "sampling.integrator.velocity", "where scheme is flow"),
-    (
-        'sampling.integrator = { scheme = "rk4", substeps = 50, velocity = "linear" }',
-        "sampling.integrator.velocity",
-        "substeps < 100",
-    ),
     ("estimator.parameters = []", "estimator.parameters", "at least 1"),
     ('estimator.parameters = ["mass"]', "estimator.parameters[1]", "stiffness, fraction, coulomb, viscous"),
     ('estimator.parameters = ["coulomb", "coulomb"]', "estimator.parameters", "each parameter once"),
@@ -525,10 +521,10 @@ def test_digest_depends_on_content_alone(tmp_path: Path) -> None:
 
 def test_override_is_what_an_extending_file_says(tmp_path: Path) -> None:
     machine = load_machine("etel_xy")
-    euler = override_machine(machine, {"sampling": {"rate": 5000.0, "integrator": {"scheme": "euler"}}})
-    assert (euler.sampling.integrator.substeps, euler.sampling.integrator.displacement) == (50, 0.01)
-    text = 'extends = "etel_xy"\n[sampling]\nrate = 5000.0\nintegrator = { scheme = "euler" }\n'
-    assert euler.digest == load_machine(write(tmp_path, text)).digest
+    other = override_machine(machine, {"sampling": {"rate": 5000.0, "integrator": {"scheme": "rk4"}}})
+    assert (other.sampling.integrator.substeps, other.sampling.integrator.displacement) == (50, 0.03)
+    text = 'extends = "etel_xy"\n[sampling]\nrate = 5000.0\nintegrator = { scheme = "rk4" }\n'
+    assert other.digest == load_machine(write(tmp_path, text)).digest
     assert override_machine(machine, {}).digest == machine.digest
     assert machine.sampling.rate == 10000.0
     with pytest.raises(InputError, match=r"plant\.mass = -1"):

@@ -40,8 +40,6 @@ Tool = Callable[[str], str]
 VARIANTS: dict[str, dict[str, Any]] = {
     "flow": {},
     "rk4": {"sampling": scheme("rk4")},
-    "euler": {"sampling": scheme("euler")},
-    "linear": {"sampling": scheme("rk4", velocity="linear")},
     "merged": {"sampling": scheme("flow", substeps=50)},
     "ekf": {"estimator": {"kind": "ekf"}},
     "ekf, no bounds": {"estimator": {"kind": "ekf", "parameters": ["coulomb", "viscous"], "bounds": {}}},
@@ -55,9 +53,9 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "fixed, horizon 1": {"estimator": {"horizon": 1, "arrival_cost": {"update": "fixed"}}},
     "horizon 2": {"estimator": {"horizon": 2}},
     "auto": {"estimator": {"relinearise": "auto"}},
-    "auto, linear": {"estimator": {"relinearise": "auto"}, "sampling": scheme("rk4", velocity="linear")},
+    "auto, rk4": {"estimator": {"relinearise": "auto"}, "sampling": scheme("rk4")},
     "newest": {"estimator": {"relinearise": "newest"}},
-    "newest, linear": {"estimator": {"relinearise": "newest"}, "sampling": scheme("rk4", velocity="linear")},
+    "newest, rk4": {"estimator": {"relinearise": "newest"}, "sampling": scheme("rk4")},
     "level of its own": {"effects": [{"name": "dwell_dependence"}], "estimator": {"relinearise": "auto"}},
     "ripple": {
         "effects": [{"name": "force_ripple", "pitch_m": 0.032, "amplitude_N": 0.8, "phase_rad": 0.7}],
@@ -129,7 +127,7 @@ def test_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
 
 def test_names_that_would_collide_are_refused() -> None:
     """Whatever else in a package, or in the runtime, ends like a public symbol: its beginning is no machine's name."""
-    variants = ["flow", "linear", "merged", "auto", "ekf", "level of its own"]
+    variants = ["flow", "merged", "auto", "ekf", "level of its own"]
     changes = [VARIANTS[v] for v in variants] + [{"effects": [{"name": "backlash"}, {"name": "actuator_lag"}]}]
     for package in (package_of(**c, code={"precision": p}) for c in changes for p in PRECISIONS):
         code = "".join(text for file, text in package.files.items() if file.endswith((".c", ".h")))
@@ -504,7 +502,7 @@ ESTIMATORS: dict[str, dict[str, Any]] = {
     "auto, merged": {"estimator": {"relinearise": "auto"}, "sampling": scheme("flow", substeps=20)},
     "all, merged": {"sampling": scheme("flow", substeps=50)},
     "fixed": {"estimator": {"arrival_cost": {"update": "fixed"}, "horizon": 5}},
-    "rk4, linear": {"sampling": scheme("rk4", velocity="linear")},
+    "rk4": {"sampling": scheme("rk4")},
     "ekf": {"estimator": {"kind": "ekf"}},
 }
 """What an estimator remembers differs between these."""

@@ -27,25 +27,22 @@ ALL = ["stiffness", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity"]
 THETA = np.array([1.05, 1.1, 0.9, 1.02, 0.98, 1.1, 0.97, 1.01])
 
 
-@pytest.mark.parametrize("velocity", ["constant", "linear"])
-@pytest.mark.parametrize(("scheme", "order"), [("euler", 1), ("rk2", 2), ("bs23", 3), ("rk4", 4)])
-def test_order_of_convergence(scheme: str, order: int, velocity: str) -> None:
+def test_order_of_convergence() -> None:
     # A soft window and gate bring the asymptotic range within reach; the move per sample is below 0.1.
     soft = {"zeta": 0.7, "lambda": 6.0, "gamma": 3.0}
     machine = variant(friction={"smoothing": soft}, sampling={"integrator": {"scheme": "rk4"}})
     signals = moving(1e-3 * (1.2 + np.sin(2.0 * np.pi * 40.0 * np.arange(101) / 10000.0)))
     ends = []
     for factor in (1, 2, 4, 64):
-        settings = {"scheme": scheme if factor < 64 else "rk4", "substeps": 100 * factor}
-        chosen = with_integrator(machine, **settings, velocity=velocity, displacement=10.0)
+        chosen = with_integrator(machine, scheme="rk4", substeps=100 * factor, displacement=10.0)
         ends.append(simulate(Integrator(build_model(chosen)), signals, np.ones(4), np.full(4, 0.1))[-1])
     errors = [np.abs(end - ends[-1]).max() for end in ends[:-1]]
     for coarse, fine in pairwise(errors):
-        assert math.log2(coarse / fine) == pytest.approx(order, abs=0.35)
+        assert math.log2(coarse / fine) == pytest.approx(4, abs=0.35)
 
 
 @pytest.mark.parametrize("state_as", ["force", "deflection"])
-@pytest.mark.parametrize("scheme", ["rk4", "bs23", "rk2", "euler", "flow"])
+@pytest.mark.parametrize("scheme", ["rk4", "flow"])
 def test_sensitivities_are_differences(scheme: str, state_as: str) -> None:
     machine = variant(estimator={"parameters": ALL, "bounds": {}})
     noise = machine.estimator.noise.model_dump() | {"state_as": state_as}
@@ -385,16 +382,6 @@ def test_merged_samples_keep_the_timing_of_the_force(name: str) -> None:
         outputs.append(integrator.outputs(x, signal_array(signals, 1e-4)[::100], theta).y[5:])
     # Signals a quarter of a sample early or late would be 1 % of the amplitude.
     assert np.abs(outputs[1] - outputs[0]).max() < 2e-3 * np.abs(outputs[0]).max()
-
-
-def test_linear_velocity_runs_from_sample_to_sample() -> None:
-    # Where nothing slips z is the travel, exactly the trapezoidal rule's.
-    velocity = 1e-4 * np.sin(np.arange(101) / 30.0)
-    integrator = Integrator(build_model(with_integrator(scheme="rk4", velocity="linear")))
-    end = simulate(integrator, moving(velocity), np.ones(4))[-1]
-    travel = np.sum(0.5 * (velocity[1:] + velocity[:-1])) * 1e-4
-    rho = float(integrator.model.function("rho")(np.zeros(5), np.ones(4))[3])
-    assert end[3] == pytest.approx(rho * travel, rel=1e-9)
 
 
 def test_an_incomplete_interval_does_not_count() -> None:

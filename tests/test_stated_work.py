@@ -32,12 +32,12 @@ MACHINES: dict[str, dict[str, Any]] = {
     "etel_xy_paper": {"sampling": {"max_velocity": 0.1}, "estimator": {"horizon": 4}},
 }
 SHAPES = (
-    "flow, ekf", "flow, 10 merged", "flow, all merged", "rk4, linear, auto", "rk4, 4 merged", "bs23, 5 merged", "euler",
-    "effects: states, auto, 5 merged", "effects: upstream, newest, linear", "effects: upstream", "effects: time, ekf",
+    "flow, ekf", "flow, 10 merged", "flow, all merged, all", "rk4", "rk4, all", "rk4, 4 merged",
+    "effects: states, 5 merged", "effects: upstream, newest, rk4", "effects: upstream", "effects: time, ekf",
     "effects: levels", "dwell_dependence", "backlash", "every effect, single",
     "n_z 10, newest, 5 merged", "n_z 1, ekf", "horizon 1", "micro-viscous", "sample an update", "bounds of two",
     "fixed, all parameters", "compensation, longest delay", "compensation, rk4",
-    "compensation, flow, 5 merged, single", "switching, auto", "switching, 5 merged, auto",
+    "compensation, flow, 5 merged, single", "switching", "switching, 5 merged, all",
     "switching, levels", "switching, levels, 5 merged", "switching, compensation",
 )  # fmt: skip
 """Variants whose work differs in kind."""

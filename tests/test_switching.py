@@ -340,8 +340,6 @@ def test_stiffness_of_an_axis_that_switches_is_found(kind: str) -> None:
 REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "smoothing": ({"friction": {"smoothing": {"zeta": 0.95}}}, "friction.smoothing", "no smoothing where law is"),
     "scheme": ({"sampling": {"integrator": {"scheme": "flow"}}}, "sampling.integrator.scheme", "clip, or nothing"),
-    "tolerance": ({"sampling": {"integrator": {"tolerance": 1e-3}}}, "sampling.integrator.tolerance", "nothing, where"),
-    "linear": ({"sampling": {"integrator": {"velocity": "linear"}}}, "sampling.integrator.velocity", "constant, or"),
     "damping": ({"friction": {"micro_viscous": [1.0, 0.0, 0.0, 0.0]}}, "friction.micro_viscous", "zeros where law is"),
     "gap": (entries("backlash"), "effects[1].name", "they have no displacement of their own"),
     "damping effect": (entries("micro_viscous"), "effects[1].name", "the damping of an element would jump"),

@@ -15,9 +15,6 @@ WIDTH_IN = 9.0
 STYLES: Final = {
     "flow": ("#0b5394", "o"),
     "rk4": ("#d95f02", "s"),
-    "bs23": ("#1b7837", "^"),
-    "rk2": ("#7b3294", "v"),
-    "euler": ("0.45", "D"),
     "clip": ("tab:brown", "P"),
     "CasADi": ("black", "x"),
 }

@@ -26,7 +26,6 @@ from sgms_bench.benchmark.results import Benchmark, Peer, Point, Sweep, Variant
 from sgms_bench.motions import SWEEP_PERIOD, swing, there_and_back, timed_motion
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.emission.package import Package, emit_package
-from sgms_mhe.integration.work_precision import CANDIDATES, settings
 from sgms_mhe.machine import Estimator, Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -58,7 +57,10 @@ PEER_STEPS: Final = (0.1, 1.0)
 MOTIONS: Final = ("paper", "mixed")
 SPEEDS: Final = (0.3, 1.0)
 """Moves there and back at these shares of max_velocity."""
-INTEGRATORS: Final = CANDIDATES
+INTEGRATORS: Final[tuple[Mapping[str, Any], ...]] = (
+    *({"scheme": "flow", "displacement": 0.03, "slow_displacement": d} for d in (0.02, 0.01, 0.005, 0.0025)),
+    *({"scheme": "rk4", "displacement": d} for d in (0.1, 0.03, 0.01, 0.005, 0.0025)),
+)
 """Integrators whose work and precision are compared, over the first `FEW_UPDATES` of the motion."""
 FEW_UPDATES: Final = 100
 
@@ -81,8 +83,7 @@ def relinearisations(machine: Machine) -> list[tuple[str, Machine]]:
 def mergings(machine: Machine) -> list[tuple[int, Machine]]:
     """The machine as it is, and with more and more samples to a step, by their number."""
     samples, own = machine.sampling.samples_per_update, machine.sampling.merged
-    possible = machine.sampling.integrator.velocity == "constant" and machine.sampling.integrator.tolerance is None
-    more = [k for k in MERGED if possible and k > own and samples % k == 0]
+    more = [k for k in MERGED if k > own and samples % k == 0]
     return [(own, machine)] + [
         (k, override_machine(machine, {"sampling": {"integrator": {"substeps": samples // k}}})) for k in more
     ]
@@ -137,9 +138,7 @@ def run_benchmark(
         (kind, round(share * sampling.samples_per_update))
         for share in PEER_STEPS
         for kind in KINDS
-        if _is_smooth(machine)
-        and sampling.integrator.velocity == "constant"
-        and (share * sampling.samples_per_update).is_integer()
+        if _is_smooth(machine) and (share * sampling.samples_per_update).is_integer()
     ]
     tasks += [("peers", partial(bench.peer, kind, steps, motion)) for kind, steps in peers]
     if not quick:
@@ -151,7 +150,7 @@ def run_benchmark(
         short = recorded(trajectory, min(updates, FEW_UPDATES))
         for precision, candidate in product(PRECISIONS, INTEGRATORS if _is_smooth(machine) else ()):
             if precision == "double" or candidate == INTEGRATORS[0]:
-                changes = {"sampling": {"integrator": settings(*candidate)}, "code": {"precision": precision}}
+                changes = {"sampling": {"integrator": candidate}, "code": {"precision": precision}}
                 variant = override_machine(machine, changes)
                 tasks.append(("integrators", partial(bench.variant, precision, variant, "all", short)))
         for precision in PRECISIONS:
@@ -209,8 +208,7 @@ class Bench:
         samples = sampling.samples_per_update
         log = simulate_axis(machine, trajectory, AxisConfig(seed=1), truth=False).log
         signals = signals_from_log(log, machine)
-        # The velocity between samples is part of the problem, not of its solution.
-        converged = {"velocity": sampling.integrator.velocity, "substeps": 8 * samples}
+        converged: dict[str, Any] = {"substeps": 8 * samples}
         if _is_smooth(machine):
             converged |= CONVERGED
         model = build_model(machine)

@@ -26,9 +26,6 @@ def speed_study(samples: int) -> Table:
         "converged": {"integrator": {"scheme": "rk4", "substeps": 400, "displacement": 0.01}},
         "flow": {"integrator": {"scheme": "flow"}},
         "rk4": {"integrator": {"scheme": "rk4"}},
-        "bs23": {"integrator": {"scheme": "bs23"}},
-        "rk2": {"integrator": {"scheme": "rk2"}},
-        "euler": {"integrator": {"scheme": "euler"}},
         # A machine that says it never moves fast gets no more steps than that needs.
         "rk4, one step per sample": {"integrator": {"scheme": "rk4", "displacement": 10.0}, "max_velocity": 0.01},
     }

@@ -30,13 +30,13 @@ SPECIMENS: Final[Mapping[str, Mapping[str, Any]]] = {
     "flow": COMPENSATED,
     "merged_auto": _merged(4, estimator={"relinearise": "auto"}, **SINGLE, **COMPENSATED),
     "merged_all": _merged(4, estimator=BELIEVING),
-    "newest": {"estimator": {"relinearise": "newest", **BELIEVING}, **_scheme("rk4", velocity="linear"), **SINGLE},
-    "auto": {"estimator": {"relinearise": "auto", "parameters": ["coulomb", "viscous"]}, **_scheme("rk2")},
+    "newest": {"estimator": {"relinearise": "newest", **BELIEVING}, **_scheme("rk4"), **SINGLE},
+    "auto": {"estimator": {"relinearise": "auto", "parameters": ["coulomb", "viscous"]}, **_scheme("rk4", substeps=40)},
     "fixed": {
         "estimator": {"arrival_cost": {"update": "fixed"}, "horizon": 6, **BELIEVING},
-        **_scheme("bs23", substeps=4),
+        **_scheme("rk4", substeps=4),
     },
-    "ekf": {"estimator": {"kind": "ekf", "bounds": {}, **BELIEVING}, **_scheme("euler"), **SINGLE},
+    "ekf": {"estimator": {"kind": "ekf", "bounds": {}, **BELIEVING}, **_scheme("rk4"), **SINGLE},
     "groups": _merged(
         4,
         estimator={"relinearise": "auto"},

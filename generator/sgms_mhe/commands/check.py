@@ -91,7 +91,7 @@ def _text(machine: Machine, package: Package) -> str:
         f"(settles in {settle_samples(machine)} samples), up to {sampling.max_velocity:g} {units.velocity}, "
         f"friction read at {sampling.readings_per_update * sampling.update_rate:g} Hz",
         f"  integrator  {integrator.scheme}, {integrator.substeps} steps per interval of {interval}, "
-        f"velocity {integrator.velocity}, at most {integrator.displacement:g} deflection scales per substep",
+        f"at most {integrator.displacement:g} deflection scales per substep",
         f"  estimator   {estimator.kind}{horizon}, arrival cost {estimator.arrival_cost.update}",
         f"  noise       measurement {noise.measurement:g} {units.force}, state {noise.state:g} (as {noise.state_as}), "
         f"first state {noise.initial_state:g}, parameter {noise.parameter:g}, "

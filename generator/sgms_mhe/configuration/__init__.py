@@ -1,4 +1,4 @@
-"""From a machine file to the machine it describes: effects from their catalogue, the integrator by its tolerance."""
+"""From a machine file to the machine it describes: effects from their catalogue, the integrator by the friction law."""
 
 from sgms_mhe.configuration.laws import law_changes, under_other_law
 from sgms_mhe.configuration.resolution import load_machine, make_machine, override_machine, with_log

@@ -14,8 +14,6 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from sgms_mhe.integration.flow_table import gate_saturates
-from sgms_mhe.integration.work_precision import ROUNDING, candidates, choose
 from sgms_mhe.machine import (
     BASE_PARAMETERS,
     BY_COLUMN,
@@ -34,6 +32,7 @@ from sgms_mhe.machine import (
     merged,
     read_machine_file,
 )
+from sgms_mhe.model import gate_saturates
 from sgms_mhe.model.effects import EffectParameter, Value, effect_definition, effect_names
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.names import did_you_mean
@@ -194,35 +193,23 @@ def _check_names(file: MachineFile, names: Collection[str]) -> None:
 
 
 def _sampling(file: MachineFile) -> Sampling:
-    """The rates, with the integrator that the friction law or a tolerance asks for."""
-    sampling, precision = file.tables.sampling, file.tables.code.precision
+    """The rates, with the integrator that the friction law asks for."""
+    sampling = file.tables.sampling
     if file.tables.friction.switches:
         return sampling.model_copy(update={"integrator": _clipping(file)})
     if sampling.integrator.scheme == "clip":
         allowed = "another scheme, or [friction] law = switching: no other element is clipped"
         raise file.refused((*_INTEGRATOR, "scheme"), "clip", allowed)
-    tolerance = sampling.integrator.tolerance
-    if tolerance is None:
-        return sampling if sampling.integrator.scheme != "flow" else _flowing(file)
-    found = candidates(file.tables.friction, sampling, precision)
-    chosen = choose(found, tolerance, precision)
-    if chosen is None:
-        best = max(min(candidate.errors.largest for candidate in found), ROUNDING[precision])
-        allowed = f">= {best:.1e}, the least that the schemes reach in {precision} precision"
-        raise file.refused((*_INTEGRATOR, "tolerance"), tolerance, allowed)
-    integrator = sampling.integrator.model_copy(update=chosen.settings)
-    return sampling.model_copy(update={"integrator": integrator})
+    return sampling if sampling.integrator.scheme != "flow" else _flowing(file)
 
 
 def _clipping(file: MachineFile) -> Integrator:
     """The integrator of elements that switch: exact, so that there is nothing to choose but what samples merge."""
     integrator = file.tables.sampling.integrator
     given = {key: getattr(integrator, key) for key in integrator.model_fields_set}
-    wanted = {"scheme": "clip", "velocity": "constant", "tolerance": None}
-    for key, value in wanted.items():
-        if given.get(key, value) != value:
-            allowed = f"{value}, or nothing" if value else "nothing"
-            raise file.refused((*_INTEGRATOR, key), given[key], f"{allowed}, where [friction] law is switching")
+    if given.get("scheme", "clip") != "clip":
+        allowed = "clip, or nothing, where [friction] law is switching"
+        raise file.refused((*_INTEGRATOR, "scheme"), given["scheme"], allowed)
     return Integrator.model_validate({**given, "scheme": "clip"})
 
 

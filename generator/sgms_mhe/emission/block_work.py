@@ -12,9 +12,9 @@ from sgms_mhe.emission.groups import GroupView
 from sgms_mhe.emission.operations import EXP, EXP2, LOG, operations_of
 from sgms_mhe.emission.schedule import Costs
 from sgms_mhe.emission.sizes import Sizes
+from sgms_mhe.emission.stepping import RK4
 from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Variant
-from sgms_mhe.integration.schemes import Scheme
 from sgms_mhe.machine.sampling import Sampling
 
 LAW = 70
@@ -41,7 +41,6 @@ class Ingredients:
     sizes: Sizes
     variant: Variant
     schedule: Costs
-    scheme: Scheme
     flow: Flow | None
     compensation: Compensation
     reach: tuple[int, ...]
@@ -98,10 +97,9 @@ class _Costs:
         self.rhs = LAW + 6 * n_q + self.level if g.obeys_law else operations_of(g.rhs)
         self.drive = DRIVE + self.level if g.obeys_law else 0
         stage = self.rhs + m * m * (2 * m - 1) + 2 * m * m * n_q
-        stages = of.scheme.stages
-        self.substep = len(stages) * (stage + ROW_OF_STAGE * rows) + (ROW_OF_LAST_STAGE - ROW_OF_STAGE) * rows
+        self.substep = len(RK4) * (stage + ROW_OF_STAGE * rows) + (ROW_OF_LAST_STAGE - ROW_OF_STAGE) * rows
         # Times within a step at which terms are interpolated; the start of a substep is the end of the one before.
-        self.times = 1 + sum(before.c != after.c for before, after in pairwise(stages))
+        self.times = 1 + sum(before.c != after.c for before, after in pairwise(RK4))
         self.interpolated = 6 + 3 * of.signals + of.terms
 
     # --- a step of the series ---
@@ -135,8 +133,7 @@ class _Costs:
         if not variant.merges:
             if g.follows_flow:
                 return self._sample(k)
-            take = self.along_line if variant.linear else self.runge_kutta
-            return 8 + take(self.most_substeps(k))
+            return 8 + self.runge_kutta(self.most_substeps(k))
         if not g.follows_flow:
             most = self.most_substeps(k)
             pieces = max(most + 2, 2 * self.of.sizes.least_substeps)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sgms_mhe.integration.flow_table import gate_ratio
 from sgms_mhe.machine import Machine
+from sgms_mhe.model import gate_ratio
 from sgms_mhe.signals.chain import chain_delay
 
 AHEAD_DISPLACEMENT = 0.05

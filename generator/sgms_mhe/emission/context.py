@@ -23,11 +23,11 @@ from sgms_mhe.emission.schedule import Costs, schedule_of
 from sgms_mhe.emission.selftest import Vectors
 from sgms_mhe.emission.sizes import Sizes, couplings, sizes_of
 from sgms_mhe.emission.statuses import Status, statuses_of
+from sgms_mhe.emission.stepping import RK4, Stage
 from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Variant, variant_of
 from sgms_mhe.emission.work import Work, work_of
-from sgms_mhe.integration.schemes import SCHEMES, Scheme
-from sgms_mhe.machine import Machine, Units, runge_kutta_scheme
+from sgms_mhe.machine import Machine, Units
 from sgms_mhe.model import SIGNAL_NAMES, FreeParameter, Model
 from sgms_mhe.signals.chain import lowpass_coefficients, settle_samples
 
@@ -227,7 +227,7 @@ class PackageView:
     couplings: Couplings
     model: ModelView
     groups: tuple[GroupView, ...]
-    scheme: Scheme
+    rk4: tuple[Stage, ...]
     law: ElementLaw | None
     flow: Flow | None
     compensation: Compensation
@@ -246,7 +246,6 @@ def package_view(structure: Structure) -> PackageView:
     variant = variant_of(model)
     sizes = sizes_of(structure, variant)
     groups = group_views(structure, sizes, functions)
-    integrator = machine.sampling.integrator
     signals, couplings = _signals(structure), _couplings(structure, sizes)
     model_view = _model_view(structure, functions)
     ingredients = Ingredients(
@@ -254,7 +253,6 @@ def package_view(structure: Structure) -> PackageView:
         sizes=sizes,
         variant=variant,
         schedule=schedule_of(sizes, variant),
-        scheme=SCHEMES[runge_kutta_scheme(integrator.scheme)],
         flow=flow_of(machine) if any(g.follows_flow for g in groups) else None,
         compensation=compensation_of(machine),
         reach=couplings.reach,
@@ -275,7 +273,7 @@ def package_view(structure: Structure) -> PackageView:
         couplings=couplings,
         model=model_view,
         groups=groups,
-        scheme=ingredients.scheme,
+        rk4=RK4,
         law=element_law(machine) if any(g.obeys_law for g in groups) else None,
         flow=ingredients.flow,
         compensation=ingredients.compensation,

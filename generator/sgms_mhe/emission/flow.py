@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sgms_mhe.integration.flow_table import FlowTable, flow_table, gate_ratio
 from sgms_mhe.machine import Machine
+from sgms_mhe.model import FlowTable, flow_table, gate_ratio
 
 LEVEL_CHANGE = 0.0175
 """Change of the level over merged samples, times lambda, up to which an element slides through them at once."""

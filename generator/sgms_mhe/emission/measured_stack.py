@@ -8,7 +8,7 @@ from typing import Final
 
 MEASURED: Final[Mapping[str, Mapping[str, tuple[int, ...]]]] = MappingProxyType(
     {
-        "c5a92e9a81c7": {  # emps
+        "5dff684852e9": {  # emps
             "init": (216, 240),
             "init_with": (232, 256),
             "sample": (744, 624),
@@ -24,7 +24,7 @@ MEASURED: Final[Mapping[str, Mapping[str, tuple[int, ...]]]] = MappingProxyType(
             "save": (104, 104),
             "load": (536, 536),
         },
-        "5e9b5911d56e": {  # etel_xy
+        "9b508e6ff92b": {  # etel_xy
             "init": (208, 240),
             "init_with": (224, 256),
             "sample": (744, 632),
@@ -40,7 +40,7 @@ MEASURED: Final[Mapping[str, Mapping[str, tuple[int, ...]]]] = MappingProxyType(
             "save": (104, 104),
             "load": (816, 816),
         },
-        "f9d30434b3ec": {  # etel_xy_compensation
+        "e4b22e3b493b": {  # etel_xy_compensation
             "init": (240, 264),
             "init_with": (256, 280),
             "sample": (752, 680),
@@ -56,7 +56,7 @@ MEASURED: Final[Mapping[str, Mapping[str, tuple[int, ...]]]] = MappingProxyType(
             "save": (104, 104),
             "load": (1208, 1208),
         },
-        "6651e384ade7": {  # etel_xy_controller
+        "bf94fd961735": {  # etel_xy_controller
             "init": (200, 208),
             "init_with": (216, 224),
             "sample": (1096, 1160),
@@ -72,7 +72,7 @@ MEASURED: Final[Mapping[str, Mapping[str, tuple[int, ...]]]] = MappingProxyType(
             "save": (96, 96),
             "load": (456, 464),
         },
-        "e2fb24509f81": {  # etel_xy_paper
+        "d944f1807b56": {  # etel_xy_paper
             "init": (236, 320),
             "init_with": (252, 336),
             "sample": (2336, 2456),
@@ -88,7 +88,7 @@ MEASURED: Final[Mapping[str, Mapping[str, tuple[int, ...]]]] = MappingProxyType(
             "save": (104, 104),
             "load": (856, 856),
         },
-        "cfac1c74b58e": {  # etel_xy_rotary
+        "9d6b6e1b0ed7": {  # etel_xy_rotary
             "init": (208, 240),
             "init_with": (224, 256),
             "sample": (744, 632),
@@ -104,7 +104,7 @@ MEASURED: Final[Mapping[str, Mapping[str, tuple[int, ...]]]] = MappingProxyType(
             "save": (104, 104),
             "load": (816, 816),
         },
-        "3655c203037b": {  # etel_xy_switching
+        "9564a0eeeedc": {  # etel_xy_switching
             "init": (208, 240),
             "init_with": (224, 256),
             "sample": (600, 560),

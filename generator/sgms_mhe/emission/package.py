@@ -15,7 +15,6 @@ from sgms_mhe.emission.rendering import render, stamped
 from sgms_mhe.emission.selftest import selftest_vectors
 from sgms_mhe.emission.structure import analyse, report
 from sgms_mhe.emission.writing import write_folder
-from sgms_mhe.integration.work_precision import table_text
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.support.errors import InputError
@@ -75,8 +74,6 @@ def emit_package(
     if amalgamate:
         files = amalgamated(files, machine.name)
     files["structure.txt"] = report(structure)
-    if machine.sampling.integrator.tolerance is not None:
-        files["work_precision.txt"] = table_text(machine)
     whole, archives, missing = accompany(view, files, memory, bound)
     return Package(machine, dict(sorted(whole.items())), archives, missing)
 

@@ -210,7 +210,7 @@ def sizes_of(structure: Structure, variant: Variant) -> Sizes:
         samples=sampling.samples_per_update,
         merged=sampling.merged,
         steps=steps,
-        nodes=3 if variant.varies else 1,
+        nodes=3 if variant.merges else 1,
         terms=len(structure.sample_terms),
         coupled=max(len(row) for row in couplings(structure)),
         block_states=tuple(b.states for g in structure.groups for b in g.blocks),

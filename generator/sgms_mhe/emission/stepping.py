@@ -4,12 +4,30 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 from sgms_mhe.emission.structure import Block, Group, Structure
-from sgms_mhe.integration.flow_table import gate_ratio
+from sgms_mhe.model import gate_ratio
 
 SLOW_LAMBDA = 35.0
 """Largest lambda up to which `slow_displacement` holds as it stands: the slip window is 1 / lambda wide."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Stage of a Runge-Kutta step: Y = y + a h k with the slope k of the stage before, at the time t + c h.
+
+    Its state has the weight `w` in the result: y_1 = (1 - sum of w) y + sum of w Y + h k / 6, k of the last stage. So
+    the slopes of the stages before need not be summed.
+    """
+
+    a: float
+    c: float
+    w: float
+
+
+RK4: Final = (Stage(0.0, 0.0, 0.0), Stage(0.5, 0.5, 1.0 / 3.0), Stage(0.5, 0.5, 2.0 / 3.0), Stage(1.0, 1.0, 1.0 / 3.0))
+"""Classical Runge-Kutta, fourth order."""
 
 
 @dataclass(frozen=True)

@@ -205,7 +205,7 @@ def analyse(model: Model) -> Structure:
     terms = _Terms()
     terms.add([graph.input("w", "velocity"), *rhs, *rho, level])
     sampling = model.machine.sampling
-    if sampling.varies_in_step:  # between the nodes of a step the signals are interpolated, and their functions follow
+    if sampling.merged > 1:  # between the nodes of a step the signals are interpolated, and their functions follow
         terms.add([n for n in walk(terms.nodes) if n.op == "input"])
     w_symbols = {graph.input("w", n): s for n, s in zip(SIGNAL_NAMES, ca.vertsplit(model.w), strict=True)}
     theta_symbols = {

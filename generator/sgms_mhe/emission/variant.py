@@ -23,7 +23,6 @@ class Variant:
         resumes: the sweep begins where something has changed: the factor before an interval stays what it is while
             linearisations are kept and the output is affine in what is estimated.
         merges: a step of the series is a line through several samples.
-        linear: signals are lines between samples that are not merged.
         self_scaling: readings are weighed by how well they were predicted.
     """
 
@@ -34,13 +33,7 @@ class Variant:
     bounded: bool
     resumes: bool
     merges: bool
-    linear: bool
     self_scaling: bool
-
-    @property
-    def varies(self) -> bool:
-        """Whether signals vary within a step of the series."""
-        return self.merges or self.linear
 
     @property
     def has_series(self) -> bool:
@@ -75,6 +68,5 @@ def variant_of(model: Model) -> Variant:
         bounded=bool(np.any(np.isfinite(bounds))),
         resumes=horizon > 0 and relinearise != "all" and not fixed and model.output_is_affine,
         merges=sampling.merged > 1,
-        linear=sampling.integrator.velocity == "linear",
         self_scaling=estimator.noise.self_scaling,
     )

@@ -19,7 +19,7 @@ from sgms_mhe.machine.reading import (
     read_machine_file,
 )
 from sgms_mhe.machine.resolved import Machine, ResolvedEffect, estimable_names
-from sgms_mhe.machine.sampling import CLOSED_FORMS, DISPLACEMENT, Integrator, Sampling, runge_kutta_scheme
+from sgms_mhe.machine.sampling import CLOSED_FORMS, DISPLACEMENT, Integrator, Sampling
 from sgms_mhe.machine.units import LINEAR, OF_KIND, ROTARY, Kind, Units
 
 __all__ = [
@@ -68,6 +68,5 @@ __all__ = [
     "plant_content",
     "read_log_table",
     "read_machine_file",
-    "runge_kutta_scheme",
     "table_of_flags",
 ]

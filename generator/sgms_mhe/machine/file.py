@@ -1,7 +1,7 @@
 """The machine file as a whole: its tables, each checked by itself, and the JSON Schema that editors read.
 
 What needs more than the file to be checked or filled in (the effects' parameters, the names that an estimator may use,
-the integrator that a tolerance asks for) is taken as it is written; `sgms_mhe.configuration` resolves it.
+the integrator that the friction law asks for) is taken as it is written; `sgms_mhe.configuration` resolves it.
 """
 
 from __future__ import annotations

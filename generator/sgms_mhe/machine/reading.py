@@ -17,7 +17,7 @@ from pydantic_core import ErrorDetails
 from sgms_mhe.machine.fields import Table, listing
 from sgms_mhe.machine.file import Tables
 from sgms_mhe.machine.log_mapping import LogMapping
-from sgms_mhe.machine.sampling import CHOSEN_BY_LAW, CHOSEN_BY_TOLERANCE
+from sgms_mhe.machine.sampling import CHOSEN_BY_LAW
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.paths import machines_dir
 
@@ -115,17 +115,10 @@ def log_table(own: Mapping[str, Any], stated: Mapping[str, Any]) -> dict[str, An
 def merged(base: Any, over: Any) -> Any:
     """Content `over` laid over `base`: tables merge key by key; everything else, arrays included, is replaced.
 
-    A tolerance takes the place of the integrator that it would exclude, and the other way round. A friction law takes
-    away the smoothing and the integrator of another one.
+    A friction law takes away the smoothing and the integrator of another one.
     """
     if isinstance(base, Mapping) and isinstance(over, Mapping):
         kept = _of_law(base, over)
-        for given, excluded in (
-            ("tolerance", CHOSEN_BY_TOLERANCE),
-            *((key, ("tolerance",)) for key in CHOSEN_BY_TOLERANCE),
-        ):
-            if given in over:
-                kept = {key: value for key, value in kept.items() if key not in excluded}
         return {**kept, **{key: merged(kept.get(key), value) for key, value in over.items()}}
     return over
 

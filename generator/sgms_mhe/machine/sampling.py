@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from sgms_mhe.machine.fields import Table, listing, quantity, refusal, text
+from sgms_mhe.machine.fields import Table, listing, quantity, refusal
 
-DISPLACEMENT: Final = {"rk4": 0.03, "rk2": 0.05, "bs23": 0.02, "euler": 0.01, "flow": 0.1, "clip": 0.1}
+DISPLACEMENT: Final = {"rk4": 0.03, "flow": 0.1, "clip": 0.1}
 """Default largest move per substep in deflection scales (`flow`, `clip`: for the blocks that they leave to rk4).
 
-rk4 and bs23 then keep the force of Table I within 1e-4 N at every speed; rk2 and euler are off by up to 6e-3 N."""
+rk4 then keeps the force of Table I within 1e-4 N at every speed."""
 
 CLOSED_FORMS: Final = ("flow", "clip")
 """Schemes that take the steps of elements in closed form, and leave the other blocks to rk4."""
 
-CHOSEN_BY_TOLERANCE: Final = ("scheme", "substeps", "displacement", "slow_displacement")
-"""Keys of the integrator that a tolerance excludes: it chooses them."""
-
-CHOSEN_BY_LAW: Final = ("scheme", "tolerance", "displacement", "slow_displacement")
+CHOSEN_BY_LAW: Final = ("scheme", "displacement", "slow_displacement")
 """Keys of the integrator that mean nothing under another friction law."""
 
 MOST_SAMPLES: Final = 1e5
@@ -32,24 +30,25 @@ READINGS_PER_CUTOFF: Final = 2.0
 SMALLEST_CUTOFF: Final = 1e-4  # of rate: below it the low-pass coefficients lose their digits
 
 
-def runge_kutta_scheme(scheme: str) -> str:
-    """The scheme of the Runge-Kutta steps that a scheme takes."""
-    return "rk4" if scheme in CLOSED_FORMS else scheme
+REMOVED_SCHEMES: Final = ("rk2", "bs23", "euler")
+REMOVED_SCHEME: Final = "rk4 or flow: rk2, bs23 and euler, which take more work for the same accuracy, are no more"
+REMOVED_KEYS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "velocity": "no such key any more: the velocity is constant from sample to sample, or a line through merged "
+        "samples where substeps < rate / update_rate",
+        "tolerance": "no such key any more: displacement and slow_displacement bound the steps of flow and rk4",
+    }
+)
+"""What takes the place of keys and schemes that earlier versions had; docs/rejected.md has the reasons."""
 
 
 class Integrator(Table):
     """How one shooting interval is integrated."""
 
-    velocity: Literal["constant", "linear"] = text(
-        "velocity between two samples",
-        "constant or linear (linear: at least one substep per sample, neither flow nor clip)",
-        "constant",
-    )
-    scheme: Literal["rk4", "rk2", "bs23", "euler", "flow", "clip"] = Field(
-        default_factory=lambda data: "rk4" if data.get("velocity") == "linear" else "flow",
-        description="integration scheme; rk4, rk2, bs23, euler or flow; clip where, and only where, [friction] law is "
-        "switching; default 'flow', 'clip' where law is switching, 'rk4' where velocity is linear or the smoothing too "
-        "soft for the flow",
+    scheme: Literal["rk4", "flow", "clip"] = Field(
+        "flow",
+        description="integration scheme; rk4 or flow; clip where, and only where, [friction] law is switching; "
+        "default 'flow', 'clip' where law is switching, 'rk4' where the smoothing is too soft for the flow",
     )
     substeps: int = Field(
         1,
@@ -63,19 +62,23 @@ class Integrator(Table):
         gt=0,
         le=10,
         description="largest move per substep over the deflection scale [1]; > 0 and <= 10; "
-        "default 0.03 (rk4), 0.1 (flow, clip), 0.05 (rk2), 0.02 (bs23), 0.01 (euler)",
+        "default 0.03 (rk4), 0.1 (flow, clip)",
     )
     slow_displacement: float = quantity(
         "of the flow: the same below the speed at which the gate saturates", "1", 0.02, gt=0, le=1
     )
-    tolerance: float | None = Field(
-        None,
-        gt=0,
-        le=0.1,
-        description="largest error of an element's end state and of both its sensitivities over one interval, over the "
-        "deflection scale [1]; > 0 and <= 0.1; chooses the scheme and its steps, so it stands without "
-        f"{listing(CHOSEN_BY_TOLERANCE)}; default none",
-    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_removed(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping):
+            return data
+        for key, instead in REMOVED_KEYS.items():
+            if key in data:
+                raise refusal(key, data[key], instead)
+        if data.get("scheme") in REMOVED_SCHEMES:
+            raise refusal("scheme", data["scheme"], REMOVED_SCHEME)
+        return data
 
 
 class Sampling(Table):
@@ -124,11 +127,6 @@ class Sampling(Table):
         samples = self.samples_per_update
         return samples % count == 0 and samples // count % self.merged == 0
 
-    @property
-    def varies_in_step(self) -> bool:
-        """Whether signals are lines within a step, not constant."""
-        return self.merged > 1 or self.integrator.velocity == "linear"
-
     @model_validator(mode="before")
     @classmethod
     def _fill(cls, data: Any) -> Any:
@@ -136,11 +134,6 @@ class Sampling(Table):
         if not isinstance(data, Mapping):
             return data
         integrator = data.get("integrator", {})
-        if isinstance(integrator, Mapping) and integrator.get("tolerance") is not None:
-            given = [key for key in CHOSEN_BY_TOLERANCE if key in integrator]
-            if given:
-                allowed = f"no {given[0]} beside a tolerance, which chooses {listing(CHOSEN_BY_TOLERANCE)}"
-                raise refusal(f"integrator.{given[0]}", integrator[given[0]], allowed)
         rate, update_rate = (data.get(key, cls.model_fields[key].default) for key in ("rate", "update_rate"))
         sound = all(type(value) in (int, float) and 0 < value < math.inf for value in (rate, update_rate))
         sound = sound and 1.0 <= rate / update_rate <= MOST_SAMPLES
@@ -166,17 +159,6 @@ class Sampling(Table):
         if steps % samples and samples % steps:
             raise refusal("integrator.substeps", steps, f"a multiple or a divisor of rate / update_rate = {samples}")
         self._check_measurement_rate()
-        if self.integrator.velocity == "linear":
-            if self.integrator.tolerance is not None:
-                raise refusal("integrator.velocity", "linear", "constant, where a tolerance is given")
-            if self.integrator.scheme in CLOSED_FORMS:
-                raise refusal("integrator.velocity", "linear", f"constant, where scheme is {self.integrator.scheme}")
-            if steps < samples:
-                raise refusal(
-                    "integrator.velocity",
-                    "linear",
-                    f"constant, where substeps < {samples}: merged samples are lines already",
-                )
         return self
 
     def _check_measurement_rate(self) -> None:

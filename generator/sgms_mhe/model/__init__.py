@@ -2,6 +2,18 @@
 
 from sgms_mhe.model.axis import SIGNAL_NAMES, StateSpec
 from sgms_mhe.model.building import FreeParameter, Model, build_model
+from sgms_mhe.model.flow_table import FlowTable, flow_table, gate_ratio, gate_saturates
 from sgms_mhe.model.friction import whole_shares
 
-__all__ = ["SIGNAL_NAMES", "FreeParameter", "Model", "StateSpec", "build_model", "whole_shares"]
+__all__ = [
+    "SIGNAL_NAMES",
+    "FlowTable",
+    "FreeParameter",
+    "Model",
+    "StateSpec",
+    "build_model",
+    "flow_table",
+    "gate_ratio",
+    "gate_saturates",
+    "whole_shares",
+]

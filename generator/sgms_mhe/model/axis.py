@@ -77,9 +77,7 @@ class SymbolicAxis:
         nominal_mass: of the machine file [kg], where it is no more than a scale.
         reads_mass: whether an effect has asked for the mass.
         coulomb: nominal f_C [N], the unit of the states that are forces.
-        step: time between samples [s].
-        hold: how long a sample's value counts, up to its own time [s]; 0 where the integrator interpolates between
-            samples.
+        step: time between samples [s], for which a sample's value counts, up to its own time.
         measured: the signals w as the machine logs them; `position` [m], `velocity` [m/s], `acceleration` [m/s^2],
             `force` [N], `time` [s] start as these, and an effect may replace them by what is really there.
         velocity_ratio: real over measured velocity.
@@ -98,13 +96,12 @@ class SymbolicAxis:
         scope: label of the effect that contributes at the moment; its states are named after it.
     """
 
-    def __init__(self, mass: float, coulomb: float, step: float, hold: float, gate_per_velocity: float) -> None:
+    def __init__(self, mass: float, coulomb: float, step: float, gate_per_velocity: float) -> None:
         self.gate_per_velocity = gate_per_velocity
         self.nominal_mass = mass
         self.reads_mass = False
         self.coulomb = coulomb
         self.step = step
-        self.hold = hold
         self.measured = ca.SX.sym("w", len(SIGNAL_NAMES))
         self.position, self.velocity, self.acceleration, self.force, self.time = ca.vertsplit(self.measured)
         self.velocity_ratio: ca.SX = ca.SX(1.0)

@@ -292,8 +292,6 @@ def _bare_axis(machine: Machine) -> SymbolicAxis:
         machine.plant.moved,
         friction.coulomb,
         step=sampling.step,
-        # Lines through merged samples have them in the middle of their times: half a sample ahead, as held ones are.
-        hold=0.0 if sampling.integrator.velocity == "linear" else sampling.step,
         gate_per_velocity=(smoothing.gamma if smoothing else _GATE) / friction.stribeck_velocity,
     )
 

@@ -93,9 +93,7 @@ class Planner:
         intervals = (len(signals) - 1) // samples
         w = signal_array(signals, h)[: intervals * samples + 1]
         if stairs == 1:
-            stair = end = w[1:]
-            start = w[:-1] if self._sampling.integrator.velocity == "linear" else end
-            # Counts follow |v_k| alone, with linear velocity too.
+            stair = start = end = w[1:]
             substeps = stair_substeps = self._held(np.abs(end[:, 1]), h)
             cut, piece_substeps = np.zeros(len(end)), np.zeros((len(end), len(self._blocks.all), 2), dtype=np.int64)
             slide = np.zeros((len(end), 3))

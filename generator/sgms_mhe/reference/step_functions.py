@@ -4,20 +4,10 @@ from __future__ import annotations
 
 import casadi as ca
 
-from sgms_mhe.machine import runge_kutta_scheme
 from sgms_mhe.reference.blocks import Block, Blocks
 
-# (c, a, b): stages f(y + h sum_j a_ij k_j) at c_i h, y1 = y + h sum_i b_i k_i.
-TABLEAUS: dict[str, tuple[tuple[float, ...], tuple[tuple[float, ...], ...], tuple[float, ...]]] = {
-    "euler": ((0.0,), ((),), (1.0,)),
-    "rk2": ((0.0, 1 / 2), ((), (1 / 2,)), (0.0, 1.0)),
-    "bs23": ((0.0, 1 / 2, 3 / 4), ((), (1 / 2,), (0.0, 3 / 4)), (2 / 9, 1 / 3, 4 / 9)),
-    "rk4": (
-        (0.0, 1 / 2, 1 / 2, 1.0),
-        ((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)),
-        (1 / 6, 1 / 3, 1 / 3, 1 / 6),
-    ),
-}
+# Of classical Runge-Kutta: stages k_i = f(y + h a_i k_(i-1)) at c_i h, y1 = y + h sum_i b_i k_i; rows are (c, a, b).
+TABLEAU = ((0.0, 0.0, 1 / 6), (1 / 2, 1 / 2, 1 / 3), (1 / 2, 1 / 2, 1 / 3), (1.0, 1.0, 1 / 6))
 
 
 def step_functions(blocks: Blocks) -> dict[str, ca.Function]:
@@ -89,18 +79,16 @@ def _closed_forms(blocks: Blocks, block: Block, h: ca.SX) -> tuple[ca.SX, ca.SX,
 def _step(blocks: Blocks, name: str, block: Block) -> ca.Function:
     """One Runge-Kutta substep of a block: (chi, w at start, w at end, theta, h) to chi1 and its Jacobians."""
     model, states = blocks.model, list(block.states)
-    integrator = model.machine.sampling.integrator
     chi = ca.vertcat(*(model.chi[i] for i in states))
     rhs = ca.Function("rhs", [chi, model.w, model.theta], [ca.vertcat(*(model.rhs[i] for i in states))])
     start, end, h = ca.SX.sym("w0", 5), ca.SX.sym("w1", 5), ca.SX.sym("h")
-    linear = model.machine.sampling.varies_in_step
-    nodes, coefficients, weights = TABLEAUS[runge_kutta_scheme(integrator.scheme)]
-    slopes: list[ca.SX] = []
-    for c, row in zip(nodes, coefficients, strict=True):
-        w = start + c * (end - start) if linear else end
-        move = sum((a * k for a, k in zip(row, slopes, strict=True) if a != 0.0), ca.SX.zeros(len(states)))
-        slopes.append(rhs(chi + h * move, w, model.theta))
-    new = chi + h * sum((b * k for b, k in zip(weights, slopes, strict=True)), ca.SX.zeros(len(states)))
+    is_line = model.machine.sampling.merged > 1
+    slope, total = ca.SX.zeros(len(states)), ca.SX.zeros(len(states))
+    for c, a, b in TABLEAU:
+        w = start + c * (end - start) if is_line else end
+        slope = rhs(chi + h * (a * slope), w, model.theta)
+        total += b * slope
+    new = chi + h * total
     return _with_jacobians(name, [chi, start, end, model.theta, h], new, (0, 3))
 
 

@@ -117,7 +117,7 @@ def _search(definition: EffectDefinition) -> Iterator[Fault]:
 
 def _contribution(definition: EffectDefinition) -> Iterator[Fault]:
     """What the contribution to an axis shows: its states, and that it is nothing by default."""
-    axis = SymbolicAxis(1.0, 1.0, step=1e-4, hold=1e-4, gate_per_velocity=3.5e4)
+    axis = SymbolicAxis(1.0, 1.0, step=1e-4, gate_per_velocity=3.5e4)
     axis.scope = definition.name
     before = _quantities(axis)
     nominal = definition.entries({parameter.name: parameter.default for parameter in definition.parameters})

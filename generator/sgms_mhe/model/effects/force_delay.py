@@ -44,7 +44,7 @@ def _delay(axis: SymbolicAxis, d: ca.SX, late: float) -> None:
     jerk is (a - a_lagged) / T; T = (d - h) / 2 makes the inertial part exact to second order (h / 2: the lag's
     own sampling).
     """
-    lag = max(0.5 * (late - axis.hold), shortest_lag(axis))
+    lag = max(0.5 * (late - axis.step), shortest_lag(axis))
     w = ca.vertsplit(axis.measured)
     inertial = axis.mass * w[2]
     jerk_force = (inertial - add_lag(axis, "lagged_force", inertial, lag, lag)) / lag

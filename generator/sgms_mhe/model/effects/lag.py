@@ -61,10 +61,10 @@ def add_lag(axis: SymbolicAxis, name: str, signal: ca.SX, time_constant: ca.SX |
     The integrator holds the signal's value at the end of a step of length h all through it. At the steps' ends the
     rate ln(1 + h/T)/h then gives x1 = (T x0 + h u1) / (T + h): its ramp response lags by exactly T, for any T >= 0.
     """
-    h = axis.hold
+    h = axis.step
 
     def rate(t: ca.SX | float) -> ca.SX:
-        return ca.log(1.0 + h / ca.SX(t)) / h if h > 0.0 else 1.0 / ca.SX(t)
+        return ca.log(1.0 + h / ca.SX(t)) / h
 
     state = add_effect_state(
         axis,
@@ -76,7 +76,7 @@ def add_lag(axis: SymbolicAxis, name: str, signal: ca.SX, time_constant: ca.SX |
 
 def shortest_lag(axis: SymbolicAxis) -> float:
     """The shortest time constant [s] that is integrated as it is."""
-    return _SHORTEST_LAG * max(axis.hold, axis.step)
+    return _SHORTEST_LAG * axis.step
 
 
 def no_shorter(axis: SymbolicAxis, time_constant: ca.SX) -> ca.SX:

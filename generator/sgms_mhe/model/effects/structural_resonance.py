@@ -35,7 +35,7 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
     stretch.rate = omega * speed.chi
     speed.rate = omega * (scale * axis.acceleration - stretch.chi - 2.0 * p["damping_ratio"] * speed.chi)
     # The integrator holds the acceleration of a step's end all through it, so its states are half a step ahead.
-    ahead = 0.5 * axis.hold
+    ahead = 0.5 * axis.step
     pull = stretch.chi - ahead * stretch.rate + 2.0 * p["damping_ratio"] * (speed.chi - ahead * speed.rate)
     axis.add_force(p["mass_kg"] * (pull / scale - axis.acceleration))
 
