@@ -171,7 +171,7 @@ def test_list_digests_and_licence(kind: str, repo_root: Path) -> None:
         file: hashlib.sha256(text.encode()).hexdigest() for file, text in files.items() if file != "MANIFEST.json"
     }
     banner = files["README.md"].splitlines()[0]
-    assert f"machine {manifest['machine_digest']} with sources {manifest['sources_digest']}" in banner
+    assert f"{manifest['generator']} from machine {manifest['machine_digest']}." in banner
     assert files["LICENSE"] == (repo_root / "LICENSE").read_text(encoding="utf-8")
 
 

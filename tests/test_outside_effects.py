@@ -15,7 +15,7 @@ import pytest
 
 from cli_cases import SMALL, run
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.emission.provenance import digest_of_sources
+from sgms_mhe.host.provenance import digest_of_sources
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.model.effects import (

@@ -1,41 +1,50 @@
-"""The stack that packages of committed machines state: what the compiler writes down, byte for byte.
+"""The stack of the committed packages' calls, in docs/results.md: what the compiler writes down, byte for byte.
 
-python tests/test_stated_stack.py --update    measure again, and write generator/sgms_mhe/emission/measured_stack.py
+python tests/test_stated_stack.py --update    measure again, and write the table
 """
 
 from __future__ import annotations
 
+import re
 import sys
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from sgms_bench.target.stacks import call_paths
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.emission import measured_stack, stack
-from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_mhe.emission.package import emit_package, write_package
 from sgms_mhe.support.toolchain import tool_output
 
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "results.md"
+TITLE = "### Stack of the calls\n\n"
 UPDATE = "python tests/test_stated_stack.py --update"
-GCC = "arm-none-eabi-gcc"
+GCC, COMPILER = "arm-none-eabi-gcc", "arm-none-eabi-gcc 12.2"
 CORE = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard")
+LEVELS = ("-O2", "-O3")
 CALLS = (
     "init", "init_with", "sample", "insert", "tick", "prepare", "feedback", "estimate",
     "reset", "set_mass", "set_parameter", "hold", "save", "load",
 )  # fmt: skip
-MACHINES = sorted(path.stem for path in (Path(__file__).parents[1] / "machines").glob("*.toml"))
+MACHINES = sorted(path.name for path in (ROOT / "generated").iterdir())
 
 
-def measured(package: Package, level: str, folder: Path) -> dict[str, int]:
+def measured(name: str, level: str, folder: Path) -> dict[str, int]:
     """Bytes of each public call's deepest path."""
-    name = package.machine.name
-    write_package(package, folder / name)
+    write_package(emit_package(load_machine(name), selftest=False), folder / name)
     source, made = folder / name / f"{name}.c", folder / "package.o"
     tool_output([GCC, "-std=c99", level, *CORE, "-fcallgraph-info=su", "-c", str(source), "-o", str(made)], "gcc")
     paths = call_paths(made.with_suffix(".ci").read_text())
     return {call: paths[f"{name}_{call}"] for call in CALLS}
+
+
+def stated() -> dict[str, list[int]]:
+    """Bytes of each call as the page has them: of each machine, at each level."""
+    section = PAGE.read_text(encoding="utf-8").partition(TITLE)[2].partition("\n#")[0]
+    rows = re.findall(r"^\| `(\w+)` \| ([\d| ]+) \|$", section, re.MULTILINE)
+    return {call: [int(number) for number in numbers.split(" | ")] for call, numbers in rows}
 
 
 def version() -> str:
@@ -46,72 +55,46 @@ def version() -> str:
 @pytest.mark.needs_arm
 @pytest.mark.parametrize("name", MACHINES)
 def test_stated_stack_is_the_measured_one(name: str, tmp_path: Path) -> None:
-    machine = load_machine(name)
-    package = emit_package(machine, selftest=False)
-    stated = stack.measured_stack(machine.digest[:12])
-    assert stated is not None, UPDATE
-    assert [call for call, _ in stated.paths] == list(CALLS)
-    for k, level in enumerate(stack.LEVELS):
-        found = measured(package, level, tmp_path / level)
-        said = {call: sizes[k] for call, sizes in stated.paths}
-        if f"{GCC} {version()}" == stack.COMPILER:
+    page = stated()
+    assert list(page) == list(CALLS), UPDATE
+    for k, level in enumerate(LEVELS):
+        found = measured(name, level, tmp_path / level)
+        said = {call: numbers[len(LEVELS) * MACHINES.index(name) + k] for call, numbers in page.items()}
+        if f"{GCC} {version()}" == COMPILER:
             assert found == said, UPDATE
         else:  # another compiler's registers and places: of the same size, and no bug of ours
             assert all(0.7 * said[call] < found[call] < 1.3 * said[call] for call in CALLS)
 
 
-@pytest.mark.parametrize("name", MACHINES)
-def test_page_states_it(name: str, repo_root: Path) -> None:
-    machine = load_machine(name)
-    page = (repo_root / "generated" / name / "README.md").read_text()
-    stated = stack.measured_stack(machine.digest[:12])
-    assert stated is not None and f"{stack.COMPILER} for a Cortex-M7" in page
-    for call, sizes in stated.paths:
-        assert f"| {call}() | {' | '.join(map(str, sizes))} |" in page
+def test_page_of_a_package_says_how_to_measure() -> None:
+    page = emit_package(load_machine("etel_xy"), selftest=False).files["README.md"]
+    assert "sgms-mhe target" in page and "-fcallgraph-info=su" in page
 
 
-def test_page_of_another_machine_says_how_to_measure(tmp_path: Path) -> None:
-    own = tmp_path / "own.toml"
-    own.write_text('name = "own"\nextends = "etel_xy"\n[plant]\nmass = 12.0\n')
-    page = emit_package(load_machine(own), selftest=False).files["README.md"]
-    assert "sgms-mhe target" in page and stack.COMPILER not in page
-
-
-def test_no_machine_is_measured_that_is_not_committed() -> None:
-    assert set(measured_stack.MEASURED) == {load_machine(name).digest[:12] for name in MACHINES}, UPDATE
-
-
-def written_table(rows: dict[str, tuple[str, dict[str, tuple[int, ...]]]]) -> str:
-    """The module, as ruff formats it."""
+def update() -> None:
+    """Measure all committed machines and write the table."""
+    columns = []
+    for name in MACHINES:
+        for level in LEVELS:
+            with tempfile.TemporaryDirectory() as scratch:
+                columns.append(measured(name, level, Path(scratch)))
+    head = " | ".join(f"`{name}` {level}" if level == LEVELS[0] else level for name in MACHINES for level in LEVELS)
     lines = [
-        '"""Bytes of stack of each call, by digest of the machine file; tests/test_stated_stack.py writes it."""',
+        f"Bytes of the deepest path, with {COMPILER} for a Cortex-M7 whose FPU has both precisions",
+        "(`-mfpu=fpv5-d16`), 64 of them for the compiler's library:",
+        "",
+        f"| call | {head} |",
+        "|" + "---|" * (1 + len(columns)),
+        *(f"| `{call}` | {' | '.join(str(column[call]) for column in columns)} |" for call in CALLS),
         "",
     ]
-    lines += ["from __future__ import annotations", "", "from collections.abc import Mapping"]
-    lines += ["from types import MappingProxyType", "from typing import Final", ""]
-    lines += ["MEASURED: Final[Mapping[str, Mapping[str, tuple[int, ...]]]] = MappingProxyType(", "    {"]
-    for digest, (name, calls) in rows.items():
-        lines += [f'        "{digest}": {{  # {name}']
-        lines += [f'            "{call}": {sizes},' for call, sizes in calls.items()] + ["        },"]
-    return "\n".join([*lines, "    }", ")", ""])
-
-
-def update(report: Callable[[str], object]) -> None:
-    """Measure all committed machines and write the table."""
-    rows = {}
-    for name in MACHINES:
-        machine = load_machine(name)
-        package = emit_package(machine, selftest=False)
-        with tempfile.TemporaryDirectory() as scratch:
-            found = [measured(package, level, Path(scratch) / level) for level in stack.LEVELS]
-        rows[machine.digest[:12]] = (name, {call: tuple(sizes[call] for sizes in found) for call in CALLS})
-        report(name)
-    Path(measured_stack.__file__).write_text(written_table(rows))
+    before, title, after = PAGE.read_text(encoding="utf-8").partition(TITLE)
+    PAGE.write_text(before + title + "\n".join(lines) + "\n#" + after.partition("\n#")[2], encoding="utf-8")
 
 
 if __name__ == "__main__":
     if sys.argv[1:] != ["--update"]:
         sys.exit(__doc__)
-    if f"{GCC} {version()}" != stack.COMPILER:
-        sys.exit(f"{GCC} {version()} is not {stack.COMPILER}: name it in emission/stack.py first")
-    update(print)
+    if f"{GCC} {version()}" != COMPILER:
+        sys.exit(f"{GCC} {version()} is not {COMPILER}: name it here first")
+    update()

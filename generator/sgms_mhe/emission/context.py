@@ -18,7 +18,6 @@ from sgms_mhe.emission.flow import Flow, flow_of
 from sgms_mhe.emission.functions import Function, FunctionPrinter, Output, entries, scalar
 from sgms_mhe.emission.groups import GroupView, group_views
 from sgms_mhe.emission.operations import operations_of
-from sgms_mhe.emission.provenance import digest_of_sources
 from sgms_mhe.emission.schedule import Costs, schedule_of
 from sgms_mhe.emission.selftest import Vectors
 from sgms_mhe.emission.sizes import Sizes, couplings, sizes_of
@@ -69,7 +68,7 @@ class Identity:
     Attributes:
         name: prefix of every symbol and file. NAME: the same of constants.
         description: one line about the axis.
-        machine_digest, sources_digest: what it was generated from.
+        machine_digest: of the machine file that it was generated from.
         version: of the generator. runtime_version: of the runtime headers.
         real: C type of its numbers.
         header_digest: eight hexadecimal digits of all that the public header declares; zeros until it is rendered.
@@ -78,7 +77,6 @@ class Identity:
     name: str
     description: str
     machine_digest: str
-    sources_digest: str
     version: str
     runtime_version: int
     real: str
@@ -297,7 +295,6 @@ def _identity(machine: Machine, printer: CPrinter) -> Identity:
         name=machine.name,
         description=machine.description,
         machine_digest=machine.digest[:12],
-        sources_digest=digest_of_sources(effect.name for effect in machine.effects),
         version=__version__,
         runtime_version=RUNTIME_VERSION,
         real=printer.real,

@@ -12,7 +12,6 @@ from sgms_mhe.emission.context import PackageView
 from sgms_mhe.emission.fmu import SUFFIX, fmu
 from sgms_mhe.emission.layout import Memory, memory_of
 from sgms_mhe.emission.rendering import render_page
-from sgms_mhe.emission.stack import Stack, measured_stack
 from sgms_mhe.emission.variables import Variable, variables_of
 
 MANIFEST: Final = "MANIFEST.json"
@@ -26,14 +25,12 @@ class Delivery:
         sources: what is compiled.
         headers: what it includes; the public one is the first.
         memory: bytes of what they declare.
-        stack: of the calls, where it was measured.
         variables: of the axis, as block diagrams see it.
     """
 
     sources: tuple[str, ...]
     headers: tuple[str, ...]
     memory: Memory
-    stack: Stack | None
     variables: tuple[Variable, ...]
 
 
@@ -55,8 +52,7 @@ def accompany(
     public = f"{name}.h"
     headers = sorted(file for file in files if file.endswith(".h") and file != public)
     sources = sorted(file for file in files if file.endswith(".c"))
-    stack = measured_stack(view.package.machine_digest)
-    delivery = Delivery(tuple(sources), (public, *headers), memory, stack, variables_of(view))
+    delivery = Delivery(tuple(sources), (public, *headers), memory, variables_of(view))
     pages = {
         "README.md": "README.md",
         "CMakeLists.txt": "CMakeLists.txt",
@@ -105,7 +101,6 @@ def manifest(view: PackageView, files: Mapping[str, str], archives: Mapping[str,
         "generator": f"sgms-mhe {package.version}",
         "machine": package.name,
         "machine_digest": package.machine_digest,
-        "sources_digest": package.sources_digest,
         "sha256": {file: hashlib.sha256(content).hexdigest() for file, content in sorted(contents.items())},
     }
     return json.dumps(content, indent=2) + "\n"

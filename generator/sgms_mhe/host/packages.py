@@ -8,7 +8,7 @@ import threading
 from typing import Final
 
 from sgms_mhe.emission.package import Package, emit_package
-from sgms_mhe.emission.provenance import digest_of_sources
+from sgms_mhe.host.provenance import digest_of_sources
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
 from sgms_mhe.support import cache

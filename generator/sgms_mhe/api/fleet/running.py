@@ -16,7 +16,7 @@ from sgms_mhe.api.fleet.bands import Course, courses
 from sgms_mhe.api.fleet.table import Row, Verb, read_table
 from sgms_mhe.api.fleet.work import RESULT, Result, work
 from sgms_mhe.api.inputs import load
-from sgms_mhe.emission.provenance import digest_of_sources
+from sgms_mhe.host.provenance import digest_of_sources
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_names
 from sgms_mhe.support.errors import InputError

@@ -1,6 +1,6 @@
-"""What a package's bytes come from, beside its machine: one digest of the generator's sources and libraries.
+"""Digest of the generator's sources and libraries: the key of cached packages and results beside their machine.
 
-No list is kept that could be forgotten: what counts is found from the import statements, beginning at this room.
+There is no list that could be forgotten: the import statements tell which files count, beginning at the emission.
 """
 
 from __future__ import annotations
@@ -13,11 +13,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import packages_distributions, version
 from pathlib import Path
+from typing import Final
 
 from sgms_mhe.model.effects import outside_sources
 from sgms_mhe.support.paths import runtime_dir, templates_dir
 
-DIGITS = 12
+EMISSION: Final = "emission"
+"""The room whose bytes count."""
+DIGITS: Final = 12
 """Hexadecimal digits of the digest."""
 
 # A tenth of the time of parsing, which counts where one package out of a cache is all that is asked for.
@@ -54,14 +57,14 @@ def read_sources(package: Path, templates: Path, runtime: Path) -> Sources:
     """Read the sources of a generator.
 
     Args:
-        package: folder of the Python package; of its rooms, this one and all that it imports count, whole.
+        package: folder of the Python package; of its rooms, the emission and all that it imports count, whole.
         templates: folder of the templates.
         runtime: folder of the C beside them, of which `sgms_*.h` go into packages.
     """
     files = {"package/__init__.py": (package / "__init__.py").read_bytes()}
     libraries: set[str] = set()
     rooms: set[str] = set()
-    waiting = {Path(__file__).parent.name}
+    waiting = {EMISSION}
     while waiting:
         room = waiting.pop()
         rooms.add(room)
@@ -94,7 +97,7 @@ def _imports(content: bytes) -> set[str]:
 
 
 def digest_of_sources(effects: Iterable[str] = ()) -> str:
-    """Digest of what a package is made of, for the banner and for caches: the same sources, the same package.
+    """Return the digest of the sources of a package, for caches: the same sources, the same package.
 
     Args:
         effects: of the machine; those that other distributions bring count with their files and libraries.
