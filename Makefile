@@ -21,7 +21,7 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := all
 .PHONY: all help venv generate check-generated compile experiment figures docs notebooks picture test lint lint-ruff lint-format \
-        lint-types lint-c format studies faults benchmark benchmark-diagnosis target verify wheel lock clean \
+        lint-types lint-c format studies faults benchmark benchmark-diagnosis target verify release-check wheel lock clean \
         distclean
 
 # Said before anything is done, of a call that names no target.
@@ -165,6 +165,9 @@ format: $(STAMP) ## let ruff and clang-format rewrite the sources
 	$(BIN)/clang-format -i $(WRITTEN_C)
 
 # --- packaging -------------------------------------------------------------------------------------------------------
+
+release-check: check-generated ## may this commit be tagged: version, changelog, generated/, nothing uncommitted
+	@.ci/release-check
 
 wheel: $(STAMP) ## dist/*.whl, which carries templates, runtime C and machine files
 	$(BIN)/python -m hatchling build -t wheel

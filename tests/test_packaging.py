@@ -74,10 +74,57 @@ def test_lock_holds_every_declared_dependency_at_one_version(repo_root: Path) ->
     assert locked >= {_normal(re.split(r"[<>=!~\[; ]", entry)[0]) for entry in declared}
 
 
-def test_changelog_begins_with_the_version(repo_root: Path) -> None:
-    newest = re.search(r"^## (\S+)", (repo_root / "CHANGELOG.md").read_text(), re.MULTILINE)
-    assert newest is not None
-    assert newest[1] == sgms_mhe.__version__
+def test_newest_version_of_the_changelog_is_this_one(repo_root: Path) -> None:
+    sections = re.findall(r"^## (\S+)", (repo_root / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert next(name for name in sections if name != "Unreleased") == sgms_mhe.__version__
+
+
+RELEASE = {
+    "generator/sgms_mhe/__init__.py": '__version__ = "1.2.3"\n',
+    "CITATION.cff": "version: 1.2.3\n",
+    "CHANGELOG.md": "# Changelog\n\n## 1.2.3 (2026-01-31)\n",
+}
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "message"),
+    [
+        ("README.md", "", ""),
+        ("CITATION.cff", "version: 1.2.2\n", "CITATION.cff is not of version 1.2.3"),
+        ("CHANGELOG.md", "## Unreleased\n\n## 1.2.3 (2026-01-31)\n", "does not begin with '## 1.2.3 (year-month-day)'"),
+        ("CHANGELOG.md", "## 1.2.3\n", "does not begin with '## 1.2.3 (year-month-day)'"),
+        ("generator/sgms_mhe/__init__.py", '__version__ = "1.2"\n', "states no version X.Y.Z"),
+        ("untracked", "", "changes are not committed"),
+        ("tagged", "", "the tag v1.2.3 is taken"),
+    ],
+)
+def test_what_a_release_needs(file: str, content: str, message: str, repo_root: Path, tmp_path: Path) -> None:
+    def git(*arguments: str) -> None:
+        identity = [
+            "-c",
+            "user.name=a",
+            "-c",
+            "user.email=a@b.c",
+            "-c",
+            "tag.gpgsign=false",
+            "-c",
+            "commit.gpgsign=false",
+        ]
+        subprocess.run(["git", *identity, *arguments], cwd=tmp_path, check=True, capture_output=True)
+
+    for name, text in (RELEASE | {file: content}).items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    git("init")
+    git("add", "--all")
+    if file == "untracked":
+        git("rm", "-q", "--cached", file)
+    git("commit", "-m", "all")
+    if file == "tagged":
+        git("tag", "v1.2.3")
+    ran = subprocess.run([repo_root / ".ci" / "release-check", tmp_path], check=False, capture_output=True, text=True)
+    assert ran.returncode == bool(message)
+    assert message in ran.stderr if message else ran.stdout == "v1.2.3 can be tagged\n"
 
 
 @pytest.mark.parametrize("workers", [[], ["-n", "2"]], ids=["one process", "xdist"])
