@@ -20,7 +20,7 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := all
-.PHONY: all help venv generate check-generated compile experiment figures docs notebooks picture test lint lint-ruff lint-format \
+.PHONY: all help venv generate check-generated compile experiment figures docs notebooks picture test check lint lint-ruff lint-format \
         lint-types lint-c format studies faults benchmark benchmark-diagnosis target verify release-check wheel lock clean \
         distclean
 
@@ -142,8 +142,13 @@ notebooks: $(STAMP) ## examples/notebooks/*.ipynb from the scripts beside them
 # --- checks ----------------------------------------------------------------------------------------------------------
 
 # One thread per worker: numerical libraries that each take all cores slow each other down.
+PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS)
+
 test: $(STAMP) ## all tests
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(PYTEST_ARGS)
+	$(PYTEST) --dist worksteal $(PYTEST_ARGS)
+
+check: lint ## lint, types and the tests marked core: within a minute on two cores
+	$(PYTEST) -m core -q $(PYTEST_ARGS)
 
 lint: lint-ruff lint-format lint-types lint-c ## ruff, mypy --strict, clang-format: report, change nothing
 

@@ -23,6 +23,8 @@ from sgms_mhe.signals.columns import read_columns
 from sgms_mhe.signals.logs import COLUMNS, Log
 from sgms_mhe.support.errors import ImplausibleError, InputError
 
+pytestmark = pytest.mark.core
+
 ROOT = Path(__file__).resolve().parents[1]
 ROTARY = SMALL.replace("mass = 20.0", 'kind = "rotary"\ninertia = 20.0').replace('"small"', '"turning"')
 

@@ -15,6 +15,8 @@ import sgms_mhe
 from package_variants import VARIANTS
 from sgms_mhe.support.paths import runtime_dir, templates_dir
 
+pytestmark = pytest.mark.core
+
 PACKAGE, BENCH = (Path(package.__file__).parent for package in (sgms_mhe, sgms_bench))
 
 USED_FROM_OUTSIDE = {

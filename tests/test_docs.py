@@ -17,6 +17,8 @@ from sgms_mhe.cli import Commands, command_names
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES, cause, effect_definition
 
+pytestmark = pytest.mark.core
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = tuple(sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]))
 COLUMNS = 100

@@ -12,6 +12,8 @@ import sgms_bench
 import sgms_mhe
 from sgms_mhe.model.effects import BASE_CAUSES, CAUSE_NAMES, EFFECT_NAMES, effect_definition
 
+pytestmark = pytest.mark.core
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = Path(sgms_mhe.__file__).parent
 BENCH = Path(sgms_bench.__file__).parent

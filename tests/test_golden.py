@@ -18,6 +18,8 @@ from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.delivery import MANIFEST
 from sgms_mhe.emission.package import emit_package
 
+pytestmark = pytest.mark.core
+
 GOLDEN = Path(__file__).parent / "golden"
 UPDATE = "python tests/test_golden.py --update"
 MACHINES = sorted(path.stem for path in GOLDEN.glob("*.toml"))

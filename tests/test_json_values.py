@@ -6,8 +6,11 @@ import json
 import math
 
 import numpy as np
+import pytest
 
 from sgms_mhe.support.json_values import finite
+
+pytestmark = pytest.mark.core
 
 
 def test_what_is_not_finite_is_null_and_the_rest_stays() -> None:

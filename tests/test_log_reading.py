@@ -27,6 +27,8 @@ from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.support.errors import InputError
 
+pytestmark = pytest.mark.core
+
 Row = Callable[[int], Sequence[str]]
 PLAIN = "t [s];x [m];F [N]"
 

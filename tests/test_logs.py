@@ -26,6 +26,8 @@ from sgms_mhe.signals.logs import COLUMNS, Log, write_log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write, write_text
 
+pytestmark = pytest.mark.core
+
 Array = NDArray[Any]
 ETEL = load_machine("etel_xy")
 EMPS = load_machine("emps")

@@ -16,6 +16,8 @@ from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.machine import BASE_PARAMETERS, Tables, estimable_names, json_schema
 from sgms_mhe.support.errors import InputError
 
+pytestmark = pytest.mark.core
+
 MOST_KEYS = 85
 """Keys of all tables of a machine file: more are a wall to whoever writes one."""
 

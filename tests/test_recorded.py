@@ -23,6 +23,8 @@ from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.delivery import MANIFEST
 from sgms_mhe.model.effects import EFFECT_NAMES
 
+pytestmark = pytest.mark.core
+
 RECORDED = Path(__file__).parent / "recorded" / "packages.json"
 UPDATE = "python tests/test_recorded.py --update"
 WRITE = "python tests/test_recorded.py --write"

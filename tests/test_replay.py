@@ -24,6 +24,8 @@ from sgms_mhe.plant.trajectories import Motion
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 
+pytestmark = pytest.mark.core
+
 FOLDER = Path(__file__).parent / "replay"
 LOG, ESTIMATES = FOLDER / "log.npz", FOLDER / "estimates.csv"
 UPDATE = "python tests/test_replay.py --update"

@@ -23,6 +23,8 @@ from sgms_mhe.signals.chain import Signals, lowpass_coefficients, settle_samples
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.paths import runtime_dir
 
+pytestmark = pytest.mark.core
+
 Array = NDArray[Any]
 
 # --- elementary functions ----------------------------------------------------------------------------------------

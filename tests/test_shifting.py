@@ -7,6 +7,8 @@ import pytest
 
 from sgms_mhe.diagnosis.shifting import Shift
 
+pytestmark = pytest.mark.core
+
 RATE = 1000.0
 TIME = np.arange(200) / RATE
 INSIDE = slice(15, -15)
