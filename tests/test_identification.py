@@ -38,7 +38,7 @@ from sgms_mhe.plant.trajectories import Motion as Path_
 from sgms_mhe.recordings.path import smooth_path
 from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.reference import Integrator
-from sgms_mhe.signals.chain import Signals, behind_chain, signals_from_log
+from sgms_mhe.signals.chain import Signals, apply_chain, signals_from_log
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.signals.noise import encoder_step, position_noise
 from sgms_mhe.support.errors import InputError
@@ -189,7 +189,7 @@ def test_derivatives_of_elements(law: Law) -> None:
 
 def test_forces_pass_the_chain_as_the_log_does(log: Log) -> None:
     machine = axis()
-    assert np.array_equal(behind_chain(machine, log.force_N), signals_from_log(log, machine).force)
+    assert np.array_equal(apply_chain(machine, log.force_N), signals_from_log(log, machine).force)
 
 
 def test_elements_see_where_an_axis_turns_between_samples() -> None:

@@ -227,7 +227,7 @@ def test_no_effect_passes_for_a_wrong_sign_or_unit(
     trajectory: str, hidden: tuple[tuple[str, dict[str, float]], ...], config: AxisConfig, machine: Machine
 ) -> None:
     reference = make_trajectory(trajectory, 1000.0, max_velocity=0.1)
-    log = simulate_axis(machine, reference.repeated(min(reference.duration_s, 8.0)), config, hidden_effects=hidden).log
+    log = simulate_axis(machine, reference.repeat(min(reference.duration_s, 8.0)), config, hidden_effects=hidden).log
     for judge in (machine, None, override_machine(machine, {"plant": {"mass": 60.0}, "friction": {"coulomb": 1.0}})):
         check_plausible(log, judge)
 

@@ -152,17 +152,17 @@ def test_a_wild_reading_is_weighed_down_at_once() -> None:
 
 def test_means_forget_and_are_bounded() -> None:
     scaling = Scaling(enabled=True)
-    assert scaling.need(1e30) < 1e33
+    assert scaling.variance_factor(1e30) < 1e33
     assert scaling.fast <= 101.0
     for _ in range(2000):
-        need = scaling.need(0.5)
+        need = scaling.variance_factor(0.5)
     assert need == 1.0
     assert not scaling.doubts
 
 
 def test_without_scaling_a_reading_counts_as_stated_and_doubt_is_said_all_the_same() -> None:
     scaling = Scaling(enabled=False)
-    assert scaling.need(1e4) == 1.0
+    assert scaling.variance_factor(1e4) == 1.0
     assert scaling.doubts
 
 

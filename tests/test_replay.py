@@ -130,7 +130,7 @@ def record() -> None:
     path.wait(0.1)
     run = simulate_axis(
         load_machine(FOLDER / "axis.toml"),
-        path.trajectory("replay").repeated(3.0),
+        path.trajectory("replay").repeat(3.0),
         AxisConfig(seed=20),
         scale={"stiffness": [1.2, 0.8, 1.1, 0.97], "coulomb": 1.1},
         truth=False,

@@ -86,7 +86,7 @@ def test_hysteresis_loops_close(machine: Machine, law: str) -> None:
     # Non-local memory: after an inner loop the force comes back to where it left the outer one.
     amplitude = 60e-6
     config = prescribed(law=law, substeps=1)
-    truth = truth_of(machine, hysteresis(1e4, amplitude, 0.5).repeated(34.0), config)
+    truth = truth_of(machine, hysteresis(1e4, amplitude, 0.5).repeat(34.0), config)
     elastic = truth.friction_N - 20.0 * truth.velocity_m_s
     half = len(elastic) // 2
     period = len(hysteresis(1e4, amplitude, 0.5).position_m)

@@ -17,7 +17,7 @@ from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
-from sgms_mhe.machine import Machine, merged
+from sgms_mhe.machine import Machine, merge_tables
 from sgms_mhe.model import build_model
 from sgms_mhe.model.axis import StateSpec, SymbolicAxis
 from sgms_mhe.model.friction import Elements
@@ -43,12 +43,12 @@ THETA = np.array([1.05, 1.1, 0.9, 1.02, 1.04, 0.95, 1.1, 0.98, 1.1, 0.97, 1.01])
 
 def switching(**changes: Any) -> Machine:
     """etel_xy under the switching law, with changes."""
-    return machine(**merged(LAW, changes))
+    return machine(**merge_tables(LAW, changes))
 
 
 def five(**changes: Any) -> dict[str, Any]:
     """Five samples a step, with other changes."""
-    return merged({"sampling": {"integrator": {"substeps": 20}}}, changes)
+    return merge_tables({"sampling": {"integrator": {"substeps": 20}}}, changes)
 
 
 def entries(*names: str) -> dict[str, Any]:
@@ -111,7 +111,7 @@ def test_many_clips_are_one(speed: float, substeps: int) -> None:
 @pytest.mark.parametrize("state_as", ["force", "deflection"])
 @pytest.mark.parametrize("changes", [{}, five(), entries("dwell_dependence")], ids=["samples", "merged", "upstream"])
 def test_derivatives_are_differences_where_nothing_switches(changes: dict[str, Any], state_as: str) -> None:
-    settings = switching(**merged(changes, {"estimator": {"parameters": ALL, "noise": {"state_as": state_as}}}))
+    settings = switching(**merge_tables(changes, {"estimator": {"parameters": ALL, "noise": {"state_as": state_as}}}))
     integrator = Integrator(build_model(settings))
     n_x = integrator.model.n_x
     x = np.random.default_rng(5).uniform(-0.9, 0.9, (8, n_x)) * np.where(np.arange(n_x) < 4, 1.0, 0.3)

@@ -92,13 +92,13 @@ def test_circle_is_round() -> None:
 def test_repetition_and_cut() -> None:
     once = make_trajectory("hysteresis", 1000.0)
     n = len(once.position_m)
-    twice = once.repeated(2 * once.duration_s)
+    twice = once.repeat(2 * once.duration_s)
     np.testing.assert_array_equal(twice.position_m, np.tile(once.position_m, 2))
     cut = make_trajectory("hysteresis", 1000.0, duration_s=0.5)
     np.testing.assert_array_equal(cut.position_m, once.position_m[:500])
-    assert len(once.repeated(3.5 * once.duration_s).position_m) == round(3.5 * n)
+    assert len(once.repeat(3.5 * once.duration_s).position_m) == round(3.5 * n)
     # What does not return goes on from where it ended.
-    ramp = Trajectory("ramp", 10.0, np.array([0.0, 1.0, 2.0])).repeated(0.6)
+    ramp = Trajectory("ramp", 10.0, np.array([0.0, 1.0, 2.0])).repeat(0.6)
     np.testing.assert_array_equal(ramp.position_m, [0.0, 1.0, 2.0, 2.0, 3.0, 4.0])
 
 

@@ -57,7 +57,7 @@ PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 
 
 class BadInput(click.ClickException):
-    """What a user can put right: exit code 2."""
+    """Error that a user can correct: exit code 2."""
 
     exit_code = 2
 

@@ -81,7 +81,7 @@ def make_scenario(machine: Machine, name: str, duration_s: float, truth: Truth) 
         return Scenario(name, ((x, truth), (y, truth.mirrored())))
     period = make_trajectory(name, rate, max_velocity=max_velocity)
     whole = math.ceil(duration_s / period.duration_s - 1e-9) * period.duration_s
-    return Scenario(name, ((period.repeated(whole), truth),))
+    return Scenario(name, ((period.repeat(whole), truth),))
 
 
 def actuation_delay(machine: Machine) -> float:

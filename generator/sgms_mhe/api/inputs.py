@@ -1,4 +1,4 @@
-"""What every function takes: a machine by path, name or as it was loaded; a log by path, as a Log or as a table."""
+"""Arguments of every function: a machine by path, name or as it was loaded; a log by path, as a Log or as a table."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ _ASSUMED: Final = "assumed"
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of an axis before anything was measured.
+    """Prior knowledge of an axis, before any measurement.
 
     Attributes:
         name: of the machine.

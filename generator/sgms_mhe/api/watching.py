@@ -57,7 +57,7 @@ class Clock(Protocol):
 
 
 class HostClock:
-    """That of this host."""
+    """Clock of this host."""
 
     def now(self) -> float:
         """Seconds since some moment; they never go back."""
@@ -139,7 +139,7 @@ class Replay(Source):
 
 
 def _has_own(log: Log) -> bool:
-    """Whether it brings what is otherwise computed of position and force."""
+    """Return True if it brings a signal that is otherwise computed of position and force."""
     return any(column is not None for column in (log.velocity_m_s, log.acceleration_m_s2, log.friction_N))
 
 
@@ -175,7 +175,7 @@ class _Growing(Source):
 
     @abstractmethod
     def _read(self) -> bytes | None:
-        """What is there now, at most a block; None where the text is over and its last line whole."""
+        """Return the available bytes, at most a block; None where the text is over and its last line whole."""
 
 
 class Followed(_Growing):

@@ -82,7 +82,7 @@ def _text(machine: Machine, package: Package) -> str:
         f"  plant       {units.inert} {machine.plant.moved:g} {units.mass}",
         f"  friction    coulomb {friction.coulomb:g} {units.force}, viscous {friction.viscous:g} {units.damping}, "
         f"stribeck ratio {friction.stribeck_ratio:g} at {friction.stribeck_velocity:g} {units.velocity}, {law}",
-        _indented(
+        _indent(
             table_text(
                 ("element", units.stiffness, "fraction", units.damping, f"deflection u{units.position}"), elements
             )
@@ -96,7 +96,7 @@ def _text(machine: Machine, package: Package) -> str:
         f"  noise       measurement {noise.measurement:g} {units.force}, state {noise.state:g} (as {noise.state_as}), "
         f"first state {noise.initial_state:g}, parameter {noise.parameter:g}, "
         f"drift {noise.parameter_drift:g} per update, {'scaled by innovations' if noise.self_scaling else 'as stated'}",
-        _indented(table_text(("parameter", "nominal", "prior std", "lower", "upper"), parameters)),
+        _indent(table_text(("parameter", "nominal", "prior std", "lower", "upper"), parameters)),
     ]
     fed = machine.compensation
     largest = force_limit(machine)
@@ -111,7 +111,7 @@ def _text(machine: Machine, package: Package) -> str:
     changed = ", ".join(f"{key} {value:g}" for key, value in machine.diagnosis.changed.items())
     lines.append(f"  diagnosis   {changed or 'defaults'}")
     if machine.log is not None:
-        sources = ", ".join(f"{name} from {column.described}" for name, column in machine.log.columns.items())
+        sources = ", ".join(f"{name} from {column.description}" for name, column in machine.log.columns.items())
         lines.append(f"  log         {sources}")
     size = sum(len(text.encode()) for text in package.files.values())
     lines.append(f"  package     {len(package.files)} files, {size} bytes, {machine.code.precision} precision")
@@ -122,5 +122,5 @@ def _si(parameter: Any, theta: float) -> float:
     return float(parameter.nominal + parameter.scale * (theta - 1.0))
 
 
-def _indented(text: str) -> str:
+def _indent(text: str) -> str:
     return "\n".join(f"    {line}" for line in text.splitlines())

@@ -1,4 +1,4 @@
-"""What commands share: arguments, checks of outputs before the work, progress, and how results are printed."""
+"""Parts that commands share: arguments, checks of outputs before the work, progress, printing of results."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ F = TypeVar("F", bound=Callable[..., object])
 
 
 def _machines(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
-    """What a shell offers for MACHINE: names in machines/, or files where none begins so."""
+    """Complete MACHINE for a shell: names in machines/, or files where none begins so."""
     names = sorted(path.stem for path in machines_dir().glob("*.toml") if path.stem.startswith(begun))
     return [CompletionItem(name) for name in names] or [CompletionItem(begun, type="file")]
 
 
 def effects_begun(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
-    """What a shell offers for an effect's name."""
+    """Complete an effect's name for a shell."""
     from sgms_mhe.model.effects import effect_definition, effect_names
 
     names = [name for name in effect_names() if name.startswith(begun)]
@@ -53,7 +53,7 @@ def effects_begun(ctx: click.Context, param: click.Parameter, begun: str) -> lis
 
 
 def causes_begun(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
-    """What a shell offers for a cause's name."""
+    """Complete a cause's name for a shell."""
     from sgms_mhe.model.effects import cause, cause_names
 
     names = [name for name in cause_names() if name.startswith(begun)]
@@ -118,7 +118,7 @@ def recorded_log(path: Path, machine: Machine, start_s: float = 0.0, end_s: floa
 
 
 def moved_mass(command: str, units: Units, mass: float | None, inertia: float | None) -> float | None:
-    """What was given of what the axis of some logs moves.
+    """Return the given mass or inertia of the axis of some logs.
 
     Raises:
         InputError: it is not of the logs' kind.
@@ -174,7 +174,7 @@ def _try_folder(path: Path, folder: Path, where: str) -> None:
 
 
 def is_stream(path: Path) -> bool:
-    """Whether a path is something that is written as it goes: a pipe, a terminal, /dev/stdout."""
+    """Return True if a path is written as it goes: a pipe, a terminal, /dev/stdout."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
@@ -201,7 +201,7 @@ def note(text: str) -> None:
 
 
 def is_quiet() -> bool:
-    """Whether `sgms-mhe --quiet` runs this command."""
+    """Return True if `sgms-mhe --quiet` runs this command."""
     context = click.get_current_context(silent=True)
     return context is not None and bool(context.find_root().params.get("quiet"))
 

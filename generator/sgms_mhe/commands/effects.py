@@ -63,7 +63,7 @@ def _content(definition: EffectDefinition) -> dict[str, Any]:
         "parameters": [_parameter(definition, parameter) for parameter in definition.parameters],
         "excitation": {
             "text": definition.excitation.text,
-            "needs": [_need(need) for need in definition.excitation.needs],
+            "needs": [_describe_need(need) for need in definition.excitation.needs],
             "moves": [MOVES[move] for move in definition.moves],
         },
         "confused_with": {other: list(moves) for other, moves in rivals.items() if moves},
@@ -89,7 +89,7 @@ def _parameter(definition: EffectDefinition, parameter: EffectParameter) -> dict
     }
 
 
-def _need(need: Need) -> str:
+def _describe_need(need: Need) -> str:
     """A need in words: `range of position: at least 1.5 times pitch_m`."""
     from sgms_mhe.machine import LINEAR
     from sgms_mhe.model.effects.excitation import MEASURES
@@ -126,9 +126,9 @@ def _text(content: dict[str, Any]) -> str:
     lines.append(_table(parameters))
     for kind in others:
         named = ", ".join(f"{p['names'][kind]} [{p['units'][kind]}]" for p in content["parameters"])
-        lines += _wrapped(f"of a {kind} axis: {named}")
+        lines += _wrap(f"of a {kind} axis: {named}")
     seen = content["excitation"]
-    lines += ["", "To be seen", *_wrapped(seen["text"], "  "), *_items(seen["needs"])]
+    lines += ["", "To be seen", *_wrap(seen["text"], "  "), *_items(seen["needs"])]
     lines += [*_items([f"moves: {move}" for move in seen["moves"]])]
     rivals = [f"{other}: {'; '.join(moves)}" for other, moves in content["confused_with"].items()]
     lines += ["", "Confused with, and what tells it apart (sgms-mhe plan makes the motion)", *_items(rivals)]
@@ -149,8 +149,8 @@ def _table(rows: list[dict[str, str]]) -> str:
 
 
 def _items(sentences: list[str]) -> list[str]:
-    return [line for sentence in sentences for line in _wrapped(sentence, "  - ")]
+    return [line for sentence in sentences for line in _wrap(sentence, "  - ")]
 
 
-def _wrapped(text: str, begin: str = "") -> list[str]:
+def _wrap(text: str, begin: str = "") -> list[str]:
     return textwrap.wrap(text, COLUMNS, initial_indent=begin, subsequent_indent=" " * len(begin))

@@ -100,11 +100,11 @@ def note_wrong_noise(machine: Machine, estimates: Estimates) -> None:
 
 
 def summarise(machine: Machine, estimates: Estimates, solver: Solver) -> dict[str, Any]:
-    """What --json prints: residual over the updates with a measurement, parameters at the end, status counts."""
+    """Return the content of --json: residual over the updates with a measurement, final parameters, status counts."""
     import numpy as np
 
     from sgms_mhe.model import build_model
-    from sgms_mhe.signals.status import flagged, measured
+    from sgms_mhe.signals.status import measured, select_flags
 
     counted = measured(estimates.status)
     residual = (estimates.friction_measured_N - estimates.friction_N)[counted]
@@ -123,7 +123,7 @@ def summarise(machine: Machine, estimates: Estimates, solver: Solver) -> dict[st
             for name, p, value, std in zip(estimates.parameter_names, *columns, strict=True)
         },
         "status": {"good": int(np.count_nonzero(estimates.status == 0))}
-        | {name: int(np.count_nonzero(mask)) for name, mask in flagged(estimates.status).items()},
+        | {name: int(np.count_nonzero(mask)) for name, mask in select_flags(estimates.status).items()},
     }
 
 

@@ -78,7 +78,7 @@ def command(
         show(json_text(results_json(fleet, folder)))
     else:
         show(_text(fleet, page))
-    if fleet.failed:
+    if fleet.failures:
         click.get_current_context().exit(1)
 
 
@@ -86,7 +86,7 @@ def _text(fleet: Fleet, page: Path) -> str:
     done = [row for row in fleet.rows if not row.failure]
     fresh = [row.seconds for row in done if row.seconds]
     cost = f", {sum(fresh) / len(fresh):.1f} s each" if fresh else ""
-    lines = [f"failed: row {d.row.number}, {d.row.name}: {d.failure}" for d in fleet.failed]
+    lines = [f"failed: row {d.row.number}, {d.row.name}: {d.failure}" for d in fleet.failures]
     lines += [
         f"left its band: {course.axis}, {course.name}, {point.row.name}: {point.number.value:.4g} +- "
         f"{2.0 * point.number.std:.1g}, band {point.band.low:.4g} to {point.band.high:.4g} of "
@@ -102,7 +102,7 @@ def _text(fleet: Fleet, page: Path) -> str:
         if (trend := course.trend) is not None
     ]
     lines.append(
-        f"{len(done)} of {len(fleet.rows)} logs done, {len(fresh)} of them now{cost}, {len(fleet.failed)} failed"
+        f"{len(done)} of {len(fleet.rows)} logs done, {len(fresh)} of them now{cost}, {len(fleet.failures)} failed"
     )
     lines.append(f"page: {page}")
     return "\n".join(lines)

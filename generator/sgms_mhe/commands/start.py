@@ -82,16 +82,16 @@ def command(
     else:
         kind: Kind = "linear" if inertia is None else "rotary"
         given_mass = mass if inertia is None else inertia
-        moved = _asked("--mass", "Moved mass [kg]") if given_mass is None else given_mass
+        moved = _ask("--mass", "Moved mass [kg]") if given_mass is None else given_mass
         rate = table.get("rate")
         if rate is None:
-            rate = _asked("--rate", "Samples per second [Hz]")
+            rate = _ask("--rate", "Samples per second [Hz]")
         known = Known(out.stem, kind, moved, rate, coulomb, viscous, break_away, max_velocity)
         write_text(out, start_text(known, out)[0])
     show(f"machine file: {out}\nnext: sgms-mhe check {out}", out)
 
 
-def _asked(option: str, question: str) -> float:
+def _ask(option: str, question: str) -> float:
     """A number that was not given: from whoever sits at the terminal.
 
     Raises:

@@ -69,8 +69,8 @@ class Interrupt:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def asked(self) -> bool:
-        """Whether the end was asked for."""
+    def has_request(self) -> bool:
+        """Return True if the end was asked for."""
         return self.number != 0
 
     def _ask(self, number: int, frame: FrameType | None) -> None:
@@ -196,7 +196,7 @@ def _run(
     """Watch until the source ends, somebody asks for it, or something is wrong; that."""
     told = 0
     try:
-        for piece in source.pieces(interrupt.asked):
+        for piece in source.pieces(interrupt.has_request):
             if piece is not None:
                 estimates = watch.take(piece, judged=judged)
                 if rows is not None:

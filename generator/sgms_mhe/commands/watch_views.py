@@ -20,8 +20,8 @@ from rich.text import Text
 from sgms_mhe.commands.common import is_stream, note
 from sgms_mhe.evaluation.watching import Course, flags_of, status_words
 from sgms_mhe.report import Watched, write_watch_page
-from sgms_mhe.report.units import force, in_units, plain, quantity
-from sgms_mhe.report.watch import bounded, seconds
+from sgms_mhe.report.units import force, plain, quantity, use_units
+from sgms_mhe.report.watch import interval_text, seconds
 from sgms_mhe.report.words import relative_change
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.support.errors import InputError
@@ -57,7 +57,7 @@ class View(Protocol):
 
 
 class Nothing:
-    """What --quiet shows."""
+    """Empty view of --quiet."""
 
     def __enter__(self) -> Self:
         return self
@@ -120,7 +120,7 @@ class Picture:
         if course.latest is None or self._now() < self._due:
             return
         self._due = self._now() + PANEL_S
-        with in_units(course.machine.plant.units):
+        with use_units(course.machine.plant.units):
             self._live.update(self._drawn(course, course.latest), refresh=True)
 
     def _drawn(self, course: Course, last: Estimates) -> Panel:
@@ -145,7 +145,7 @@ class Picture:
             value, nominal = float(last.parameters[0, k]), float(course.nominal[k])
             cells = (
                 course.machine.plant.units.named(name),
-                str(bounded(name, value, float(last.std[0, k]))),
+                str(interval_text(name, value, float(last.std[0, k]))),
                 str(quantity(name, nominal)),
                 relative_change(nominal, value),
                 self._trend(points[:, k]),
@@ -216,7 +216,7 @@ class GrowingEstimates:
         try:
             if self._stream is None:
                 header = (",".join(columns) + "\n").encode()
-                self._stream, self._size = self._opened(header)
+                self._stream, self._size = self._open(header)
                 text = text if self._size else header + text
             done = 0
             while done < len(text):
@@ -236,7 +236,7 @@ class GrowingEstimates:
         if self._stream is not None:
             self._stream.close()
 
-    def _opened(self, header: bytes) -> tuple[BinaryIO, int]:
+    def _open(self, header: bytes) -> tuple[BinaryIO, int]:
         """(where rows go, bytes that are there): a new file with its header, or a stream as it is."""
         if is_stream(self._path):
             return self._path.open("wb", buffering=0), 0

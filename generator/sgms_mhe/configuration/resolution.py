@@ -1,4 +1,4 @@
-"""What a machine file leaves to the catalogue of effects and to the schemes of integration, checked and filled in.
+"""Values of a machine file that depend on the catalogue of effects and on the schemes, checked and filled in.
 
 Every default that depends on something else is filled in by the file's tables or here, so that no reader of a `Machine`
 repeats one.
@@ -29,7 +29,7 @@ from sgms_mhe.machine import (
     listing,
     log_table,
     machine_file,
-    merged,
+    merge_tables,
     read_machine_file,
 )
 from sgms_mhe.model import gate_saturates
@@ -51,7 +51,7 @@ def load_machine(machine: str | Path) -> Machine:
 
     Raises InputError (file, dotted key, value, what is allowed) for everything that is wrong with it.
     """
-    return _resolved(read_machine_file(machine))
+    return _resolve(read_machine_file(machine))
 
 
 def override_machine(machine: Machine, changes: Mapping[str, Any]) -> Machine:
@@ -59,7 +59,7 @@ def override_machine(machine: Machine, changes: Mapping[str, Any]) -> Machine:
 
     Defaults that depend on other keys follow the changes. Raises InputError as load_machine does.
     """
-    return _resolved(machine_file(merged(machine.content, changes), [Layer(machine.source, changes)]))
+    return _resolve(machine_file(merge_tables(machine.content, changes), [Layer(machine.source, changes)]))
 
 
 def with_log(machine: Machine, stated: Mapping[str, Any]) -> Machine:
@@ -74,10 +74,10 @@ def with_log(machine: Machine, stated: Mapping[str, Any]) -> Machine:
 
 def make_machine(content: Mapping[str, Any], source: Path) -> Machine:
     """The machine that a file `source` of this content would describe. Raises InputError as load_machine does."""
-    return _resolved(machine_file(content, [Layer(source, content)]))
+    return _resolve(machine_file(content, [Layer(source, content)]))
 
 
-def _resolved(file: MachineFile) -> Machine:
+def _resolve(file: MachineFile) -> Machine:
     tables = file.tables
     effects = _effects(file)
     names = {tables.plant.units.named(name): name for name in estimable_names(effects)}
@@ -119,15 +119,15 @@ def _check_effect(file: MachineFile, index: int) -> None:
         definition = effect_definition(name)
     except KeyError:
         known = effect_names(kind)
-        raise file.refused(where, name, f"one of {listing(known)}{did_you_mean(name, known)}") from None
+        raise file.refusal(where, name, f"one of {listing(known)}{did_you_mean(name, known)}") from None
     except InputError as error:
-        raise file.refused(where, name, f"an effect that works; {error}") from None
+        raise file.refusal(where, name, f"an effect that works; {error}") from None
     if kind not in definition.kinds:
         allowed = f"an effect of a {kind} axis; {name} is for [plant] kind = {' or '.join(definition.kinds)}"
-        raise file.refused(where, name, allowed)
+        raise file.refusal(where, name, allowed)
     why = definition.smooth_only
     if why and file.tables.friction.switches:
-        raise file.refused(where, name, f"an effect that stands with [friction] law = switching; {why}")
+        raise file.refusal(where, name, f"an effect that stands with [friction] law = switching; {why}")
 
 
 def _effect_parameters(file: MachineFile, index: int) -> dict[str, Value]:
@@ -137,7 +137,7 @@ def _effect_parameters(file: MachineFile, index: int) -> dict[str, Value]:
     for key, value in entry.written.items():
         if key not in definitions:
             allowed = f"unknown key; {entry.name} has {listing(definitions)}"
-            raise file.refused(("effects", index, key), value, allowed)
+            raise file.refusal(("effects", index, key), value, allowed)
     count = max((1, *(len(value) for value in entry.written.values() if isinstance(value, list | tuple))))
     filled: dict[str, Any] = {}
     for key, parameter in definitions.items():
@@ -145,11 +145,11 @@ def _effect_parameters(file: MachineFile, index: int) -> dict[str, Value]:
         values = list(value) if parameter.array and isinstance(value, list | tuple) else [value]
         for number in values:
             if type(number) in (int, float) and not _is_within(number, parameter):
-                raise file.refused(("effects", index, key), value, parameter.allowed)
+                raise file.refusal(("effects", index, key), value, parameter.allowed)
         filled[key] = values if parameter.array else value
         if parameter.array and not len(values) == count <= MOST_ENTRIES:
             allowed = f"{count} entries, as many as its other lists have, at most {MOST_ENTRIES}"
-            raise file.refused(("effects", index, key), value, allowed)
+            raise file.refusal(("effects", index, key), value, allowed)
     lists = {key for key, parameter in definitions.items() if parameter.array}
     try:
         numbers = _NUMBERS.validate_python({key: value for key, value in filled.items() if key not in lists})
@@ -158,12 +158,12 @@ def _effect_parameters(file: MachineFile, index: int) -> dict[str, Value]:
         raise file.invalid(error, ("effects", index)) from None
     for key in lists:
         if definitions[key].whole and len(set(series[key])) < count:
-            raise file.refused(("effects", index, key), list(series[key]), "each number once")
+            raise file.refusal(("effects", index, key), list(series[key]), "each number once")
     return {p.name: tuple(series[key]) if key in lists else numbers[key] for key, p in definitions.items()}
 
 
 def _is_within(number: float, parameter: EffectParameter) -> bool:
-    """Whether a number is one that the parameter may have."""
+    """Return True if the parameter may have this number."""
     whole = not parameter.whole or (math.isfinite(number) and number == round(number))
     return whole and parameter.lower <= number <= parameter.upper
 
@@ -182,14 +182,14 @@ def _check_names(file: MachineFile, names: Collection[str]) -> None:
     for index, name in enumerate(estimator.parameters):
         where = ("estimator", "parameters", index)
         if name not in names:
-            raise file.refused(where, name, f"one of {listing(names)}")
+            raise file.refusal(where, name, f"one of {listing(names)}")
         if name in BASE_PARAMETERS and name not in file.tables.friction.estimable:
             if name == "fraction":
-                raise file.refused(where, name, "another parameter: with one element there is nothing to share")
-            raise file.refused(where, name, f"a parameter that is not 0 (friction.{name} is its scale)")
+                raise file.refusal(where, name, "another parameter: with one element there is nothing to share")
+            raise file.refusal(where, name, f"a parameter that is not 0 (friction.{name} is its scale)")
     for name, bounds in estimator.bounds.items():
         if name not in names:
-            raise file.refused(("estimator", "bounds", name), list(bounds), f"a key out of {listing(names)}")
+            raise file.refusal(("estimator", "bounds", name), list(bounds), f"a key out of {listing(names)}")
 
 
 def _sampling(file: MachineFile) -> Sampling:
@@ -199,7 +199,7 @@ def _sampling(file: MachineFile) -> Sampling:
         return sampling.model_copy(update={"integrator": _clipping(file)})
     if sampling.integrator.scheme == "clip":
         allowed = "another scheme, or [friction] law = switching: no other element is clipped"
-        raise file.refused((*_INTEGRATOR, "scheme"), "clip", allowed)
+        raise file.refusal((*_INTEGRATOR, "scheme"), "clip", allowed)
     return sampling if sampling.integrator.scheme != "flow" else _flowing(file)
 
 
@@ -209,7 +209,7 @@ def _clipping(file: MachineFile) -> Integrator:
     given = {key: getattr(integrator, key) for key in integrator.model_fields_set}
     if given.get("scheme", "clip") != "clip":
         allowed = "clip, or nothing, where [friction] law is switching"
-        raise file.refused((*_INTEGRATOR, "scheme"), given["scheme"], allowed)
+        raise file.refusal((*_INTEGRATOR, "scheme"), given["scheme"], allowed)
     return Integrator.model_validate({**given, "scheme": "clip"})
 
 
@@ -224,6 +224,6 @@ def _flowing(file: MachineFile) -> Sampling:
     integrator = sampling.integrator
     if "scheme" in integrator.model_fields_set:
         allowed = "rk4: with a smoothing as soft as [friction] smoothing has, the flow holds at no speed"
-        raise file.refused((*_INTEGRATOR, "scheme"), "flow", allowed)
+        raise file.refusal((*_INTEGRATOR, "scheme"), "flow", allowed)
     given = {key: getattr(integrator, key) for key in integrator.model_fields_set}
     return sampling.model_copy(update={"integrator": Integrator.model_validate({**given, "scheme": "rk4"})})

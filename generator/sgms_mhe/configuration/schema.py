@@ -24,7 +24,7 @@ def machine_schema() -> dict[str, Any]:
 
 
 def _rule(definition: EffectDefinition) -> dict[str, Any]:
-    """What an entry of [[effects]] of this name may have."""
+    """Return the rule for an entry of [[effects]] of this name."""
     parameters = {
         units.named(parameter.name): _value(parameter, units)
         for units in (OF_KIND[kind] for kind in definition.kinds)

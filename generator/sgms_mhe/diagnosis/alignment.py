@@ -98,7 +98,7 @@ def aligned(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
         steps = replace(steps, later=later, at=exact)
     measured = steps.measured - later
     names = [extra.name for extra in fit.extras] + [effect.name for effect in subject.machine.effects]
-    timed = any(effect_definition(name).timed for name in names)
+    timed = any(effect_definition(name).acts_on_timing for name in names)
     columns = _of_sampling(whole, exact)
     sampled = _sampling(whole, fit, columns, measured - exact, timed=timed)
     measured = measured - columns @ sampled

@@ -87,7 +87,7 @@ def _without_ringing(fit: Fit) -> Fit:
     ringing = set()
     for group in {column.group for column in fit.model.columns if column.group.kind != "base"}:
         definition = effect_definition(group.cause)
-        if definition.full_rate and not definition.timed:
+        if definition.full_rate and not definition.acts_on_timing:
             ringing.add(group)
     return replace(fit, theta=fit.theta_without(ringing))
 

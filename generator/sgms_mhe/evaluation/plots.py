@@ -18,7 +18,7 @@ from sgms_mhe.machine import OF_KIND
 from sgms_mhe.model import FreeParameter
 from sgms_mhe.model.effects import base_number
 from sgms_mhe.signals.estimates import Estimates
-from sgms_mhe.signals.status import FLAGS, REFUSED, flagged, measured
+from sgms_mhe.signals.status import FLAGS, REFUSED, measured, select_flags
 from sgms_mhe.support.files import atomic_write
 from sgms_mhe.support.libraries import optional_library
 
@@ -125,7 +125,7 @@ def _draw_status(axis: Any, estimates: Estimates) -> None:
     """One row per flag, a bar wherever it is set; every flag has its place, so that figures compare."""
     step = float(np.median(np.diff(estimates.time_s))) if len(estimates) > 1 else 1.0
     names = [*FLAGS, REFUSED]
-    for row, (name, mask) in enumerate(flagged(estimates.status).items()):
+    for row, (name, mask) in enumerate(select_flags(estimates.status).items()):
         spans = [(estimates.time_s[a] - step, (b - a) * step) for a, b in _runs(mask)]
         axis.broken_barh(spans, (row - 0.4, 0.8), color="#cc0000" if name == REFUSED else "0.35")
     axis.set_yticks(range(len(names)), names, fontsize="x-small")

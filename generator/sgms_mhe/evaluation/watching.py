@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
 from sgms_mhe.signals.estimates import Estimates
-from sgms_mhe.signals.status import FLAGS, REFUSED, flagged, measured
+from sgms_mhe.signals.status import FLAGS, REFUSED, measured, select_flags
 
 Array = NDArray[np.float64]
 
@@ -132,7 +132,7 @@ class Course:
         self.trend = Trend(np.arange(2 * n_p + 2) >= 2 * n_p)
         self.episodes: list[Episode] = []
         self._recent: deque[Array] = deque(maxlen=max(2, round(RECENT_S / self.interval_s)))
-        self._counts = dict.fromkeys(("good", *flagged(np.empty(0, dtype=np.int64))), 0)
+        self._counts = dict.fromkeys(("good", *select_flags(np.empty(0, dtype=np.int64))), 0)
         self._open: dict[str, Episode] = {}
         self._squares = 0.0
 
@@ -140,7 +140,7 @@ class Course:
         """Take the updates that follow; nothing depends on how many come at a time."""
         if not len(estimates):
             return
-        e, flags = estimates, flagged(estimates.status)
+        e, flags = estimates, select_flags(estimates.status)
         if self.latest is None:
             self.first_s = float(e.time_s[0])
         taken = measured(e.status)

@@ -15,7 +15,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.path import bridged, displacements, smooth_path
 from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.recordings.rows import row_means
-from sgms_mhe.signals.chain import Signals, behind_chain, readings
+from sgms_mhe.signals.chain import Signals, apply_chain, readings
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import encoder_step, position_noise
 
@@ -56,7 +56,7 @@ class Motion:
         """A force, or columns of forces, at the rows: (n, ...) to (rows, ...)."""
         series = series[self.steps - 1 :: self.steps]
         if self.filtered:
-            series = behind_chain(self.machine, series)
+            series = apply_chain(self.machine, series)
         return row_means(series[: self.rows * self.factor], self.factor)
 
 

@@ -29,12 +29,12 @@ _WITH_GROUPS: Final = {
 
 
 def is_missing(token: str) -> bool:
-    """Whether a field says that there is no sample."""
+    """Return True if a field stands for a missing sample."""
     return token.lower() in MISSING
 
 
 def is_number(token: str) -> bool:
-    """Whether a field is a number by one of the decimal marks."""
+    """Return True if a field is a number by one of the decimal marks."""
     return bool(_PLAIN.fullmatch(token) or _GROUPED.fullmatch(token) or _INFINITE.fullmatch(token))
 
 

@@ -38,7 +38,7 @@ _NAMED: Final = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "
 
 @dataclass(frozen=True)
 class Dialect:
-    """What was understood of a text.
+    """Dialect of a text.
 
     Attributes:
         separator: between fields; a space for any number of spaces and tabs.
@@ -73,7 +73,7 @@ class Dialect:
         return _lead(self.rows[0][1], self.separator)
 
     @property
-    def described(self) -> tuple[tuple[str, str], ...]:
+    def description(self) -> tuple[tuple[str, str], ...]:
         """The same for people."""
         header = f"line {self.header_line}" if self.header_line else "none"
         rows = f"{len(self.rows)}, lines {self.rows[0][0]} to {self.rows[-1][0]}"
@@ -138,7 +138,7 @@ def _is_comment(line: str) -> bool:
 
 
 def is_empty(line: str) -> bool:
-    """Whether a line is no row: blank, a comment, or separators alone, as spreadsheets write below their last row."""
+    """Return True if a line is no row: blank, a comment, or separators alone, as spreadsheets write at the end."""
     return not line.strip(" \t,;|") or _is_comment(line)
 
 
@@ -200,7 +200,7 @@ def _lead(line: str, separator: str) -> int:
 
 
 def is_row(line: str, separator: str, lead: int) -> bool:
-    """Whether a line begins as samples do: with a value, or nothing, in the field `lead` or the first behind it."""
+    """Return True if a line begins as samples do: a value, or nothing, in the field `lead` or the first behind it."""
     begins = next((field for field in fields_of(line, separator)[lead:] if field), "")
     return _is_value(begins) or is_missing(begins)
 
@@ -238,7 +238,7 @@ def _candidates(above: Sequence[str], separator: str, count: int, closed: bool) 
         if not line.strip():
             continue
         is_comment = _is_comment(line)
-        fields = _named(line.lstrip().lstrip("#%!/").strip() if is_comment else line, separator, count, closed)
+        fields = _header_names(line.lstrip().lstrip("#%!/").strip() if is_comment else line, separator, count, closed)
         if is_comment and len(fields) != count:
             continue
         if len(fields) < 2 <= count:
@@ -246,7 +246,7 @@ def _candidates(above: Sequence[str], separator: str, count: int, closed: bool) 
         yield number, fields
 
 
-def _named(line: str, separator: str, count: int, closed: bool) -> list[str]:
+def _header_names(line: str, separator: str, count: int, closed: bool) -> list[str]:
     """Names of a header; between spaces, names of several words hold together where the number of columns says so."""
     fields = fields_of(line, separator)
     if len(fields) == count + 1 and not fields[-1]:
@@ -262,14 +262,14 @@ def _named(line: str, separator: str, count: int, closed: bool) -> list[str]:
 
 
 def _is_unit_row(fields: Sequence[str]) -> bool:
-    """Whether all fields are units, but for a first one that says so."""
+    """Return True if all fields are units, except for a first one that says so."""
     own = fields[1:] if fields and fields[0].casefold().rstrip(":") in _LABELS else fields
     plain = [normal_unit(field) for field in own]
     return all(unit in UNITS or unit in _NO_UNIT for unit in plain) and any(unit in UNITS for unit in plain)
 
 
 def _is_row_of_types(fields: Sequence[str]) -> bool:
-    """Whether a row says of what data type the columns are, as controllers export it."""
+    """Return True if a row states the data types of the columns, as controllers export it."""
     return len(fields) > 1 and all(field.upper() in _TYPES for field in fields[1:])
 
 

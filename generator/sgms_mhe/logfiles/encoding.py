@@ -100,11 +100,11 @@ class Decoder:
             self._choose(self._stated or guess(self._waiting[:PROBE], whole=False))
         pending, self._waiting = self._waiting, b""
         try:
-            text = self._decoded(pending, whole)
+            text = self._decode(pending, whole)
         except UnicodeDecodeError:
             if self._stated is None and self._chosen == "utf-8" and self._plain:
                 self._choose("latin-1")  # ASCII so far, which is both
-                text = self._decoded(pending, whole)
+                text = self._decode(pending, whole)
             else:
                 allowed = f'{self._chosen} text; another encoding? [log] of the machine file has encoding = "..."'
                 raise InputError(self._path, "text", None, allowed) from None
@@ -118,7 +118,7 @@ class Decoder:
             raise _unknown(self._path, encoding) from None
         self._chosen = encoding
 
-    def _decoded(self, content: bytes, whole: bool) -> str:
+    def _decode(self, content: bytes, whole: bool) -> str:
         decoder = self._decoder
         if decoder is None:
             return ""

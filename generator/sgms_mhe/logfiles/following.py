@@ -66,7 +66,7 @@ class FollowedText:
 
     @property
     def begun(self) -> bool:
-        """Whether the first samples were found."""
+        """Return True if the first samples were found."""
         return self._rows is not None
 
     @property
@@ -136,7 +136,7 @@ class _Lines:
         return self._split(self._decoder.decode(content))
 
     def end(self, *, whole: bool) -> list[str]:
-        """What is left: `whole`: the last line too."""
+        """Return the remaining lines; `whole`: the last one too."""
         lines = self._split(self._decoder.decode(b"", ended=True, whole=whole))
         if self.rest and (whole or self.rest.endswith("\r")):
             lines.append(self.rest.removesuffix("\r"))
@@ -158,7 +158,7 @@ class _Lines:
 
 @dataclass
 class _Told:
-    """What the rows so far tell of those that follow.
+    """Knowledge from the rows so far about those that follow.
 
     Attributes:
         cells, turns: remember time stamps, groups of thousands and numbers that start over.
@@ -200,7 +200,7 @@ class _Rows:
             cells.columns,
             lambda names: cells.read(dialect, names),
             dialect.row,
-            dialect.described,
+            dialect.description,
             cells.stamped,
         )
         kind, self._sources = choose_sources(path, self._table, hints, machine.plant.kind)

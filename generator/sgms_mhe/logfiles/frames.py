@@ -16,7 +16,7 @@ FRAME = Path("DataFrame")
 
 
 class Frame(Protocol):
-    """What is asked of a table in memory; a pandas.DataFrame has it."""
+    """Interface of a table in memory; a pandas.DataFrame has it."""
 
     @property
     def columns(self) -> Iterable[Any]:

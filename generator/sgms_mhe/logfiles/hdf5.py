@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damaged, real
+from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damage_error, real
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import optional_library
 
@@ -30,10 +30,10 @@ def read_hdf5(path: Path, form: str = "HDF5") -> Table:
             return
         if node.dtype.names:
             for member in node.dtype.names:
-                column = f"{_dotted(name)}.{member}"
+                column = f"{_dot_name(name)}.{member}"
                 found[column] = (name, Column(column, column, shape=node.shape))
         elif node.dtype.kind in "fiub":
-            column = _dotted(name)
+            column = _dot_name(name)
             shape = node.shape[::-1] if turned else node.shape
             found[column] = (name, Column(column, column, _unit(node), shape))
 
@@ -41,7 +41,7 @@ def read_hdf5(path: Path, form: str = "HDF5") -> Table:
         with h5py.File(path, "r") as content:
             content.visititems(note)
     except Exception as error:  # the readers of a damaged file stumble in many ways
-        raise damaged(path, _WHOLE, error) from None
+        raise damage_error(path, _WHOLE, error) from None
 
     def read(names: Sequence[str]) -> Mapping[str, Array]:
         try:
@@ -55,12 +55,12 @@ def read_hdf5(path: Path, form: str = "HDF5") -> Table:
         except InputError:
             raise
         except Exception as error:
-            raise damaged(path, _WHOLE, error) from None
+            raise damage_error(path, _WHOLE, error) from None
 
     return Table(form, tuple(column for _, column in found.values()), read, array_row)
 
 
-def _dotted(name: str) -> str:
+def _dot_name(name: str) -> str:
     return name.strip("/").replace("/", ".")
 
 

@@ -1,4 +1,4 @@
-"""What was understood of a log, for people and for programs, and what every command that reads it would refuse."""
+"""Interpretation of a log, for people and for programs, and the reasons why commands would refuse it."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Inspection:
         finite = values[np.isfinite(values)]
         return {
             "name": source.quantity.column,
-            "from": source.described,
+            "from": source.description,
             "unit": source.unit,
             "because": source.because,
             "scale": source.scale,

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from sgms_mhe.logfiles.hdf5 import read_hdf5
-from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damaged
+from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damage_error
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _MATRIX, _COMPRESSED = 14, 15
@@ -41,7 +41,7 @@ class MatVariable:
 
     def read(self) -> Array:
         """The values in the variable's own shape; ValueError or zlib.error where they are damaged or not real."""
-        elements = _elements(_unpacked(self.body, self.packed), self.order)
+        elements = _elements(_unpack(self.body, self.packed), self.order)
         flags, shape, _ = _description(elements, self.order)
         if flags & 0xFF not in _NUMERIC_CLASSES or flags & _COMPLEX:
             raise ValueError(f"{self.name} is no array of real numbers")
@@ -63,13 +63,13 @@ def read_mat(path: Path) -> Table:
             return read_hdf5(path, "MAT v7.3")
         found = mat_variables(content)
     except (ValueError, zlib.error) as error:
-        raise damaged(path, whole, error) from None
+        raise damage_error(path, whole, error) from None
 
     def read(names: Sequence[str]) -> Mapping[str, Array]:
         try:
             return {name: found[name].read() for name in names}
         except (ValueError, zlib.error) as error:
-            raise damaged(path, whole, error) from None
+            raise damage_error(path, whole, error) from None
 
     columns = tuple(Column(name, name, shape=variable.shape) for name, variable in found.items())
     return Table("MAT v5", columns, read, array_row)
@@ -101,13 +101,13 @@ def mat_variables(content: bytes) -> dict[str, MatVariable]:
             continue  # an object of MATLAB's own, which no other program reads
         _, shape, name = _description(_elements(start, order), order)
         if flags & 0xFF == _STRUCT:
-            variables |= _members(_unpacked(body, packed), order, name, 0)
+            variables |= _members(_unpack(body, packed), order, name, 0)
         elif name:  # what has none is MATLAB's own
             variables[name] = MatVariable(name, shape, order, packed, body)
     return variables
 
 
-def _unpacked(body: memoryview, packed: bool) -> memoryview:
+def _unpack(body: memoryview, packed: bool) -> memoryview:
     return memoryview(zlib.decompress(body))[8:] if packed else body
 
 

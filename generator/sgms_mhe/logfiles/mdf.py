@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sgms_mhe.logfiles.table import Array, Table, array_row, columns_of, damaged, real
+from sgms_mhe.logfiles.table import Array, Table, array_row, columns_of, damage_error, real
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import optional_library
 
@@ -27,19 +27,19 @@ def read_mdf(path: Path) -> Table:
     with path.open("rb"):
         pass  # a file that cannot be opened is told from one that is no MDF
 
-    def opened() -> Any:
+    def open_file() -> Any:
         hook, sys.unraisablehook = sys.unraisablehook, _silent
         try:
             try:
                 return asammdf.MDF(path)
             except Exception as error:  # whatever a damaged file makes it stumble over
-                refusal = damaged(path, _WHOLE, error)
+                refusal = damage_error(path, _WHOLE, error)
             gc.collect()
         finally:
             sys.unraisablehook = hook
         raise refusal
 
-    with opened() as content:
+    with open_file() as content:
         places = [(g, c) for g, group in enumerate(content.groups) for c in range(len(group.channels))]
         channels = [content.groups[g].channels[c] for g, c in places]
         columns = columns_of([channel.name for channel in channels], [channel.unit or "" for channel in channels])
@@ -49,13 +49,13 @@ def read_mdf(path: Path) -> Table:
     def read(names: Sequence[str]) -> Mapping[str, Array]:
         values: dict[str, Array] = {}
         times: dict[str, Array] = {}
-        with opened() as content:
+        with open_file() as content:
             for name in names:
                 group, channel = where[name]
                 try:
                     signal = content.get(group=group, index=channel)
                 except Exception as error:
-                    raise damaged(path, _WHOLE, error) from None
+                    raise damage_error(path, _WHOLE, error) from None
                 is_master = masters[group] == channel
                 times[name] = np.asarray(signal.timestamps, dtype=np.float64)
                 values[name] = times[name] if is_master else real(path, f"channel {name}", signal.samples)
@@ -66,7 +66,7 @@ def read_mdf(path: Path) -> Table:
 
 
 def _silent(unraisable: Any) -> None:
-    """What asammdf leaves half made of a damaged file complains of itself when it goes; the refusal says it."""
+    """Silence the complaints of asammdf about a damaged file that it leaves half open; the refusal says it."""
 
 
 def _check_times(path: Path, times: Mapping[str, Array]) -> None:

@@ -34,7 +34,7 @@ _LARGE: Final = 0.3
 
 @dataclass(frozen=True)
 class ForceBalance:
-    """What a log's force goes with.
+    """Regression of a log's force on its motion.
 
     Attributes:
         inertia: c [kg, or kg m^2]; 0 where it cannot be told from nothing.
@@ -45,8 +45,8 @@ class ForceBalance:
     dissipates: int
 
     @property
-    def reversed(self) -> bool:
-        """Whether the force accelerates against itself, or friction drives the motion, and nothing speaks for it."""
+    def has_wrong_sign(self) -> bool:
+        """Return True if the force accelerates against itself, or friction drives the motion, and no vote differs."""
         votes = (self.inertia, float(self.dissipates))
         return min(votes) < 0.0 and max(votes) <= 0.0
 
@@ -68,7 +68,7 @@ def force_balance(x: Array, v: Array, a: Array, force: Array, distance: float) -
 
 
 def _is_motion(values: Array, counted: Mask, least: float) -> bool:
-    """Whether a derivative of position is motion: over intervals twice as long it is about as large; noise is not.
+    """Return True if a derivative of position is motion: as large over intervals twice as long; noise is not.
 
     A controller answers to the noise of its encoder: a force goes with it that says nothing of mass or friction.
     """
@@ -128,7 +128,7 @@ def _jackknife(A: Array, force: Array) -> tuple[Array, list[Array]]:
     """(solution of the whole, solutions without each block in turn)."""
     parts = zip(np.array_split(A, BLOCKS), np.array_split(force, BLOCKS), strict=True)
     normal = [(part.T @ part, part.T @ y) for part, y in parts]
-    return _solved(normal), [_solved([*normal[:k], *normal[k + 1 :]]) for k in range(BLOCKS)]
+    return _solve(normal), [_solve([*normal[:k], *normal[k + 1 :]]) for k in range(BLOCKS)]
 
 
 def since_reversal(x: Array, distance: float) -> Array:
@@ -147,12 +147,12 @@ def since_reversal(x: Array, distance: float) -> Array:
     return travelled
 
 
-def _solved(normal: list[tuple[Array, Array]]) -> Array:
+def _solve(normal: list[tuple[Array, Array]]) -> Array:
     return np.asarray(np.linalg.lstsq(sum(n for n, _ in normal), sum(b for _, b in normal), rcond=1e-10)[0])
 
 
 def _sure(value: float, others: list[float]) -> bool:
-    """Whether a number is far from zero by the jackknife's standard error."""
+    """Return True if a number is significantly different from zero by the jackknife's standard error."""
     n = len(others)
     error = float(np.sqrt((n - 1) / n * np.sum((np.array(others) - np.mean(others)) ** 2)))
     return abs(value) > _SURE * error

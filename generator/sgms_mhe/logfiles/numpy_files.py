@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damaged, real, seconds
+from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damage_error, real, seconds
 from sgms_mhe.support.errors import InputError
 
 _WHOLE = "a whole NPZ archive, or NPY file, of numeric arrays"
@@ -20,23 +20,23 @@ def read_numpy(path: Path) -> Table:
         try:
             content = np.load(stream, allow_pickle=False)
             if isinstance(content, np.ndarray):
-                return _of_array(path, content)
-            found = {name: _described(content, name) for name in content.files}
+                return _array_table(path, content)
+            found = {name: _describe(content, name) for name in content.files}
         except Exception as error:  # the readers of a damaged file stumble in many ways
-            raise damaged(path, _WHOLE, error) from None
+            raise damage_error(path, _WHOLE, error) from None
 
     def read(names: Sequence[str]) -> Mapping[str, Array]:
         try:
             with np.load(path, allow_pickle=False) as archive:
                 values = {name: archive[name] for name in names}
         except Exception as error:
-            raise damaged(path, _WHOLE, error) from None
+            raise damage_error(path, _WHOLE, error) from None
         return {name: _values(path, name, value) for name, value in values.items()}
 
     return Table("NPZ", tuple(found.values()), read, array_row, stamped=frozenset())
 
 
-def _described(archive: Any, name: str) -> Column:
+def _describe(archive: Any, name: str) -> Column:
     """A column of an archive, its shape read from the array's own header without its values."""
     with archive.zip.open(f"{name}.npy" if f"{name}.npy" in archive.zip.namelist() else name) as stream:
         version = np.lib.format.read_magic(stream)
@@ -45,7 +45,7 @@ def _described(archive: Any, name: str) -> Column:
     return Column(name, name, shape=shape)
 
 
-def _of_array(path: Path, array: Any) -> Table:
+def _array_table(path: Path, array: Any) -> Table:
     names = array.dtype.names
     if names:
         columns = tuple(Column(name, name, shape=array.shape) for name in names)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damaged, real, seconds
+from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damage_error, real, seconds
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import optional_library
 
@@ -27,7 +27,7 @@ def read_parquet(path: Path) -> Table:
     try:
         schema = parquet.read_schema(path)
     except (arrow.ArrowException, OSError, ValueError) as error:
-        raise damaged(path, _WHOLE, error) from None
+        raise damage_error(path, _WHOLE, error) from None
     columns = tuple(Column(entry.name, entry.name, _unit(entry.metadata)) for entry in schema)
     stamped = frozenset(entry.name for entry in schema if arrow.types.is_timestamp(entry.type))
 
@@ -39,7 +39,7 @@ def read_parquet(path: Path) -> Table:
         except InputError:
             raise
         except (arrow.ArrowException, OSError, ValueError) as error:
-            raise damaged(path, _WHOLE, error) from None
+            raise damage_error(path, _WHOLE, error) from None
 
     return Table("Parquet", columns, read, array_row, stamped=stamped)
 

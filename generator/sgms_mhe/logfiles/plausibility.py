@@ -1,4 +1,4 @@
-"""Whether a log's columns can be what they are called, on the machine that they are read for.
+"""Plausibility of a log's columns on the machine that they are read for.
 
 A log with its columns mixed up, of the other sign, or in a unit that nobody stated, still holds numbers: an estimator
 would follow them and say nothing. What no axis can have measured is refused here, with what was seen and what to write.
@@ -83,7 +83,7 @@ def _units(log: Log, name: str) -> Mapping[str, tuple[float, float]]:
     return next(quantity.units for quantity in QUANTITIES[log.kind] if quantity.column == own)
 
 
-def _refused(log: Log, where: str, seen: object, allowed: str) -> InputError:
+def _refusal(log: Log, where: str, seen: object, allowed: str) -> InputError:
     return InputError(log.source or "log", where, seen, allowed)
 
 
@@ -96,7 +96,7 @@ def _check_constant(log: Log) -> None:
         values = log.columns[name]
         finite = values[np.isfinite(values)]
         if len(finite) and finite.min() == finite.max():
-            raise _refused(log, f"column {log.units.named(name)}, every row", float(finite[0]), f"{what}; {_MAPPING}")
+            raise _refusal(log, f"column {log.units.named(name)}, every row", float(finite[0]), f"{what}; {_MAPPING}")
 
 
 _CHANGING: Final = {
@@ -114,9 +114,9 @@ def _check_copies(log: Log) -> None:
         steps = (1.0, 1e3, 1e6, 1e9, log.rate)
         if slope is not None and (name == "force_N" or any(math.isclose(slope, s, rel_tol=1e-6) for s in steps)):
             seen = f"grows by {slope:.6g} every second"
-            raise _refused(log, f"column {log.units.named(name)}", seen, f"no time and no row number; {_MAPPING}")
+            raise _refusal(log, f"column {log.units.named(name)}", seen, f"no time and no row number; {_MAPPING}")
     if _slope(log.position_m, log.force_N) is not None:
-        raise _refused(log, _both(log), "the same signal", f"two signals; {_MAPPING}")
+        raise _refusal(log, _both(log), "the same signal", f"two signals; {_MAPPING}")
 
 
 def _both(log: Log) -> str:
@@ -252,7 +252,7 @@ def _check_balance(log: Log, machine: Machine | None, motion: _Motion) -> None:
     units = log.units
     position, force = units.named("position_m"), units.named("force_N")
     share = f"{balance.inertia:.3g} {units.force} per {units.acceleration}"
-    if balance.reversed:
+    if balance.has_wrong_sign:
         seen = share if balance.inertia < 0.0 else "drives the motion as no friction does"
         allowed = (
             f"a {units.push} that accelerates the axis the way that {position} counts; of the other sign "
@@ -281,14 +281,14 @@ def _breakaway(machine: Machine) -> float:
 
 
 def _resisting(log: Log, machine: Machine) -> float:
-    """What friction takes at most at the speeds of this log [N]."""
+    """Return the largest friction at the speeds of this log [N]."""
     friction = machine.friction
     fastest = _fastest(log.position_m, machine.sampling.samples_per_update, log.rate)
     return friction.coulomb * (1.0 + friction.stribeck_ratio) + friction.viscous * fastest
 
 
 def _remedy(log: Log, machine: Machine, ratio: float) -> str:
-    """What to write where force over acceleration is `ratio` times the mass: units that would put it right."""
+    """Return the line to write where force over acceleration is `ratio` times the mass: units that correct it."""
     fastest = _fastest(log.position_m, machine.sampling.samples_per_update, log.rate)
     highest, found, units = machine.sampling.max_velocity, [], log.units
     position, force = units.named("position_m"), units.named("force_N")

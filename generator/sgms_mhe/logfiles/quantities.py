@@ -46,7 +46,7 @@ class Turns:
 
 
 def turns_of(sources: tuple[Source, ...]) -> dict[str, Turns]:
-    """What is remembered of the columns that start over, by their names in the table."""
+    """Return the turn counters of the columns that start over, by their names in the table."""
     return {source.column: Turns(source.wrap) for source in sources if source.wrap is not None}
 
 

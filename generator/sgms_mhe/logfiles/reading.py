@@ -41,7 +41,7 @@ TEXTS: Final = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn", ".log")
 
 @dataclass(frozen=True)
 class Reading:
-    """What was understood of a file, not yet judged.
+    """Content of a file, not yet judged.
 
     Attributes:
         table: the file, its format and dialect understood.

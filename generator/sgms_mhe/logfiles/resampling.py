@@ -39,7 +39,7 @@ class Interpolation:
 
 @dataclass(frozen=True)
 class Resampling:
-    """What became of a log whose time is uneven: columns (m,) on a grid of `rate`; NaN in `missing` samples."""
+    """A log of uneven time, resampled: columns (m,) on a grid of `rate`; NaN in `missing` samples."""
 
     rate: float
     columns: Mapping[str, Array]
@@ -78,9 +78,9 @@ def resample(path: Path, columns: Mapping[str, Array], timing: Timing, rate: flo
         if len(known) < 8:
             raise InputError(path, f"column {name}", f"{len(known)} numbers", "at least 8, to interpolate between them")
         interpolations[name] = best = _best(at, known, float(np.std(known)))
-        gap = _in_gap(grid, at, GAP * timing.step)
+        gap = _find_gap_points(grid, at, GAP * timing.step)
         missing |= gap
-        taken[name] = np.where(gap, np.nan, _interpolated(best.method, at, known, grid))
+        taken[name] = np.where(gap, np.nan, _interpolate(best.method, at, known, grid))
     return Resampling(chosen, taken, interpolations, int(np.count_nonzero(missing)))
 
 
@@ -88,19 +88,19 @@ def _best(at: Array, known: Array, spread: float) -> Interpolation:
     errors = {}
     for method in _METHODS:
         inner = slice(1, -1 if len(at) % 2 else -2)
-        left = known[1::2] - _interpolated(method, at[::2], known[::2], at[1::2])
+        left = known[1::2] - _interpolate(method, at[::2], known[::2], at[1::2])
         errors[method] = float(np.sqrt(np.mean(left[inner] ** 2)))
     method = min(errors, key=lambda name: errors[name])
     return Interpolation(method, errors[method], errors[method] / spread if spread else 0.0)
 
 
-def _interpolated(method: str, at: Array, known: Array, grid: Array) -> Array:
+def _interpolate(method: str, at: Array, known: Array, grid: Array) -> Array:
     if method == "line":
         return np.interp(grid, at, known)
     return np.asarray(CubicSpline(at, known)(np.clip(grid, at[0], at[-1])))
 
 
-def _in_gap(grid: Array, at: Array, longest: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _find_gap_points(grid: Array, at: Array, longest: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     """Grid points between samples further apart than `longest`, or beyond the samples."""
     right = np.clip(np.searchsorted(at, grid), 1, len(at) - 1)
     inside = (grid >= at[0]) & (grid <= at[-1] * (1 + 1e-12) + 1e-12)

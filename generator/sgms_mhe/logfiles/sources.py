@@ -1,4 +1,4 @@
-"""Which column of a file is which quantity, and in what unit: by `[log]`, by the log's own names, by name and unit.
+"""Assignment of columns to quantities and units: by `[log]`, by the log's own names, by name and unit.
 
 A name alone is never enough: `position` without a unit is refused with the line that would say it.
 """
@@ -52,7 +52,7 @@ class Source:
     wrap: float | None = None
 
     @property
-    def described(self) -> str:
+    def description(self) -> str:
         """Column and row, for people."""
         return self.column if self.row is None else f"{self.column}, row {self.row}"
 
@@ -111,7 +111,7 @@ def _is_alias(column: Column, quantity: Quantity) -> bool:
     return _plain(last) in ALIASES.get(quantity.role, ())
 
 
-def _stated(column: Column, quantity: Quantity) -> str:
+def _stated_unit(column: Column, quantity: Quantity) -> str:
     """The unit that the file states for a column, beside the name or in it, as this package spells it."""
     beside = normal_unit(column.unit)
     unit = beside if beside not in ("", "-") else normal_unit(split_name(column.header)[1])
@@ -129,10 +129,10 @@ def _candidates(table: Table, quantity: Quantity, bare: LogColumn | None = None)
     named = [column for column in table.columns if _is_alias(column, quantity)]
     stamps = [column for column in named if column.name in table.stamped] if quantity.role == "time" else []
     if bare is not None and (bare.unit is not None or bare.scale != 1.0):
-        stated = [column for column in named if _stated(column, quantity) == normal_unit(bare.unit or "")]
-        return stamps or stated or [column for column in named if not _stated(column, quantity)] or named
-    sound = [column for column in named if _stated(column, quantity) in quantity.units]
-    return stamps or sound or [column for column in named if _stated(column, quantity) in quantity.allowed]
+        stated = [column for column in named if _stated_unit(column, quantity) == normal_unit(bare.unit or "")]
+        return stamps or stated or [column for column in named if not _stated_unit(column, quantity)] or named
+    sound = [column for column in named if _stated_unit(column, quantity) in quantity.units]
+    return stamps or sound or [column for column in named if _stated_unit(column, quantity) in quantity.allowed]
 
 
 def _kind(path: Path, table: Table, mapping: LogMapping | None, preferred: Kind | None) -> Kind:
@@ -151,7 +151,7 @@ def _kinds(table: Table, mapping: LogMapping | None, *, sure: bool) -> list[Kind
         kind
         for kind, quantities in QUANTITIES.items()
         if any(
-            not sure or column.header == quantity.column or _stated(column, quantity) in quantity.units
+            not sure or column.header == quantity.column or _stated_unit(column, quantity) in quantity.units
             for quantity in quantities
             if quantity.role in ("position", "force")
             for column in _candidates(
@@ -170,7 +170,7 @@ def _shown(table: Table) -> str:
 def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | None, *, optional: bool) -> Source | None:
     bare = mapped if mapped is not None and mapped.is_bare else None
     named = mapped if bare is None else None
-    column = None if named is None else _named(path, table, quantity, named)
+    column = None if named is None else _mapped_column(path, table, quantity, named)
     if column is None:
         found = _candidates(table, quantity, bare)
         if named is not None:  # what [log] names is not there: only a log of this package's own takes its place
@@ -207,10 +207,10 @@ def _line(quantity: Quantity, name: str, unit: str = "") -> str:
 def _missing(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | None) -> InputError:
     wanted = quantity.column
     if mapped is not None:
-        wanted = f"{mapped.described} (log.{quantity.column}) or {quantity.column}"
+        wanted = f"{mapped.description} (log.{quantity.column}) or {quantity.column}"
     named = next((column for column in table.columns if _is_alias(column, quantity)), None)
     if named is not None:
-        stated = _stated(named, quantity)
+        stated = _stated_unit(named, quantity)
         seen = f"in {stated}, which is none of {', '.join(quantity.allowed)}" if stated else "without a unit"
         hint = f"{named.name} is there {seen}; [log] of the machine file says: {_line(quantity, named.name)}"
     else:
@@ -220,14 +220,14 @@ def _missing(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | N
     return InputError(path, f"column {quantity.column}", None, allowed)
 
 
-def _named(path: Path, table: Table, quantity: Quantity, mapped: LogColumn) -> Column | None:
+def _mapped_column(path: Path, table: Table, quantity: Quantity, mapped: LogColumn) -> Column | None:
     """The column that [log] names: exactly, else by its name without the unit; None where there is none."""
     columns = table.columns
     if not mapped.name:
         if len(columns) == 1:
             return columns[0]
         allowed = f"a variable beside the row; the file has {_shown(table)}"
-        raise InputError(path, f"[log] {quantity.column}", mapped.described, allowed)
+        raise InputError(path, f"[log] {quantity.column}", mapped.description, allowed)
     name = mapped.name
     exact = [column for column in columns if name in (column.name, column.header)]
     found = exact or [c for c in columns if _plain(split_name(c.header)[0]) == _plain(name)]
@@ -244,10 +244,10 @@ def _mapped_unit(path: Path, quantity: Quantity, mapped: LogColumn, column: Colu
         return quantity.unit, "time stamps"
     if mapped.unit is not None:
         return normal_unit(mapped.unit), "[log]"
-    stated = _stated(column, quantity)
+    stated = _stated_unit(column, quantity)
     if mapped.scale != 1.0 or not stated:
         return quantity.unit, "[log]"
-    return _checked(path, quantity, column, stated), "[log], its unit by the file"
+    return _check_unit(path, quantity, column, stated), "[log], its unit by the file"
 
 
 def _own(path: Path, quantity: Quantity, column: Column, stamped: bool) -> Source:
@@ -261,11 +261,11 @@ def _own(path: Path, quantity: Quantity, column: Column, stamped: bool) -> Sourc
             allowed = f"the unit {quantity.unit}, as in its name; which holds? [log] of the machine file says: {line}"
             raise InputError(path, f"column {column.name}, unit", column.unit, allowed)
         return Source(quantity, column.name, quantity.unit, "its name")
-    stated = _checked(path, quantity, column, _stated(column, quantity))
+    stated = _check_unit(path, quantity, column, _stated_unit(column, quantity))
     return Source(quantity, column.name, stated, "name and unit")
 
 
-def _checked(path: Path, quantity: Quantity, column: Column, unit: str) -> str:
+def _check_unit(path: Path, quantity: Quantity, column: Column, unit: str) -> str:
     """A unit that the file states, where it alone makes SI values; else refused with what [log] has to say."""
     if unit in quantity.units:
         return unit

@@ -32,7 +32,7 @@ _DAY: Final = 86400
 
 
 def stamp_form(token: str) -> str | None:
-    """What kind of time stamp a field is, or None."""
+    """Return the kind of time stamp of a field, or None."""
     return next((name for name, form in _FORMS if form.fullmatch(token)), None) if ":" in token else None
 
 

@@ -1,4 +1,4 @@
-"""What every reader of a file gives: named columns, read when they are asked for, and where their rows stand."""
+"""Interface of every reader of a file: named columns, read when they are asked for, and where their rows stand."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Table:
     notes: tuple[str, ...] = ()
 
 
-def damaged(path: Path, allowed: str, error: Exception) -> InputError:
+def damage_error(path: Path, allowed: str, error: Exception) -> InputError:
     """The error of a file that its reader stumbles over."""
     return InputError(path, "file", None, f"{allowed} ({type(error).__name__}: {error})")
 

@@ -31,7 +31,7 @@ def read_text(path: Path, hints: LogMapping | None) -> Table:
         cells.columns,
         lambda names: Cells(path, dialect, hints).read(dialect, names),
         dialect.row,
-        (("encoding", encoding), *dialect.described),
+        (("encoding", encoding), *dialect.description),
         cells.stamped,
         (left,) if left else (),
     )
@@ -127,7 +127,7 @@ def read_plainly(path: Path, dialect: Dialect, indices: Sequence[int]) -> list[A
     return [np.ascontiguousarray(values[:, k]) for k in range(len(indices))]
 
 
-def _refused(path: Path, dialect: Dialect, name: str, index: int, token: str, allowed: str) -> InputError:
+def _refusal(path: Path, dialect: Dialect, name: str, index: int, token: str, allowed: str) -> InputError:
     return InputError(path, f"{dialect.row(index)}, column {name}", token, allowed)
 
 
@@ -137,7 +137,7 @@ def _stamps(path: Path, dialect: Dialect, name: str, tokens: Sequence[str], cloc
         return clock.seconds(tokens)
     except ValueError as error:
         index, allowed = error.args
-        raise _refused(path, dialect, name, index, tokens[index], allowed) from None
+        raise _refusal(path, dialect, name, index, tokens[index], allowed) from None
 
 
 def _numbers(path: Path, dialect: Dialect, name: str, tokens: Sequence[str], told: set[str], ahead: bool) -> Array:
@@ -154,12 +154,12 @@ def _numbers(path: Path, dialect: Dialect, name: str, tokens: Sequence[str], tol
         except ValueError:
             mark, remedy = _MARKS[dialect.decimal]
             allowed = f"a number with a decimal {mark}, or NaN{remedy if is_number(token) else ''}"
-            raise _refused(path, dialect, name, k, token, allowed) from None
+            raise _refusal(path, dialect, name, k, token, allowed) from None
     if name not in told:
         grouped = [k for k, token in enumerate(tokens) if other in token]
         telling = next((k for k in grouped if told_by(tokens[k]) == dialect.decimal), None)
         if grouped and (telling is None or (telling > grouped[0] and not ahead)):
-            raise _refused(path, dialect, name, grouped[0], tokens[grouped[0]], UNTOLD)
+            raise _refusal(path, dialect, name, grouped[0], tokens[grouped[0]], UNTOLD)
         if grouped:
             told.add(name)
     return values

@@ -18,7 +18,7 @@ GAP = 2.5
 
 @dataclass(frozen=True)
 class Timing:
-    """What the time stamps of a log say.
+    """Time stamps of a log, summarised.
 
     Attributes:
         samples: how many there are.
@@ -43,7 +43,7 @@ class Timing:
 
     @property
     def uniform(self) -> bool:
-        """Whether every step is the usual one within what a log may have."""
+        """Return True if every step is the usual one within the tolerance of a log."""
         return max(self.longest - self.step, self.step - self.shortest) <= JITTER * self.step
 
 

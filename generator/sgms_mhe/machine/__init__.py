@@ -14,7 +14,7 @@ from sgms_mhe.machine.reading import (
     log_mapping,
     log_table,
     machine_file,
-    merged,
+    merge_tables,
     read_log_table,
     read_machine_file,
 )
@@ -63,7 +63,7 @@ __all__ = [
     "log_mapping",
     "log_table",
     "machine_file",
-    "merged",
+    "merge_tables",
     "normal_unit",
     "plant_content",
     "read_log_table",

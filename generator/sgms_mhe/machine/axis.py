@@ -17,7 +17,7 @@ SUM_TOLERANCE: Final = 1e-6
 
 
 class Plant(Table):
-    """What moves."""
+    """Moved mass or inertia."""
 
     kind: Kind = text("what the axis does: moves along, or turns", "linear or rotary", "linear")
     mass: float | None = Field(
@@ -29,7 +29,7 @@ class Plant(Table):
 
     @property
     def units(self) -> Units:
-        """What this kind of axis calls its quantities."""
+        """Return the names of the units of this kind of axis."""
         return OF_KIND[self.kind]
 
     @property
@@ -102,7 +102,7 @@ class Friction(Table):
 
     @property
     def switches(self) -> bool:
-        """Whether elements go over from sticking to slipping at once."""
+        """Return True if elements go over from sticking to slipping at once."""
         return self.law == "switching"
 
     @property

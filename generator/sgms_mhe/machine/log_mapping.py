@@ -59,7 +59,7 @@ class LogColumn(_Spare):
         return ".".join(part for part in (self.variable, self.member) if part)
 
     @property
-    def described(self) -> str:
+    def description(self) -> str:
         """Name and row, as messages say them."""
         row = "" if self.row is None else f"row {self.row}"
         return f"{self.name}, {row}" if self.name and row else self.name or row or "its usual name"
@@ -158,7 +158,7 @@ class LogMapping(_Spare):
         known = [quantity.column for quantity in QUANTITIES[self.kind]] if self.kind else list(self.columns)
         for name, column in self.columns.items():
             if name not in known and not column.is_bare:
-                raise refusal(name, getattr(self, name).described, f"columns of one kind of axis: {listing(known)}")
+                raise refusal(name, getattr(self, name).description, f"columns of one kind of axis: {listing(known)}")
         return self
 
 

@@ -53,9 +53,9 @@ class MachineFile:
         """The file itself."""
         return self.layers[0].path
 
-    def refused(self, loc: Sequence[Key], value: object, allowed: str) -> InputError:
+    def refusal(self, loc: Sequence[Key], value: object, allowed: str) -> InputError:
         """The error of a key, entries of arrays counted from 0, in the terms of the layer that holds it."""
-        return _refused(self.layers, loc, value, allowed)
+        return _refusal(self.layers, loc, value, allowed)
 
     def invalid(self, error: ValidationError, table: Sequence[Key]) -> InputError:
         """The error of what pydantic refused in a table."""
@@ -70,7 +70,7 @@ def read_machine_file(machine: str | Path) -> MachineFile:
     layers = _read_layers(_find(machine, Path(), str(machine), "machine"))
     content: dict[str, Any] = {}
     for layer in reversed(layers):
-        content = merged(content, layer.content)
+        content = merge_tables(content, layer.content)
     return machine_file(content, layers)
 
 
@@ -104,7 +104,7 @@ def log_table(own: Mapping[str, Any], stated: Mapping[str, Any]) -> dict[str, An
     return {
         **own,
         **{
-            key: merged({"variable": own[key]} if isinstance(own.get(key), str) else own.get(key), entry)
+            key: merge_tables({"variable": own[key]} if isinstance(own.get(key), str) else own.get(key), entry)
             if isinstance(entry, Mapping)
             else entry
             for key, entry in stated.items()
@@ -112,19 +112,19 @@ def log_table(own: Mapping[str, Any], stated: Mapping[str, Any]) -> dict[str, An
     }
 
 
-def merged(base: Any, over: Any) -> Any:
+def merge_tables(base: Any, over: Any) -> Any:
     """Content `over` laid over `base`: tables merge key by key; everything else, arrays included, is replaced.
 
     A friction law takes away the smoothing and the integrator of another one.
     """
     if isinstance(base, Mapping) and isinstance(over, Mapping):
-        kept = _of_law(base, over)
-        return {**kept, **{key: merged(kept.get(key), value) for key, value in over.items()}}
+        kept = _strip_other_law(base, over)
+        return {**kept, **{key: merge_tables(kept.get(key), value) for key, value in over.items()}}
     return over
 
 
-def _of_law(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """What of `base` is left where `over` gives another friction law."""
+def _strip_other_law(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the part of `base` that remains where `over` gives another friction law."""
     kept = dict(base)
     before, after = base.get("friction"), over.get("friction")
     if not isinstance(before, Mapping) or not isinstance(after, Mapping):
@@ -214,7 +214,7 @@ def _look_up(content: Any, keys: Sequence[Key]) -> Any:
     return content
 
 
-def _spelled(loc: Sequence[Key]) -> str:
+def _spell_key(loc: Sequence[Key]) -> str:
     """Dotted key as in the file; array entries count from 1 as everything a user sees does."""
     spelled = ""
     for key in loc:
@@ -270,14 +270,14 @@ def _input_error(error: ValidationError, layers: Sequence[Layer], table: Sequenc
     else:
         message = detail["msg"].removeprefix("Input should be ")
         allowed = f"{message}; {described}" if described else message
-    return _refused(layers, loc, value, allowed)
+    return _refusal(layers, loc, value, allowed)
 
 
-def _refused(layers: Sequence[Layer], loc: Sequence[Key], value: object, allowed: str) -> InputError:
+def _refusal(layers: Sequence[Layer], loc: Sequence[Key], value: object, allowed: str) -> InputError:
     holder = next((layer.path for layer in layers if _look_up(layer.content, loc) is not _MISSING), layers[0].path)
     if holder != layers[0].path:
         allowed += f" (in {layers[0].path}, which extends it)"
-    return InputError(holder, _spelled(loc), value, allowed)
+    return InputError(holder, _spell_key(loc), value, allowed)
 
 
 def _split(where: str) -> list[str]:

@@ -123,7 +123,7 @@ class Sampling(Table):
         return max(count for count in range(1, most + 1) if self._can_read(count))
 
     def _can_read(self, count: int) -> bool:
-        """Whether so many readings per interval lie whole integration steps apart."""
+        """Return True if so many measurements per interval lie whole integration steps apart."""
         samples = self.samples_per_update
         return samples % count == 0 and samples // count % self.merged == 0
 

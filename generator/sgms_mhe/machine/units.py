@@ -1,4 +1,4 @@
-"""What the two kinds of axis call the same quantities: units, and names that end in a unit.
+"""Names of the same quantities for the two kinds of axis: units, and names that end in a unit.
 
 A rotary axis is a linear one with an angle for the position, a torque for the force and an inertia for the mass. The
 model, the estimator and the diagnosis know generalised coordinates alone, under the linear axis's names; what a user
@@ -69,12 +69,12 @@ def suffix_of(name: str) -> str:
 
 
 def is_ratio(name: str) -> bool:
-    """Whether a name is that of a ratio, which is read as percent."""
+    """Return True if a name is that of a ratio, which is shown as percent."""
     return name.endswith(PURE_NUMBERS[0])
 
 
 def is_pure_number(name: str) -> bool:
-    """Whether a name says that there is no unit."""
+    """Return True if a name says that there is no unit."""
     return name.rpartition("_")[2] in PURE_NUMBERS
 
 

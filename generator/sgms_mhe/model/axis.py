@@ -134,8 +134,8 @@ class SymbolicAxis:
         self.output = force - self.mass * self.measured[2]
 
     @property
-    def transmitted(self) -> ca.SX:
-        """What the drive delivers behind friction, mass * acceleration + load [N]: of known signals alone."""
+    def transmitted_force(self) -> ca.SX:
+        """Return the drive's force behind friction, mass * acceleration + load [N]: of known signals alone."""
         return self.mass * self.acceleration + self.load
 
     def forget(self) -> dict[str, ca.SX]:

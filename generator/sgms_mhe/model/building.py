@@ -105,7 +105,7 @@ class Model:
 
     @property
     def output_is_affine(self) -> bool:
-        """Whether the output is affine in (node state, theta) jointly, whatever the signals are.
+        """Return True if the output is affine in (node state, theta) jointly, whatever the signals are.
 
         Its Jacobian is then the same at any two points, up to rounding. It is compared at random ones of all sizes:
         what cancels on paper (the Coulomb level of a node state that is a force) still stands in the expression.
@@ -115,15 +115,15 @@ class Model:
         function = ca.Function("slopes", [variables, self.w], [ca.densify(ca.jacobian(output, variables))])
         rng = np.random.default_rng(3)
 
-        def signed(count: int, low: float, high: float) -> NDArray[np.float64]:
+        def draw(count: int, low: float, high: float) -> NDArray[np.float64]:
             return np.asarray(rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(low, high, count))
 
         def slopes(w: NDArray[np.float64]) -> NDArray[np.float64]:
             theta = [rng.uniform(max(p.lower, 0.9), min(p.upper, 1.1)) for p in self.parameters]
-            return np.array(function(np.concatenate([signed(self.n_x, -2.0, 1.0), theta]), w))
+            return np.array(function(np.concatenate([draw(self.n_x, -2.0, 1.0), theta]), w))
 
         for _ in range(100):
-            w = signed(len(SIGNAL_NAMES), -6.0, 2.0)
+            w = draw(len(SIGNAL_NAMES), -6.0, 2.0)
             here, there = slopes(w), slopes(w)
             if not np.max(np.abs(there - here)) <= 1e-11 * np.max(np.abs(here)):
                 return False
@@ -348,7 +348,7 @@ def build_model(machine: Machine) -> Model:
         to_node=ca.vertcat(*(state.to_node for state in axis.states)),
         from_node=ca.vertcat(*(state.from_node for state in axis.states)),
         output=axis.output,
-        feed_forward=_at_rest(
+        feed_forward=_rest_states(
             prompt - axis.nominal_mass * axis.measured[2], rhs, chi, axis.measured, len(friction.stiffness)
         ),
         deflection=elements.deflection,
@@ -359,7 +359,7 @@ def build_model(machine: Machine) -> Model:
     )
 
 
-def _at_rest(force: ca.SX, rhs: ca.SX, chi: ca.SX, w: ca.SX, elements: int) -> ca.SX:
+def _rest_states(force: ca.SX, rhs: ca.SX, chi: ca.SX, w: ca.SX, elements: int) -> ca.SX:
     """A force with the states that acceleration or drive force move where they come to rest while these hold.
 
     A force that answers the drive's own force is no friction: fed forward it would feed back. Such states obey linear
@@ -385,7 +385,7 @@ def _reads(rhs: ca.SX, states: set[int], symbol: ca.SX) -> bool:
 
 @dataclass(frozen=True)
 class PlainForce:
-    """What an effect adds to the output of a model whose rest it leaves as it is.
+    """Force that an effect adds to the output of a model and leaves the rest unchanged.
 
     Attributes:
         parameters: the free ones of the effect.
@@ -433,7 +433,7 @@ def plain_force(machine: Machine, label: str) -> PlainForce | None:
 
 
 def load_is_read(machine: Machine) -> bool:
-    """Whether anything that effects set on the axis hangs on its load."""
+    """Return True if a contribution of effects to the axis depends on its load."""
     axis = _bare_axis(machine)
     open_ends = axis.forget()
     for effect in _effects(machine, _Parameters(machine)):

@@ -40,7 +40,7 @@ class Smoothing:
 
 @dataclass(frozen=True)
 class Elements:
-    """What the rest of the model says of the elements.
+    """Elements as the rest of the model sees them.
 
     Attributes:
         deflection: z [m] (n_z).

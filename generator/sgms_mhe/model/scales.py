@@ -1,4 +1,4 @@
-"""What effects count in, from a machine."""
+"""Scales of a machine, in which effects are sized."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an axis whose elements switch must be like: each element takes a step in closed form."""
+"""Conditions on an axis whose elements switch: each element takes a step in closed form."""
 
 from __future__ import annotations
 

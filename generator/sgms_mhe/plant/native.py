@@ -121,7 +121,7 @@ def loaded_library() -> Library:
 
 @dataclass(frozen=True)
 class _Limits:
-    """What a number may be: the machine file's own limits hold for true values too."""
+    """Limits of a number: the machine file's own limits hold for true values too."""
 
     low: float
     high: float
@@ -130,7 +130,7 @@ class _Limits:
     with_high: bool = True
 
     def hold(self, value: float) -> bool:
-        """Whether a value lies within."""
+        """Return True if a value lies within."""
         above = value >= self.low if self.with_low else value > self.low
         below = value <= self.high if self.with_high else value < self.high
         return above and below and math.isfinite(value)
@@ -214,7 +214,7 @@ class NativeAxis:
             self._arrays[name] = len(values)
             for i, value in enumerate(values):
                 self._declare(f"{name}_{i + 1}", value, self._setting(name, i), limits[name])
-        fixed = self._fixed(machine, config)
+        fixed = self._fixed_parameters(machine, config)
         for name, value in fixed.items():
             self._setting(name)(value)
         self._substep_s = 1.0 / (fixed["rate"] * fixed["substeps"])
@@ -231,7 +231,7 @@ class NativeAxis:
             self._add_effect(effect, effect if seen[effect] == 1 else f"{effect}_{seen[effect]}", values)
 
     @staticmethod
-    def _fixed(machine: Machine, config: AxisConfig) -> dict[str, float]:
+    def _fixed_parameters(machine: Machine, config: AxisConfig) -> dict[str, float]:
         rate, mass = machine.sampling.rate, machine.plant.moved
         controller = config.controller or Controller.pid(mass, config.bandwidth_Hz or min(80.0, rate / 40.0))
         needed = math.ceil(1.0 / (rate * SUBSTEP_S) - 1e-9)
@@ -258,13 +258,13 @@ class NativeAxis:
 
     def replace(self, name: str, value: float | Sequence[float]) -> None:
         """Give a parameter its true value."""
-        for parameter, number in self._addressed(name, value):
+        for parameter, number in self._address(name, value):
             parameter.value = number
             parameter.assign(number)
 
     def scale(self, name: str, factor: float | Sequence[float]) -> None:
         """Multiply a parameter's true value."""
-        for parameter, number in self._addressed(name, factor):
+        for parameter, number in self._address(name, factor):
             parameter.value *= number
             parameter.assign(parameter.value)
 
@@ -272,7 +272,7 @@ class NativeAxis:
         """Let parameters be their true value times a multiplier, until the next call."""
         factors: dict[int, tuple[_Parameter, float]] = {}
         for name, multiplier in multipliers.items():
-            for parameter, number in self._addressed(name, multiplier):
+            for parameter, number in self._address(name, multiplier):
                 factors[id(parameter)] = (parameter, factors.get(id(parameter), (parameter, 1.0))[1] * number)
         for parameter, factor in factors.values():
             parameter.assign(parameter.value * factor)
@@ -396,7 +396,7 @@ class NativeAxis:
     def _effect_parameter(self, index: int, j: int) -> Callable[[float], None]:
         return lambda value: self._c.axis_set_effect(self._memory, index, j, value)
 
-    def _addressed(self, name: str, value: float | Sequence[float]) -> list[tuple[_Parameter, float]]:
+    def _address(self, name: str, value: float | Sequence[float]) -> list[tuple[_Parameter, float]]:
         names = [f"{name}_{i + 1}" for i in range(self._arrays[name])] if name in self._arrays else [name]
         if any(entry not in self._numbers for entry in names):
             raise InputError("simulation", "parameter", name, f"one of {', '.join([*self._arrays, *self._numbers])}")

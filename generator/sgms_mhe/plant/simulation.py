@@ -41,7 +41,7 @@ _EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
 
 @dataclass(frozen=True)
 class Truth:
-    """What no sensor sees, at the log's samples.
+    """True signals that no sensor sees, at the log's samples.
 
     position [m], velocity [m/s], acceleration [m/s^2], force on the mass [N], friction of the law [N], sum of the
     effects' forces [N]: (n); deflection z [m]: (n, n_z). mass a = force - friction - effect_force with the mass that

@@ -54,7 +54,7 @@ class Trajectory:
         """Central second difference (n) [m/s^2]; at rest before the first and after the last position."""
         return np.diff(self.position_m, n=2, prepend=self.position_m[:1], append=self.position_m[-1:]) * self.rate**2
 
-    def repeated(self, duration_s: float) -> Trajectory:
+    def repeat(self, duration_s: float) -> Trajectory:
         """The trajectory repeated from its end on, cut to `duration_s`; periodic where it ends at its start."""
         n = max(1, round(duration_s * self.rate))
         period = len(self.position_m)
@@ -126,7 +126,7 @@ class Motion:
         return sum(map(len, self._parts)) / self.rate
 
     def trajectory(self, name: str) -> Trajectory:
-        """What has been put together so far."""
+        """Return the trajectory that has been put together so far."""
         return Trajectory(name, self.rate, np.concatenate(self._parts))
 
     def _append(self, positions: Array) -> None:
@@ -191,7 +191,7 @@ def paper(rate: float) -> Trajectory:
 
 def mixed(rate: float, max_velocity: float = 1.0) -> Trajectory:
     """Presliding loops between moves at 2 mm/s, 0.3 m/s and `max_velocity`, and standstill."""
-    quick, fast = _limited(QUICK, max_velocity), _limited(FAST, max_velocity)
+    quick, fast = _limit(QUICK, max_velocity), _limit(FAST, max_velocity)
     path = Motion(rate)
     path.wait(0.2)
     path.loops((5e-6, 3e-6, 1e-6), *CREEP)
@@ -242,7 +242,7 @@ def step_and_settle(rate: float, max_velocity: float = 1.0) -> Trajectory:
     path = Motion(rate)
     path.wait(0.1)
     for step in 6 * (8e-3,) + 6 * (-8e-3,):
-        path.move_by(step, *_limited(QUICK, max_velocity))
+        path.move_by(step, *_limit(QUICK, max_velocity))
         path.wait(0.1)
     return path.trajectory("step_and_settle")
 
@@ -271,7 +271,7 @@ def hysteresis(rate: float, amplitude_m: float = 1e-6, frequency_Hz: float = 1.0
     return path.trajectory("hysteresis")
 
 
-def _limited(limits: tuple[float, float, float], max_velocity: float) -> tuple[float, float, float]:
+def _limit(limits: tuple[float, float, float], max_velocity: float) -> tuple[float, float, float]:
     """Limits of a move on an axis that is slower than they are: all scaled down, the shape kept."""
     share = min(1.0, max_velocity / limits[0])
     return limits[0] * share, limits[1] * share, limits[2] * share
@@ -321,4 +321,4 @@ def lasting(trajectory: Trajectory, duration_s: float | None) -> Trajectory:
         raise InputError("trajectory", "duration", duration_s, "a positive number")
     if duration_s * rate > MOST_SAMPLES:
         raise InputError("trajectory", "duration", duration_s, f"at most {MOST_SAMPLES / rate:g} s at {rate:g} Hz")
-    return trajectory.repeated(duration_s)
+    return trajectory.repeat(duration_s)

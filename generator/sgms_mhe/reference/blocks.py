@@ -52,7 +52,7 @@ class Blocks:
 
     @property
     def reaches_flow(self) -> bool:
-        """Whether the gate saturates below max_velocity; otherwise Runge-Kutta serves every step."""
+        """Return True if the gate saturates below max_velocity; otherwise Runge-Kutta serves every step."""
         return self.gate_ratio * self.model.machine.friction.stribeck_velocity < self._sampling.max_velocity
 
     @cached_property
@@ -90,7 +90,7 @@ class Blocks:
         return ca.substitute(self.model.rhs[i], self.model.chi[i], 0)
 
     def _obeys_law(self, states: tuple[int, ...]) -> bool:
-        """Whether the first state is an element whose rhs is rho (v - eta |v| r), checked at random points.
+        """Return True if the first state is an element whose rhs is rho (v - eta |v| r), checked at random points.
 
         The others must be effects' states with linear rates of their own.
         """
@@ -119,7 +119,7 @@ class Blocks:
         return True
 
     def _is_moved_alone(self, states: tuple[int, ...]) -> bool:
-        """Whether a block that obeys the law is an element alone, moved by rho(theta) times the measured velocity.
+        """Return True if a block obeys the law as an element alone, moved by rho(theta) times the measured velocity.
 
         Its level must be a function of signals alone. The drive is checked at random points.
         """

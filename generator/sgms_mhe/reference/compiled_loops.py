@@ -43,7 +43,7 @@ class CompiledLoops:
         x, theta = np.ascontiguousarray(x), np.ascontiguousarray(theta)
         inside, inner_w = (count, plan.readings - 1), plan.inner_w[first : first + count]
         inner = Outputs(np.empty(inside), np.empty((*inside, n_x)), np.empty((*inside, n_p)))
-        function, packed = self._library.sgms_reference_intervals, self._packed
+        function, packed = self._library.sgms_reference_intervals, self._packed_flow
 
         def run(part: slice) -> None:
             function(
@@ -97,8 +97,8 @@ class CompiledLoops:
         return ThreadPoolExecutor(os.cpu_count())
 
     @cached_property
-    def _packed(self) -> Array:
-        return self._blocks.flow.packed() if any(block.saturates for block in self._blocks.all) else np.zeros(8)
+    def _packed_flow(self) -> Array:
+        return self._blocks.flow.pack() if any(block.saturates for block in self._blocks.all) else np.zeros(8)
 
     def _compile(self) -> ctypes.CDLL:
         functions = self._functions
@@ -116,7 +116,7 @@ class CompiledLoops:
         return library
 
     def _constants(self) -> str:
-        """What intervals.c expects to precede it."""
+        """Return the constants that intervals.c expects before it."""
         functions, blocks = self._functions.values(), self._blocks.all
         smoothing = self._model.machine.friction.smoothing
 

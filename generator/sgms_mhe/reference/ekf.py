@@ -49,7 +49,7 @@ def run_ekf(record: Record, progress: Progress | None = None) -> Estimates:
 
 
 def is_sound(record: Record, belief: Gaussian) -> bool:
-    """Whether a belief of (x, theta) is finite and one that an axis can have."""
+    """Return True if a belief of (x, theta) is finite and one that an axis can have."""
     mean, P = belief
     is_finite = bool(np.all(np.isfinite(mean)) and np.all(np.isfinite(P)) and np.all(np.diag(P) > 0.0))
     return is_finite and record.weights.is_plausible(mean[: record.model.n_x])

@@ -144,7 +144,7 @@ class Flow:
         g1 = self.g(d1) if d1 != 0.0 else 0.0
         return self.r_star + d1, g1 / self.g(d0), g1
 
-    def packed(self) -> NDArray[np.float64]:
+    def pack(self) -> NDArray[np.float64]:
         """All numbers in one array, in the order that intervals.c reads."""
         head = [self.r_star, self.k, self.curvature, self.r_max, self.smoothing.lambda_, self.smoothing.zeta]
         return np.concatenate([head, [len(self.below), len(self.above)], self.below.ravel(), self.above.ravel()])

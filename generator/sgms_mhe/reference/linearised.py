@@ -1,4 +1,4 @@
-"""What an integrator returns: intervals and outputs, with their sensitivities."""
+"""Result of an integrator: intervals and outputs, with their sensitivities."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Outputs(NamedTuple):
         return Outputs(self.y[which], self.C[which], self.D[which])
 
     @classmethod
-    def joined(cls, parts: Sequence[Outputs]) -> Outputs:
+    def join_parts(cls, parts: Sequence[Outputs]) -> Outputs:
         """One behind the other."""
         return cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
@@ -48,7 +48,7 @@ class Linearised(NamedTuple):
         return Linearised(self.x1[which], self.A[which], self.B[which], self.inner.part(which))
 
     @classmethod
-    def joined(cls, parts: Sequence[Linearised]) -> Linearised:
+    def join_parts(cls, parts: Sequence[Linearised]) -> Linearised:
         """Intervals one behind the other."""
         x1, A, B = (np.concatenate([getattr(part, name) for part in parts]) for name in ("x1", "A", "B"))
-        return cls(x1, A, B, Outputs.joined([part.inner for part in parts]))
+        return cls(x1, A, B, Outputs.join_parts([part.inner for part in parts]))

@@ -46,14 +46,14 @@ class Kept(NamedTuple):
         y = y + np.einsum("krj,kj->kr", C, x - self.x) + np.einsum("krj,kj->kr", D, theta - self.theta)
         return Linearised(x1 + self.moves(x, theta), A, B, Outputs(y, C, D))
 
-    def renewed(self, k: int, fresh: Kept) -> Kept:
+    def renew(self, k: int, fresh: Kept) -> Kept:
         """With interval k as it is in `fresh`, which is that interval alone."""
-        return self.part(0, k).with_newer(fresh).with_newer(self.part(k + 1, len(self.x)))
+        return self.part(0, k).append(fresh).append(self.part(k + 1, len(self.x)))
 
-    def with_newer(self, newest: Kept) -> Kept:
+    def append(self, newest: Kept) -> Kept:
         """With further intervals at the newer end."""
         x, theta = np.concatenate([self.x, newest.x]), np.concatenate([self.theta, newest.theta])
-        return Kept(x, theta, Linearised.joined([self.intervals, newest.intervals]))
+        return Kept(x, theta, Linearised.join_parts([self.intervals, newest.intervals]))
 
     def part(self, first: int, last: int) -> Kept:
         """Intervals first to last - 1."""
@@ -91,7 +91,7 @@ def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
             if relinearise == "auto" and kept is not None:
                 kept = renew(record, first, kept, x[:-1], theta)
             fresh = Kept.of(x[-1:], theta, integrate(record, node - 1, x[-1:], theta))
-            kept = fresh if kept is None else kept.with_newer(fresh)
+            kept = fresh if kept is None else kept.append(fresh)
             window = window_of(record, first, x, theta, kept.at(x, theta))
         is_full = len(x) == weights.horizon
         status = record.status(node) | (0 if is_full else Status.FILLING)
@@ -141,7 +141,7 @@ def renew(record: Record, first: int, kept: Kept, x: Array, theta: Array) -> Kep
         return kept
     k = int(np.argmax(moved))
     start = x[k : k + 1]
-    return kept.renewed(k, Kept.of(start, theta, integrate(record, first + k, start, theta)))
+    return kept.renew(k, Kept.of(start, theta, integrate(record, first + k, start, theta)))
 
 
 def dense_problem(record: Record, window: Window, arrival: Gaussian, scales: Scales) -> tuple[Array, Array]:
@@ -162,7 +162,7 @@ def dense_problem(record: Record, window: Window, arrival: Gaussian, scales: Sca
     J_a[:, :n_x], J_a[:, at_theta] = R_a[:, :n_x], R_a[:, n_x:]
     jacobians, residuals = [J_a], [R_a @ (np.concatenate([window.x[0], window.theta]) - arrival.mean)]
 
-    def measured(at_node: slice, outputs: Outputs, y: Array, sigma: Array) -> None:
+    def add_measurements(at_node: slice, outputs: Outputs, y: Array, sigma: Array) -> None:
         rows = np.zeros((len(y), columns))
         rows[:, at_node], rows[:, at_theta] = outputs.C, outputs.D
         jacobians.append(rows / sigma[:, None])
@@ -172,12 +172,12 @@ def dense_problem(record: Record, window: Window, arrival: Gaussian, scales: Sca
         at_node, node = slice(k * n_x, (k + 1) * n_x), window.first + k
         if record.valid[node] and np.isfinite(scales.end[node]):
             at_end = window.outputs.part(slice(k, k + 1))
-            measured(at_node, at_end, record.y[node : node + 1], weights.sigma_y * scales.end[node : node + 1])
+            add_measurements(at_node, at_end, record.y[node : node + 1], weights.sigma_y * scales.end[node : node + 1])
         if k + 1 < nodes:
             inside = record.inner_valid[node]
             sigma = weights.sigma_y * scales.inner[node][inside]
             inner = Outputs(*(array[k][inside] for array in window.intervals.inner))
-            measured(at_node, inner, record.inner_y[node][inside], sigma)
+            add_measurements(at_node, inner, record.inner_y[node][inside], sigma)
             block = np.zeros((n_x, columns))
             block[:, at_node], block[:, at_theta] = -window.intervals.A[k], -window.intervals.B[k]
             block[:, (k + 1) * n_x : (k + 2) * n_x] = np.eye(n_x)

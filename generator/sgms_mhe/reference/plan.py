@@ -107,15 +107,15 @@ class Planner:
             stair = (middle[:, None, :] + tau[:, None] * change[:, None, :]).reshape(-1, w.shape[1])
             reverses = np.abs(change[:, 1]) > np.abs(middle[:, 1])
             fast = np.abs(middle[:, 1]) - np.abs(change[:, 1]) > self._slow
-            substeps = np.where(reverses[:, None], 0, self._along_lines(np.abs(middle[:, 1]), h * stairs, fast))
+            substeps = np.where(reverses[:, None], 0, self._line_substeps(np.abs(middle[:, 1]), h * stairs, fast))
             cut = np.zeros(len(end))
             piece_substeps = np.zeros((len(end), len(self._blocks.all), 2), dtype=np.int64)
             before, after = np.abs(start[reverses, 1]), np.abs(end[reverses, 1])
             cut[reverses] = share = before / (before + after)
             pieces = np.stack(
                 [
-                    self._along_lines(0.5 * before, h * stairs * share, fast[reverses]),
-                    self._along_lines(0.5 * after, h * stairs * (1.0 - share), fast[reverses]),
+                    self._line_substeps(0.5 * before, h * stairs * share, fast[reverses]),
+                    self._line_substeps(0.5 * after, h * stairs * (1.0 - share), fast[reverses]),
                 ],
                 axis=2,
             )
@@ -163,12 +163,12 @@ class Planner:
     def _runge_kutta_substeps(self, block: Block, speed: Array, h: Array | float, least: int) -> Counts:
         settings, limit = self._sampling.integrator, self._sampling.max_velocity
 
-        def needed(v: Array) -> Counts:
+        def count_substeps(v: Array) -> Counts:
             moved = (v * block.rate_per_metre + block.rate_per_second) * h
             return np.maximum(least, np.ceil(moved / settings.displacement)).astype(np.int64)
 
-        most = needed(np.full_like(speed, limit))
-        return np.asarray(np.minimum(needed(np.minimum(speed, 1e3 * limit)), most))
+        most = count_substeps(np.full_like(speed, limit))
+        return np.asarray(np.minimum(count_substeps(np.minimum(speed, 1e3 * limit)), most))
 
     def _held(self, speed: Array, h: float) -> Counts:
         """Substeps where signals are constant over h, 0 a jump of the flow or a clip (n, blocks)."""
@@ -186,7 +186,7 @@ class Planner:
                 counts[:, b] = self._runge_kutta_substeps(block, speed, h, least)
         return counts
 
-    def _along_lines(self, speed: Array, h: Array | float, fast: Mask) -> Counts:
+    def _line_substeps(self, speed: Array, h: Array | float, fast: Mask) -> Counts:
         """Substeps along lines of this mean speed and duration, 0 where stairs are less work (n, blocks).
 
         `fast`: the gate is saturated all along.

@@ -1,4 +1,4 @@
-"""What all reference estimators share: the numbers of docs/estimation.md, the record at its nodes, the results."""
+"""Common parts of all reference estimators: the numbers of docs/estimation.md, the record at its nodes, results."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class Weights:
         )
 
     def is_plausible(self, x: Array) -> bool:
-        """Whether a state (n_x) is finite and one that an axis can have."""
+        """Return True if a state (n_x) is finite and one that an axis can have."""
         return bool(np.all(np.abs(x) < IMPLAUSIBLE * self.initial_state))
 
     @property
@@ -112,7 +112,7 @@ class Weights:
 
 @dataclass(frozen=True)
 class Start:
-    """What is known before a record's first sample, where that is not the machine file's prior.
+    """Distribution before a record's first sample, where that is not the machine file's prior.
 
     Attributes:
         x: node state (n_x), known as well as any first node's.
@@ -175,11 +175,11 @@ class Record:
         return Scaling(self.weights.self_scaling, slow=self.start.slow if self.start else 1.0)
 
     def moves(self, interval: int) -> bool:
-        """Whether the axis moves far enough in an interval for theta to drift."""
+        """Return True if the axis moves far enough in an interval for theta to drift."""
         return not self.plan.path[interval] < self.weights.hold_path
 
     def status(self, node: int) -> int:
-        """What the newest interval and measurement say of the update at a node."""
+        """Return the status of the update at a node, from the newest interval and measurement."""
         status = 0 if self.valid[node] else int(Status.MISSING)
         if not self.moves(node - 1):
             status |= Status.HOLD

@@ -111,7 +111,7 @@ class PythonLoops:
             if count > 0:
                 parts = self._along(b, chi, w, w, theta, h, count)
             else:
-                parts = [self._jumped(self._functions[f"flow_{b}"](chi[1:], w, theta, h), chi)]
+                parts = [self._jump(self._functions[f"flow_{b}"](chi[1:], w, theta, h), chi)]
             for moved in parts:
                 chi = moved.chi
                 yield moved
@@ -141,11 +141,11 @@ class PythonLoops:
             stairs = plan.stair[k * plan.stairs : (k + 1) * plan.stairs]
             moves += [(w, w, plan.h / plan.stairs) for w in stairs]
         for w, last, h in moves:
-            moved = _clipped(tuple(self._functions[f"clip_{b}"].call([chi[1:], w, last, theta, h])), chi)
+            moved = _clip(tuple(self._functions[f"clip_{b}"].call([chi[1:], w, last, theta, h])), chi)
             chi = moved.chi
             yield moved
 
-    def _jumped(self, drive: tuple[ca.DM, ...], chi: Array) -> Moved:
+    def _jump(self, drive: tuple[ca.DM, ...], chi: Array) -> Moved:
         """chi = sign level r: the level's sensitivity enters through r0 and again through chi1."""
         level, xi = float(drive[0]), float(drive[1])
         dlevel, dxi, dend = (np.array(part) for part in drive[3:])
@@ -153,7 +153,7 @@ class PythonLoops:
         r0 = sign * float(chi[0]) / level
         r1, slope, g1 = self._blocks.flow.advance(r0, abs(xi))
         change = sign * (r1 - slope * r0) * dlevel + level * g1 * dxi
-        return _in_closed_form(sign * level * r1, slope, change[0], np.array(drive[2]), dend)
+        return _closed_form(sign * level * r1, slope, change[0], np.array(drive[2]), dend)
 
     def _slid(self, slide: Array, chi: float, rate: ca.DM, by_theta: ca.DM) -> Moved | None:
         """A step that an element slides through, at once; None where it is not near enough to the fixed point."""
@@ -174,7 +174,7 @@ class PythonLoops:
         return Moved(np.array([end]), np.array([[by_chi]]), by_rho * np.array(by_theta))
 
 
-def _clipped(drive: tuple[ca.DM, ...], chi: Array) -> Moved:
+def _clip(drive: tuple[ca.DM, ...], chi: Array) -> Moved:
     """An element that sticks moves with the axis; one that the axis pushes beyond its level stays at the level."""
     level, move = float(drive[0]), float(drive[1])
     dlevel, dmove, dend = (np.array(part) for part in drive[3:])
@@ -182,10 +182,10 @@ def _clipped(drive: tuple[ca.DM, ...], chi: Array) -> Moved:
     slips = move != 0.0 and direction * end > level
     change = direction * dlevel[0] if slips else dmove[0]
     reached = direction * level if slips else end
-    return _in_closed_form(reached, float(not slips), change, np.array(drive[2]), dend)
+    return _closed_form(reached, float(not slips), change, np.array(drive[2]), dend)
 
 
-def _in_closed_form(chi: float, slope: float, change: Array, end: Array, dend: Array) -> Moved:
+def _closed_form(chi: float, slope: float, change: Array, end: Array, dend: Array) -> Moved:
     """An element at `chi`, its derivatives `slope` in itself and `change` in (the other states, theta).
 
     Those states set its level; they reach `end` with the Jacobian `dend` in (themselves, theta).

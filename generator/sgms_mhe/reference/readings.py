@@ -30,7 +30,7 @@ class Gaussian(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """What became of a reading.
+    """Result of a measurement.
 
     Attributes:
         innovation: reading minus its prediction [N].
@@ -58,10 +58,10 @@ class Scaling:
 
     @property
     def doubts(self) -> bool:
-        """Whether the readings contradict the predictions."""
+        """Return True if the measurements contradict the predictions."""
         return self.fast > DOUBTED_FAST or self.slow > DOUBTED_SLOW
 
-    def need(self, test_ratio: float) -> float:
+    def variance_factor(self, test_ratio: float) -> float:
         """How many times larger than predicted the innovation's variance has to be for this reading, >= 1."""
         counted = min(test_ratio, MOST)
         self.fast += FAST * (counted - self.fast)
@@ -78,8 +78,8 @@ def take_reading(
     spread = float(C @ belief.covariance @ C)
     predicted = spread + sigma**2
     test_ratio = innovation**2 / predicted
-    # The variance of the reading at which the innovation's is `need` times the predicted one.
-    variance = sigma**2 + (scaling.need(test_ratio) - 1.0) * predicted
+    # The variance of the reading at which the innovation's is `variance_factor` times the predicted one.
+    variance = sigma**2 + (scaling.variance_factor(test_ratio) - 1.0) * predicted
     return fold(belief, C, innovation, variance), Reading(innovation, test_ratio, float(np.sqrt(variance)) / sigma)
 
 

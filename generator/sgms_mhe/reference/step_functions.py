@@ -14,11 +14,11 @@ def step_functions(blocks: Blocks) -> dict[str, ca.Function]:
     """CasADi functions with dense Jacobians: start, finish, measure; of block b step_b, flow_b, rate_b, clip_b."""
     model = blocks.model
     functions = {
-        "start": _with_jacobians("start", [model.x, model.theta], model.from_node, (0, 1)),
-        "finish": _with_jacobians("finish", [model.chi, model.theta], model.to_node, (0, 1)),
+        "start": _differentiate("start", [model.x, model.theta], model.from_node, (0, 1)),
+        "finish": _differentiate("finish", [model.chi, model.theta], model.to_node, (0, 1)),
     }
     of_node = ca.substitute(model.output, model.chi, model.from_node)
-    functions["measure"] = _with_jacobians("measure", [model.x, model.w, model.theta], of_node, (0, 2))
+    functions["measure"] = _differentiate("measure", [model.x, model.w, model.theta], of_node, (0, 2))
     for b, block in enumerate(blocks.all):
         if block.switches:
             functions[f"clip_{b}"] = _clip_drive(blocks, f"clip_{b}", block)
@@ -27,12 +27,12 @@ def step_functions(blocks: Blocks) -> dict[str, ca.Function]:
         if block.saturates:
             functions[f"flow_{b}"] = _flow_drive(blocks, f"flow_{b}", block)
         if block.slides:
-            functions[f"rate_{b}"] = _with_jacobians(f"rate_{b}", [model.theta], model.rho[block.states[0]], (0,))
+            functions[f"rate_{b}"] = _differentiate(f"rate_{b}", [model.theta], model.rho[block.states[0]], (0,))
     return functions
 
 
 def _flow_drive(blocks: Blocks, name: str, block: Block) -> ca.Function:
-    """What drives a jump: (u, w, theta, h) to level, xi, u1 and their Jacobians in (u, theta).
+    """Inputs of a jump: (u, w, theta, h) to level, xi, u1 and their Jacobians in (u, theta).
 
     u (m - 1) are the states that set the level. With signals constant over h, du/dt = a + b u has the solution
     u1 = u e + a (e - 1) / b, e = exp(b h); the element sees the level at u1.
@@ -47,7 +47,7 @@ def _flow_drive(blocks: Blocks, name: str, block: Block) -> ca.Function:
 
 
 def _clip_drive(blocks: Blocks, name: str, block: Block) -> ca.Function:
-    """What moves an element that switches: (u, w, w at the end, theta, h) to level, move, u1, Jacobians in (u, theta).
+    """Inputs of a switching element: (u, w, w at the end, theta, h) to level, move, u1, Jacobians in (u, theta).
 
     The displacement is that of the signals w over h; the level that of the signals at the end, and of u1.
     """
@@ -89,9 +89,9 @@ def _step(blocks: Blocks, name: str, block: Block) -> ca.Function:
         slope = rhs(chi + h * (a * slope), w, model.theta)
         total += b * slope
     new = chi + h * total
-    return _with_jacobians(name, [chi, start, end, model.theta, h], new, (0, 3))
+    return _differentiate(name, [chi, start, end, model.theta, h], new, (0, 3))
 
 
-def _with_jacobians(name: str, arguments: list[ca.SX], value: ca.SX, wanted: tuple[int, ...]) -> ca.Function:
+def _differentiate(name: str, arguments: list[ca.SX], value: ca.SX, wanted: tuple[int, ...]) -> ca.Function:
     jacobians = [ca.densify(ca.jacobian(value, arguments[i])) for i in wanted]
     return ca.Function(name, arguments, [ca.densify(value), *jacobians], {"cse": True})

@@ -1,4 +1,4 @@
-"""What a report says: a diagnosis in an engineer's words and units."""
+"""Text of a report: a diagnosis in an engineer's words and units."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.ranking import NAMED, bar_width, explained_force, ranked_scores, score_rounds, score_rows
-from sgms_mhe.report.rivals import InPlace, rival_blocks, rivals_by_cause, undecided
+from sgms_mhe.report.rivals import InPlace, open_questions, rival_blocks, rivals_by_cause
 from sgms_mhe.report.series import View
-from sgms_mhe.report.units import after_force, axis_units, force, percent, plain, probability, quantity, split_name
+from sgms_mhe.report.units import axis_units, force, force_suffix, percent, plain, probability, quantity, split_name
 from sgms_mhe.report.words import (
     base_words,
     between,
     capital,
+    cause_text,
     cause_title,
-    listed,
+    join_words,
     relative_change,
     sentence,
     title,
-    with_size,
 )
 
 SIGNIFICANT: Final = 0.01
@@ -69,7 +69,7 @@ def page(
         "badge": _badge(d),
         "headline": _headline(d),
         "summary": f"{_lead(d)} {_MEANINGS[d.verdict] if d.excited else 'Nothing is named and nothing is confirmed.'}",
-        "limits": undecided(d),
+        "limits": open_questions(d),
         "tiles": _tiles(d, gain),
         "next": _next(d),
         "warnings": [sentence(w) for w in d.warnings],
@@ -96,8 +96,8 @@ def page(
             for v in views
         ],
         "candidates_ranked": score_rows([s for s in scores if s not in idle], as_good),
-        "idle": listed([s.name for s in idle]) if idle else "",
-        "not_searched": _not_searched(d),
+        "idle": join_words([s.name for s in idle]) if idle else "",
+        "not_searched": _explain_no_search(d),
         "rounds": score_rounds(d.scores, as_good),
         "gain_rows": _gain_rows(d),
         "floor_at": bar_width(d.noise_floor_N, _largest_rms(d)),
@@ -126,7 +126,7 @@ def page(
 
 
 def refusal(sentence_: str, machine: Machine, source: str) -> dict[str, Any]:
-    """What the page of a log says that cannot be what its columns are called."""
+    """Return the page of a log whose columns contradict their names."""
     return {
         "machine": machine.name,
         "description": machine.description,
@@ -165,13 +165,13 @@ def _headline(d: Diagnosis) -> str:
         known = "The simulation explains this record down to the noise of the measurement."
         return f"{rest}." if d.verdict == "unexplained" else known
     rivals = rivals_by_cause(d)
-    settled = [with_size(c) for c in d.causes if c.label not in rivals and not c.stands_in]
+    settled = [cause_text(c) for c in d.causes if c.label not in rivals and not c.stands_in]
     choices = [
-        f"{capital(listed([title(c.name), *(title(r.name) for r in rivals[c.label])], 'or'))}?"
+        f"{capital(join_words([title(c.name), *(title(r.name) for r in rivals[c.label])], 'or'))}?"
         for c in d.causes
         if c.label in rivals
     ]
-    found = f"Found: {listed(shortened(settled))}." if settled else ""
+    found = f"Found: {join_words(shorten(settled))}." if settled else ""
     if any(c.stands_in for c in d.causes):
         found = f"{found} Friction over speed has a form that no known effect has."
     elif d.verdict == "unexplained":
@@ -179,14 +179,14 @@ def _headline(d: Diagnosis) -> str:
     return " ".join((found, *choices)).strip()
 
 
-def shortened(parts: Sequence[str]) -> list[str]:
+def shorten(parts: Sequence[str]) -> list[str]:
     """As many as a headline has room for."""
     most = 3
     return list(parts) if len(parts) <= most else [*parts[: most - 1], f"{len(parts) - most + 1} more"]
 
 
 def _lead(d: Diagnosis) -> str:
-    """What the verdict rests on, in numbers and in words."""
+    """Return the grounds of the verdict, in numbers and in words."""
     if not d.excited or (d.verdict == "unexplained" and not d.causes):
         return sentence(d.summary)
     if d.extended is None:
@@ -196,7 +196,7 @@ def _lead(d: Diagnosis) -> str:
 
 
 def _next(d: Diagnosis) -> dict[str, str] | None:
-    """What to do next: how to confirm, or to find out more; what is open has its moves where it stands."""
+    """Return the next steps: to confirm, or to find out more; open questions have their moves beside them."""
     text, command = "", ""
     if rivals_by_cause(d):
         text = "Record one of the moves above, then diagnose the new log."
@@ -218,7 +218,7 @@ def _tiles(d: Diagnosis, gain: EstimatorGain | None) -> list[dict[str, str]]:
         tiles.append(
             {
                 "label": "Residual, data kept from the fit",
-                "before": force(rms.held_out_before).removesuffix(after_force()),
+                "before": force(rms.held_out_before).removesuffix(force_suffix()),
                 "value": force(rms.held_out_after),
                 "kind": "after",
                 "note": f"RMS, {relative_change(rms.held_out_before, rms.held_out_after)}",
@@ -257,7 +257,7 @@ def _tiles(d: Diagnosis, gain: EstimatorGain | None) -> list[dict[str, str]]:
         tiles.append(
             {
                 "label": "Estimator on a log it has not seen",
-                "before": force(gain.base.predicted_rms_N).removesuffix(after_force()),
+                "before": force(gain.base.predicted_rms_N).removesuffix(force_suffix()),
                 "value": force(gain.extended.predicted_rms_N),
                 "kind": "after",
                 "note": "error of predicted friction, RMS, "
@@ -299,18 +299,18 @@ def _cause(c: Cause, rivals: Sequence[Alternative]) -> dict[str, Any]:
 
 
 def _depends(s: Structure, d: Diagnosis) -> bool:
-    """Whether the residual is a function of a coordinate: not by chance, and by an amount that matters."""
+    """Return True if the residual depends on a coordinate: not by chance, and by an amount that matters."""
     return s.p_value < SIGNIFICANT and s.rms_N >= material_force(d.machine, d.noise_floor_N)
 
 
 def _left(d: Diagnosis) -> str:
-    """What is left, strongest first, in one sentence."""
+    """Describe the residual, strongest first, in one sentence."""
     left = sorted((s for s in d.structure_after if _depends(s, d)), key=lambda s: -s.rms_N)
     parts = [f"{_coordinate(s.coordinate)} ({force(s.rms_N)} RMS)" for s in left if s.coordinate != "frequency"]
     lines = [
         f"Its largest line is {force(s.rms_N)} at {plain(s.peak)} Hz." for s in left if s.coordinate == "frequency"
     ]
-    return " ".join(([f"What is left depends most on {listed(parts[:3])}."] if parts else []) + lines)
+    return " ".join(([f"What is left depends most on {join_words(parts[:3])}."] if parts else []) + lines)
 
 
 def _says(key: str, d: Diagnosis) -> str:
@@ -332,7 +332,7 @@ def _says(key: str, d: Diagnosis) -> str:
     return f"{what}: {before or 'less than matters'} before, {after or 'less than matters'} after."
 
 
-def _not_searched(d: Diagnosis) -> str:
+def _explain_no_search(d: Diagnosis) -> str:
     """Why no effect was looked for."""
     if not d.excited:
         return "No effect was looked for: without motion there is nothing to find one in."

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from sgms_mhe import __version__
 from sgms_mhe.machine import OF_KIND, Kind
 from sgms_mhe.report.courses import Mark, drawn
-from sgms_mhe.report.units import Reading, in_units, quantity, split_name
+from sgms_mhe.report.units import Reading, quantity, split_name, use_units
 from sgms_mhe.report.words import base_words, capital, relative_change
 
 SHOWN_OPEN: Final = 8
@@ -108,19 +108,19 @@ class FleetCourse:
 
     @property
     def left(self) -> bool:
-        """Whether it stands out: a log left its band, or it moves steadily."""
+        """Return True if it stands out: a log left its band, or it moves steadily."""
         return self.trend is not None or any(point.left for point in self.points)
 
     def words(self) -> str:
-        """What the number is."""
+        """Return the number in words."""
         label, _, own = self.name.rpartition(".")
-        with in_units(OF_KIND[self.kind]):
+        with use_units(OF_KIND[self.kind]):
             words = split_name(own)[0]
         return f"{label.replace('_', ' ')}: {words}" if label else capital(base_words(own))
 
     def written(self, value: float, std: float = float("nan")) -> Reading:
         """A value of it with its unit."""
-        with in_units(OF_KIND[self.kind]):
+        with use_units(OF_KIND[self.kind]):
             return quantity(self.name.rpartition(".")[2], value, std)
 
 

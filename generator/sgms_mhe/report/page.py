@@ -20,7 +20,7 @@ from sgms_mhe.report.fleet import FleetCourse, FleetLog, fleet_content
 from sgms_mhe.report.plots import log_plots, plots
 from sgms_mhe.report.rivals import rivals_in_place
 from sgms_mhe.report.series import views
-from sgms_mhe.report.units import in_units
+from sgms_mhe.report.units import use_units
 from sgms_mhe.report.watch import Watched, watch_content, watch_plots
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.files import write_text
@@ -58,7 +58,7 @@ def write_report(
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
     tell("residuals", 0.0)
-    with in_units(diagnosis.machine.plant.units):
+    with use_units(diagnosis.machine.plant.units):
         return _written(diagnosis, folder, estimator, tell)
 
 
@@ -96,7 +96,7 @@ def write_refusal_report(sentence: str, machine: Machine, log: Log, out_dir: str
     """
     path = Path(out_dir) / "report.html"
     path.parent.mkdir(parents=True, exist_ok=True)
-    with in_units(machine.plant.units):
+    with use_units(machine.plant.units):
         page, drawn = content.refusal(sentence, machine, log.source), log_plots(log)
         write_text(path, _html("refusal.html.jinja", page, drawn))
     return path
@@ -150,7 +150,7 @@ def write_fleet_report(
 
 def write_watch_page(path: Path, watched: Watched) -> None:
     """Write the page over a run; atomically, so that it is whole whenever it is read."""
-    with in_units(watched.course.machine.plant.units):
+    with use_units(watched.course.machine.plant.units):
         write_text(path, _html("watch.html.jinja", watch_content(watched), watch_plots(watched.course)))
 
 

@@ -1,4 +1,4 @@
-"""What the page's plots draw. Series have roles; the page's style sheet says which colour a role has."""
+"""Data of the page's plots. Series have roles; the page's style sheet gives each role a colour."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ class _Pair:
 
 
 def plots(diagnosis: Diagnosis, views: Sequence[View], rivals: Sequence[InPlace]) -> dict[str, Any]:
-    """What the page's plots draw, by their names."""
+    """Return the data of the page's plots, by their names."""
     t, unit = diagnosis.traces, axis_units().force
     extended = diagnosis.extended is not None
     common = _over_time(t)
-    simulated = [line("simulated, machine file as it is", _masked(t, t.nominal_N), "before")]
-    residuals = [line("residual, machine file as it is", _masked(t, t.residual_before), "before", 1.0)]
+    simulated = [line("simulated, machine file as it is", _mask(t, t.nominal_N), "before")]
+    residuals = [line("residual, machine file as it is", _mask(t, t.residual_before), "before", 1.0)]
     if extended:
-        after = _masked(t, t.held_out_fit_N)
+        after = _mask(t, t.held_out_fit_N)
         simulated.append(line("simulated, extended", after, "after", dash=[7, 4], width=1.6))
-        residuals.append(line("residual, extended", _masked(t, t.residual_after), "after", 1.0))
+        residuals.append(line("residual, extended", _mask(t, t.residual_after), "after", 1.0))
     content: dict[str, Any] = {
         "friction": common
         | {
             "yLabel": f"friction [{unit}]",
-            "series": [line("measured", _masked(t, t.friction_N), "measured", 1.8), *simulated],
+            "series": [line("measured", _mask(t, t.friction_N), "measured", 1.8), *simulated],
         },
         "residual": common | {"yLabel": f"residual [{unit}]", "zero": True, "series": residuals},
         "motion": common | _position(t.position_m),
@@ -78,8 +78,8 @@ def _rival(rival: InPlace, t: Traces, common: Mapping[str, Any]) -> dict[str, An
         "zero": True,
         "series": [
             # The one that leaves less hides less of the other.
-            line(f"residual with {rival.words}", _masked(t, rival.fit.residual_N), "rival", 1.0),
-            line(f"residual with {rival.cause_words}", _masked(t, t.residual_after), "after", 1.0),
+            line(f"residual with {rival.words}", _mask(t, rival.fit.residual_N), "rival", 1.0),
+            line(f"residual with {rival.cause_words}", _mask(t, t.residual_after), "after", 1.0),
         ],
     }
     pair = _Pair(("after", rival.cause_words), ("rival", rival.words))
@@ -95,7 +95,7 @@ def _over_time(t: Traces) -> dict[str, Any]:
 
 
 def uniform(start: float, step: float) -> dict[str, Any]:
-    """What plots over a uniform time share: from `start`, a value every `step` [s]."""
+    """Return the common part of plots over a uniform time: from `start`, a value every `step` [s]."""
     return {
         "uniform": True,
         "start": start,
@@ -114,7 +114,7 @@ def _position(position: Array) -> dict[str, Any]:
     return {"yLabel": f"position [{unit}]", "unit": unit, "series": series}
 
 
-def _masked(t: Traces, values: Array) -> Array:
+def _mask(t: Traces, values: Array) -> Array:
     return np.where(t.used, values, np.nan)
 
 

@@ -10,7 +10,7 @@ from sgms_mhe.diagnosis import Score
 from sgms_mhe.report.units import force, probability
 from sgms_mhe.report.words import (
     capital,
-    listed,
+    join_words,
     title,
 )
 
@@ -34,7 +34,7 @@ def ranked_among(scores: Sequence[Score]) -> list[Score]:
 
 
 def explained_force(score: Score) -> float:
-    """What a candidate explains [N RMS]: after a refit where there was one."""
+    """Return the force that a candidate explains [N RMS]: after a refit where there was one."""
     return first_finite(score.refit_gain_N, score.gain_N)
 
 
@@ -43,7 +43,7 @@ def score_rounds(scores: Sequence[Score], as_good: Collection[str]) -> list[dict
     rounds = []
     for number in sorted({s.round for s in scores}):
         names = [s.name for s in scores if s.round < number and s.outcome == NAMED]
-        done = f", after {listed(names)} had been added" if names else ", the base model refitted"
+        done = f", after {join_words(names)} had been added" if names else ", the base model refitted"
         rounds.append(
             {
                 "title": f"Round {number}{done}",

@@ -1,4 +1,4 @@
-"""What a record cannot decide, and how each rival would do in its cause's place."""
+"""Open questions of a record, and the fit of each rival in its cause's place."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class InPlace:
 
     @property
     def words(self) -> str:
-        """What the rival is."""
+        """Return the rival in words."""
         return title(self.fit.name)
 
     @property
     def cause_words(self) -> str:
-        """What the cause is."""
+        """Return the cause in words."""
         return cause_title(self.cause)
 
     def plot(self, key: str) -> str:
@@ -49,7 +49,7 @@ class InPlace:
 
 
 def rivals_by_cause(d: Diagnosis) -> dict[str, list[Alternative]]:
-    """What fits as well as a named cause, by that cause's label."""
+    """Return the rivals of each named cause, by that cause's label."""
     labels = [c.label for c in d.causes]
     found: dict[str, list[Alternative]] = {}
     for a in d.alternatives:
@@ -70,8 +70,8 @@ def rivals_in_place(d: Diagnosis) -> tuple[InPlace, ...]:
     return tuple(found)
 
 
-def undecided(d: Diagnosis) -> dict[str, Any] | None:
-    """What this record cannot decide: choices between causes with the move that makes each, then all other limits."""
+def open_questions(d: Diagnosis) -> dict[str, Any] | None:
+    """Return the open questions: choices between causes with the move that makes each, then all other limits."""
     rivals = rivals_by_cause(d)
     pairs = [(cause, rival) for cause in d.causes for rival in rivals.get(cause.label, ())]
     choices = [
@@ -99,7 +99,7 @@ def _words(limit: Limit) -> str:
 
 
 def rival_blocks(d: Diagnosis, rivals: Sequence[InPlace]) -> list[dict[str, Any]]:
-    """What the page says of every rival, and which of its plots comes first."""
+    """Return the text on every rival, and which of its plots comes first."""
     parameters = {(a.name, a.instead_of): a.parameters for a in d.alternatives if a.rival}
     return [_block(d, rival, parameters.get((rival.fit.name, rival.fit.instead_of), {})) for rival in rivals]
 

@@ -1,4 +1,4 @@
-"""What the plots of a report show: residuals over every coordinate, their spectrum, arrays small enough for a page."""
+"""Series of a report's plots: residuals over every coordinate, their spectrum, arrays small enough for a page."""
 
 from __future__ import annotations
 
@@ -77,13 +77,13 @@ def views(traces: Traces) -> list[View]:
         good = used & np.isfinite(x)
         if logarithmic:
             good &= x > 0.0
-        shown.append(_binned(key, title, unit, logarithmic, x[good], before[good], after[good]))
+        shown.append(_bin(key, title, unit, logarithmic, x[good], before[good], after[good]))
     shown.append(_spectrum(traces))
     return shown
 
 
-def _binned(key: str, title: str, unit: str, logarithmic: bool, x: Array, before: Array, after: Array) -> View:
-    factor, unit = _scaled(unit, x)
+def _bin(key: str, title: str, unit: str, logarithmic: bool, x: Array, before: Array, after: Array) -> View:
+    factor, unit = _scale_unit(unit, x)
     x = x * factor
     empty = np.empty(0)
     if len(x) < 2 * LEAST_IN_BIN or np.ptp(x) == 0.0:
@@ -152,7 +152,7 @@ def runs(mask: Mask) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def _scaled(unit: str, x: Array) -> tuple[float, str]:
+def _scale_unit(unit: str, x: Array) -> tuple[float, str]:
     """Factor and unit in which the largest value reads well."""
     largest = float(np.max(np.abs(x))) if len(x) else 0.0
     if unit.startswith(axis_units().position) and 0.0 < largest < 1.0:

@@ -34,7 +34,7 @@ SPACE: Final = "\N{NO-BREAK SPACE}"
 
 
 @contextmanager
-def in_units(units: Units) -> Iterator[None]:
+def use_units(units: Units) -> Iterator[None]:
     """Write what follows in the units of one kind of axis."""
     token = _axis.set(units)
     try:
@@ -48,8 +48,8 @@ def axis_units() -> Units:
     return _axis.get()
 
 
-def after_force() -> str:
-    """What stands after a force: its unit, and the space before it."""
+def force_suffix() -> str:
+    """Return the text behind a force: its unit, and the space before it."""
     return f"{SPACE}{_axis.get().force}"
 
 
@@ -97,7 +97,7 @@ def reading(value: float, unit: str, std: float = math.nan) -> Reading:
     if spread > 1e4 * least:
         return Reading(plain(number), plain(spread, 2), shown)
     decimals = max(0, decimals)
-    return Reading(_fixed(number, decimals), _fixed(spread, decimals), shown)
+    return Reading(_fixed_point(number, decimals), _fixed_point(spread, decimals), shown)
 
 
 def scaled_unit(value: float, unit: str) -> tuple[float, str]:
@@ -117,7 +117,7 @@ def plain(number: float, digits: int = 3) -> str:
         return "0"
     power = math.floor(math.log10(abs(number)))
     if -4 <= power < 7:
-        return _fixed(number, max(0, digits - 1 - power))
+        return _fixed_point(number, max(0, digits - 1 - power))
     return _minus(f"{number:.{digits - 1}e}".replace("e-0", "e-").replace("e+0", "e"))
 
 
@@ -126,12 +126,12 @@ def force(newton: float) -> str:
     if not math.isfinite(newton):
         return "–"
     decimals = sum(abs(newton) < limit for limit in (0.9995, 9.995, 99.95))
-    return f"{_fixed(newton, decimals)}{after_force()}"
+    return f"{_fixed_point(newton, decimals)}{force_suffix()}"
 
 
 def percent(share: float) -> str:
     """A share as percent."""
-    return "–" if not math.isfinite(share) else f"{_fixed(100.0 * share, 0 if abs(share) >= 0.1 else 1)}{SPACE}%"
+    return "–" if not math.isfinite(share) else f"{_fixed_point(100.0 * share, 0 if abs(share) >= 0.1 else 1)}{SPACE}%"
 
 
 def probability(p: float) -> str:
@@ -155,7 +155,7 @@ def _prefix(value: float, unit: str) -> tuple[float, str]:
     return _PREFIXES[unit][-1 if size > 0.0 else 0]
 
 
-def _fixed(number: float, decimals: int) -> str:
+def _fixed_point(number: float, decimals: int) -> str:
     text = f"{number:.{decimals}f}"
     return _minus("0" if text.strip("-0.") == "" and decimals == 0 else text)
 

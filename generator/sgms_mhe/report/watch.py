@@ -46,7 +46,7 @@ class Watched:
     remarks: tuple[str, ...] = ()
 
 
-def bounded(name: str, value: float, std: float) -> Reading:
+def interval_text(name: str, value: float, std: float) -> Reading:
     """A parameter's value with its two standard deviations."""
     return quantity(name, value, 2.0 * std / COVERAGE)
 
@@ -57,7 +57,7 @@ def seconds(time: float) -> str:
 
 
 def watch_content(watched: Watched) -> dict[str, Any]:
-    """What the page says."""
+    """Return the text of the page."""
     course, machine = watched.course, watched.course.machine
     found = course.summary()
     status = 0 if course.latest is None else int(course.latest.status[0])
@@ -107,7 +107,7 @@ def watch_content(watched: Watched) -> dict[str, Any]:
 
 
 def watch_plots(course: Course) -> dict[str, Any]:
-    """What the page's plots draw, by their names."""
+    """Return the data of the page's plots, by their names."""
     unit = axis_units().force
     recent = _spread(course.recent)
     newest = uniform(float(recent[0, 0]), course.interval_s) | {"group": "recent"}
@@ -209,11 +209,11 @@ def _parameters(course: Course) -> list[dict[str, str]]:
         {
             "words": capital(base_words(name)),
             "name": axis_units().named(name),
-            "value": str(bounded(name, value, std)),
+            "value": str(interval_text(name, value, std)),
             "nominal": str(quantity(name, nominal)),
             "change": relative_change(nominal, value),
             "plot": f"parameter_{k}",
-            "title": f"{capital(base_words(name))}: {bounded(name, value, std)}",
+            "title": f"{capital(base_words(name))}: {interval_text(name, value, std)}",
         }
         for k, (name, nominal, value, std) in enumerate(rows)
     ]

@@ -8,24 +8,24 @@ from typing import Final
 
 from sgms_mhe.diagnosis import Cause
 from sgms_mhe.model.effects import BASE_CAUSES, base_number, cause, cause_names
-from sgms_mhe.report.units import after_force, force, percent, quantity
+from sgms_mhe.report.units import force, force_suffix, percent, quantity
 
 LEAST_CHANGE: Final = 5e-4
 """Of a change: less is zero at the digits that it is written with."""
 
 
 def title(name: str, *, own: bool = False) -> str:
-    """What a cause is, in words; `own`: an effect that the machine file has already."""
+    """Return the name of a cause in words; `own`: an effect that the machine file has already."""
     words = cause(name).summary if name in cause_names() else name.replace("_", " ")
     return f"{words}: another value than the machine file's" if own else words
 
 
 def cause_title(c: Cause) -> str:
-    """What a named cause is, in words."""
+    """Return the name of a named cause in words."""
     return title(c.name, own=bool(c.nominal) and c.name not in BASE_CAUSES)
 
 
-def with_size(c: Cause) -> str:
+def cause_text(c: Cause) -> str:
     """A cause in words, with its leading number where it is an effect."""
     key = next(iter(c.parameters), None)
     if key is None or c.nominal or c.name in BASE_CAUSES:
@@ -56,10 +56,10 @@ def between(low: float, high: float) -> str:
     """An interval of forces, or torques."""
     if not (math.isfinite(low) and math.isfinite(high)):
         return "not known"
-    return f"{force(low).removesuffix(after_force())} to {force(high)}"
+    return f"{force(low).removesuffix(force_suffix())} to {force(high)}"
 
 
-def listed(parts: Sequence[str], last: str = "and") -> str:
+def join_words(parts: Sequence[str], last: str = "and") -> str:
     """A list within a sentence."""
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} {last} {parts[-1]}"
 

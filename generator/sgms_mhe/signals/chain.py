@@ -35,7 +35,7 @@ LARGEST_SIGNAL = 1e9
 
 @dataclass(frozen=True)
 class Signals:
-    """What the observer sees, one entry per sample; all arrays (n,), all numbers finite.
+    """Signals of the observer, one entry per sample; all arrays (n,), all numbers finite.
 
     time of the sample [s], position [m], velocity [m/s], acceleration [m/s^2], force [N], friction [N]; `valid`:
     friction may be used as a measurement; `missing`: a recorded channel had no finite value. `delay`: how far they are
@@ -98,7 +98,7 @@ class Chain:
         self._since, self._taken = _NEVER, 0
 
     def take(self, log: Log) -> Signals:
-        """What the samples that follow become; of the same columns throughout."""
+        """Return the signals of the samples that follow; of the same columns throughout."""
         rate = self._machine.sampling.rate
         log = readings(log)
         missing = _missing(log)
@@ -126,7 +126,7 @@ class Chain:
         else:
             held = self._delay("acceleration", self._hold("acceleration", log.acceleration_m_s2, 0.0), 0.0)
             acceleration = self._lowpass("acceleration, twice", self._lowpass("acceleration", held))
-        position, force = self._at_rest("position", delayed_position), self._behind("force", force)
+        position, force = self._start_at_rest("position", delayed_position), self._behind("force", force)
         if log.friction_N is None:
             friction = force - self._machine.plant.moved * acceleration
         else:
@@ -152,14 +152,14 @@ class Chain:
         filtered, self._memory[name] = _lowpass(self._coefficients, signal, self._memory.get(name))
         return filtered
 
-    def _at_rest(self, name: str, delayed: Array) -> Array:
+    def _start_at_rest(self, name: str, delayed: Array) -> Array:
         """Behind both low-passes, at rest on the log's first value before it."""
         base = self._bases.setdefault(name, float(delayed[0]))
         return np.asarray(base + self._lowpass(f"{name}, twice", self._lowpass(f"{name}, once", delayed - base)))
 
     def _behind(self, name: str, series: Array) -> Array:
-        """`behind_chain`, piece by piece."""
-        return self._at_rest(name, self._delay(name, series, float(series[0])))
+        """`apply_chain`, piece by piece."""
+        return self._start_at_rest(name, self._delay(name, series, float(series[0])))
 
     def _samples_since(self, missing: Mask) -> NDArray[np.int64]:
         """Samples since the last one that was missing, in this piece or before it."""
@@ -184,13 +184,13 @@ def signals_of_record(log: Log, machine: Machine) -> Signals:
     if not missing.any() or missing.all():
         return signals_from_log(log, machine)
     bypassed = log.velocity_m_s is not None and log.friction_N is not None
-    signals = signals_from_log(_bridged(log), machine)
+    signals = signals_from_log(_bridge(log), machine)
     after = 0 if bypassed else 2 * settle_samples(machine)
     return replace(signals, valid=signals.valid & (_samples_since(missing) > after), missing=missing)
 
 
-def behind_chain(machine: Machine, series: Array) -> Array:
-    """What the chain makes of forces (n, ...): both low-passes and one sample, at rest before the first sample."""
+def apply_chain(machine: Machine, series: Array) -> Array:
+    """Return forces (n, ...) behind the chain: both low-passes and one sample, at rest before the first sample."""
     coefficients, base = lowpass_coefficients(machine), series[0]
     delayed = np.concatenate((series[:1], series[:-1])) - base
     # Both filters are linear: about the first value they start at zero, which is at rest to the last bit.
@@ -240,7 +240,7 @@ def _missing(log: Log) -> Mask:
     return ~finite
 
 
-def _bridged(log: Log) -> Log:
+def _bridge(log: Log) -> Log:
     """The log with every gap between two readings filled."""
     filled: dict[str, Any] = {}
     for name in ("position_m", "force_N", "velocity_m_s", "acceleration_m_s2", "friction_N"):

@@ -1,4 +1,4 @@
-"""What the innovations of an estimator say of its weights: how likely they are, and which noise they speak for."""
+"""Innovations of an estimator as a judge of its weights: their likelihood, and the noise that they support."""
 
 from __future__ import annotations
 

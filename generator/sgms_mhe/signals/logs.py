@@ -49,7 +49,7 @@ class Log:
 
     @property
     def units(self) -> Units:
-        """What this kind of axis calls its quantities."""
+        """Return the names of the units of this kind of axis."""
         return OF_KIND[self.kind]
 
     @property

@@ -18,8 +18,8 @@ REFUSED: Final = "refused"
 """A negative status: the last good estimate was kept."""
 
 
-def flagged(status: NDArray[np.int64]) -> dict[str, NDArray[np.bool_]]:
-    """Which updates have each flag; `refused` are those of negative status. Arrays (u)."""
+def select_flags(status: NDArray[np.int64]) -> dict[str, NDArray[np.bool_]]:
+    """Return the updates that have each flag; `refused` are those of negative status. Arrays (u)."""
     usable = status >= 0
     return {name: usable & (status & flag != 0) for name, flag in FLAGS.items()} | {REFUSED: ~usable}
 

@@ -126,7 +126,7 @@ class _Folder:
             for name in sorted(names):
                 content = self.content(name)
                 if content is not None and name == f"{stem}-{_digest(content)}{suffix}":
-                    self._mark_used(name)
+                    self._touch(name)
                     return name, content
                 self.remove(name)
         return None
@@ -136,7 +136,7 @@ class _Folder:
         with os.scandir(self._descriptor) as entries:
             names = [entry.name for entry in entries]
         if len(names) > MOST:
-            names.sort(key=self._last_used)
+            names.sort(key=self._access_time)
             for name in names[: len(names) - int(KEPT * MOST)]:
                 self.remove(name)
         listed: dict[str, list[str]] = {}
@@ -145,13 +145,13 @@ class _Folder:
         _listed[self.path] = listed
         return listed
 
-    def _mark_used(self, name: str) -> None:
+    def _touch(self, name: str) -> None:
         """A file's time of access is now: file systems need not keep it by themselves."""
         with suppress(OSError):
             written = os.stat(name, dir_fd=self._descriptor, follow_symlinks=False).st_mtime_ns
             os.utime(name, ns=(time.time_ns(), written), dir_fd=self._descriptor, follow_symlinks=False)
 
-    def _last_used(self, name: str) -> float:
+    def _access_time(self, name: str) -> float:
         """When a file was asked for last; 0.0 of one that is gone."""
         try:
             return os.stat(name, dir_fd=self._descriptor, follow_symlinks=False).st_atime
@@ -159,7 +159,7 @@ class _Folder:
             return 0.0
 
     def content(self, name: str) -> bytes | None:
-        """What a regular file of the user's own holds that nobody else may write; None for anything else."""
+        """Return the content of a regular file of the user that nobody else may write; None for anything else."""
         try:
             # Without waiting for the other end of a pipe.
             flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC

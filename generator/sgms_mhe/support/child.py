@@ -23,14 +23,14 @@ _LOOKS_EVERY_S: Final = 0.5
 
 
 class Answer(NamedTuple):
-    """What came of a call: its value, or why there is none, in one sentence; and how long it took [s]."""
+    """Answer to a call: its value, or why there is none, in one sentence; and its duration [s]."""
 
     value: Any
     failure: str
     seconds: float
 
 
-def answered(call: Callable[..., Any], arguments: tuple[Any, ...]) -> Answer:
+def answer(call: Callable[..., Any], arguments: tuple[Any, ...]) -> Answer:
     """Call it. Whatever it raises is an answer too; an interrupt goes on."""
     started = time.monotonic()
     try:
@@ -48,12 +48,12 @@ def _sentence(error: Exception) -> str:
     return f"{type(error).__name__}: {error}{place}"
 
 
-def _loaded(content: bytes) -> Answer:
+def _load(content: bytes) -> Answer:
     try:
         call, arguments = pickle.loads(content)
     except Exception as error:
         return Answer(None, f"the task cannot be read by the process that is to do it: {error}", 0.0)
-    return answered(call, arguments)
+    return answer(call, arguments)
 
 
 def _leave_with(parent: int) -> None:
@@ -72,7 +72,7 @@ def main(descriptor: int) -> None:
                 content = asked.recv_bytes()
             except EOFError:
                 return
-            answer = _loaded(content)
+            answer = _load(content)
             try:
                 reply = pickle.dumps(tuple(answer))
             except Exception as error:

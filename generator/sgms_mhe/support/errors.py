@@ -20,15 +20,15 @@ class InputError(Exception):
         self.where = where
         self.value = value
         self.allowed = allowed
-        shown = "" if value is None else f" = {_shortened(repr(value))}"
-        super().__init__(f"{self.source}: {_shortened(where)}{shown}: {allowed}")
+        shown = "" if value is None else f" = {_shorten(repr(value))}"
+        super().__init__(f"{self.source}: {_shorten(where)}{shown}: {allowed}")
 
 
 class ImplausibleError(InputError):
     """Columns of a log that cannot be what they are called: of another sign, scale or unit."""
 
 
-def _shortened(text: str) -> str:
+def _shorten(text: str) -> str:
     return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
 
 

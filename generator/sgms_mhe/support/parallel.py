@@ -103,7 +103,7 @@ class _Batch(Generic[T]):
                     self._changed.notify_all()
 
     def _is_done(self) -> bool:
-        """Whether all that were begun have ended, and no more are to be."""
+        """Return True if all that were begun have ended, and no more are to be."""
         return not self.left and self._ended == self._begun
 
     def wait(self) -> None:

@@ -24,7 +24,7 @@ from multiprocessing import Pipe
 from typing import Any, Final
 
 from sgms_mhe import __version__
-from sgms_mhe.support.child import Answer, answered
+from sgms_mhe.support.child import Answer, answer
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import optional_library
 from sgms_mhe.support.parallel import LIBRARIES, VARIABLE, workers
@@ -53,7 +53,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a task.
+    """Outcome of a task.
 
     Attributes:
         value: that the call returned; None where it failed.
@@ -100,7 +100,7 @@ def run_tasks(tasks: Sequence[Task], place: Place) -> Iterator[Outcome]:
         yield from _on_cluster(tasks, place.scheduler, place.limit_s)
     elif place.jobs < 1:
         for task in tasks:
-            yield _outcome(task, answered(task.call, task.arguments))
+            yield _outcome(task, answer(task.call, task.arguments))
     else:
         yield from _on_host(tasks, place)
 
@@ -187,7 +187,7 @@ class _Child:
 
     @property
     def spent(self) -> bool:
-        """Whether it has ended, or has worked long enough."""
+        """Return True if it has ended, or has worked long enough."""
         return self.done >= _TASKS_PER_CHILD or self._process.poll() is not None
 
     def kill(self) -> None:

@@ -103,7 +103,7 @@ def shared_library(
     Raises:
         BuildError: no compiler, or it refused; the message carries its output.
     """
-    return _cached(sources, include_dirs, (*flags, "-fPIC", "-shared"), cache_key, libraries, suffix=".so")
+    return _reuse_build(sources, include_dirs, (*flags, "-fPIC", "-shared"), cache_key, libraries, suffix=".so")
 
 
 def program(
@@ -114,10 +114,10 @@ def program(
     libraries: Sequence[str] = (),
 ) -> Path:
     """Compile C sources to a program and return its path; arguments, cache and errors as for `shared_library`."""
-    return _cached(sources, include_dirs, tuple(flags), cache_key, libraries, suffix="")
+    return _reuse_build(sources, include_dirs, tuple(flags), cache_key, libraries, suffix="")
 
 
-def _cached(
+def _reuse_build(
     sources: Sequence[Path],
     include_dirs: Sequence[Path],
     flags: tuple[str, ...],
@@ -153,7 +153,7 @@ def _cached(
 
 
 def tool_output(command: Sequence[str], remedy: str = "CC names the C compiler to use") -> str:
-    """What a compiler or one of its tools prints on stdout.
+    """Return the stdout of a compiler or one of its tools.
 
     Raises:
         BuildError: it is not there, which `remedy` mends, or it refused; the message carries its output.

@@ -59,7 +59,7 @@ class Point:
 
     @property
     def left(self) -> bool:
-        """Whether its interval lies outside of the band as a whole."""
+        """Return True if its interval lies outside of the band as a whole."""
         reach = INTERVAL * self.number.std
         return self.band is not None and not (
             self.number.value - reach <= self.band.high and self.number.value + reach >= self.band.low

@@ -59,7 +59,7 @@ class Fleet:
     courses: tuple[Course, ...]
 
     @property
-    def failed(self) -> tuple[Done, ...]:
+    def failures(self) -> tuple[Done, ...]:
         """Rows without a result."""
         return tuple(done for done in self.rows if done.failure)
 

@@ -1,4 +1,4 @@
-"""What is done with one row of a fleet, in a process of its own: from machine and log to the files of its result."""
+"""One row of a fleet, in a process of its own: from machine and log to the files of its result."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sgms_mhe.model import build_model
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.report import attempt_report
 from sgms_mhe.signals.estimates import Estimates, write_estimates
-from sgms_mhe.signals.status import flagged, measured
+from sgms_mhe.signals.status import measured, select_flags
 from sgms_mhe.support.json_values import finite
 
 RESULT: Final = "result.json"
@@ -45,7 +45,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Result:
-    """What a row gave.
+    """Result of a row.
 
     Attributes:
         verdict: of a diagnosis; of an estimation `good` or its most frequent flag; of an identification the law.
@@ -83,11 +83,11 @@ def work(verb: Verb, row: Row, machine: Machine | None) -> dict[str, bytes]:
     with TemporaryDirectory() as scratch:
         folder = Path(scratch)
         if machine is None or verb == "identify":
-            result = _identified(row, machine, folder, notes)
+            result = _identify(row, machine, folder, notes)
         elif verb == "estimate":
-            result = _estimated(row, machine, folder, notes)
+            result = _estimate(row, machine, folder, notes)
         else:
-            result = _diagnosed(row, machine, folder, notes)
+            result = _diagnose(row, machine, folder, notes)
         _write_json(folder / RESULT, asdict(result))
         return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
@@ -101,7 +101,7 @@ def _write_json(path: Path, content: Any) -> None:
     path.write_text(json_text(content), encoding="utf-8")
 
 
-def _diagnosed(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Result:
+def _diagnose(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Result:
     found = diagnose(machine, row.log, note=notes.append)
     _write_json(folder / "diagnosis.json", found.to_json())
     attempt_report(found, folder, notes.append)
@@ -117,24 +117,24 @@ def _diagnosed(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Re
         found.summary,
         machine.plant.kind,
         machine.name,
-        _determined(numbers),
+        _finite_numbers(numbers),
         (*notes, *found.warnings),
     )
 
 
-def _estimated(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Result:
+def _estimate(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Result:
     estimates = estimate(machine, row.log, note=notes.append)
     write_estimates(folder / "estimates.csv", estimates)
     nominal = (parameter.nominal for parameter in build_model(machine).parameters)
     columns = (estimates.parameter_names, estimates.parameters[-1], estimates.std[-1], nominal)
     numbers = [Number(name, float(v), float(s), float(n)) for name, v, s, n in zip(*columns, strict=True)]
     verdict, summary = _course(machine, estimates)
-    return Result(verdict, summary, machine.plant.kind, machine.name, _determined(numbers), tuple(notes))
+    return Result(verdict, summary, machine.plant.kind, machine.name, _finite_numbers(numbers), tuple(notes))
 
 
 def _course(machine: Machine, estimates: Estimates) -> tuple[str, str]:
     """How an estimation went: `good`, or the flag that more updates had than had none, or none but of a standstill."""
-    counts = {name: int(np.count_nonzero(mask)) for name, mask in flagged(estimates.status).items()}
+    counts = {name: int(np.count_nonzero(mask)) for name, mask in select_flags(estimates.status).items()}
     good = int(np.count_nonzero(estimates.status == 0))
     worst = max(counts.keys() - _USUAL, key=lambda name: counts[name])
     usual = good + max(counts[name] for name in _USUAL)
@@ -146,7 +146,7 @@ def _course(machine: Machine, estimates: Estimates) -> tuple[str, str]:
     return ("good" if usual >= counts[worst] else worst), summary
 
 
-def _identified(row: Row, machine: Machine | None, folder: Path, notes: list[str]) -> Result:
+def _identify(row: Row, machine: Machine | None, folder: Path, notes: list[str]) -> Result:
     name = machine_name(row.axis)
     found = identify([row.log], name, mass=row.mass, like=machine, note=notes.append)
     (folder / f"{name}.toml").write_text(found.toml, encoding="utf-8")
@@ -158,7 +158,7 @@ def _identified(row: Row, machine: Machine | None, folder: Path, notes: list[str
         f"{found.noise_floor_N:.3g} {unit}",
         found.machine.plant.kind,
         name,
-        _determined(Number(n.name, n.value, n.std, math.nan) for n in found.numbers if n.determined),
+        _finite_numbers(Number(n.name, n.value, n.std, math.nan) for n in found.numbers if n.determined),
         (*found.limits, *found.warnings),
     )
 
@@ -169,5 +169,5 @@ def machine_name(axis: str) -> str:
     return plain if plain[0].isalpha() else f"axis_{plain}"
 
 
-def _determined(numbers: Iterable[Number]) -> tuple[Number, ...]:
+def _finite_numbers(numbers: Iterable[Number]) -> tuple[Number, ...]:
     return tuple(n for n in numbers if math.isfinite(n.value) and math.isfinite(n.std) and n.std > 0.0)

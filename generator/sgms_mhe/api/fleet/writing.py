@@ -38,7 +38,7 @@ def results_json(fleet: Fleet, folder: Path) -> dict[str, Any]:
         "verb": fleet.verb,
         "version": __version__,
         "trends": [
-            {"axis": c.axis, "name": _named(_newest(c, fleet).kind, c.name), **asdict(c.trend)}
+            {"axis": c.axis, "name": _name_with_unit(_newest(c, fleet).kind, c.name), **asdict(c.trend)}
             for c in fleet.courses
             if c.trend is not None
         ],
@@ -73,7 +73,7 @@ def _number(kind: Kind, number: Number, point: Point) -> dict[str, Any]:
         "from": point.band.origin,
         "count": point.band.count,
     }
-    named = _named(kind, number.name)
+    named = _name_with_unit(kind, number.name)
     values = {"value": number.value, "std": number.std, "nominal": number.nominal}
     return {"name": named, **values, "band": band, "left_band": point.left if point.band else None}
 
@@ -81,7 +81,7 @@ def _number(kind: Kind, number: Number, point: Point) -> dict[str, Any]:
 def results_csv(fleet: Fleet, folder: Path) -> str:
     """Content of results.csv: a row of the table each; a number that a row does not determine stays empty."""
     found = [(done, done.result) for done in fleet.rows]
-    names = {_named(r.kind, n.name): None for _, r in found if r is not None for n in r.numbers}
+    names = {_name_with_unit(r.kind, n.name): None for _, r in found if r is not None for n in r.numbers}
     bands = _bands(fleet)
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
@@ -93,8 +93,8 @@ def results_csv(fleet: Fleet, folder: Path) -> str:
         if result is None:
             lines.writerow([done.row.number, *own, "failed", "", done.failure, "", "", *[""] * len(columns)])
             continue
-        values = {_named(result.kind, n.name): (repr(n.value), repr(n.std)) for n in result.numbers}
-        left = [_named(result.kind, n.name) for n in result.numbers if bands[done.row.number, n.name].left]
+        values = {_name_with_unit(result.kind, n.name): (repr(n.value), repr(n.std)) for n in result.numbers}
+        left = [_name_with_unit(result.kind, n.name) for n in result.numbers if bands[done.row.number, n.name].left]
         cells = [cell for name in names for cell in values.get(name, ("", ""))]
         said = [result.verdict, result.summary, " ".join(left), _relative(done, folder)]
         lines.writerow([done.row.number, *own, "done", *said, *cells])
@@ -105,7 +105,7 @@ def _bands(fleet: Fleet) -> dict[tuple[int, str], Point]:
     return {(point.row.number, course.name): point for course in fleet.courses for point in course.points}
 
 
-def _named(kind: Kind, name: str) -> str:
+def _name_with_unit(kind: Kind, name: str) -> str:
     """A number's name with its unit, as this kind of axis has it: `coulomb_N`, `force_ripple.amplitude_N`."""
     return OF_KIND[kind].named(reported_name(name))
 

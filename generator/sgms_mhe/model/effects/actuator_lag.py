@@ -29,7 +29,7 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str
     axis.drive = axis.drive + p["time_constant_s"] / lag * (axis.force - lagged)
 
 
-def _lagged(motion: MotionRecord, time_constant: float) -> Array:
+def _lag(motion: MotionRecord, time_constant: float) -> Array:
     """The logged force behind a first-order lag (m) [N], bilinear."""
     k = 2.0 * time_constant * motion.extents.rate
     b, a = np.array([1.0, 1.0]) / (1.0 + k), np.array([1.0, (1.0 - k) / (1.0 + k)])
@@ -52,7 +52,7 @@ DEFINITION = EffectDefinition(
     # One makes the log late, the other the force.
     excludes=("force_delay",),
     search=Columns(
-        lambda m, p: ((m.force - _lagged(m, p["time_constant_s"])) / p["time_constant_s"])[:, None],
+        lambda m, p: ((m.force - _lag(m, p["time_constant_s"])) / p["time_constant_s"])[:, None],
         lambda _, size: {"time_constant_s": float(size[0])},
         lambda m: [{"time_constant_s": x / m.extents.rate} for x in (0.1, 1.0, 3.0, 10.0, 30.0)],
         tests=2.0,

@@ -51,7 +51,7 @@ def _gaps(motion: MotionRecord) -> list[Values]:
     return [{"gap_m": x} for x in (1e-6, 3e-6, 1e-5, 3e-5, 1e-4) if x < 0.3 * motion.extents.travel]
 
 
-def _behind_gap(moved: Array, push: Array, values: Values) -> Array:
+def _gap_moves(moved: Array, push: Array, values: Values) -> Array:
     """The mass's moves without what crosses the gap (n) [m]; the gap opens where it turns from elements at rest."""
     gap = values["gap_m"]
     engaged = np.empty(len(moved))
@@ -97,7 +97,7 @@ DEFINITION = EffectDefinition(
     },
     moves=("loops",),
     # Its derivative is zero at zero: every trial is a gap.
-    search=Trials(_gaps, _behind_gap),
+    search=Trials(_gaps, _gap_moves),
     # The place in the gap moves within micrometres: shorter steps would be hundreds per sample.
     fit_displacement=2.0,
     stage="level",

@@ -53,11 +53,11 @@ class BaseNumber:
     most: RecordLimit | None = None
 
     def holds(self, column: str) -> bool:
-        """Whether a column of results is this number, or one of its elements."""
+        """Return True if a column of results is this number, or one of its elements."""
         return column == self.name or (self.array and self.is_element(column))
 
     def is_element(self, column: str) -> bool:
-        """Whether a column of results is one of its elements."""
+        """Return True if a column of results is one of its elements."""
         stem, _, index = column.rpartition("_")
         return stem == self.name and index.isdigit()
 

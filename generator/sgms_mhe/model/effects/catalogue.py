@@ -154,7 +154,7 @@ def cause_names(kind: Kind | None = None) -> tuple[str, ...]:
 
 
 def broken_effects() -> tuple[InputError, ...]:
-    """What is wrong with the effects of other distributions that cannot be used."""
+    """Return the errors of other distributions' effects that cannot be used."""
     return tuple(outcome for name in _offers() if isinstance(outcome := _outcome(name), InputError))
 
 
@@ -183,7 +183,7 @@ def _files(folder: str) -> list[Path]:
 
 
 def cause(name: str) -> CauseDefinition:
-    """What a diagnosis must know of anything that it may name; KeyError if there is no such cause."""
+    """Return the definition of a cause for a diagnosis; KeyError if there is no such cause."""
     return base_cause(name) if name in BASE_CAUSES else effect_definition(name)
 
 

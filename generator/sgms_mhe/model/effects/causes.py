@@ -1,4 +1,4 @@
-"""What a diagnosis must know of anything that it may name, effect or wrong number."""
+"""Definition of a cause for a diagnosis: an effect or a wrong number."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Simpler:
 
 @dataclass(frozen=True, kw_only=True)
 class CauseDefinition:
-    """What effects and wrong numbers have in common.
+    """Common part of effects and wrong numbers.
 
     Attributes:
         name: as in diagnosis.json, and of an effect in the machine file.

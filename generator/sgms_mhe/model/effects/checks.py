@@ -1,4 +1,4 @@
-"""What is wrong with a definition: the same for this package's effects, in tests, and for those of others, in use."""
+"""Errors of a definition: the same for this package's effects, in tests, and for those of others, in use."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def faults_of(definition: EffectDefinition, causes: Container[str]) -> Iterator[
 
 
 def _references(definition: EffectDefinition, causes: Container[str]) -> Iterator[Fault]:
-    """What it says of other causes, and what it needs of a record."""
+    """Check the references to other causes, and the needed excitation."""
     for where, others in (
         ("confused_with", tuple(definition.confused_with)),
         ("excludes", definition.excludes),
@@ -116,7 +116,7 @@ def _search(definition: EffectDefinition) -> Iterator[Fault]:
 
 
 def _contribution(definition: EffectDefinition) -> Iterator[Fault]:
-    """What the contribution to an axis shows: its states, and that it is nothing by default."""
+    """Check the contribution to an axis: its states, and that it is nothing by default."""
     axis = SymbolicAxis(1.0, 1.0, step=1e-4, gate_per_velocity=3.5e4)
     axis.scope = definition.name
     before = _quantities(axis)
@@ -159,7 +159,7 @@ def _quantities(axis: SymbolicAxis) -> ca.SX:
 def _largest_change(
     axis: SymbolicAxis, before: ca.SX, symbols: Mapping[str, ca.SX], nominal: Mapping[str, float]
 ) -> float:
-    """What a contribution of default parameters, its states at rest, changes at some signals of size one."""
+    """Return the largest change by a contribution of default parameters, states at rest, at signals of size one."""
     states = ca.vertcat(*(state.chi for state in axis.states)) if axis.states else ca.SX(0, 1)
     changed = ca.Function(
         "changed",

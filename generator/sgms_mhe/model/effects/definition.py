@@ -1,4 +1,4 @@
-"""What an effect is: something the axis has beyond the S-GMS friction law."""
+"""Definition of an effect: a property of an axis beyond the S-GMS friction law."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class EffectDefinition(CauseDefinition):
         kinds: of axis that may have it.
         states: names of its own states.
         search: how a diagnosis looks for it; by its derivative in its first size unless something says more.
-        loads: whether its force acts on the load, so that the drive has to transmit it (`SymbolicAxis.transmitted`).
+        loads: whether its force acts on the load, so that the drive transmits it (`SymbolicAxis.transmitted_force`).
         polar: names of size and angle where it is a sine that its search does not look for the period of.
         linear: whether the search's columns times its sizes are all of its force: what it would gain is then known
             without a refit.
@@ -130,23 +130,23 @@ class EffectDefinition(CauseDefinition):
         return tuple(parameter.name for parameter in self.parameters if parameter.main)
 
     @property
-    def timed(self) -> bool:
-        """Whether it moves force against position in time: sampling alone looks like a little of it."""
+    def acts_on_timing(self) -> bool:
+        """Return True if it moves force against position in time: sampling alone resembles a little of it."""
         return any(parameter.timing for parameter in self.parameters)
 
     @property
     def drives_elements(self) -> bool:
-        """Whether elements move with its states and not with the axis: a step of theirs has no closed form then."""
+        """Return True if elements move with its states, not with the axis: their step has no closed form then."""
         return bool(self.smooth_only and self.states)
 
     @property
     def costly(self) -> bool:
-        """Whether its search runs models many times: made only where something speaks for the effect."""
+        """Return True if its search runs models many times: made only where the residual supports the effect."""
         return self.search.costly
 
     @property
     def periodic(self) -> bool:
-        """Whether its force comes again, in place or in time."""
+        """Return True if its force repeats, in place or in time."""
         return isinstance(self.search, Harmonic | Periodic) or self.polar is not None
 
     @property

@@ -13,7 +13,7 @@ from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Array, Columns, Values
 from sgms_mhe.model.effects.specimen import one_number
-from sgms_mhe.model.effects.transmission import dragged, loaded
+from sgms_mhe.model.effects.transmission import friction_drag, load_excitation
 
 _LEAST = 0.5
 
@@ -23,14 +23,14 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, floa
 
     Lost is |T| (1 / eta - 1) and |T| (1 - eta), by the sign of T v. Below break-away friction takes what it has to.
     """
-    efficiency, torque = p["efficiency_ratio"], axis.transmitted
+    efficiency, torque = p["efficiency_ratio"], axis.transmitted_force
     driving, driven = 1.0 / efficiency - 1.0, 1.0 - efficiency
     lost = (driving + driven) * ca.fabs(torque) + (driving - driven) * torque * ca.sign(axis.velocity)
     axis.level_force = axis.level_force + 0.5 * lost
 
 
 def _efficiency(_: Values, size: Array) -> Values:
-    """That of which the mean loss of both sides, (1 / eta - eta) / 2, is the one found."""
+    """Return the eta whose mean loss of both sides, (1 / eta - eta) / 2, is the given one."""
     return {"efficiency_ratio": math.exp(math.asinh(float(size[0])))}
 
 
@@ -51,7 +51,7 @@ DEFINITION = EffectDefinition(
         ),
     ),
     contribute=_contribute,
-    excitation=loaded("sliding both ways under loads that the drive drives, and under loads that drive it"),
+    excitation=load_excitation("sliding both ways under loads that the drive drives, and under loads that drive it"),
     confused_with={
         "load_dependent_friction": "hard braking, or a weight let down: there a drive loses less than where it drives",
         "force_gain": "constant speeds without a load: a gain scales friction too, a drive then loses nothing",
@@ -62,7 +62,7 @@ DEFINITION = EffectDefinition(
     inertial=True,
     simpler=Simpler(("coulomb",)),
     # Per unit of efficiency where nothing is lost.
-    search=Columns(lambda m, _: -dragged(m), _efficiency, exact="efficiency_ratio"),
+    search=Columns(lambda m, _: -friction_drag(m), _efficiency, exact="efficiency_ratio"),
     stage="level",
     specimen=one_number("efficiency_ratio", lambda _: -0.1, none=1.0, signed=False),
 )

@@ -1,4 +1,4 @@
-"""What a log must hold for an effect to be identified: a sentence, and numbers that a program can check."""
+"""Excitation that identifies an effect: a sentence, and numbers that a program can check."""
 
 from __future__ import annotations
 

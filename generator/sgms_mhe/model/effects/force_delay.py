@@ -65,8 +65,8 @@ def _delay(axis: SymbolicAxis, d: ca.SX, late: float) -> None:
     axis.drive = drive - d * slope
 
 
-def _logged(force: Array, step: float, p: Values) -> Array:
-    """What is logged of the force (n) that makes a motion [N]."""
+def _log_force(force: Array, step: float, p: Values) -> Array:
+    """Return the logged series (n) of the force that makes a motion [N]."""
     time = step * np.arange(len(force))
     return np.asarray(np.interp(time - p["delay_s"], time, force))
 
@@ -101,5 +101,5 @@ DEFINITION = EffectDefinition(
     fit_displacement=LAG_DISPLACEMENT,
     stage="log",
     states=("lagged_force",),
-    specimen=Specimen(lambda scene, _, x: {"delay_s": x * scene.scales.step}, logged=_logged),
+    specimen=Specimen(lambda scene, _, x: {"delay_s": x * scene.scales.step}, logged=_log_force),
 )

@@ -12,11 +12,11 @@ from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Columns, one_size
 from sgms_mhe.model.effects.specimen import one_number
-from sgms_mhe.model.effects.transmission import dragged, loaded
+from sgms_mhe.model.effects.transmission import friction_drag, load_excitation
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
-    axis.level_force = axis.level_force + p["ratio"] * ca.fabs(axis.transmitted)
+    axis.level_force = axis.level_force + p["ratio"] * ca.fabs(axis.transmitted_force)
 
 
 DEFINITION = EffectDefinition(
@@ -28,7 +28,7 @@ DEFINITION = EffectDefinition(
         EffectParameter("ratio", 0.0, 0.1, "level added over the torque transmitted", lower=0.0, upper=0.95),
     ),
     contribute=_contribute,
-    excitation=loaded("sliding both ways under loads from none to several times the Coulomb level"),
+    excitation=load_excitation("sliding both ways under loads from none to several times the Coulomb level"),
     confused_with={
         "coulomb": "the same speed under two loads: a Coulomb level does not change",
         "mass_mismatch": "the same acceleration forth and back: friction brakes both, a mass brakes one and drives one",
@@ -39,7 +39,7 @@ DEFINITION = EffectDefinition(
     moves=("jerks", "speeds"),
     inertial=True,
     simpler=Simpler(("coulomb",)),
-    search=Columns(lambda m, _: dragged(m), one_size("ratio"), exact="ratio"),
+    search=Columns(lambda m, _: friction_drag(m), one_size("ratio"), exact="ratio"),
     stage="level",
     specimen=one_number("ratio", lambda _: 0.1, signed=False),
 )

@@ -1,4 +1,4 @@
-"""What searches and fits know of a record: its extents, and the signals that an effect's force is computed from."""
+"""Motion of a record for searches and fits: its extents, and the signals of an effect's force."""
 
 from __future__ import annotations
 

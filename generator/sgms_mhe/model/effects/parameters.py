@@ -20,7 +20,7 @@ RecordLimit = Callable[[Extents], float]
 
 
 def any_step(_: float, __: float, ___: Extents) -> float:
-    """What the force is linear in may move as far as the step says."""
+    """Allow any step: the force is linear in the parameter."""
     return math.inf
 
 
@@ -99,12 +99,12 @@ class EffectParameter:
 
     @property
     def is_size(self) -> bool:
-        """Whether the effect is none where the parameter is `none`."""
+        """Return True if the effect is zero where the parameter is `none`."""
         return self.role == "size"
 
     @property
     def is_proportional(self) -> bool:
-        """Whether the force is proportional to it."""
+        """Return True if the force is proportional to it."""
         return self.is_size and self.proportional
 
     def entry(self, index: int) -> str:
@@ -115,14 +115,14 @@ class EffectParameter:
         return f"{self.name.removesuffix(unit)}_{index}{unit}"
 
     def index(self, name: str) -> int:
-        """Which entry of it a name of results is of, from 1 on; 0: of none."""
+        """Return the index of the entry that a name of results is of, from 1 on; 0: of none."""
         unit = suffix_of(self.name)
         stem, _, index = name.removesuffix(unit).rpartition("_")
         own = self.array and name.endswith(unit) and stem == self.name.removesuffix(unit)
         return int(index) if own and index.isdecimal() else 0
 
     def holds(self, name: str) -> bool:
-        """Whether a name of results is this parameter or an entry of it."""
+        """Return True if a name of results is this parameter or an entry of it."""
         return name == self.name or self.index(name) > 0
 
     @property
@@ -139,7 +139,7 @@ class EffectParameter:
         return self.scale * scales.of(self.unit)
 
     def estimation_scale(self, scales: Scales, nominal: float) -> float:
-        """What theta - 1 = 1 means [SI]."""
+        """Return the change of the parameter at theta - 1 = 1 [SI]."""
         if self.role == "place" or nominal == 0.0:
             return self.size(scales)
         return 0.03 * nominal if self.role == "period" else nominal

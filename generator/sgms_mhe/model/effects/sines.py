@@ -1,4 +1,4 @@
-"""What effects that are sines have in common."""
+"""Common parts of effects that are sines."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def log_uniform(random: Generator, low: float, high: float) -> float:
 
 @dataclass(frozen=True)
 class Range:
-    """What a number is drawn from, `low` to `high` times `of`.
+    """Range to draw a number from, `low` to `high` times `of`.
 
     Attributes:
         name: of the number.

@@ -1,4 +1,4 @@
-"""What effects of a gear have in common: the torque that the drive transmits."""
+"""Common parts of effects of a gear: the torque that the drive transmits."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ LOADED = (Need("load_ratio", 1.0), Need("both_directions", 0.1), Need("moving_s"
 """What loads a drive needs to carry for its losses to be seen: about as much as its own friction."""
 
 
-def loaded(text: str) -> Excitation:
+def load_excitation(text: str) -> Excitation:
     """The excitation of an effect that grows with the torque transmitted."""
     return Excitation(text, LOADED)
 
 
-def dragged(motion: MotionRecord) -> Array:
+def friction_drag(motion: MotionRecord) -> Array:
     """Friction of the size of the torque transmitted (m, 1) [N]: what a level that grows with it adds per unit."""
     # The drive's torque less the model's friction: what is not in the model yet is in the torque.
     torque = motion.force - motion.level - motion.damping * motion.velocity
