@@ -37,6 +37,23 @@ def write_record(
     return path
 
 
+def check_trace(folder: Path) -> None:
+    """The way to the verdict can be followed: found, no rival as good, not doubted, within what may be left."""
+    stages = {path.stem[3:]: json.loads(path.read_text())["decisions"] for path in sorted(folder.iterdir())}
+    assert list(stages) == ["record", "law", "search", "reduction", "rivals", "confirmation", "verdict"]
+    first = stages["search"][0]
+    assert first["added"] == "force_ripple"
+    ripple = next(c for c in first["candidates"] if c["name"] == "force_ripple")
+    assert ripple["p_value"] < first["significance"]
+    assert ripple["refit_gain_N"] == max(c["refit_gain_N"] or 0.0 for c in first["candidates"])
+    assert {d["outcome"] for d in stages["rivals"] if d.get("instead_of") == "force_ripple"} <= {"worse"}
+    confirmed = {cause["name"]: cause["doubt"] for cause in stages["confirmation"][-1]["causes"]}
+    assert confirmed == {"force_ripple": None}
+    last = stages["verdict"][-1]
+    assert last["outcome"] == "explained"
+    assert last["beyond_noise_after_N"] < last["allowed_N"] < last["beyond_noise_before_N"]
+
+
 def test_diagnose_a_part_and_try_the_estimator_on_another_log(
     machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -45,7 +62,8 @@ def test_diagnose_a_part_and_try_the_estimator_on_another_log(
     unseen = write_record(tmp_path / "unseen.npz", machine, hidden, 4.0, 2)
     out = tmp_path / "out"
     monkeypatch.setattr("sgms_mhe.commands.common.TOLD_FROM_S", 0.0)
-    result = done("diagnose", "etel_xy", log, "--to", "6", "--unseen", unseen, "--out", out)
+    trace = ("--trace", out / "trace")
+    result = done("diagnose", "etel_xy", log, "--to", "6", "--unseen", unseen, "--out", out, *trace)
     text = result.stdout
     assert text.startswith("explained: force_ripple")
     told = [int(share) for share in re.findall(r"^.+ \((\d+) %, \d+ s left\)$", result.stderr, re.MULTILINE)]
@@ -55,6 +73,7 @@ def test_diagnose_a_part_and_try_the_estimator_on_another_log(
     reduction = re.search(rf"estimator on {re.escape(str(unseen))}: .* N rms, (\d+) % less", text)
     assert reduction
     assert int(reduction[1]) > 50
+    check_trace(out / "trace")
     extended = "etel_xy_force_ripple.toml"
     assert {"report.html", "diagnosis.json", extended} <= files(out)
     report = (out / "report.html").read_text()

@@ -65,6 +65,14 @@ log_argument = click.argument("log", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 
 
+trace_option = click.option(
+    "--trace",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder for what every rule decided, and on which numbers: one JSON file per stage.",
+)
+
+
 class Number(click.FloatRange):
     """A finite number within a stated range, its ends included."""
 

@@ -25,8 +25,10 @@ from sgms_mhe.commands.common import (
     recorded_log,
     show,
     steps_bar,
+    trace_option,
 )
 from sgms_mhe.commands.log_options import load_for_log, log_options
+from sgms_mhe.support.decisions import trace_decisions
 from sgms_mhe.support.errors import ImplausibleError, InputError
 from sgms_mhe.support.parallel import leave_cores_to_tasks
 
@@ -59,6 +61,7 @@ if TYPE_CHECKING:
     metavar="FROM TO",
     help="Seconds since the start that the fit behind the gain does not see; default: a third of the record.",
 )
+@trace_option
 @json_option
 def command(
     machine: str,
@@ -69,6 +72,7 @@ def command(
     start_s: float,
     end_s: float,
     held_out: tuple[tuple[float, float], ...],
+    trace: Path | None,
     as_json: bool,
 ) -> None:
     """Say what the simulation of MACHINE gets wrong along LOG, name the cause, and measure what naming it gains.
@@ -97,7 +101,7 @@ def command(
         _say_implausible(error, resolved, recorded, folder, as_json)
         return
     another = recorded_log(unseen, resolved) if unseen else None
-    with steps_bar() as progress:
+    with trace_decisions(trace), steps_bar() as progress:
         found = diagnose(resolved, recorded, progress=progress, held_out_s=held_out or None)
     write_diagnosis(found, folder)
     gain, refused = None, None

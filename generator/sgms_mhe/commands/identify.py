@@ -18,8 +18,10 @@ from sgms_mhe.commands.common import (
     out_option,
     show,
     table_text,
+    trace_option,
 )
 from sgms_mhe.commands.log_options import load_for_log, log_options, log_text
+from sgms_mhe.support.decisions import trace_decisions
 
 if TYPE_CHECKING:
     from sgms_mhe.identification import Identification
@@ -60,6 +62,7 @@ def _elements(ctx: click.Context, param: click.Parameter, text: str) -> int | No
     "--elements", callback=_elements, metavar="N|auto", default="auto", show_default=True, help="Friction elements."
 )
 @click.option("--like", metavar="MACHINE", help="Take sampling, estimator, code and [log] from this machine.")
+@trace_option
 @json_option
 def command(
     logs: tuple[Path, ...],
@@ -69,6 +72,7 @@ def command(
     inertia: float | None,
     elements: int | None,
     like: str | None,
+    trace: Path | None,
     as_json: bool,
 ) -> None:
     """Identify an axis from its logs alone and write its machine file.
@@ -85,7 +89,8 @@ def command(
     model = load_for_log(like, table) if like is not None else None
     read = [read_log(path, model, table=table, note=note) for path in logs]
     moved = moved_mass("identify", read[0].units, mass, inertia)
-    found = identify(read, Wanted(out.stem, moved, elements, model), note)
+    with trace_decisions(trace):
+        found = identify(read, Wanted(out.stem, moved, elements, model), note)
     write_text(out, found.toml if model is not None else found.toml + log_text(table, read[0].kind))
     show(json_text(found.to_json() | {"file": str(out)}) if as_json else _text(found, out), out)
 

@@ -23,6 +23,7 @@ from sgms_mhe.diagnosis.subject import Fit
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.recordings.evidence import gain_force, inconstancy
+from sgms_mhe.support.decisions import log_decision
 
 PATIENT_ITERATIONS: Final = 40
 """Steps of a fit, at most, where all of the machine's numbers may have far to go [1]: what is left then moves all of
@@ -67,23 +68,51 @@ def confirmed(settled: Settled, selection: Selection, *, constant: bool = False)
         left, machine = settled.excess(fit), settled.subject.machine
         complete = left < material_force(machine, settled.floor)
         small = small_force(machine)
-        doubtful = [
-            g
+        doubts = {
+            g: doubt
             for g, cause in causes.items()
-            if not holds(cause, constant=constant, complete=complete)
-            or not is_possible(cause, settled)
-            or _imitates(settled, fit, g, cause)
-            or _echoes(cause, causes.values())
-            or cause.gain_N < (min(small, left) if g.is_extra else small)
-        ]
-        if not doubtful:
-            found = Confirmed(selection, blind, _strongest_first(causes))
-            doubtful = _undetermined(settled, found)
-        if not doubtful:
+            if (doubt := _doubt(settled, fit, g, causes, constant=constant, complete=complete))
+        }
+        found = Confirmed(selection, blind, _strongest_first(causes))
+        if not doubts:
+            doubts = dict.fromkeys(_undetermined(settled, found), "none once undetermined numbers are the file's")
+        log_decision(
+            "confirmation",
+            "the weakest cause that a rule doubts is taken out",
+            same_everywhere=constant,
+            beyond_noise_N=left,
+            complete=complete,
+            least_gain_N=small,
+            causes=[
+                {"name": cause.label, "gain_N": cause.gain_N, "gain_interval_N": cause.gain_interval_N,
+                 "p_value": cause.p_value, "parameters": cause.parameters, "std": cause.std,
+                 "doubt": doubts.get(group)}
+                for group, cause in causes.items()
+            ],
+        )  # fmt: skip
+        if not doubts:
             return found
-        weakest = min(doubtful, key=lambda group: causes[group].gain_N)
+        weakest = min(doubts, key=lambda group: causes[group].gain_N)
         selection = _not_named(settled, selection, weakest) if constant else _without(settled, selection, weakest)
     return Confirmed(selection, selection.fit, ())
+
+
+def _doubt(
+    settled: Settled, fit: Fit, group: Group, causes: Mapping[Group, Cause], *, constant: bool, complete: bool
+) -> str | None:
+    """Return the rule by which a cause does not hold, None if it does; `complete`: its fit leaves next to nothing."""
+    cause, small = causes[group], small_force(settled.subject.machine)
+    if not holds(cause, constant=constant, complete=complete):
+        return "its size, or its gain on held-out data, may be zero"
+    if not is_possible(cause, settled):
+        return "a number that is physically impossible"
+    if _imitates(settled, fit, group, cause):
+        return "may be the difference of the laws of friction"
+    if _echoes(cause, causes.values()):
+        return "a small sine with the period of a large one"
+    if cause.gain_N < (min(small, settled.excess(fit)) if group.is_extra else small):
+        return "its gain is less than matters"
+    return None
 
 
 def _echoes(cause: Cause, causes: Collection[Cause]) -> bool:
@@ -128,6 +157,12 @@ def constant_causes(settled: Settled, selection: Selection) -> Confirmed:
     while selection.causes:
         change = {group: _inconstancy(settled, selection, group) for group in selection.causes}
         worst = max(change, key=lambda group: change[group])
+        log_decision(
+            "constancy",
+            "the cause whose size changes most over the record is taken out",
+            change={group.name: value for group, value in change.items()},
+            allowed=INCONSTANT,
+        )
         if change[worst] < INCONSTANT:
             break
         less = _not_named(settled, selection, worst)

@@ -23,6 +23,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, nuisance
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import beside, in_parallel
 
 SHARPER: Final = 0.97
@@ -175,6 +176,20 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: F
     better = other if taken else fit
     decided = not DECIDED < ratio < 1.0 / DECIDED and leaves_little(better)
     apart = float(np.std((other.residual - fit.residual)[own.recording.used]))
+    log_decision(
+        "law",
+        "law that leaves clearly less, else the file's",
+        effects=[extra.name for extra in extras],
+        file=own.machine.friction.law,
+        residual_N=fit.rms,
+        residual_other_N=other.rms,
+        ratio=ratio,
+        taken_below=SHARPER,
+        surely_less=surer,
+        other_taken=taken,
+        decided=decided,
+        apart_N=apart,
+    )
     return Laws(own, foreign, taken, decided, apart), better
 
 

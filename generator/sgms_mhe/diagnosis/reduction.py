@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -17,6 +18,7 @@ from sgms_mhe.diagnosis.rounds import attempted_fit
 from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import cross_loss, gain_force
+from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
@@ -40,7 +42,16 @@ def pruned(
         )
         trials = [trial for trial in fits if trial is not None]
         gains = [gain_force(trial.cross, fit.cross, fit.rows) for trial in trials]
-        if not gains or min(gains) > criteria.material:
+        stays = not gains or min(gains) > criteria.material
+        log_decision(
+            "reduction",
+            "effect without which no more is left than matters is superfluous",
+            effects=[extra.name for extra in fit.extras],
+            least_loss_N=min(gains, default=math.inf),
+            material_N=criteria.material,
+            left=[extra.name for extra in (fit if stays else trials[gains.index(min(gains))]).extras],
+        )
+        if stays:
             return fit
         fit = trials[gains.index(min(gains))]
     return fit
@@ -78,6 +89,15 @@ def wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Group
         trial = fit_model(subject, extras, refitted=without, warm=current, again=True)
         if gain_force(trial.cross, current.cross, fit.rows) < material:
             named, current = without, trial
+    log_decision(
+        "reduction",
+        "fewest numbers of the file that must differ",
+        effects=[extra.name for extra in extras],
+        material_N=material,
+        residual_all_free_N=everything.cross_rms,
+        residual_N=current.cross_rms,
+        wrong=[group.name for group in named],
+    )
     return named, current
 
 

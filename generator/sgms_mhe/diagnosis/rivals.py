@@ -30,6 +30,7 @@ from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, gain_force, nuisance, score_test
 from sgms_mhe.recordings.repetition import steady_blocks
+from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import in_parallel
 
 Judgement = Literal["better", "rival", "worse", "untried"]
@@ -239,9 +240,21 @@ def _machine_numbers(subject: Subject, without: Fit, refitted: tuple[Group, ...]
 def _judge(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Criteria) -> tuple[Judgement, float]:
     """A refitted candidate against the cause whose place it took, and the RMS that it leaves more [N]."""
     judgement, excess = _compared(subject, place, name, trial, criteria)
+    log_decision(
+        "rivals",
+        "candidate refitted in a cause's place",
+        candidate=name,
+        instead_of=place.cause,
+        leaves_more_N=excess,
+        t=difference_statistic(place.fit.cross, trial.cross),
+        gain_of_cause_N=place.gain,
+        material_N=criteria.material,
+        outcome=judgement,
+    )
     if judgement != "worse" and name in EFFECT_NAMES:
         gain = gain_force(place.without.cross, trial.cross, trial.rows)
         if explains_noise(subject, trial, gain):
+            log_decision("rivals", "a candidate that explains noise alone is none", candidate=name, gain_N=gain)
             return "worse", max(0.0, excess)
     return judgement, excess
 

@@ -24,6 +24,7 @@ from sgms_mhe.model.effects import cause, effect_definition
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import cross_loss, difference_statistic, gain_force, nuisance
 from sgms_mhe.recordings.repetition import in_step
+from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
@@ -98,6 +99,21 @@ def search_round(subject: Subject, current: Fit, number: int, seen: Collection[s
         refit = gain_force(current.cross, fits[p.name].cross, current.rows) if p.name in fits else math.nan
         p_value = min(1.0, p.p_value * len(names))
         scores.append(Score(p.name, number, p_value, max(0.0, ranked.gain), refit, dict(p.parameters), outcome))
+    log_decision(
+        "search",
+        "effect that explains most of those significant and large enough, refitted",
+        step=number,
+        effects=[extra.name for extra in current.extras],
+        beyond_noise_N=criteria.excess(current),
+        significance=criteria.table.significance,
+        least_gain_N=criteria.enough(current),
+        candidates=[
+            {"name": s.name, "p_value": s.p_value, "gain_N": s.gain_N, "refit_gain_N": s.refit_gain_N,
+             "outcome": s.outcome, "starts": s.parameters}
+            for s in sorted(scores, key=lambda s: -s.gain_N)
+        ],
+        added=chosen,
+    )  # fmt: skip
     return Round(
         fit=None if chosen is None else fits[chosen],
         scores=tuple(scores),

@@ -45,6 +45,7 @@ from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.recordings.recording import Recording, encoder_noise, prepare
 from sgms_mhe.recordings.repetition import clock_note, steady_blocks
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.parallel import beside
 
@@ -103,6 +104,7 @@ def diagnose(
         found = _diagnosed(machine, log, held_out_s, course)
         while (more := sampling_offset(found)) and abs(offset + more) <= most:
             offset += more
+            log_decision("record", "force put in step with position, and diagnosed again", offset_s=offset, most_s=most)
             found = _diagnosed(machine, in_step(log, offset), held_out_s, course)
     except FitError as error:
         raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
@@ -128,7 +130,21 @@ def _diagnosed(
     course.base()
     floor = noise_floor(recording, nominal.residual)
     one_speed = steady_blocks(record) is not None
-    criteria = criteria_of(machine, floor, measures(record.signals, machine), course, one_speed=one_speed)
+    measured = measures(record.signals, machine)
+    criteria = criteria_of(machine, floor, measured, course, one_speed=one_speed)
+    log_decision(
+        "record",
+        "noise floor, gain that matters, and effects that the motion can show",
+        source=log.source,
+        samples=len(log),
+        residual_rows=int(record.used.sum()),
+        noise_floor_N=floor,
+        material_N=criteria.material,
+        one_speed=one_speed,
+        motion=dict(measured),
+        excited=criteria.excited,
+        warnings=record.warnings,
+    )
     searched = search_causes(laws_of(machine, recording, floor), criteria)
     left_out: tuple[str, ...] = ()
     try:
@@ -185,14 +201,14 @@ def _judge(settled: Settled) -> _Judged:
     free = settled.fit(found.selection.fit.extras, warm=found.selection.fit)
     best = min(found.selection.fit, free, key=settled.excess)
     before, after = settled.excess(plain), settled.excess(best)
-    allowed = _allowed(settled.record.machine, settled.floor, found.selection.causes, before)
+    judged = found.selection.causes
+    allowed = _allowed(settled.record.machine, settled.floor, judged, before)
+    curve = after < allowed and any(_may_stand_in(group.cause) for group in judged) and _leaves_curve(settled, best)
     verdict: Verdict
     if not found.selection.causes:
         # As it is, and not with other numbers: what these explain and no cause does is not adequate.
         verdict = "adequate" if before < allowed else "unexplained"
-    elif after < allowed and not (
-        any(_may_stand_in(group.cause) for group in found.selection.causes) and _leaves_curve(settled, best)
-    ):
+    elif after < allowed and not curve:
         verdict = "ambiguous" if found.selection.rivals else "explained"
         if settled.foreign:
             found = refitted_beside(settled, found, constant=False)
@@ -202,12 +218,36 @@ def _judge(settled: Settled) -> _Judged:
         found = constant_causes(settled, settled.selection)
         # What refitted numbers explain that are no cause is no merit of the causes.
         before = settled.excess(settled.fit((), refitted=found.selection.unnamed))
-        if not found.causes or not settled.excess(found.selection.fit) < MOST_RESIDUAL * before:
+        kept = settled.excess(found.selection.fit)
+        certain = bool(found.causes) and kept < MOST_RESIDUAL * before
+        log_decision(
+            "verdict",
+            "causes of an unexplained record are listed where they leave clearly less",
+            causes=[cause.label for cause in found.causes],
+            residual_beyond_noise_N=kept,
+            allowed_N=MOST_RESIDUAL * before,
+            listed=certain,
+        )
+        if not certain:
             found = Confirmed(replace(found.selection, fit=plain, refitted=(), rivals=()), plain, ())
     if found.causes:
         found = without_undetermined(settled, found)
         if verdict == "unexplained" and _leaves_curve(settled, found.selection.fit):
             found = replace(found, causes=tuple(replace(c, stands_in=_may_stand_in(c.name)) for c in found.causes))
+    log_decision(
+        "verdict",
+        "residual beyond noise is within what a complete explanation may leave, and no curve over speed is left",
+        confirmed=[group.name for group in judged],
+        noise_floor_N=settled.floor,
+        beyond_noise_before_N=before,
+        beyond_noise_after_N=after,
+        allowed_N=allowed,
+        leaves_curve_over_speed=curve,
+        rivals=[rival.group.cause for rival in found.selection.rivals],
+        law_of_the_file=not settled.foreign,
+        outcome=verdict,
+        named=[cause.label for cause in found.causes],
+    )
     return _Judged(verdict, found, plain, free)
 
 

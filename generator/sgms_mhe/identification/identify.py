@@ -37,6 +37,7 @@ from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
 
 LEAST_TRAVEL: Final = 20.0
@@ -121,6 +122,15 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
     known = Known(wanted.mass is not None, wanted.elements is not None)
     settled = settle(views, found.fit, base, excited, known, report)
     check_slides(views.fine, settled.fit, shown, records.names[0])  # elements took what springs had
+    log_decision(
+        "numbers",
+        "final fit",
+        residual_held_out_N=settled.held_out_rms,
+        noise_floor_N=noise,
+        numbers={name: (number.value, number.std) for name, number in settled.numbers.items()},
+        motion=dict(measured),
+        shown=shown,
+    )
     return Explored(records, views, found, settled, measured)
 
 

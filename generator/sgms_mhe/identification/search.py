@@ -19,6 +19,7 @@ from sgms_mhe.identification.fitting import AxisFit, Shape, View, fit_axis
 from sgms_mhe.identification.spectrum import Spectrum, clustered
 from sgms_mhe.identification.terms import Term
 from sgms_mhe.recordings.evidence import difference_statistic
+from sgms_mhe.support.decisions import log_decision
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -127,7 +128,21 @@ def search(views: Views, terms: Sequence[Term], spectrum: Spectrum, elements: in
     decided = gains(chosen, rival)
     if not decided and law == "switching":
         law, other, chosen, rival = other, law, rival, chosen
-    return Found(chosen, rival, decided, {k: fits[law][k].cross_rms for k in sorted(fits[law])})
+    counts = {k: fits[law][k].cross_rms for k in sorted(fits[law])}
+    log_decision(
+        "elements",
+        "law that leaves clearly less on unseen rows, else sgms; the fewest elements than which no more gain",
+        law=law,
+        residual_N=chosen.cross_rms,
+        residual_other_N=rival.cross_rms,
+        decided=decided,
+        residual_by_count_N=counts,
+        residual_by_count_other_N={k: fits[other][k].cross_rms for k in sorted(fits[other])},
+        chosen=len(chosen.levels),
+        break_away_m=chosen.shape.distances.tolist(),
+        levels_N=chosen.levels.tolist(),
+    )
+    return Found(chosen, rival, decided, counts)
 
 
 def _settled_count(

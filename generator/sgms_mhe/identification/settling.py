@@ -15,6 +15,7 @@ from sgms_mhe.identification.intervals import Quantity, covariance, quantities
 from sgms_mhe.identification.search import Progress, Views, fit_in_line, gains, with_speed_of_rise
 from sgms_mhe.identification.terms import LAW_AND_SAMPLING, Term
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.support.decisions import log_decision
 
 Array = NDArray[np.float64]
 
@@ -94,6 +95,12 @@ def settle(
     wide = quantities(fit, cov)
     mass = _mass(views.fine.rows, wide["mass"])
     dropped = _unseen(fit, cov, wide, views.fine.rows.machine.plant.moved if wanted.mass else None)
+    log_decision(
+        "numbers",
+        "numbers that the records do not show, and a mass that agrees with the one given, are not free",
+        numbers={name: (number.value, number.std) for name, number in wide.items()},
+        dropped=sorted(dropped),
+    )
     if dropped:
         terms = tuple(term for term in fit.terms if term.name not in dropped)
         fit = fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS)
@@ -127,6 +134,13 @@ def _with_companions(views: Views, fit: AxisFit, companions: Sequence[Term]) -> 
     while left:
         tried = [fit_in_line(views, (*fit.terms, term), fit.shape, rounds=1) for term in left]
         better = [i for i, other in enumerate(tried) if gains(other, fit)]
+        log_decision(
+            "companions",
+            "effect beside the elements that leaves clearly less on unseen rows",
+            residual_N=fit.cross_rms,
+            residual_with_N={term.name: other.cross_rms for term, other in zip(left, tried, strict=True)},
+            gains=[left[i].name for i in better],
+        )
         if not better:
             break
         best = better[0]

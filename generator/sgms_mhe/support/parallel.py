@@ -6,6 +6,7 @@ piece is done and nothing else.
 
 from __future__ import annotations
 
+import contextvars
 import os
 import threading
 from collections.abc import Callable, Sequence
@@ -72,6 +73,7 @@ class _Batch(Generic[T]):
 
     def __init__(self, tasks: Sequence[Callable[[], T]]) -> None:
         self._tasks = tasks
+        self._context = contextvars.copy_context()  # tasks belong to whose work they are, in whatever thread
         self._changed = threading.Condition()
         self._begun = self._ended = 0
         self._waited_for = False
@@ -92,7 +94,7 @@ class _Batch(Generic[T]):
                 number = self._begun
                 self._begun += 1
             try:
-                self._results[number] = self._tasks[number]()
+                self._results[number] = self._context.copy().run(self._tasks[number])
             except BaseException as error:
                 self._errors[number] = error
             with self._changed:
