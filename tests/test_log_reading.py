@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from cli_cases import refused, run
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.logfiles.decimals import told_by, value_of
+from sgms_mhe.logfiles.names import split_name
 from sgms_mhe.logfiles.reading import Reading, read_log, understand
-from sgms_mhe.logfiles.sources import split_name
 from sgms_mhe.machine import Machine, normal_unit
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -515,7 +515,6 @@ def test_inspect_takes_a_rotary_log_and_refuses_it_for_a_linear_axis(small: Path
 
 
 def test_inspect_refuses_what_it_cannot_read(tmp_path: Path) -> None:
-    assert "without a unit" in refused("inspect", written(tmp_path, "time;pos;force", usual))
     assert "readable log" in refused("inspect", tmp_path / "absent.csv")
 
 

@@ -70,14 +70,10 @@ def read_log(
             check_rate(log, axis)
         return log.part(start_s, end_s)
     if isinstance(log, str | Path):
-        reading = understand(log, axis, mapping)
+        reading = understand(log, axis, mapping, note)
     else:
-        reading = understand_table(FRAME, read_frame(log), axis, mapping)
-    found = log_of(reading, axis).part(start_s, end_s)
-    if note is not None:
-        for sentence in reading.notes:
-            note(f"{reading.path}: {sentence}")
-    return found
+        reading = understand_table(FRAME, read_frame(log), axis, mapping, note)
+    return log_of(reading, axis).part(start_s, end_s)
 
 
 def recorded_log(

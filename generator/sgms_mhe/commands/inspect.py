@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,12 +38,11 @@ def command(ctx: click.Context, log: Path, table: dict[str, Any], machine: str |
     """
     resolved = None if machine is None else load_for_log(machine, table)
 
-    from sgms_mhe.logfiles.inspection import inspect_reading
-    from sgms_mhe.logfiles.reading import understand
+    from sgms_mhe.logfiles.inspection import inspect_log
     from sgms_mhe.machine import log_mapping
 
     mapping = log_mapping(table, "[log]") if resolved is None and table else None
-    found = inspect_reading(understand(log, resolved, mapping), resolved)
+    found = inspect_log(log, resolved, mapping)
     content = found.as_dict()
     show(json_text(content) if as_json else _text(content))
     if found.problems:
@@ -50,28 +50,47 @@ def command(ctx: click.Context, log: Path, table: dict[str, Any], machine: str |
 
 
 def _text(content: dict[str, Any]) -> str:
+    kind = "" if content["kind"] is None else f", {content['kind']} axis"
+    lines = [f"{content['file']}: {content['format']}{kind}"]
+    lines += [f"  {what:<14}{how}" for what, how in content["dialect"].items()]
+    lines += _reading_lines(content) if content["time"] is not None else _column_lines(content)
+    lines += [f"  {'note':<14}{note}" for note in content["notes"]]
+    lines += [f"  {'refused':<14}{problem}" for problem in content["problems"]]
+    return "\n".join(lines)
+
+
+def _reading_lines(content: dict[str, Any]) -> list[str]:
     time, grid = content["time"], content["resampled"]
-    columns = [
-        (c["name"], c["from"], c["unit"], c["because"], f"{c['min']:.6g}", f"{c['max']:.6g}", str(c["missing"]))
-        for c in content["columns"]
-    ]
+    columns = [(c["name"], c["from"], c["unit"], c["because"], *_range_cells(c)) for c in content["columns"]]
     steps = f"{time['shortest_step_s']:.6g} to {time['longest_step_s']:.6g} s"
     jitter = f"jitter {100 * time['jitter']:.2g} % rms, steps {steps}"
     lines = [
-        f"{content['file']}: {content['format']}, {content['kind']} axis",
-        *(f"  {what:<14}{how}" for what, how in content["dialect"].items()),
         f"  {'time':<14}{time['samples']} samples, {time['duration_s']:.6g} s from {time['start_s']:.6g} s, "
         f"{time['rate_Hz']:.6g} Hz; {jitter}; gaps {time['gaps']}",
-        "\n".join(f"    {line}" for line in table_text(_HEADER, columns).splitlines()),
+        *_indent(("column", "from", "unit", "by", *_RANGE), columns),
     ]
     if grid is not None:
         lines.append(f"  {'grid':<14}{grid['rate_Hz']:.6g} Hz, {grid['missing']} samples missing")
     others = content["not_read"]
     if others:
         lines.append(f"  {'not read':<14}{', '.join(others[:SHOWN])}{', ...' if len(others) > SHOWN else ''}")
-    lines += [f"  {'note':<14}{note}" for note in content["notes"]]
-    lines += [f"  {'refused':<14}{problem}" for problem in content["problems"]]
-    return "\n".join(lines)
+    return lines
 
 
-_HEADER = ("column", "from", "unit", "by", "least", "most", "missing")
+def _column_lines(content: dict[str, Any]) -> list[str]:
+    """Every column of a file in which not all quantities were found."""
+    columns = [(c["from"], c["unit"] or "", *_range_cells(c)) for c in content["columns"]]
+    missing = [f"  {'missing':<14}{', '.join(content['missing'])}"] if content["missing"] else []
+    return [*_indent(("in the file", "unit", *_RANGE), columns), *missing]
+
+
+def _range_cells(column: dict[str, Any]) -> tuple[str, str, str]:
+    least, most = ("" if column[key] is None else f"{column[key]:.6g}" for key in ("min", "max"))
+    return least, most, str(column["missing"])
+
+
+def _indent(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return [f"    {line}" for line in table_text(header, rows).splitlines()]
+
+
+_RANGE = ("least", "most", "missing")

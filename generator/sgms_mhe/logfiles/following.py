@@ -33,7 +33,7 @@ from sgms_mhe.logfiles.sources import choose_sources
 from sgms_mhe.logfiles.table import Array, Table
 from sgms_mhe.logfiles.text import Cells, read_plainly
 from sgms_mhe.logfiles.timing import check_rising, check_steps, measure_time
-from sgms_mhe.machine import LogMapping, Machine
+from sgms_mhe.machine import QUANTITIES, LogMapping, Machine
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -214,6 +214,10 @@ class _Rows:
             cells, turns_of(self._sources), dialect.decimal, sure, any("." in line for line in lines), np.empty(0), 0
         )
         columns = self._si(told, self._table.read(self._names))
+        for role in ("position", "force"):
+            own = next(quantity.column for quantity in QUANTITIES[kind] if quantity.role == role)
+            if own not in columns:
+                raise InputError(path, f"column {own}", None, "missing; what stands for it needs the whole log")
         timing = measure_time(path, columns["time_s"], dialect.row)
         if hints is not None and hints.resample and not timing.uniform:
             allowed = "even time; uneven time is interpolated over a whole log: replay it without --follow"

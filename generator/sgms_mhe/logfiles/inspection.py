@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from sgms_mhe.logfiles.names import split_name
 from sgms_mhe.logfiles.plausibility import check_plausible
-from sgms_mhe.logfiles.reading import Reading, log_of
-from sgms_mhe.machine import Machine
+from sgms_mhe.logfiles.reading import Reading, log_of, read_table, understand_table
+from sgms_mhe.logfiles.sources import find_missing
+from sgms_mhe.logfiles.table import Column, Table
+from sgms_mhe.machine import LogMapping, Machine
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -41,6 +45,7 @@ class Inspection:
             "dialect": dict(reading.table.dialect),
             "kind": reading.kind,
             "columns": [self._column(k) for k in range(len(reading.sources))],
+            "missing": [],
             "not_read": [column.name for column in reading.table.columns if column.name not in used],
             "time": {
                 "samples": timing.samples,
@@ -82,6 +87,68 @@ class Inspection:
             "max": float(finite.max()),
             "missing": len(values) - len(finite),
         }
+
+
+@dataclass(frozen=True)
+class Unread:
+    """A file whose columns are known, and not which of them are which.
+
+    Attributes:
+        missing: the quantities for which no one column was found, by their columns' names.
+        problems: why; in the words of the commands that refuse it.
+    """
+
+    path: Path
+    table: Table
+    missing: tuple[str, ...]
+    problems: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it as plain data, with the keys of an Inspection; `columns` are all that the file has."""
+        return {
+            "file": str(self.path),
+            "format": self.table.form,
+            "dialect": dict(self.table.dialect),
+            "kind": None,
+            "columns": [self._column(column) for column in self.table.columns[:MOST_COLUMNS]],
+            "missing": list(self.missing),
+            "not_read": [column.name for column in self.table.columns],
+            "time": None,
+            "resampled": None,
+            "problems": list(self.problems),
+            "notes": list(self.table.notes),
+        }
+
+    def _column(self, column: Column) -> dict[str, Any]:
+        """Name, unit and range of a column; no range where it holds no numbers."""
+        try:
+            values = np.asarray(self.table.read([column.name])[column.name])
+        except InputError:
+            values = np.empty(0)
+        finite = values[np.isfinite(values)]
+        return {
+            "name": None,
+            "from": column.name,
+            "unit": column.unit or split_name(column.header)[1],
+            "min": float(finite.min()) if len(finite) else None,
+            "max": float(finite.max()) if len(finite) else None,
+            "missing": values.size - finite.size,
+        }
+
+
+MOST_COLUMNS: Final = 500
+"""Columns whose ranges are looked at."""
+
+
+def inspect_log(path: Path, machine: Machine | None, mapping: LogMapping | None) -> Inspection | Unread:
+    """Understand a file and judge it, or list its columns. Raises InputError for a file that no reader can open."""
+    hints = machine.log if machine is not None else mapping
+    table = read_table(path, hints)
+    try:
+        return inspect_reading(understand_table(path, table, machine, mapping), machine)
+    except InputError as error:
+        missing = find_missing(path, table, hints, machine.plant.kind if machine is not None else None)
+        return Unread(path, table, missing, (str(error),))
 
 
 def inspect_reading(reading: Reading, machine: Machine | None) -> Inspection:

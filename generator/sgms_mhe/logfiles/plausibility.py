@@ -70,8 +70,8 @@ def check_plausible(log: Log, machine: Machine | None) -> None:
         _check_speed(log, machine)
     motion = _motion(log, samples)
     _check_derivatives(log, samples)
-    if len(motion) == 0:
-        return
+    if len(motion) == 0 or (log.friction_N is not None and np.array_equal(log.force_N, log.friction_N, equal_nan=True)):
+        return  # a friction that stands for the force says nothing of what moves the axis
     _check_balance(log, machine, motion)
     if machine is not None:
         _check_force(log, machine, motion)

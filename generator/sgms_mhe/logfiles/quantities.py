@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.logfiles.clocks import Note, align_clocks
 from sgms_mhe.logfiles.sources import Source
 from sgms_mhe.logfiles.table import Array, Table
 from sgms_mhe.machine import COUNTS
@@ -16,8 +17,12 @@ from sgms_mhe.support.errors import InputError
 
 PERIODS: Final = (256.0, 4096.0, 8192.0, 65536.0, 16777216.0, 4294967296.0, 1.0, 360.0, 2.0 * np.pi, 400.0)
 """Ranges after which positions start over: registers of 8 to 32 bits, a turn in its units."""
-_MANY: Final = 50
-"""A jump is one where it is so many times the largest of nearly all other steps."""
+_MANY: Final = 5.0
+"""A jump is one where it is so many times the largest of all other steps."""
+_ONE: Final = 50.0
+"""The same of a single jump, which has to be one of PERIODS."""
+_CUT: Final = 0.01
+"""Share of the samples by which a column may be longer or shorter than time."""
 
 
 class Turns:
@@ -50,25 +55,57 @@ def turns_of(sources: tuple[Source, ...]) -> dict[str, Turns]:
     return {source.column: Turns(source.wrap) for source in sources if source.wrap is not None}
 
 
-def si_values(path: Path, table: Table, sources: tuple[Source, ...], rate: float | None = None) -> dict[str, Array]:
+def si_values(
+    path: Path, table: Table, sources: tuple[Source, ...], rate: float | None, note: Note
+) -> dict[str, Array]:
     """Columns of the log (n,) by their names, in SI units, all of one length; time by `rate` [Hz] where it has none.
 
-    Raises InputError for a matrix without a row, columns of unequal length, and a position that starts over.
+    `note` is called with sentences on what was cut off. Raises InputError for a matrix without a row, columns of
+    unequal length, and a position that starts over.
     """
-    raw = table.read(sorted({source.column for source in sources}))
+    names = {source.column for source in sources}
+    raw = table.read(sorted(names | {table.clocks[name] for name in names if name in table.clocks}))
     for source in sources:
         if source.quantity.role == "position" and source.wrap is None:
             _check_jumps(path, source, _vector(path, source, raw[source.column]), table.row)
     columns = si_piece(path, table, sources, raw, turns_of(sources))
+    if table.clocks and "time_s" in columns:
+        columns = align_clocks(path, columns, _clocks(path, table, sources, raw), note)
     if "time_s" not in columns and rate is not None:
-        columns = {"time_s": np.arange(len(next(iter(columns.values())))) / rate} | columns
-    length = len(columns["time_s"])
+        columns = {"time_s": np.arange(max(map(len, columns.values()))) / rate} | columns
+    length, shortest = len(columns["time_s"]), min(map(len, columns.values()))
     for name, values in columns.items():
-        if len(values) != length:
+        if abs(len(values) - length) > _CUT * length:
             raise InputError(path, f"column {name}", len(values), f"as many rows as time_s has, {length}")
         if name != "time_s" and length >= 2 and not np.isfinite(values).any():
             raise InputError(path, f"column {name}", "NaN throughout", "numbers, NaN only where a sample is missing")
-    return columns
+    if any(len(values) > shortest for values in columns.values()):
+        lengths = ", ".join(f"{name} {len(values)}" for name, values in columns.items())
+        note(f"columns of unequal length ({lengths} samples) are cut to the first {shortest}")
+    return {name: values[:shortest] for name, values in columns.items()}
+
+
+def _clocks(path: Path, table: Table, sources: tuple[Source, ...], raw: Mapping[str, NDArray[Any]]) -> dict[str, Array]:
+    """Times [s] of the columns that are on another clock than the log's; both in one unit."""
+    time = next(source for source in sources if source.quantity.role == "time")
+    others = {s.quantity.column: table.clocks[s.column] for s in sources if s.column in table.clocks}
+    return {
+        name: _si(path, time, _vector(path, time, raw[clock]), clock in table.stamped)
+        for name, clock in others.items()
+        if clock != time.column
+    }
+
+
+def integrate(columns: Mapping[str, Array], velocity: str) -> Array:
+    """Integral of a velocity over time by trapezia (n,), NaN where that is; over a gap by a line.
+
+    Raises ValueError where no velocity is finite.
+    """
+    time, values = columns["time_s"], columns[velocity]
+    good = np.isfinite(values)
+    whole = np.interp(time, time[good], values[good])
+    position = np.concatenate(([0.0], np.cumsum(0.5 * (whole[1:] + whole[:-1]) * np.diff(time))))
+    return np.where(good, position, np.nan)
 
 
 def si_piece(
@@ -131,16 +168,33 @@ def _si(path: Path, source: Source, values: Array, stamped: bool) -> Array:
 def _check_jumps(path: Path, source: Source, values: Array, row: Callable[[int], str]) -> None:
     """Refuse a position that starts over where nothing says after how much."""
     good = np.flatnonzero(np.isfinite(values))
-    steps = np.diff(values[good])
+    known = values[good]
+    steps = np.diff(known)
     if len(steps) < 100:
         return
-    jumps = np.abs(steps)
-    usual = float(np.quantile(jumps, 0.99))
-    first = int(np.argmax(jumps))
-    for period in (*PERIODS, *((source.counts_per,) if source.counts_per else ())):
-        if abs(jumps[first] - period) <= 2.0 * usual and jumps[first] > _MANY * usual > 0.0:
-            column = source.quantity.column
-            seen = f"jumps by {steps[first]:.6g}"
-            line = f'{column} = {{ variable = "{source.column}", unit = "{source.unit}", wrap = {period:.10g} }}'
-            allowed = f"a position that goes on; where it starts over [log] of the machine file says so: {line}"
-            raise InputError(path, f"{row(int(good[first + 1]))}, column {source.column}", seen, allowed)
+    sizes, extent = np.abs(steps), float(np.ptp(known))
+    jumps = np.flatnonzero(sizes > 0.5 * extent)
+    rest = float(np.delete(sizes, jumps).max(initial=0.0))
+    count = len(jumps)
+    # From one end to the other, with a motion beside it that is slow: as of one that starts over, and no other.
+    if not count or sizes[jumps].min() < extent - 2.0 * rest or not sizes[jumps].min() > _MANY * rest > 0.0:
+        return
+    # What it moved on meanwhile is what it did before and after.
+    beside = (steps[np.maximum(jumps - 1, 0)] + steps[np.minimum(jumps + 1, len(steps) - 1)]) / 2.0
+    beside[np.abs(beside) > rest] = 0.0
+    periods = np.abs(steps[jumps] - beside)
+    usual = (*PERIODS, *((source.counts_per,) if source.counts_per else ()))
+    listed = next((p for p in usual if abs(float(np.median(periods)) - p) <= rest), None)
+    if count < 2 and (listed is None or sizes[jumps[0]] <= _ONE * rest):
+        return  # an encoder that jumped
+    period = listed if listed is not None else _round_number(float(np.median(periods)), rest / 4.0)
+    first, column = int(jumps[0]), source.quantity.column
+    seen = f"jumps by {steps[first]:.6g}" + (f", {count} such jumps" if count > 1 else "")
+    line = f'{column} = {{ variable = "{source.column}", unit = "{source.unit}", wrap = {period:.10g} }}'
+    allowed = f"a position that goes on; where it starts over [log] of the machine file says so: {line}"
+    raise InputError(path, f"{row(int(good[first + 1]))}, column {source.column}", seen, f"{allowed}, as --wrap")
+
+
+def _round_number(value: float, tolerance: float) -> float:
+    """The number of fewest digits within a tolerance."""
+    return next(n for digits in range(1, 18) if abs((n := float(f"{value:.{digits}g}")) - value) <= tolerance)

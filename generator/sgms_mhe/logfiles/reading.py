@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
+import numpy as np
+
+from sgms_mhe.logfiles.clocks import Note
 from sgms_mhe.logfiles.hdf5 import read_hdf5
 from sgms_mhe.logfiles.mat import read_mat
 from sgms_mhe.logfiles.mdf import read_mdf
 from sgms_mhe.logfiles.numpy_files import read_numpy
 from sgms_mhe.logfiles.parquet import read_parquet
-from sgms_mhe.logfiles.quantities import si_values
+from sgms_mhe.logfiles.quantities import integrate, si_values
 from sgms_mhe.logfiles.resampling import Resampling, resample
 from sgms_mhe.logfiles.sources import Source, choose_sources
 from sgms_mhe.logfiles.table import Array, Table
 from sgms_mhe.logfiles.text import read_text
 from sgms_mhe.logfiles.timing import Timing, check_uniform, measure_time
-from sgms_mhe.machine import QUANTITIES, REQUIRED, Kind, LogMapping, Machine
+from sgms_mhe.machine import OF_KIND, QUANTITIES, REQUIRED, Kind, LogMapping, Machine
 from sgms_mhe.signals.logs import JITTER, Log, check_rate
 from sgms_mhe.support.errors import InputError
 
@@ -34,6 +37,9 @@ READERS: Final[Mapping[str, Callable[[Path], Table]]] = MappingProxyType(
     }
 )
 """Reader of each format that is no text, by the suffix of the file's name, in lower case."""
+
+MOST_REPEATED: Final = 0.01
+"""Share of the samples that may have the time of the one before: beyond it the stamps are coarser than the samples."""
 
 TEXTS: Final = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn", ".log")
 """Suffixes of delimited text."""
@@ -50,6 +56,7 @@ class Reading:
         timing: the clock as it was recorded.
         resampling: of uneven time, where [log] asks for it; else None.
         columns: the quantities (n,) by their columns' names, in SI units, on the grid where there is one.
+        notes: sentences on what was left out or changed.
     """
 
     path: Path
@@ -59,11 +66,7 @@ class Reading:
     timing: Timing
     resampling: Resampling | None
     columns: Mapping[str, Array]
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Sentences on what was left out or changed."""
-        return (*self.table.notes, *(() if self.resampling is None else (self.resampling.note,)))
+    notes: tuple[str, ...] = ()
 
 
 def read_log(path: str | Path, machine: Machine | None = None) -> Log:
@@ -77,32 +80,92 @@ def read_log(path: str | Path, machine: Machine | None = None) -> Log:
     return log_of(understand(path, machine), machine)
 
 
-def understand(path: str | Path, machine: Machine | None = None, mapping: LogMapping | None = None) -> Reading:
-    """Read a file as far as it can be understood; `mapping` takes the place of the machine's [log].
+def understand(
+    path: str | Path, machine: Machine | None = None, mapping: LogMapping | None = None, note: Note | None = None
+) -> Reading:
+    """Read a file as far as it can be understood.
 
-    Raises InputError, with what to write where, for what cannot be understood.
+    Args:
+        path: of the file.
+        machine: whose [log], kind of axis and rate count; None: the file speaks for itself.
+        mapping: in place of the machine's [log].
+        note: called with each sentence on what was left out or changed, before anything is refused.
+
+    Raises:
+        InputError: what cannot be understood, with what to write where.
     """
     path, mapping = Path(path), _mapping(machine, mapping)
-    return understand_table(path, _table(path, mapping), machine, mapping)
+    return understand_table(path, read_table(path, mapping), machine, mapping, note)
 
 
 def understand_table(
-    path: Path, table: Table, machine: Machine | None = None, mapping: LogMapping | None = None
+    path: Path,
+    table: Table,
+    machine: Machine | None = None,
+    mapping: LogMapping | None = None,
+    note: Note | None = None,
 ) -> Reading:
-    """Understand a table that was read from `path`, or that messages call so. Raises InputError as `understand`."""
+    """Understand a table that was read from `path`, or that messages call so; arguments and errors as `understand`."""
     mapping = _mapping(machine, mapping)
+    notes: list[str] = []
+
+    def say(sentence: str) -> None:
+        notes.append(sentence)
+        if note is not None:
+            note(f"{path}: {sentence}")
+
+    for sentence in table.notes:
+        say(sentence)
     kind, sources = choose_sources(path, table, mapping, machine.plant.kind if machine is not None else None)
     stated = mapping.rate if mapping is not None else None
-    columns = si_values(path, table, sources, stated)
+    columns = si_values(path, table, sources, stated, say)
+    columns, table = _drop_repeats(columns, table, say)
     timing = measure_time(path, columns["time_s"], table.row)
     if stated is not None and abs(timing.rate - stated) > JITTER * stated:
         raise InputError(path, "[log] rate", stated, f"{timing.rate:.6g} Hz, as its time column says")
+    columns = _complete(kind, columns, say)
     rate = machine.sampling.rate if machine is not None else None
     resampling = None
     if mapping is not None and mapping.resample and not _on_grid(timing, rate):
         resampling = resample(path, columns, timing, rate)
         columns = dict(resampling.columns)
-    return Reading(path, table, kind, sources, timing, resampling, columns)
+        say(resampling.note)
+    return Reading(path, table, kind, sources, timing, resampling, columns, tuple(notes))
+
+
+def _drop_repeats(columns: dict[str, Array], table: Table, say: Note) -> tuple[dict[str, Array], Table]:
+    """The columns and the table without the samples that have the time of the one before, where these are few."""
+    time = columns["time_s"]
+    repeated = np.flatnonzero(np.diff(time) == 0.0) + 1
+    if not 0 < len(repeated) <= MOST_REPEATED * len(time):
+        return columns, table
+    kept = np.delete(np.arange(len(time)), repeated)
+    more = f", and {len(repeated) - 1} more" if len(repeated) > 1 else ""
+    say(f"{table.row(int(repeated[0]))}{more}: the time of the row before, left out: one sample fewer each")
+    return {name: values[kept] for name, values in columns.items()}, replace(
+        table, row=lambda index: table.row(int(kept[index]))
+    )
+
+
+def _complete(kind: Kind, columns: dict[str, Array], say: Note) -> dict[str, Array]:
+    """The columns with a position of the velocity, and a force of the friction, where either is not recorded."""
+    names = {quantity.role: quantity.column for quantity in QUANTITIES[kind]}
+    units, time = OF_KIND[kind], columns["time_s"]
+    if names["position"] not in columns:
+        columns = columns | {names["position"]: integrate(columns, names["velocity"])}
+        drift = 1e-3 * float(np.nanmax(np.abs(columns[names["velocity"]]))) * float(time[-1] - time[0])
+        say(
+            f"no position: {names['velocity']} is integrated from 0. Places are not those of the axis, and a velocity "
+            f"off by 0.1 % of its largest moves them by {drift:.2g} {units.position} by the end: nothing that depends "
+            "on place, nor displacement before break-away, can be trusted"
+        )
+    if names["force"] not in columns:
+        columns = columns | {names["force"]: columns[names["friction"]]}
+        say(
+            f"no {units.push}: {names['friction']} stands for it; what moves the axis, and its {units.inert}, "
+            "are unknown"
+        )
+    return columns
 
 
 def log_of(reading: Reading, machine: Machine | None = None) -> Log:
@@ -141,7 +204,8 @@ def _mapping(machine: Machine | None, mapping: LogMapping | None) -> LogMapping 
     return machine.log if mapping is None and machine is not None else mapping
 
 
-def _table(path: Path, mapping: LogMapping | None) -> Table:
+def read_table(path: Path, mapping: LogMapping | None) -> Table:
+    """Read the columns of a file. Raises InputError for one that no reader knows, or that is damaged."""
     suffix = path.suffix.lower()
     if suffix not in READERS and suffix not in TEXTS:
         allowed = f"a log with one of the suffixes {', '.join((*TEXTS, *READERS))}"

@@ -5,26 +5,15 @@ A name alone is never enough: `position` without a unit is refused with the line
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from sgms_mhe.logfiles.dialect import UNITS
+from sgms_mhe.logfiles.names import is_usual, plain_name, split_name
 from sgms_mhe.logfiles.table import Column, Table
 from sgms_mhe.machine import COUNTS, QUANTITIES, REQUIRED, Kind, LogColumn, LogMapping, Quantity, Role, normal_unit
 from sgms_mhe.support.errors import InputError
-
-ALIASES: Final[Mapping[Role, frozenset[str]]] = {
-    "time": frozenset("t time zeit timestamp datetime elapsed".split()),
-    "position": frozenset("x q pos position actpos actualposition positionactual lage angle phi theta".split()),
-    "force": frozenset(
-        "f u force driveforce motorforce actforce actualforce kraft torque drivetorque motortorque".split()
-    )
-    | frozenset("acttorque actualtorque moment m tau".split()),
-}
-"""Names that are the required quantities where their unit is stated; without spaces, marks and capitals."""
 
 SHOWN: Final = 20
 """Names of a file that a message repeats."""
@@ -66,49 +55,48 @@ def choose_sources(
     quantity that is missing or found twice, and for a unit that is not stated or not one of the quantity's.
     """
     kind = _kind(path, table, mapping, preferred)
-    mapped = mapping.columns if mapping is not None else {}
-    sources = []
-    for quantity in QUANTITIES[kind]:
-        source = _source(path, table, quantity, mapped.get(quantity.column), optional=_is_optional(quantity, mapping))
-        if source is not None:
-            sources.append(source)
-    return kind, tuple(sources)
+    stated = mapping.columns if mapping is not None else {}
+    quantities = {quantity.role: quantity for quantity in QUANTITIES[kind]}
 
+    def find(role: Role, *, by_name: bool = False, required: bool = True) -> Source | None:
+        quantity = quantities[role]
+        source = _source(path, table, quantity, stated.get(quantity.column), by_name=by_name)
+        if source is None and required:
+            raise _missing(path, table, quantity, None)
+        return source
 
-def _is_optional(quantity: Quantity, mapping: LogMapping | None) -> bool:
-    """Return True for a quantity that a log need not have: all but the required ones, and time where a rate says it."""
     by_rate = mapping is not None and mapping.rate is not None
-    return quantity.role not in REQUIRED or (quantity.role == "time" and by_rate)
+    has_clock = not table.clocks or "time_s" in stated
+    time = find("time", by_name=True, required=not by_rate) if has_clock else None
+    position = find("position", by_name=True, required=False)
+    velocity = find("velocity", by_name=position is None, required=False)  # without a position it is integrated
+    if (carrier := position or velocity) is None:
+        raise _missing(path, table, quantities["position"], None)
+    if not has_clock and (clock := table.clocks.get(carrier.column)) is not None:
+        time = _own(path, quantities["time"], table.named(clock), clock in table.stamped)
+    friction = find("friction", required=False)
+    force = find("force", by_name=True, required=friction is None)
+    rest = (find(role, required=False) for role in ("acceleration", "temperature"))
+    found = (time, position, force, velocity, friction, *rest)
+    return kind, tuple(source for source in found if source is not None)
 
 
-def split_name(name: str) -> tuple[str, str]:
-    """(name without its unit, that unit as it stands) of 'Position [mm]', 'F (N)', 't/ms', 'pos_mm', 'Pos., mm'.
-
-    The unit is empty where there is none; in brackets it may be anything.
-    """
-    if found := re.fullmatch(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]", name):
-        return found[1], found[2]
-    for pattern in (
-        r"(.*[^\s/])\s*/\s*([^/\s][^/]*(?:/.+)?)",
-        r"(.*\S)\s*,\s*(\S+)",
-        r"(.*\S)\s+in\s+(\S+)",
-        r"(.+?)_(.+)",
-    ):
-        if (found := re.fullmatch(pattern, name)) and normal_unit(found[2].replace("_", "/")) in UNITS:
-            return found[1], found[2].replace("_", "/")
-    while "_" in name:  # act_pos_mm: the unit is the last part
-        head, _, tail = name.rpartition("_")
-        return (head, tail) if normal_unit(tail) in UNITS else (name, "")
-    return name, ""
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[\s_.,\-/]+", "", name).casefold()
-
-
-def _is_alias(column: Column, quantity: Quantity) -> bool:
-    last = split_name(column.header)[0].rpartition(".")[2]
-    return _plain(last) in ALIASES.get(quantity.role, ())
+def find_missing(path: Path, table: Table, mapping: LogMapping | None, preferred: Kind | None) -> tuple[str, ...]:
+    """The required quantities for which no one column is found, by their columns' names."""
+    try:
+        kind = _kind(path, table, mapping, preferred)
+    except InputError:
+        kind = "linear"
+    missing = []
+    for quantity in QUANTITIES[kind]:
+        stated = mapping.columns.get(quantity.column) if mapping is not None else None
+        try:
+            is_there = _source(path, table, quantity, stated, by_name=True) is not None
+        except InputError:
+            is_there = False
+        if quantity.role in REQUIRED and not is_there:
+            missing.append(quantity.column)
+    return tuple(missing)
 
 
 def _stated_unit(column: Column, quantity: Quantity) -> str:
@@ -118,15 +106,15 @@ def _stated_unit(column: Column, quantity: Quantity) -> str:
     return "N m" if unit in ("nm", "NM") and quantity.unit == "N m" else unit  # no torque is in nanometres
 
 
-def _candidates(table: Table, quantity: Quantity, bare: LogColumn | None = None) -> list[Column]:
-    """Columns that are this quantity by the log's own name, or else by a usual name with one of its units.
+def _candidates(table: Table, quantity: Quantity, bare: LogColumn | None, *, by_name: bool) -> list[Column]:
+    """Columns that are this quantity by the log's own name, or else `by_name`, a usual one with one of its units.
 
     `bare`: what [log] says of it without naming it; where that makes SI values, the unit need not be the file's.
     """
     own = [column for column in table.columns if column.header == quantity.column]
-    if own or quantity.role not in REQUIRED:
+    if own or not by_name:
         return own
-    named = [column for column in table.columns if _is_alias(column, quantity)]
+    named = [column for column in table.columns if is_usual(column.header, quantity.role)]
     stamps = [column for column in named if column.name in table.stamped] if quantity.role == "time" else []
     if bare is not None and (bare.unit is not None or bare.scale != 1.0):
         stated = [column for column in named if _stated_unit(column, quantity) == normal_unit(bare.unit or "")]
@@ -146,17 +134,16 @@ def _kind(path: Path, table: Table, mapping: LogMapping | None, preferred: Kind 
 
 
 def _kinds(table: Table, mapping: LogMapping | None, *, sure: bool) -> list[Kind]:
-    """Kinds of axis whose position or force the file has; `sure`: in a unit that no other kind has."""
+    """Kinds of axis whose position, velocity or force the file has; `sure`: in a unit that no other kind has."""
+    stated = {} if mapping is None else mapping.columns
     return [
         kind
         for kind, quantities in QUANTITIES.items()
         if any(
             not sure or column.header == quantity.column or _stated_unit(column, quantity) in quantity.units
             for quantity in quantities
-            if quantity.role in ("position", "force")
-            for column in _candidates(
-                table, quantity, None if mapping is None else mapping.columns.get(quantity.column)
-            )
+            if quantity.role in ("position", "force", "velocity")
+            for column in _candidates(table, quantity, stated.get(quantity.column), by_name=True)
         )
     ]
 
@@ -167,12 +154,12 @@ def _shown(table: Table) -> str:
     return f"{shown} (no header was found above its rows)" if dict(table.dialect).get("header") == "none" else shown
 
 
-def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | None, *, optional: bool) -> Source | None:
+def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | None, *, by_name: bool) -> Source | None:
     bare = mapped if mapped is not None and mapped.is_bare else None
     named = mapped if bare is None else None
     column = None if named is None else _mapped_column(path, table, quantity, named)
     if column is None:
-        found = _candidates(table, quantity, bare)
+        found = _candidates(table, quantity, bare, by_name=by_name)
         if named is not None:  # what [log] names is not there: only a log of this package's own takes its place
             found = [candidate for candidate in found if candidate.header == quantity.column]
         if len(found) > 1:
@@ -180,7 +167,7 @@ def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | No
             allowed = f"one column; [log] of the machine file says which: {_line(quantity, found[0].name)}"
             raise InputError(path, f"column {quantity.column}", found[0].header if _same(found) else names, allowed)
         if not found:
-            if optional and named is None:
+            if named is None:
                 return None
             raise _missing(path, table, quantity, named)
         column, mapped = found[0], bare
@@ -208,7 +195,7 @@ def _missing(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | N
     wanted = quantity.column
     if mapped is not None:
         wanted = f"{mapped.description} (log.{quantity.column}) or {quantity.column}"
-    named = next((column for column in table.columns if _is_alias(column, quantity)), None)
+    named = next((column for column in table.columns if is_usual(column.header, quantity.role)), None)
     if named is not None:
         stated = _stated_unit(named, quantity)
         seen = f"in {stated}, which is none of {', '.join(quantity.allowed)}" if stated else "without a unit"
@@ -230,7 +217,7 @@ def _mapped_column(path: Path, table: Table, quantity: Quantity, mapped: LogColu
         raise InputError(path, f"[log] {quantity.column}", mapped.description, allowed)
     name = mapped.name
     exact = [column for column in columns if name in (column.name, column.header)]
-    found = exact or [c for c in columns if _plain(split_name(c.header)[0]) == _plain(name)]
+    found = exact or [c for c in columns if plain_name(split_name(c.header)[0]) == plain_name(name)]
     if len(found) > 1 and name not in {column.name for column in found}:
         names = " or ".join(column.name for column in found)
         allowed = f'a name that the file has once; [log] says which: variable = "{names}"'

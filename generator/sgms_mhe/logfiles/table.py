@@ -57,6 +57,7 @@ class Table:
         row: where sample i (from 0) stands in the file.
         stamped: names of the columns that hold time stamps.
         notes: sentences on what was left out.
+        clocks: name of the column that holds the time of another one, where columns have clocks of their own.
     """
 
     form: str
@@ -66,6 +67,11 @@ class Table:
     dialect: tuple[tuple[str, str], ...] = ()
     stamped: frozenset[str] = field(default=frozenset())
     notes: tuple[str, ...] = ()
+    clocks: Mapping[str, str] = field(default_factory=dict)
+
+    def named(self, name: str) -> Column:
+        """The column of a name."""
+        return next(column for column in self.columns if column.name == name)
 
 
 def damage_error(path: Path, allowed: str, error: Exception) -> InputError:

@@ -1,0 +1,65 @@
+"""Names of columns: which quantity a name is, and the unit in it.
+
+A name is a quantity where it is that quantity's word and words that say it was measured (actual, ist, feedback), and
+nothing else: a set point, an error, a limit has a word more.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Final
+
+from sgms_mhe.logfiles.dialect import UNITS
+from sgms_mhe.machine import Role, normal_unit
+
+_WORDS: Final[Mapping[Role, str]] = {
+    "time": "t|time|zeit|timestamp|zeitstempel|datetime|elapsed|elapsedtime",
+    "position": "x|q|pos|position|lage|weg|angle|winkel|phi|theta|encoder|encoderposition|rotorposition|pfb",
+    "force": "f|u|force|kraft|torque|trq|moment|drehmoment|m|tau|current|strom|iq|i",
+    "velocity": "v|vel|velocity|speed|geschwindigkeit|drehzahl|omega|w|vfb",
+}
+_MEASURED: Final = (
+    "actual|act|ist|istwert|value|wert|measured|meas|mess|feedback|fbk|fb|motor|drive|antrieb|axis|achse|joint|load"
+)
+_WANTED: Final = re.compile(
+    r"(?:^|[\s_.\-/])(?:set|soll|cmd|command|ref|reference|demand|target|desired|err|error|following|fehler|schlepp)",
+    re.IGNORECASE,
+)
+_PATTERNS: Final = {
+    role: re.compile(rf"(?:(?:{_MEASURED}|current)\d*)*(?:{words})(?:{_MEASURED})*") for role, words in _WORDS.items()
+}
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """(name without its unit, that unit as it stands) of 'Position [mm]', 'F (N)', 't/ms', 'pos_mm', 'Pos., mm'.
+
+    The unit is empty where there is none; in brackets it may be anything.
+    """
+    if found := re.fullmatch(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]", name):
+        return found[1], found[2]
+    for pattern in (
+        r"(.*[^\s/])\s*/\s*([^/\s][^/]*(?:/.+)?)",
+        r"(.*\S)\s*,\s*(\S+)",
+        r"(.*\S)\s+in\s+(\S+)",
+        r"(.+?)_(.+)",
+    ):
+        if (found := re.fullmatch(pattern, name)) and normal_unit(found[2].replace("_", "/")) in UNITS:
+            return found[1], found[2].replace("_", "/")
+    while "_" in name:  # act_pos_mm: the unit is the last part
+        head, _, tail = name.rpartition("_")
+        return (head, tail) if normal_unit(tail) in UNITS else (name, "")
+    return name, ""
+
+
+def plain_name(name: str) -> str:
+    """A name without spaces, marks and capitals."""
+    return re.sub(r"[\s_.,\-/]+", "", name).casefold()
+
+
+def is_usual(header: str, role: Role) -> bool:
+    """Return True for a usual name of a measured quantity, whole or behind the last dot of a path."""
+    name = split_name(header)[0]
+    if role not in _PATTERNS or _WANTED.search(name):
+        return False
+    return any(_PATTERNS[role].fullmatch(plain_name(n)) for n in (name, name.rpartition(".")[2]))

@@ -1,0 +1,270 @@
+"""Logs in odd forms: names of drives, no position, no force, repeated stamps, wraps, columns that are missing."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.io import savemat
+
+from cli_cases import refused, run
+from sgms_mhe.api.inputs import read_log
+from sgms_mhe.logfiles.names import is_usual
+from sgms_mhe.logfiles.plausibility import check_plausible
+from sgms_mhe.logfiles.reading import understand
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+def rotor(seed: int, *, rate: float = 800.0, seconds: float = 8.0, travel: float = 9.0) -> Log:
+    """A rotor under two sines, with Coulomb and viscous friction."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(int(seconds * rate)) / rate
+    low, high = rng.uniform(0.15, 0.3), rng.uniform(1.0, 1.6)
+    position = travel * np.sin(2 * np.pi * low * time) + 0.05 * travel * np.sin(2 * np.pi * high * time)
+    velocity = np.gradient(position, 1.0 / rate)
+    friction = 0.05 * np.tanh(velocity / 0.01) + 0.002 * velocity
+    torque = 2e-3 * np.gradient(velocity, 1.0 / rate) + friction + rng.normal(0.0, 2e-3, len(time))
+    return Log(time, position, torque, rate, velocity_m_s=velocity, friction_N=friction, kind="rotary")
+
+
+def write(path: Path, **columns: Array) -> Path:
+    values = np.column_stack(list(columns.values()))
+    np.savetxt(path, values, delimiter=",", header=",".join(columns), comments="", fmt="%.15g")
+    return path
+
+
+def own(log: Log, *names: str) -> dict[str, Array]:
+    found = dict(zip(("time_s", "position_rad", "torque_Nm"), (log.time_s, log.position_m, log.force_N), strict=True))
+    return {name: found[name] for name in names or found}
+
+
+# --- names --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "role"),
+    [
+        ("Position actual value [mm]", "position"),
+        ("Position Actual Value (deg)", "position"),
+        ("pos.act", "position"),
+        ("X_act", "position"),
+        ("Lageistwert [mm]", "position"),
+        ("Istposition [mm]", "position"),
+        ("Axes.A1.ActPos", "position"),
+        ("Current Position [um]", "position"),
+        ("Axis 1 Position Feedback [rad]", "position"),
+        ("Zeit [ms]", "time"),
+        ("Time stamp [s]", "time"),
+        ("Torque actual value [N m]", "force"),
+        ("Drehmoment Istwert [Nm]", "force"),
+        ("Istmoment [Nm]", "force"),
+        ("Motorstrom [A]", "force"),
+        ("Actual current [A]", "force"),
+        ("Istgeschwindigkeit [mm/s]", "velocity"),
+        ("Velocity actual value [rpm]", "velocity"),
+        ("Istdrehzahl [1/min]", "velocity"),
+    ],
+)
+def test_names_of_drives_are_known(name: str, role: Any) -> None:
+    assert is_usual(name, role)
+    assert not any(is_usual(name, other) for other in ("time", "position", "force", "velocity") if other != role)
+
+
+@pytest.mark.parametrize(
+    "name",
+    "Lagesollwert [mm]|Position demand value [mm]|pos.set|x_cmd|Target position|Schleppabstand [mm]|pos_err [mm]|"
+    "Following error actual value [mm]|error.position|Reference.angle|Max torque|Torque limit|Torque set|q_ref|"
+    "Solldrehmoment|Positionsabweichung|Software position limit".split("|"),
+)
+def test_set_points_and_errors_are_no_measurements(name: str) -> None:
+    assert not any(is_usual(name, role) for role in ("position", "force", "velocity"))  # type: ignore[arg-type]
+
+
+def test_a_drive_s_trace_needs_no_more_than_the_force_s_scale(tmp_path: Path) -> None:
+    log = rotor(3)
+    degrees = np.rad2deg(log.position_m)
+    path = write(
+        tmp_path / "trace.csv",
+        **{
+            "Time [ms]": 1e3 * log.time_s,
+            "Position demand value [deg]": degrees + 1.0,
+            "Position actual value [deg]": degrees,
+            "Following error [deg]": np.full(len(log), 1.0),
+            "Velocity actual value [rpm]": log.velocity_m_s * 30.0 / np.pi,  # type: ignore[operator]
+            "Current actual value [A]": log.force_N / 0.13,
+        },
+    )
+    assert "scale = ..." in run("inspect", path).stdout
+    found = read_log(path, table={"torque_Nm": {"scale": 0.13}})
+    assert found.position_m == pytest.approx(log.position_m) and found.force_N == pytest.approx(log.force_N)
+    assert found.velocity_m_s is None  # beside a position it is computed
+
+
+# --- what stands for something else -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("header", ["velocity_rad_s", "Velocity actual value [rpm]", "omega (deg/s)"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_velocity_alone_is_integrated_and_said(header: str, seed: int, tmp_path: Path) -> None:
+    log = rotor(seed)
+    assert log.velocity_m_s is not None
+    factor = {"velocity_rad_s": 1.0, "Velocity actual value [rpm]": np.pi / 30.0, "omega (deg/s)": np.pi / 180.0}[
+        header
+    ]
+    velocity = log.velocity_m_s / factor
+    velocity[100:103] = np.nan
+    notes: list[str] = []
+    path = write(tmp_path / "log.csv", time_s=log.time_s, **{header: velocity}, torque_Nm=log.force_N)
+    found = read_log(path, note=notes.append)
+    expected = log.position_m - log.position_m[0]
+    good = np.isfinite(found.position_m)
+    assert np.flatnonzero(~good).tolist() == [100, 101, 102]
+    assert found.position_m[good] == pytest.approx(expected[good], abs=1e-3 * np.ptp(expected))
+    assert len(notes) == 1 and "is integrated from 0" in notes[0] and "rad by the end" in notes[0]
+
+
+def test_a_friction_alone_stands_for_the_force(tmp_path: Path) -> None:
+    log = rotor(4)
+    assert log.friction_N is not None
+    notes: list[str] = []
+    path = write(tmp_path / "log.csv", **own(log, "time_s", "position_rad"), friction_Nm=log.friction_N)
+    found = read_log(path, note=notes.append)
+    assert found.force_N == pytest.approx(log.friction_N) and found.friction_N is not None
+    assert len(notes) == 1 and "friction_Nm stands for it" in notes[0]
+    check_plausible(found, None)
+    assert "torque_Nm" in refused(
+        "start", write(tmp_path / "no.csv", **own(log, "time_s", "position_rad")), "--out", "x.toml"
+    )
+
+
+# --- repeated stamps ----------------------------------------------------------------------------------------------
+
+
+def test_a_row_that_was_written_twice_is_left_out_and_said(tmp_path: Path) -> None:
+    log = rotor(5)
+    twice = {name: np.insert(values, 700, values[699]) for name, values in own(log).items()}
+    notes: list[str] = []
+    found = read_log(write(tmp_path / "log.csv", **twice), note=notes.append)
+    assert found.position_m == pytest.approx(log.position_m)
+    assert len(notes) == 1 and "row 701 (line 702)" in notes[0] and "one sample fewer" in notes[0]
+
+
+@pytest.mark.parametrize("count", [1, 6])
+def test_jittery_stamps_with_repeats_are_resampled(count: int, tmp_path: Path) -> None:
+    log = rotor(6, rate=500.0)
+    rng = np.random.default_rng(count)
+    late = log.time_s + 2e-5 * rng.standard_normal(len(log))
+    for k in rng.choice(np.arange(10, len(log)), count, replace=False):
+        late[k] = late[k - 1]
+    path = write(tmp_path / "log.csv", **{**own(log), "time_s": late})
+    notes: list[str] = []
+    with pytest.raises(InputError, match="resample = true"):
+        read_log(path, note=notes.append)
+    assert len(notes) == 1 and "one sample fewer" in notes[0]  # said, though the log is refused
+    found = read_log(path, table={"resample": True})
+    assert found.position_m == pytest.approx(np.interp(found.time_s, log.time_s, log.position_m), abs=5e-3)
+
+
+def test_stamps_coarser_than_the_samples_are_refused(tmp_path: Path) -> None:
+    log = rotor(7)
+    path = write(tmp_path / "log.csv", **{**own(log), "time_s": np.floor(log.time_s * 80.0) / 80.0})
+    with pytest.raises(InputError, match="coarser than the samples"):
+        read_log(path)
+
+
+# --- positions that start over ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("period", [25.0, 7.0, 2.0 * np.pi, 0.36, 12.75])
+@pytest.mark.parametrize("seed", [1, 8])
+def test_any_period_is_found(period: float, seed: int, tmp_path: Path) -> None:
+    log = rotor(seed, rate=1000.0, travel=2.2 * period)
+    wrapped = {**own(log), "position_rad": np.mod(log.position_m + 0.3 * period, period)}
+    path = write(tmp_path / "log.csv", **wrapped)
+    with pytest.raises(InputError, match=r"such jumps.*a position that goes on") as caught:
+        read_log(path)
+    stated = float(caught.value.allowed.partition("wrap = ")[2].partition(" ")[0])
+    assert stated == pytest.approx(period, rel=1e-9)
+    found = read_log(path, table={"position_rad": {"wrap": stated}})
+    assert np.diff(found.position_m) == pytest.approx(np.diff(log.position_m), abs=1e-9)
+
+
+def test_jumps_that_are_no_period_are_taken(tmp_path: Path) -> None:
+    log = rotor(9)
+    position = log.position_m.copy()
+    for start in (1000, 2500):  # an encoder that stuck
+        position[start : start + 900] = position[start]
+    read_log(write(tmp_path / "stuck.csv", **{**own(log), "position_rad": position}))
+    homed = np.where(log.time_s < 3.0, log.position_m, log.position_m + 41.3)
+    read_log(write(tmp_path / "homed.csv", **{**own(log), "position_rad": homed}))
+
+
+# --- lengths and clocks -----------------------------------------------------------------------------------------
+
+
+def test_channels_that_end_a_little_apart_are_cut_and_said(tmp_path: Path) -> None:
+    log, notes = rotor(10), list[str]()
+    columns = own(log)
+    columns["torque_Nm"] = columns["torque_Nm"][:-7]
+    savemat(tmp_path / "log.mat", columns)
+    found = read_log(tmp_path / "log.mat", note=notes.append)
+    assert len(found) == len(log) - 7 and found.position_m == pytest.approx(log.position_m[:-7])
+    assert len(notes) == 1 and f"cut to the first {len(log) - 7}" in notes[0]
+    savemat(tmp_path / "short.mat", {**columns, "torque_Nm": log.force_N[:-100]})
+    with pytest.raises(InputError, match="as many rows as time_s has"):
+        read_log(tmp_path / "short.mat")
+
+
+# --- what is missing ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("left_out", "missing"),
+    [("time_s", ["time_s"]), ("position_rad", ["position_rad"]), ("torque_Nm", ["torque_Nm"])],
+)
+def test_inspect_lists_every_column_where_one_is_missing(left_out: str, missing: list[str], tmp_path: Path) -> None:
+    log = rotor(11)
+    columns = {name: values for name, values in own(log).items() if name != left_out}
+    extra = np.where(np.arange(len(log)) % 9 == 0, np.nan, 40.0)
+    path = write(tmp_path / "log.csv", **columns, winding=extra)
+    result = run("inspect", path, "--json")
+    content = json.loads(result.stdout)
+    assert result.exit_code == 1
+    assert content["missing"] == missing and len(content["problems"]) == 1
+    by_name = {column["from"]: column for column in content["columns"]}
+    assert list(by_name) == [*columns, "winding"]
+    for name, values in columns.items():
+        assert (by_name[name]["min"], by_name[name]["max"]) == pytest.approx((values.min(), values.max()))
+    assert by_name["winding"]["missing"] == len(extra[np.isnan(extra)])
+    text = run("inspect", path).stdout
+    assert all(name in text for name in by_name) and f"missing       {missing[0]}" in text
+    assert run("inspect", write(tmp_path / "whole.csv", **own(log)), "--json").exit_code == 0
+
+
+def test_inspect_lists_columns_without_units_and_with_words(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time,pos,mode,force\n" + "".join(f"{0.001 * k:.3f},{k % 7},run,{k % 5}\n" for k in range(50)))
+    result = run("inspect", path, "--json")
+    content = json.loads(result.stdout)
+    assert result.exit_code == 1 and "without a unit" in content["problems"][0]
+    assert content["missing"] == ["time_s", "position_m", "force_N"]
+    mode = next(column for column in content["columns"] if column["from"] == "mode")
+    assert (mode["min"], mode["max"]) == (None, None)
+    assert run("inspect", path, "--unit", "time=s", "--unit", "position=mm", "--unit", "force=N").exit_code == 0
+
+
+def test_notes_are_kept_by_the_reading(tmp_path: Path) -> None:
+    log = rotor(12)
+    reading = understand(
+        write(tmp_path / "log.csv", time_s=log.time_s, velocity_rad_s=log.velocity_m_s, torque_Nm=log.force_N)
+    )  # type: ignore[arg-type]
+    assert len(reading.notes) == 1
+    assert replace(reading, notes=()).notes == ()
