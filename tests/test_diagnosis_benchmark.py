@@ -11,27 +11,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sgms_bench.diagnosis import (
+from sgms_bench.diagnosis.axes import Axis, draw_axis, machine_file
+from sgms_bench.diagnosis.causes import Hidden, prescribed_signals, sized_cause
+from sgms_bench.diagnosis.draws import (
+    KINDS,
+    VISIBLE,
     Draw,
-    Found,
-    Hidden,
+    _Frame,
+    _unmodelled,
     machine_of,
     make_draw,
-    outcome,
-    run_diagnosis_benchmark,
-    run_draw,
     simulate_draw,
+    unmodelled_force,
+)
+from sgms_bench.diagnosis.faults import FAULTS
+from sgms_bench.diagnosis.motions import STYLES, WEAK_STYLES, draw_motion
+from sgms_bench.diagnosis.running import diagnosed, run_diagnosis_benchmark, run_draw
+from sgms_bench.diagnosis.scoring import (
+    Found,
+    confusion_table,
+    half_found,
+    is_confidently_wrong,
+    outcome,
+    parameter_errors,
     summarise,
     summary_json,
     summary_text,
 )
-from sgms_bench.diagnosis.axes import Axis, draw_axis, machine_file
-from sgms_bench.diagnosis.causes import prescribed_signals, sized_cause
-from sgms_bench.diagnosis.draws import KINDS, VISIBLE, _Frame, _unmodelled, unmodelled_force
-from sgms_bench.diagnosis.faults import FAULTS
-from sgms_bench.diagnosis.motions import STYLES, WEAK_STYLES, draw_motion
-from sgms_bench.diagnosis.running import diagnosed
-from sgms_bench.diagnosis.scoring import confusion_table, half_found, is_confidently_wrong, parameter_errors
 from sgms_bench.diagnosis.unmodelled import SMOOTH_CURVES, UNMODELLED, curves_over_speed
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import verdict
@@ -317,18 +323,18 @@ def test_rates_and_confusion(machine: Machine) -> None:
         (drawn("clean"), replace(said("adequate"), law="switching")),
     ]
     summary = summarise(machine, results)
-    assert (summary.recovery.hits, summary.recovery.total) == (9, 10)
-    assert summary.recovery.interval[0] < 0.9 < summary.recovery.interval[1]
-    assert summary.ambiguous.hits == 2
-    assert summary.misnamed.hits == 1
-    assert (summary.false_alarms.hits, summary.false_alarms.total) == (1, 13)
-    assert (summary.doubles.hits, summary.doubles.total) == (3, 4)
-    assert (summary.triples.hits, summary.triples.total) == (1, 1)
-    assert (summary.faults.hits, summary.refused.hits) == (1, 1)
+    assert (summary.rates["recovery"].hits, summary.rates["recovery"].total) == (9, 10)
+    assert summary.rates["recovery"].interval[0] < 0.9 < summary.rates["recovery"].interval[1]
+    assert summary.rates["ambiguous"].hits == 2
+    assert summary.rates["misnamed"].hits == 1
+    assert (summary.rates["false_alarms"].hits, summary.rates["false_alarms"].total) == (1, 13)
+    assert (summary.rates["doubles"].hits, summary.rates["doubles"].total) == (3, 4)
+    assert (summary.rates["triples"].hits, summary.rates["triples"].total) == (1, 1)
+    assert (summary.rates["faults"].hits, summary.rates["refused"].hits) == (1, 1)
     # An offset called another name, a clean and an unmodelled log with a name.
-    assert (summary.confidently_wrong.hits, summary.confidently_wrong.total) == (3, len(results))
-    assert (summary.laws.hits, summary.laws.total) == (1, 2)
-    assert (summary.unmodelled_unexplained.hits, summary.unmodelled_misnamed.hits) == (1, 1)
+    assert (summary.rates["confidently_wrong"].hits, summary.rates["confidently_wrong"].total) == (3, len(results))
+    assert (summary.rates["laws"].hits, summary.rates["laws"].total) == (1, 2)
+    assert (summary.rates["unmodelled_unexplained"].hits, summary.rates["unmodelled_misnamed"].hits) == (1, 1)
     rows, columns, counts = confusion_table(summary.confusion)
     table = {(r, c): n for r, line in zip(rows, counts, strict=True) for c, n in zip(columns, line, strict=True)}
     # A correct ambiguity counts as itself.
@@ -354,8 +360,8 @@ def test_parameter_errors_and_coverage(machine: Machine) -> None:
     assert set(errors) == {"force_ripple.amplitude_N", "force_ripple.pitch_m"}
     assert errors["force_ripple.amplitude_N"].relative == pytest.approx(0.04)
     summary = summarise(machine, [(draw, found)])
-    assert (summary.within.hits, summary.within.total) == (2, 2)
-    assert (summary.covered.hits, summary.covered.total) == (1, 2)
+    assert (summary.rates["within"].hits, summary.rates["within"].total) == (2, 2)
+    assert (summary.rates["covered"].hits, summary.rates["covered"].total) == (1, 2)
 
     wrong = replace(drawn("base"), hidden=(Hidden("viscous", factors={"viscous": 1.2}, size=0.2),))
     found = Found("explained", (("viscous", {"viscous_N_s_m": 25.2}, {"viscous_N_s_m": 1.0}),))
@@ -408,7 +414,7 @@ def test_an_interrupted_run_goes_on(machine: Machine, tmp_path: Path) -> None:
         **options,  # type: ignore[arg-type]
     )
     assert calls == [(k, 4) for k in range(5)]
-    assert summary.errors.hits == 4
+    assert summary.rates["errors"].hits == 4
     folders = sorted(kept.iterdir())
     assert [folder.name[:5] for folder in folders] == ["00000", "00001", "00002", "00003"]
     first = json.loads((folders[0] / "result.json").read_text())

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from sgms_bench.diagnosis import Draw, machine_of, make_draw, simulate_draw
+from sgms_bench.diagnosis.draws import Draw, machine_of, make_draw, simulate_draw
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from cli_cases import done, refused
-from sgms_bench.diagnosis import Draw, Found, machine_of, small
-from sgms_bench.diagnosis.draws import OFF_SIZE, VISIBLE, sized_draw
+from sgms_bench.diagnosis import small
+from sgms_bench.diagnosis.draws import OFF_SIZE, VISIBLE, Draw, machine_of, sized_draw
 from sgms_bench.diagnosis.running import kept_result, read_result
+from sgms_bench.diagnosis.scoring import Found
 from sgms_bench.diagnosis.small import LAWS, Cell, cells, covered_shares, run_small
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.machine import Machine

@@ -78,13 +78,10 @@ def command(
     resolved = load_machine(machine)
     check_output_folder(out)
 
-    from sgms_bench.diagnosis import (
-        run_diagnosis_benchmark,
-        run_planned,
-        run_small,
-        summary_json,
-        summary_text,
-    )
+    from sgms_bench.diagnosis.planned import run_planned
+    from sgms_bench.diagnosis.running import run_diagnosis_benchmark
+    from sgms_bench.diagnosis.scoring import summary_json, summary_text
+    from sgms_bench.diagnosis.small import run_small
 
     if planned:
         with progress_bar(f"planned moves on {resolved.name}") as progress:

@@ -11,6 +11,7 @@ from sgms_mhe.configuration import make_machine, under_other_law
 from sgms_mhe.machine import Kind, Machine
 
 PlantLaw = Literal["sgms", "maxwell_slip"]
+LAWS: Final[tuple[PlantLaw, ...]] = ("sgms", "maxwell_slip")
 ROTARY: Final = 0.2
 """Share of draws whose axis turns."""
 OTHER_LAW: Final = 0.35

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from sgms_bench.diagnosis.axes import PlantLaw
+from sgms_bench.diagnosis.axes import LAWS, PlantLaw
 from sgms_bench.diagnosis.causes import Hidden, prescribed_signals, sized_cause
 from sgms_bench.diagnosis.draws import something_to_act_on
 from sgms_bench.diagnosis.running import LIMIT_S, RESULT, RESULTS, Progress, plain_json
@@ -39,7 +39,6 @@ RMS: Final = 0.05
 """Of the force of what is hidden, over the Coulomb level; a diagnosis calls 0.02 a good fit."""
 PEAKS: Final = (0.1, 0.8)
 """Size of the first try, and the largest one, over the Coulomb level."""
-LAWS: Final[tuple[PlantLaw, ...]] = ("sgms", "maxwell_slip")
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from sgms_bench.diagnosis.causes import LEAST_SIZE
-from sgms_bench.diagnosis.draws import Draw
+from sgms_bench.diagnosis.draws import KINDS, Draw
 from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES, base_number, effect_definition, reported_name
@@ -176,38 +176,71 @@ class Threshold:
 
 
 @dataclass(frozen=True)
+class Rate:
+    """One rate of the benchmark.
+
+    Attributes:
+        title, goal: on the page.
+        outcomes: of a log that are hits; empty: `summarise` counts otherwise.
+        kinds: of draws that count; empty: all.
+        sized: only those from `LEAST_SIZE` on count.
+    """
+
+    title: str
+    goal: str = ""
+    outcomes: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
+    sized: bool = False
+
+
+_ONE: Final = ("single", "base")
+_SOUND: Final = tuple(kind for kind in KINDS if kind != "fault")
+RATES: Final[Mapping[str, Rate]] = {
+    "recovery": Rate("named right (a correct ambiguous counts)", ">= 97 %", FOUND, _ONE, True),
+    "ambiguous": Rate("  of these ambiguous, the truth among them", "", ("ambiguous",), _ONE, True),
+    "misnamed": Rate("  called something else", "", ("misnamed",), _ONE, True),
+    "extra": Rate("  right, and something that is not there", "", ("extra",), _ONE, True),
+    "missed": Rate("  not named", "", ("missed", "unexplained"), _ONE, True),
+    "doubles": Rate("two effects, both found", ">= 85 %", FOUND, ("double",), True),
+    "triples": Rate("three effects, all found", "", FOUND, ("triple",), True),
+    "false_alarms": Rate("clean logs with any name", "<= 0.5 %", ("invented",), ("clean",)),
+    "unmodelled_unexplained": Rate(
+        "unmodelled forces called unexplained", ">= 97 %", ("unexplained",), ("unmodelled",)
+    ),
+    "unmodelled_misnamed": Rate("  given a name", "", ("misnamed",), ("unmodelled",)),
+    "weak": Rate("logs that cannot tell, and it says so", "", ("right",), ("weak",)),
+    "faults": Rate("wrong signs, units and columns seen", "", ("right",), ("fault",)),
+    "refused": Rate(
+        "  said of logs that are right", "0", ("refused",), tuple(kind for kind in KINDS if kind != "fault")
+    ),
+    "confidently_wrong": Rate("CONFIDENTLY WRONG, of all logs", "<= 0.5 %"),
+    "laws": Rate("law of friction told right"),
+    "within": Rate("parameters within 10 %"),
+    "covered": Rate("parameters inside their 95 % interval", "95 %"),
+    "at_floor": Rate("held-out residual within 10 % of the noise floor"),
+    "errors": Rate("no diagnosis (error)", "0", ("error",)),
+}
+"""Rates by name, in the order of the page; one that is indented is part of the one above."""
+
+
+@dataclass(frozen=True)
 class Summary:
     """All numbers of the benchmark.
 
-    Rates over sizes from `LEAST_SIZE` on: `recovery` (single effects and wrong numbers, named or correctly ambiguous),
-    `ambiguous` of them, `misnamed`, `extra`, `missed`, `doubles`, `triples`; `false_alarms` of clean logs;
-    `unmodelled_unexplained`, `unmodelled_misnamed`; `weak` right; `faults` seen; `refused` without a fault;
-    `confidently_wrong` of all; `laws` told right where a law is told. `within`: parameters within 10 %; `covered`: by
-    their 95 % intervals; `at_floor`: held-out residual after extension within 10 % of the noise floor; `floor_ratio`:
-    (median, 90 %) of it; `own_floor_ratio`: median of the diagnosis's noise floor over the noise known from the log's
-    making. `confusion`: (truth, named) -> count. `outcomes`: (kind, outcome) -> count.
+    Attributes:
+        draws: logs.
+        rates: by the names of `RATES`.
+        floor_ratio: held-out residual after extension over the noise floor (median, 90 %).
+        own_floor_ratio: median of the diagnosis's noise floor over the noise known from the log's making.
+        seconds: time of a log (median, 90 %).
+        thresholds: of causes.
+        confusion: count by (truth, named).
+        outcomes: count by (kind, outcome).
+        worst_parameters: (cause.parameter, median of the relative error, count), the worst first.
     """
 
     draws: int
-    recovery: Share
-    ambiguous: Share
-    misnamed: Share
-    extra: Share
-    missed: Share
-    doubles: Share
-    triples: Share
-    false_alarms: Share
-    unmodelled_unexplained: Share
-    unmodelled_misnamed: Share
-    weak: Share
-    faults: Share
-    refused: Share
-    confidently_wrong: Share
-    laws: Share
-    errors: Share
-    within: Share
-    covered: Share
-    at_floor: Share
+    rates: Mapping[str, Share]
     floor_ratio: tuple[float, float]
     own_floor_ratio: float
     seconds: tuple[float, float]
@@ -220,65 +253,40 @@ class Summary:
 def summarise(machine: Machine, results: Iterable[tuple[Draw, Found]]) -> Summary:
     """Score all results."""
     rows = [(draw, found, outcome(draw, found)) for draw, found in results]
-    ones = [r for r in rows if r[0].kind in ("single", "base") and r[0].size >= LEAST_SIZE]
-    doubles, triples = (
-        [r for r in rows if r[0].kind == kind and r[0].size >= LEAST_SIZE] for kind in ("double", "triple")
-    )
-    clean, unmodelled, weak, faults = (
-        [r for r in rows if r[0].kind == kind] for kind in ("clean", "unmodelled", "weak", "fault")
-    )
-    sound = [r for r in rows if r[0].kind != "fault"]
     told = [
         (draw, found)
         for draw, found, how in rows
         if how in (*FOUND, "right") and found.verdict != "unexplained" and draw.kind != "weak" and found.law
     ]
-
-    def share(chosen: Sequence[tuple[Draw, Found, str]], *which: str) -> Share:
-        return Share(sum(r[2] in which for r in chosen), len(chosen))
-
-    errors = [e for draw, found, how in rows if how in FOUND for e in parameter_errors(machine, draw, found)]
-    ratios = [
-        found.held_out_after_N / found.noise_floor_N
-        for draw, found, how in rows
-        if how in FOUND and found.noise_floor_N > 0.0
-    ]
+    right = [(draw, found) for draw, found, how in rows if how in FOUND]
+    errors = [e for draw, found in right for e in parameter_errors(machine, draw, found)]
+    ratios = [found.held_out_after_N / found.noise_floor_N for _, found in right if found.noise_floor_N > 0.0]
     own = [f.noise_floor_N / f.noise_N for _, f, _ in rows if f.noise_N > 0.0 and math.isfinite(f.noise_floor_N)]
-    times = [f.seconds for _, f, _ in rows if math.isfinite(f.seconds)]
-    stated = [e for e in errors if math.isfinite(e.std)]
     by_name: dict[str, list[float]] = {}
     for e in errors:
         by_name.setdefault(e.name, []).append(abs(e.relative))
+    hits = {
+        "confidently_wrong": [is_confidently_wrong(draw, found) for draw, found, _ in rows],
+        "laws": [(found.law == "switching") == draw.axis.switches for draw, found in told],
+        "within": [abs(e.relative) <= WITHIN for e in errors],
+        "covered": [abs(e.error) <= SIGMAS * e.std for e in errors if math.isfinite(e.std)],
+        "at_floor": [ratio <= 1.1 for ratio in ratios],
+    }
+    for name, rate in RATES.items():
+        if rate.outcomes:
+            chosen = [row for row in rows if not rate.kinds or row[0].kind in rate.kinds]
+            hits[name] = [how in rate.outcomes for draw, _, how in chosen if not rate.sized or draw.size >= LEAST_SIZE]
+    medians = [(name, float(np.median(relative)), len(relative)) for name, relative in by_name.items()]
     return Summary(
         draws=len(rows),
-        recovery=share(ones, *FOUND),
-        ambiguous=share(ones, "ambiguous"),
-        misnamed=share(ones, "misnamed"),
-        extra=share(ones, "extra"),
-        missed=share(ones, "missed", "unexplained"),
-        doubles=share(doubles, *FOUND),
-        triples=share(triples, *FOUND),
-        false_alarms=share(clean, "invented"),
-        unmodelled_unexplained=share(unmodelled, "unexplained"),
-        unmodelled_misnamed=share(unmodelled, "misnamed"),
-        weak=share(weak, "right"),
-        faults=share(faults, "right"),
-        refused=share(sound, "refused"),
-        confidently_wrong=Share(sum(is_confidently_wrong(draw, found) for draw, found, _ in rows), len(rows)),
-        laws=Share(sum((found.law == "switching") == draw.axis.switches for draw, found in told), len(told)),
-        errors=share(rows, "error"),
-        within=Share(sum(abs(e.relative) <= WITHIN for e in errors), len(errors)),
-        covered=Share(sum(abs(e.error) <= SIGMAS * e.std for e in stated), len(stated)),
-        at_floor=Share(sum(r <= 1.1 for r in ratios), len(ratios)),
+        rates={name: Share(sum(hits[name]), len(hits[name])) for name in RATES},
         floor_ratio=_quantiles(ratios),
         own_floor_ratio=_quantiles(own)[0],
-        seconds=_quantiles(times),
+        seconds=_quantiles([f.seconds for _, f, _ in rows if math.isfinite(f.seconds)]),
         thresholds=tuple(_thresholds(rows)),
         confusion=Counter(pair for draw, found, _ in rows for pair in _pairs(draw, found)),
         outcomes=Counter((draw.kind, how) for draw, _, how in rows),
-        worst_parameters=tuple(
-            sorted(((n, float(np.median(v)), len(v)) for n, v in by_name.items()), key=lambda row: -row[1])
-        ),
+        worst_parameters=tuple(sorted(medians, key=lambda row: -row[1])),
     )
 
 
@@ -425,31 +433,12 @@ def summary_text(summary: Summary) -> str:
         f"{s.draws} logs; sizes are peak forces over the Coulomb level, rates count those from {LEAST_SIZE:.0%} on",
         "",
     ]
-    rates = (
-        ("named right (a correct ambiguous counts)", s.recovery, ">= 97 %"),
-        ("  of these ambiguous, the truth among them", s.ambiguous, ""),
-        ("  called something else", s.misnamed, ""),
-        ("  right, and something that is not there", s.extra, ""),
-        ("  not named", s.missed, ""),
-        ("two effects, both found", s.doubles, ">= 85 %"),
-        ("three effects, all found", s.triples, ""),
-        ("clean logs with any name", s.false_alarms, "<= 0.5 %"),
-        ("unmodelled forces called unexplained", s.unmodelled_unexplained, ">= 97 %"),
-        ("  given a name", s.unmodelled_misnamed, ""),
-        ("logs that cannot tell, and it says so", s.weak, ""),
-        ("wrong signs, units and columns seen", s.faults, ""),
-        ("  said of logs that are right", s.refused, "0"),
-        ("CONFIDENTLY WRONG, of all logs", s.confidently_wrong, "<= 0.5 %"),
-        ("law of friction told right", s.laws, ""),
-        ("parameters within 10 %", s.within, ""),
-        ("parameters inside their 95 % interval", s.covered, "95 %"),
-        ("held-out residual within 10 % of the noise floor", s.at_floor, ""),
-        ("no diagnosis (error)", s.errors, "0"),
-    )
-    for words, share, goal in rates:
+    for name, share in s.rates.items():
         low, high = share.interval
         value = "-" if not share.total else f"{100 * share.value:5.1f} %  ({100 * low:.0f} to {100 * high:.0f})"
-        lines.append(f"{words:<50} {share.hits:>4} of {share.total:<4} {value:<26} {goal}".rstrip())
+        lines.append(
+            f"{RATES[name].title:<50} {share.hits:>4} of {share.total:<4} {value:<26} {RATES[name].goal}".rstrip()
+        )
     lines += [
         "",
         f"held-out residual over noise floor: median {s.floor_ratio[0]:.3f}, 90 % below {s.floor_ratio[1]:.3f}; "
@@ -475,18 +464,15 @@ def summary_text(summary: Summary) -> str:
 
 
 def summary_json(summary: Summary) -> dict[str, Any]:
-    """Plain content."""
-    content: dict[str, Any] = {}
-    for key, value in vars(summary).items():
-        if isinstance(value, Share):
-            content[key] = {"hits": value.hits, "total": value.total, "share": value.value, "interval": value.interval}
-        elif key in ("confusion", "outcomes"):
-            content[key] = [[a, b, n] for (a, b), n in sorted(value.items())]
-        elif key == "thresholds":
-            content[key] = [asdict(t) for t in value]
-        else:
-            content[key] = value
-    return content
+    """Return plain content: the rates under their own names."""
+    content = vars(summary) | {
+        name: {"hits": share.hits, "total": share.total, "share": share.value, "interval": share.interval}
+        for name, share in summary.rates.items()
+    }
+    del content["rates"]
+    for key in ("confusion", "outcomes"):
+        content[key] = [[a, b, n] for (a, b), n in sorted(content[key].items())]
+    return content | {"thresholds": [asdict(threshold) for threshold in summary.thresholds]}
 
 
 def _quantiles(values: Sequence[float]) -> tuple[float, float]:

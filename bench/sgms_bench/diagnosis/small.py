@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from sgms_bench.diagnosis.axes import PlantLaw
+from sgms_bench.diagnosis.axes import LAWS, PlantLaw
 from sgms_bench.diagnosis.draws import Draw, sized_draw
 from sgms_bench.diagnosis.running import (
     LIMIT_S,
@@ -31,7 +31,6 @@ from sgms_mhe.support.kept import run_kept
 from sgms_mhe.support.processes import Place, Task
 from sgms_mhe.support.tables import Table
 
-LAWS: Final[tuple[PlantLaw, ...]] = ("sgms", "maxwell_slip")
 WRONG: Final = ("misnamed", "extra")
 
 
