@@ -17,7 +17,7 @@ pytestmark = pytest.mark.core
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "generator" / "sgms_mhe"
 BENCH = ROOT / "bench" / "sgms_bench"
-MOST_ROOMS, MOST_ARROWS = 19, 89
+MOST_ROOMS, MOST_ARROWS = 18, 80
 LONGEST_FILE, LONGEST_FUNCTION, LONGEST_TEMPLATE = 500, 80, 300
 """Lines."""
 DOORS = {"__main__": "cli"}

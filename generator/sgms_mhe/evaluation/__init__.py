@@ -1,1 +1,1 @@
-"""What a machine's observer is worth: benchmarks, studies, the paper's experiment, comparisons, and their figures."""
+"""Estimators along logs: comparison with the reference, prediction, tuning, watching, acceptance in CI."""

@@ -24,7 +24,7 @@ from sgms_mhe.emission.delivery import MANIFEST
 from sgms_mhe.emission.fmu import without_binaries
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.evaluation.comparison import compare_signals
-from sgms_mhe.host.targets import TARGET_FLAGS, Target, emulate, link_program
+from sgms_mhe.host.targets import TARGET_FLAGS, TARGETS, Target, emulate, link_program
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
@@ -87,27 +87,27 @@ class _Course:
         self.checks.append(Check(self.machine, name, skipped=why))
 
 
-def accept(source: str, generated: Path, targets: Sequence[Target], progress: Progress) -> tuple[Check, ...]:
+def accept(source: str, generated: Path, targets: Sequence[str], progress: Progress) -> tuple[Check, ...]:
     """Check one machine.
 
     Args:
         source: its file, or its name in machines/.
         generated: folder of the packages that were generated, each in a folder of its machine's name.
-        targets: emulated microcontrollers that the self-test runs on.
+        targets: names of emulated microcontrollers that the self-test runs on.
         progress: told of each check.
     """
     course = _Course(Path(source).stem, progress)
-    later = ["package", "reference", "self-test", *(f"self-test, {target.name}" for target in targets)]
+    on_targets = {f"self-test, {name}": TARGETS[name] for name in targets}
     package = course.check("machine file", lambda: emit_package(load_machine(source), within_budget=True))
     if package is None:
-        for name in later:
+        for name in ("package", "reference", "self-test", *on_targets):
             course.skip(name, "the machine file is refused")
         return tuple(course.checks)
     course.check("package", partial(_same_files, package, generated / package.machine.name))
     course.check("reference", partial(_agrees_with_reference, package))
     course.check("self-test", partial(_passes_on_host, package))
-    for target in targets:
-        course.check(f"self-test, {target.name}", partial(_passes_on_target, package, target))
+    for name, target in on_targets.items():
+        course.check(name, partial(_passes_on_target, package, target))
     return tuple(course.checks)
 
 
