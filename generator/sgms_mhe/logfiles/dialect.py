@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
 
 from sgms_mhe.logfiles.decimals import Mark, is_missing, is_number, told_by
+from sgms_mhe.logfiles.key_rows import find_key_rows
 from sgms_mhe.logfiles.stamps import stamp_form
 from sgms_mhe.machine import BY_COLUMN, SEPARATORS, LogMapping, normal_unit
 from sgms_mhe.support.errors import InputError
@@ -25,6 +26,8 @@ _TYPES: Final = frozenset("REAL LREAL FLOAT DOUBLE BOOL BYTE WORD SINT USINT INT
 """Data types that a controller's export may have a row of."""
 _TRIAL: Final = 50
 """Rows behind the first that a separator is tried on."""
+_SURE_ROWS: Final = 5
+"""Rows in sequence that are samples; above them a preamble may have two or three alike."""
 _SEARCHED: Final = 2000
 """Lines in which the first sample is looked for before the whole file is."""
 _SAYS: Final = "[log] of the machine file has"
@@ -50,6 +53,7 @@ class Dialect:
         before: lines before the header; `after`: lines after the last sample; `comments`: lines between samples that
             are none.
         first: samples before these rows, where they are a piece of a text.
+        clocks, scales: of columns by their indices, as in KeyRows.
     """
 
     separator: str
@@ -62,6 +66,8 @@ class Dialect:
     after: tuple[str, ...]
     comments: int
     first: int = 0
+    clocks: Mapping[int, int] = field(default_factory=dict)
+    scales: Mapping[int, tuple[float, float]] = field(default_factory=dict)
 
     def row(self, index: int) -> str:
         """Where a sample stands."""
@@ -117,12 +123,21 @@ def find_dialect(path: Path, text: str, hints: LogMapping | None) -> Dialect:
     # Rows that all end in a separator have a field more than names; any other field without a name is refused.
     closed = separator != " " and all(line.rstrip(" ").endswith(separator) for _, line in rows)
     above = lines[: rows[0][0] - 1]
-    header_line, names, units = _header(path, above, separator, count, closed, stated)
+    decimal = _decimal(path, rows, separator, hints)
+    keys = None
+    if stated is None:
+        fields = ((k, fields_of(above[k - 1], separator)) for k in range(len(above), 0, -1) if above[k - 1].strip())
+        keys = find_key_rows([*fields], count, decimal)
+    if keys is None:
+        header_line, names, units = _header(path, above, separator, count, closed, stated)
+    else:
+        header_line, names, units = keys.line, keys.names, keys.units
+        rows = tuple((k, line + separator * (count - 1 - line.count(separator))) for k, line in rows)
     between = sum(1 for line in lines[rows[0][0] - 1 : rows[-1][0]] if line.strip()) - len(rows)
     before = lines[: header_line - 1] if header_line else above
     return Dialect(
         separator,
-        _decimal(path, rows, separator, hints),
+        decimal,
         names,
         units,
         header_line,
@@ -130,6 +145,8 @@ def find_dialect(path: Path, text: str, hints: LogMapping | None) -> Dialect:
         sum(1 for line in before if line.strip()),
         tuple(line.strip() for line in lines[rows[-1][0] :] if not is_empty(line)),
         between,
+        clocks=keys.clocks if keys is not None else {},
+        scales=keys.scales if keys is not None else {},
     )
 
 
@@ -172,18 +189,19 @@ def _data(path: Path, filled: Sequence[tuple[int, str]], hints: LogMapping | Non
 
 
 def _first_sample(filled: Sequence[tuple[int, str]], separator: str) -> int | None:
-    """Index of the first sample: two or more values, and the row after it has as many fields."""
-    waiting: tuple[int, int] | None = None
+    """Index of the first sample: where rows of two or more values begin that have as many fields, the most of them."""
+    best, start, rows, count = (0, -1), -1, 0, 0
     for k, (_, line) in enumerate(filled):
         fields = fields_of(line, separator) if separator == " " or separator in line else []
         values = sum(map(_is_value, fields))
         if values >= 2:
-            if waiting is not None and waiting[1] == len(fields):
-                return waiting[0]
-            waiting = (k, len(fields))
+            start, rows, count = (start, rows + 1, count) if rows and count == len(fields) else (k, 1, len(fields))
+            best = max(best, (rows, -start))
+            if rows >= _SURE_ROWS:
+                break
         elif not values:
-            waiting = None
-    return waiting[0] if waiting is not None else None
+            rows = 0
+    return -best[1] if best[0] else None
 
 
 def _last(filled: Sequence[tuple[int, str]], first: int, separator: str) -> int:

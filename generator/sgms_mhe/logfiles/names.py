@@ -23,7 +23,7 @@ _MEASURED: Final = (
     "actual|act|ist|istwert|value|wert|measured|meas|mess|feedback|fbk|fb|motor|drive|antrieb|axis|achse|joint|load"
 )
 _WANTED: Final = re.compile(
-    r"(?:^|[\s_.\-/])(?:set|soll|cmd|command|ref|reference|demand|target|desired|err|error|following|fehler|schlepp)",
+    r"(?:^|[\s_.\-/:])(?:set|soll|cmd|command|ref|reference|demand|target|desired|err|error|following|fehler|schlepp)",
     re.IGNORECASE,
 )
 _PATTERNS: Final = {
@@ -54,12 +54,12 @@ def split_name(name: str) -> tuple[str, str]:
 
 def plain_name(name: str) -> str:
     """A name without spaces, marks and capitals."""
-    return re.sub(r"[\s_.,\-/]+", "", name).casefold()
+    return re.sub(r"[\s_.,:\-/]+", "", name).casefold()
 
 
 def is_usual(header: str, role: Role) -> bool:
-    """Return True for a usual name of a measured quantity, whole or behind the last dot of a path."""
+    """Return True for a usual name of a measured quantity, whole or the last part of a path."""
     name = split_name(header)[0]
     if role not in _PATTERNS or _WANTED.search(name):
         return False
-    return any(_PATTERNS[role].fullmatch(plain_name(n)) for n in (name, name.rpartition(".")[2]))
+    return any(_PATTERNS[role].fullmatch(plain_name(n)) for n in (name, re.split(r"[.:/]", name)[-1]))

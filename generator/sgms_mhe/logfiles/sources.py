@@ -91,7 +91,9 @@ def find_missing(path: Path, table: Table, mapping: LogMapping | None, preferred
     for quantity in QUANTITIES[kind]:
         stated = mapping.columns.get(quantity.column) if mapping is not None else None
         try:
-            is_there = _source(path, table, quantity, stated, by_name=True) is not None
+            is_there = (quantity.role == "time" and bool(table.clocks)) or (
+                _source(path, table, quantity, stated, by_name=True) is not None
+            )
         except InputError:
             is_there = False
         if quantity.role in REQUIRED and not is_there:

@@ -10,6 +10,7 @@ import numpy as np
 from sgms_mhe.logfiles.decimals import is_number, told_by, value_of
 from sgms_mhe.logfiles.dialect import UNTOLD, Dialect, fields_of, find_dialect
 from sgms_mhe.logfiles.encoding import decode
+from sgms_mhe.logfiles.long_format import pivot
 from sgms_mhe.logfiles.stamps import Stamps, stamp_form
 from sgms_mhe.logfiles.table import Array, Table, columns_of
 from sgms_mhe.machine import LogMapping
@@ -21,20 +22,33 @@ def read_text(path: Path, hints: LogMapping | None) -> Table:
     text, encoding = decode(path, path.read_bytes(), None if hints is None else hints.encoding)
     dialect = find_dialect(path, text, hints)
     cells = Cells(path, dialect, hints)
-    left = (
-        f"{len(dialect.after)} lines after the last sample are left out, the first: {dialect.after[0][:80]}"
-        if dialect.after
-        else ""
-    )
-    return Table(
+    notes = []
+    if dialect.after:
+        notes.append(
+            f"{len(dialect.after)} lines after the last sample are left out, the first: {dialect.after[0][:80]}"
+        )
+    names = [column.name for column in cells.columns]
+    scales = {names[k]: scale for k, scale in dialect.scales.items()}
+    notes += [
+        f"{name}: taken times {factor:g} plus {offset:g}, as its key rows state"
+        for name, (factor, offset) in scales.items()
+    ]
+
+    def read(wanted: Sequence[str]) -> Mapping[str, Array]:
+        values = dict(Cells(path, dialect, hints).read(dialect, wanted))
+        return values | {name: values[name] * scales[name][0] + scales[name][1] for name in wanted if name in scales}
+
+    table = Table(
         "text",
         cells.columns,
-        lambda names: Cells(path, dialect, hints).read(dialect, names),
+        read,
         dialect.row,
         (("encoding", encoding), *dialect.description),
         cells.stamped,
-        (left,) if left else (),
+        tuple(notes),
+        {names[k]: names[clock] for k, clock in dialect.clocks.items()},
     )
+    return pivot(path, table, dialect, hints)
 
 
 _PROBE = 1000

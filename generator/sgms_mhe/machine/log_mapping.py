@@ -134,7 +134,10 @@ class LogMapping(_Spare):
     encoding: str | None = text("of a text", "utf-8, utf-16, latin-1, ...: a name that Python knows", None)
     dates: Literal["dmy", "mdy"] | None = text("order in dates with slashes", "dmy or mdy", None)
     header_line: int | None = Field(
-        None, ge=1, description="line of a text that holds the columns' names [1], counted from 1; default: found"
+        None, ge=0, description="line of a text that holds the names [1], from 1; 0: there is none; default: found"
+    )
+    channel: str | None = text(
+        "column of a text in long format that holds the variables' names", "a name", None, min_length=1
     )
 
     @property

@@ -1,0 +1,229 @@
+"""Layouts of tables: key rows of scopes, channels with clocks of their own, long format, struct arrays of MAT files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cli_cases import run
+from sgms_mhe.api.inputs import read_log
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+def motion(seed: int, rate: float, seconds: float = 3.0) -> Log:
+    rng = np.random.default_rng(seed)
+    time = np.arange(int(seconds * rate)) / rate
+    position = 0.04 * np.sin(5.0 * time) + 0.002 * np.sin(31.0 * time)
+    speed = np.gradient(position, 1.0 / rate)
+    force = 12.0 * np.gradient(speed, 1.0 / rate) + 3.0 * np.tanh(speed / 1e-3) + rng.normal(0.0, 0.05, len(time))
+    return Log(time, position, force, rate)
+
+
+def digits(values: Sequence[float], mark: str = ".") -> list[str]:
+    return [f"{value:.12g}".replace(".", mark) for value in values]
+
+
+# --- scope exports ------------------------------------------------------------------------------------------------
+
+
+def scope(
+    path: Path,
+    channels: Sequence[tuple[str, str, Array, Array]],
+    *,
+    paired: bool,
+    separator: str = "\t",
+    mark: str = ".",
+    keys: Sequence[tuple[str, Sequence[str]]] = (),
+) -> Path:
+    """An export; channels are (name, unit, times [ms], values)."""
+    steps = digits([float(at[1] - at[0]) for _, _, at, _ in channels], mark)
+    stated = [
+        ("Name", [name for name, *_ in channels]),
+        ("SymbolComment", [""] * len(channels)),
+        ("Data-Type", ["REAL64"] * len(channels)),
+        ("SampleTime[ms]", steps),
+        ("Port", ["501"] * len(channels)),
+        *keys,
+        ("Unit", [unit for _, unit, *_ in channels]),
+    ]
+    lines = [["Name", "project"], ["Start of export", "132959733843760000", "Monday, 2 May 2022", "15:56:24.376"]]
+    lines += [["End of export", "132959733853750000", "Monday, 2 May 2022", "15:56:28.376"], [], []]
+    for key, values in stated:
+        lines.append([part for value in values for part in (key, value)] if paired else [key, *values])
+    lines.append([])
+    columns = [column for _, _, at, values in channels for column in (digits(at, mark), digits(values, mark))]
+    if not paired:
+        columns = [columns[0], *columns[1::2]]
+    for k in range(max(map(len, columns))):
+        row = [column[k] if k < len(column) else "" for column in columns]
+        while len(columns) > 2 and not row[-1] and k % 2:  # some writers leave the last separators out
+            row.pop()
+        lines.append(row)
+    path.write_bytes("".join(separator.join(line) + "\r\n" for line in lines).encode("utf-8"))
+    return path
+
+
+@pytest.mark.parametrize("paired", [True, False])
+@pytest.mark.parametrize(("separator", "mark"), [("\t", ","), ("\t", "."), (";", ","), (";", "."), (",", ".")])
+def test_key_rows_are_understood(paired: bool, separator: str, mark: str, tmp_path: Path) -> None:
+    log = motion(1, 2000.0)
+    at = 1e3 * log.time_s
+    channels = [("ActPos", "mm (Millimeter)", at, 1e3 * log.position_m), ("ActForce", "N (Newton)", at, log.force_N)]
+    found = read_log(scope(tmp_path / "scope.csv", channels, paired=paired, separator=separator, mark=mark))
+    assert found.rate == pytest.approx(2000.0)
+    assert found.position_m == pytest.approx(log.position_m, abs=1e-12)
+    assert found.force_N == pytest.approx(log.force_N, abs=1e-9)
+
+
+@pytest.mark.parametrize("unit", ["ms", "us", "s"])
+def test_the_key_of_the_step_says_the_unit_of_time(unit: str, tmp_path: Path) -> None:
+    log = motion(2, 500.0)
+    at = log.time_s * {"ms": 1e3, "us": 1e6, "s": 1.0}[unit]
+    channels = [("ActPos", "mm", at, 1e3 * log.position_m), ("Force", "N", at, log.force_N)]
+    path = scope(tmp_path / "scope.csv", channels, paired=True)
+    path.write_text(path.read_text().replace("SampleTime[ms]", f"SampleTime[{unit}]"))
+    assert read_log(path).rate == pytest.approx(500.0)
+
+
+@pytest.mark.parametrize("longer", [0, 1])
+def test_channels_with_clocks_of_their_own_are_put_on_that_of_position(longer: int, tmp_path: Path) -> None:
+    log, slow = motion(3, 1000.0, 3.0 + longer), motion(3, 250.0, 4.0 - longer)
+    channels = [
+        ("Force", "N", 1e3 * slow.time_s, 100.0 * slow.position_m),
+        ("ActPos", "mm", 1e3 * log.time_s, 1e3 * log.position_m),
+    ]
+    notes: list[str] = []
+    found = read_log(scope(tmp_path / "scope.csv", channels, paired=True), note=notes.append)
+    assert len(found) == len(log) and found.position_m == pytest.approx(log.position_m, abs=1e-12)
+    inside = log.time_s <= slow.time_s[-1]
+    assert found.force_N[inside] == pytest.approx(100.0 * log.position_m[inside], abs=2e-3)
+    assert np.isnan(found.force_N[log.time_s > slow.time_s[-1] + 0.003]).all()
+    assert len(notes) == 1 and "force_N: sampled at other times than position" in notes[0]
+
+
+def test_scales_in_key_rows_are_taken_and_said(tmp_path: Path) -> None:
+    log, notes = motion(4, 500.0), list[str]()
+    at = 1e3 * log.time_s
+    channels = [("ActPos", "mm", at, np.round(1e6 * log.position_m)), ("Force", "N", at, log.force_N)]
+    keys = [("Offset", ["0", "0"]), ("ScaleFactor", ["0.001", "1"])]
+    found = read_log(scope(tmp_path / "scope.csv", channels, paired=True, keys=keys), note=notes.append)
+    assert found.position_m == pytest.approx(log.position_m, abs=1e-6)
+    assert len(notes) == 1 and "ActPos: taken times 0.001 plus 0" in notes[0]
+
+
+def test_a_header_with_a_row_of_units_is_no_key_rows(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    rows = "".join(f"{k},{0.5 * k},{k % 7}\n" for k in range(30))
+    path.write_text(f"Name,x,F\nUnit,mm,N\n{rows}")
+    with pytest.raises(InputError, match="time_s"):
+        read_log(path)
+    assert read_log(path, table={"time_s": {"variable": "Name", "unit": "ms"}}).rate == pytest.approx(1000.0)
+
+
+def test_a_file_without_a_header_may_say_so(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("".join(f"{k / 1000},{0.5 * k},{k % 7}\n" for k in range(30)))
+    table = {"header_line": 0, "time_s": "column 1", "position_m": "column 2", "force_N": "column 3"}
+    assert read_log(path, table=table).position_m[-1] == 14.5
+
+
+# --- long format --------------------------------------------------------------------------------------------------
+
+
+def events(path: Path, rows: Sequence[Sequence[str]], header: str = "", separator: str = ",") -> Path:
+    lines = [separator.join(row) for row in rows]
+    path.write_text("\n".join([*([header] if header else []), *lines, ""]))
+    return path
+
+
+def long_rows(
+    log: Log, names: tuple[str, str], order: Callable[[str, str, str], list[str]], later: float = 0.0
+) -> list[list[str]]:
+    """A line each for position and force, whose times may be `later`."""
+    rows = []
+    for t, x, f in zip(log.time_s, log.position_m, log.force_N, strict=True):
+        rows.append(order(f"{t:.6f}", names[0], f"{x:.12g}"))
+        rows.append(order(f"{t + later:.6f}", names[1], f"{f:.12g}"))
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("header", "order", "separator"),
+    [
+        ("t [s],signal,value", lambda t, n, v: [t, n, v], ","),
+        ("t [s];Name;Wert", lambda t, n, v: [t, n, v], ";"),
+        ("signal,value,time [s]", lambda t, n, v: [n, v, t], ","),
+    ],
+)
+@pytest.mark.parametrize(
+    "names", [("act_pos [m]", "force [N]"), ("AX1:position_m", "AX1:force_N"), ("drive/x/m", "F (N)")]
+)
+def test_long_format_is_pivoted_and_said(
+    header: str, order: Callable[[str, str, str], list[str]], separator: str, names: tuple[str, str], tmp_path: Path
+) -> None:
+    log, notes = motion(5, 400.0), list[str]()
+    path = events(tmp_path / "log.csv", long_rows(log, names, order), header, separator)
+    table = {} if "[" in names[0] else {"position_m": names[0], "force_N": names[1]}
+    found = read_log(path, table=table, note=notes.append)
+    assert found.rate == pytest.approx(400.0)
+    assert found.position_m == pytest.approx(log.position_m, abs=1e-10)
+    assert found.force_N == pytest.approx(log.force_N, abs=1e-9)
+    assert len(notes) == 1 and f"{names[0]} {len(log)}" in notes[0]
+
+
+def test_long_format_takes_each_variable_at_its_own_times(tmp_path: Path) -> None:
+    log = motion(6, 500.0)
+    rows = long_rows(log, ("x [m]", "F [N]"), lambda t, n, v: [t, n, v], later=0.0007)
+    notes: list[str] = []
+    found = read_log(events(tmp_path / "log.csv", rows, "time [s],id,value"), note=notes.append)
+    assert found.position_m == pytest.approx(log.position_m, abs=1e-10)
+    smooth = slice(5, -5)
+    expected = np.interp(log.time_s, log.time_s + 0.0007, log.force_N)
+    assert found.force_N[smooth] == pytest.approx(expected[smooth], abs=1e-6)
+    assert any("other times" in note for note in notes)
+
+
+def test_long_format_with_stamps_and_a_stated_column(tmp_path: Path) -> None:
+    log = motion(7, 100.0)
+    stamps = [f"2026-03-04T05:06:{t:09.6f}Z" for t in log.time_s]
+    rows = []
+    for stamp, x, f in zip(stamps, log.position_m, log.force_N, strict=True):
+        rows += [[stamp, "x", f"{x:.12g}", "192", "0"], [stamp, "F", f"{f:.12g}", "192", "1"]]
+    path = events(tmp_path / "log.csv", rows, "stamp,channel,data,quality,source")
+    units = {"position_m": {"unit": "m"}, "force_N": {"unit": "N"}}
+    with pytest.raises(InputError, match="missing: a column"):  # five columns are no long format by themselves
+        read_log(path, table=units)
+    found = read_log(path, table={"channel": "channel", **units})
+    assert found.position_m == pytest.approx(log.position_m, abs=1e-10) and found.rate == pytest.approx(100.0)
+    with pytest.raises(InputError, match=r"\[log\] channel = 'topic'"):
+        read_log(path, table={"channel": "topic", **units})
+
+
+def test_a_column_of_modes_makes_no_long_format(tmp_path: Path) -> None:
+    log = motion(8, 100.0)
+    rows = [
+        [f"{t:.6f}", ("run", "hold")[k % 2], f"{x:.9g}", f"{f:.9g}"]
+        for k, (t, x, f) in enumerate(zip(log.time_s, log.position_m, log.force_N, strict=True))
+    ]
+    found = read_log(events(tmp_path / "log.csv", rows, "time_s,mode,position_m,force_N"))
+    assert len(found) == len(log)
+
+
+def test_inspect_lists_the_variables_of_a_long_format(tmp_path: Path) -> None:
+    log = motion(9, 200.0)
+    rows = long_rows(log, ("lever", "weight"), lambda t, n, v: [t, n, v])
+    result = run("inspect", events(tmp_path / "log.csv", rows, "t [s],pv,value"), "--json")
+    content: dict[str, Any] = json.loads(result.stdout)
+    assert result.exit_code == 1 and content["missing"] == ["position_m", "force_N"]
+    by_name = {column["from"]: column for column in content["columns"]}
+    assert by_name["lever"]["max"] == pytest.approx(log.position_m.max())
+    assert by_name["weight"]["min"] == pytest.approx(log.force_N.min())
