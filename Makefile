@@ -20,7 +20,7 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := all
-.PHONY: all help venv generate check-generated compile experiment figures docs notebooks picture test check lint lint-ruff lint-format \
+.PHONY: all help venv generate check-generated compile experiment figures docs notebooks picture test test-slow check lint lint-ruff lint-format \
         lint-types lint-c format studies faults benchmark benchmark-diagnosis target verify release-check wheel lock clean \
         distclean
 
@@ -144,8 +144,11 @@ notebooks: $(STAMP) ## examples/notebooks/*.ipynb from the scripts beside them
 # One thread per worker: numerical libraries that each take all cores slow each other down.
 PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS)
 
-test: $(STAMP) ## all tests
-	$(PYTEST) --dist worksteal $(PYTEST_ARGS)
+test: $(STAMP) ## all tests but those marked slow: ten minutes on two cores
+	$(PYTEST) --dist worksteal -m "not slow" $(PYTEST_ARGS)
+
+test-slow: $(STAMP) ## the tests marked slow
+	$(PYTEST) --dist worksteal -m slow $(PYTEST_ARGS)
 
 check: lint ## lint, types and the tests marked core: within a minute on two cores
 	$(PYTEST) -m core -q $(PYTEST_ARGS)

@@ -237,6 +237,7 @@ SHAPES = (
 """Variants whose parameters, states, units or rates differ in kind."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("title", SHAPES)
 def test_every_kind_of_package_has_every_binding(title: str, require_tool: Tool, tmp_path: Path) -> None:
     """What is C compiles without a warning, and what describes it says the same of it."""

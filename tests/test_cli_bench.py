@@ -210,6 +210,7 @@ def test_bench_without_valgrind_has_null_for_instructions(small: Path, monkeypat
     assert {entry["instructions_mean"] for entry in result["variants"] + result["peers"]} == {None}
 
 
+@pytest.mark.slow
 def test_bench_in_full_compares_motions_integrators_and_sizes(
     small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -228,6 +228,7 @@ def test_friction_ahead_is_the_law_over_lag_and_delay(
     assert np.abs(expected - behind).max() > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.0, DELAY])
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_shortcuts_ahead_cost_no_accuracy(precision: str, delay: float, drive: Callable[..., Drive]) -> None:

@@ -30,6 +30,7 @@ PACKAGES = (
 """Variants whose code differs in kind: double and single precision, MHE and filter, effects."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("title", PACKAGES)
 def test_package_is_cplusplus(title: str, require_tool: Tool, tmp_path: Path) -> None:
     package = VARIANTS[title].emit()

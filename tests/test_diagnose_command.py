@@ -112,11 +112,12 @@ def test_diagnose_refuses_a_part_that_is_none(machine: Machine, tmp_path: Path) 
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "parameters"),
     [
         pytest.param("constant_offset", {"force_N": 0.4}, id="offset"),
-        pytest.param("asymmetric_coulomb", {"ratio": 0.1}, id="level", marks=pytest.mark.slow),
+        pytest.param("asymmetric_coulomb", {"ratio": 0.1}, id="level"),
     ],
 )
 def test_plan_separates_an_offset_from_an_asymmetric_level(

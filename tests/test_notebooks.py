@@ -112,6 +112,7 @@ def test_scripts_that_are_no_cells_are_refused(percent: ModuleType, script: str,
 # --- run ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_own_axis_finds_the_ripple_that_it_hides(tmp_path: Path) -> None:
     said = played("own_axis", tmp_path)
     assert "\nexplained: " in said
@@ -124,6 +125,7 @@ def test_own_axis_finds_the_ripple_that_it_hides(tmp_path: Path) -> None:
     assert (tmp_path / "package" / f"{extended.name}.h").is_file()
 
 
+@pytest.mark.slow
 def test_measured_axis_on_a_stand_in_of_the_record(tmp_path: Path) -> None:
     """A simulated axis with a ripple of the screw's pitch, in the layout of the record: what was hidden is found."""
     ripple = ("force_ripple", {"amplitude_N": 3.0, "pitch_m": 2.5e-3, "phase_rad": 0.3})
@@ -147,6 +149,7 @@ def test_measured_axis_on_the_record(measured_data: Callable[[str], Path], tmp_p
     assert number(r"with its causes: (\S+) N", said) < 0.7 * number(r"published model: (\S+) N", said)
 
 
+@pytest.mark.slow
 def test_own_effect_is_installed_and_found(tmp_path: Path) -> None:
     source, site = tmp_path / "magnetic_preload", tmp_path / "site"
     shutil.copytree(ROOT / "examples" / "magnetic_preload", source)  # an installer builds in the folder
@@ -160,6 +163,7 @@ def test_own_effect_is_installed_and_found(tmp_path: Path) -> None:
     assert "magnetic_preload" in said.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_compensation_beats_static_feed_forward(tmp_path: Path) -> None:
     said = played("compensation", tmp_path)
     for row in ("circle, x", "circle, y", "circle, contour"):

@@ -816,6 +816,7 @@ def test_solution_that_is_not_finite_is_refused(precision: str, changes: dict[st
     assert abs(found[-1][0][0] - clean[-1][0][0]) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["mhe", "mhe auto", "mhe newest", "ekf"])
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_sanitizers_find_nothing(precision: str, kind: str, require_tool: Tool, tmp_path: Path) -> None:

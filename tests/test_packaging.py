@@ -127,13 +127,13 @@ def test_what_a_release_needs(file: str, content: str, message: str, repo_root: 
     assert message in ran.stderr if message else ran.stdout == "v1.2.3 can be tagged\n"
 
 
-@pytest.mark.parametrize("workers", [[], ["-n", "2"]], ids=["one process", "xdist"])
 @pytest.mark.parametrize(
-    ("ci", "reason", "code"),
+    ("ci", "reason", "code", "workers"),
     [
-        ("1", "tool absent: valgrind", 1),
-        ("1", "measured data absent: x.mat", 0),
-        ("", "tool absent: valgrind", 0),
+        ("1", "tool absent: valgrind", 1, []),
+        ("1", "tool absent: valgrind", 1, ["-n", "2"]),
+        ("1", "measured data absent: x.mat", 0, []),
+        ("", "tool absent: valgrind", 0, []),
     ],
 )
 def test_skip_fails_a_ci_session_unless_allowed(

@@ -85,6 +85,7 @@ def assert_same(apart: CompiledFit, whole: CompiledFit, recording: Recording) ->
     np.testing.assert_array_equal(apart.run(recording, shuffled, derivatives=False)[0], friction)
 
 
+@pytest.mark.slow
 def test_which_effects_are_plain_forces(machine: Machine) -> None:
     kind = machine.plant.kind
     names = [name for name in EFFECT_NAMES if kind in effect_definition(name).kinds]
@@ -92,6 +93,7 @@ def test_which_effects_are_plain_forces(machine: Machine) -> None:
     assert found == {name for name in PLAIN if name in names}
 
 
+@pytest.mark.slow
 def test_force_beside_a_model_is_the_model_with_it(
     machine: Machine, recordings: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -64,6 +64,7 @@ def test_what_counts_as_right(said: Found | None, word: str) -> None:
     assert verdict_on(QUICK, said) == word
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "experiment",
     [
@@ -71,7 +72,7 @@ def test_what_counts_as_right(said: Found | None, word: str) -> None:
         # Acts in a few blocks alone: the interval of its gain draws sets without any of them.
         Experiment("mass_mismatch", "micro_viscous", "sgms"),
         # Stands on smooth elements alone: what stands in for the ones that switch is not quite them.
-        pytest.param(Experiment("micro_viscous", "stiffness", "maxwell_slip"), marks=pytest.mark.slow),
+        Experiment("micro_viscous", "stiffness", "maxwell_slip"),
     ],
     ids=lambda e: e.key,
 )

@@ -151,6 +151,7 @@ def diagnosis_of(name: str, pitch: float | None) -> tuple[float, Diagnosis]:
     return period, diagnose(machine, log)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pitch", [0.032, None], ids=["pitch", "stroke"])
 @pytest.mark.parametrize("name", ["etel_xy", "etel_xy_rotary"])
 def test_a_hidden_map_is_found_with_its_orders(name: str, pitch: float | None) -> None:
@@ -248,6 +249,7 @@ def test_a_ripple_that_comes_again_with_a_map_belongs_to_it(share: float, named:
         assert found["cosine_1_N"] == pytest.approx(0.3 * math.sin(0.7), abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_map_whose_other_sines_hardly_matter_is_ambiguous() -> None:
     """One long sine, the others too small to matter and yet seen: a ripple of the wrong pitch would be as good."""
     machine, random = load_machine("etel_xy"), np.random.default_rng(57)

@@ -208,6 +208,7 @@ def test_published_fit_has_the_published_error(
 # --- smoothing sharper than usual -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_sharp_elements_are_right_at_a_low_rate(small: Path, precision: str) -> None:
     # A fast sample of 5 ms is 500 deflections long, a slow one wider than the slip window of lambda = 350.
