@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sgms_mhe.recordings.box import solve_box
+from sgms_mhe.recordings.least_squares import solve_box
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import pytest
 from cli_cases import done, files, refused
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import diagnose
-from sgms_mhe.diagnosis.course import Course
+from sgms_mhe.diagnosis.criteria import Course
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis

@@ -15,13 +15,12 @@ from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
 from sgms_mhe.diagnosis.alignment import aligned, thinned
 from sgms_mhe.diagnosis.candidates import search
-from sgms_mhe.diagnosis.compiling import compiled_once
 from sgms_mhe.diagnosis.criteria import material_force
 from sgms_mhe.diagnosis.extension import extend_machine
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.groups import Extra, Group
+from sgms_mhe.diagnosis.fits import Subject, fit_model
+from sgms_mhe.diagnosis.models import compiled_once
+from sgms_mhe.diagnosis.parametrisation import Extra, Group
 from sgms_mhe.diagnosis.plan import make_plan, write_plan
-from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.evaluation.prediction import force_error, predict_log
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine

@@ -41,8 +41,9 @@ from sgms_bench.diagnosis.scoring import (
 from sgms_bench.diagnosis.unmodelled import SMOOTH_CURVES, UNMODELLED, curves_over_speed
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import verdict
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.selection import Searched, Selection
+from sgms_mhe.diagnosis.fits import fit_model
+from sgms_mhe.diagnosis.rivals import Selection
+from sgms_mhe.diagnosis.selection import Searched
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause

@@ -21,26 +21,23 @@ from sgms_bench.diagnosis.causes import Hidden
 from sgms_bench.diagnosis.draws import Draw, machine_of, simulate_draw
 from sgms_mhe.configuration import load_machine, override_machine, under_other_law
 from sgms_mhe.diagnosis import Diagnosis, diagnose
-from sgms_mhe.diagnosis.causes import SIGMAS, holds
-from sgms_mhe.diagnosis.compiling import CompiledFit, compiled_fit
-from sgms_mhe.diagnosis.confirmation import _echoes, _imitates
-from sgms_mhe.diagnosis.covariance import covariance
-from sgms_mhe.diagnosis.descent import FitError
-from sgms_mhe.diagnosis.excerpt import excerpt
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.groups import Extra, Group
+from sgms_mhe.diagnosis.causes import SIGMAS, _echoes, _imitates, holds
+from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.laws import fit_chosen, laws_of
+from sgms_mhe.diagnosis.models import CompiledFit, FitError, compiled_fit
+from sgms_mhe.diagnosis.parametrisation import Extra, Group
 from sgms_mhe.diagnosis.plan import make_plan
 from sgms_mhe.diagnosis.result import Cause, Rms
-from sgms_mhe.diagnosis.rivals import Contest
-from sgms_mhe.diagnosis.selection import Searched, Selection, select_causes
-from sgms_mhe.diagnosis.subject import Subject
+from sgms_mhe.diagnosis.rivals import Contest, Selection
+from sgms_mhe.diagnosis.selection import Searched, select_causes
+from sgms_mhe.diagnosis.uncertainty import covariance
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory
 from sgms_mhe.recordings.evidence import noise_floor
+from sgms_mhe.recordings.excerpt import excerpt
 from sgms_mhe.recordings.recording import Recording, prepare, rows_spanning
 from sgms_mhe.signals.logs import Log, write_log
 

@@ -9,13 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine, under_other_law
-from sgms_mhe.diagnosis import half_steps
-from sgms_mhe.diagnosis.alignment import thinned
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.groups import Extra
-from sgms_mhe.diagnosis.half_steps import is_mean_velocity, of_the_step, with_half_steps
-from sgms_mhe.diagnosis.settling import _timed
-from sgms_mhe.diagnosis.subject import Subject
+from sgms_mhe.diagnosis import alignment
+from sgms_mhe.diagnosis.alignment import is_mean_velocity, of_the_step, thinned, with_half_steps
+from sgms_mhe.diagnosis.final_fit import _timed
+from sgms_mhe.diagnosis.fits import Subject, fit_model
+from sgms_mhe.diagnosis.parametrisation import Extra
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import SimulatedRun, simulate_axis
@@ -87,8 +85,8 @@ def test_a_long_record_is_taken_in_parts(slow: Machine, monkeypatch: pytest.Monk
     subject = Subject.of(slow, recording)
     fit = fit_model(subject, (), refitted=())
     at_once = of_the_step(subject, fit)
-    monkeypatch.setattr(half_steps, "AT_A_TIME", 3000)
-    monkeypatch.setattr(half_steps, "LEADS", 2)
+    monkeypatch.setattr(alignment, "SAMPLES_AT_A_TIME", 3000)
+    monkeypatch.setattr(alignment, "LEADS", 2)
     assert rms(of_the_step(subject, fit) - at_once) < 0.02 * rms(at_once)
 
 

@@ -10,15 +10,13 @@ import pytest
 
 from sgms_bench.diagnosis.motions import draw_motion
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.diagnosis.covariance import covariance
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.groups import Extra
-from sgms_mhe.diagnosis.subject import Subject
+from sgms_mhe.diagnosis.fits import Subject, fit_model
+from sgms_mhe.diagnosis.parametrisation import Extra
+from sgms_mhe.diagnosis.uncertainty import covariance
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.recordings.evidence import cross_loss
+from sgms_mhe.recordings.evidence import ALONE, between_blocks, cross_loss
 from sgms_mhe.recordings.recording import prepare
-from sgms_mhe.recordings.uncertainty import ALONE, between_blocks
 
 BLOCKS, ROWS, FOLDS = 12, 40, 4
 
@@ -96,7 +94,7 @@ def test_errors_that_a_noise_floor_may_hide_widen_an_interval(monkeypatch: pytes
     run = simulate_axis(machine, motion, AxisConfig(force_noise_N=0.1, seed=2))
     widths = []
     for unseen in (0.0, 0.15, 0.3):
-        monkeypatch.setattr("sgms_mhe.diagnosis.covariance.UNSEEN_ERROR", unseen)
+        monkeypatch.setattr("sgms_mhe.diagnosis.uncertainty.UNSEEN_ERROR", unseen)
         recording = prepare(machine, run.log)
         subject = Subject.of(machine, recording)
         fit = fit_model(subject, ())

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from sgms_bench.diagnosis.motions import draw_motion
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.subject import Subject
+from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis

@@ -14,11 +14,16 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import diagnose
-from sgms_mhe.diagnosis.covariance import covariance, standard_deviations
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.groups import Extra
-from sgms_mhe.diagnosis.noise_response import explains_noise, inertial_noise, noise_explained, with_more_noise
-from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
+from sgms_mhe.diagnosis.parametrisation import Extra
+from sgms_mhe.diagnosis.uncertainty import (
+    covariance,
+    explains_noise,
+    inertial_noise,
+    noise_explained,
+    standard_deviations,
+    with_more_noise,
+)
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.effects.motion import Extents

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.alignment import thinned
-from sgms_mhe.diagnosis.compiling import CompiledFit, compiled_once
-from sgms_mhe.diagnosis.subject import Subject
+from sgms_mhe.diagnosis.fits import Subject
+from sgms_mhe.diagnosis.models import CompiledFit, compiled_once
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
@@ -29,8 +29,7 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings import recording as recordings
-from sgms_mhe.recordings.recording import prepare
-from sgms_mhe.recordings.runs import KEPT, Runs
+from sgms_mhe.recordings.recording import RUNS_CACHED, Runs, prepare
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support import toolchain
 from sgms_mhe.support.errors import InputError
@@ -207,9 +206,9 @@ def test_a_run_is_known_by_its_code_signals_and_parameters() -> None:
     assert ask(code, other, 2.0, derivatives=False) == 3
     assert ask(code, code, 1.0, derivatives=False) == 4
     assert ask(other, other, 1.0, derivatives=False) == 5
-    for k in range(KEPT):
+    for k in range(RUNS_CACHED):
         ask(code, other, 10.0 + k, derivatives=False)
-    assert ask(code, other, 1.0, derivatives=True) == 6 + KEPT  # only the newest are kept
+    assert ask(code, other, 1.0, derivatives=True) == 6 + RUNS_CACHED  # only the newest are kept
 
 
 # --- code for this host -----------------------------------------------------------------------------------------

@@ -8,11 +8,11 @@ import pytest
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.diagnosis import compiling
+from sgms_mhe.diagnosis import models
 from sgms_mhe.diagnosis.alignment import thinned
-from sgms_mhe.diagnosis.compiling import CompiledFit, compiled_fit, compiled_once
-from sgms_mhe.diagnosis.groups import Extra
-from sgms_mhe.diagnosis.subject import Subject
+from sgms_mhe.diagnosis.fits import Subject
+from sgms_mhe.diagnosis.models import CompiledFit, compiled_fit, compiled_once
+from sgms_mhe.diagnosis.parametrisation import Extra
 from sgms_mhe.host.evaluation import Evaluation
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
@@ -61,7 +61,7 @@ def extras_of(*names: str) -> list[Extra]:
 def together(machine: Machine, extras: list[Extra], monkeypatch: pytest.MonkeyPatch) -> CompiledFit:
     """The model with every effect compiled in."""
     with monkeypatch.context() as patch:
-        patch.setattr(compiling, "plain_places", lambda *_: ())
+        patch.setattr(models, "plain_places", lambda *_: ())
         return compiled_fit(machine, extras)
 
 
@@ -134,9 +134,9 @@ def test_pieces_of_a_record_are_put_together(
         theta = np.full(len(model.columns), 1.1)
         whole = model.run(recording, theta)
         with monkeypatch.context() as patch:
-            patch.setattr(compiling, "SPLIT", 100)
-            patch.setattr(compiling, "CHUNK", 700)
-            patch.setattr("sgms_mhe.diagnosis.forces.AT_A_TIME", 130)
+            patch.setattr(models, "SPLIT", 100)
+            patch.setattr(models, "CHUNK", 700)
+            patch.setattr("sgms_mhe.diagnosis.parametrisation.AT_A_TIME", 130)
             pieces = model.run(recording, theta)
         for found, expected in zip(pieces, whole, strict=True):
             assert found is not None and expected is not None

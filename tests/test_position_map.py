@@ -19,13 +19,11 @@ from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, maps
 from sgms_mhe.diagnosis.alignment import thinned
 from sgms_mhe.diagnosis.candidates import search
-from sgms_mhe.diagnosis.course import Course
-from sgms_mhe.diagnosis.criteria import criteria_of
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.groups import Extra
-from sgms_mhe.diagnosis.joining import in_lowest_terms, joined
+from sgms_mhe.diagnosis.criteria import Course, criteria_of
+from sgms_mhe.diagnosis.fits import Subject, fit_model
+from sgms_mhe.diagnosis.parametrisation import Extra
 from sgms_mhe.diagnosis.proposals import Residual
-from sgms_mhe.diagnosis.subject import Subject
+from sgms_mhe.diagnosis.reduction import in_lowest_terms, joined
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine

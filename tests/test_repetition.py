@@ -9,8 +9,8 @@ from sgms_mhe.configuration import load_machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion
+from sgms_mhe.recordings.excitation import clock_note, steady_blocks
 from sgms_mhe.recordings.recording import Recording, prepare
-from sgms_mhe.recordings.repetition import clock_note, steady_blocks
 
 SPEED = 0.02
 

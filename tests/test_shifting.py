@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sgms_mhe.diagnosis.shifting import Shift
+from sgms_mhe.recordings.series import Shift
 
 pytestmark = pytest.mark.core
 

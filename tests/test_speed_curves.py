@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
-from sgms_mhe.diagnosis.freeing import Structure, extended_machine, nominal_values
-from sgms_mhe.diagnosis.groups import Extra
+from sgms_mhe.diagnosis.parametrisation import Extra, Structure, extended_machine, nominal_values
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES
 from sgms_mhe.model.building import plain_force

@@ -22,7 +22,7 @@ from sgms_bench.diagnosis.motions import STYLES, WEAK_STYLES, draw_motion
 from sgms_bench.diagnosis.unmodelled import SMOOTH_CURVES, UNMODELLED, curves_over_speed
 from sgms_bench.diagnosis.visibility import sensitivities, visible_share
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.diagnosis.sampling import TIMING_MOST
+from sgms_mhe.diagnosis.parametrisation import TIMING_MOST
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition, own_effects
 from sgms_mhe.model.effects.specimen import log_uniform
@@ -31,7 +31,7 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.recordings.excitation import measures
-from sgms_mhe.recordings.rows import row_means
+from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import settle_samples, signals_from_log
 from sgms_mhe.signals.logs import Log
 

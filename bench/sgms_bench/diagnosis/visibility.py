@@ -12,7 +12,7 @@ from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.host.packages import cached_package
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
-from sgms_mhe.recordings.rows import row_means
+from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import Signals, settle_samples
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from pathlib import Path
 from sgms_mhe.api.inputs import LogSource, Note, load, recorded_log
 from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.diagnosis import diagnose as diagnose_log
-from sgms_mhe.diagnosis.course import Progress
+from sgms_mhe.diagnosis.criteria import Progress
 from sgms_mhe.machine import Machine
 
 

@@ -1,29 +1,32 @@
-"""A record thinned for a search, and brought into line with a model where a difference says nothing about friction."""
+"""Alignment of a record with a model: decimation for a search, the length of its steps, the timing of its force."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
-from sgms_mhe.diagnosis.half_steps import at_rate, compile_half_steps, of_the_step
-from sgms_mhe.diagnosis.sampling import TIMING
-from sgms_mhe.diagnosis.subject import Fit, Subject
-from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.diagnosis.fits import Fit, Subject
+from sgms_mhe.diagnosis.parametrisation import TIMING, TIMING_MOST, without_bounds
+from sgms_mhe.diagnosis.result import Diagnosis
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
 from sgms_mhe.recordings.evidence import nuisance
-from sgms_mhe.recordings.recording import Recording
-from sgms_mhe.recordings.rows import row_means
+from sgms_mhe.recordings.least_squares import RIDGE, TINY, solve_box
+from sgms_mhe.recordings.recording import Recording, reduced
+from sgms_mhe.recordings.series import Shift, row_means
 from sgms_mhe.signals.chain import Signals
+from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.parallel import beside, in_parallel
 
 Array = NDArray[np.float64]
-
 AT_LIMIT: Final = 1e-6
-HELD: Final = 1.5
+HOLD_SNAP: Final = 1.5
 """Of h^2 / 12: a force that is held moves by the mean of two samples, low by h^2 / 8 between them."""
 SEARCH_RATE: Final = 1000.0
 """Steps of a search per second, at least, as many samples sharing one as that allows [Hz]: the rate of the rows;
@@ -31,6 +34,15 @@ alignment takes out what a longer step changes."""
 ALIGNABLE: Final = 0.1
 """Change of friction by a longer step that alignment takes out, standard deviations [friction]: a model that it changes
 more is fitted at the full rate."""
+CUTOFF: Final = 0.4  # of the rate: a low-pass that a machine file may have at it; the signals passed theirs already
+LOWEST: Final = 1e-3  # of the rate: the same for the lowest one
+FASTEST: Final = 1e6  # Hz, as often as a machine file may ask for updates; what such a step does shows nowhere
+SAMPLES_AT_A_TIME: Final = 1_000_000  # samples of a long record; bounds memory
+LEADS: Final = 10  # of a part: it begins as much of it earlier
+MIDDLE: Final = np.array([3.0, -25.0, 150.0, 150.0, -25.0, 3.0]) / 256.0
+"""Weights of the six samples about a middle (Lagrange)."""
+SEAM: Final = 1.5
+"""Steps between two samples from which on they are of different pieces of a record."""
 
 
 def thinned(subject: Subject) -> Subject:
@@ -142,12 +154,19 @@ def _sampling(whole: Subject, fit: Fit, columns: Array, residual: Array, *, time
     Z = free.project(columns[used] * scale)
     e = free.project(residual[used])
     if not timed:
-        both = lsq_linear(Z, e, ([-1.0, -1.0], [1.0, 0.0])).x
+        both = _within(Z, e, [-1.0, -1.0], [1.0, 0.0])
         if abs(both[0]) <= 1.0 - AT_LIMIT:
             return np.asarray(scale * both)
     # More than sampling: all of it is for a delay or lag to explain.
-    snap = lsq_linear(Z[:, 1:], e, ([-HELD if timed else -1.0], [0.0])).x
+    snap = _within(Z[:, 1:], e, [-HOLD_SNAP if timed else -1.0], [0.0])
     return np.asarray(scale * np.array([0.0, *snap]))
+
+
+def _within(Z: Array, e: Array, lower: Sequence[float], upper: Sequence[float]) -> Array:
+    """Return the coefficients of columns Z (rows, k) within bounds (k) that leave least of e (rows)."""
+    H = Z.T @ Z
+    ridge = max(TINY, RIDGE * float(np.diag(H).max()))
+    return solve_box(H + ridge * np.eye(len(H)), Z.T @ e, np.array(lower), np.array(upper))
 
 
 def _of_sampling(whole: Subject, friction: Array) -> Array:
@@ -162,3 +181,177 @@ def _of_sampling(whole: Subject, friction: Array) -> Array:
     inertial = mass * recording.reduce(np.column_stack((jerk, np.gradient(jerk) / step)))
     inertial[:, 0] += np.gradient(friction) / (recording.factor * step)
     return np.asarray(inertial)
+
+
+def of_the_step(whole: Subject, fit: Fit) -> Array:
+    """What a vanishing step changes of a model's friction (m) [N], to be added to it.
+
+    The chain's velocity is a mean over a sample: that is what displacements need, but as a speed it is half a sample
+    old. A force is sampled in a point, so viscous friction shows an acceleration h / 2 more of it, which looks like a
+    mass of sigma_v h / 2; and an element that sticks while the axis brakes keeps the level of half a sample ago until
+    it slides again. Both are proportional to the step, as is what else a model that is held over it gets wrong: twice
+    what half the step changes (Richardson's extrapolation). What rings is left out: about as fast as a sample, it is
+    no series in the step.
+    """
+    m, factor = len(whole.recording.time), whole.recording.factor
+    change, still = np.zeros(m), _without_ringing(fit)
+    machine, rows = _twice_as_fast(whole.machine), max(1, SAMPLES_AT_A_TIME // factor)
+    if machine is None:
+        return change
+    for first in range(0, m, rows):
+        # What came before is in both runs, and so hardly in their difference.
+        lead = min(first, rows // LEADS)
+        part = whole if m <= rows else _part(whole, slice(first - lead, min(m, first + rows)))
+        fine = Subject.of(machine, with_half_steps(part.recording, machine)).friction(still)[1::2]
+        change[first : first + rows] = 2.0 * (part.recording.reduce(fine) - part.friction(still))[lead:]
+    # A model that is not finite at one of the rates says nothing about the other.
+    return change if np.all(np.isfinite(change)) else np.zeros(m)
+
+
+def compile_half_steps(whole: Subject, fit: Fit) -> None:
+    """Compile what `of_the_step` runs, while something else is done."""
+    machine = _twice_as_fast(whole.machine)
+    if machine is not None:
+        Subject.of(machine, whole.recording).model(fit.extras)
+
+
+def _twice_as_fast(machine: Machine) -> Machine | None:
+    """The machine at twice the rate; None where that is beyond all that there is."""
+    rate = 2.0 * machine.sampling.rate
+    return None if rate > FASTEST else at_rate(machine, rate)
+
+
+def _part(whole: Subject, rows: slice) -> Subject:
+    """Some rows of a record, none of which counts."""
+    recording = whole.recording
+    samples = slice(rows.start * recording.factor, rows.stop * recording.factor)
+    signals, clock = recording.signals.part(samples), recording.clock[samples]
+    return Subject.of(whole.machine, _uncounted(recording.machine, signals, clock, recording.factor))
+
+
+def _uncounted(machine: Machine, signals: Signals, clock: Array, factor: int) -> Recording:
+    """A record none of whose rows counts: what a model makes of them is compared with nothing."""
+    unused = np.full(len(signals) // factor, -1, dtype=np.int64)
+    none, nowhere = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
+    return reduced(machine, signals, clock, factor, unused, none, nowhere, ())
+
+
+def _without_ringing(fit: Fit) -> Fit:
+    """The same numbers, the sizes of effects that ring set to none."""
+    ringing = set()
+    for group in {column.group for column in fit.model.columns if column.group.kind != "base"}:
+        definition = effect_definition(group.cause)
+        if definition.full_rate and not definition.acts_on_timing:
+            ringing.add(group)
+    return replace(fit, theta=fit.theta_without(ringing))
+
+
+def with_half_steps(recording: Recording, machine: Machine) -> Recording:
+    """The record with a sample in the middle of each step, for a machine at twice its rate.
+
+    (2 n) rows, each second one the sample itself; none counts.
+    """
+    signals, h = recording.signals, recording.machine.sampling.step
+    if is_mean_velocity(recording):
+        # Along what was travelled: pieces of a record need not meet.
+        way = np.concatenate((np.zeros(1), np.cumsum(signals.velocity) * h))
+        velocity = np.diff(_with_middles(way)[1:]) * (2.0 / h)
+    else:
+        velocity = _with_middles(signals.velocity)
+    middle = signals.position - 0.5 * h * velocity[1::2]
+    halved = Signals(
+        time=_in_turn(signals.time - 0.5 * h, signals.time),
+        position=_in_turn(middle, signals.position),
+        velocity=velocity,
+        acceleration=_with_middles(signals.acceleration),
+        force=_with_middles(signals.force),
+        friction=_with_middles(signals.friction),
+        valid=np.repeat(signals.valid, 2),
+        missing=np.repeat(signals.missing, 2),
+        delay=signals.delay,
+    )
+    return _uncounted(machine, halved, _in_turn(recording.clock - 0.5 * h, recording.clock), 1)
+
+
+def is_mean_velocity(recording: Recording) -> bool:
+    """Whether the velocity is that of the step before its sample, as a difference of positions is.
+
+    A log may bring its own, which may as well be a reading: what was travelled says.
+    """
+    signals, h = recording.signals, recording.machine.sampling.step
+    joined = np.diff(recording.clock) < SEAM * h
+    travelled, now = np.diff(signals.position), signals.velocity[1:]
+    between = 0.5 * (signals.velocity[:-1] + now)
+
+    def off(velocity: Array) -> float:
+        return float(np.sum((velocity * h - travelled)[joined] ** 2))
+
+    return off(now) <= off(between)
+
+
+def at_rate(machine: Machine, rate: float) -> Machine:
+    """The machine with signals at another rate [Hz], one update and one step of the integrator a sample."""
+    cutoff = float(np.clip(machine.sampling.velocity_cutoff, LOWEST * rate, CUTOFF * rate))
+    changes = {
+        "sampling": {
+            "rate": rate,
+            "update_rate": rate,
+            "measurement_rate": rate,
+            "velocity_cutoff": cutoff,
+            "integrator": {"substeps": 1},
+        }
+    }
+    return override_machine(without_bounds(machine), changes)
+
+
+def _with_middles(series: Array) -> Array:
+    """Samples (2 n): the middle before each, of a polynomial through the six about it, and the sample.
+
+    Lines would change a force by its second derivative, which delays and lags show as much of.
+    """
+    reach = len(MIDDLE) // 2
+    padded = np.pad(series, (reach, reach - 1), mode="reflect", reflect_type="odd")
+    return _in_turn(np.convolve(padded, MIDDLE, mode="valid"), series)
+
+
+def _in_turn(middles: Array, series: Array) -> Array:
+    """A middle and its sample, and the next ones (2 n)."""
+    return np.column_stack((middles, series)).ravel()
+
+
+def sampling_offset(diagnosis: Diagnosis) -> float:
+    """How old [s] the logged force is by a delay or lag that a diagnosis names, but that sampling alone makes; 0: none.
+
+    A drive that holds its force over a sample logs one that is half a sample old on average, or half a sample young
+    (below zero), depending on when it writes it down. What is less than that and a margin says nothing about the axis.
+    """
+    machine = diagnosis.machine
+    most = TIMING_MOST * machine.sampling.step
+    for cause in diagnosis.causes:
+        if cause.name not in EFFECT_NAMES:
+            continue
+        definition = effect_definition(cause.name)
+        for parameter in definition.parameters:
+            value = cause.parameters.get(parameter.name, 0.0)
+            if parameter.timing and abs(value) <= most:
+                return value if definition.delays else -value  # a force that lags the logged one makes that one young
+    return 0.0
+
+
+def in_step(log: Log, offset: float) -> Log:
+    """The log with its force that time [s] younger.
+
+    What the controller computed itself stays. Samples next to gaps are missing.
+    """
+    return replace(log, force_N=Shift.of(-offset, log.rate).of_series(log.force_N))
+
+
+def offset_notes(machine: Machine, offset: float) -> tuple[str, ...]:
+    """What a user should know of a force that was put in step with the position by that time [s]."""
+    if offset == 0.0:
+        return ()
+    age = "older" if offset > 0.0 else "younger"
+    return (
+        f"the logged force is {abs(offset) * machine.sampling.rate:.2f} samples ({abs(offset):.2g} s) {age} than the "
+        "position, as where a drive holds its force over a sample: taken out, and no delay of the axis",
+    )

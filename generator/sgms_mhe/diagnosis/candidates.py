@@ -16,12 +16,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.compiling import CompiledFit
-from sgms_mhe.diagnosis.groups import Extra, Group
+from sgms_mhe.diagnosis.fits import Fit, Subject
 from sgms_mhe.diagnosis.harmonics import search_harmonic
 from sgms_mhe.diagnosis.maps import search_periodic
+from sgms_mhe.diagnosis.models import CompiledFit
+from sgms_mhe.diagnosis.parametrisation import Extra, Group
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
-from sgms_mhe.diagnosis.subject import Fit, Subject
 from sgms_mhe.model.effects import (
     BASE_CAUSES,
     EffectDefinition,

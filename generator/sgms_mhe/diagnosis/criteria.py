@@ -1,20 +1,39 @@
-"""What a search for causes weighs a gain against."""
+"""Criteria of a search for causes: gains that count, and candidates ranked by their gains."""
 
 from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
-from sgms_mhe.diagnosis.course import Course
-from sgms_mhe.diagnosis.groups import Extra
-from sgms_mhe.diagnosis.subject import Fit
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.diagnosis.fits import Fit, Subject
+from sgms_mhe.diagnosis.parametrisation import Extra, Group
+from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.machine import DiagnosisTable, Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, Measure, cause, effect_definition, effect_names
-from sgms_mhe.recordings.evidence import gain_force
+from sgms_mhe.model.scales import scales_of
+from sgms_mhe.recordings.evidence import cross_loss, gain_force
+from sgms_mhe.recordings.excitation import in_step
+from sgms_mhe.support.parallel import in_parallel
 
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+"""Called with what is done now and the share of the work that was done before it, never less than the last time."""
+BASE_BEGINS: Final = 0.02
+SEARCH_BEGINS: Final = 0.05
+RIVALS_BEGIN: Final = 0.5
+JUDGEMENT_BEGINS: Final = 0.8
+"""Where the stages begin, as a share of the time of a whole diagnosis: about what records with causes take."""
+_LEFT: Final = 0.6
+"""Of a stage, after each of its rounds: nobody knows how many there will be."""
+_REFITS: Final = 0.4
+"""Of a round: where refits begin."""
 _ANY: Final[Mapping[str, float]] = defaultdict(float)
 MATERIAL_NOISE: Final = 0.25
 """RMS gain that matters, at least this and `material` of the machine file [noise floor]: a smaller gain drowns."""
@@ -26,6 +45,47 @@ GAIN_SHARE: Final = 0.25
 really there."""
 MOST_ALIKE: Final = 2
 """Effects of one name, at most [1]: more sines are the Fourier series of something else."""
+SAME_FORCE: Final = 0.985
+"""Correlation from which two candidates make one force [1]: the one with fewer numbers is refitted."""
+EQUAL_T: Final = 2.5
+"""T over blocks up to which two fits are equally good [1]: two-sided one percent."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """Tells `report` how far a diagnosis is."""
+
+    report: Progress
+
+    def begun(self) -> None:
+        """The log is made ready."""
+        self.report("preparing the log", 0.0)
+
+    def base(self) -> None:
+        """The machine's own numbers are fitted."""
+        self.report("refitting the base model", BASE_BEGINS)
+
+    def search(self, number: int) -> None:
+        """A round of the search begins; `number` from 1."""
+        self.report(f"searching effects, round {number}", _within(SEARCH_BEGINS, RIVALS_BEGIN, number - 1.0))
+
+    def refits(self, number: int, names: Sequence[str]) -> None:
+        """Effects are refitted in a round."""
+        self.report(f"refitting {', '.join(names)}", _within(SEARCH_BEGINS, RIVALS_BEGIN, number - 1.0 + _REFITS))
+
+    def rivals(self, number: int, share: float, cause: str, names: Sequence[str]) -> None:
+        """Others are put in a cause's place, `share` of a round's causes having been tried; `number` from 1."""
+        text = f"comparing {cause} with {', '.join(names)}" if names else "comparing rivals"
+        self.report(text, _within(RIVALS_BEGIN, JUDGEMENT_BEGINS, number - 1.0 + share))
+
+    def judgement(self) -> None:
+        """Causes are measured."""
+        self.report("measuring the gain on held-out data", JUDGEMENT_BEGINS)
+
+
+def _within(begin: float, end: float, rounds: float) -> float:
+    """Share of the work after so many rounds of a stage."""
+    return end - (end - begin) * float(_LEFT**rounds)
 
 
 @dataclass(frozen=True)
@@ -121,3 +181,69 @@ def addable(
 
 def _is_periodic(name: str) -> bool:
     return name in EFFECT_NAMES and effect_definition(name).periodic
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """A proposal and the RMS of the force that it explains by cross-validation, to first order [N].
+
+    `group`: numbers of the machine that it is; None: an effect.
+    """
+
+    gain: float
+    proposal: Proposal
+    group: Group | None = None
+
+
+def proposed_effect(proposal: Proposal) -> Extra:
+    """Return the effect that a refit of a proposal starts from."""
+    return Extra(proposal.name, proposal.parameters)
+
+
+def is_ruled_out(fit: Fit, name: str, subject: Subject) -> bool:
+    """Whether the effect that was added last has turned into a simpler one, or into one that no such axis has."""
+    if not fit.extras or fit.extras[-1].name != name:
+        return False
+    parameters = fit.extras[-1].parameters
+    definition = effect_definition(name)
+    if not definition.possible(parameters, scales_of(subject.machine)):
+        return True
+    if definition.sine is not None and definition.sine.coordinate == "time":
+        frequency = np.array([parameters[definition.sine.period]])
+        if in_step(subject.recording, frequency).any():
+            return True
+    return cause(name).simpler.reached(parameters, subject.recording.extents)
+
+
+def with_gains(subject: Subject, current: Fit, proposals: Sequence[Proposal]) -> list[Ranked]:
+    """Proposals with what they explain by cross-validation, in their order."""
+    gains = in_parallel([partial(linear_gain, subject, current, proposal) for proposal in proposals])
+    return [Ranked(gain, proposal) for gain, proposal in zip(gains, proposals, strict=True)]
+
+
+def linear_gain(subject: Subject, current: Fit, proposal: Proposal) -> float:
+    """RMS of the force that a proposal explains by cross-validation, to first order [N]."""
+    recording = subject.recording
+    # Columns are projected on used rows: the other parameters follow by themselves.
+    full = np.zeros((len(recording.time), proposal.columns.shape[1]))
+    full[recording.used] = proposal.columns
+    shift = np.zeros(len(recording.time))
+    shift[recording.used] = proposal.columns @ proposal.coefficients
+    prior = 1e-9 * np.maximum(np.sum(full**2, axis=0), 1e-300)
+    after = cross_loss(recording, full, current.residual - shift, prior)
+    return gain_force(current.loss, after, current.rows)
+
+
+def distinct(ranked: Sequence[Ranked], same_force: float) -> list[Ranked]:
+    """Without proposals that make the same force as another one with fewer numbers."""
+    forces = [r.proposal.columns @ r.proposal.coefficients for r in ranked]
+    numbers = [len(r.proposal.parameters) or r.proposal.columns.shape[1] for r in ranked]
+
+    def same(x: Array, y: Array) -> bool:
+        return float(x @ y) > same_force * math.sqrt(float(x @ x) * float(y @ y))
+
+    return [
+        candidate
+        for candidate, force, count in zip(ranked, forces, numbers, strict=True)
+        if not any(other < count and same(at, force) for at, other in zip(forces, numbers, strict=True))
+    ]

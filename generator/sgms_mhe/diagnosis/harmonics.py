@@ -17,8 +17,8 @@ from sgms_mhe.diagnosis.proposals import Proposal, Residual, nearest_peak, propo
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Harmonic
 from sgms_mhe.recordings.evidence import Nuisance
-from sgms_mhe.recordings.repetition import in_step
-from sgms_mhe.recordings.rows import bin_sums
+from sgms_mhe.recordings.excitation import in_step
+from sgms_mhe.recordings.series import bin_sums
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]

@@ -14,11 +14,10 @@ from sgms_mhe.configuration import under_other_law
 from sgms_mhe.diagnosis.alignment import aligned, thinned
 from sgms_mhe.diagnosis.candidates import stiffness_start, stribeck_start
 from sgms_mhe.diagnosis.criteria import Criteria
-from sgms_mhe.diagnosis.descent import FitError
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.groups import Extra, machine_groups
-from sgms_mhe.diagnosis.starting import convex_start
-from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
+from sgms_mhe.diagnosis.models import FitError
+from sgms_mhe.diagnosis.parametrisation import Extra, machine_groups
+from sgms_mhe.identification.starting import element_numbers
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, nuisance
@@ -40,6 +39,22 @@ DECIDED_RESIDUAL: Final = 2.0
 """
 ALIGNMENTS: Final = 2
 """Alignments of a model at a selection, each with a fit [1]: to the second order."""
+
+
+def convex_start(subject: Subject, fit: Fit) -> dict[str, float]:
+    """Numbers of the machine to start from, by column [SI]: of the friction that a fit's effects do not explain.
+
+    Neither the machine file's numbers nor where the fit stopped matter. Nothing where there is no friction.
+    """
+    recording = subject.recording
+    if fit.extras:
+        alone = subject.model(())
+        theta = subject.start(alone, (), fit)
+        effects = subject.friction(fit) - alone.run(recording, theta, derivatives=False)[0]
+        recording = replace(recording, friction=recording.friction - effects)
+    columns = {column.name for column in subject.model(()).columns}
+    found = element_numbers(recording, subject.noise)
+    return {name: value for name, value in found.items() if name in columns}
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, nearest_pea
 from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Periodic
 from sgms_mhe.recordings.evidence import Nuisance, score_test
-from sgms_mhe.recordings.rows import bin_sums
+from sgms_mhe.recordings.series import bin_sums
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]

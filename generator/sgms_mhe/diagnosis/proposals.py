@@ -10,7 +10,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.groups import Extra
 from sgms_mhe.model.effects import EffectDefinition, MotionRecord
 from sgms_mhe.recordings.evidence import Nuisance, score_test
 from sgms_mhe.recordings.recording import Recording
@@ -43,11 +42,6 @@ class Proposal:
     tests: float
     p_value: float
     feasible: bool
-
-    @property
-    def extra(self) -> Extra:
-        """The effect for a refit."""
-        return Extra(self.name, self.parameters)
 
 
 @dataclass(frozen=True)

@@ -4,25 +4,69 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.criteria import Criteria, small_force
-from sgms_mhe.diagnosis.fitting import fit_model, prior_information
-from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extra, without_group
-from sgms_mhe.diagnosis.joining import in_lowest_terms, joined
+from sgms_mhe.diagnosis.candidates import search
+from sgms_mhe.diagnosis.criteria import Criteria, proposed_effect, small_force
+from sgms_mhe.diagnosis.fits import Fit, Subject, attempted_fit, fit_model, prior_information
 from sgms_mhe.diagnosis.maps import ENTRY_GAIN
-from sgms_mhe.diagnosis.rounds import attempted_fit
-from sgms_mhe.diagnosis.subject import Fit, Subject
-from sgms_mhe.model.effects import effect_definition
-from sgms_mhe.recordings.evidence import cross_loss, gain_force
+from sgms_mhe.diagnosis.parametrisation import Extra, Group, machine_groups, without_extra, without_group
+from sgms_mhe.model.effects import cause, effect_definition
+from sgms_mhe.model.effects.search import Harmonic, Periodic
+from sgms_mhe.recordings.evidence import cross_loss, gain_force, nuisance
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
 Groups = tuple[Group, ...]
+
+
+def joined(subject: Subject, fit: Fit, criteria: Criteria) -> Fit:
+    """The fit with one map in place of a map and the ripples beside it, where it has no more numbers and is as good.
+
+    A search adds one effect after the other: of a map whose first sine is by far the strongest it adds that one as a
+    ripple, and what is left as a map of another period.
+    """
+    mapped = [e for e in fit.extras if isinstance(effect_definition(e.name).search, Periodic)]
+    for one in mapped:
+        simpler = cause(one.name).simpler.causes
+        ripples = [
+            e for e in fit.extras if e.name in simpler and isinstance(effect_definition(e.name).search, Harmonic)
+        ]
+        if not ripples:
+            continue
+        parts = [one, *ripples]
+        others = tuple(extra for extra in fit.extras if extra not in parts)
+        without = attempted_fit(subject, others, warm=fit)
+        if without is None:
+            continue
+        used = subject.suited(others).recording.used
+        free = nuisance(without.slopes[used][:, without.loose])
+        numbers = sum(len(extra.parameters) for extra in parts)
+        for whole in search(subject, without, [one.name], free):
+            trial = attempted_fit(subject, (*others, proposed_effect(whole)), warm=without)
+            if trial is None or len(whole.parameters) > numbers:
+                continue
+            if criteria.costs_nothing(fit, trial):
+                return trial
+    return fit
+
+
+def in_lowest_terms(extra: Extra) -> Extra:
+    """The same force over its shortest period: all multiples of that are periods too."""
+    definition = effect_definition(extra.name)
+    kind = definition.search
+    if not isinstance(kind, Periodic):
+        return extra
+    orders = {key: round(value) for key, value in extra.parameters.items() if kind.order.holds(key)}
+    common = math.gcd(*orders.values())
+    lower = {key: float(order // common) for key, order in orders.items()}
+    period = extra.parameters[kind.sine.period] / common
+    return replace(extra, parameters={**extra.parameters, **lower, kind.sine.period: period})
 
 
 def pruned(

@@ -11,30 +11,30 @@ from typing import Final, Literal
 import numpy as np
 
 from sgms_mhe.diagnosis.candidates import search
-from sgms_mhe.diagnosis.criteria import Criteria, addable
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.groups import Extra, Group, machine_groups, without_extra, without_group
-from sgms_mhe.diagnosis.noise_response import explains_noise
-from sgms_mhe.diagnosis.proposals import Proposal
-from sgms_mhe.diagnosis.rounds import (
+from sgms_mhe.diagnosis.criteria import (
     EQUAL_T,
     SAME_FORCE,
+    Criteria,
     Ranked,
-    attempted_fit,
+    addable,
     distinct,
     is_ruled_out,
     linear_gain,
+    proposed_effect,
     with_gains,
 )
-from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.diagnosis.fits import Fit, Subject, attempted_fit, fit_model
+from sgms_mhe.diagnosis.parametrisation import Extra, Group, machine_groups, without_extra, without_group
+from sgms_mhe.diagnosis.proposals import Proposal
+from sgms_mhe.diagnosis.result import Score
+from sgms_mhe.diagnosis.uncertainty import explains_noise
 from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, gain_force, nuisance, score_test
-from sgms_mhe.recordings.repetition import steady_blocks
+from sgms_mhe.recordings.excitation import steady_blocks
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import in_parallel
 
 Judgement = Literal["better", "rival", "worse", "untried"]
-
 PROMISING_RIVAL: Final = 0.7
 """Linear gain from which a candidate is refitted in a cause's place [gain of the cause]: a refit finds more."""
 PROMISING_ALIKE: Final = 0.5
@@ -202,7 +202,7 @@ def _name(candidate: Ranked) -> str:
 
 def _trial(subject: Subject, place: _Place, candidate: Ranked) -> Fit | None:
     """The fit with a candidate in the place; None where it is no model of the record."""
-    extras = place.extras if candidate.group else (*place.extras, candidate.proposal.extra)
+    extras = place.extras if candidate.group else (*place.extras, proposed_effect(candidate.proposal))
     base = (*place.refitted, candidate.group) if candidate.group else place.refitted
     return attempted_fit(subject, extras, refitted=base, warm=place.without)
 
@@ -317,3 +317,36 @@ def cause_significance(subject: Subject, fit: Fit, group: Group) -> float:
         shift = (fit.theta - np.array([c.machine_theta for c in columns]))[inside]
     p, _ = score_test(recording, Z, free.project(fit.residual[recording.used]) + Z @ shift)
     return p
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """What was selected.
+
+    Attributes:
+        fit: effects and the machine's numbers that are wrong; all other numbers as in the machine file.
+        refitted: groups of the machine's own numbers that are free.
+        scores: of all rounds.
+        rivals: of the causes.
+        rejected: candidates that were put in a cause's place and lost.
+        p_values: of each cause.
+        unnamed: those of `refitted` that are no cause: free because something else is left, not because they are wrong.
+        inconstant: names of candidates that are no cause because their size changes over the record.
+        free: where the forward search ended, all of the machine's numbers refitted.
+    """
+
+    fit: Fit
+    refitted: tuple[Group, ...]
+    scores: tuple[Score, ...]
+    rivals: tuple[Rival, ...]
+    rejected: Mapping[str, Rejected]
+    p_values: Mapping[Group, float]
+    free: Fit
+    unnamed: tuple[Group, ...] = ()
+    inconstant: tuple[str, ...] = ()
+
+    @property
+    def causes(self) -> tuple[Group, ...]:
+        """Groups that are named: the machine's own, then effects under test."""
+        own = tuple(group for group in self.refitted if group not in self.unnamed)
+        return own + self.fit.extra_groups

@@ -1,27 +1,209 @@
-"""Which causes: forward selection over refits, backward pruning, rivals."""
+"""Forward selection over refits, backward reduction, rivals: from a machine along a record to its causes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
-from sgms_mhe.diagnosis.criteria import Criteria
-from sgms_mhe.diagnosis.descent import FitError
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.groups import Group
-from sgms_mhe.diagnosis.laws import SHARPER, Laws, fit_chosen, fit_law, is_driven, starting_unknown
-from sgms_mhe.diagnosis.reduction import necessary, pruned
-from sgms_mhe.diagnosis.result import Score
-from sgms_mhe.diagnosis.rivals import Contest, Rejected, Rival, cause_significance, find_rivals
-from sgms_mhe.diagnosis.rounds import search_round
-from sgms_mhe.diagnosis.subject import Fit
-from sgms_mhe.recordings.evidence import gain_force
+import numpy as np
+from numpy.typing import NDArray
 
+from sgms_mhe.diagnosis.candidates import search
+from sgms_mhe.diagnosis.criteria import (
+    EQUAL_T,
+    SAME_FORCE,
+    Criteria,
+    Ranked,
+    addable,
+    distinct,
+    is_ruled_out,
+    proposed_effect,
+    with_gains,
+)
+from sgms_mhe.diagnosis.fits import Fit, Subject, attempted_fit, fit_model
+from sgms_mhe.diagnosis.laws import SHARPER, Laws, fit_chosen, fit_law, is_driven, starting_unknown
+from sgms_mhe.diagnosis.models import FitError
+from sgms_mhe.diagnosis.reduction import necessary, pruned
+from sgms_mhe.diagnosis.result import Outcome, Score
+from sgms_mhe.diagnosis.rivals import Contest, Selection, cause_significance, find_rivals
+from sgms_mhe.diagnosis.uncertainty import explains_noise
+from sgms_mhe.model.effects import cause, effect_definition
+from sgms_mhe.recordings.evidence import difference_statistic, gain_force, nuisance
+from sgms_mhe.support.decisions import log_decision
+from sgms_mhe.support.parallel import in_parallel
+
+Array = NDArray[np.float64]
+PROMISING: Final = 0.8
+"""Linear gain from which a candidate is refitted, if it is close too [gain to be added]: a refit finds more."""
+CLOSE: Final = 0.55
+"""Linear gain from which a candidate is refitted, if it is promising too [best linear gain]: a refit changes the order.
+"""
+CLEAR: Final = 0.8
+"""Linear gain from which a candidate is refitted whose force is linear in its sizes [best linear gain]: its linear gain
+says all of it."""
+EQUAL_GAIN: Final = 0.97
+"""Gain from which refitted candidates are equals [best gain]: the one that leaves the machine's numbers alone is added.
+"""
 END_SHARE: Final = 0.2
 """RMS gain that matters once the search has ended, at least [RMS beyond noise]: a smaller one is not told from that."""
 RIVAL_STEPS: Final = 3
 """Times that a better candidate takes a cause's place, at most [1]: two that are better in turns would never end."""
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """What a round found.
+
+    Attributes:
+        fit: with the effect that is added; None: none is.
+        scores: of every candidate.
+        seen: names of those that looked good.
+    """
+
+    fit: Fit | None
+    scores: tuple[Score, ...]
+    seen: frozenset[str]
+
+
+def search_round(subject: Subject, current: Fit, number: int, seen: Collection[str], criteria: Criteria) -> Round:
+    """Search, refit the best, choose the one to add to the current fit; `seen`: what looked good before."""
+    names = addable(subject.machine, current.extras, criteria)
+    candidates = _candidates(subject, current, names, seen, criteria)
+    significant = [
+        r for r in candidates if r.proposal.feasible and r.proposal.p_value * len(names) < criteria.table.significance
+    ]
+    least = PROMISING * criteria.enough(current)
+    strong = sorted((r for r in significant if r.gain > least), key=lambda r: -r.gain)
+    fits = _refits(subject, current, _shortlist(strong, criteria), number, criteria)
+    chosen = _choose(subject, current, fits, criteria)
+    scores = []
+    for ranked in candidates:
+        p = ranked.proposal
+        outcome: Outcome
+        if p.name == chosen:
+            outcome = "named"
+        elif ranked in strong:
+            outcome = "redundant"
+        elif ranked in significant:
+            outcome = "too small"
+        else:
+            outcome = "not significant"
+        refit = gain_force(current.cross, fits[p.name].cross, current.rows) if p.name in fits else math.nan
+        p_value = min(1.0, p.p_value * len(names))
+        scores.append(Score(p.name, number, p_value, max(0.0, ranked.gain), refit, dict(p.parameters), outcome))
+    log_decision(
+        "search",
+        "effect that explains most of those significant and large enough, refitted",
+        step=number,
+        effects=[extra.name for extra in current.extras],
+        beyond_noise_N=criteria.excess(current),
+        significance=criteria.table.significance,
+        least_gain_N=criteria.enough(current),
+        candidates=[
+            {"name": s.name, "p_value": s.p_value, "gain_N": s.gain_N, "refit_gain_N": s.refit_gain_N,
+             "outcome": s.outcome, "starts": s.parameters}
+            for s in sorted(scores, key=lambda s: -s.gain_N)
+        ],
+        added=chosen,
+    )  # fmt: skip
+    return Round(
+        fit=None if chosen is None else fits[chosen],
+        scores=tuple(scores),
+        seen=frozenset(r.proposal.name for r in strong),
+    )
+
+
+def _refits(
+    subject: Subject, current: Fit, shortlist: Sequence[Ranked], number: int, criteria: Criteria
+) -> dict[str, Fit]:
+    """Fits with each candidate of a shortlist, where it can be fitted.
+
+    What takes the elements' motion from them costs a hundred times the others: only where these leave it a chance.
+    """
+    cheap = [r for r in shortlist if not effect_definition(r.proposal.name).drives_elements]
+    fits: dict[str, Fit] = {}
+    for stage in (cheap, [r for r in shortlist if r not in cheap]):
+        best = max((gain_force(current.cross, fit.cross, fit.rows) for fit in fits.values()), default=0.0)
+        proposals = [r.proposal for r in stage if r.gain > CLEAR * best]
+        if proposals:
+            criteria.course.refits(number, [p.name for p in proposals])
+        tried = in_parallel(
+            [partial(attempted_fit, subject, (*current.extras, proposed_effect(p)), warm=current) for p in proposals]
+        )
+        fits |= {p.name: fit for p, fit in zip(proposals, tried, strict=True) if fit is not None}
+    return fits
+
+
+def _candidates(
+    subject: Subject, current: Fit, names: Sequence[str], seen: Collection[str], criteria: Criteria
+) -> list[Ranked]:
+    """The best proposal of every effect that is searched."""
+    free = nuisance(current.slopes[subject.recording.used][:, current.loose])
+
+    def ranked(wanted: Sequence[str]) -> list[Ranked]:
+        return with_gains(subject, current, search(subject, current, wanted, free))
+
+    found = ranked([name for name in names if not effect_definition(name).costly])
+    costly = _worth_a_search(current, found, seen, criteria)
+    found += ranked([name for name in names if effect_definition(name).costly and name in costly])
+    best: dict[str, Ranked] = {}
+    for candidate in found:
+        name = candidate.proposal.name
+        if name not in best or candidate.gain > best[name].gain:
+            best[name] = candidate
+    return list(best.values())
+
+
+def _worth_a_search(current: Fit, found: Sequence[Ranked], seen: Collection[str], criteria: Criteria) -> list[str]:
+    """Effects whose search runs models: where the others leave something, or look like one of them."""
+    costly = [name for name in criteria.excited if effect_definition(name).costly]
+    best = max((r for r in found if r.proposal.feasible), key=lambda r: r.gain, default=None)
+    if best is None:
+        return costly
+    left = math.sqrt(max(0.0, criteria.excess(current) ** 2 - max(0.0, best.gain) ** 2))
+    return [
+        name
+        for name in costly
+        if left > criteria.material or best.proposal.name in cause(name).confused_with or name in seen
+    ]
+
+
+def _shortlist(strong: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
+    """Candidates, the best first, that a refit might put before the others."""
+    if not strong:
+        return []
+    near = [r for r in strong if r.gain > CLOSE * strong[0].gain]
+    kept = distinct(near, SAME_FORCE)[: criteria.table.refits]
+    return [r for r in kept if r.gain > CLEAR * kept[0].gain or not effect_definition(r.proposal.name).linear]
+
+
+def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: Criteria) -> str | None:
+    """The candidate to add: the best by cross-validation; among equals the one that leaves other numbers alone."""
+    gains = {name: gain_force(current.cross, fit.cross, fit.rows) for name, fit in fits.items()}
+    gains = {
+        name: gain
+        for name, gain in gains.items()
+        if gain > criteria.enough(current)
+        and not is_ruled_out(fits[name], name, subject)
+        and not explains_noise(subject, fits[name], gain)
+    }
+    if not gains:
+        return None
+    best = max(gains, key=lambda name: gains[name])
+    equal = [
+        name
+        for name in gains
+        if name == best
+        or difference_statistic(fits[best].cross, fits[name].cross) < EQUAL_T
+        or gains[name] > EQUAL_GAIN * gains[best]
+    ]
+    if len(equal) == 1:
+        return best
+    alone = {name: fit_model(subject, fits[name].extras, refitted=()) for name in equal}
+    return min(alone, key=lambda name: float(alone[name].cross.sum()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,39 +223,6 @@ class Searched:
     criteria: Criteria
     scores: tuple[Score, ...]
     seen: frozenset[str]
-
-
-@dataclass(frozen=True, eq=False)
-class Selection:
-    """What was selected.
-
-    Attributes:
-        fit: effects and the machine's numbers that are wrong; all other numbers as in the machine file.
-        refitted: groups of the machine's own numbers that are free.
-        scores: of all rounds.
-        rivals: of the causes.
-        rejected: candidates that were put in a cause's place and lost.
-        p_values: of each cause.
-        unnamed: those of `refitted` that are no cause: free because something else is left, not because they are wrong.
-        inconstant: names of candidates that are no cause because their size changes over the record.
-        free: where the forward search ended, all of the machine's numbers refitted.
-    """
-
-    fit: Fit
-    refitted: tuple[Group, ...]
-    scores: tuple[Score, ...]
-    rivals: tuple[Rival, ...]
-    rejected: Mapping[str, Rejected]
-    p_values: Mapping[Group, float]
-    free: Fit
-    unnamed: tuple[Group, ...] = ()
-    inconstant: tuple[str, ...] = ()
-
-    @property
-    def causes(self) -> tuple[Group, ...]:
-        """Groups that are named: the machine's own, then effects under test."""
-        own = tuple(group for group in self.refitted if group not in self.unnamed)
-        return own + self.fit.extra_groups
 
 
 def search_causes(laws: Laws, criteria: Criteria) -> Searched:

@@ -12,38 +12,34 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.causes import base_parameters, extended_machine
-from sgms_mhe.diagnosis.confirmation import (
+from sgms_mhe.diagnosis.alignment import compile_half_steps, in_step, offset_notes, sampling_offset
+from sgms_mhe.diagnosis.causes import (
     Confirmed,
+    base_parameters,
     confirmed,
     constant_causes,
+    extended_machine,
     refitted_beside,
     without_undetermined,
 )
-from sgms_mhe.diagnosis.course import Course, Progress
-from sgms_mhe.diagnosis.criteria import criteria_of, material_force, small_force
-from sgms_mhe.diagnosis.descent import FitError
-from sgms_mhe.diagnosis.excerpt import excerpt
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.groups import Group
-from sgms_mhe.diagnosis.half_steps import compile_half_steps
+from sgms_mhe.diagnosis.criteria import Course, Progress, criteria_of, material_force, small_force
+from sgms_mhe.diagnosis.final_fit import Left, Settled, rival_fits, settle, split_rms
+from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.laws import compilations, laws_of
-from sgms_mhe.diagnosis.noise_response import inertial_noise
+from sgms_mhe.diagnosis.models import FitError
+from sgms_mhe.diagnosis.parametrisation import TIMING_MOST, Group
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
-from sgms_mhe.diagnosis.sampling import TIMING_MOST, in_step, offset_notes, sampling_offset
 from sgms_mhe.diagnosis.selection import Searched, search_causes, select_causes, without_effects
-from sgms_mhe.diagnosis.settling import Left, Settled, settle, split_rms
-from sgms_mhe.diagnosis.standins import rival_fits
 from sgms_mhe.diagnosis.structure import force_over_speed, structure_map
-from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.diagnosis.uncertainty import inertial_noise
 from sgms_mhe.diagnosis.wording import alternatives_of, experiment_of, summary_of
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.recordings.evidence import gain_interval, noise_floor
-from sgms_mhe.recordings.excitation import measures
+from sgms_mhe.recordings.excerpt import excerpt
+from sgms_mhe.recordings.excitation import clock_note, measures, steady_blocks
 from sgms_mhe.recordings.recording import Recording, encoder_noise, prepare
-from sgms_mhe.recordings.repetition import clock_note, steady_blocks
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sgms_mhe.diagnosis.causes import reported_values
+from sgms_mhe.diagnosis.fits import reported_values
 from sgms_mhe.diagnosis.result import Alternative, Cause, Verdict
-from sgms_mhe.diagnosis.selection import Selection
+from sgms_mhe.diagnosis.rivals import Selection
 from sgms_mhe.machine import Units
 from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.model.effects import separating_moves

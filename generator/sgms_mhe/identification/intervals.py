@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.identification.fitting import AxisFit, View
-from sgms_mhe.recordings.evidence import noise_floor
-from sgms_mhe.recordings.uncertainty import UNSEEN_ERROR, robust_covariance
+from sgms_mhe.recordings.evidence import UNSEEN_ERROR, noise_floor, robust_covariance
 
 Array = NDArray[np.float64]
 

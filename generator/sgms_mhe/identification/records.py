@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.path import bridged, displacements, smooth_path
 from sgms_mhe.recordings.recording import Recording, prepare
-from sgms_mhe.recordings.rows import row_means
+from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import Signals, apply_chain, readings
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import encoder_step, position_noise

@@ -1,14 +1,18 @@
-"""How much of what effects need a record holds."""
+"""Excitation of a record: measures of its motion, and whether time and the motion are one clock."""
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import Measure
 from sgms_mhe.model.scales import scales_of
+from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.chain import Signals
 
 MOVING_WAY: Final = 0.1
@@ -16,6 +20,24 @@ MOVING_WAY: Final = 0.1
 rest and noise."""
 MOVING_TIME: Final = 0.01
 """Time that MOVING_WAY is covered in [s]: averages the noise of the position."""
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+ALIKE: Final = 0.95
+"""Correlation of a motion with itself a lap later from which it repeats itself."""
+UNLIKE: Final = 0.5
+"""Correlation that it has fallen below before a lap is over."""
+SLOWEST: Final = 0.5
+"""Turns in a lap from which a frequency may be a multiple of one over it."""
+LAPS: Final = 8
+"""Of a record, at least: with fewer, nearly every frequency is near a multiple of one over a lap."""
+APART: Final = 0.6
+"""Frequencies that a record tells apart, over one over its length."""
+MOVING: Final = 0.05
+"""Of the largest speed: the axis moves from there on."""
+ONE_SPEED: Final = 0.05
+"""Of a speed, to either side: the same one."""
+MOST: Final = 0.85
+"""Share of the rows in motion, from which on a motion at one speed is one."""
 
 
 def measures(signals: Signals, machine: Machine) -> dict[Measure, float]:
@@ -53,3 +75,69 @@ def _runs(mask: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> np.ndarray[tuple[
     """Lengths of the runs of true entries."""
     edges = np.flatnonzero(np.diff(np.r_[False, mask, False].astype(np.int8)))
     return np.asarray(edges[1::2] - edges[::2], dtype=np.int64)
+
+
+@lru_cache(maxsize=8)
+def lap(recording: Recording) -> float | None:
+    """Time after which the motion comes again [s]; None where it does not, or moves on at one speed.
+
+    The least lag at which the velocity's correlation with itself has a maximum near 1.
+    """
+    velocity = recording.velocity
+    n = len(velocity)
+    power = np.concatenate(([0.0], np.cumsum(velocity**2)))
+    most = n // LAPS
+    if most < 2 or power[-1] <= 0.0:
+        return None
+    product = correlate(velocity, velocity, method="fft")[n - 1 : n + most]
+    lags = np.arange(most + 1)
+    head, tail = power[n - lags], power[n] - power[lags]
+    alike = product / np.sqrt(np.maximum(head * tail, 1e-300))
+    apart = np.flatnonzero(alike < UNLIKE)
+    if not len(apart):
+        return None
+    after = alike[apart[0] :]
+    peaks = np.flatnonzero((after[1:-1] >= ALIKE) & (after[1:-1] >= after[:-2]) & (after[1:-1] >= after[2:]))
+    return float(apart[0] + 1 + peaks[0]) / recording.rate if len(peaks) else None
+
+
+def in_step(recording: Recording, frequency: Array) -> Mask:
+    """Which frequencies (n) [Hz] are multiples of one over a lap, as far as the record can tell."""
+    period = lap(recording)
+    if period is None:
+        return np.zeros(frequency.shape, dtype=np.bool_)
+    turns = frequency * period
+    length = len(recording.time) / recording.rate
+    return np.asarray(np.abs(turns - np.round(turns)) < APART * period / length) & (turns > SLOWEST)
+
+
+@lru_cache(maxsize=8)
+def steady_blocks(recording: Recording) -> Mask | None:
+    """Blocks (b) all of whose rows go on at one speed; None where the motion has more than one.
+
+    What such a motion does besides is to start and to stop. There a force that goes with place parts from one that goes
+    with time; but there an axis also does what it does nowhere else, so that is no evidence for either.
+    """
+    used, velocity = recording.used, recording.velocity
+    speed = np.abs(velocity)
+    moving = used & (speed > MOVING * float(speed[used].max(initial=0.0)))
+    if not moving.any():
+        return None
+    usual = float(np.median(velocity[moving]))
+    same = np.abs(velocity - usual) <= ONE_SPEED * abs(usual)
+    if np.count_nonzero(same & moving) < MOST * np.count_nonzero(moving):
+        return None
+    steady = recording.sum_blocks((~same).astype(np.float64)) == 0.0
+    return steady if np.count_nonzero(steady) >= LAPS else None
+
+
+def clock_note(recording: Recording) -> tuple[str, ...]:
+    """What a record cannot decide whose motion and time are one clock."""
+    period = lap(recording)
+    if period is not None:
+        how = f"the motion repeats itself every {period:.3g} s: whether a force comes again in time or with the motion"
+    elif steady_blocks(recording) is not None:
+        how = "the motion has one speed: whether a force comes again in time or in place"
+    else:
+        return ()
+    return (f"{how} shows only at another speed",)

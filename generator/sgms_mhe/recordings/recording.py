@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
@@ -15,17 +17,18 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import Extents
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.path import bridged, reading_error
-from sgms_mhe.recordings.rows import row_means
-from sgms_mhe.recordings.runs import Runs
+from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import Signals, readings, settle_samples, signals_from_log, signals_of_record
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import encoder_step
 from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
+Run = tuple[Array, Array | None]
+"""Friction (m) and its derivatives (m, n_p), None where not asked for."""
+RUNS_CACHED: Final = 12  # runs: a fit begins where another one ended, an alignment runs what a fit ended with
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
-
 INPUTS_KEPT: Final = 1_000_000  # samples, 40 MB
 SPLIT: Final = 20_000  # rows from which on halves of a record run at the same time
 LONGEST_LEAD: Final = 10  # share of a record, at most, that the second half runs through before it
@@ -58,6 +61,34 @@ REMEMBERED_MIN: Final = 0.5
 never forgets; it is kept, and taken to start from relaxed elements."""
 SATURATED_RUN: Final = 5
 """Run of exactly the largest force that is a saturation [samples]: noise does not repeat a number so often."""
+
+
+class Runs:
+    """Results by the code that ran, the signals it ran along (both by identity), and theta."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[tuple[int, int, bytes], tuple[object, object, Run]] = OrderedDict()
+
+    def get(self, code: object, signals: object, theta: Array, derivatives: bool, run: Callable[[], Run]) -> Run:
+        """What `run` returns, from before where it is known; one with derivatives serves where none are asked for."""
+        key = (id(code), id(signals), np.ascontiguousarray(theta, dtype=np.float64).tobytes())
+        with self._lock:
+            known = self._kept.get(key)
+            if known is not None and (known[2][1] is not None or not derivatives):
+                self._kept.move_to_end(key)
+                return known[2] if derivatives else (known[2][0], None)
+        found = run()
+        for array in found:
+            if array is not None:
+                array.setflags(write=False)
+        with self._lock:
+            # With what identities stand for, so that they stay its own.
+            self._kept[key] = code, signals, found
+            self._kept.move_to_end(key)
+            while len(self._kept) > RUNS_CACHED:
+                self._kept.popitem(last=False)
+        return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""A selection at the record's full rate, to the end, and what fits leave of the whole record."""
+"""Final fit of a selection: at the full rate of the record, to the end; and the residuals of the whole record."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.alignment import aligned, residual_along
 from sgms_mhe.diagnosis.candidates import edge_rows
-from sgms_mhe.diagnosis.fitting import fit_model
-from sgms_mhe.diagnosis.groups import Extra, Group
+from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.laws import ALIGNMENTS, Laws
-from sgms_mhe.diagnosis.selection import Selection
-from sgms_mhe.diagnosis.subject import Fit, Subject
+from sgms_mhe.diagnosis.models import FitError
+from sgms_mhe.diagnosis.parametrisation import Extra, Group, without_extra, without_group
+from sgms_mhe.diagnosis.result import RivalFit
+from sgms_mhe.diagnosis.rivals import Selection
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.model.effects.search import Step
 from sgms_mhe.recordings.evidence import noise_floor
@@ -214,3 +215,30 @@ def _between_fitted(whole: Recording, fitted: Recording, instant: float) -> Mask
     if seen < len(time):
         inside &= whole.time <= time[seen]
     return inside
+
+
+def rival_fits(settled: Settled, selection: Selection) -> tuple[RivalFit, ...]:
+    """What is left with each rival in its cause's place, all else of the selection beside it.
+
+    The fits do not see the held-out blocks, as those behind the causes' gains do not. A rival without a finite model at
+    the full rate has none.
+    """
+    found = []
+    for rival in selection.rivals:
+        place = next((group for group in selection.causes if group.cause == rival.instead_of), None)
+        if place is None:
+            continue
+        extras = without_extra(selection.fit.extras, place)
+        refitted = without_group(selection.refitted, place)
+        if rival.group.is_extra:
+            extras += (rival.fit.extras[rival.group.index],)
+        else:
+            refitted = (*without_group(refitted, rival.group), rival.group)
+        try:
+            fit = settled.fit(extras, refitted=refitted, warm=rival.fit, rows=settled.seen)
+        except FitError:
+            continue
+        left = settled.left(fit)
+        seen, held_out = split_rms(left, settled.record)
+        found.append(RivalFit(rival.group.cause, rival.instead_of, seen, held_out, left.residual))
+    return tuple(found)

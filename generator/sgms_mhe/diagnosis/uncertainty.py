@@ -1,27 +1,107 @@
-"""How sure the numbers of a fit are."""
+"""Covariance of the numbers of a fit, and the response of a model to the noise of the encoder.
+
+Measured friction holds mass times the acceleration's noise. An effect that answers acceleration can take some of that
+out again, a resonance of nearly all of the mass above the frequency from which the acceleration is mostly noise. It
+then leaves less on any record, also on one that it was not fitted to: a cause explains a force, not noise.
+"""
 
 from __future__ import annotations
 
 import math
-from functools import partial
+from dataclasses import replace
+from functools import lru_cache, partial
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.fitting import prior_information
-from sgms_mhe.diagnosis.noise_response import noise_left, with_more_noise
-from sgms_mhe.diagnosis.sampling import TIMING, TIMING_MOST
-from sgms_mhe.diagnosis.subject import Fit, Subject
-from sgms_mhe.recordings.uncertainty import UNSEEN_ERROR, robust_covariance
+from sgms_mhe.diagnosis.fits import Fit, Subject, prior_information
+from sgms_mhe.diagnosis.parametrisation import TIMING, TIMING_MOST
+from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.recordings.evidence import UNSEEN_ERROR, robust_covariance
+from sgms_mhe.recordings.recording import Recording, Runs, chained
+from sgms_mhe.signals.noise import noise_course, position_noise
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
-
-HELD: Final = 0.5
+NOISY_CACHED: Final = 2  # records with more noise: that of the rows' rate, and the full one
+SEED: Final = 20241125
+"""Of the noise: the same log gives the same verdict."""
+NOISE_SHARE: Final = 0.5
+"""Answer to the encoder's noise from which on an effect explains that noise and is none [gain of the effect]: a mass
+that is shaken by noise takes noise out of the force."""
+HOLD_TIMING: Final = 0.5
 """Samples that a force may be old or young by, on average, where a drive holds it over a sample."""
 FLOOR_SURE: Final = 1.03  # noise floors: what is left beyond is no noise
 RUNAWAY: Final = 10.0  # slope of a number of the machine, over the largest friction
+
+
+def explains_noise(subject: Subject, fit: Fit, gain: float) -> bool:
+    """Whether the effect that was added last explains noise: what it takes out of that is most of its gain (RMS) [N].
+
+    Asked of what is about as fast as a sample and of what acts on the acceleration; nothing else follows noise.
+    """
+    if not fit.extras:
+        return False
+    added = effect_definition(fit.extras[-1].name)
+    if not (added.full_rate or added.inertial):
+        return False
+    return noise_explained(subject, fit) > NOISE_SHARE * gain
+
+
+def noise_explained(subject: Subject, fit: Fit) -> float:
+    """RMS of what the effect added last takes out of a residual that is the encoder's noise [N].
+
+    A delay makes other noise of it, but not less.
+    """
+    recording = subject.suited(fit.extras).recording
+    numbers = (fit.theta_without(fit.extra_groups[-1:]), fit.theta)
+    without, left = (float(np.mean(noise_left(recording, fit, n)[recording.used] ** 2)) for n in numbers)
+    return math.sqrt(max(0.0, without - left))
+
+
+def noise_left(recording: Recording, fit: Fit, theta: Array) -> Array:
+    """What the encoder's noise adds to the residual of a fit's model at theta (n_p), (m) [N]."""
+    noisy = with_more_noise(recording)
+    answers = [fit.model.run(record, theta, derivatives=False)[0] for record in (noisy, recording)]
+    return np.asarray(answers[1] - answers[0] - inertial_noise(recording))
+
+
+def inertial_noise(recording: Recording) -> Array:
+    """Force that the encoder's noise makes of the acceleration (m) [N]: as large as what is in measured friction."""
+    noise = with_more_noise(recording).signals.acceleration - recording.signals.acceleration
+    return recording.reduce(recording.machine.plant.moved * noise)
+
+
+@lru_cache(maxsize=NOISY_CACHED)
+def with_more_noise(recording: Recording) -> Recording:
+    """The record with as much noise of its encoder once more, sent through the chain.
+
+    How much there is, the acceleration tells: of a position behind the chain's filters no difference shows it, and a
+    log may bring an acceleration of its own. Where an encoder's steps show and make more, theirs: none at rest, and a
+    slow saw where few of them pass.
+    """
+    signals = recording.signals
+    noise = _white_noise(recording)
+    counting = recording.noise
+    if counting is not None and float(np.mean(counting[:, 2] ** 2)) > float(np.mean(noise[:, 2] ** 2)):
+        noise = counting
+    noisy = replace(
+        signals,
+        position=signals.position + noise[:, 0],
+        velocity=signals.velocity + noise[:, 1],
+        acceleration=signals.acceleration + noise[:, 2],
+    )
+    return replace(recording, signals=noisy, runs=Runs())
+
+
+def _white_noise(recording: Recording) -> Array:
+    """Noise of position, velocity and acceleration (n, 3), of a position's white one."""
+    acceleration = recording.signals.acceleration
+    noise = chained(recording.machine, np.random.default_rng(SEED).standard_normal(len(acceleration)))
+    unit = position_noise(noise[:, 2])
+    size = noise_course(acceleration) / unit if unit > 0.0 else np.zeros(len(acceleration))
+    return np.asarray(size[:, None] * noise)
 
 
 def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Array:
@@ -64,7 +144,7 @@ def _timing(subject: Subject, fit: Fit) -> Array:
     deviations = []
     for column, theta in zip(fit.model.columns, fit.theta.tolist(), strict=True):
         of_axis = abs(column.si(theta)) > TIMING_MOST * step
-        apart = (HELD if of_axis else TIMING) * step / math.sqrt(3.0)
+        apart = (HOLD_TIMING if of_axis else TIMING) * step / math.sqrt(3.0)
         deviations.append(apart / abs(column.scale) if column.timing else 0.0)
     return np.array(deviations)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Final
@@ -12,29 +13,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.diagnosis.forces import Force, force_of, plain_places
-from sgms_mhe.diagnosis.freeing import Structure, extended_machine, nominal_values, typical_sizes, without_bounds
-from sgms_mhe.diagnosis.groups import Column, Extra, Group
-from sgms_mhe.diagnosis.shifting import Shift
+from sgms_mhe.diagnosis.parametrisation import (
+    Column,
+    Extra,
+    Force,
+    Group,
+    Structure,
+    base_column,
+    bearing,
+    bounds,
+    delay_column,
+    effect_column,
+    extended_machine,
+    force_of,
+    nominal_values,
+    plain_places,
+    step_limit,
+    typical_sizes,
+    without_bounds,
+)
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.host.packages import SYMBOLIC, cached_package
 from sgms_mhe.machine import Machine
-from sgms_mhe.model import FreeParameter, Model, build_model
-from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
-from sgms_mhe.model.scales import scales_of
+from sgms_mhe.model import Model, build_model
+from sgms_mhe.model.effects import effect_definition
+from sgms_mhe.recordings.least_squares import Box, Quadratic, minimise
 from sgms_mhe.recordings.recording import SPLIT, Recording
-from sgms_mhe.recordings.rows import row_means
+from sgms_mhe.recordings.series import Shift, row_means
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
-
+Mask = NDArray[np.bool_]
 CHUNK: Final = 200_000  # samples that are predicted at a time; bounds the memory of derivatives
 SAME_STATE: Final = 1e-9  # of a state of about 1: two that differ by less go on alike
 SAME_SLOPES: Final = 1e-6  # the same for its derivatives
-KEPT: Final = 512  # compiled models; a diagnosis of a rich record asks for about a hundred
-SHARP_SMOOTHING: Final = {"zeta": 0.985, "lambda": 233.0, "gamma": 233.0}
-"""Elements that slip almost at once, for effects that do not stand with switching ones: lambda (1 - zeta) = 3.5, as in
-the default smoothing; with zeta = 0.995 derivatives outgrow the steps of a fit."""
+MODELS_CACHED: Final = 512  # compiled models; a diagnosis of a rich record asks for about a hundred
+
+UNSTABLE: Final = 1e6
+"""Derivative from which no integration step was short enough [largest friction]: a state that diverges shows in its
+derivatives first."""
+AT_BOUND: Final = 1e-9
 
 
 @dataclass(eq=False)
@@ -255,9 +273,9 @@ def compiled_fit(machine: Machine, extras: Sequence[Extra]) -> CompiledFit:
     compiled = compiled_structure(Structure(prompt, tuple(keys[i] for i in places)))
     if places != list(range(len(places))):
         compiled = compiled.ordered(places)
-    delays = [_delay(machine, extras[i].name, Group.extra(extras[i].name, i), dict(keys[i][1])) for i in late]
+    delays = [delay_column(machine, extras[i].name, Group.extra(extras[i].name, i), dict(keys[i][1])) for i in late]
     delays += [
-        _delay(
+        delay_column(
             machine,
             effect.name,
             Group.own(effect.name, effect.label),
@@ -268,7 +286,7 @@ def compiled_fit(machine: Machine, extras: Sequence[Extra]) -> CompiledFit:
     ]
     forces = {i: force for i in plain if (force := force_of(alone[i])) is not None}
     beside = [
-        _effect_column(Group.extra(extras[i].name, i), free.column.partition(".")[2], free)
+        effect_column(Group.extra(extras[i].name, i), free.column.partition(".")[2], free)
         for i, force in forces.items()
         for free in force.parameters
     ]
@@ -287,24 +305,6 @@ def _prompt(machine: Machine) -> Machine:
         return machine
     units = machine.plant.units
     return override_machine(without_bounds(machine), {"effects": [effect.entry(units) for effect in kept]})
-
-
-def _delay(machine: Machine, name: str, group: Group, nominal: Mapping[str, float]) -> Column:
-    """The column of an effect that delays all of the force."""
-    definition = effect_definition(name)
-    parameter = definition.parameter(definition.delays)
-    value = nominal[parameter.name]
-    scale = abs(parameter.estimation_scale(scales_of(machine), value))
-    lower, upper = ((edge - value) / scale + 1.0 for edge in (parameter.lower, parameter.upper))
-    free = FreeParameter(f"{name}.{parameter.name}", f"{name}.{parameter.name}", value, scale, lower, upper)
-    return _effect_column(group, parameter.name, free)
-
-
-def bearing(machine: Machine, extras: Sequence[Extra]) -> Machine:
-    """The machine with a law that effects can stand with: for elements that switch, ones that slip almost at once."""
-    if not machine.friction.switches or not any(effect_definition(extra.name).smooth_only for extra in extras):
-        return machine
-    return override_machine(machine, {"friction": {"law": "sgms", "smoothing": SHARP_SMOOTHING}})
 
 
 class _Waiting:
@@ -336,7 +336,7 @@ def compiled_structure(structure: Structure) -> CompiledFit:
     return compiled
 
 
-@lru_cache(maxsize=KEPT)
+@lru_cache(maxsize=MODELS_CACHED)
 def compiled_once(structure: Structure) -> CompiledFit:
     """What `compiled_structure` keeps, for one thread at a time."""
     machine = structure.machine
@@ -353,42 +353,142 @@ def compiled_once(structure: Structure) -> CompiledFit:
     columns = []
     for free in code.model.parameters:
         label, _, parameter = free.column.partition(".")
-        column = _effect_column(groups[label], parameter, free) if parameter else _base_column(free, zero)
+        column = effect_column(groups[label], parameter, free) if parameter else base_column(free, zero)
         columns.append(column)
     return CompiledFit(code, tuple(columns))
 
 
-def _effect_column(group: Group, parameter: str, free: FreeParameter) -> Column:
-    known = effect_definition(group.cause).parameter(parameter)
-    return Column(
-        group=group,
-        name=parameter,
-        nominal=free.nominal,
-        scale=free.scale,
-        machine_theta=1.0,
-        lower=free.lower,
-        upper=free.upper,
-        least=known.least,
-        most=known.most,
-        step=known.step,
-        frozen=known.frozen,
-        timing=known.timing,
-        proportional=known.is_proportional,
-        none=known.none,
-        times=known.times,
-    )
+class FitError(RuntimeError):
+    """A model that cannot be fitted to this record: it is not finite where its fit starts."""
 
 
-def _base_column(free: FreeParameter, zero: Mapping[str, float]) -> Column:
-    """`zero`: numbers that the machine file says 0 of."""
-    cause, number = next((c, n) for c in BASE_CAUSES.values() for n in c.numbers if n.name == free.name)
-    return Column(
-        group=Group.base(cause.name),
-        name=free.column,
-        nominal=free.nominal,
-        scale=free.scale,
-        machine_theta=0.0 if free.name in zero else 1.0,
-        lower=number.lower,
-        upper=number.upper,
-        most=number.most,
-    )
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of the free parameters before the record (free).
+
+    Attributes:
+        information: in units of the sum of squares; damps a step.
+        binding: the same of the machine's own numbers, 0 of effects under test; part of the cost.
+        centre: theta that it holds to.
+    """
+
+    information: Array
+    binding: Array
+    centre: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A model at theta (n_p): residual (m) [N], slopes d(model)/d(theta) (m, n_p), cost (inf: not finite there)."""
+
+    theta: Array
+    residual: Array
+    slopes: Array
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class LeastSquares:
+    """Sum of squared residuals on the rows seen, and the prior.
+
+    Attributes:
+        model: its compiled code.
+        recording: measured friction, in line with the model.
+        seen: rows that count (m).
+        free: parameters that are fitted (n_p).
+        prior: of those.
+    """
+
+    model: CompiledFit
+    recording: Recording
+    seen: Mask
+    free: Mask
+    prior: Prior
+
+    def at(self, theta: Array) -> Point:
+        """The model at theta (n_p)."""
+        recording, free, prior = self.recording, self.free, self.prior
+        scale = max(_largest(recording.friction), recording.machine.friction.coulomb)
+        largest = UNSTABLE * scale
+        y, slopes = self.model.run(recording, theta)
+        residual = recording.friction - y
+        if not _largest(residual) < largest:
+            return Point(theta, residual, np.empty((0, 0)), math.inf)
+        seen = residual[self.seen]
+        cost = float(seen @ seen) + float(prior.binding @ (theta[free] - prior.centre) ** 2)
+        # A state that its steps are too long for shows in its derivatives first.
+        if slopes is None or not math.isfinite(cost) or not _largest(slopes) < largest:
+            return Point(theta, residual, np.empty((0, 0)), math.inf)
+        return Point(theta, residual, slopes, cost)
+
+    @property
+    def count(self) -> int:
+        """Residual rows."""
+        return int(self.seen.sum())
+
+    def descend(self, theta: Array, iterations: int, enough: float) -> Point:
+        """Minimise from theta (n_p), see `minimise`.
+
+        Raises:
+            FitError: not finite at theta.
+        """
+        free, columns, recording = self.free, self.model.columns, self.recording
+        lower, upper = (bound[free] for bound in bounds(columns, recording))
+        limit = np.array([step_limit(c, t, recording) for c, t in zip(columns, theta, strict=True)])[free]
+        theta = theta.copy()
+        theta[free] = np.clip(theta[free], lower, upper)
+        here = self.at(theta)
+        if not math.isfinite(here.cost):
+            raise FitError("the model is not finite where its fit starts")
+        if not free.any():
+            return here
+
+        def box(here: Point) -> Box:
+            present = here.theta[free]
+            return np.maximum(-limit, lower - present), np.minimum(limit, upper - present)
+
+        return minimise(self, here, box, iterations, enough)
+
+    def quadratic(self, here: Point) -> Quadratic:
+        """Return the quadratic model of the cost about a point, in what is free."""
+        free, prior = self.free, self.prior
+        X = here.slopes.compress(self.seen, axis=0).compress(free, axis=1)  # a third of what masks take
+        H = X.T @ X
+        g = X.T @ here.residual[self.seen] - prior.binding * (here.theta[free] - prior.centre)
+        return Quadratic(H, g, prior.binding, np.diag(H) + prior.information)
+
+    def after(self, here: Point, step: Array) -> Point:
+        """Return the model after a step of what is free."""
+        return self.at(self._moved(here.theta, step))
+
+    def _moved(self, theta: Array, step: Array) -> Array:
+        """theta (n_p) after a step of what is free (free).
+
+        Where the force is linear in s and s p, the step is one of s and s p: p + dp s / (s + ds). One along p alone
+        would follow a curved valley to a place far outside the travel.
+        """
+        columns = self.model.columns
+        moved = theta.copy()
+        moved[self.free] += step
+        for i in np.flatnonzero(self.free):
+            column = columns[i]
+            if not column.times:
+                continue
+            size = self.model.index(column.group, column.times)
+            before, after = (columns[size].si(float(t[size])) for t in (theta, moved))
+            if after != 0.0:
+                moved[i] = min(max(theta[i] + (moved[i] - theta[i]) * before / after, column.lower), column.upper)
+        return moved
+
+
+def _largest(values: Array) -> float:
+    """The largest magnitude (NaN where there is one); without an array of all of them, which takes longer to fill."""
+    return max(float(values.max()), -float(values.min()))
+
+
+def held_at_bounds(columns: Sequence[Column], at: Point, seen: Mask, recording: Recording) -> Mask:
+    """Parameters at a bound that the rows seen (m) push them against (n_p)."""
+    descent = at.slopes[seen].T @ at.residual[seen]
+    lower, upper = bounds(columns, recording)
+    near = AT_BOUND * np.maximum(1.0, np.abs(at.theta))
+    return np.asarray(((at.theta <= lower + near) & (descent < 0.0)) | ((at.theta >= upper - near) & (descent > 0.0)))

@@ -1,0 +1,401 @@
+"""Parametrisation of a fit: an axis with candidate effects, every number of it a free parameter.
+
+A candidate effect that is a plain force of the signals and its own numbers leaves the elements' motion as it is. It
+stands beside a compiled model and needs no code of its own: one model serves all of them, however they are combined.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, Final, Literal, Self
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.configuration import make_machine, override_machine
+from sgms_mhe.host.evaluation import Evaluation
+from sgms_mhe.host.packages import SYMBOLIC
+from sgms_mhe.machine import CLOSED_FORMS, Machine
+from sgms_mhe.model import SIGNAL_NAMES, FreeParameter
+from sgms_mhe.model.building import load_is_read, plain_force
+from sgms_mhe.model.effects import BASE_CAUSES, Stage, effect_definition
+from sgms_mhe.model.effects.parameters import RecordLimit, StepLimit
+from sgms_mhe.model.scales import scales_of
+from sgms_mhe.recordings.recording import Recording
+
+COARSE: Final = 4.0  # factor between nominal values that models are compiled for
+STEP: Final = 1.0  # deflection scales of an effect's states per step, unless the effect says otherwise
+SLOW_STEP: Final = 0.02  # deflection scales of a smooth element per step below the gate: off by 1e-5 of its level
+Nominal = tuple[tuple[str, float], ...]
+"""Nominal values of an effect's parameters, as a key."""
+Array = NDArray[np.float64]
+AT_A_TIME: Final = 16_384  # samples whose intermediate values stay near the processor
+FORCES_CACHED: Final = 512  # structures that were looked at
+MIXING: Final[tuple[Stage, ...]] = ("signal", "motor", "log", "actuator")
+"""Stages of effects that change what a force reads, or what becomes of it."""
+TIMING: Final = 0.1
+"""Time that force and position may be apart without that being a delay [sample]: no two signals are sampled at quite
+the same instant."""
+TIMING_MOST: Final = 0.6
+"""Delay up to which it is the sampling's and not the axis's [sample]: a force that is held over a sample is half a
+sample old on average; and a margin."""
+SHARP_SMOOTHING: Final = {"zeta": 0.985, "lambda": 233.0, "gamma": 233.0}
+"""Elements that slip almost at once, for effects that do not stand with switching ones: lambda (1 - zeta) = 3.5, as in
+the default smoothing; with zeta = 0.995 derivatives outgrow the steps of a fit."""
+MACHINE_STEP: Final = 0.5
+"""Change of the machine's numbers in a step, at most [nominal or present value]: derivatives hold no farther."""
+
+
+@dataclass(frozen=True)
+class Extra:
+    """An effect under test and where its fit starts."""
+
+    name: str
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Parameters that are wrong, or there, together: what a cause is made of.
+
+    Attributes:
+        kind: base: numbers of the base model; own: an effect that the machine has; extra: an effect under test.
+        cause: what a diagnosis calls it: the wrong number or the effect.
+        label: what the machine calls its effect (`force_ripple_2`); empty for the others.
+        index: of an effect under test, its place among them.
+    """
+
+    kind: Literal["base", "own", "extra"]
+    cause: str
+    label: str = ""
+    index: int = 0
+
+    @classmethod
+    def base(cls, cause: str) -> Self:
+        """A wrong number of the base model."""
+        return cls("base", cause)
+
+    @classmethod
+    def own(cls, cause: str, label: str) -> Self:
+        """An effect that the machine has."""
+        return cls("own", cause, label)
+
+    @classmethod
+    def extra(cls, cause: str, index: int) -> Self:
+        """An effect under test."""
+        return cls("extra", cause, index=index)
+
+    @property
+    def is_extra(self) -> bool:
+        """Whether it is an effect under test; otherwise its numbers stand in the machine file."""
+        return self.kind == "extra"
+
+    @property
+    def name(self) -> str:
+        """What its numbers are listed under: the machine's own label where there is one."""
+        return self.label or self.cause
+
+
+def machine_groups(machine: Machine) -> tuple[Group, ...]:
+    """All groups of the machine's own numbers: those of the base model, then its effects."""
+    return (
+        *(
+            Group.base(name)
+            for name, cause in BASE_CAUSES.items()
+            if machine.friction.n_z > 1 or not any(number.shares for number in cause.numbers)
+        ),
+        *(Group.own(effect.name, effect.label) for effect in machine.effects),
+    )
+
+
+def without_extra(extras: tuple[Extra, ...], group: Group) -> tuple[Extra, ...]:
+    """The effects under test but the one of a group; all of them where it is none."""
+    return tuple(extra for i, extra in enumerate(extras) if not (group.is_extra and i == group.index))
+
+
+def without_group(groups: tuple[Group, ...], group: Group) -> tuple[Group, ...]:
+    """The groups but one; all of them where it is not among them."""
+    return tuple(other for other in groups if other != group)
+
+
+@dataclass(frozen=True)
+class Column:
+    """One free parameter of the compiled model.
+
+    Attributes:
+        group: what it belongs to.
+        name: in SI results (`stiffness_1`, `coulomb`, `amplitude_N`).
+        nominal, scale: p = nominal + scale (theta - 1).
+        machine_theta: value that the machine file states (of an effect under test: 1).
+        lower, upper: of theta.
+        least, most: what a record can tell of it [SI]; None: whatever the bounds say.
+        step: how far a step of a fit may move it, of an effect's; None: as a number of the base model.
+        frozen: its search decides it, no fit moves it.
+        timing: it is a time that force and position are apart.
+        proportional: the force is proportional to it, from `none` on.
+        none: value [SI] at which its effect is none.
+        times: name of the size of its group that it is multiplied with.
+    """
+
+    group: Group
+    name: str
+    nominal: float
+    scale: float
+    machine_theta: float
+    lower: float
+    upper: float
+    least: RecordLimit | None = None
+    most: RecordLimit | None = None
+    step: StepLimit | None = None
+    frozen: bool = False
+    timing: bool = False
+    proportional: bool = False
+    none: float = 0.0
+    times: str = ""
+
+    def si(self, theta: float) -> float:
+        """Value in SI units."""
+        return self.nominal + self.scale * (theta - 1.0)
+
+    def theta(self, si: float) -> float:
+        """Scaled value."""
+        return (si - self.nominal) / self.scale + 1.0
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What a compiled model depends on; the machine by its content."""
+
+    machine: Machine = field(compare=False, hash=False)
+    extras: tuple[tuple[str, Nominal], ...]
+    digest: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "digest", self.machine.digest)
+
+
+def extended_machine(structure: Structure) -> Machine:
+    """The machine of a structure with its effects, all its numbers to be estimated."""
+    machine = structure.machine
+    return _with_everything_free(machine, structure.extras, typical_sizes(machine))
+
+
+def typical_sizes(machine: Machine) -> dict[str, float]:
+    """Typical values of the base model's numbers that the machine file says 0 of: zero has no scale of its own."""
+    return {
+        number.name: number.typical * scales_of(machine).of(number.unit)
+        for cause in BASE_CAUSES.values()
+        for number in cause.numbers
+        if number.typical is not None and getattr(machine.friction, number.name) == 0.0
+    }
+
+
+def _with_everything_free(
+    machine: Machine, extras: Sequence[tuple[str, Nominal]], friction: Mapping[str, float]
+) -> Machine:
+    """The machine with effects added and numbers of [friction] replaced, all its numbers to be estimated."""
+    units = machine.plant.units
+    effects = [e.entry(units) for e in machine.effects]
+    effects += [{"name": name} | units.keyed(effect_definition(name).lists(dict(values))) for name, values in extras]
+    axis = machine.friction.model_copy(update=dict(friction))
+    names = [name for cause in BASE_CAUSES.values() for name in cause.frees if name in axis.estimable]
+    changes: dict[str, Any] = {
+        "name": "fit",
+        "description": "",
+        "friction": dict(friction),
+        "effects": effects,
+        "code": {"precision": "double"},
+        "estimator": {"parameters": names, "bounds": {}},
+        "sampling": _integrator(machine, [name for name, _ in extras]),
+    }
+    extended = override_machine(without_bounds(machine), changes)
+    names += [units.named(f"{e.label}.{p}") for e in extended.effects for p in e.parameters]
+    return override_machine(extended, {"estimator": {"parameters": names}})
+
+
+def without_bounds(machine: Machine) -> Machine:
+    """The same machine with an estimator that constrains nothing."""
+    estimator = dict(machine.content.get("estimator", {}))
+    kept = {key: value for key, value in estimator.items() if key not in ("bounds", "parameters")}
+    return make_machine({**machine.content, "estimator": kept}, machine.source)
+
+
+def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
+    """Integration for fits: at least one step per sample.
+
+    Where the elements are integrated exactly, steps are coarser for the rest: effects' states settle within them, and a
+    search runs them a hundred times. Below the gate they hold up to ten times the stiffness of the file.
+    """
+    sampling = machine.sampling
+    # By name, so that what a tolerance chose stays chosen.
+    integrator: dict[str, Any] = {"scheme": sampling.integrator.scheme}
+    if sampling.integrator.substeps < sampling.samples_per_update:
+        integrator["substeps"] = sampling.samples_per_update
+    if sampling.integrator.scheme in CLOSED_FORMS:
+        steps = [effect_definition(name).fit_displacement or STEP for name in names]
+        # Long steps of one effect are a matter of cost, which short ones of another would undo.
+        long = max(steps, default=STEP)
+        integrator["displacement"] = long if long > STEP else min(steps, default=STEP)
+    if sampling.integrator.scheme == "flow":
+        integrator["slow_displacement"] = max(SLOW_STEP, sampling.integrator.slow_displacement)
+    return {"integrator": integrator}
+
+
+def nominal_values(machine: Machine, extra: Extra) -> Nominal:
+    """Nominal values of an effect's compiled model: coarse, so that few are compiled, near where rates matter."""
+    definition, scales = effect_definition(extra.name), scales_of(machine)
+    values: list[tuple[str, float]] = []
+    for name in definition.names(extra.parameters):
+        parameter = definition.parameter(name)
+        size = parameter.default if parameter.default != 0.0 else abs(parameter.size(scales))
+        if parameter.whole:  # each once; which they are, a fit says
+            size += sum(parameter.holds(known) for known, _ in values)
+        wanted = extra.parameters.get(name, size)
+        if definition.states and wanted > 0.0 and size > 0.0:
+            size *= COARSE ** round(math.log(wanted / size, COARSE))
+        values.append((name, float(min(max(size, parameter.lower), parameter.upper))))
+    return tuple(values)
+
+
+@dataclass(frozen=True, eq=False)
+class Force:
+    """A plain force.
+
+    Attributes:
+        parameters: its free ones, in their order.
+        loads: whether it acts on the load.
+    """
+
+    parameters: tuple[FreeParameter, ...]
+    loads: bool
+    _evaluation: Evaluation
+
+    def at(self, w: Array, theta: Array, *, derivatives: bool) -> tuple[Array, Array | None]:
+        """Force (n) [N] at signals w (n, 5) with its theta (n_p), and its derivatives (n, n_p) where asked for."""
+        n, n_p = len(w), len(self.parameters)
+        force, slopes = np.empty(n), np.empty((n, n_p)) if derivatives else None
+        numbers = {free.column: float(value) for free, value in zip(self.parameters, theta, strict=True)}
+        for first in range(0, n, AT_A_TIME):
+            part = slice(first, first + AT_A_TIME)
+            signals = {name: w[part, i] for i, name in enumerate(SIGNAL_NAMES)}
+            found = self._evaluation.at({**signals, **numbers})
+            force[part] = found[0]
+            if slopes is not None:
+                for i in range(n_p):
+                    slopes[part, i] = found[1 + i]
+        return force, slopes
+
+
+@lru_cache(maxsize=FORCES_CACHED)
+def force_of(structure: Structure) -> Force | None:
+    """The last effect of a structure, if it is a plain force."""
+    with SYMBOLIC:
+        machine = extended_machine(structure)
+        plain = plain_force(machine, machine.effects[-1].label)
+        if plain is None:
+            return None
+        names = [free.column for free in plain.parameters]
+        outputs = ca.vertcat(plain.force, ca.jacobian(plain.force, plain.theta).T)
+        evaluation = Evaluation(outputs, {"w": plain.w, "theta": plain.theta}, {"w": SIGNAL_NAMES, "theta": names})
+    return Force(plain.parameters, plain.loads, evaluation)
+
+
+@lru_cache(maxsize=FORCES_CACHED)
+def _load_is_read(structure: Structure) -> bool:
+    with SYMBOLIC:
+        return load_is_read(extended_machine(structure))
+
+
+def plain_places(machine: Machine, structures: Sequence[Structure]) -> tuple[int, ...]:
+    """Which of some effects under test, each a structure with the machine, may stand beside a compiled model.
+
+    None where one of them, or of the machine's, changes what forces read or what becomes of them.
+    """
+    names = [name for structure in structures for name, _ in structure.extras]
+    stages = {effect_definition(name).stage for name in (*names, *(effect.name for effect in machine.effects))}
+    if not stages.isdisjoint(MIXING):
+        return ()
+    forces = [force_of(structure) for structure in structures]
+    compiled = tuple(s.extras[0] for s, force in zip(structures, forces, strict=True) if force is None)
+    loaded = _load_is_read(Structure(machine, tuple(sorted(compiled))))
+    return tuple(i for i, force in enumerate(forces) if force is not None and not (force.loads and loaded))
+
+
+def bearing(machine: Machine, extras: Sequence[Extra]) -> Machine:
+    """The machine with a law that effects can stand with: for elements that switch, ones that slip almost at once."""
+    if not machine.friction.switches or not any(effect_definition(extra.name).smooth_only for extra in extras):
+        return machine
+    return override_machine(machine, {"friction": {"law": "sgms", "smoothing": SHARP_SMOOTHING}})
+
+
+def delay_column(machine: Machine, name: str, group: Group, nominal: Mapping[str, float]) -> Column:
+    """The column of an effect that delays all of the force."""
+    definition = effect_definition(name)
+    parameter = definition.parameter(definition.delays)
+    value = nominal[parameter.name]
+    scale = abs(parameter.estimation_scale(scales_of(machine), value))
+    lower, upper = ((edge - value) / scale + 1.0 for edge in (parameter.lower, parameter.upper))
+    free = FreeParameter(f"{name}.{parameter.name}", f"{name}.{parameter.name}", value, scale, lower, upper)
+    return effect_column(group, parameter.name, free)
+
+
+def effect_column(group: Group, parameter: str, free: FreeParameter) -> Column:
+    """Return the column of an effect's parameter."""
+    known = effect_definition(group.cause).parameter(parameter)
+    return Column(
+        group=group,
+        name=parameter,
+        nominal=free.nominal,
+        scale=free.scale,
+        machine_theta=1.0,
+        lower=free.lower,
+        upper=free.upper,
+        least=known.least,
+        most=known.most,
+        step=known.step,
+        frozen=known.frozen,
+        timing=known.timing,
+        proportional=known.is_proportional,
+        none=known.none,
+        times=known.times,
+    )
+
+
+def base_column(free: FreeParameter, zero: Mapping[str, float]) -> Column:
+    """Return the column of a number of the base model; `zero`: names of those that the machine file states as 0."""
+    cause, number = next((c, n) for c in BASE_CAUSES.values() for n in c.numbers if n.name == free.name)
+    return Column(
+        group=Group.base(cause.name),
+        name=free.column,
+        nominal=free.nominal,
+        scale=free.scale,
+        machine_theta=0.0 if free.name in zero else 1.0,
+        lower=number.lower,
+        upper=number.upper,
+        most=number.most,
+    )
+
+
+def step_limit(column: Column, theta: float, recording: Recording) -> float:
+    """Largest change of theta in one step, beyond which derivatives do not hold."""
+    if not column.group.is_extra or column.step is None:
+        return MACHINE_STEP * max(1.0, abs(theta))
+    scale = abs(column.scale)
+    return column.step(column.si(theta), scale, recording.extents) / scale
+
+
+def bounds(columns: Sequence[Column], recording: Recording) -> tuple[Array, Array]:
+    """Bounds of theta: those of the definitions, and nothing that the record cannot tell from something simpler."""
+    lower, upper = np.array([c.lower for c in columns]), np.array([c.upper for c in columns])
+    for i, column in enumerate(columns):
+        if column.least is not None:
+            lower[i] = max(lower[i], column.theta(column.least(recording.extents)))
+        if column.most is not None:
+            upper[i] = min(upper[i], column.theta(column.most(recording.extents)))
+            if column.group.kind == "base":  # the machine file's own value stays allowed
+                upper[i] = max(lower[i], column.machine_theta, upper[i])
+    return lower, upper
