@@ -1,25 +1,26 @@
-/* Elementary functions without a library, branch-free where they run in lanes, so that compilers vectorise them
- * without relaxed arithmetic. Error bounds, tested over the whole stated range:
+/* Elementary functions without a library, branch-free where they run in lanes, so that compilers
+ * vectorise them without relaxed arithmetic. Error bounds, tested over the whole stated range:
  *
  *   function      range               double             single
  *   sgms_exp      x <= 709 (88)       5e-16 relative     2e-7 relative
  *   exp2_core     |x| <= 1000 (120)   8e-13 relative     3e-7 relative
  *   sgms_tanh     |x| <= 1e16 (1e8)   3e-15 absolute     8e-7 absolute
- *   sgms_sin/cos  |x| <= 1e6 (1e3)    2e-15 absolute     3e-7 absolute, growing with |x| beyond; never outside +-1
- *   sgms_log      x > 0, normal       4e-16 (1 + |log|)  3e-7 (1 + |log|)
- *   sgms_sqrt     x > 0, normal       3e-16 relative     2e-7 relative
- *   sgms_inverse_sqrt                 6e-16 relative     3e-7 relative
+ *   sgms_sin/cos  |x| <= 1e6 (1e3)    2e-15 absolute     3e-7 absolute, growing with |x| beyond;
+ * never outside +-1 sgms_log      x > 0, normal       4e-16 (1 + |log|)  3e-7 (1 + |log|) sgms_sqrt
+ * x > 0, normal       3e-16 relative     2e-7 relative sgms_inverse_sqrt                 6e-16
+ * relative     3e-7 relative
  *
- * The range of single stands in brackets where it is another one. exp is 0 below -700 (-86) and stays at exp(709)
- * (exp(88)) beyond; the clamp of tanh cancels beyond its range; sqrt is 0 where x is not above 0, NaN included.
+ * The range of single stands in brackets where it is another one. exp is 0 below -700 (-86) and
+ * stays at exp(709) (exp(88)) beyond; the clamp of tanh cancels beyond its range; sqrt is 0 where x
+ * is not above 0, NaN included.
  */
 #ifndef SGMS_MATH_H
 #define SGMS_MATH_H
 
 #include "sgms_real.h"
 
-/* The bits of a number, and back. A union says the same, but compilers vectorise only the copy; it is expanded in
- * place. */
+/* The bits of a number, and back. A union says the same, but compilers vectorise only the copy; it
+ * is expanded in place. */
 #if defined(__GNUC__)
 static inline sgms_integer sgms_bits(sgms_real x)
 {
@@ -79,7 +80,8 @@ static inline sgms_real sgms_from_bits(sgms_integer bits)
 #define SGMS_ROUNDING 1e-13
 #endif
 
-/* Compilers that have it know one instruction for it, where the bits take a way through integer registers. */
+/* Compilers that have it know one instruction for it, where the bits take a way through integer
+ * registers. */
 static inline sgms_real sgms_fabs(sgms_real x)
 {
 #if defined(__GNUC__) && SGMS_SINGLE
@@ -96,7 +98,8 @@ static inline sgms_real sgms_square(sgms_real x)
     return x * x;
 }
 
-/* -1, 0 or 1: the sign bit of x on the bits of 1, where x is not zero. Integer compares vectorise, real ones do not. */
+/* -1, 0 or 1: the sign bit of x on the bits of 1, where x is not zero. Integer compares vectorise,
+ * real ones do not. */
 static inline sgms_real sgms_sign(sgms_real x)
 {
     const sgms_integer bits = sgms_bits(x);
@@ -110,8 +113,8 @@ static inline sgms_real sgms_copy_sign(sgms_real a, sgms_real b)
     return sgms_from_bits((sgms_bits(a) & SGMS_INTEGER_MAX) | (sgms_bits(b) & ~SGMS_INTEGER_MAX));
 }
 
-/* All ones where a < b, b not negative, else zero. The bits of such numbers are in the order of the numbers, and
- * vectorise; where nothing does, the numbers themselves are cheaper. */
+/* All ones where a < b, b not negative, else zero. The bits of such numbers are in the order of the
+ * numbers, and vectorise; where nothing does, the numbers themselves are cheaper. */
 static inline sgms_integer sgms_less(sgms_real a, sgms_real b)
 {
 #if SGMS_VECTORS
@@ -153,8 +156,8 @@ static inline sgms_real sgms_signed(sgms_real a, sgms_real b)
     return sgms_from_bits(sgms_bits(a) | (sgms_bits(b) & ~SGMS_INTEGER_MAX));
 }
 
-/* x >= 0, but no more than a positive limit; x within +-limit. Comparisons of bits vectorise; where nothing does, those
- * of numbers are cheaper, and come to the same. */
+/* x >= 0, but no more than a positive limit; x within +-limit. Comparisons of bits vectorise; where
+ * nothing does, those of numbers are cheaper, and come to the same. */
 static inline sgms_real sgms_at_most(sgms_real x, sgms_real limit)
 {
 #if SGMS_VECTORS
@@ -184,14 +187,15 @@ static inline int sgms_is_finite(sgms_real x)
     return x - x == SGMS_R(0.0);
 }
 
-/* x, with what is too small to matter (against 1e-20) rounded away: sensitivities of a sliding element decay without
- * end, and many processors are slow on subnormal numbers. */
+/* x, with what is too small to matter (against 1e-20) rounded away: sensitivities of a sliding
+ * element decay without end, and many processors are slow on subnormal numbers. */
 static inline sgms_real sgms_drop_tiny(sgms_real x)
 {
     return (x + SGMS_R(1e-20)) - SGMS_R(1e-20);
 }
 
-/* exp(x) for |x| within the normal range of the result; minimax polynomials on |f| <= ln(2)/2, 2e-16 and 2e-9. */
+/* exp(x) for |x| within the normal range of the result; minimax polynomials on |f| <= ln(2)/2,
+ * 2e-16 and 2e-9. */
 static inline sgms_real sgms_exp_core(sgms_real x)
 {
     const sgms_real shifted = x * SGMS_R(1.44269504088896340736) + SGMS_ROUND_MAGIC;
@@ -221,10 +225,12 @@ static inline sgms_real sgms_exp_core(sgms_real x)
 #endif
     /* The low bits of `shifted` hold n; unsigned arithmetic moves it into the exponent of p. */
     return sgms_from_bits(
-        (sgms_integer)((sgms_unsigned)sgms_bits(p) + ((sgms_unsigned)sgms_bits(shifted) << SGMS_MANTISSA_BITS)));
+        (sgms_integer)((sgms_unsigned)sgms_bits(p) +
+                       ((sgms_unsigned)sgms_bits(shifted) << SGMS_MANTISSA_BITS)));
 }
 
-/* 2^x for results within the normal range: for the inner loops, two operations and an order shorter than exp. */
+/* 2^x for results within the normal range: for the inner loops, two operations and an order shorter
+ * than exp. */
 static inline sgms_real sgms_exp2_core(sgms_real x)
 {
     const sgms_real shifted = x + SGMS_ROUND_MAGIC;
@@ -249,7 +255,8 @@ static inline sgms_real sgms_exp2_core(sgms_real x)
     p = p * f + 0.999999999999762349;
 #endif
     return sgms_from_bits(
-        (sgms_integer)((sgms_unsigned)sgms_bits(p) + ((sgms_unsigned)sgms_bits(shifted) << SGMS_MANTISSA_BITS)));
+        (sgms_integer)((sgms_unsigned)sgms_bits(p) +
+                       ((sgms_unsigned)sgms_bits(shifted) << SGMS_MANTISSA_BITS)));
 }
 
 static inline sgms_real sgms_exp(sgms_real x)
@@ -260,8 +267,8 @@ static inline sgms_real sgms_exp(sgms_real x)
     return sgms_exp_core(x > SGMS_EXP_HIGHEST ? SGMS_EXP_HIGHEST : x);
 }
 
-/* tanh(x) = 1 - 2 / (1 + exp(2 x)); the clamp is written with absolute values because compilers refuse to
- * vectorise a selection without relaxed arithmetic. */
+/* tanh(x) = 1 - 2 / (1 + exp(2 x)); the clamp is written with absolute values because compilers
+ * refuse to vectorise a selection without relaxed arithmetic. */
 static inline sgms_real sgms_tanh(sgms_real x)
 {
     const sgms_real twice = sgms_fabs(x + SGMS_TANH_SATURATED) - sgms_fabs(x - SGMS_TANH_SATURATED);
@@ -294,8 +301,8 @@ static inline sgms_real sgms_sqrt(sgms_real x)
     return root + SGMS_R(0.5) * y * (x - root * root);
 }
 
-/* What is left of an argument without its multiples of pi/2. Arguments so large that they have no digits left leave
- * more than pi/4, and a polynomial at such a place is as large as one likes. */
+/* What is left of an argument without its multiples of pi/2. Arguments so large that they have no
+ * digits left leave more than pi/4, and a polynomial at such a place is as large as one likes. */
 static inline sgms_real sgms_reduced(sgms_real f)
 {
     return f > SGMS_R(1.0) ? SGMS_R(1.0) : f < SGMS_R(-1.0) ? SGMS_R(-1.0) : f;
@@ -309,33 +316,35 @@ static inline sgms_real sgms_sine(sgms_real x, int quadrant)
     const int q = (int)(sgms_bits(shifted) & 3) + quadrant; /* the low bits of `shifted` hold n */
     sgms_real f, f2, p;
 #if SGMS_SINGLE
-    f = sgms_reduced(((x - n * 1.5703125f) - n * 4.837512969970703e-4f) - n * 7.549789954891895e-8f);
+    f = sgms_reduced(
+        ((x - n * 1.5703125f) - n * 4.837512969970703e-4f) - n * 7.549789954891895e-8f);
     f2 = f * f;
     if (q & 1) {
-        p = 1.0f +
-            f2 * (-0.5f + f2 * (4.166664568298827e-2f + f2 * (-1.388731625493765e-3f + f2 * 2.443315711809948e-5f)));
+        p = 1.0f + f2 * (-0.5f + f2 * (4.166664568298827e-2f +
+                                       f2 * (-1.388731625493765e-3f + f2 * 2.443315711809948e-5f)));
     } else {
         p = f + f * f2 * (-1.6666654611e-1f + f2 * (8.3321608736e-3f + f2 * -1.9515295891e-4f));
     }
 #else
     f = sgms_reduced(
-        ((x - n * 1.57079632673412561417) - n * 6.07710050630396597660e-11) - n * 2.02226624879595063154e-21);
+        ((x - n * 1.57079632673412561417) - n * 6.07710050630396597660e-11) -
+        n * 2.02226624879595063154e-21);
     f2 = f * f;
     if (q & 1) {
-        p = 1.0 +
-            f2 * (-0.5 +
-                  f2 * (4.16666666666666019037e-02 +
-                        f2 * (-1.38888888888741095749e-03 +
-                              f2 * (2.48015872894767294178e-05 +
-                                    f2 * (-2.75573143513906633035e-07 +
-                                          f2 * (2.08757232129817482790e-09 + f2 * -1.13596475577881948265e-11))))));
+        p = 1.0 + f2 * (-0.5 + f2 * (4.16666666666666019037e-02 +
+                                     f2 * (-1.38888888888741095749e-03 +
+                                           f2 * (2.48015872894767294178e-05 +
+                                                 f2 * (-2.75573143513906633035e-07 +
+                                                       f2 * (2.08757232129817482790e-09 +
+                                                             f2 * -1.13596475577881948265e-11))))));
     } else {
         p = f + f * f2 *
                     (-1.66666666666666324348e-01 +
                      f2 * (8.33333333332248946124e-03 +
                            f2 * (-1.98412698298579493134e-04 +
                                  f2 * (2.75573137070700676789e-06 +
-                                       f2 * (-2.50507602534068634195e-08 + f2 * 1.58969099521155010221e-10)))));
+                                       f2 * (-2.50507602534068634195e-08 +
+                                             f2 * 1.58969099521155010221e-10)))));
     }
 #endif
     return (q & 2) ? -p : p;
@@ -371,7 +380,8 @@ static inline sgms_real sgms_log(sgms_real x)
                    s2 * (1.0 / 7.0 +
                          s2 * (1.0 / 9.0 +
                                s2 * (1.0 / 11.0 +
-                                     s2 * (1.0 / 13.0 + s2 * (1.0 / 15.0 + s2 * (1.0 / 17.0 + s2 / 19.0)))))));
+                                     s2 * (1.0 / 13.0 +
+                                           s2 * (1.0 / 15.0 + s2 * (1.0 / 17.0 + s2 / 19.0)))))));
 #endif
     return (sgms_real)e * SGMS_LN2_HI +
            (SGMS_R(2.0) * s + (SGMS_R(2.0) * s * s2 * series + (sgms_real)e * SGMS_LN2_LO));

@@ -4,7 +4,8 @@
 
 #include "sgms_math.h"
 
-/* From here on every number is an integer; added to a smaller one, not negative, it rounds to the nearest. */
+/* From here on every number is an integer; added to a smaller one, not negative, it rounds to the
+ * nearest. */
 #if SGMS_SINGLE
 #define SGMS_WHOLE 8388608.0f /* 2^23 */
 #else
@@ -20,7 +21,8 @@ static inline sgms_real sgms_floor(sgms_real x)
     return nearest > x ? nearest - SGMS_R(1.0) : nearest;
 }
 
-/* Entry `place`, a whole number from 0 to `last`, of a table; of any other number, NaN included, one of its entries. */
+/* Entry `place`, a whole number from 0 to `last`, of a table; of any other number, NaN included,
+ * one of its entries. */
 static inline sgms_real sgms_entry(const sgms_real *table, int last, sgms_real place)
 {
     return table[place > SGMS_R(0.0) ? (place < (sgms_real)last ? (int)place : last) : 0];

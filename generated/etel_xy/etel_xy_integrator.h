@@ -3,10 +3,10 @@
  * Integration of etel_xy over one step of the series, with sensitivities:
  * displacement flow, Runge-Kutta (rk4) where it does not apply.
  *
- * Blocks are independent, so each is integrated by itself: all blocks of the interval under way side by side in lanes,
- * and those of the older one that is linearised anew.
- * The rows of a block, LANE_STRIDE numbers apart, are chi (m), d(chi)/d(chi at the start) (m x m), d(chi)/dq (m x n_q), and
- * behind them what is constant over an interval. */
+ * Blocks are independent, so each is integrated by itself: all blocks of the interval under way
+ * side by side in lanes, and those of the older one that is linearised anew. The rows of a block,
+ * LANE_STRIDE numbers apart, are chi (m), d(chi)/d(chi at the start) (m x m), d(chi)/dq (m x n_q),
+ * and behind them what is constant over an interval. */
 #ifndef ETEL_XY_INTEGRATOR_H
 #define ETEL_XY_INTEGRATOR_H
 
@@ -52,7 +52,8 @@ typedef struct {
 } element_point;
 
 /* That of one lane; its terms lie `stride` numbers apart. */
-static SGMS_INLINE element_point element_at(const sgms_real *term, int stride, const sgms_real *block)
+static SGMS_INLINE element_point element_at(
+    const sgms_real *term, int stride, const sgms_real *block)
 {
     const element_point at = {
         { block[0 * LANE_STRIDE] },
@@ -63,9 +64,10 @@ static SGMS_INLINE element_point element_at(const sgms_real *term, int stride, c
     return at;
 }
 
-/* Put a block at its node into a lane whose rows are zero: chi, identity for its derivative, and what is constant over
- * the interval. */
-static void element_start(const etel_xy_parameters *p, int block, const sgms_real *node, sgms_real *lane)
+/* Put a block at its node into a lane whose rows are zero: chi, identity for its derivative, and
+ * what is constant over the interval. */
+static void element_start(
+    const etel_xy_parameters *p, int block, const sgms_real *node, sgms_real *lane)
 {
     for (int i = 0; i < ELEMENT_STATES; i++) {
         const int state = block_states[ELEMENT_FIRST + block][i];
@@ -77,7 +79,8 @@ static void element_start(const etel_xy_parameters *p, int block, const sgms_rea
 
 /* Rows of an interval's map that belong to one block, which lies in `lane`. */
 static void element_end(
-    const etel_xy_parameters *p, int block, const sgms_real *lane, const sgms_real *start, interval_map *map)
+    const etel_xy_parameters *p, int block, const sgms_real *lane, const sgms_real *start,
+    interval_map *map)
 {
     const sgms_real *const d_q = p->d_q + (ELEMENT_FIRST_Q + block * ELEMENT_Q) * PARAMETERS;
     for (int i = 0; i < ELEMENT_STATES; i++) {
@@ -107,7 +110,8 @@ static void element_end(
                 b += by_q[k] * d_q[k * PARAMETERS + j];
             }
             for (int k = 0; k < ELEMENT_STATES; k++) {
-                b -= by_scale[k] * p->d_scale[block_states[ELEMENT_FIRST + block][k] * PARAMETERS + j];
+                b -= by_scale[k] * p->d_scale[block_states[ELEMENT_FIRST + block][k] * PARAMETERS +
+                    j];
             }
             b_row[j] = b;
         }
@@ -143,19 +147,21 @@ typedef struct {
     sgms_real brake; /* rho |v| f_C / s(v) */
 } element_drive;
 
-/* Beyond the velocity of the clamp the window is shut wherever the gate is not saturated, so it changes nothing and no
- * exponential overflows. */
+/* Beyond the velocity of the clamp the window is shut wherever the gate is not saturated, so it
+ * changes nothing and no exponential overflows. */
 static inline element_drive element_drive_at(const element_point *at)
 {
     const element_level level = element_level_at(at);
     element_drive drive;
     drive.speed = sgms_fabs(at->velocity);
-    drive.gate = -25247.16321555686 * (sgms_fabs(at->velocity + 0.001) - sgms_fabs(at->velocity - 0.001));
+    drive.gate =
+        -25247.16321555686 * (sgms_fabs(at->velocity + 0.001) - sgms_fabs(at->velocity - 0.001));
     drive.brake = level.rho * drive.speed * level.over_level;
     return drive;
 }
 
-/* Equations (1) and (3), window and gate as two logistic functions that share a division. Powers are of two. */
+/* Equations (1) and (3), window and gate as two logistic functions that share a division. Powers
+ * are of two. */
 static inline element_rhs element_rhs_at(const element_point *at, const element_drive *drive)
 {
     const element_level level = element_level_at(at);
@@ -178,7 +184,8 @@ static inline element_rhs element_rhs_at(const element_point *at, const element_
 }
 
 /* Slopes k of all rows y of a block that move: those of its sensitivities by the chain rule. */
-static SGMS_INLINE void element_slopes(const element_drive *drive, const sgms_real *term, const sgms_real *block, const sgms_real *y, sgms_real *k)
+static SGMS_INLINE void element_slopes(const element_drive *drive, const sgms_real *term,
+    const sgms_real *block, const sgms_real *y, sgms_real *k)
 {
     element_point at = element_at(term, LANE_STRIDE, block);
     element_rhs rhs;
@@ -189,9 +196,9 @@ static SGMS_INLINE void element_slopes(const element_drive *drive, const sgms_re
     k[2] = rhs.d_chi[0] * y[2] + rhs.d_q[0];
 }
 
-/* `substeps` equal Runge-Kutta steps over the time `duration` in all lanes.
- * Every stage but the first stands at y + a h k with the slope k before it, so the stages' weighted states hold the sum of
- * the slopes but for the last.
+/* `substeps` equal Runge-Kutta steps over the time `duration` in all lanes. Every stage but the
+ * first stands at y + a h k with the slope k before it, so the stages' weighted states hold the sum
+ * of the slopes but for the last.
  */
 static void element_runge_kutta(
     int lanes,
@@ -262,9 +269,15 @@ static void element_runge_kutta(
                 block[2 * LANE_STRIDE + l] + h * 1.0 * slope[2 * LANE_STRIDE + l]};
             sgms_real k[ELEMENT_ROWS];
             element_slopes(&drive, term + l, block + l, y, k);
-            block[0 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333333333333326 * block[0 * LANE_STRIDE + l] + (sum[0 * LANE_STRIDE + l] + 0.3333333333333333 * y[0]) + h * 0.16666666666666666 * k[0]);
-            block[1 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333333333333326 * block[1 * LANE_STRIDE + l] + (sum[1 * LANE_STRIDE + l] + 0.3333333333333333 * y[1]) + h * 0.16666666666666666 * k[1]);
-            block[2 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333333333333326 * block[2 * LANE_STRIDE + l] + (sum[2 * LANE_STRIDE + l] + 0.3333333333333333 * y[2]) + h * 0.16666666666666666 * k[2]);
+            block[0 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333333333333326 *
+                block[0 * LANE_STRIDE + l] + (sum[0 * LANE_STRIDE + l] +
+                0.3333333333333333 * y[0]) + h * 0.16666666666666666 * k[0]);
+            block[1 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333333333333326 *
+                block[1 * LANE_STRIDE + l] + (sum[1 * LANE_STRIDE + l] +
+                0.3333333333333333 * y[1]) + h * 0.16666666666666666 * k[1]);
+            block[2 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333333333333326 *
+                block[2 * LANE_STRIDE + l] + (sum[2 * LANE_STRIDE + l] +
+                0.3333333333333333 * y[2]) + h * 0.16666666666666666 * k[2]);
         }
     }
 }
@@ -277,21 +290,25 @@ static inline sgms_real element_xi(const element_point *at, const element_level 
 
 /* Rows of an element that the flow has moved. */
 static SGMS_INLINE void element_flowed(
-    const element_point *at, const element_level *level, const sgms_flow_move *moved, const sgms_real *from, sgms_real *to)
+    const element_point *at, const element_level *level, const sgms_flow_move *moved,
+    const sgms_real *from, sgms_real *to)
 {
     const sgms_real direction = sgms_copy_sign(1.0, at->velocity);
     const sgms_real reach = 1.0 / level->over_level; /* chi at the relative deflection 1 */
     to[0] = direction * reach * moved->r;
     to[ELEMENT_PHI] = sgms_drop_tiny(from[ELEMENT_PHI] * moved->ratio);
     to[ELEMENT_PSI + 0] = sgms_drop_tiny(
-        moved->ratio * from[ELEMENT_PSI + 0] + direction * moved->slope * sgms_fabs(at->velocity) * PIECE_TIME * level->d_rho[0]);
+        moved->ratio * from[ELEMENT_PSI + 0] + direction * moved->slope * sgms_fabs(at->velocity) *
+        PIECE_TIME * level->d_rho[0]);
 }
 
-/* One step by the displacement flow of a tile, VECTOR lanes that fit one vector register. Elastic elements move with the
- * axis; those that slide stay near the fixed point, where a short polynomial does; those in transition look psi and its
- * inverse up; what slips below the speed at which the gate is saturated takes Runge-Kutta steps. Each of these runs over
- * the tile where one of its lanes needs it, and leaves the others as they are. */
-static SGMS_INLINE void element_flow_tile(const sgms_real *SGMS_RESTRICT term, sgms_real *SGMS_RESTRICT block)
+/* One step by the displacement flow of a tile, VECTOR lanes that fit one vector register. Elastic
+ * elements move with the axis; those that slide stay near the fixed point, where a short polynomial
+ * does; those in transition look psi and its inverse up; what slips below the speed at which the
+ * gate is saturated takes Runge-Kutta steps. Each of these runs over the tile where one of its
+ * lanes needs it, and leaves the others as they are. */
+static SGMS_INLINE void element_flow_tile(
+    const sgms_real *SGMS_RESTRICT term, sgms_real *SGMS_RESTRICT block)
 {
     sgms_integer is_slipping[VECTOR], is_sliding[VECTOR], is_moving[VECTOR], is_slow[VECTOR];
     sgms_integer any_slipping = 0, any_sliding = 0, any_moving = 0, any_slow = 0;
@@ -301,12 +318,16 @@ static SGMS_INLINE void element_flow_tile(const sgms_real *SGMS_RESTRICT term, s
         const sgms_real travel = level.rho * at.velocity * PIECE_TIME;
         const sgms_real xi = sgms_fabs(travel * level.over_level);
         const sgms_real r = sgms_fabs(at.chi[0] * level.over_level);
-        /* Below the gate no direction is spared; above it an element sticks while it moves against its deflection. */
+        /* Below the gate no direction is spared; above it an element sticks while it moves against
+         * its deflection. */
         is_slipping[l] = ~sgms_less(r + xi, flow_table.start) &
-                         (sgms_less(sgms_fabs(at.velocity), FLOW_GATE) | ~sgms_less(xi - r, flow_table.start) | sgms_same_sign(at.chi[0], at.velocity));
+                         (sgms_less(sgms_fabs(at.velocity), FLOW_GATE) |
+                             ~sgms_less(xi - r, flow_table.start) |
+                             sgms_same_sign(at.chi[0], at.velocity));
         any_slipping |= is_slipping[l];
         block[l] += sgms_select(is_slipping[l], 0.0, travel);
-        block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] += sgms_select(is_slipping[l], 0.0, at.velocity * PIECE_TIME * level.d_rho[0]);
+        block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] += sgms_select(
+            is_slipping[l], 0.0, at.velocity * PIECE_TIME * level.d_rho[0]);
     }
     if (!any_slipping) {
         return;
@@ -327,8 +348,10 @@ static SGMS_INLINE void element_flow_tile(const sgms_real *SGMS_RESTRICT term, s
         SGMS_LANES for (int l = 0; l < VECTOR; l++) {
             const element_point at = element_at(term + l, LANE_STRIDE, block + l);
             const element_level level = element_level_at(&at);
-            const sgms_flow_move moved = sgms_flow_near(sgms_fabs(at.chi[0] * level.over_level), sgms_flow_decay(element_xi(&at, &level)));
-            const sgms_real from[ELEMENT_ROWS] = { block[0 * LANE_STRIDE + l], block[1 * LANE_STRIDE + l], block[2 * LANE_STRIDE + l] };
+            const sgms_flow_move moved = sgms_flow_near(
+                sgms_fabs(at.chi[0] * level.over_level), sgms_flow_decay(element_xi(&at, &level)));
+            const sgms_real from[ELEMENT_ROWS] = { block[0 * LANE_STRIDE + l],
+                block[1 * LANE_STRIDE + l], block[2 * LANE_STRIDE + l] };
             sgms_real to[ELEMENT_ROWS];
             element_flowed(&at, &level, &moved, from, to);
             block[0 * LANE_STRIDE + l] = sgms_select(is_sliding[l], to[0], from[0]);
@@ -341,8 +364,10 @@ static SGMS_INLINE void element_flow_tile(const sgms_real *SGMS_RESTRICT term, s
             const element_point at = element_at(term + l, LANE_STRIDE, block + l);
             const element_level level = element_level_at(&at);
             const sgms_real direction = sgms_copy_sign(1.0, at.velocity);
-            const sgms_flow_move moved = sgms_flow_step(direction * at.chi[0] * level.over_level, element_xi(&at, &level));
-            const sgms_real from[ELEMENT_ROWS] = { block[0 * LANE_STRIDE + l], block[1 * LANE_STRIDE + l], block[2 * LANE_STRIDE + l] };
+            const sgms_flow_move moved =
+                sgms_flow_step(direction * at.chi[0] * level.over_level, element_xi(&at, &level));
+            const sgms_real from[ELEMENT_ROWS] = { block[0 * LANE_STRIDE + l],
+                block[1 * LANE_STRIDE + l], block[2 * LANE_STRIDE + l] };
             sgms_real to[ELEMENT_ROWS];
             element_flowed(&at, &level, &moved, from, to);
             block[0 * LANE_STRIDE + l] = to[0];
@@ -359,9 +384,12 @@ static SGMS_INLINE void element_flow_tile(const sgms_real *SGMS_RESTRICT term, s
         }
         element_runge_kutta(VECTOR, 1, PIECE_TIME, term, block);
         SGMS_LANES for (int l = 0; l < VECTOR; l++) {
-            block[0 * LANE_STRIDE + l] = sgms_select(is_slow[l], block[0 * LANE_STRIDE + l], had[0 * VECTOR + l]);
-            block[1 * LANE_STRIDE + l] = sgms_select(is_slow[l], block[1 * LANE_STRIDE + l], had[1 * VECTOR + l]);
-            block[2 * LANE_STRIDE + l] = sgms_select(is_slow[l], block[2 * LANE_STRIDE + l], had[2 * VECTOR + l]);
+            block[0 * LANE_STRIDE + l] =
+                sgms_select(is_slow[l], block[0 * LANE_STRIDE + l], had[0 * VECTOR + l]);
+            block[1 * LANE_STRIDE + l] =
+                sgms_select(is_slow[l], block[1 * LANE_STRIDE + l], had[1 * VECTOR + l]);
+            block[2 * LANE_STRIDE + l] =
+                sgms_select(is_slow[l], block[2 * LANE_STRIDE + l], had[2 * VECTOR + l]);
         }
     }
 }
@@ -387,13 +415,15 @@ static void integrate_blocks(const sgms_real *term, sgms_real *blocks)
 {
     sgms_real wide[NODES * TERMS * LANE_STRIDE];
     for (int row = 0; row < NODES * TERMS; row++) {
-        fill(wide + row * LANE_STRIDE, term[row * SERIES_STRIDE], (4 + VECTOR - 1) / VECTOR * VECTOR);
+        fill(wide + row * LANE_STRIDE, term[row * SERIES_STRIDE],
+            (4 + VECTOR - 1) / VECTOR * VECTOR);
     }
     element_step(ELEMENT_BLOCKS, wide, blocks + ELEMENT_PLACE);
 }
 
 /* The interval's map up to where they are. */
-static void blocks_end(const etel_xy_parameters *p, const sgms_real *blocks, const sgms_real *start, interval_map *map)
+static void blocks_end(
+    const etel_xy_parameters *p, const sgms_real *blocks, const sgms_real *start, interval_map *map)
 {
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
         element_end(p, block, blocks + ELEMENT_PLACE + block, start, map);

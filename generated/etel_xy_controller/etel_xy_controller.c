@@ -2,14 +2,17 @@
  *
  * Estimator of etel_xy_controller: moving horizon estimation, square-root condensing.
  *
- * One interval: samples come in and the newest interval is integrated as they do. Meanwhile (prepare) the older nodes of
- * the last solution are found, the one that has moved most since its linearisation is linearised anew, and their
- * nodes condensed, oldest first, from the first one on for which something has changed. The newest interval and its measurement close the sweep and give the estimate (feedback). */
+ * One interval: samples come in and the newest interval is integrated as they do. Meanwhile
+ * (prepare) the older nodes of the last solution are found, the one that has moved most since its
+ * linearisation is linearised anew, and their nodes condensed, oldest first, from the first one on
+ * for which something has changed. The newest interval and its measurement close the sweep and give
+ * the estimate (feedback). */
 #include "etel_xy_controller.h"
 
 #include "etel_xy_controller_compensation.h"
 
-/* Which call is under way, for other tasks to see. VOIDED: a prepare that a reset came into; SPOILT: it is over, and what it left is worth nothing. */
+/* Which call is under way, for other tasks to see. VOIDED: a prepare that a reset came into;
+ * SPOILT: it is over, and what it left is worth nothing. */
 enum { IDLE, PREPARING, FEEDING, VOIDED, SPOILT };
 
 static void copy(sgms_real *to, const sgms_real *from, int count)
@@ -52,8 +55,8 @@ static void restore_factor(sgms_real *factor, const sgms_real *kept)
     copy(factor + 7 * (FACTOR_WIDTH + 1), kept + 42, FACTOR_WIDTH - 7);
 }
 
-/* What is known of theta alone, the lower right triangle of a factor: its inverse is the square root of their
- * covariance. Row by row in the axis's memory, in square where it is worked on. */
+/* What is known of theta alone, the lower right triangle of a factor: its inverse is the square
+ * root of their covariance. Row by row in the axis's memory, in square where it is worked on. */
 static void keep_root(const sgms_real *factor, sgms_real *root)
 {
     for (int i = STATES; i < FACTOR_ROWS; i++) {
@@ -98,15 +101,18 @@ static void prior_root(const etel_xy_controller_t *self, sgms_real *root)
     }
 }
 
-/* By how much, one standard deviation, a parameter's variance may grow: never beyond the prior's, and not at all where it is held. */
-static sgms_real growth_of(const etel_xy_controller_t *self, int p, sgms_real wanted, sgms_real variance)
+/* By how much, one standard deviation, a parameter's variance may grow: never beyond the prior's,
+ * and not at all where it is held. */
+static sgms_real growth_of(
+    const etel_xy_controller_t *self, int p, sgms_real wanted, sgms_real variance)
 {
     const sgms_real most = self->held[p] ? 0.0f : self->settings.parameter;
     return sgms_sqrt(sgms_fmin(wanted, sgms_fmax(0.0f, most * most - variance)));
 }
 
 /* Factor of the prior: independent normal deviates about (x, theta). */
-static void set_factor(const etel_xy_controller_t *self, sgms_real *factor, const sgms_real *inverse_sd, const sgms_real *x)
+static void set_factor(const etel_xy_controller_t *self, sgms_real *factor,
+    const sgms_real *inverse_sd, const sgms_real *x)
 {
     fill(factor, 0.0f, FACTOR_ROWS * FACTOR_WIDTH);
     for (int i = 0; i < STATES; i++) {
@@ -151,7 +157,8 @@ static void start_interval(etel_xy_controller_t *self)
     self->chosen_moved = 1.0f;
 }
 
-/* Window of no interval yet; the node where the next sample stands has mean x. What is known of theta: NULL is the prior. */
+/* Window of no interval yet; the node where the next sample stands has mean x. What is known of
+ * theta: NULL is the prior. */
 static void start_window(etel_xy_controller_t *self, const sgms_real *x, const sgms_real *root)
 {
     self->filling = 0;
@@ -233,15 +240,16 @@ void etel_xy_controller_reset(etel_xy_controller_t *self)
 }
 
 /* Friction force [N] at state x and the newest signals. */
-static sgms_real output_at(const etel_xy_controller_t *self, const sgms_real *x, const sgms_real *theta)
+static sgms_real output_at(
+    const etel_xy_controller_t *self, const sgms_real *x, const sgms_real *theta)
 {
     const model_point at = { x, self->signal, theta };
     sgms_real c[STATES], d[PARAMETERS];
     return output_force(&at, c, d);
 }
 
-/* What a reading says of (x, theta) at a node, as a row of the least squares: its sensitivities, and to the right what
- * they have to give. `at` is where its output is linearised. */
+/* What a reading says of (x, theta) at a node, as a row of the least squares: its sensitivities,
+ * and to the right what they have to give. `at` is where its output is linearised. */
 static void node_row(const model_point *at, sgms_real measured, sgms_real *row)
 {
     sgms_real right = measured - output_force(at, row, row + STATES);
@@ -254,9 +262,11 @@ static void node_row(const model_point *at, sgms_real measured, sgms_real *row)
     row[FACTOR_ROWS] = right;
 }
 
-/* The same of a reading inside an interval, over the node `start` where that begins; `map` leads to the reading. */
+/* The same of a reading inside an interval, over the node `start` of its start; `map` leads to
+ * it. */
 static void inner_row(
-    const etel_xy_controller_t *self, const interval_map *map, const sgms_real *start, const sgms_real *w, sgms_real measured, sgms_real *row)
+    const etel_xy_controller_t *self, const interval_map *map, const sgms_real *start,
+    const sgms_real *w, sgms_real measured, sgms_real *row)
 {
     const model_point at = { map->x, w, self->parameters.theta };
     sgms_real c[STATES], d[PARAMETERS];
@@ -280,11 +290,13 @@ static void inner_row(
     row[FACTOR_ROWS] = right;
 }
 
-/* Predict a reading from the factor, which knows all before it. Returns the inverse of the standard deviation that it
- * is to be taken with: more than the stated one while readings contradict what is predicted of them (docs/weights.md). */
+/* Predict a reading from the factor, which knows all before it. Returns the inverse of the standard
+ * deviation that it is to be taken with: more than the stated one while readings contradict what is
+ * predicted of them (docs/weights.md). */
 static sgms_real weigh_row(etel_xy_controller_t *self, const sgms_real *row)
 {
-    sgms_real solved[FACTOR_ROWS]; /* R' u = row: u'u is the variance of the prediction, u'b the prediction */
+    /* R' u = row: u'u is the variance of the prediction, u'b the prediction */
+    sgms_real solved[FACTOR_ROWS];
     const sgms_real stated = self->settings.measurement;
     sgms_real innovation = row[FACTOR_ROWS], predicted = stated * stated, ratio, counted;
     for (int i = 0; i < FACTOR_ROWS; i++) {
@@ -304,7 +316,8 @@ static sgms_real weigh_row(etel_xy_controller_t *self, const sgms_real *row)
     self->reading.test_ratio = ratio;
     {
         const sgms_real wild = ratio * (1.0f / RATIO_FREE) * sgms_fmax(1.0f, self->ratio_fast);
-        const sgms_real need = sgms_fmax(sgms_fmax(1.0f, wild), sgms_fmax(self->ratio_fast, self->ratio_slow));
+        const sgms_real need =
+            sgms_fmax(sgms_fmax(1.0f, wild), sgms_fmax(self->ratio_fast, self->ratio_slow));
         const sgms_real sd = sgms_sqrt(stated * stated + (need - 1.0f) * predicted);
         self->reading.noise_scale = sd / stated;
         return 1.0f / sd;
@@ -322,10 +335,12 @@ static void fold_row(sgms_real *factor, sgms_real weight, sgms_real *row)
     sgms_qr_add_row(factor, FACTOR_ROWS, used);
 }
 
-/* What the reading at the start of an interval says, with the weight that it got: zeros where there is none. */
+/* What the reading at the start of an interval says, with the weight that it got: zeros where there
+ * is none. */
 static void start_row(const etel_xy_controller_t *self, int slot, sgms_real *row)
 {
-    const model_point at = { self->node + slot * STATES, self->node_signal + slot * SIGNALS, self->parameters.theta };
+    const model_point at =
+        { self->node + slot * STATES, self->node_signal + slot * SIGNALS, self->parameters.theta };
     fill(row, 0.0f, FACTOR_WIDTH);
     if (self->node_weight[slot] > 0.0f) {
         node_row(&at, self->node_friction[slot], row);
@@ -339,7 +354,8 @@ static void start_row(const etel_xy_controller_t *self, int slot, sgms_real *row
 static void take_inner(etel_xy_controller_t *self, int measured, sgms_real friction)
 {
     const int j = (int)self->step / SPACING - 1, at = (int)self->filling * INNER + j;
-    sgms_real *const row = self->inner_rows + (int)self->side * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
+    sgms_real *const row =
+        self->inner_rows + (int)self->side * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
     self->inner_weight[at] = measured ? 1.0f : 0.0f;
     self->inner_friction[at] = friction;
     self->inner_signal[at * INNER_SIGNALS + 0] = self->signal[W_VELOCITY];
@@ -355,19 +371,21 @@ static void take_inner(etel_xy_controller_t *self, int measured, sgms_real frict
     self->arrived = j + 1;
 }
 
-/* Fold the next reading inside the newest interval, weighed by what all before it predicts; the sweep has reached it. */
+/* Fold the next reading inside the newest interval, weighed by what all before it predicts; the
+ * sweep has reached it. */
 static void fold_next(etel_xy_controller_t *self)
 {
     const int j = (int)self->folded++, at = (int)self->filling * INNER + j;
-    sgms_real *const row = self->inner_rows + (int)self->side * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
+    sgms_real *const row =
+        self->inner_rows + (int)self->side * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
     if (self->inner_weight[at] > 0.0f) {
         self->inner_weight[at] = weigh_row(self, row);
         fold_row(self->factor, self->inner_weight[at], row);
     }
 }
 
-/* Fold the readings of an older interval at once: that at its start, if there is one, and those inside, in the rows after
- * it. The factor is over its start. They are used up. */
+/* Fold the readings of an older interval at once: that at its start, if there is one, and those
+ * inside, in the rows after it. The factor is over its start. They are used up. */
 static void fold_rows(etel_xy_controller_t *self, int slot, sgms_real *rows)
 {
     sgms_real *const factor = self->factor;
@@ -375,12 +393,14 @@ static void fold_rows(etel_xy_controller_t *self, int slot, sgms_real *rows)
     start_row(self, slot, rows);
     for (int c = 0; c < FACTOR_ROWS; c++) {
         const int reach = c + 2 < 9 ? c + 2 : 9; /* row i of the triangle begins in column i - 1 */
-        sgms_reflect(factor + c * FACTOR_WIDTH, rows, reach, FACTOR_WIDTH, FACTOR_WIDTH, c, reflector);
+        sgms_reflect(
+            factor + c * FACTOR_WIDTH, rows, reach, FACTOR_WIDTH, FACTOR_WIDTH, c, reflector);
     }
 }
 
 /* The row of a reading inside an older interval, linearised anew and weighed as it was. */
-static void renew_inner(etel_xy_controller_t *self, int at, const interval_map *map, const sgms_real *start, sgms_real *row)
+static void renew_inner(etel_xy_controller_t *self, int at, const interval_map *map,
+    const sgms_real *start, sgms_real *row)
 {
     sgms_real w[SIGNALS] = { 0.0f };
     w[W_VELOCITY] = self->inner_signal[at * INNER_SIGNALS + 0];
@@ -415,22 +435,25 @@ static void fold_interval(etel_xy_controller_t *self, int slot)
     fold_rows(self, slot, rows);
 }
 
-/* Let theta walk over so many intervals: its covariance in the factor grows, but never beyond the prior's. */
+/* Let theta walk over so many intervals: its covariance in the factor grows, but never beyond the
+ * prior's. */
 static void add_drift(const etel_xy_controller_t *self, sgms_real *factor, int intervals)
 {
     const sgms_real drift = self->settings.drift;
     sgms_real variance[PARAMETERS], growth[PARAMETERS], work[FACTOR_WIDTH];
-    sgms_variances(factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH, variance, work);
+    sgms_variances(
+        factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH, variance, work);
     for (int p = 0; p < PARAMETERS; p++) {
         growth[p] = growth_of(self, p, (sgms_real)intervals * (drift * drift), variance[p]);
     }
     sgms_qr_grow(factor, FACTOR_ROWS, PARAMETERS, growth, work);
 }
 
-/* Defect of state i over an interval, x_k+1 - A x_k - B theta - rest over its standard deviation, as a row [-A, -B, rest]
- * of the least squares; of A the columns of `couples` alone, the rest is zero. The map is linearised at `start` and the
- * parameters of the last estimate. */
-static void defect_row(const etel_xy_controller_t *self, int i, const sgms_real *start, const interval_map *map, sgms_real *row)
+/* Defect of state i over an interval, x_k+1 - A x_k - B theta - rest over its standard deviation,
+ * as a row [-A, -B, rest] of the least squares; of A the columns of `couples` alone, the rest is
+ * zero. The map is linearised at `start` and the parameters of the last estimate. */
+static void defect_row(const etel_xy_controller_t *self, int i, const sgms_real *start,
+    const interval_map *map, sgms_real *row)
 {
     const sgms_real *const a = map->a + i * STATES, *const b = map->b + i * PARAMETERS;
     const sgms_real inverse_noise = 1.0f / self->settings.state[i];
@@ -447,16 +470,18 @@ static void defect_row(const etel_xy_controller_t *self, int i, const sgms_real 
     row[DEFECT_WIDTH - 1] = inverse_noise * rest;
 }
 
-static void defect_rows(const etel_xy_controller_t *self, const sgms_real *start, const interval_map *map, sgms_real *rows)
+static void defect_rows(const etel_xy_controller_t *self, const sgms_real *start,
+    const interval_map *map, sgms_real *rows)
 {
     for (int i = 0; i < STATES; i++) {
         defect_row(self, i, start, map, rows + i * DEFECT_WIDTH);
     }
 }
 
-/* Condense an interval: the factor over its start and theta, (x_k, theta), becomes that over (x_k+1, theta). The rows
- * that give x_k back go to `kept`. */
-static void condense(const etel_xy_controller_settings_t *settings, sgms_real *factor, const sgms_real *rows, sgms_real *kept)
+/* Condense an interval: the factor over its start and theta, (x_k, theta), becomes that over
+ * (x_k+1, theta). The rows that give x_k back go to `kept`. */
+static void condense(const etel_xy_controller_settings_t *settings, sgms_real *factor,
+    const sgms_real *rows, sgms_real *kept)
 {
     sgms_real low[STATES * KEPT_WIDTH], reflector[STATES];
     for (int i = 0; i < STATES; i++) {
@@ -473,22 +498,26 @@ static void condense(const etel_xy_controller_settings_t *settings, sgms_real *f
         top[STATES + i] = 1.0f / settings->state[i];
         copy(top + 2 * STATES, rows + i * DEFECT_WIDTH + COUPLED, PARAMETERS + 1);
     }
-    /* R_x is triangular and A couples the states of a block alone: a column reaches no further down than its block, or
-     * an earlier one. */
+    /* R_x is triangular and A couples the states of a block alone: a column reaches no further down
+     * than its block, or an earlier one. */
     sgms_reflect(kept + 0 * KEPT_WIDTH, low, 1, KEPT_WIDTH, KEPT_WIDTH, 0, reflector);
     sgms_reflect(kept + 1 * KEPT_WIDTH, low, 2, KEPT_WIDTH, KEPT_WIDTH, 1, reflector);
     sgms_reflect(kept + 2 * KEPT_WIDTH, low, 3, KEPT_WIDTH, KEPT_WIDTH, 2, reflector);
     sgms_reflect(kept + 3 * KEPT_WIDTH, low, 4, KEPT_WIDTH, KEPT_WIDTH, 3, reflector);
-    sgms_reflect(low + 0 * KEPT_WIDTH + STATES, low + 1 * KEPT_WIDTH + STATES, 3, KEPT_WIDTH, FACTOR_WIDTH, 0, reflector);
-    sgms_reflect(low + 1 * KEPT_WIDTH + STATES, low + 2 * KEPT_WIDTH + STATES, 2, KEPT_WIDTH, FACTOR_WIDTH, 1, reflector);
-    sgms_reflect(low + 2 * KEPT_WIDTH + STATES, low + 3 * KEPT_WIDTH + STATES, 1, KEPT_WIDTH, FACTOR_WIDTH, 2, reflector);
+    sgms_reflect(low + 0 * KEPT_WIDTH + STATES, low + 1 * KEPT_WIDTH + STATES, 3, KEPT_WIDTH,
+        FACTOR_WIDTH, 0, reflector);
+    sgms_reflect(low + 1 * KEPT_WIDTH + STATES, low + 2 * KEPT_WIDTH + STATES, 2, KEPT_WIDTH,
+        FACTOR_WIDTH, 1, reflector);
+    sgms_reflect(low + 2 * KEPT_WIDTH + STATES, low + 3 * KEPT_WIDTH + STATES, 1, KEPT_WIDTH,
+        FACTOR_WIDTH, 2, reflector);
     for (int i = 0; i < STATES; i++) {
         copy(factor + i * FACTOR_WIDTH, low + i * KEPT_WIDTH + STATES, FACTOR_WIDTH);
     }
 }
 
 /* x from the rows [R_x, R_n, R_theta, b] of a node, the next node's state and theta. */
-static void expand(const sgms_real *rows, int width, int next_states, const sgms_real *next, const sgms_real *theta, sgms_real *x)
+static void expand(const sgms_real *rows, int width, int next_states, const sgms_real *next,
+    const sgms_real *theta, sgms_real *x)
 {
     sgms_real right[STATES];
     for (int i = 0; i < STATES; i++) {
@@ -529,8 +558,8 @@ static void keep_rows(etel_xy_controller_t *self, int slot, const interval_map *
     }
 }
 
-/* How far the ends of an interval have moved since it was linearised, by the linearisation itself: the largest of them
- * over how far it may, squared. */
+/* How far the ends of an interval have moved since it was linearised, by the linearisation itself:
+ * the largest of them over how far it may, squared. */
 static sgms_real moved_most(const etel_xy_controller_t *self, int slot)
 {
     const sgms_real *x = self->node + slot * STATES;
@@ -575,7 +604,8 @@ static void start_sweep(etel_xy_controller_t *self)
     const int is_growing = self->settings.drift > 0.0f && self->shifts >= DRIFT_INTERVAL;
     sgms_real *start;
     if (self->complete > 0) {
-        keep_inner(self, slot_before(self, 1), self->inner_rows + (1 - (int)self->side) * INNER * FACTOR_WIDTH);
+        keep_inner(self, slot_before(self, 1), self->inner_rows +
+            (1 - (int)self->side) * INNER * FACTOR_WIDTH);
     }
     if (self->chosen_slot >= 0) {
         const int32_t ago = self->filling - self->chosen_slot, back = ago < 0 ? ago + SLOTS : ago;
@@ -609,7 +639,8 @@ static void linearise_step(etel_xy_controller_t *self, int step)
     integrate_blocks(self->term + step * NODES * TERMS * SERIES_STRIDE + slot, self->chosen);
     if ((step + 1) % SPACING == 0) {
         interval_map map;
-        sgms_real *const rows = self->inner_rows + (1 - (int)self->side) * INNER * FACTOR_WIDTH; /* free until the next update */
+        /* free until the next update */
+        sgms_real *const rows = self->inner_rows + (1 - (int)self->side) * INNER * FACTOR_WIDTH;
         const int j = (step + 1) / SPACING - 1;
         blocks_end(&self->parameters, self->chosen, start, &map);
         if (j < INNER) {
@@ -621,7 +652,8 @@ static void linearise_step(etel_xy_controller_t *self, int step)
     }
 }
 
-/* Condense the interval `back` before the newest. After the last one, the newest's own readings can be folded. */
+/* Condense the interval `back` before the newest. After the last one, the newest's own readings can
+ * be folded. */
 static void condense_node(etel_xy_controller_t *self, int back)
 {
     const int slot = slot_before(self, back);
@@ -631,9 +663,10 @@ static void condense_node(etel_xy_controller_t *self, int back)
     }
 }
 
-/* Units of the work that does not need the newest sample, in their order: nodes of the last solution to expand, the
- * start of the sweep, steps of the intervals to linearise anew; of each older interval its readings to fold, its node to
- * condense; then readings of the newest one as they come. */
+/* Units of the work that does not need the newest sample, in their order: nodes of the last
+ * solution to expand, the start of the sweep, steps of the intervals to linearise anew; of each
+ * older interval its readings to fold, its node to condense; then readings of the newest one as
+ * they come. */
 typedef struct {
     int nodes, steps, condensed;
 } workload;
@@ -669,7 +702,8 @@ static int next_cost(const etel_xy_controller_t *self)
 static void work(etel_xy_controller_t *self)
 {
     const workload of = workload_of(self);
-    const int at = (int)self->cursor - of.nodes, swept = at - of.steps - 1, back = of.condensed - swept / 2;
+    const int at = (int)self->cursor - of.nodes, swept = at - of.steps - 1,
+        back = of.condensed - swept / 2;
     if (swept >= 2 * of.condensed) {
         fold_next(self);
         return;
@@ -690,7 +724,8 @@ static void work(etel_xy_controller_t *self)
 
 void etel_xy_controller_prepare(etel_xy_controller_t *self)
 {
-    if (self->phase != IDLE || !self->started) { /* before the first sample there is no first node */
+    /* before the first sample there is no first node */
+    if (self->phase != IDLE || !self->started) {
         return;
     }
     self->phase = PREPARING;
@@ -707,7 +742,8 @@ int etel_xy_controller_due(const etel_xy_controller_t *self)
     return self->step == STEPS;
 }
 
-/* Parameters from the triangular factor, within their bounds. Returns how many bounds are active. */
+/* Parameters from the triangular factor, within their bounds. Returns the number of active
+ * bounds. */
 static int solve_theta(const etel_xy_controller_t *self, sgms_real *theta)
 {
     const sgms_real *triangle = self->factor + STATES * FACTOR_WIDTH + STATES;
@@ -716,7 +752,8 @@ static int solve_theta(const etel_xy_controller_t *self, sgms_real *theta)
         right[i] = self->factor[(STATES + i) * FACTOR_WIDTH + FACTOR_ROWS];
     }
     {
-        const sgms_box box = { triangle, PARAMETERS, FACTOR_WIDTH, right, self->settings.lower, self->settings.upper };
+        const sgms_box box = { triangle, PARAMETERS, FACTOR_WIDTH, right, self->settings.lower,
+            self->settings.upper };
         int pinned[PARAMETERS];
         sgms_real scratch[(PARAMETERS + 1) * (PARAMETERS + 1)];
         return sgms_box_least_squares(&box, theta, pinned, scratch);
@@ -742,7 +779,8 @@ static int is_plausible(const sgms_real *x)
     return count == STATES;
 }
 
-/* There is no solution: keep the last good estimate and start the window from it. Returns the status, which says why. */
+/* There is no solution: keep the last good estimate and start the window from it. Returns the
+ * status, which says why. */
 static int start_again(etel_xy_controller_t *self, int status)
 {
     sgms_real w[SIGNALS];
@@ -770,10 +808,12 @@ static void take_newest(etel_xy_controller_t *self, sgms_real *x)
     copy(x, map.x, STATES);
 }
 
-/* Move the window on. Returns the slot of the next interval and adds to the status while the window fills. */
+/* Move the window on. Returns the slot of the next interval and adds to the status while the window
+ * fills. */
 static int shift_window(etel_xy_controller_t *self, int *status)
 {
-    const int next = slot_before(self, -1); /* where the interval stands that leaves a full window */
+    /* where the interval stands that leaves a full window */
+    const int next = slot_before(self, -1);
     const int is_full = self->complete == HORIZON - 1;
     if (is_full) {
         self->shifts++;
@@ -807,7 +847,8 @@ static int update(etel_xy_controller_t *self)
     }
     status += solve_theta(self, theta) > 0 ? ETEL_XY_CONTROLLER_BOUND : 0;
     expand(self->factor, FACTOR_WIDTH, 0, x, theta, x);
-    sgms_variances(self->factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH, variance, scratch);
+    sgms_variances(
+        self->factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH, variance, scratch);
     if (!is_plausible(x) || !all_finite(theta, PARAMETERS) || !all_finite(variance, PARAMETERS)) {
         return start_again(self, ETEL_XY_CONTROLLER_NUMERIC);
     }
@@ -829,7 +870,8 @@ static int update(etel_xy_controller_t *self)
     status += self->last_valid ? 0 : ETEL_XY_CONTROLLER_MISSING;
     status += self->path[self->filling] < HOLD_PATH ? ETEL_XY_CONTROLLER_HOLD : 0;
     status += self->too_fast ? ETEL_XY_CONTROLLER_SPEED : 0;
-    status += self->ratio_fast > DOUBTED_FAST || self->ratio_slow > DOUBTED_SLOW ? ETEL_XY_CONTROLLER_DOUBT : 0;
+    status += self->ratio_fast > DOUBTED_FAST || self->ratio_slow > DOUBTED_SLOW
+        ? ETEL_XY_CONTROLLER_DOUBT : 0;
     status += self->lost ? ETEL_XY_CONTROLLER_OVERRUN : 0;
     self->lost = 0;
     next = shift_window(self, &status);
@@ -863,7 +905,8 @@ int etel_xy_controller_feedback(etel_xy_controller_t *self)
     return status;
 }
 
-/* One step of the series: store its terms, move the newest interval. Signals are the lines mean + tau slope, tau from -1 to 1. */
+/* One step of the series: store its terms, move the newest interval. Signals are the lines mean +
+ * tau slope, tau from -1 to 1. */
 static void take_step(etel_xy_controller_t *self, const sgms_real *mean, const sgms_real *slope)
 {
     sgms_real *term = self->term + self->step * NODES * TERMS * SERIES_STRIDE + self->filling;
@@ -891,9 +934,11 @@ static SGMS_INLINE void extend_series(etel_xy_controller_t *self)
 }
 
 /* Keep the newest signals, and say whether they were readings: otherwise the last ones hold. */
-static SGMS_INLINE int take_signals(etel_xy_controller_t *self, const etel_xy_controller_signals *signals)
+static SGMS_INLINE int take_signals(
+    etel_xy_controller_t *self, const etel_xy_controller_signals *signals)
 {
-    const int good = sgms_is_reading(signals->velocity) && sgms_fabs(signals->position) < SGMS_FARTHEST &&
+    const int good =
+        sgms_is_reading(signals->velocity) && sgms_fabs(signals->position) < SGMS_FARTHEST &&
                      sgms_is_reading(signals->acceleration) && sgms_is_reading(signals->force);
     if (good) { /* those that the model reads */
         self->signal[W_VELOCITY] = signals->velocity;
@@ -913,7 +958,8 @@ static void start_series(etel_xy_controller_t *self, int measured, sgms_real fri
 }
 
 /* Take the signals of one sample in. */
-static SGMS_INLINE void take_sample(etel_xy_controller_t *self, const etel_xy_controller_signals *signals)
+static SGMS_INLINE void take_sample(
+    etel_xy_controller_t *self, const etel_xy_controller_signals *signals)
 {
     const int good = take_signals(self, signals);
     const int measured = good && signals->valid && sgms_is_reading(signals->friction);
@@ -938,7 +984,8 @@ static SGMS_INLINE void take_sample(etel_xy_controller_t *self, const etel_xy_co
     }
 }
 
-etel_xy_controller_real etel_xy_controller_insert(etel_xy_controller_t *self, const etel_xy_controller_signals *signals)
+etel_xy_controller_real etel_xy_controller_insert(
+    etel_xy_controller_t *self, const etel_xy_controller_signals *signals)
 {
     self->through_chain = 0;
     self->lag = 0.0f;
@@ -948,13 +995,16 @@ etel_xy_controller_real etel_xy_controller_insert(etel_xy_controller_t *self, co
 }
 
 /* Take one sample of the machine's own signals in. */
-static void take_reading(etel_xy_controller_t *self, etel_xy_controller_position position, etel_xy_controller_real force)
+static void take_reading(
+    etel_xy_controller_t *self, etel_xy_controller_position position, etel_xy_controller_real force)
 {
     const sgms_filter_memory memory = {
-        self->chain_position, self->chain_lowpass, self->chain_last, self->chain_counts, self->moved };
+        self->chain_position, self->chain_lowpass, self->chain_last, self->chain_counts,
+            self->moved };
     const sgms_aligned aligned = sgms_filter_step(&chain, &memory, position.pm, force);
     const etel_xy_controller_signals signals = {
-        aligned.position, aligned.velocity, aligned.acceleration, aligned.force, aligned.friction, aligned.valid,
+        aligned.position, aligned.velocity, aligned.acceleration, aligned.force, aligned.friction,
+            aligned.valid,
         0.0 };
     follow_lag(self, sgms_metres(self->chain_position[1]));
     self->through_chain = 1;
@@ -962,21 +1012,25 @@ static void take_reading(etel_xy_controller_t *self, etel_xy_controller_position
     follow_compensation(self);
 }
 
-etel_xy_controller_real etel_xy_controller_sample(etel_xy_controller_t *self, etel_xy_controller_position position, etel_xy_controller_real force)
+etel_xy_controller_real etel_xy_controller_sample(
+    etel_xy_controller_t *self, etel_xy_controller_position position, etel_xy_controller_real force)
 {
     take_reading(self, position, force);
     return fed_forward(self);
 }
 
-etel_xy_controller_real etel_xy_controller_tick(etel_xy_controller_t *self, etel_xy_controller_position position, etel_xy_controller_real force)
+etel_xy_controller_real etel_xy_controller_tick(
+    etel_xy_controller_t *self, etel_xy_controller_position position, etel_xy_controller_real force)
 {
     take_reading(self, position, force);
     if (etel_xy_controller_due(self)) {
         (void)etel_xy_controller_feedback(self);
         return fed_forward(self);
     }
-    if (self->phase == IDLE && self->merged_count > 0) { /* otherwise another task prepares, or this sample took a step */
-        for (int left = COST_PER_SAMPLE, cost = next_cost(self); cost > 0 && cost <= left; cost = next_cost(self)) {
+    /* otherwise another task prepares, or this sample took a step */
+    if (self->phase == IDLE && self->merged_count > 0) {
+        for (int left = COST_PER_SAMPLE, cost = next_cost(self); cost > 0 && cost <= left;
+            cost = next_cost(self)) {
             work(self);
             left -= cost;
         }
@@ -984,7 +1038,8 @@ etel_xy_controller_real etel_xy_controller_tick(etel_xy_controller_t *self, etel
     return fed_forward(self);
 }
 
-void etel_xy_controller_ahead(etel_xy_controller_t *self, etel_xy_controller_real velocity, etel_xy_controller_real acceleration)
+void etel_xy_controller_ahead(etel_xy_controller_t *self, etel_xy_controller_real velocity,
+    etel_xy_controller_real acceleration)
 {
     if (sgms_is_reading(velocity) && sgms_is_reading(acceleration)) {
         self->ahead[0] = velocity;
@@ -1003,7 +1058,8 @@ etel_xy_controller_real etel_xy_controller_share(const etel_xy_controller_t *sel
     return self->gain;
 }
 
-void etel_xy_controller_estimate(const etel_xy_controller_t *self, etel_xy_controller_estimate_t *estimate)
+void etel_xy_controller_estimate(
+    const etel_xy_controller_t *self, etel_xy_controller_estimate_t *estimate)
 {
     const model_point at = { self->good_state, self->signal, self->good_theta };
     sgms_real root[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], scratch[PARAMETERS];
@@ -1033,7 +1089,8 @@ void etel_xy_controller_estimate(const etel_xy_controller_t *self, etel_xy_contr
 
 int etel_xy_controller_check(size_t size, uint32_t header)
 {
-    return size == sizeof(etel_xy_controller_t) && header == ETEL_XY_CONTROLLER_HEADER ? ETEL_XY_CONTROLLER_OK : ETEL_XY_CONTROLLER_MISMATCH;
+    return size == sizeof(etel_xy_controller_t) && header == ETEL_XY_CONTROLLER_HEADER
+        ? ETEL_XY_CONTROLLER_OK : ETEL_XY_CONTROLLER_MISMATCH;
 }
 
 const char *etel_xy_controller_status_text(int status)
@@ -1048,7 +1105,8 @@ const char *etel_xy_controller_status_text(int status)
         return "refused: the application was compiled against another header";
     }
     if (status == ETEL_XY_CONTROLLER_REFUSED) {
-        return "refused: a number out of its range, or what was saved is damaged or another machine's";
+        return
+            "refused: a number out of its range, or what was saved is damaged or another machine's";
     }
     if (status < 0) {
         return "refused: the solution was not finite or absurd; the last good estimate stays";
@@ -1074,7 +1132,8 @@ const char *etel_xy_controller_status_text(int status)
     return (status & ETEL_XY_CONTROLLER_FILLING) ? "the window is filling" : "good";
 }
 
-/* A checksum of what was saved, all that stands behind it (CRC-32): any single bit, and any burst of 32, changes it. */
+/* A checksum of what was saved, all that stands behind it (CRC-32): any single bit, and any burst
+ * of 32, changes it. */
 static SGMS_COLD uint32_t checksum_of(const etel_xy_controller_saved_t *saved)
 {
     const unsigned char *const bytes = (const unsigned char *)saved;
@@ -1121,7 +1180,8 @@ static SGMS_COLD int are_valid(const etel_xy_controller_settings_t *settings)
     for (int i = 0; i < STATES; i++) {
         good = good && is_size(settings->state[i]);
     }
-    for (int p = 0; p < PARAMETERS; p++) { /* nominal values have to be within, and lower ones below upper ones: an axis starts there */
+    /* nominal values have to be within, and lower ones below upper ones: an axis starts there */
+    for (int p = 0; p < PARAMETERS; p++) {
         good = good && settings->lower[p] <= 1.0f && settings->upper[p] >= 1.0f;
         good = good && settings->lower[p] * 0.0f == 0.0f && settings->upper[p] * 0.0f == 0.0f;
     }
@@ -1139,7 +1199,8 @@ SGMS_COLD void etel_xy_controller_settings(etel_xy_controller_settings_t *settin
     copy(settings->upper, upper_bound, PARAMETERS);
 }
 
-SGMS_COLD int etel_xy_controller_init_with(etel_xy_controller_t *self, const etel_xy_controller_settings_t *settings)
+SGMS_COLD int etel_xy_controller_init_with(
+    etel_xy_controller_t *self, const etel_xy_controller_settings_t *settings)
 {
     etel_xy_controller_init(self);
     if (!are_valid(settings)) {
@@ -1160,8 +1221,10 @@ SGMS_COLD int etel_xy_controller_set_mass(etel_xy_controller_t *self, etel_xy_co
     return ETEL_XY_CONTROLLER_OK;
 }
 
-/* Start the window anew at the newest signals, with theta[p] and what `square` knows of the parameters; the states go on. */
-static SGMS_COLD void start_with(etel_xy_controller_t *self, int p, sgms_real theta, const sgms_real *square)
+/* Start the window anew at the newest signals, with theta[p] and what `square` knows of the
+ * parameters; the states go on. */
+static SGMS_COLD void start_with(
+    etel_xy_controller_t *self, int p, sgms_real theta, const sgms_real *square)
 {
     const int started = self->started;
     const sgms_real *const node = self->node + self->filling * STATES;
@@ -1191,12 +1254,14 @@ static SGMS_COLD void start_with(etel_xy_controller_t *self, int p, sgms_real th
     self->started = started;
 }
 
-/* Let theta[p] be known apart from the others, as well as this; what is known of the others stays. */
-static SGMS_COLD void set_theta(etel_xy_controller_t *self, int p, sgms_real theta, sgms_real inverse_sd)
+/* Let theta[p] be known this well, apart from the others, of which nothing is lost. */
+static SGMS_COLD void set_theta(
+    etel_xy_controller_t *self, int p, sgms_real theta, sgms_real inverse_sd)
 {
     sgms_real square[PARAMETERS * ROOT_WIDTH], scratch[PARAMETERS];
     unpack_root(self->good_root, square);
-    /* With its column in front, the rows below the first are what is known of the others whatever it is. */
+    /* With its column in front, the rows below the first are what is known of the others whatever
+     * it is. */
     for (int i = 0; i < PARAMETERS; i++) {
         sgms_real *const row = square + i * ROOT_WIDTH;
         const sgms_real moved = row[p];
@@ -1230,7 +1295,8 @@ SGMS_COLD int etel_xy_controller_hold(etel_xy_controller_t *self, int parameter,
     return ETEL_XY_CONTROLLER_OK;
 }
 
-SGMS_COLD int etel_xy_controller_set_parameter(etel_xy_controller_t *self, int parameter, etel_xy_controller_real value, etel_xy_controller_real deviation)
+SGMS_COLD int etel_xy_controller_set_parameter(etel_xy_controller_t *self, int parameter,
+    etel_xy_controller_real value, etel_xy_controller_real deviation)
 {
     sgms_real nominal[PARAMETERS], si[PARAMETERS], theta, sd;
     sgms_real whole[PARAMETERS];
@@ -1245,7 +1311,8 @@ SGMS_COLD int etel_xy_controller_set_parameter(etel_xy_controller_t *self, int p
         return ETEL_XY_CONTROLLER_REFUSED;
     }
     { /* one that came from an estimate at its bound may be beyond by rounding */
-        const sgms_real lower = self->settings.lower[parameter], upper = self->settings.upper[parameter];
+        const sgms_real lower = self->settings.lower[parameter],
+            upper = self->settings.upper[parameter];
         if (theta < lower - HELD_SD || theta > upper + HELD_SD) {
             return ETEL_XY_CONTROLLER_REFUSED;
         }
@@ -1261,7 +1328,8 @@ SGMS_COLD int etel_xy_controller_set_parameter(etel_xy_controller_t *self, int p
     return ETEL_XY_CONTROLLER_OK;
 }
 
-SGMS_COLD int etel_xy_controller_save(const etel_xy_controller_t *self, etel_xy_controller_saved_t *saved)
+SGMS_COLD int etel_xy_controller_save(
+    const etel_xy_controller_t *self, etel_xy_controller_saved_t *saved)
 {
     saved->format = ETEL_XY_CONTROLLER_SAVED_FORMAT;
     saved->machine[0] = ETEL_XY_CONTROLLER_SAVED_MACHINE_0;
@@ -1283,20 +1351,27 @@ SGMS_COLD int etel_xy_controller_save(const etel_xy_controller_t *self, etel_xy_
 }
 
 /* Whether what was saved is of this machine, whole, and what an axis can have learned. */
-static SGMS_COLD int is_whole(const etel_xy_controller_t *self, const etel_xy_controller_saved_t *saved, const sgms_real *variance)
+static SGMS_COLD int is_whole(const etel_xy_controller_t *self,
+    const etel_xy_controller_saved_t *saved, const sgms_real *variance)
 {
-    int good = saved->format == ETEL_XY_CONTROLLER_SAVED_FORMAT && saved->checksum == checksum_of(saved);
-    good = good && saved->machine[0] == ETEL_XY_CONTROLLER_SAVED_MACHINE_0 && saved->machine[1] == ETEL_XY_CONTROLLER_SAVED_MACHINE_1;
-    good = good && all_finite(saved->theta, PARAMETERS) && all_finite(saved->root, ETEL_XY_CONTROLLER_ROOT_SIZE);
+    int good =
+        saved->format == ETEL_XY_CONTROLLER_SAVED_FORMAT && saved->checksum == checksum_of(saved);
+    good = good && saved->machine[0] == ETEL_XY_CONTROLLER_SAVED_MACHINE_0 &&
+        saved->machine[1] == ETEL_XY_CONTROLLER_SAVED_MACHINE_1;
+    good = good && all_finite(saved->theta, PARAMETERS) &&
+        all_finite(saved->root, ETEL_XY_CONTROLLER_ROOT_SIZE);
     good = good && is_model(saved->theta);
-    good = good && all_finite(variance, PARAMETERS) && saved->ratio >= 0.0f && saved->ratio <= RATIO_MOST;
+    good = good && all_finite(variance, PARAMETERS) && saved->ratio >= 0.0f &&
+        saved->ratio <= RATIO_MOST;
     return good && within_bounds(self, saved->theta);
 }
 
-SGMS_COLD int etel_xy_controller_load(etel_xy_controller_t *self, const etel_xy_controller_saved_t *saved)
+SGMS_COLD int etel_xy_controller_load(
+    etel_xy_controller_t *self, const etel_xy_controller_saved_t *saved)
 {
     const sgms_real zero[STATES] = { 0.0f };
-    sgms_real square[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], growth[PARAMETERS], scratch[ROOT_WIDTH];
+    sgms_real square[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], growth[PARAMETERS],
+        scratch[ROOT_WIDTH];
     start_fresh(self);
     unpack_root(saved->root, square);
     sgms_variances(square, PARAMETERS, ROOT_WIDTH, variance, scratch);

@@ -3,10 +3,10 @@
  * Integration of etel_xy_controller over one step of the series, with sensitivities:
  * displacement flow, Runge-Kutta (rk4) where it does not apply.
  *
- * Blocks are independent, so each is integrated by itself: all blocks of the interval under way side by side in lanes,
- * and those of the older one that is linearised anew.
- * The rows of a block, LANE_STRIDE numbers apart, are chi (m), d(chi)/d(chi at the start) (m x m), d(chi)/dq (m x n_q), and
- * behind them what is constant over an interval. */
+ * Blocks are independent, so each is integrated by itself: all blocks of the interval under way
+ * side by side in lanes, and those of the older one that is linearised anew. The rows of a block,
+ * LANE_STRIDE numbers apart, are chi (m), d(chi)/d(chi at the start) (m x m), d(chi)/dq (m x n_q),
+ * and behind them what is constant over an interval. */
 #ifndef ETEL_XY_CONTROLLER_INTEGRATOR_H
 #define ETEL_XY_CONTROLLER_INTEGRATOR_H
 
@@ -29,19 +29,24 @@ static inline void fill(sgms_real *to, sgms_real value, int count)
 /* States of each block, group by group. */
 static const uint8_t block_states[BLOCKS][LARGEST_BLOCK] = { {0}, {1}, {2}, {3} };
 
-/* A step of the series is three nodes, its start, middle and end, and the signals are lines in between. */
+/* A step of the series is three nodes, its start, middle and end, and the signals are lines in
+ * between. */
 enum { MIDDLE = TERMS * LANE_STRIDE, LAST = 2 * TERMS * LANE_STRIDE };
 
-/* Terms of one lane at the fraction `at` of a step: the signals are interpolated, and their functions follow. */
+/* Terms of one lane at the fraction `at` of a step: the signals are interpolated, and their
+ * functions follow. */
 static inline void interpolated_terms(const sgms_real *nodes, sgms_real at, sgms_real *term)
 {
     sgms_real w[SIGNALS] = { 0.0f };
-    w[W_VELOCITY] = nodes[0 * LANE_STRIDE] + at * (nodes[LAST + 0 * LANE_STRIDE] - nodes[0 * LANE_STRIDE]);
+    w[W_VELOCITY] =
+        nodes[0 * LANE_STRIDE] + at * (nodes[LAST + 0 * LANE_STRIDE] - nodes[0 * LANE_STRIDE]);
     sample_terms(w, term, LANE_STRIDE);
 }
 
-/* Terms at the fraction `at` of a step in all lanes; `between` receives them where that is none of its nodes. */
-static SGMS_INLINE const sgms_real *terms_at(int lanes, sgms_real at, const sgms_real *nodes, sgms_real *between)
+/* Terms at the fraction `at` of a step in all lanes; `between` receives them where that is none of
+ * its nodes. */
+static SGMS_INLINE const sgms_real *terms_at(
+    int lanes, sgms_real at, const sgms_real *nodes, sgms_real *between)
 {
     if (at == 0.0f || at == 0.5f || at == 1.0f) {
         return nodes + (at > 0.0f ? MIDDLE : 0) + (at > 0.5f ? MIDDLE : 0);
@@ -59,8 +64,8 @@ enum {
     CUT = -2         /* in two pieces: the velocity changes sign */
 };
 
-/* A step that is cut where the velocity changes sign: of each piece its share of the step, mean |v| and nodes, in
- * lane 0. */
+/* A step that is cut where the velocity changes sign: of each piece its share of the step, mean |v|
+ * and nodes, in lane 0. */
 typedef struct {
     sgms_real share[2], speed[2], nodes[2][NODES * TERMS * LANE_STRIDE];
 } cut_step;
@@ -75,7 +80,8 @@ static void cut_at_sign(const sgms_real *nodes, cut_step *cut)
     for (int i = 0; i < 2; i++) {
         for (int node = 0; node < NODES; node++) {
             const sgms_real start = i > 0 ? cut->share[0] : 0.0f;
-            interpolated_terms(nodes, start + 0.5f * (sgms_real)node * cut->share[i], cut->nodes[i] + node * MIDDLE);
+            interpolated_terms(nodes, start + 0.5f * (sgms_real)node * cut->share[i],
+                cut->nodes[i] + node * MIDDLE);
         }
     }
 }
@@ -121,7 +127,8 @@ typedef struct {
 } element_point;
 
 /* That of one lane; its terms lie `stride` numbers apart. */
-static SGMS_INLINE element_point element_at(const sgms_real *term, int stride, const sgms_real *block)
+static SGMS_INLINE element_point element_at(
+    const sgms_real *term, int stride, const sgms_real *block)
 {
     const element_point at = {
         { block[0 * LANE_STRIDE] },
@@ -132,9 +139,10 @@ static SGMS_INLINE element_point element_at(const sgms_real *term, int stride, c
     return at;
 }
 
-/* Put a block at its node into a lane whose rows are zero: chi, identity for its derivative, and what is constant over
- * the interval. */
-static void element_start(const etel_xy_controller_parameters *p, int block, const sgms_real *node, sgms_real *lane)
+/* Put a block at its node into a lane whose rows are zero: chi, identity for its derivative, and
+ * what is constant over the interval. */
+static void element_start(
+    const etel_xy_controller_parameters *p, int block, const sgms_real *node, sgms_real *lane)
 {
     for (int i = 0; i < ELEMENT_STATES; i++) {
         const int state = block_states[ELEMENT_FIRST + block][i];
@@ -148,7 +156,8 @@ static void element_start(const etel_xy_controller_parameters *p, int block, con
 
 /* Rows of an interval's map that belong to one block, which lies in `lane`. */
 static void element_end(
-    const etel_xy_controller_parameters *p, int block, const sgms_real *lane, const sgms_real *start, interval_map *map)
+    const etel_xy_controller_parameters *p, int block, const sgms_real *lane,
+    const sgms_real *start, interval_map *map)
 {
     const sgms_real *const d_q = p->d_q + (ELEMENT_FIRST_Q + block * ELEMENT_Q) * PARAMETERS;
     for (int i = 0; i < ELEMENT_STATES; i++) {
@@ -178,7 +187,8 @@ static void element_end(
                 b += by_q[k] * d_q[k * PARAMETERS + j];
             }
             for (int k = 0; k < ELEMENT_STATES; k++) {
-                b -= by_scale[k] * p->d_scale[block_states[ELEMENT_FIRST + block][k] * PARAMETERS + j];
+                b -= by_scale[k] * p->d_scale[block_states[ELEMENT_FIRST + block][k] * PARAMETERS +
+                    j];
             }
             b_row[j] = b;
         }
@@ -224,7 +234,8 @@ static inline element_drive element_drive_at(const element_point *at)
     return drive;
 }
 
-/* Equations (1) and (3), window and gate as two logistic functions that share a division. Powers are of two. */
+/* Equations (1) and (3), window and gate as two logistic functions that share a division. Powers
+ * are of two. */
 static inline element_rhs element_rhs_at(const element_point *at, const element_drive *drive)
 {
     const element_level level = element_level_at(at);
@@ -246,7 +257,8 @@ static inline element_rhs element_rhs_at(const element_point *at, const element_
 }
 
 /* Slopes k of all rows y of a block that move: those of its sensitivities by the chain rule. */
-static SGMS_INLINE void element_slopes(const element_drive *drive, const sgms_real *term, const sgms_real *block, const sgms_real *y, sgms_real *k)
+static SGMS_INLINE void element_slopes(const element_drive *drive, const sgms_real *term,
+    const sgms_real *block, const sgms_real *y, sgms_real *k)
 {
     element_point at = element_at(term, LANE_STRIDE, block);
     element_rhs rhs;
@@ -257,9 +269,9 @@ static SGMS_INLINE void element_slopes(const element_drive *drive, const sgms_re
     k[2] = rhs.d_chi[0] * y[2] + rhs.d_q[0];
 }
 
-/* `substeps` equal Runge-Kutta steps over the time `duration` in all lanes.
- * Every stage but the first stands at y + a h k with the slope k before it, so the stages' weighted states hold the sum of
- * the slopes but for the last.
+/* `substeps` equal Runge-Kutta steps over the time `duration` in all lanes. Every stage but the
+ * first stands at y + a h k with the slope k before it, so the stages' weighted states hold the sum
+ * of the slopes but for the last.
  */
 static void element_runge_kutta(
     int lanes,
@@ -330,17 +342,20 @@ static void element_runge_kutta(
                 block[2 * LANE_STRIDE + l] + h * 1.0f * slope[2 * LANE_STRIDE + l]};
             sgms_real k[ELEMENT_ROWS];
             element_slopes(&drive, term + l, block + l, y, k);
-            block[0 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333334f * block[0 * LANE_STRIDE + l] + (sum[0 * LANE_STRIDE + l] + 0.33333334f * y[0]) + h * 0.16666667f * k[0]);
-            block[1 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333334f * block[1 * LANE_STRIDE + l] + (sum[1 * LANE_STRIDE + l] + 0.33333334f * y[1]) + h * 0.16666667f * k[1]);
-            block[2 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333334f * block[2 * LANE_STRIDE + l] + (sum[2 * LANE_STRIDE + l] + 0.33333334f * y[2]) + h * 0.16666667f * k[2]);
+            block[0 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333334f * block[0 * LANE_STRIDE + l] +
+                (sum[0 * LANE_STRIDE + l] + 0.33333334f * y[0]) + h * 0.16666667f * k[0]);
+            block[1 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333334f * block[1 * LANE_STRIDE + l] +
+                (sum[1 * LANE_STRIDE + l] + 0.33333334f * y[1]) + h * 0.16666667f * k[1]);
+            block[2 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333334f * block[2 * LANE_STRIDE + l] +
+                (sum[2 * LANE_STRIDE + l] + 0.33333334f * y[2]) + h * 0.16666667f * k[2]);
         }
     }
 }
 
-/* `substeps` equal Runge-Kutta steps over the time `duration` in all lanes, signals along the line of a step.
- * A substep starts with the terms at which the one before it ends.
- * Every stage but the first stands at y + a h k with the slope k before it, so the stages' weighted states hold the sum of
- * the slopes but for the last.
+/* `substeps` equal Runge-Kutta steps over the time `duration` in all lanes, signals along the line
+ * of a step. A substep starts with the terms at which the one before it ends. Every stage but the
+ * first stands at y + a h k with the slope k before it, so the stages' weighted states hold the sum
+ * of the slopes but for the last.
  */
 static void element_runge_kutta_line(
     int lanes,
@@ -375,7 +390,8 @@ static void element_runge_kutta_line(
             slope[1 * LANE_STRIDE + l] = k[1];
             slope[2 * LANE_STRIDE + l] = k[2];
         }
-        term = substeps == 1 ? nodes + MIDDLE : terms_at(lanes, ((sgms_real)substep + 0.5f) / (sgms_real)substeps, nodes, between);
+        term = substeps == 1 ? nodes + MIDDLE : terms_at(lanes,
+            ((sgms_real)substep + 0.5f) / (sgms_real)substeps, nodes, between);
         SGMS_LANES for (int l = 0; l < lanes; l++) {
             const element_point at = element_at(term + l, LANE_STRIDE, block + l);
             const element_drive drive = element_drive_at(&at);
@@ -413,7 +429,8 @@ static void element_runge_kutta_line(
             sum[2 * LANE_STRIDE + l] += 0.6666667f * y[2];
             slope[2 * LANE_STRIDE + l] = k[2];
         }
-        term = substeps == 1 ? nodes + LAST : terms_at(lanes, ((sgms_real)substep + 1.0f) / (sgms_real)substeps, nodes, between);
+        term = substeps == 1 ? nodes + LAST : terms_at(lanes,
+            ((sgms_real)substep + 1.0f) / (sgms_real)substeps, nodes, between);
         SGMS_LANES for (int l = 0; l < lanes; l++) {
             const element_point at = element_at(term + l, LANE_STRIDE, block + l);
             const element_drive drive = element_drive_at(&at);
@@ -429,9 +446,12 @@ static void element_runge_kutta_line(
                 block[2 * LANE_STRIDE + l] + h * 1.0f * slope[2 * LANE_STRIDE + l]};
             sgms_real k[ELEMENT_ROWS];
             element_slopes(&drive, term + l, block + l, y, k);
-            block[0 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333334f * block[0 * LANE_STRIDE + l] + (sum[0 * LANE_STRIDE + l] + 0.33333334f * y[0]) + h * 0.16666667f * k[0]);
-            block[1 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333334f * block[1 * LANE_STRIDE + l] + (sum[1 * LANE_STRIDE + l] + 0.33333334f * y[1]) + h * 0.16666667f * k[1]);
-            block[2 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333334f * block[2 * LANE_STRIDE + l] + (sum[2 * LANE_STRIDE + l] + 0.33333334f * y[2]) + h * 0.16666667f * k[2]);
+            block[0 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333334f * block[0 * LANE_STRIDE + l] +
+                (sum[0 * LANE_STRIDE + l] + 0.33333334f * y[0]) + h * 0.16666667f * k[0]);
+            block[1 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333334f * block[1 * LANE_STRIDE + l] +
+                (sum[1 * LANE_STRIDE + l] + 0.33333334f * y[1]) + h * 0.16666667f * k[1]);
+            block[2 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333334f * block[2 * LANE_STRIDE + l] +
+                (sum[2 * LANE_STRIDE + l] + 0.33333334f * y[2]) + h * 0.16666667f * k[2]);
         }
     }
 }
@@ -444,21 +464,25 @@ static inline sgms_real element_xi(const element_point *at, const element_level 
 
 /* Rows of an element that the flow has moved. */
 static SGMS_INLINE void element_flowed(
-    const element_point *at, const element_level *level, const sgms_flow_move *moved, const sgms_real *from, sgms_real *to)
+    const element_point *at, const element_level *level, const sgms_flow_move *moved,
+    const sgms_real *from, sgms_real *to)
 {
     const sgms_real direction = sgms_copy_sign(1.0f, at->velocity);
     const sgms_real reach = 1.0f / level->over_level; /* chi at the relative deflection 1 */
     to[0] = direction * reach * moved->r;
     to[ELEMENT_PHI] = sgms_drop_tiny(from[ELEMENT_PHI] * moved->ratio);
     to[ELEMENT_PSI + 0] = sgms_drop_tiny(
-        moved->ratio * from[ELEMENT_PSI + 0] + direction * moved->slope * sgms_fabs(at->velocity) * PIECE_TIME * level->d_rho[0]);
+        moved->ratio * from[ELEMENT_PSI + 0] + direction * moved->slope * sgms_fabs(at->velocity) *
+        PIECE_TIME * level->d_rho[0]);
 }
 
-/* One step by the displacement flow of a tile, VECTOR lanes that fit one vector register. Elastic elements move with the
- * axis; those that slide stay near the fixed point, where a short polynomial does; those in transition look psi and its
- * inverse up; what slips below the speed at which the gate is saturated takes Runge-Kutta steps. Each of these runs over
- * the tile where one of its lanes needs it, and leaves the others as they are. */
-static SGMS_INLINE void element_flow_tile(const sgms_real *SGMS_RESTRICT term, sgms_real *SGMS_RESTRICT block)
+/* One step by the displacement flow of a tile, VECTOR lanes that fit one vector register. Elastic
+ * elements move with the axis; those that slide stay near the fixed point, where a short polynomial
+ * does; those in transition look psi and its inverse up; what slips below the speed at which the
+ * gate is saturated takes Runge-Kutta steps. Each of these runs over the tile where one of its
+ * lanes needs it, and leaves the others as they are. */
+static SGMS_INLINE void element_flow_tile(
+    const sgms_real *SGMS_RESTRICT term, sgms_real *SGMS_RESTRICT block)
 {
     sgms_integer is_slipping[VECTOR], is_sliding[VECTOR], is_moving[VECTOR], is_slow[VECTOR];
     sgms_integer any_slipping = 0, any_sliding = 0, any_moving = 0, any_slow = 0;
@@ -468,12 +492,16 @@ static SGMS_INLINE void element_flow_tile(const sgms_real *SGMS_RESTRICT term, s
         const sgms_real travel = level.rho * at.velocity * PIECE_TIME;
         const sgms_real xi = sgms_fabs(travel * level.over_level);
         const sgms_real r = sgms_fabs(at.chi[0] * level.over_level);
-        /* Below the gate no direction is spared; above it an element sticks while it moves against its deflection. */
+        /* Below the gate no direction is spared; above it an element sticks while it moves against
+         * its deflection. */
         is_slipping[l] = ~sgms_less(r + xi, flow_table.start) &
-                         (sgms_less(sgms_fabs(at.velocity), FLOW_GATE) | ~sgms_less(xi - r, flow_table.start) | sgms_same_sign(at.chi[0], at.velocity));
+                         (sgms_less(sgms_fabs(at.velocity), FLOW_GATE) |
+                             ~sgms_less(xi - r, flow_table.start) |
+                             sgms_same_sign(at.chi[0], at.velocity));
         any_slipping |= is_slipping[l];
         block[l] += sgms_select(is_slipping[l], 0.0f, travel);
-        block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] += sgms_select(is_slipping[l], 0.0f, at.velocity * PIECE_TIME * level.d_rho[0]);
+        block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] += sgms_select(
+            is_slipping[l], 0.0f, at.velocity * PIECE_TIME * level.d_rho[0]);
     }
     if (!any_slipping) {
         return;
@@ -494,8 +522,10 @@ static SGMS_INLINE void element_flow_tile(const sgms_real *SGMS_RESTRICT term, s
         SGMS_LANES for (int l = 0; l < VECTOR; l++) {
             const element_point at = element_at(term + l, LANE_STRIDE, block + l);
             const element_level level = element_level_at(&at);
-            const sgms_flow_move moved = sgms_flow_near(sgms_fabs(at.chi[0] * level.over_level), sgms_flow_decay(element_xi(&at, &level)));
-            const sgms_real from[ELEMENT_ROWS] = { block[0 * LANE_STRIDE + l], block[1 * LANE_STRIDE + l], block[2 * LANE_STRIDE + l] };
+            const sgms_flow_move moved = sgms_flow_near(
+                sgms_fabs(at.chi[0] * level.over_level), sgms_flow_decay(element_xi(&at, &level)));
+            const sgms_real from[ELEMENT_ROWS] = { block[0 * LANE_STRIDE + l],
+                block[1 * LANE_STRIDE + l], block[2 * LANE_STRIDE + l] };
             sgms_real to[ELEMENT_ROWS];
             element_flowed(&at, &level, &moved, from, to);
             block[0 * LANE_STRIDE + l] = sgms_select(is_sliding[l], to[0], from[0]);
@@ -508,8 +538,10 @@ static SGMS_INLINE void element_flow_tile(const sgms_real *SGMS_RESTRICT term, s
             const element_point at = element_at(term + l, LANE_STRIDE, block + l);
             const element_level level = element_level_at(&at);
             const sgms_real direction = sgms_copy_sign(1.0f, at.velocity);
-            const sgms_flow_move moved = sgms_flow_step(direction * at.chi[0] * level.over_level, element_xi(&at, &level));
-            const sgms_real from[ELEMENT_ROWS] = { block[0 * LANE_STRIDE + l], block[1 * LANE_STRIDE + l], block[2 * LANE_STRIDE + l] };
+            const sgms_flow_move moved =
+                sgms_flow_step(direction * at.chi[0] * level.over_level, element_xi(&at, &level));
+            const sgms_real from[ELEMENT_ROWS] = { block[0 * LANE_STRIDE + l],
+                block[1 * LANE_STRIDE + l], block[2 * LANE_STRIDE + l] };
             sgms_real to[ELEMENT_ROWS];
             element_flowed(&at, &level, &moved, from, to);
             block[0 * LANE_STRIDE + l] = to[0];
@@ -526,9 +558,12 @@ static SGMS_INLINE void element_flow_tile(const sgms_real *SGMS_RESTRICT term, s
         }
         element_runge_kutta(VECTOR, 1, PIECE_TIME, term, block);
         SGMS_LANES for (int l = 0; l < VECTOR; l++) {
-            block[0 * LANE_STRIDE + l] = sgms_select(is_slow[l], block[0 * LANE_STRIDE + l], had[0 * VECTOR + l]);
-            block[1 * LANE_STRIDE + l] = sgms_select(is_slow[l], block[1 * LANE_STRIDE + l], had[1 * VECTOR + l]);
-            block[2 * LANE_STRIDE + l] = sgms_select(is_slow[l], block[2 * LANE_STRIDE + l], had[2 * VECTOR + l]);
+            block[0 * LANE_STRIDE + l] =
+                sgms_select(is_slow[l], block[0 * LANE_STRIDE + l], had[0 * VECTOR + l]);
+            block[1 * LANE_STRIDE + l] =
+                sgms_select(is_slow[l], block[1 * LANE_STRIDE + l], had[1 * VECTOR + l]);
+            block[2 * LANE_STRIDE + l] =
+                sgms_select(is_slow[l], block[2 * LANE_STRIDE + l], had[2 * VECTOR + l]);
         }
     }
 }
@@ -540,20 +575,25 @@ static void element_step(int lanes, const sgms_real *term, sgms_real *block)
     }
 }
 
-/* Substeps of a line of mean velocity `speed` and duration `share` of a step; MERGED where samples cost less. */
+/* Substeps of a line of mean velocity `speed` and duration `share` of a step; MERGED where samples
+ * cost less. */
 static inline int element_line_count(sgms_real speed, sgms_real share, const sgms_real *block)
 {
-    const sgms_real wanted = share * (speed * block[ELEMENT_SUBSTEPS * LANE_STRIDE] + block[ELEMENT_AT_REST * LANE_STRIDE]);
-    return wanted > (sgms_real)(MERGED - 1) ? MERGED : 1 + (int)wanted - (wanted > 0.0f && (sgms_real)(int)wanted == wanted);
+    const sgms_real wanted = share * (speed * block[ELEMENT_SUBSTEPS * LANE_STRIDE] +
+        block[ELEMENT_AT_REST * LANE_STRIDE]);
+    return wanted > (sgms_real)(MERGED - 1) ? MERGED
+        : 1 + (int)wanted - (wanted > 0.0f && (sgms_real)(int)wanted == wanted);
 }
 
-/* How a lane takes a step: Runge-Kutta substeps along its line, CUT, or SAMPLEWISE where that costs less. */
+/* How a lane takes a step: Runge-Kutta substeps along its line, CUT, or SAMPLEWISE where that costs
+ * less. */
 static inline int element_step_kind(const sgms_real *nodes, const sgms_real *block)
 {
     const sgms_real middle = nodes[MIDDLE], slope = sgms_fabs(nodes[LAST] - middle);
     int count;
     if (slope > sgms_fabs(middle)) {
-        const sgms_real before = sgms_fabs(nodes[0]), after = sgms_fabs(nodes[LAST]), share = before / (before + after);
+        const sgms_real before = sgms_fabs(nodes[0]), after = sgms_fabs(nodes[LAST]),
+            share = before / (before + after);
         count = element_line_count(0.5f * before, share, block);
         if (count < MERGED) {
             count = element_line_count(0.5f * after, 1.0f - share, block);
@@ -582,7 +622,8 @@ static void element_take_tile(int kind, const sgms_real *nodes, sgms_real *block
     if (kind == SAMPLEWISE) {
         for (int sample = 0; sample < MERGED; sample++) {
             sgms_real between[TERMS * LANE_STRIDE];
-            const sgms_real *term = terms_at(VECTOR, ((sgms_real)sample + 0.5f) * 0.2f, nodes, between);
+            const sgms_real *term =
+                terms_at(VECTOR, ((sgms_real)sample + 0.5f) * 0.2f, nodes, between);
             element_step(VECTOR, term, block);
         }
         return;
@@ -590,9 +631,9 @@ static void element_take_tile(int kind, const sgms_real *nodes, sgms_real *block
     element_runge_kutta_line(VECTOR, kind, STEP_TIME, nodes, block);
 }
 
-/* What goes through one step together: `lanes` side by side, with their signals in `nodes`, or all with those of lane 0
- * (`is_shared`); and `rows` of such, one behind the other, with the same signals. Item row * LANE_STRIDE + lane is the
- * block in that row and lane. */
+/* What goes through one step together: `lanes` side by side, with their signals in `nodes`, or all
+ * with those of lane 0 (`is_shared`); and `rows` of such, one behind the other, with the same
+ * signals. Item row * LANE_STRIDE + lane is the block in that row and lane. */
 typedef struct {
     int rows, lanes, is_shared;
     const sgms_real *nodes;
@@ -608,7 +649,8 @@ static inline sgms_real *element_item(const element_batch *batch, int item)
 static inline void element_gather(
     const element_batch *batch, const int *items, int count, sgms_real *tile_nodes, sgms_real *tile)
 {
-    const sgms_real *const nodes = batch->nodes + items[0] % LANE_STRIDE, *const block = element_item(batch, items[0]);
+    const sgms_real *const nodes = batch->nodes + items[0] % LANE_STRIDE,
+        *const block = element_item(batch, items[0]);
     for (int row = 0; row < NODES * TERMS * LANE_STRIDE; row += LANE_STRIDE) {
         fill(tile_nodes + row, nodes[row], VECTOR);
     }
@@ -621,8 +663,8 @@ static inline void element_gather(
     }
 }
 
-/* Take every item its own kind of step. Those of one kind are gathered into tiles, so that a vector register is full of
- * them; where nothing vectorises each is taken where it stands. */
+/* Take every item its own kind of step. Those of one kind are gathered into tiles, so that a vector
+ * register is full of them; where nothing vectorises each is taken where it stands. */
 static void element_take_kinds(const element_batch *batch, int *kind)
 {
     const int end = (batch->rows - 1) * LANE_STRIDE + batch->lanes;
@@ -669,7 +711,8 @@ typedef struct {
     sgms_real fastest[LANE_STRIDE];   /* bound of the mean |v|, m/s */
     sgms_real farthest[LANE_STRIDE];  /* largest f_C / s(v) */
     sgms_real over_mean[LANE_STRIDE]; /* f_C / s(v), mean over displacement */
-    sgms_real change[LANE_STRIDE];    /* half the change of the level's line over displacement, over f_C */
+    /* half the change of the level's line over displacement, over f_C */
+    sgms_real change[LANE_STRIDE];
     sgms_integer is_fast[LANE_STRIDE];   /* the gate is saturated all along */
     sgms_integer is_steady[LANE_STRIDE]; /* and the level changes little */
 } element_line;
@@ -692,27 +735,33 @@ static SGMS_INLINE void element_line_of(int lanes, const sgms_real *nodes, eleme
         const sgms_real slope = nodes[LAST + l] - middle;
         const sgms_real speed = sgms_fabs(middle);
         const sgms_real weight = 0.16666667f / (speed + 1e-30f);
-        const sgms_real at_start = weight * sgms_fabs(nodes[l]), at_end = weight * sgms_fabs(nodes[LAST + l]);
+        const sgms_real at_start = weight * sgms_fabs(nodes[l]),
+            at_end = weight * sgms_fabs(nodes[LAST + l]);
         const sgms_real over_start = element_over_level(nodes + l);
         const sgms_real over_middle = element_over_level(nodes + MIDDLE + l);
         const sgms_real over_end = element_over_level(nodes + LAST + l);
-        const sgms_real over_mean = at_start * over_start + 0.6666667f * over_middle + at_end * over_end;
+        const sgms_real over_mean =
+            at_start * over_start + 0.6666667f * over_middle + at_end * over_end;
         const sgms_real mean = 1.0f / over_mean;
         const sgms_real change =
             3.0f * (at_end * (1.0f / over_end - mean) - at_start * (1.0f / over_start - mean)) -
             6.0f * weight * slope * sgms_copy_sign(1.0f, middle) * (1.0f / over_middle - mean);
-        const sgms_real farthest = over_middle + 0.5f * (sgms_fabs(over_start - over_middle) + (over_start - over_middle));
-        line->farthest[l] = farthest + 0.5f * (sgms_fabs(over_end - farthest) + (over_end - farthest));
+        const sgms_real farthest =
+            over_middle + 0.5f * (sgms_fabs(over_start - over_middle) + (over_start - over_middle));
+        line->farthest[l] =
+            farthest + 0.5f * (sgms_fabs(over_end - farthest) + (over_end - farthest));
         line->fastest[l] = 0.5f * (speed + sgms_fabs(slope) + sgms_fabs(speed - sgms_fabs(slope)));
         line->over_mean[l] = over_mean;
         line->change[l] = change;
         line->is_fast[l] = sgms_less(FLOW_GATE + sgms_fabs(slope), speed);
-        line->is_steady[l] = line->is_fast[l] & ~sgms_less(FLOW_LEVEL_CHANGE * mean, sgms_fabs(change));
+        line->is_steady[l] =
+            line->is_fast[l] & ~sgms_less(FLOW_LEVEL_CHANGE * mean, sgms_fabs(change));
     }
 }
 
-/* Elements of a tile that stay elastic move with the axis; those that slide all through the step take the flow at the
- * mean level and the answer to the level's line; the others' kinds of step are set. `line` is that of the first lane. */
+/* Elements of a tile that stay elastic move with the axis; those that slide all through the step
+ * take the flow at the mean level and the answer to the level's line; the others' kinds of step are
+ * set. `line` is that of the first lane. */
 static SGMS_INLINE void element_line_tile(
     int of, const element_line *line, const sgms_real *nodes, sgms_real *block, int *kind)
 {
@@ -722,14 +771,17 @@ static SGMS_INLINE void element_line_tile(
         const element_point at = element_at(nodes + MIDDLE + l, LANE_STRIDE, block + l);
         const element_level level = element_level_at(&at);
         const sgms_real r_most = sgms_fabs(at.chi[0] * line->farthest[of + l]);
-        const sgms_real reach = level.rho * STEP_TIME * line->fastest[of + l] * line->farthest[of + l];
+        const sgms_real reach =
+            level.rho * STEP_TIME * line->fastest[of + l] * line->farthest[of + l];
         /* Against its deflection an element sticks where the gate is saturated all along. */
         is_slipping[l] =
             ~sgms_less(r_most + reach, flow_table.start) &
-            (~line->is_fast[of + l] | ~sgms_less(reach - r_most, flow_table.start) | sgms_same_sign(at.chi[0], at.velocity));
+            (~line->is_fast[of + l] | ~sgms_less(reach - r_most, flow_table.start) |
+                sgms_same_sign(at.chi[0], at.velocity));
         any_slipping |= is_slipping[l];
         block[l] += sgms_select(is_slipping[l], 0.0f, level.rho * at.velocity * STEP_TIME);
-        block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] += sgms_select(is_slipping[l], 0.0f, at.velocity * STEP_TIME * level.d_rho[0]);
+        block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] += sgms_select(
+            is_slipping[l], 0.0f, at.velocity * STEP_TIME * level.d_rho[0]);
         kind[l] = DONE;
     }
     if (!any_slipping) {
@@ -738,7 +790,8 @@ static SGMS_INLINE void element_line_tile(
     SGMS_LANES for (int l = 0; l < VECTOR; l++) {
         const sgms_real chi = block[l];
         const sgms_real r = sgms_fabs(chi * line->over_mean[of + l]);
-        is_sliding[l] = is_slipping[l] & line->is_steady[of + l] & sgms_same_sign(chi, nodes[MIDDLE + l]) & sgms_flow_is_near(r);
+        is_sliding[l] = is_slipping[l] & line->is_steady[of + l] &
+            sgms_same_sign(chi, nodes[MIDDLE + l]) & sgms_flow_is_near(r);
         any_sliding |= is_sliding[l];
     }
     if (any_sliding) {
@@ -754,17 +807,28 @@ static SGMS_INLINE void element_line_tile(
             const sgms_real x = flow_table.k * xi;
             const sgms_integer is_short = sgms_less(x, 0.5f);
             const sgms_real far = 2.0f * (1.0f - decay) / sgms_select(is_short, 1.0f, x);
-            const sgms_real phi = sgms_select(is_short, x * x * (0.16666667f - x * (0.083333336f - x * (0.025f - x * (0.0055555557f - x * (0.0009920635f - x * (0.00014880953f - x * 1.9290124e-05f)))))), 1.0f + decay - far);
-            const sgms_real d_phi = sgms_select(is_short, x * x * (0.33333334f - x * (0.25f - x * (0.1f - x * (0.027777778f - x * (0.005952381f - x * (0.0010416667f - x * 0.000154321f)))))), far - decay * (x + 2.0f));
+            const sgms_real phi = sgms_select(is_short,
+                x * x * (0.16666667f - x * (0.083333336f -
+                x * (0.025f - x * (0.0055555557f -
+                x * (0.0009920635f - x * (0.00014880953f - x * 1.9290124e-05f)))))),
+                1.0f + decay - far);
+            const sgms_real d_phi = sgms_select(is_short,
+                x * x * (0.33333334f - x * (0.25f -
+                x * (0.1f - x * (0.027777778f - x *
+                (0.005952381f - x * (0.0010416667f - x * 0.000154321f)))))),
+                far - decay * (x + 2.0f));
             const sgms_real answer = phi * (flow_table.r_star * line->change[of + l]);
             const sgms_real grown = d_phi * (flow_table.r_star * line->change[of + l]);
             const sgms_real bend = FLOW_BEND * answer * over_mean; /* small: exp(-bend) */
-            const sgms_real ratio = moved.ratio * (1.0f - bend * (1.0f - 0.5f * bend * (1.0f - 0.33333334f * bend)));
+            const sgms_real ratio =
+                moved.ratio * (1.0f - bend * (1.0f - 0.5f * bend * (1.0f - 0.33333334f * bend)));
             const sgms_real by_rho = direction * (mean * moved.slope * xi + grown) / level.rho;
             const sgms_real psi0 = block[(ELEMENT_PSI + 0) * LANE_STRIDE + l];
             const sgms_real phi_row = block[ELEMENT_PHI * LANE_STRIDE + l];
-            block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] = sgms_select(is_sliding[l], sgms_drop_tiny(ratio * psi0 + by_rho * level.d_rho[0]), psi0);
-            block[ELEMENT_PHI * LANE_STRIDE + l] = sgms_select(is_sliding[l], sgms_drop_tiny(phi_row * ratio), phi_row);
+            block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] = sgms_select(
+                is_sliding[l], sgms_drop_tiny(ratio * psi0 + by_rho * level.d_rho[0]), psi0);
+            block[ELEMENT_PHI * LANE_STRIDE + l] =
+                sgms_select(is_sliding[l], sgms_drop_tiny(phi_row * ratio), phi_row);
             block[l] = sgms_select(is_sliding[l], direction * (mean * moved.r + answer), at.chi[0]);
         }
     }
@@ -776,7 +840,8 @@ static SGMS_INLINE void element_line_tile(
 }
 
 /* One step of merged samples; the arguments are the fields of a batch. */
-static SGMS_INLINE void element_line_step(int rows, int lanes, int is_shared, const sgms_real *nodes, sgms_real *blocks)
+static SGMS_INLINE void element_line_step(
+    int rows, int lanes, int is_shared, const sgms_real *nodes, sgms_real *blocks)
 {
     const element_batch batch = { rows, lanes, is_shared, nodes, blocks };
     int kind[ELEMENT_BLOCKS * LANE_STRIDE];
@@ -786,7 +851,8 @@ static SGMS_INLINE void element_line_step(int rows, int lanes, int is_shared, co
         sgms_real *const block = blocks + row * ELEMENT_SIZE * LANE_STRIDE;
         int l = 0;
         for (; l < lanes; l += VECTOR) {
-            element_line_tile(is_shared ? 0 : l, &line, nodes + l, block + l, kind + row * LANE_STRIDE + l);
+            element_line_tile(
+                is_shared ? 0 : l, &line, nodes + l, block + l, kind + row * LANE_STRIDE + l);
         }
         for (; row + 1 < rows && l < LANE_STRIDE; l++) { /* up to the next row */
             kind[row * LANE_STRIDE + l] = DONE;
@@ -796,7 +862,8 @@ static SGMS_INLINE void element_line_step(int rows, int lanes, int is_shared, co
 }
 
 /* Put all blocks of one interval side by side at its node. */
-static void start_blocks(const etel_xy_controller_parameters *p, const sgms_real *node, sgms_real *blocks)
+static void start_blocks(
+    const etel_xy_controller_parameters *p, const sgms_real *node, sgms_real *blocks)
 {
     fill(blocks, 0.0f, BLOCKS_SIZE);
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
@@ -809,13 +876,15 @@ static void integrate_blocks(const sgms_real *term, sgms_real *blocks)
 {
     sgms_real wide[NODES * TERMS * LANE_STRIDE];
     for (int row = 0; row < NODES * TERMS; row++) {
-        fill(wide + row * LANE_STRIDE, term[row * SERIES_STRIDE], (4 + VECTOR - 1) / VECTOR * VECTOR);
+        fill(wide + row * LANE_STRIDE, term[row * SERIES_STRIDE],
+            (4 + VECTOR - 1) / VECTOR * VECTOR);
     }
     element_line_step(1, ELEMENT_BLOCKS, 1, wide, blocks + ELEMENT_PLACE);
 }
 
 /* The interval's map up to where they are. */
-static void blocks_end(const etel_xy_controller_parameters *p, const sgms_real *blocks, const sgms_real *start, interval_map *map)
+static void blocks_end(const etel_xy_controller_parameters *p, const sgms_real *blocks,
+    const sgms_real *start, interval_map *map)
 {
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
         element_end(p, block, blocks + ELEMENT_PLACE + block, start, map);
@@ -823,7 +892,8 @@ static void blocks_end(const etel_xy_controller_parameters *p, const sgms_real *
 }
 
 /* The states there, where what they depend on is of no interest. */
-static void blocks_states(const etel_xy_controller_parameters *p, const sgms_real *blocks, sgms_real *x)
+static void blocks_states(
+    const etel_xy_controller_parameters *p, const sgms_real *blocks, sgms_real *x)
 {
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
         for (int i = 0; i < ELEMENT_STATES; i++) {

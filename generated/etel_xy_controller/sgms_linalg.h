@@ -1,4 +1,5 @@
-/* Small dense least squares in square-root form. Matrices are row-major; nothing forms J'J, so single precision works.
+/* Small dense least squares in square-root form. Matrices are row-major; nothing forms J'J, so
+ * single precision works.
  */
 #ifndef SGMS_LINALG_H
 #define SGMS_LINALG_H
@@ -12,27 +13,23 @@
 #define SGMS_FROM(c) (c)
 #endif
 
-/* A sum of squares below it has lost digits, and what it would reflect would not keep its length: it counts as zero. */
+/* A sum of squares below it has lost digits, and what it would reflect would not keep its length:
+ * it counts as zero. */
 #if SGMS_SINGLE
 #define SGMS_LEAST_SQUARE 1e-30f
 #else
 #define SGMS_LEAST_SQUARE 1e-290
 #endif
 
-/* One Householder reflection of a pivot row and `rows` rows below it, all `width` long, that makes column c of those
- * rows zero; they lie `stride` numbers apart, anywhere. v: `rows` numbers.
+/* One Householder reflection of a pivot row and `rows` rows below it, all `width` long, that makes
+ * column c of those rows zero; they lie `stride` numbers apart, anywhere. v: `rows` numbers.
  *
- * Where processors have vectors it runs over whole rows: the columns already done hold zeros and stay what they are,
- * and a loop of constant length is one that compilers vectorise. Inlined, so that the lengths are constants where the
- * caller's are. */
+ * Where processors have vectors it runs over whole rows: the columns already done hold zeros and
+ * stay what they are, and a loop of constant length is one that compilers vectorise. Inlined, so
+ * that the lengths are constants where the caller's are. */
 static SGMS_INLINE void sgms_reflect(
-    sgms_real *SGMS_RESTRICT pivot_row,
-    sgms_real *SGMS_RESTRICT below,
-    int rows,
-    int stride,
-    int width,
-    int c,
-    sgms_real *SGMS_RESTRICT v)
+    sgms_real *SGMS_RESTRICT pivot_row, sgms_real *SGMS_RESTRICT below, int rows, int stride,
+    int width, int c, sgms_real *SGMS_RESTRICT v)
 {
     sgms_real square = SGMS_R(0.0);
     SGMS_UNROLL
@@ -74,15 +71,11 @@ static SGMS_INLINE void sgms_reflect(
     }
 }
 
-/* Householder reflections that make the first `columns` columns of the rows x width matrix a upper triangular, from
- * row 0 on; rows lie `stride` numbers apart. Entries below the diagonal of these columns are set to zero. v: `rows`
- * numbers. */
+/* Householder reflections that make the first `columns` columns of the rows x width matrix a upper
+ * triangular, from row 0 on; rows lie `stride` numbers apart. Entries below the diagonal of these
+ * columns are set to zero. v: `rows` numbers. */
 static inline void sgms_qr(
-    sgms_real *SGMS_RESTRICT a,
-    int rows,
-    int stride,
-    int width,
-    int columns,
+    sgms_real *SGMS_RESTRICT a, int rows, int stride, int width, int columns,
     sgms_real *SGMS_RESTRICT v)
 {
     for (int c = 0; c < columns && c < rows; c++) {
@@ -90,15 +83,11 @@ static inline void sgms_qr(
     }
 }
 
-/* Plane rotation of two rows that makes `*low` zero and `*high` their norm; a row's own column c, which holds these two
- * numbers, may be among the `width` columns. */
+/* Plane rotation of two rows that makes `*low` zero and `*high` their norm; a row's own column c,
+ * which holds these two numbers, may be among the `width` columns. */
 static SGMS_INLINE void sgms_rotate(
-    sgms_real *high,
-    const sgms_real low,
-    sgms_real *SGMS_RESTRICT high_row,
-    sgms_real *SGMS_RESTRICT low_row,
-    int from,
-    int width)
+    sgms_real *high, const sgms_real low, sgms_real *SGMS_RESTRICT high_row,
+    sgms_real *SGMS_RESTRICT low_row, int from, int width)
 {
     const sgms_real square = *high * *high + low * low;
     const sgms_real over_norm = sgms_inverse_sqrt(square);
@@ -112,14 +101,16 @@ static SGMS_INLINE void sgms_rotate(
     *high = square * over_norm;
 }
 
-/* Fold one row of length n + 1 (coefficients, right side) into the n x (n + 1) upper triangular factor r by plane
- * rotations. The row is used up. */
-static SGMS_INLINE void sgms_qr_add_row(sgms_real *SGMS_RESTRICT r, int n, sgms_real *SGMS_RESTRICT row)
+/* Fold one row of length n + 1 (coefficients, right side) into the n x (n + 1) upper triangular
+ * factor r by plane rotations. The row is used up. */
+static SGMS_INLINE void sgms_qr_add_row(
+    sgms_real *SGMS_RESTRICT r, int n, sgms_real *SGMS_RESTRICT row)
 {
     for (int c = 0; c < n; c++) {
         sgms_real *const top = r + c * (n + 1);
         const sgms_real low = row[c];
-        if (!(low * low == SGMS_R(0.0))) { /* too small for a norm is zero; what is not a number goes on */
+        /* too small for a norm is zero; what is not a number goes on */
+        if (!(low * low == SGMS_R(0.0))) {
             sgms_real high = top[c];
             sgms_rotate(&high, low, top, row, c + 1, n + 1);
             top[c] = high;
@@ -128,16 +119,13 @@ static SGMS_INLINE void sgms_qr_add_row(sgms_real *SGMS_RESTRICT r, int n, sgms_
     }
 }
 
-/* Let the last `count` of n unknowns walk: their variances in the n x (n + 1) upper triangular factor r grow by
- * growth^2. carrier: n + 1 numbers.
+/* Let the last `count` of n unknowns walk: their variances in the n x (n + 1) upper triangular
+ * factor r grow by growth^2. carrier: n + 1 numbers.
  *
- * x' = x + growth w with w ~ N(0, 1): eliminate w from [1 0; -growth r, r], one unknown after the other. Rotations
- * from the last row upwards leave r triangular. */
+ * x' = x + growth w with w ~ N(0, 1): eliminate w from [1 0; -growth r, r], one unknown after the
+ * other. Rotations from the last row upwards leave r triangular. */
 static SGMS_INLINE void sgms_qr_grow(
-    sgms_real *SGMS_RESTRICT r,
-    int n,
-    int count,
-    const sgms_real *growth,
+    sgms_real *SGMS_RESTRICT r, int n, int count, const sgms_real *growth,
     sgms_real *SGMS_RESTRICT carrier)
 {
     for (int k = n - count; k < n; k++) {
@@ -156,8 +144,10 @@ static SGMS_INLINE void sgms_qr_grow(
     }
 }
 
-/* Solve the upper triangular system in the n x width matrix r (its first n columns) with right side b into x. */
-static inline void sgms_back_substitute(const sgms_real *r, int n, int width, const sgms_real *b, sgms_real *x)
+/* Solve the upper triangular system in the n x width matrix r (its first n columns) with right side
+ * b into x. */
+static inline void sgms_back_substitute(
+    const sgms_real *r, int n, int width, const sgms_real *b, sgms_real *x)
 {
     for (int i = n - 1; i >= 0; i--) {
         sgms_real sum = b[i];
@@ -169,7 +159,8 @@ static inline void sgms_back_substitute(const sgms_real *r, int n, int width, co
 }
 
 /* Variances diag((r' r)^-1) of the n x width upper triangular factor r; work holds n numbers. */
-static inline void sgms_variances(const sgms_real *r, int n, int width, sgms_real *variance, sgms_real *work)
+static inline void sgms_variances(
+    const sgms_real *r, int n, int width, sgms_real *variance, sgms_real *work)
 {
     for (int i = 0; i < n; i++) {
         variance[i] = SGMS_R(0.0);
@@ -189,25 +180,28 @@ static inline void sgms_variances(const sgms_real *r, int n, int width, sgms_rea
     }
 }
 
-/* A least-squares problem in a box: minimise |r x - b| over lower <= x <= upper; r is n x width, upper triangular. */
+/* A least-squares problem in a box: minimise |r x - b| over lower <= x <= upper; r is n x width,
+ * upper triangular. */
 typedef struct {
     const sgms_real *r;
     int n, width;
     const sgms_real *b, *lower, *upper;
 } sgms_box;
 
-/* Iterations at most: the longest of two million random problems of 1 to 10 unknowns took 2 n + 8. Only rounding,
- * between bounds that are as good as each other, asks for more. */
+/* Iterations at most: the longest of two million random problems of 1 to 10 unknowns took 2 n + 8.
+ * Only rounding, between bounds that are as good as each other, asks for more. */
 #define SGMS_BOX_ITERATIONS(n) (3 * (n) + 4)
 
 /* Solve it by a primal active-set method.
  *
- * Every iterate is feasible and no worse than the one before it, so stopping at the iteration limit still leaves a
- * usable x. work: (n + 1)^2 numbers; pinned: n entries, -1 at the lower bound, 1 at the upper, 0 free, on return.
- * Returns the number of bounds that are active. */
-static inline int sgms_box_least_squares(const sgms_box *box, sgms_real *x, int *pinned, sgms_real *work)
+ * Every iterate is feasible and no worse than the one before it, so stopping at the iteration limit
+ * still leaves a usable x. work: (n + 1)^2 numbers; pinned: n entries, -1 at the lower bound, 1 at
+ * the upper, 0 free, on return. Returns the number of bounds that are active. */
+static inline int sgms_box_least_squares(
+    const sgms_box *box, sgms_real *x, int *pinned, sgms_real *work)
 {
-    const sgms_real *const r = box->r, *const b = box->b, *const lower = box->lower, *const upper = box->upper;
+    const sgms_real *const r = box->r, *const b = box->b, *const lower = box->lower,
+                           *const upper = box->upper;
     const int n = box->n, width = box->width;
     int active = 0;
     sgms_back_substitute(r, n, width, b, x);
@@ -263,7 +257,8 @@ static inline int sgms_box_least_squares(const sgms_box *box, sgms_real *x, int 
         for (int i = 0, c = 0; i < n; i++) {
             if (pinned[i] == 0) {
                 x[i] += step * (work[c * (free_count + 1) + free_count] - x[i]);
-                x[i] = x[i] < lower[i] ? lower[i] : (x[i] > upper[i] ? upper[i] : x[i]); /* rounding */
+                x[i] = x[i] < lower[i] ? lower[i]
+                                       : (x[i] > upper[i] ? upper[i] : x[i]); /* rounding */
                 c++;
             }
         }
@@ -274,7 +269,8 @@ static inline int sgms_box_least_squares(const sgms_box *box, sgms_real *x, int 
             active++;
             continue;
         }
-        /* Optimal over the free variables: release the bound that pushes hardest the wrong way, if one does. */
+        /* Optimal over the free variables: release the bound that pushes hardest the wrong way, if
+         * one does. */
         {
             int worst = -1;
             sgms_real strongest = SGMS_R(0.0);
@@ -291,8 +287,10 @@ static inline int sgms_box_least_squares(const sgms_box *box, sgms_real *x, int 
                     gradient += r[i * width + j] * work[i];
                     size += sgms_fabs(r[i * width + j] * work[i]);
                 }
-                /* A gradient within rounding of zero does not release a bound: it would be pinned again. */
-                if ((sgms_real)pinned[j] * gradient > SGMS_ROUNDING * size && sgms_fabs(gradient) > strongest) {
+                /* A gradient within rounding of zero does not release a bound: it would be pinned
+                 * again. */
+                if ((sgms_real)pinned[j] * gradient > SGMS_ROUNDING * size &&
+                    sgms_fabs(gradient) > strongest) {
                     worst = j;
                     strongest = sgms_fabs(gradient);
                 }

@@ -2,11 +2,13 @@
  *
  * ETEL direct-drive XY table, lower axis, elements that switch
  *
- * Friction observer by moving horizon estimation: 4 Maxwell-slip elements, 4 estimated parameter(s), horizon 20 intervals of 10 ms.
- * Double precision, C99 and C++17, no library, no globals: the caller owns etel_xy_switching_t, and every axis has its own.
+ * Friction observer by moving horizon estimation: 4 Maxwell-slip elements, 4 estimated
+ * parameter(s), horizon 20 intervals of 10 ms. Double precision, C99 and C++17, no library, no
+ * globals: the caller owns etel_xy_switching_t, and every axis has its own.
  *
- * Work at most, whatever comes in, in operations: additions, multiplications, divisions, comparisons and absolute values
- * of its numbers, as a processor without vector registers does them.
+ * Work at most, whatever comes in, in operations: additions, multiplications, divisions,
+ * comparisons and absolute values of its numbers, as a processor without vector registers does
+ * them.
  *
  *   tick()            9173
  *   sample()           550   insert() too
@@ -16,29 +18,43 @@
  *
  * Two ways to call it, with the same numbers:
  *
- *   one task      etel_xy_switching_tick() at 10000 Hz; it spreads the work over the samples of an interval.
- *   two tasks     etel_xy_switching_sample() at 10000 Hz in the fast task; when etel_xy_switching_due() says so, etel_xy_switching_feedback() right after it;
+ *   one task      etel_xy_switching_tick() at 10000 Hz; it spreads the work over the samples of an
+ *                 interval.
+ *   two tasks     etel_xy_switching_sample() at 10000 Hz in the fast task; when
+ *                 etel_xy_switching_due() says so, etel_xy_switching_feedback() right after it;
  *                 etel_xy_switching_prepare() in a slower task, between one feedback and the next.
  *
- * Tasks that share an axis. C99 has no atomics; this is what the caller guarantees, and what the axis watches over:
+ * Tasks that share an axis. C99 has no atomics; this is what the caller guarantees, and what the
+ * axis watches over:
  *
- * - One task calls etel_xy_switching_sample(), etel_xy_switching_feedback() and their like, or etel_xy_switching_tick(). That one or one other calls etel_xy_switching_prepare().
- * - sample() may interrupt prepare() anywhere. feedback() may not: it then returns OVERLAP and changes nothing; it is to be called again once
- *   prepare() has returned, and samples that come until then are lost (OVERRUN). What prepare() had not begun feedback() does itself.
+ * - One task calls etel_xy_switching_sample(), etel_xy_switching_feedback() and their like, or
+ *   etel_xy_switching_tick(). That one or one other calls etel_xy_switching_prepare().
+ * - sample() may interrupt prepare() anywhere. feedback() may not: it then returns OVERLAP and
+ *   changes nothing; it is to be called again once prepare() has returned, and samples that come
+ *   until then are lost (OVERRUN). What prepare() had not begun feedback() does itself.
  * - prepare() inside of prepare() or feedback() returns at once.
- * - etel_xy_switching_init(), init_with(), load() and etel_xy_switching_reset(), hold(), set_parameter() are called while no other call is under way. One of the last
- *   three inside of prepare() is noticed: the next feedback() returns OVERLAP and starts the window from the last good estimate.
- * - etel_xy_switching_set_mass() is called by the task that calls sample(), or while that is not under way.
- * - etel_xy_switching_estimate() and etel_xy_switching_save() may be called by any task: numbers of one update, or OVERLAP where feedback() came between three times.
- * - On one core, where a task or an interrupt stops another one, that is all. Calls tell of each other by aligned words of 32 bits (`phase`,
- *   `version`, `arrived`, volatile), which are read and written in one piece and in the order of the program: SGMS_FENCE() (sgms_real.h)
- *   tells gcc and clang to keep it; for another compiler define it as what it needs.
- * - On two cores these words are no lock. Define SGMS_FENCE() as a memory barrier, and see to it that neither of prepare() and feedback() begins
- *   while the other is beginning: start prepare() by a semaphore that is given after feedback() has returned, and feedback() after prepare() has begun.
+ * - etel_xy_switching_init(), init_with(), load() and etel_xy_switching_reset(), hold(),
+ *   set_parameter() are called while no other call is under way. One of the last three inside of
+ *   prepare() is noticed: the next feedback() returns OVERLAP and starts the window from the last
+ *   good estimate.
+ * - etel_xy_switching_set_mass() is called by the task that calls sample(), or while that is not
+ *   under way.
+ * - etel_xy_switching_estimate() and etel_xy_switching_save() may be called by any task: numbers of
+ *   one update, or OVERLAP where feedback() came between three times.
+ * - On one core, where a task or an interrupt stops another one, that is all. Calls tell of each
+ *   other by aligned words of 32 bits (`phase`, `version`, `arrived`, volatile), which are read and
+ *   written in one piece and in the order of the program: SGMS_FENCE() (sgms_real.h) tells gcc and
+ *   clang to keep it; for another compiler define it as what it needs.
+ * - On two cores these words are no lock. Define SGMS_FENCE() as a memory barrier, and see to it
+ *   that neither of prepare() and feedback() begins while the other is beginning: start prepare()
+ *   by a semaphore that is given after feedback() has returned, and feedback() after prepare() has
+ *   begun.
  *
- * When sensors fail: a reading that is missing or not finite is left out (MISSING). One that contradicts what is predicted of it counts less,
- * as long as it does, and the status says DOUBT; parameters that have been learned stay, and their deviations say how sure they are. What
- * is fed forward is never beyond 48.96 N. What is wrong from the first sample on (a sign, a gain, a unit) cannot be told here.
+ * When sensors fail: a reading that is missing or not finite is left out (MISSING). One that
+ * contradicts what is predicted of it counts less, as long as it does, and the status says DOUBT;
+ * parameters that have been learned stay, and their deviations say how sure they are. What is fed
+ * forward is never beyond 48.96 N. What is wrong from the first sample on (a sign, a gain, a unit)
+ * cannot be told here.
  */
 #ifndef ETEL_XY_SWITCHING_H
 #define ETEL_XY_SWITCHING_H
@@ -51,12 +67,15 @@ extern "C" {
 #endif
 
 typedef double etel_xy_switching_real;
-typedef double etel_xy_switching_position; /* m; the functions below make it too, and are the same in every package */
+/* m; the functions below make it too, and are the same in every package */
+typedef double etel_xy_switching_position;
 
 #define ETEL_XY_SWITCHING_VERSION "0.1.0" /* of the generator */
 #define ETEL_XY_SWITCHING_MACHINE "9564a0eeeedc" /* digest of the machine file */
-#define ETEL_XY_SWITCHING_HEADER 0x6d095f91u /* digest of all that this header declares, for etel_xy_switching_check() */
-#define ETEL_XY_SWITCHING_SAVED_FORMAT 1u /* of etel_xy_switching_saved_t, and the digest of the machine file again */
+/* digest of all that this header declares, for etel_xy_switching_check() */
+#define ETEL_XY_SWITCHING_HEADER 0x48c8adc4u
+/* of etel_xy_switching_saved_t, and the digest of the machine file again */
+#define ETEL_XY_SWITCHING_SAVED_FORMAT 1u
 #define ETEL_XY_SWITCHING_SAVED_MACHINE_0 0x9564a0eeu
 #define ETEL_XY_SWITCHING_SAVED_MACHINE_1 0xeedcu
 
@@ -65,7 +84,8 @@ typedef double etel_xy_switching_position; /* m; the functions below make it too
 #define ETEL_XY_SWITCHING_PARAMETERS 4 /* stiffness_1, stiffness_2, stiffness_3, stiffness_4 */
 #define ETEL_XY_SWITCHING_SAMPLES 100 /* per update */
 
-/* Status of an update: 0, or a sum of positive flags: usable, with a reservation; negative: refused, the last good estimate stays. */
+/* Status of an update: 0, or a sum of positive flags: usable, with a reservation; negative:
+ * refused, the last good estimate stays. */
 enum {
     ETEL_XY_SWITCHING_OK = 0,
     ETEL_XY_SWITCHING_FILLING = 1,  /* the window is not full yet */
@@ -74,15 +94,21 @@ enum {
     ETEL_XY_SWITCHING_BOUND = 8,    /* a parameter is at its bound */
     ETEL_XY_SWITCHING_SPEED = 16,   /* faster than max_velocity, 1.0 m/s */
     ETEL_XY_SWITCHING_OVERRUN = 32, /* samples were lost: feedback was not called in time */
-    ETEL_XY_SWITCHING_DOUBT = 64,   /* the readings contradict the model beyond their stated noise: they count less */
+    /* the readings contradict the model beyond their stated noise: they count less */
+    ETEL_XY_SWITCHING_DOUBT = 64,
     ETEL_XY_SWITCHING_EARLY = -1,   /* feedback before the interval was complete */
-    ETEL_XY_SWITCHING_NUMERIC = -2, /* the solution was not finite or absurd: the window starts anew from the last good estimate */
-    ETEL_XY_SWITCHING_OVERLAP = -3, /* calls of two tasks overlapped, as feedback while prepare was under way; see above */
-    ETEL_XY_SWITCHING_MISMATCH = -4, /* the application was compiled against another header than this package's */
-    ETEL_XY_SWITCHING_REFUSED = -5  /* of a call that sets or loads: a number out of its range, or saved data damaged or another machine's */
+    /* the solution was not finite or absurd: the window starts anew from the last good estimate */
+    ETEL_XY_SWITCHING_NUMERIC = -2,
+    /* calls of two tasks overlapped, as feedback while prepare was under way; see above */
+    ETEL_XY_SWITCHING_OVERLAP = -3,
+    /* the application was compiled against another header than this package's */
+    ETEL_XY_SWITCHING_MISMATCH = -4,
+    /* of a call that sets or loads: a number out of its range, or saved data damaged or another
+     * machine's */
+    ETEL_XY_SWITCHING_REFUSED = -5
 };
 
-/* Signals of one sample for etel_xy_switching_insert(), where the controller has a signal chain of its own. */
+/* Signals of one sample for etel_xy_switching_insert(), where the controller has its own chain. */
 typedef struct {
     etel_xy_switching_real position;     /* m */
     etel_xy_switching_real velocity;     /* m/s, mean over the sample period that ends now */
@@ -90,7 +116,8 @@ typedef struct {
     etel_xy_switching_real force;        /* N, drive force */
     etel_xy_switching_real friction;     /* N, force - mass * acceleration */
     int valid;              /* 0: friction is not to be used */
-    etel_xy_switching_real delay;        /* s, that all of them are behind the sample; 0 where the controller's chain has none */
+    /* s, that all of them are behind the sample; 0 where the controller's chain has none */
+    etel_xy_switching_real delay;
 } etel_xy_switching_signals;
 
 /* What the observer knows after an update. */
@@ -100,9 +127,12 @@ typedef struct {
     etel_xy_switching_real deflection[ETEL_XY_SWITCHING_ELEMENTS];   /* m */
     etel_xy_switching_real parameter[ETEL_XY_SWITCHING_PARAMETERS];    /* SI units */
     etel_xy_switching_real deviation[ETEL_XY_SWITCHING_PARAMETERS];    /* 1 sigma, SI units */
-    etel_xy_switching_real innovation;                  /* N, the newest reading minus its prediction */
-    etel_xy_switching_real test_ratio;                  /* its square over the variance predicted for it */
-    etel_xy_switching_real noise_scale;                 /* factor on the stated standard deviation that it was taken with, >= 1 */
+    /* N, the newest reading minus its prediction */
+    etel_xy_switching_real innovation;
+    /* its square over the variance predicted for it */
+    etel_xy_switching_real test_ratio;
+    /* factor on the stated standard deviation that it was taken with, >= 1 */
+    etel_xy_switching_real noise_scale;
     int status;
 } etel_xy_switching_estimate_t;
 
@@ -119,33 +149,44 @@ enum {
     ETEL_XY_SWITCHING_FACTOR_SIZE = 8 * 9,       /* triangular factor with right side */
     ETEL_XY_SWITCHING_SERIES_SIZE = 100 * 2 * 20, /* nodes, sample terms, intervals */
     ETEL_XY_SWITCHING_BLOCKS_SIZE = 4 * 4,       /* blocks side by side, with sensitivities */
-    ETEL_XY_SWITCHING_ROOT_SIZE = 10,            /* upper triangle of what is known of the parameters alone */
-    ETEL_XY_SWITCHING_KEPT_WIDTH = 13,           /* row that gives a node back: its state, the next one's, theta, right side */
+    /* upper triangle of what is known of the parameters alone */
+    ETEL_XY_SWITCHING_ROOT_SIZE = 10,
+    /* row that gives a node back: its state, the next one's, theta, right side */
+    ETEL_XY_SWITCHING_KEPT_WIDTH = 13,
     ETEL_XY_SWITCHING_DEFECT_WIDTH = 6,          /* row of a defect: states, theta, right side */
     ETEL_XY_SWITCHING_TRIANGLE_SIZE = 44,        /* upper triangle of a factor */
-    ETEL_XY_SWITCHING_INNER = 9,                 /* readings inside an interval, besides that at its end */
+    /* readings inside an interval, besides that at its end */
+    ETEL_XY_SWITCHING_INNER = 9,
     ETEL_XY_SWITCHING_INNER_SIZE = 44,           /* rows that say what they all say */
     ETEL_XY_SWITCHING_INNER_SIGNALS = 1,         /* signals kept of each: velocity */
 };
 
-/* Weights and bounds, as [estimator.noise] and [estimator.bounds] of the machine file have them; etel_xy_switching_settings() gives those. */
+/* Weights and bounds, as [estimator.noise] and [estimator.bounds] of the machine file have them;
+ * etel_xy_switching_settings() gives those. */
 typedef struct {
     etel_xy_switching_real measurement;   /* N, 1 sigma of a reading; above zero; 0.1 */
-    etel_xy_switching_real state[ETEL_XY_SWITCHING_STATES]; /* 1 sigma per update, of elements as a fraction of nu_i f_C; above zero; 0.01 */
-    etel_xy_switching_real parameter;     /* 1 sigma of a parameter before any data, over nominal; above zero; 0.4 */
-    etel_xy_switching_real drift;         /* of its random walk, per update with motion, over nominal; zero or above; 0.002 */
-    etel_xy_switching_real pause;         /* of what a power cycle changes, over nominal; zero or above; 0.1 */
-    etel_xy_switching_real lower[ETEL_XY_SWITCHING_PARAMETERS], upper[ETEL_XY_SWITCHING_PARAMETERS]; /* bounds over nominal; lower at most 1, upper at least */
+    /* 1 sigma per update, of elements as a fraction of nu_i f_C; above zero; 0.01 */
+    etel_xy_switching_real state[ETEL_XY_SWITCHING_STATES];
+    /* 1 sigma of a parameter before any data, over nominal; above zero; 0.4 */
+    etel_xy_switching_real parameter;
+    /* of its random walk, per update with motion, over nominal; zero or above; 0.002 */
+    etel_xy_switching_real drift;
+    /* of what a power cycle changes, over nominal; zero or above; 0.1 */
+    etel_xy_switching_real pause;
+    /* bounds over nominal; lower at most 1, upper at least */
+    etel_xy_switching_real lower[ETEL_XY_SWITCHING_PARAMETERS], upper[ETEL_XY_SWITCHING_PARAMETERS];
 } etel_xy_switching_settings_t;
 
-/* What was learned, to be kept where it outlives the power: etel_xy_switching_save(), etel_xy_switching_load(). As many bytes on every
- * processor, none of them padding; the numbers lie as the processor has them. */
+/* What was learned, to be kept where it outlives the power: etel_xy_switching_save(),
+ * etel_xy_switching_load(). As many bytes on every processor, none of them padding; the numbers lie
+ * as the processor has them. */
 typedef struct {
     uint32_t checksum;   /* over all that follows */
     uint32_t format;     /* ETEL_XY_SWITCHING_SAVED_FORMAT */
     uint32_t machine[2]; /* digest of the machine file */
     etel_xy_switching_real theta[ETEL_XY_SWITCHING_PARAMETERS];   /* over nominal */
-    etel_xy_switching_real root[ETEL_XY_SWITCHING_ROOT_SIZE]; /* upper triangle whose inverse is the square root of their covariance */
+    /* upper triangle whose inverse is the square root of their covariance */
+    etel_xy_switching_real root[ETEL_XY_SWITCHING_ROOT_SIZE];
     etel_xy_switching_real ratio; /* slow mean of the readings' test ratios */
 } etel_xy_switching_saved_t;
 
@@ -154,12 +195,14 @@ typedef struct {
     etel_xy_switching_real theta[ETEL_XY_SWITCHING_PARAMETERS];
     etel_xy_switching_real q[4]; /* scalars through which they enter the blocks, with derivatives */
     etel_xy_switching_real d_q[4 * ETEL_XY_SWITCHING_PARAMETERS];
-    etel_xy_switching_real scale[ETEL_XY_SWITCHING_STATES]; /* of a node's state over chi, with derivatives */
+    /* of a node's state over chi, with derivatives */
+    etel_xy_switching_real scale[ETEL_XY_SWITCHING_STATES];
     etel_xy_switching_real d_scale[ETEL_XY_SWITCHING_STATES * ETEL_XY_SWITCHING_PARAMETERS];
 } etel_xy_switching_parameters;
 
-/* Memory of one axis, static or on a stack that is large enough. Set it up with etel_xy_switching_init(); its fields are not
- * for the application. What every sample needs comes first, within reach of short addresses. */
+/* Memory of one axis, static or on a stack that is large enough. Set it up with
+ * etel_xy_switching_init(); its fields are not for the application. What every sample needs comes
+ * first, within reach of short addresses. */
 typedef struct {
     etel_xy_switching_settings_t settings;
     etel_xy_switching_real moved; /* kg */
@@ -169,15 +212,18 @@ typedef struct {
     etel_xy_switching_real chain_lowpass[16];
     etel_xy_switching_real chain_last[4];
     int32_t chain_counts[3];
-    /* position, velocity, acceleration, force, time of what they tell of; zero what the model does not read */
+    /* position, velocity, acceleration, force, time of what they tell of; zero what the model does
+     * not read */
     etel_xy_switching_real signal[ETEL_XY_SWITCHING_SIGNALS];
     etel_xy_switching_real merged[ETEL_XY_SWITCHING_SIGNALS];
     int32_t merged_count;
     /* slots of the window are used in turn, `filling` is the interval under way */
     int32_t filling, step, started, lost, too_fast, status;
-    volatile uint32_t phase, version; /* which call is under way; odd while the last good estimate is written */
+    /* which call is under way; odd while the last good estimate is written */
+    volatile uint32_t phase, version;
     etel_xy_switching_parameters parameters; /* of the last estimate */
-    etel_xy_switching_real newest[ETEL_XY_SWITCHING_BLOCKS_SIZE]; /* blocks of the interval under way */
+    /* blocks of the interval under way */
+    etel_xy_switching_real newest[ETEL_XY_SWITCHING_BLOCKS_SIZE];
     etel_xy_switching_real path[ETEL_XY_SWITCHING_SLOTS]; /* m, of each interval */
     /* compensation */
     etel_xy_switching_real lag_state[6], lag; /* m, the newest position beyond the chain's */
@@ -186,39 +232,55 @@ typedef struct {
     int32_t compensate, ahead_given, through_chain;
     /* series and nodes of the window */
     etel_xy_switching_real term[ETEL_XY_SWITCHING_SERIES_SIZE];
-    etel_xy_switching_real node[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_STATES]; /* state at the start of each interval, linearisation point and estimate */
+    /* state at the start of each interval, linearisation point and estimate */
+    etel_xy_switching_real node[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_STATES];
     etel_xy_switching_real node_signal[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_SIGNALS];
     etel_xy_switching_real node_friction[ETEL_XY_SWITCHING_SLOTS];
-    etel_xy_switching_real node_weight[ETEL_XY_SWITCHING_SLOTS]; /* 1/(N), that its reading is taken with; 0: there is none */
+    /* 1/(N), that its reading is taken with; 0: there is none */
+    etel_xy_switching_real node_weight[ETEL_XY_SWITCHING_SLOTS];
     etel_xy_switching_real last_friction; /* measured at the end of the interval under way */
     uint8_t last_valid;
     /* readings one after the other: means of their test ratios, and the newest one */
     etel_xy_switching_real ratio_fast, ratio_slow;
     etel_xy_switching_reading reading, good_reading;
-    /* readings inside of intervals; of the newest one those that have come, and those that are folded */
+    /* readings inside of intervals; of the newest one those that have come, and those that are
+     * folded */
     volatile int32_t arrived;
     int32_t folded;
-    etel_xy_switching_real inner_weight[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_INNER]; /* as node_weight */
+    /* as node_weight */
+    etel_xy_switching_real inner_weight[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_INNER];
     etel_xy_switching_real inner_friction[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_INNER];
-    etel_xy_switching_real inner_signal[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_INNER * ETEL_XY_SWITCHING_INNER_SIGNALS];
-    etel_xy_switching_real inner_rows[2 * ETEL_XY_SWITCHING_INNER * (ETEL_XY_SWITCHING_UNKNOWNS + 1)]; /* of the newest interval, on one side, and the one before */
+    etel_xy_switching_real inner_signal[
+        ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_INNER * ETEL_XY_SWITCHING_INNER_SIGNALS];
+    /* of the newest interval, on one side, and the one before */
+    etel_xy_switching_real inner_rows[
+        2 * ETEL_XY_SWITCHING_INNER * (ETEL_XY_SWITCHING_UNKNOWNS + 1)];
     etel_xy_switching_real inner[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_INNER_SIZE];
     int32_t side;
     /* integration of older intervals */
-    etel_xy_switching_real chosen[ETEL_XY_SWITCHING_BLOCKS_SIZE], chosen_moved; /* the one that is linearised anew: how far it had moved */
+    /* the one that is linearised anew: how far it had moved */
+    etel_xy_switching_real chosen[ETEL_XY_SWITCHING_BLOCKS_SIZE], chosen_moved;
     int32_t chosen_slot; /* -1: none */
-    etel_xy_switching_real end[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_STATES]; /* of each interval, where it was linearised, over the state noise */
+    /* of each interval, where it was linearised, over the state noise */
+    etel_xy_switching_real end[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_STATES];
     /* least squares over (x, theta) */
     etel_xy_switching_real factor[ETEL_XY_SWITCHING_FACTOR_SIZE];
     /* the sweep's factor at the start of each interval; the oldest one's is the arrival cost */
     etel_xy_switching_real start[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_TRIANGLE_SIZE];
     int32_t sweep; /* older intervals to condense again; -1: the factor stands as it is */
-    etel_xy_switching_real kept[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_STATES * ETEL_XY_SWITCHING_KEPT_WIDTH]; /* for the back-substitution */
+    /* for the back-substitution */
+    etel_xy_switching_real kept[
+        ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_STATES * ETEL_XY_SWITCHING_KEPT_WIDTH];
     int32_t complete, cursor; /* older intervals; units of the work done */
-    etel_xy_switching_real rows[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_STATES * ETEL_XY_SWITCHING_DEFECT_WIDTH]; /* defects, as they were linearised */
-    int32_t shifts, pending_drift; /* of the window since the parameters' drift entered; those of them with motion */
+    /* defects, as they were linearised */
+    etel_xy_switching_real rows[
+        ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_STATES * ETEL_XY_SWITCHING_DEFECT_WIDTH];
+    /* of the window since the parameters' drift entered; those of them with motion */
+    int32_t shifts, pending_drift;
     /* last good estimate */
-    etel_xy_switching_real good_state[ETEL_XY_SWITCHING_STATES], good_theta[ETEL_XY_SWITCHING_PARAMETERS], good_root[ETEL_XY_SWITCHING_ROOT_SIZE], good_ratio;
+    etel_xy_switching_real good_state[ETEL_XY_SWITCHING_STATES],
+        good_theta[ETEL_XY_SWITCHING_PARAMETERS], good_root[ETEL_XY_SWITCHING_ROOT_SIZE],
+        good_ratio;
     etel_xy_switching_real friction, friction_measured;
 } etel_xy_switching_t;
 
@@ -228,22 +290,28 @@ static inline etel_xy_switching_position etel_xy_switching_position_from_metres(
     return metres;
 }
 
-/* A position from counts of an encoder, `per` counts (above zero) being so many picometres: 1 and 1000 for 1 nm, 16384 and 20000000 for a
- * period of 20 um in 16384 steps. Exact but for rounding. */
-static inline etel_xy_switching_position etel_xy_switching_position_from_counts(int64_t counts, int32_t per, int64_t picometres)
+/* A position from counts of an encoder, `per` counts (above zero) being so many picometres: 1 and
+ * 1000 for 1 nm, 16384 and 20000000 for a period of 20 um in 16384 steps. Exact but for
+ * rounding. */
+static inline etel_xy_switching_position etel_xy_switching_position_from_counts(
+    int64_t counts, int32_t per, int64_t picometres)
 {
     return per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
 }
 
-/* Whether the application was compiled against the header that this package was: etel_xy_switching_check(sizeof(etel_xy_switching_t), ETEL_XY_SWITCHING_HEADER)
- * is ETEL_XY_SWITCHING_OK, or ETEL_XY_SWITCHING_MISMATCH: another machine file, another generator, another layout of the memory. To be called before etel_xy_switching_init();
- * it touches no axis. */
+/* Whether the application was compiled against the header that this package was:
+ * etel_xy_switching_check(sizeof(etel_xy_switching_t), ETEL_XY_SWITCHING_HEADER) is
+ * ETEL_XY_SWITCHING_OK, or ETEL_XY_SWITCHING_MISMATCH: another machine file, another generator,
+ * another layout of the memory. To be called before etel_xy_switching_init(); it touches no
+ * axis. */
 int etel_xy_switching_check(size_t size, uint32_t header);
 
-/* Self-test (etel_xy_switching_selftest.c): the motion that comes with the package, and what the reference solver estimates from it. 0 where this processor
- * and compiler come to the same; otherwise the number of the first update that differs, or one more than there are where save() and load() do not
- * give back what was learned. selftest() takes sizeof(etel_xy_switching_t) of stack,
- * selftest_with() the memory of an axis, which is to be set up anew with etel_xy_switching_init(). */
+/* Self-test (etel_xy_switching_selftest.c): the motion that comes with the package, and what the
+ * reference solver estimates from it. 0 where this processor and compiler come to the same;
+ * otherwise the number of the first update that differs, or one more than there are where save()
+ * and load() do not give back what was learned. selftest() takes sizeof(etel_xy_switching_t) of
+ * stack, selftest_with() the memory of an axis, which is to be set up anew with
+ * etel_xy_switching_init(). */
 int etel_xy_switching_selftest(void);
 int etel_xy_switching_selftest_with(etel_xy_switching_t *axis);
 
@@ -253,83 +321,105 @@ void etel_xy_switching_init(etel_xy_switching_t *self);
 /* The machine file's weights and bounds, to change some and hand over to init_with(). */
 void etel_xy_switching_settings(etel_xy_switching_settings_t *settings);
 
-/* etel_xy_switching_init() with other weights and bounds, which are copied. REFUSED where one of them is out of its range or not a number: the
- * axis then starts as by etel_xy_switching_init(). */
-int etel_xy_switching_init_with(etel_xy_switching_t *self, const etel_xy_switching_settings_t *settings);
+/* etel_xy_switching_init() with other weights and bounds, which are copied. REFUSED where one of
+ * them is out of its range or not a number: the axis then starts as by etel_xy_switching_init(). */
+int etel_xy_switching_init_with(
+    etel_xy_switching_t *self, const etel_xy_switching_settings_t *settings);
 
-/* The mass that moves from now on [kg], payload included; etel_xy_switching_init() sets the machine file's, 20.0. For 28 samples, while the filters
- * hold friction by the one before, readings count as missing. Readings of etel_xy_switching_insert() bring friction by the caller's own.
- * REFUSED, and nothing changes, beyond 20 times the machine file's or below a 20th of it: that is another axis or another unit.
+/* The mass that moves from now on [kg], payload included; etel_xy_switching_init() sets the machine
+ * file's, 20.0. For 28 samples, while the filters hold friction by the one before, readings count
+ * as missing. Readings of etel_xy_switching_insert() bring friction by the caller's own. REFUSED,
+ * and nothing changes, beyond 20 times the machine file's or below a 20th of it: that is another
+ * axis or another unit.
  */
 int etel_xy_switching_set_mass(etel_xy_switching_t *self, etel_xy_switching_real mass);
 
-/* Hold a parameter where it is, or let it go; by its number, from 0, in the order of the estimate. A held one counts as known to 1e-6 of nominal; one
- * that is let go is as uncertain as before any data. What is known of the others stays, and the window starts anew. init() and load() hold none.
+/* Hold a parameter where it is, or let it go; by its number, from 0, in the order of the estimate.
+ * A held one counts as known to 1e-6 of nominal; one that is let go is as uncertain as before any
+ * data. What is known of the others stays, and the window starts anew. init() and load() hold none.
  * REFUSED: there is no such parameter. */
 int etel_xy_switching_hold(etel_xy_switching_t *self, int parameter, int on);
 
-/* What the application knows of a parameter, from an identification or a test: value and one standard deviation [SI], from which it goes
- * on learning; deviation 0 holds it there. Replaces what was learned of it; what is known of the others stays, and the window starts anew.
- * REFUSED, and nothing changes: there is no such parameter, a number is none, is beyond its bounds, leaves no model (a level of zero), or a
- * deviation above zero is below 1e-6 of nominal. */
-int etel_xy_switching_set_parameter(etel_xy_switching_t *self, int parameter, etel_xy_switching_real value, etel_xy_switching_real deviation);
+/* What the application knows of a parameter, from an identification or a test: value and one
+ * standard deviation [SI], from which it goes on learning; deviation 0 holds it there. Replaces
+ * what was learned of it; what is known of the others stays, and the window starts anew. REFUSED,
+ * and nothing changes: there is no such parameter, a number is none, is beyond its bounds, leaves
+ * no model (a level of zero), or a deviation above zero is below 1e-6 of nominal. */
+int etel_xy_switching_set_parameter(etel_xy_switching_t *self, int parameter,
+    etel_xy_switching_real value, etel_xy_switching_real deviation);
 
-/* Write down what was learned: parameters, how sure they are, how well they predict. By any task, as etel_xy_switching_estimate(). Returns OK, or
- * OVERLAP where feedback() came between three times; what was written is then refused by load(). */
+/* Write down what was learned: parameters, how sure they are, how well they predict. By any task,
+ * as etel_xy_switching_estimate(). Returns OK, or OVERLAP where feedback() came between three
+ * times; what was written is then refused by load(). */
 int etel_xy_switching_save(const etel_xy_switching_t *self, etel_xy_switching_saved_t *saved);
 
-/* Start with what was saved, after etel_xy_switching_init() or init_with(): an empty window, the saved parameters. Friction changes while nothing is
- * measured: their variances grow by that of settings.pause, but not beyond those before any data. Parameters that were held are to be
- * held again; settings and mass stay. REFUSED: damaged, of another machine file or layout, no numbers, or parameters beyond their
- * bounds. The axis is then as fresh as after init_with(). */
+/* Start with what was saved, after etel_xy_switching_init() or init_with(): an empty window, the
+ * saved parameters. Friction changes while nothing is measured: their variances grow by that of
+ * settings.pause, but not beyond those before any data. Parameters that were held are to be held
+ * again; settings and mass stay. REFUSED: damaged, of another machine file or layout, no numbers,
+ * or parameters beyond their bounds. The axis is then as fresh as after init_with(). */
 int etel_xy_switching_load(etel_xy_switching_t *self, const etel_xy_switching_saved_t *saved);
 
 /* Start the signals and the window anew, with the parameters learned so far as the prior mean. */
 void etel_xy_switching_reset(etel_xy_switching_t *self);
 
-/* One sample at 10000 Hz: position, drive force [N]. A sample that is NaN, infinite or beyond 4e6 m or 1e9 N counts as missing. tick() does the whole estimation by
- * itself, in bounded slices; sample() only takes the sample in.
+/* One sample at 10000 Hz: position, drive force [N]. A sample that is NaN, infinite or beyond 4e6 m
+ * or 1e9 N counts as missing. tick() does the whole estimation by itself, in bounded slices;
+ * sample() only takes the sample in.
  *
- * Returns the force [N] to add to the drive's command: the friction that the axis will have when the answer to this sample acts. The
- * last estimate is carried through the newest samples, over the displacement that the filters still hold back (0.993 ms),
- * and over the loop's delay ([compensation] delay, 0 us: computing, half a sample of hold, the current loop). The drive force that
- * the next samples report is the whole of it, this part included.
+ * Returns the force [N] to add to the drive's command: the friction that the axis will have when
+ * the answer to this sample acts. The last estimate is carried through the newest samples, over the
+ * displacement that the filters still hold back (0.993 ms), and over the loop's delay
+ * ([compensation] delay, 0 us: computing, half a sample of hold, the current loop). The drive force
+ * that the next samples report is the whole of it, this part included.
  *
- * The force follows a ramp (0 ms) from off to on and back, never exceeds 48.96 N, and follows the estimate at standstill too (hold is 0). It is a
- * finite number whatever comes in. It ramps to zero by itself and comes back by itself: while the status is negative or says OVERRUN (the
- * elements' state is not the axis's), while the position has been missing for more than 28 samples, and beyond twice max_velocity.
- * MISSING, SPEED, BOUND and HOLD leave it on: the model goes on with the last good parameters. */
-etel_xy_switching_real etel_xy_switching_tick(etel_xy_switching_t *self, etel_xy_switching_position position, etel_xy_switching_real force);
-etel_xy_switching_real etel_xy_switching_sample(etel_xy_switching_t *self, etel_xy_switching_position position, etel_xy_switching_real force);
+ * The force follows a ramp (0 ms) from off to on and back, never exceeds 48.96 N, and follows the
+ * estimate at standstill too (hold is 0). It is a finite number whatever comes in. It ramps to zero
+ * by itself and comes back by itself: while the status is negative or says OVERRUN (the elements'
+ * state is not the axis's), while the position has been missing for more than 28 samples, and
+ * beyond twice max_velocity. MISSING, SPEED, BOUND and HOLD leave it on: the model goes on with the
+ * last good parameters. */
+etel_xy_switching_real etel_xy_switching_tick(
+    etel_xy_switching_t *self, etel_xy_switching_position position, etel_xy_switching_real force);
+etel_xy_switching_real etel_xy_switching_sample(
+    etel_xy_switching_t *self, etel_xy_switching_position position, etel_xy_switching_real force);
 
-/* The set-point while the answer to the next sample acts, from that sample on over the loop's delay: mean velocity [m/s], acceleration
- * [m/s^2]. To be called before every tick(), sample() or insert() by a controller that knows it: at a reversal the set-point changes sign
- * before the measured velocity does, and it has no noise. It serves one sample; without it the measured velocity is extrapolated and no
- * acceleration assumed. A number that is not finite is ignored. The acceleration matters to a model with [[effects]] of inertia only; the
- * inertial force itself, mass * acceleration, stays the controller's own feed-forward. */
-void etel_xy_switching_ahead(etel_xy_switching_t *self, etel_xy_switching_real velocity, etel_xy_switching_real acceleration);
+/* The set-point while the answer to the next sample acts, from that sample on over the loop's
+ * delay: mean velocity [m/s], acceleration [m/s^2]. To be called before every tick(), sample() or
+ * insert() by a controller that knows it: at a reversal the set-point changes sign before the
+ * measured velocity does, and it has no noise. It serves one sample; without it the measured
+ * velocity is extrapolated and no acceleration assumed. A number that is not finite is ignored. The
+ * acceleration matters to a model with [[effects]] of inertia only; the inertial force itself, mass
+ * * acceleration, stays the controller's own feed-forward. */
+void etel_xy_switching_ahead(etel_xy_switching_t *self, etel_xy_switching_real velocity,
+    etel_xy_switching_real acceleration);
 
-/* Turn the force that tick() and sample() return on or off, along the ramp. Estimation goes on either way. After init() it is on. */
+/* Turn the force that tick() and sample() return on or off, along the ramp. Estimation goes on
+ * either way. After init() it is on. */
 void etel_xy_switching_compensate(etel_xy_switching_t *self, int on);
 
 /* How much of it is on at the moment, 0 to 1. */
 etel_xy_switching_real etel_xy_switching_share(const etel_xy_switching_t *self);
 
-/* sample() for a controller with a signal chain of its own: signals of one instant, `delay` behind the sample. What it returns is for the loop's
- * delay after that instant: the lag of another chain is not made up for, so compensation wants one without. */
-etel_xy_switching_real etel_xy_switching_insert(etel_xy_switching_t *self, const etel_xy_switching_signals *signals);
+/* sample() for a controller with a signal chain of its own: signals of one instant, `delay` behind
+ * the sample. What it returns is for the loop's delay after that instant: the lag of another chain
+ * is not made up for, so compensation wants one without. */
+etel_xy_switching_real etel_xy_switching_insert(
+    etel_xy_switching_t *self, const etel_xy_switching_signals *signals);
 
 /* Whether an interval is complete and waits for feedback(). */
 int etel_xy_switching_due(const etel_xy_switching_t *self);
 
-/* All of the update that does not need the newest sample: the older nodes of the last solution, the linearisation, the eliminations. */
+/* All of the update that does not need the newest sample: the older nodes of the last solution, the
+ * linearisation, the eliminations. */
 void etel_xy_switching_prepare(etel_xy_switching_t *self);
 
 /* Take in the newest interval and its measurement, solve, shift. Returns the status. */
 int etel_xy_switching_feedback(etel_xy_switching_t *self);
 
 /* The last good estimate. */
-void etel_xy_switching_estimate(const etel_xy_switching_t *self, etel_xy_switching_estimate_t *estimate);
+void etel_xy_switching_estimate(
+    const etel_xy_switching_t *self, etel_xy_switching_estimate_t *estimate);
 
 /* English text of the gravest part of a status. */
 const char *etel_xy_switching_status_text(int status);

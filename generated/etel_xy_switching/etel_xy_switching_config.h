@@ -2,8 +2,9 @@
  *
  * Constants of etel_xy_switching for the package's own source. Nothing here is for the application.
  *
- * Work at most, whatever comes in, in operations: additions, multiplications, divisions, comparisons and absolute values
- * of its numbers, as a processor without vector registers does them.
+ * Work at most, whatever comes in, in operations: additions, multiplications, divisions,
+ * comparisons and absolute values of its numbers, as a processor without vector registers does
+ * them.
  *
  *   tick()            9173
  *   sample()           550   insert() too
@@ -33,30 +34,40 @@ enum {
     ELEMENTS = ETEL_XY_SWITCHING_ELEMENTS,       /* Maxwell-slip elements, the first states */
     PARAMETERS = ETEL_XY_SWITCHING_PARAMETERS,   /* theta */
     HORIZON = 20,                                /* intervals of the window; 0 for the filter */
-    DRIFT_INTERVAL = 20,                         /* shifts of the window after which pending drift enters the arrival cost */
-    SLOTS = ETEL_XY_SWITCHING_SLOTS,             /* intervals kept, the one that is filling included */
+    /* shifts of the window after which pending drift enters the arrival cost */
+    DRIFT_INTERVAL = 20,
+    /* intervals kept, the one that is filling included */
+    SLOTS = ETEL_XY_SWITCHING_SLOTS,
     SAMPLES = ETEL_XY_SWITCHING_SAMPLES,         /* per interval */
     MERGED = 1,                                  /* samples per integration step */
     STEPS = 100,                                 /* integration steps per interval */
     NODES = 1,                                   /* of a step of the series */
     TERMS = 2,                                   /* stored per node: velocity, level */
-    SERIES_STRIDE = 20,                          /* numbers from one row of the series to the next: intervals */
-    LANE_STRIDE = 4,                             /* numbers from one row of lanes to the next: scalars side by side, padded */
+    /* numbers from one row of the series to the next: intervals */
+    SERIES_STRIDE = 20,
+    /* numbers from one row of lanes to the next: scalars side by side, padded */
+    LANE_STRIDE = 4,
     BLOCKS = 4,                                  /* of states that depend on no other */
     LARGEST_BLOCK = 1,                           /* states */
     BLOCKS_SIZE = ETEL_XY_SWITCHING_BLOCKS_SIZE, /* numbers of blocks side by side */
-    SETTLE = 28,                                 /* samples that a disturbance of the filters lasts */
-    CHAIN = 0,                                   /* what the model reads of the signal chain beside velocity and friction */
+    /* samples that a disturbance of the filters lasts */
+    SETTLE = 28,
+    /* what the model reads of the signal chain beside velocity and friction */
+    CHAIN = 0,
     FACTOR_ROWS = ETEL_XY_SWITCHING_UNKNOWNS,    /* unknowns of a factor */
     FACTOR_WIDTH = FACTOR_ROWS + 1,              /* with its right side */
-    ROOT_WIDTH = PARAMETERS + 1,                 /* of theta's triangle in square, with a column for sums */
+    /* of theta's triangle in square, with a column for sums */
+    ROOT_WIDTH = PARAMETERS + 1,
     TRIANGLE_SIZE = ETEL_XY_SWITCHING_TRIANGLE_SIZE, /* numbers of its upper triangle */
-    INNER = ETEL_XY_SWITCHING_INNER,             /* readings inside an interval, besides that at its end */
+    /* readings inside an interval, besides that at its end */
+    INNER = ETEL_XY_SWITCHING_INNER,
     SPACING = 10,                                /* steps from one reading to the next */
     INNER_ROWS = 8,                              /* rows that say what they all say */
-    INNER_SIZE = ETEL_XY_SWITCHING_INNER_SIZE,   /* numbers of these rows, without the zeros of a triangle */
+    /* numbers of these rows, without the zeros of a triangle */
+    INNER_SIZE = ETEL_XY_SWITCHING_INNER_SIZE,
     INNER_SIGNALS = ETEL_XY_SWITCHING_INNER_SIGNALS, /* signals that the output reads: velocity */
-    COUPLED = 1,                                 /* states that a state depends on over an interval, at most */
+    /* states that a state depends on over an interval, at most */
+    COUPLED = 1,
     DEFECT_WIDTH = ETEL_XY_SWITCHING_DEFECT_WIDTH, /* numbers of a defect's row */
     KEPT_WIDTH = ETEL_XY_SWITCHING_KEPT_WIDTH,   /* numbers of a row that gives a node back */
 };
@@ -70,7 +81,8 @@ enum { VECTOR = 2 };
 enum { VECTOR = 1 };
 #endif
 
-/* Multiplications of a unit of the work: a node expanded, a step, a node condensed, a reading folded; of those in one sample. */
+/* Multiplications of a unit of the work: a node expanded, a step, a node condensed, a reading
+ * folded; of those in one sample. */
 enum {
     STEP_COST = 216,
     COST_PER_SAMPLE = 792,
@@ -86,20 +98,23 @@ enum {
 #define PIECE_TIME 0.0001                    /* s, of constant signals */
 #define MASS 20.0                            /* kg */
 #define MAX_VELOCITY 1.0                     /* m/s */
-#define HOLD_PATH 2.2333333333333335e-07     /* m; an interval that moves less says nothing of the parameters */
+/* m; an interval that moves less says nothing of the parameters */
+#define HOLD_PATH 2.2333333333333335e-07
 #define MEASUREMENT_SD 0.1                   /* N, stated of a reading */
 /* Of test ratios: squared innovations over their predicted variance. */
 #define RATIO_FAST 0.1                       /* weight of the newest one in their fast mean */
 #define RATIO_SLOW 0.003                     /* and in their slow mean */
 #define RATIO_MOST 1000.0                    /* one counts no more in the means */
 #define RATIO_FREE 9.0                       /* beyond it a reading counts less at once */
-#define DOUBTED_FAST 5.0                     /* means beyond which the readings contradict the model */
+/* means beyond which the readings contradict the model */
+#define DOUBTED_FAST 5.0
 #define DOUBTED_SLOW 2.0                     /*  */
 /* What etel_xy_switching_settings() gives. */
 #define PRIOR_SD 0.4                         /* of theta */
 #define PAUSE_SD 0.1                         /* of theta, over a power cycle */
 #define DRIFT_SD 0.002                       /* of theta, per update */
-#define IMPLAUSIBLE 10000.0                  /* first node's standard deviations: a state beyond is no solution */
+/* first node's standard deviations: a state beyond is no solution */
+#define IMPLAUSIBLE 10000.0
 
 static const sgms_real lower_bound[PARAMETERS] = {0.2, 0.2, 0.2, 0.2};
 static const sgms_real upper_bound[PARAMETERS] = {5.0, 5.0, 5.0, 5.0};
@@ -108,7 +123,8 @@ static const sgms_real upper_bound[PARAMETERS] = {5.0, 5.0, 5.0, 5.0};
 #define LEAST_SIZE 1e-60
 /* A parameter that is held: as well known as that, over nominal. */
 #define HELD_SD 1e-06
-/* What is moved, beyond so many times the machine file's or its inverse: another machine, or another unit. */
+/* What is moved, beyond so many times the machine file's or its inverse: another machine, or
+ * another unit. */
 #define MASS_RANGE 20.0
 
 /* States that each state depends on over an interval, itself included, and how many. */
@@ -117,7 +133,8 @@ static const uint8_t couples[STATES][COUPLED] = { {0}, {1}, {2}, {3} };
 
 static const sgms_real state_noise[STATES] = {0.01, 0.01, 0.01, 0.01};
 static const sgms_real inverse_initial_state[STATES] = {2.0, 2.0, 2.0, 2.0};
-/* How far an interval's end may move before it is linearised anew, over the state noise: its inverse, squared. */
+/* How far an interval's end may move before it is linearised anew, over the state noise: its
+ * inverse, squared. */
 #define INVERSE_MOVE 11.11111111111111       /*  */
 static const sgms_chain chain = {
     {

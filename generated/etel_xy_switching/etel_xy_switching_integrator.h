@@ -3,10 +3,10 @@
  * Integration of etel_xy_switching over one step of the series, with sensitivities:
  * elements that switch are clipped at their level, others take Runge-Kutta (rk4).
  *
- * Blocks are independent, so each is integrated by itself: all blocks of the interval under way side by side in lanes,
- * and those of the older one that is linearised anew.
- * The rows of a block, LANE_STRIDE numbers apart, are chi (m), d(chi)/d(chi at the start) (m x m), d(chi)/dq (m x n_q), and
- * behind them what is constant over an interval. */
+ * Blocks are independent, so each is integrated by itself: all blocks of the interval under way
+ * side by side in lanes, and those of the older one that is linearised anew. The rows of a block,
+ * LANE_STRIDE numbers apart, are chi (m), d(chi)/d(chi at the start) (m x m), d(chi)/dq (m x n_q),
+ * and behind them what is constant over an interval. */
 #ifndef ETEL_XY_SWITCHING_INTEGRATOR_H
 #define ETEL_XY_SWITCHING_INTEGRATOR_H
 
@@ -51,7 +51,8 @@ typedef struct {
 } element_point;
 
 /* That of one lane; its terms lie `stride` numbers apart. */
-static SGMS_INLINE element_point element_at(const sgms_real *term, int stride, const sgms_real *block)
+static SGMS_INLINE element_point element_at(
+    const sgms_real *term, int stride, const sgms_real *block)
 {
     const element_point at = {
         { block[0 * LANE_STRIDE] },
@@ -62,9 +63,10 @@ static SGMS_INLINE element_point element_at(const sgms_real *term, int stride, c
     return at;
 }
 
-/* Put a block at its node into a lane whose rows are zero: chi, identity for its derivative, and what is constant over
- * the interval. */
-static void element_start(const etel_xy_switching_parameters *p, int block, const sgms_real *node, sgms_real *lane)
+/* Put a block at its node into a lane whose rows are zero: chi, identity for its derivative, and
+ * what is constant over the interval. */
+static void element_start(
+    const etel_xy_switching_parameters *p, int block, const sgms_real *node, sgms_real *lane)
 {
     for (int i = 0; i < ELEMENT_STATES; i++) {
         const int state = block_states[ELEMENT_FIRST + block][i];
@@ -76,7 +78,8 @@ static void element_start(const etel_xy_switching_parameters *p, int block, cons
 
 /* Rows of an interval's map that belong to one block, which lies in `lane`. */
 static void element_end(
-    const etel_xy_switching_parameters *p, int block, const sgms_real *lane, const sgms_real *start, interval_map *map)
+    const etel_xy_switching_parameters *p, int block, const sgms_real *lane,
+    const sgms_real *start, interval_map *map)
 {
     const sgms_real *const d_q = p->d_q + (ELEMENT_FIRST_Q + block * ELEMENT_Q) * PARAMETERS;
     for (int i = 0; i < ELEMENT_STATES; i++) {
@@ -106,7 +109,8 @@ static void element_end(
                 b += by_q[k] * d_q[k * PARAMETERS + j];
             }
             for (int k = 0; k < ELEMENT_STATES; k++) {
-                b -= by_scale[k] * p->d_scale[block_states[ELEMENT_FIRST + block][k] * PARAMETERS + j];
+                b -= by_scale[k] * p->d_scale[block_states[ELEMENT_FIRST + block][k] * PARAMETERS +
+                    j];
             }
             b_row[j] = b;
         }
@@ -134,10 +138,11 @@ typedef struct {
     sgms_real travel[VECTOR], direction[VECTOR];
 } element_way;
 
-/* Move a tile of elements on their way, but no further in its direction than the level at `term`. One that sticks
- * keeps its derivatives, one that slips has those of the level. Against its direction an element sticks, whatever its
- * level has become. */
-static SGMS_INLINE void element_clip(const element_way *way, const sgms_real *term, sgms_real *SGMS_RESTRICT block)
+/* Move a tile of elements on their way, but no further in its direction than the level at `term`.
+ * One that sticks keeps its derivatives, one that slips has those of the level. Against its
+ * direction an element sticks, whatever its level has become. */
+static SGMS_INLINE void element_clip(
+    const element_way *way, const sgms_real *term, sgms_real *SGMS_RESTRICT block)
 {
     SGMS_LANES for (int l = 0; l < VECTOR; l++) {
         const element_point at = element_at(term + l, LANE_STRIDE, block + l);
@@ -145,8 +150,10 @@ static SGMS_INLINE void element_clip(const element_way *way, const sgms_real *te
         const sgms_real moved = at.chi[0] + level.rho * way->travel[l];
         const sgms_integer slips = sgms_less(level.reach, way->direction[l] * moved);
         block[l] = sgms_select(slips, way->direction[l] * level.reach, moved);
-        block[ELEMENT_PHI * LANE_STRIDE + l] = sgms_select(slips, 0.0, block[ELEMENT_PHI * LANE_STRIDE + l]);
-        block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] = sgms_select(slips, 0.0, block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] + way->travel[l] * level.d_rho[0]);
+        block[ELEMENT_PHI * LANE_STRIDE + l] =
+            sgms_select(slips, 0.0, block[ELEMENT_PHI * LANE_STRIDE + l]);
+        block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] = sgms_select(slips, 0.0,
+            block[(ELEMENT_PSI + 0) * LANE_STRIDE + l] + way->travel[l] * level.d_rho[0]);
     }
 }
 
@@ -166,7 +173,8 @@ static void element_step(int rows, int lanes, const sgms_real *term, sgms_real *
 }
 
 /* Put all blocks of one interval side by side at its node. */
-static void start_blocks(const etel_xy_switching_parameters *p, const sgms_real *node, sgms_real *blocks)
+static void start_blocks(
+    const etel_xy_switching_parameters *p, const sgms_real *node, sgms_real *blocks)
 {
     fill(blocks, 0.0, BLOCKS_SIZE);
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
@@ -179,13 +187,15 @@ static void integrate_blocks(const sgms_real *term, sgms_real *blocks)
 {
     sgms_real wide[NODES * TERMS * LANE_STRIDE];
     for (int row = 0; row < NODES * TERMS; row++) {
-        fill(wide + row * LANE_STRIDE, term[row * SERIES_STRIDE], (4 + VECTOR - 1) / VECTOR * VECTOR);
+        fill(wide + row * LANE_STRIDE, term[row * SERIES_STRIDE],
+            (4 + VECTOR - 1) / VECTOR * VECTOR);
     }
     element_step(1, ELEMENT_BLOCKS, wide, blocks + ELEMENT_PLACE);
 }
 
 /* The interval's map up to where they are. */
-static void blocks_end(const etel_xy_switching_parameters *p, const sgms_real *blocks, const sgms_real *start, interval_map *map)
+static void blocks_end(const etel_xy_switching_parameters *p, const sgms_real *blocks,
+    const sgms_real *start, interval_map *map)
 {
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
         element_end(p, block, blocks + ELEMENT_PLACE + block, start, map);
@@ -193,7 +203,8 @@ static void blocks_end(const etel_xy_switching_parameters *p, const sgms_real *b
 }
 
 /* The states there, where what they depend on is of no interest. */
-static void blocks_states(const etel_xy_switching_parameters *p, const sgms_real *blocks, sgms_real *x)
+static void blocks_states(
+    const etel_xy_switching_parameters *p, const sgms_real *blocks, sgms_real *x)
 {
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
         for (int i = 0; i < ELEMENT_STATES; i++) {

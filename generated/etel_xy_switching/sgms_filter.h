@@ -1,19 +1,22 @@
 /* Kinematics and friction from position and force: blocks V and Y of the signal chain.
  *
- * Everything leaves the chain with the delay the acceleration cannot avoid (two low-passes and one sample), so that
- * u - m a carries no transient that is not friction. Single precision takes the position as an integer number of
- * picometres: a float resolves no more than 20 nm at 0.3 m, and the velocity is made of differences. */
+ * Everything leaves the chain with the delay the acceleration cannot avoid (two low-passes and one
+ * sample), so that u - m a carries no transient that is not friction. Single precision takes the
+ * position as an integer number of picometres: a float resolves no more than 20 nm at 0.3 m, and
+ * the velocity is made of differences. */
 #ifndef SGMS_FILTER_H
 #define SGMS_FILTER_H
 
 #include "sgms_math.h"
 
-/* Second-order low-pass, y = (b0 + b1/z + b2/z^2) / (1 + a1/z + a2/z^2) u; state holds 2 numbers. */
+/* Second-order low-pass, y = (b0 + b1/z + b2/z^2) / (1 + a1/z + a2/z^2) u; state holds 2 numbers.
+ */
 typedef struct {
     sgms_real b0, b1, b2, a1, a2;
 } sgms_lowpass;
 
-static inline sgms_real sgms_lowpass_step(const sgms_lowpass *filter, sgms_real *state, sgms_real input)
+static inline sgms_real sgms_lowpass_step(
+    const sgms_lowpass *filter, sgms_real *state, sgms_real input)
 {
     const sgms_real output = filter->b0 * input + state[0];
     state[0] = state[1] + filter->b1 * input - filter->a1 * output;
@@ -28,7 +31,7 @@ static inline void sgms_lowpass_rest(const sgms_lowpass *filter, sgms_real *stat
     state[0] += (SGMS_R(1.0) - filter->b0) * input;
 }
 
-/* A reading at or beyond these is no reading, whatever its bits say: it counts as missing, as NaN does. */
+/* A reading at or beyond these is none, whatever its bits say: it counts as missing, as NaN. */
 #define SGMS_FARTHEST SGMS_R(4e6)       /* m */
 #define SGMS_LARGEST_SIGNAL SGMS_R(1e9) /* N, m/s, m/s^2 */
 
@@ -39,10 +42,12 @@ static inline int sgms_is_reading(sgms_real x)
 
 #if SGMS_SINGLE
 typedef int64_t sgms_position; /* pm */
-/* What moves in a sample mostly fits 32 bits, which a small processor converts in one instruction. */
+/* What moves in a sample mostly fits 32 bits, which a small processor converts in one instruction.
+ */
 static inline sgms_real sgms_metres(sgms_position p)
 {
-    const sgms_real picometres = p >= INT32_MIN && p <= INT32_MAX ? (sgms_real)(int32_t)p : (sgms_real)p;
+    const sgms_real picometres = p >= INT32_MIN && p <= INT32_MAX ? (sgms_real)(int32_t)p
+                                                                  : (sgms_real)p;
     return picometres * SGMS_R(1e-12);
 }
 
@@ -56,7 +61,8 @@ static inline int sgms_position_is_good(sgms_position p)
 /* p + d for a good p, which a continued motion does not take out of the range: it stays there. */
 static inline sgms_position sgms_position_ahead(sgms_position p, sgms_position d)
 {
-    const int is_within = d < 0 ? p > -SGMS_FARTHEST_PICOMETRES - d : p < SGMS_FARTHEST_PICOMETRES - d;
+    const int is_within = d < 0 ? p > -SGMS_FARTHEST_PICOMETRES - d
+                                : p < SGMS_FARTHEST_PICOMETRES - d;
     return is_within ? p + d : p;
 }
 
@@ -95,7 +101,8 @@ enum {
     SGMS_FILTER_COUNTS = 3
 };
 
-/* What of the chain is asked for beside velocity and friction, a sum. The rest is left out, and is zero. */
+/* What of the chain is asked for beside velocity and friction, a sum. The rest is left out, and is
+ * zero. */
 enum { SGMS_POSITION = 1, SGMS_FORCE = 2, SGMS_ACCELERATION = 4 };
 
 /* A chain, always the same. */
@@ -106,13 +113,14 @@ typedef struct {
     int wanted;     /* what is asked for */
 } sgms_chain;
 
-/* Memory of the chain. Plain arrays, so that the public header of a package can declare it without this one. */
+/* Memory of the chain. Plain arrays, which the public header of a package declares without this. */
 typedef struct {
     sgms_position *position; /* [2] last position, last raw difference */
     sgms_real *lowpass;      /* [SGMS_FILTER_STATES] */
-    sgms_real *last; /* [SGMS_FILTER_LAST] last force, last filtered velocity, force and position one sample ago */
-    int32_t *counts; /* [SGMS_FILTER_COUNTS] channels seen (1 force, 2 position), length of the gap, samples since
-                        friction was spoilt */
+    sgms_real *last; /* [SGMS_FILTER_LAST] last force, last filtered velocity, force and position
+                        one sample ago */
+    int32_t *counts; /* [SGMS_FILTER_COUNTS] channels seen (1 force, 2 position), length of the gap,
+                        samples since friction was spoilt */
     sgms_real mass;  /* kg, that moves */
 } sgms_filter_memory;
 
@@ -123,10 +131,7 @@ typedef struct {
 
 /* One sample through the chain. */
 static inline sgms_aligned sgms_filter_step(
-    const sgms_chain *chain,
-    const sgms_filter_memory *m,
-    sgms_position position,
-    sgms_real force)
+    const sgms_chain *chain, const sgms_filter_memory *m, sgms_position position, sgms_real force)
 {
     const sgms_lowpass *const filter = &chain->lowpass;
     const sgms_real rate = chain->rate;
@@ -183,13 +188,15 @@ static inline sgms_aligned sgms_filter_step(
     }
     m->last[0] = force;
 
-    /* The filters are linear, so the difference of two filtered velocities is the filtered second difference of the
-     * position, which is exact: at 1 m/s the other order costs single precision 0.03 N. */
+    /* The filters are linear, so the difference of two filtered velocities is the filtered second
+     * difference of the position, which is exact: at 1 m/s the other order costs single precision
+     * 0.03 N. */
     velocity = sgms_lowpass_step(filter, f, sgms_metres(m->position[1]) * rate);
     acceleration = sgms_metres_between(m->position[1], earlier) * rate * rate;
     out.velocity = sgms_lowpass_step(filter, f + 2, m->last[1]);
     if (apart) {
-        out.acceleration = sgms_lowpass_step(filter, f + 6, sgms_lowpass_step(filter, f + 4, acceleration));
+        out.acceleration = sgms_lowpass_step(
+            filter, f + 6, sgms_lowpass_step(filter, f + 4, acceleration));
         out.force = sgms_lowpass_step(filter, f + 10, sgms_lowpass_step(filter, f + 8, m->last[2]));
         out.friction = out.force - m->mass * out.acceleration;
     } else { /* linear again: what is not asked for apart goes through one pair of filters */
@@ -199,7 +206,8 @@ static inline sgms_aligned sgms_filter_step(
     m->last[1] = velocity;
     m->last[2] = force;
     if (wanted & SGMS_POSITION) {
-        out.position = sgms_lowpass_step(filter, f + 14, sgms_lowpass_step(filter, f + 12, m->last[3]));
+        out.position = sgms_lowpass_step(
+            filter, f + 14, sgms_lowpass_step(filter, f + 12, m->last[3]));
         m->last[3] = sgms_metres(position);
     }
 

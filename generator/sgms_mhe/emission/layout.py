@@ -27,7 +27,9 @@ _OPERATIONS: Final[Mapping[type[ast.operator], Callable[[int, int], int]]] = {
     ast.Mult: operator.mul,
 }
 _STRUCT: Final = re.compile(r"typedef struct \{(.*?)\} (\w+);", re.DOTALL)
-_CONSTANT: Final = re.compile(r"(?:^#define |^ +|enum \{ )(\w+)(?: = | )([\w +*()-]+?)(?:,|\n| \})", re.MULTILINE)
+_CONSTANT: Final = re.compile(
+    r"(?:^#define (?=\w+ )|^ +(?=\w+ = )|enum \{ )(\w+)(?: = | )([\w +*()-]+?)(?:,|\n| \})", re.MULTILINE
+)
 _TABLE: Final = re.compile(r"^static const (\w+) (\w+)((?:\[[^\]]+\])+) =", re.MULTILINE)
 _ALIAS: Final = re.compile(r"^typedef (\w+) (\w+);", re.MULTILINE)
 
@@ -121,7 +123,7 @@ def _count(dimensions: str, constants: Mapping[str, int]) -> int:
     """Elements of an array by its dimensions, `[2][STATES * 3]`."""
     count = 1
     for dimension in re.findall(r"\[([^\]]+)\]", dimensions):
-        count *= _value(ast.parse(dimension.strip(), mode="eval").body, constants)
+        count *= _value(ast.parse(" ".join(dimension.split()), mode="eval").body, constants)
     return count
 
 

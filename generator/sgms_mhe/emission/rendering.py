@@ -9,26 +9,30 @@ package's precision. Numbers that Python computed are printed by a filter:
     series  coefficients c_0, c_1, ... -> x^2 (c_0 - c_1 x + c_2 x^2 - ...), by Horner's scheme, of the given x
     braced  anything in braces, separated by commas
     each    values put into a pattern: [0, 1] | each("at{}") -> at0, at1
+    rows    literals separated by commas -> lines of an initialiser
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
+import textwrap
 from collections.abc import Iterable, Iterator
 from dataclasses import fields, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Final, Literal
 
 import jinja2
 from jinja2.ext import Extension
 from jinja2.lexer import Token, TokenStream
 
 from sgms_mhe.emission.c_source import CPrinter
+from sgms_mhe.emission.columns import COLUMNS, INDENT, within_columns
 from sgms_mhe.emission.context import PackageView
 from sgms_mhe.support.paths import templates_dir
 
 Precision = Literal["double", "single"]
+C_SUFFIXES: Final = (".c", ".h", ".hpp")
 
 _PIECE = re.compile(
     r"""(?P<open>/\*) | (?P<close>\*/) | "(?:[^"\\\n]|\\.)*"
@@ -102,7 +106,8 @@ def _rendered(view: PackageView, template: str, precision: Precision, **more: ob
     """One template's text; literals in it as those of a precision."""
     subjects = {field.name: getattr(view, field.name) for field in fields(view)}
     subjects |= {"name": view.package.name, "NAME": view.package.NAME, **more}
-    return _environment(precision).get_template(f"{template}.jinja").render(subjects)
+    text = _environment(precision).get_template(f"{template}.jinja").render(subjects)
+    return within_columns(text) if template.endswith(C_SUFFIXES) else text
 
 
 @lru_cache(maxsize=2)
@@ -123,6 +128,7 @@ def _environment(precision: Precision) -> jinja2.Environment:
         reals=printer.numbers,
         array=printer.array,
         series=printer.series,
+        rows=_rows,
         each=_each,
         braced=_braced,
     )
@@ -135,3 +141,8 @@ def _braced(values: Iterable[object]) -> str:
 
 def _each(values: Iterable[object], pattern: str) -> list[str]:
     return [pattern.format(value) for value in values]
+
+
+def _rows(literals: str) -> str:
+    """Lines of an initialiser, as full as they get."""
+    return "\n".join(textwrap.wrap(literals, COLUMNS, initial_indent=INDENT * " ", subsequent_indent=INDENT * " "))

@@ -2,14 +2,16 @@
  *
  * Estimator of toy: moving horizon estimation, square-root condensing.
  *
- * One interval: samples come in and the newest interval is integrated as they do. Meanwhile (prepare) the older nodes of
- * the last solution are found, all older intervals are linearised anew about it, and their
- * nodes condensed, oldest first. The newest interval and its measurement close the sweep and give the estimate (feedback). */
+ * One interval: samples come in and the newest interval is integrated as they do. Meanwhile
+ * (prepare) the older nodes of the last solution are found, all older intervals are linearised anew
+ * about it, and their nodes condensed, oldest first. The newest interval and its measurement close
+ * the sweep and give the estimate (feedback). */
 #include "toy.h"
 
 #include "toy_compensation.h"
 
-/* Which call is under way, for other tasks to see. VOIDED: a prepare that a reset came into; SPOILT: it is over, and what it left is worth nothing. */
+/* Which call is under way, for other tasks to see. VOIDED: a prepare that a reset came into;
+ * SPOILT: it is over, and what it left is worth nothing. */
 enum { IDLE, PREPARING, FEEDING, VOIDED, SPOILT };
 
 static void copy(sgms_real *to, const sgms_real *from, int count)
@@ -26,8 +28,8 @@ static int slot_before(const toy_t *self, int back)
     return slot < 0 ? slot + SLOTS : (slot < SLOTS ? slot : slot - SLOTS);
 }
 
-/* What is known of theta alone, the lower right triangle of a factor: its inverse is the square root of their
- * covariance. Row by row in the axis's memory, in square where it is worked on. */
+/* What is known of theta alone, the lower right triangle of a factor: its inverse is the square
+ * root of their covariance. Row by row in the axis's memory, in square where it is worked on. */
 static void keep_root(const sgms_real *factor, sgms_real *root)
 {
     for (int i = STATES; i < FACTOR_ROWS; i++) {
@@ -72,7 +74,8 @@ static void prior_root(const toy_t *self, sgms_real *root)
     }
 }
 
-/* By how much, one standard deviation, a parameter's variance may grow: never beyond the prior's, and not at all where it is held. */
+/* By how much, one standard deviation, a parameter's variance may grow: never beyond the prior's,
+ * and not at all where it is held. */
 static sgms_real growth_of(const toy_t *self, int p, sgms_real wanted, sgms_real variance)
 {
     const sgms_real most = self->held[p] ? 0.0 : self->settings.parameter;
@@ -80,7 +83,8 @@ static sgms_real growth_of(const toy_t *self, int p, sgms_real wanted, sgms_real
 }
 
 /* Factor of the prior: independent normal deviates about (x, theta). */
-static void set_factor(const toy_t *self, sgms_real *factor, const sgms_real *inverse_sd, const sgms_real *x)
+static void set_factor(
+    const toy_t *self, sgms_real *factor, const sgms_real *inverse_sd, const sgms_real *x)
 {
     fill(factor, 0.0, FACTOR_ROWS * FACTOR_WIDTH);
     for (int i = 0; i < STATES; i++) {
@@ -120,7 +124,8 @@ static void start_interval(toy_t *self)
     self->cursor = 0;
 }
 
-/* Window of no interval yet; the node where the next sample stands has mean x. What is known of theta: NULL is the prior. */
+/* Window of no interval yet; the node where the next sample stands has mean x. What is known of
+ * theta: NULL is the prior. */
 static void start_window(toy_t *self, const sgms_real *x, const sgms_real *root)
 {
     self->filling = 0;
@@ -206,8 +211,8 @@ static sgms_real output_at(const toy_t *self, const sgms_real *x, const sgms_rea
     return output_force(&at, c, d);
 }
 
-/* What a reading says of (x, theta) at a node, as a row of the least squares: its sensitivities, and to the right what
- * they have to give. `at` is where its output is linearised. */
+/* What a reading says of (x, theta) at a node, as a row of the least squares: its sensitivities,
+ * and to the right what they have to give. `at` is where its output is linearised. */
 static void node_row(const model_point *at, sgms_real measured, sgms_real *row)
 {
     sgms_real right = measured - output_force(at, row, row + STATES);
@@ -220,11 +225,13 @@ static void node_row(const model_point *at, sgms_real measured, sgms_real *row)
     row[FACTOR_ROWS] = right;
 }
 
-/* Predict a reading from the factor, which knows all before it. Returns the inverse of the standard deviation that it
- * is to be taken with: more than the stated one while readings contradict what is predicted of them (docs/weights.md). */
+/* Predict a reading from the factor, which knows all before it. Returns the inverse of the standard
+ * deviation that it is to be taken with: more than the stated one while readings contradict what is
+ * predicted of them (docs/weights.md). */
 static sgms_real weigh_row(toy_t *self, const sgms_real *row)
 {
-    sgms_real solved[FACTOR_ROWS]; /* R' u = row: u'u is the variance of the prediction, u'b the prediction */
+    /* R' u = row: u'u is the variance of the prediction, u'b the prediction */
+    sgms_real solved[FACTOR_ROWS];
     const sgms_real stated = self->settings.measurement;
     sgms_real innovation = row[FACTOR_ROWS], predicted = stated * stated, ratio, counted;
     for (int i = 0; i < FACTOR_ROWS; i++) {
@@ -244,7 +251,8 @@ static sgms_real weigh_row(toy_t *self, const sgms_real *row)
     self->reading.test_ratio = ratio;
     {
         const sgms_real wild = ratio * (1.0 / RATIO_FREE) * sgms_fmax(1.0, self->ratio_fast);
-        const sgms_real need = sgms_fmax(sgms_fmax(1.0, wild), sgms_fmax(self->ratio_fast, self->ratio_slow));
+        const sgms_real need =
+            sgms_fmax(sgms_fmax(1.0, wild), sgms_fmax(self->ratio_fast, self->ratio_slow));
         const sgms_real sd = sgms_sqrt(stated * stated + (need - 1.0) * predicted);
         self->reading.noise_scale = sd / stated;
         return 1.0 / sd;
@@ -262,10 +270,12 @@ static void fold_row(sgms_real *factor, sgms_real weight, sgms_real *row)
     sgms_qr_add_row(factor, FACTOR_ROWS, used);
 }
 
-/* What the reading at the start of an interval says, with the weight that it got: zeros where there is none. */
+/* What the reading at the start of an interval says, with the weight that it got: zeros where there
+ * is none. */
 static void start_row(const toy_t *self, int slot, sgms_real *row)
 {
-    const model_point at = { self->node + slot * STATES, self->node_signal + slot * SIGNALS, self->parameters.theta };
+    const model_point at =
+        { self->node + slot * STATES, self->node_signal + slot * SIGNALS, self->parameters.theta };
     fill(row, 0.0, FACTOR_WIDTH);
     if (self->node_weight[slot] > 0.0) {
         node_row(&at, self->node_friction[slot], row);
@@ -275,22 +285,25 @@ static void start_row(const toy_t *self, int slot, sgms_real *row)
     }
 }
 
-/* Let theta walk over so many intervals: its covariance in the factor grows, but never beyond the prior's. */
+/* Let theta walk over so many intervals: its covariance in the factor grows, but never beyond the
+ * prior's. */
 static void add_drift(const toy_t *self, sgms_real *factor, int intervals)
 {
     const sgms_real drift = self->settings.drift;
     sgms_real variance[PARAMETERS], growth[PARAMETERS], work[FACTOR_WIDTH];
-    sgms_variances(factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH, variance, work);
+    sgms_variances(
+        factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH, variance, work);
     for (int p = 0; p < PARAMETERS; p++) {
         growth[p] = growth_of(self, p, (sgms_real)intervals * (drift * drift), variance[p]);
     }
     sgms_qr_grow(factor, FACTOR_ROWS, PARAMETERS, growth, work);
 }
 
-/* Defect of state i over an interval, x_k+1 - A x_k - B theta - rest over its standard deviation, as a row [-A, -B, rest]
- * of the least squares; of A the columns of `couples` alone, the rest is zero. The map is linearised at `start` and the
- * parameters of the last estimate. */
-static void defect_row(const toy_t *self, int i, const sgms_real *start, const interval_map *map, sgms_real *row)
+/* Defect of state i over an interval, x_k+1 - A x_k - B theta - rest over its standard deviation,
+ * as a row [-A, -B, rest] of the least squares; of A the columns of `couples` alone, the rest is
+ * zero. The map is linearised at `start` and the parameters of the last estimate. */
+static void defect_row(
+    const toy_t *self, int i, const sgms_real *start, const interval_map *map, sgms_real *row)
 {
     const sgms_real *const a = map->a + i * STATES, *const b = map->b + i * PARAMETERS;
     const sgms_real inverse_noise = 1.0 / self->settings.state[i];
@@ -307,16 +320,18 @@ static void defect_row(const toy_t *self, int i, const sgms_real *start, const i
     row[DEFECT_WIDTH - 1] = inverse_noise * rest;
 }
 
-static void defect_rows(const toy_t *self, const sgms_real *start, const interval_map *map, sgms_real *rows)
+static void defect_rows(
+    const toy_t *self, const sgms_real *start, const interval_map *map, sgms_real *rows)
 {
     for (int i = 0; i < STATES; i++) {
         defect_row(self, i, start, map, rows + i * DEFECT_WIDTH);
     }
 }
 
-/* Condense an interval: the factor over its start and theta, (x_k, theta), becomes that over (x_k+1, theta). The rows
- * that give x_k back go to `kept`. */
-static void condense(const toy_settings_t *settings, sgms_real *factor, const sgms_real *rows, sgms_real *kept)
+/* Condense an interval: the factor over its start and theta, (x_k, theta), becomes that over
+ * (x_k+1, theta). The rows that give x_k back go to `kept`. */
+static void condense(
+    const toy_settings_t *settings, sgms_real *factor, const sgms_real *rows, sgms_real *kept)
 {
     sgms_real low[STATES * KEPT_WIDTH], reflector[STATES];
     for (int i = 0; i < STATES; i++) {
@@ -333,8 +348,8 @@ static void condense(const toy_settings_t *settings, sgms_real *factor, const sg
         top[STATES + i] = 1.0 / settings->state[i];
         copy(top + 2 * STATES, rows + i * DEFECT_WIDTH + COUPLED, PARAMETERS + 1);
     }
-    /* R_x is triangular and A couples the states of a block alone: a column reaches no further down than its block, or
-     * an earlier one. */
+    /* R_x is triangular and A couples the states of a block alone: a column reaches no further down
+     * than its block, or an earlier one. */
     sgms_reflect(kept + 0 * KEPT_WIDTH, low, 1, KEPT_WIDTH, KEPT_WIDTH, 0, reflector);
     for (int i = 0; i < STATES; i++) {
         copy(factor + i * FACTOR_WIDTH, low + i * KEPT_WIDTH + STATES, FACTOR_WIDTH);
@@ -342,7 +357,8 @@ static void condense(const toy_settings_t *settings, sgms_real *factor, const sg
 }
 
 /* x from the rows [R_x, R_n, R_theta, b] of a node, the next node's state and theta. */
-static void expand(const sgms_real *rows, int width, int next_states, const sgms_real *next, const sgms_real *theta, sgms_real *x)
+static void expand(const sgms_real *rows, int width, int next_states, const sgms_real *next,
+    const sgms_real *theta, sgms_real *x)
 {
     sgms_real right[STATES];
     for (int i = 0; i < STATES; i++) {
@@ -406,7 +422,8 @@ static void linearise_step(toy_t *self, int step)
     integrate_lanes(SLOTS, self->term + step * NODES * TERMS * SERIES_STRIDE, self->lane);
 }
 
-/* Condense the interval `back` before the newest. After the last one, the newest's own readings can be folded. */
+/* Condense the interval `back` before the newest. After the last one, the newest's own readings can
+ * be folded. */
 static void condense_node(toy_t *self, int back)
 {
     const int slot = slot_before(self, back);
@@ -421,9 +438,9 @@ static void condense_node(toy_t *self, int back)
     }
 }
 
-/* Units of the work that does not need the newest sample, in their order: nodes of the last solution to expand, the
- * start of the sweep, steps of the intervals to linearise anew; of each older interval its readings to fold, its node to
- * condense. */
+/* Units of the work that does not need the newest sample, in their order: nodes of the last
+ * solution to expand, the start of the sweep, steps of the intervals to linearise anew; of each
+ * older interval its readings to fold, its node to condense. */
 typedef struct {
     int nodes, steps, condensed;
 } workload;
@@ -456,7 +473,8 @@ static int next_cost(const toy_t *self)
 static void work(toy_t *self)
 {
     const workload of = workload_of(self);
-    const int at = (int)self->cursor - of.nodes, swept = at - of.steps - 1, back = of.condensed - swept / 2;
+    const int at = (int)self->cursor - of.nodes, swept = at - of.steps - 1,
+        back = of.condensed - swept / 2;
     if (at < 0) {
         expand_node(self, (int)self->cursor + 1);
     } else if (at == 0) {
@@ -473,7 +491,8 @@ static void work(toy_t *self)
 
 void toy_prepare(toy_t *self)
 {
-    if (self->phase != IDLE || !self->started) { /* before the first sample there is no first node */
+    /* before the first sample there is no first node */
+    if (self->phase != IDLE || !self->started) {
         return;
     }
     self->phase = PREPARING;
@@ -490,7 +509,8 @@ int toy_due(const toy_t *self)
     return self->step == STEPS;
 }
 
-/* Parameters from the triangular factor, within their bounds. Returns how many bounds are active. */
+/* Parameters from the triangular factor, within their bounds. Returns the number of active
+ * bounds. */
 static int solve_theta(const toy_t *self, sgms_real *theta)
 {
     const sgms_real *triangle = self->factor + STATES * FACTOR_WIDTH + STATES;
@@ -499,7 +519,8 @@ static int solve_theta(const toy_t *self, sgms_real *theta)
         right[i] = self->factor[(STATES + i) * FACTOR_WIDTH + FACTOR_ROWS];
     }
     {
-        const sgms_box box = { triangle, PARAMETERS, FACTOR_WIDTH, right, self->settings.lower, self->settings.upper };
+        const sgms_box box = { triangle, PARAMETERS, FACTOR_WIDTH, right, self->settings.lower,
+            self->settings.upper };
         int pinned[PARAMETERS];
         sgms_real scratch[(PARAMETERS + 1) * (PARAMETERS + 1)];
         return sgms_box_least_squares(&box, theta, pinned, scratch);
@@ -525,7 +546,8 @@ static int is_plausible(const sgms_real *x)
     return count == STATES;
 }
 
-/* There is no solution: keep the last good estimate and start the window from it. Returns the status, which says why. */
+/* There is no solution: keep the last good estimate and start the window from it. Returns the
+ * status, which says why. */
 static int start_again(toy_t *self, int status)
 {
     sgms_real w[SIGNALS];
@@ -556,10 +578,12 @@ static void take_newest(toy_t *self, sgms_real *x)
     copy(x, map.x, STATES);
 }
 
-/* Move the window on. Returns the slot of the next interval and adds to the status while the window fills. */
+/* Move the window on. Returns the slot of the next interval and adds to the status while the window
+ * fills. */
 static int shift_window(toy_t *self, int *status)
 {
-    const int next = slot_before(self, -1); /* where the interval stands that leaves a full window */
+    /* where the interval stands that leaves a full window */
+    const int next = slot_before(self, -1);
     const int is_full = self->complete == HORIZON - 1;
     if (is_full) {
         self->shifts++;
@@ -591,7 +615,8 @@ static int update(toy_t *self)
     }
     status += solve_theta(self, theta) > 0 ? TOY_BOUND : 0;
     expand(self->factor, FACTOR_WIDTH, 0, x, theta, x);
-    sgms_variances(self->factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH, variance, scratch);
+    sgms_variances(
+        self->factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH, variance, scratch);
     if (!is_plausible(x) || !all_finite(theta, PARAMETERS) || !all_finite(variance, PARAMETERS)) {
         return start_again(self, TOY_NUMERIC);
     }
@@ -664,7 +689,8 @@ static SGMS_INLINE void extend_series(toy_t *self)
 /* Keep the newest signals, and say whether they were readings: otherwise the last ones hold. */
 static SGMS_INLINE int take_signals(toy_t *self, const toy_signals *signals)
 {
-    const int good = sgms_is_reading(signals->velocity) && sgms_fabs(signals->position) < SGMS_FARTHEST &&
+    const int good =
+        sgms_is_reading(signals->velocity) && sgms_fabs(signals->position) < SGMS_FARTHEST &&
                      sgms_is_reading(signals->acceleration) && sgms_is_reading(signals->force);
     if (good) { /* those that the model reads */
         self->signal[W_VELOCITY] = signals->velocity;
@@ -720,10 +746,12 @@ toy_real toy_insert(toy_t *self, const toy_signals *signals)
 static void take_reading(toy_t *self, toy_position position, toy_real force)
 {
     const sgms_filter_memory memory = {
-        self->chain_position, self->chain_lowpass, self->chain_last, self->chain_counts, self->moved };
+        self->chain_position, self->chain_lowpass, self->chain_last, self->chain_counts,
+            self->moved };
     const sgms_aligned aligned = sgms_filter_step(&chain, &memory, position, force);
     const toy_signals signals = {
-        aligned.position, aligned.velocity, aligned.acceleration, aligned.force, aligned.friction, aligned.valid,
+        aligned.position, aligned.velocity, aligned.acceleration, aligned.force, aligned.friction,
+            aligned.valid,
         0.0 };
     follow_lag(self, sgms_metres(self->chain_position[1]));
     self->through_chain = 1;
@@ -745,7 +773,8 @@ toy_real toy_tick(toy_t *self, toy_position position, toy_real force)
         return fed_forward(self);
     }
     if (self->phase == IDLE) { /* otherwise another task prepares */
-        for (int left = COST_PER_SAMPLE, cost = next_cost(self); cost > 0 && cost <= left; cost = next_cost(self)) {
+        for (int left = COST_PER_SAMPLE, cost = next_cost(self); cost > 0 && cost <= left;
+            cost = next_cost(self)) {
             work(self);
             left -= cost;
         }
@@ -817,7 +846,8 @@ const char *toy_status_text(int status)
         return "refused: the application was compiled against another header";
     }
     if (status == TOY_REFUSED) {
-        return "refused: a number out of its range, or what was saved is damaged or another machine's";
+        return
+            "refused: a number out of its range, or what was saved is damaged or another machine's";
     }
     if (status < 0) {
         return "refused: the solution was not finite or absurd; the last good estimate stays";
@@ -843,7 +873,8 @@ const char *toy_status_text(int status)
     return (status & TOY_FILLING) ? "the window is filling" : "good";
 }
 
-/* A checksum of what was saved, all that stands behind it (CRC-32): any single bit, and any burst of 32, changes it. */
+/* A checksum of what was saved, all that stands behind it (CRC-32): any single bit, and any burst
+ * of 32, changes it. */
 static SGMS_COLD uint32_t checksum_of(const toy_saved_t *saved)
 {
     const unsigned char *const bytes = (const unsigned char *)saved;
@@ -890,7 +921,8 @@ static SGMS_COLD int are_valid(const toy_settings_t *settings)
     for (int i = 0; i < STATES; i++) {
         good = good && is_size(settings->state[i]);
     }
-    for (int p = 0; p < PARAMETERS; p++) { /* nominal values have to be within, and lower ones below upper ones: an axis starts there */
+    /* nominal values have to be within, and lower ones below upper ones: an axis starts there */
+    for (int p = 0; p < PARAMETERS; p++) {
         good = good && settings->lower[p] <= 1.0 && settings->upper[p] >= 1.0;
         good = good && settings->lower[p] * 0.0 == 0.0 && settings->upper[p] * 0.0 == 0.0;
     }
@@ -929,7 +961,8 @@ SGMS_COLD int toy_set_mass(toy_t *self, toy_real moved)
     return TOY_OK;
 }
 
-/* Start the window anew at the newest signals, with theta[p] and what `square` knows of the parameters; the states go on. */
+/* Start the window anew at the newest signals, with theta[p] and what `square` knows of the
+ * parameters; the states go on. */
 static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms_real *square)
 {
     const int started = self->started;
@@ -960,12 +993,13 @@ static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms
     self->started = started;
 }
 
-/* Let theta[p] be known apart from the others, as well as this; what is known of the others stays. */
+/* Let theta[p] be known this well, apart from the others, of which nothing is lost. */
 static SGMS_COLD void set_theta(toy_t *self, int p, sgms_real theta, sgms_real inverse_sd)
 {
     sgms_real square[PARAMETERS * ROOT_WIDTH], scratch[PARAMETERS];
     unpack_root(self->good_root, square);
-    /* With its column in front, the rows below the first are what is known of the others whatever it is. */
+    /* With its column in front, the rows below the first are what is known of the others whatever
+     * it is. */
     for (int i = 0; i < PARAMETERS; i++) {
         sgms_real *const row = square + i * ROOT_WIDTH;
         const sgms_real moved = row[p];
@@ -1014,7 +1048,8 @@ SGMS_COLD int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_
         return TOY_REFUSED;
     }
     { /* one that came from an estimate at its bound may be beyond by rounding */
-        const sgms_real lower = self->settings.lower[parameter], upper = self->settings.upper[parameter];
+        const sgms_real lower = self->settings.lower[parameter],
+            upper = self->settings.upper[parameter];
         if (theta < lower - HELD_SD || theta > upper + HELD_SD) {
             return TOY_REFUSED;
         }
@@ -1052,20 +1087,24 @@ SGMS_COLD int toy_save(const toy_t *self, toy_saved_t *saved)
 }
 
 /* Whether what was saved is of this machine, whole, and what an axis can have learned. */
-static SGMS_COLD int is_whole(const toy_t *self, const toy_saved_t *saved, const sgms_real *variance)
+static SGMS_COLD int is_whole(
+    const toy_t *self, const toy_saved_t *saved, const sgms_real *variance)
 {
     int good = saved->format == TOY_SAVED_FORMAT && saved->checksum == checksum_of(saved);
-    good = good && saved->machine[0] == TOY_SAVED_MACHINE_0 && saved->machine[1] == TOY_SAVED_MACHINE_1;
+    good = good && saved->machine[0] == TOY_SAVED_MACHINE_0 &&
+        saved->machine[1] == TOY_SAVED_MACHINE_1;
     good = good && all_finite(saved->theta, PARAMETERS) && all_finite(saved->root, TOY_ROOT_SIZE);
     good = good && is_model(saved->theta);
-    good = good && all_finite(variance, PARAMETERS) && saved->ratio >= 0.0 && saved->ratio <= RATIO_MOST;
+    good = good && all_finite(variance, PARAMETERS) && saved->ratio >= 0.0 &&
+        saved->ratio <= RATIO_MOST;
     return good && within_bounds(self, saved->theta);
 }
 
 SGMS_COLD int toy_load(toy_t *self, const toy_saved_t *saved)
 {
     const sgms_real zero[STATES] = { 0.0 };
-    sgms_real square[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], growth[PARAMETERS], scratch[ROOT_WIDTH];
+    sgms_real square[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], growth[PARAMETERS],
+        scratch[ROOT_WIDTH];
     start_fresh(self);
     unpack_root(saved->root, square);
     sgms_variances(square, PARAMETERS, ROOT_WIDTH, variance, scratch);

@@ -2,11 +2,13 @@
  *
  * Toy axis: one element, two intervals of five samples
  *
- * Friction observer by moving horizon estimation: 1 Maxwell-slip elements, 2 estimated parameter(s), horizon 2 intervals of 5 ms.
- * Double precision, C99 and C++17, no library, no globals: the caller owns toy_t, and every axis has its own.
+ * Friction observer by moving horizon estimation: 1 Maxwell-slip elements, 2 estimated
+ * parameter(s), horizon 2 intervals of 5 ms. Double precision, C99 and C++17, no library, no
+ * globals: the caller owns toy_t, and every axis has its own.
  *
- * Work at most, whatever comes in, in operations: additions, multiplications, divisions, comparisons and absolute values
- * of its numbers, as a processor without vector registers does them.
+ * Work at most, whatever comes in, in operations: additions, multiplications, divisions,
+ * comparisons and absolute values of its numbers, as a processor without vector registers does
+ * them.
  *
  *   tick()          136041
  *   sample()         81973   insert() too
@@ -17,28 +19,39 @@
  * Two ways to call it, with the same numbers:
  *
  *   one task      toy_tick() at 1000 Hz; it spreads the work over the samples of an interval.
- *   two tasks     toy_sample() at 1000 Hz in the fast task; when toy_due() says so, toy_feedback() right after it;
- *                 toy_prepare() in a slower task, between one feedback and the next.
+ *   two tasks     toy_sample() at 1000 Hz in the fast task; when toy_due() says so, toy_feedback()
+ *                 right after it; toy_prepare() in a slower task, between one feedback and the
+ *                 next.
  *
- * Tasks that share an axis. C99 has no atomics; this is what the caller guarantees, and what the axis watches over:
+ * Tasks that share an axis. C99 has no atomics; this is what the caller guarantees, and what the
+ * axis watches over:
  *
- * - One task calls toy_sample(), toy_feedback() and their like, or toy_tick(). That one or one other calls toy_prepare().
- * - sample() may interrupt prepare() anywhere. feedback() may not: it then returns OVERLAP and changes nothing; it is to be called again once
- *   prepare() has returned, and samples that come until then are lost (OVERRUN). What prepare() had not begun feedback() does itself.
+ * - One task calls toy_sample(), toy_feedback() and their like, or toy_tick(). That one or one
+ *   other calls toy_prepare().
+ * - sample() may interrupt prepare() anywhere. feedback() may not: it then returns OVERLAP and
+ *   changes nothing; it is to be called again once prepare() has returned, and samples that come
+ *   until then are lost (OVERRUN). What prepare() had not begun feedback() does itself.
  * - prepare() inside of prepare() or feedback() returns at once.
- * - toy_init(), init_with(), load() and toy_reset(), hold(), set_parameter() are called while no other call is under way. One of the last
- *   three inside of prepare() is noticed: the next feedback() returns OVERLAP and starts the window from the last good estimate.
+ * - toy_init(), init_with(), load() and toy_reset(), hold(), set_parameter() are called while no
+ *   other call is under way. One of the last three inside of prepare() is noticed: the next
+ *   feedback() returns OVERLAP and starts the window from the last good estimate.
  * - toy_set_mass() is called by the task that calls sample(), or while that is not under way.
- * - toy_estimate() and toy_save() may be called by any task: numbers of one update, or OVERLAP where feedback() came between three times.
- * - On one core, where a task or an interrupt stops another one, that is all. Calls tell of each other by aligned words of 32 bits (`phase`,
- *   `version`, `arrived`, volatile), which are read and written in one piece and in the order of the program: SGMS_FENCE() (sgms_real.h)
- *   tells gcc and clang to keep it; for another compiler define it as what it needs.
- * - On two cores these words are no lock. Define SGMS_FENCE() as a memory barrier, and see to it that neither of prepare() and feedback() begins
- *   while the other is beginning: start prepare() by a semaphore that is given after feedback() has returned, and feedback() after prepare() has begun.
+ * - toy_estimate() and toy_save() may be called by any task: numbers of one update, or OVERLAP
+ *   where feedback() came between three times.
+ * - On one core, where a task or an interrupt stops another one, that is all. Calls tell of each
+ *   other by aligned words of 32 bits (`phase`, `version`, `arrived`, volatile), which are read and
+ *   written in one piece and in the order of the program: SGMS_FENCE() (sgms_real.h) tells gcc and
+ *   clang to keep it; for another compiler define it as what it needs.
+ * - On two cores these words are no lock. Define SGMS_FENCE() as a memory barrier, and see to it
+ *   that neither of prepare() and feedback() begins while the other is beginning: start prepare()
+ *   by a semaphore that is given after feedback() has returned, and feedback() after prepare() has
+ *   begun.
  *
- * When sensors fail: a reading that is missing or not finite is left out (MISSING). One that contradicts what is predicted of it counts less,
- * as long as it does, and the status says DOUBT; parameters that have been learned stay, and their deviations say how sure they are. What
- * is fed forward has no limit: [compensation] limit. What is wrong from the first sample on (a sign, a gain, a unit) cannot be told here.
+ * When sensors fail: a reading that is missing or not finite is left out (MISSING). One that
+ * contradicts what is predicted of it counts less, as long as it does, and the status says DOUBT;
+ * parameters that have been learned stay, and their deviations say how sure they are. What is fed
+ * forward has no limit: [compensation] limit. What is wrong from the first sample on (a sign, a
+ * gain, a unit) cannot be told here.
  */
 #ifndef TOY_H
 #define TOY_H
@@ -51,7 +64,8 @@ extern "C" {
 #endif
 
 typedef double toy_real;
-typedef double toy_position; /* m; the functions below make it too, and are the same in every package */
+/* m; the functions below make it too, and are the same in every package */
+typedef double toy_position;
 
 #define TOY_VERSION "0.1.0" /* of the generator */
 #define TOY_MACHINE "ddc7efac656b" /* digest of the machine file */
@@ -65,7 +79,8 @@ typedef double toy_position; /* m; the functions below make it too, and are the 
 #define TOY_PARAMETERS 2 /* stiffness_1, coulomb */
 #define TOY_SAMPLES 5 /* per update */
 
-/* Status of an update: 0, or a sum of positive flags: usable, with a reservation; negative: refused, the last good estimate stays. */
+/* Status of an update: 0, or a sum of positive flags: usable, with a reservation; negative:
+ * refused, the last good estimate stays. */
 enum {
     TOY_OK = 0,
     TOY_FILLING = 1,  /* the window is not full yet */
@@ -74,15 +89,20 @@ enum {
     TOY_BOUND = 8,    /* a parameter is at its bound */
     TOY_SPEED = 16,   /* faster than max_velocity, 0.5 m/s */
     TOY_OVERRUN = 32, /* samples were lost: feedback was not called in time */
-    TOY_DOUBT = 64,   /* the readings contradict the model beyond their stated noise: they count less */
+    /* the readings contradict the model beyond their stated noise: they count less */
+    TOY_DOUBT = 64,
     TOY_EARLY = -1,   /* feedback before the interval was complete */
-    TOY_NUMERIC = -2, /* the solution was not finite or absurd: the window starts anew from the last good estimate */
-    TOY_OVERLAP = -3, /* calls of two tasks overlapped, as feedback while prepare was under way; see above */
+    /* the solution was not finite or absurd: the window starts anew from the last good estimate */
+    TOY_NUMERIC = -2,
+    /* calls of two tasks overlapped, as feedback while prepare was under way; see above */
+    TOY_OVERLAP = -3,
     TOY_MISMATCH = -4, /* the application was compiled against another header than this package's */
-    TOY_REFUSED = -5  /* of a call that sets or loads: a number out of its range, or saved data damaged or another machine's */
+    /* of a call that sets or loads: a number out of its range, or saved data damaged or another
+     * machine's */
+    TOY_REFUSED = -5
 };
 
-/* Signals of one sample for toy_insert(), where the controller has a signal chain of its own. */
+/* Signals of one sample for toy_insert(), where the controller has its own chain. */
 typedef struct {
     toy_real position;     /* m */
     toy_real velocity;     /* m/s, mean over the sample period that ends now */
@@ -90,7 +110,8 @@ typedef struct {
     toy_real force;        /* N, drive force */
     toy_real friction;     /* N, force - mass * acceleration */
     int valid;              /* 0: friction is not to be used */
-    toy_real delay;        /* s, that all of them are behind the sample; 0 where the controller's chain has none */
+    /* s, that all of them are behind the sample; 0 where the controller's chain has none */
+    toy_real delay;
 } toy_signals;
 
 /* What the observer knows after an update. */
@@ -102,7 +123,8 @@ typedef struct {
     toy_real deviation[TOY_PARAMETERS];    /* 1 sigma, SI units */
     toy_real innovation;                  /* N, the newest reading minus its prediction */
     toy_real test_ratio;                  /* its square over the variance predicted for it */
-    toy_real noise_scale;                 /* factor on the stated standard deviation that it was taken with, >= 1 */
+    /* factor on the stated standard deviation that it was taken with, >= 1 */
+    toy_real noise_scale;
     int status;
 } toy_estimate_t;
 
@@ -120,29 +142,37 @@ enum {
     TOY_SERIES_SIZE = 5 * 2 * 4,                 /* nodes, sample terms, intervals */
     TOY_BLOCKS_SIZE = 7 * 4,                     /* blocks side by side, with sensitivities */
     TOY_LANES_SIZE = 7 * 4,                      /* the same of all intervals */
-    TOY_ROOT_SIZE = 3,                           /* upper triangle of what is known of the parameters alone */
-    TOY_KEPT_WIDTH = 5,                          /* row that gives a node back: its state, the next one's, theta, right side */
+    /* upper triangle of what is known of the parameters alone */
+    TOY_ROOT_SIZE = 3,
+    /* row that gives a node back: its state, the next one's, theta, right side */
+    TOY_KEPT_WIDTH = 5,
     TOY_DEFECT_WIDTH = 4,                        /* row of a defect: states, theta, right side */
 };
 
-/* Weights and bounds, as [estimator.noise] and [estimator.bounds] of the machine file have them; toy_settings() gives those. */
+/* Weights and bounds, as [estimator.noise] and [estimator.bounds] of the machine file have them;
+ * toy_settings() gives those. */
 typedef struct {
     toy_real measurement;   /* N, 1 sigma of a reading; above zero; 0.2 */
-    toy_real state[TOY_STATES]; /* 1 sigma per update, of elements as a fraction of nu_i f_C; above zero; 0.05 */
-    toy_real parameter;     /* 1 sigma of a parameter before any data, over nominal; above zero; 0.2 */
-    toy_real drift;         /* of its random walk, per update with motion, over nominal; zero or above; 0.001 */
+    /* 1 sigma per update, of elements as a fraction of nu_i f_C; above zero; 0.05 */
+    toy_real state[TOY_STATES];
+    /* 1 sigma of a parameter before any data, over nominal; above zero; 0.2 */
+    toy_real parameter;
+    /* of its random walk, per update with motion, over nominal; zero or above; 0.001 */
+    toy_real drift;
     toy_real pause;         /* of what a power cycle changes, over nominal; zero or above; 0.05 */
-    toy_real lower[TOY_PARAMETERS], upper[TOY_PARAMETERS]; /* bounds over nominal; lower at most 1, upper at least */
+    /* bounds over nominal; lower at most 1, upper at least */
+    toy_real lower[TOY_PARAMETERS], upper[TOY_PARAMETERS];
 } toy_settings_t;
 
-/* What was learned, to be kept where it outlives the power: toy_save(), toy_load(). As many bytes on every
- * processor, none of them padding; the numbers lie as the processor has them. */
+/* What was learned, to be kept where it outlives the power: toy_save(), toy_load(). As many bytes
+ * on every processor, none of them padding; the numbers lie as the processor has them. */
 typedef struct {
     uint32_t checksum;   /* over all that follows */
     uint32_t format;     /* TOY_SAVED_FORMAT */
     uint32_t machine[2]; /* digest of the machine file */
     toy_real theta[TOY_PARAMETERS];   /* over nominal */
-    toy_real root[TOY_ROOT_SIZE]; /* upper triangle whose inverse is the square root of their covariance */
+    /* upper triangle whose inverse is the square root of their covariance */
+    toy_real root[TOY_ROOT_SIZE];
     toy_real ratio; /* slow mean of the readings' test ratios */
 } toy_saved_t;
 
@@ -155,8 +185,9 @@ typedef struct {
     toy_real d_scale[TOY_STATES * TOY_PARAMETERS];
 } toy_parameters;
 
-/* Memory of one axis, static or on a stack that is large enough. Set it up with toy_init(); its fields are not
- * for the application. What every sample needs comes first, within reach of short addresses. */
+/* Memory of one axis, static or on a stack that is large enough. Set it up with toy_init(); its
+ * fields are not for the application. What every sample needs comes first, within reach of short
+ * addresses. */
 typedef struct {
     toy_settings_t settings;
     toy_real moved; /* kg */
@@ -166,13 +197,15 @@ typedef struct {
     toy_real chain_lowpass[16];
     toy_real chain_last[4];
     int32_t chain_counts[3];
-    /* position, velocity, acceleration, force, time of what they tell of; zero what the model does not read */
+    /* position, velocity, acceleration, force, time of what they tell of; zero what the model does
+     * not read */
     toy_real signal[TOY_SIGNALS];
     toy_real merged[TOY_SIGNALS];
     int32_t merged_count;
     /* slots of the window are used in turn, `filling` is the interval under way */
     int32_t filling, step, started, lost, too_fast, status;
-    volatile uint32_t phase, version; /* which call is under way; odd while the last good estimate is written */
+    /* which call is under way; odd while the last good estimate is written */
+    volatile uint32_t phase, version;
     toy_parameters parameters; /* of the last estimate */
     toy_real newest[TOY_BLOCKS_SIZE]; /* blocks of the interval under way */
     toy_real path[TOY_SLOTS]; /* m, of each interval */
@@ -183,7 +216,8 @@ typedef struct {
     int32_t compensate, ahead_given, through_chain;
     /* series and nodes of the window */
     toy_real term[TOY_SERIES_SIZE];
-    toy_real node[TOY_SLOTS * TOY_STATES]; /* state at the start of each interval, linearisation point and estimate */
+    /* state at the start of each interval, linearisation point and estimate */
+    toy_real node[TOY_SLOTS * TOY_STATES];
     toy_real node_signal[TOY_SLOTS * TOY_SIGNALS];
     toy_real node_friction[TOY_SLOTS];
     toy_real node_weight[TOY_SLOTS]; /* 1/(N), that its reading is taken with; 0: there is none */
@@ -199,9 +233,11 @@ typedef struct {
     toy_real arrival[TOY_FACTOR_SIZE]; /* before the oldest node of the window */
     toy_real kept[TOY_SLOTS * TOY_STATES * TOY_KEPT_WIDTH]; /* for the back-substitution */
     int32_t complete, cursor; /* older intervals; units of the work done */
-    int32_t shifts, pending_drift; /* of the window since the parameters' drift entered; those of them with motion */
+    /* of the window since the parameters' drift entered; those of them with motion */
+    int32_t shifts, pending_drift;
     /* last good estimate */
-    toy_real good_state[TOY_STATES], good_theta[TOY_PARAMETERS], good_root[TOY_ROOT_SIZE], good_ratio;
+    toy_real good_state[TOY_STATES], good_theta[TOY_PARAMETERS], good_root[TOY_ROOT_SIZE],
+        good_ratio;
     toy_real friction, friction_measured;
 } toy_t;
 
@@ -211,22 +247,24 @@ static inline toy_position toy_position_from_metres(double metres)
     return metres;
 }
 
-/* A position from counts of an encoder, `per` counts (above zero) being so many picometres: 1 and 1000 for 1 nm, 16384 and 20000000 for a
- * period of 20 um in 16384 steps. Exact but for rounding. */
+/* A position from counts of an encoder, `per` counts (above zero) being so many picometres: 1 and
+ * 1000 for 1 nm, 16384 and 20000000 for a period of 20 um in 16384 steps. Exact but for
+ * rounding. */
 static inline toy_position toy_position_from_counts(int64_t counts, int32_t per, int64_t picometres)
 {
     return per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
 }
 
-/* Whether the application was compiled against the header that this package was: toy_check(sizeof(toy_t), TOY_HEADER)
- * is TOY_OK, or TOY_MISMATCH: another machine file, another generator, another layout of the memory. To be called before toy_init();
- * it touches no axis. */
+/* Whether the application was compiled against the header that this package was:
+ * toy_check(sizeof(toy_t), TOY_HEADER) is TOY_OK, or TOY_MISMATCH: another machine file, another
+ * generator, another layout of the memory. To be called before toy_init(); it touches no axis. */
 int toy_check(size_t size, uint32_t header);
 
-/* Self-test (toy_selftest.c): the motion that comes with the package, and what the reference solver estimates from it. 0 where this processor
- * and compiler come to the same; otherwise the number of the first update that differs, or one more than there are where save() and load() do not
- * give back what was learned. selftest() takes sizeof(toy_t) of stack,
- * selftest_with() the memory of an axis, which is to be set up anew with toy_init(). */
+/* Self-test (toy_selftest.c): the motion that comes with the package, and what the reference solver
+ * estimates from it. 0 where this processor and compiler come to the same; otherwise the number of
+ * the first update that differs, or one more than there are where save() and load() do not give
+ * back what was learned. selftest() takes sizeof(toy_t) of stack, selftest_with() the memory of an
+ * axis, which is to be set up anew with toy_init(). */
 int toy_selftest(void);
 int toy_selftest_with(toy_t *axis);
 
@@ -236,76 +274,90 @@ void toy_init(toy_t *self);
 /* The machine file's weights and bounds, to change some and hand over to init_with(). */
 void toy_settings(toy_settings_t *settings);
 
-/* toy_init() with other weights and bounds, which are copied. REFUSED where one of them is out of its range or not a number: the
- * axis then starts as by toy_init(). */
+/* toy_init() with other weights and bounds, which are copied. REFUSED where one of them is out of
+ * its range or not a number: the axis then starts as by toy_init(). */
 int toy_init_with(toy_t *self, const toy_settings_t *settings);
 
-/* The mass that moves from now on [kg], payload included; toy_init() sets the machine file's, 2.0. For 7 samples, while the filters
- * hold friction by the one before, readings count as missing. Readings of toy_insert() bring friction by the caller's own.
- * REFUSED, and nothing changes, beyond 20 times the machine file's or below a 20th of it: that is another axis or another unit.
+/* The mass that moves from now on [kg], payload included; toy_init() sets the machine file's, 2.0.
+ * For 7 samples, while the filters hold friction by the one before, readings count as missing.
+ * Readings of toy_insert() bring friction by the caller's own. REFUSED, and nothing changes, beyond
+ * 20 times the machine file's or below a 20th of it: that is another axis or another unit.
  */
 int toy_set_mass(toy_t *self, toy_real mass);
 
-/* Hold a parameter where it is, or let it go; by its number, from 0, in the order of the estimate. A held one counts as known to 1e-6 of nominal; one
- * that is let go is as uncertain as before any data. What is known of the others stays, and the window starts anew. init() and load() hold none.
+/* Hold a parameter where it is, or let it go; by its number, from 0, in the order of the estimate.
+ * A held one counts as known to 1e-6 of nominal; one that is let go is as uncertain as before any
+ * data. What is known of the others stays, and the window starts anew. init() and load() hold none.
  * REFUSED: there is no such parameter. */
 int toy_hold(toy_t *self, int parameter, int on);
 
-/* What the application knows of a parameter, from an identification or a test: value and one standard deviation [SI], from which it goes
- * on learning; deviation 0 holds it there. Replaces what was learned of it; what is known of the others stays, and the window starts anew.
- * REFUSED, and nothing changes: there is no such parameter, a number is none, is beyond its bounds, leaves no model (a level of zero), or a
- * deviation above zero is below 1e-6 of nominal. */
+/* What the application knows of a parameter, from an identification or a test: value and one
+ * standard deviation [SI], from which it goes on learning; deviation 0 holds it there. Replaces
+ * what was learned of it; what is known of the others stays, and the window starts anew. REFUSED,
+ * and nothing changes: there is no such parameter, a number is none, is beyond its bounds, leaves
+ * no model (a level of zero), or a deviation above zero is below 1e-6 of nominal. */
 int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_real deviation);
 
-/* Write down what was learned: parameters, how sure they are, how well they predict. By any task, as toy_estimate(). Returns OK, or
- * OVERLAP where feedback() came between three times; what was written is then refused by load(). */
+/* Write down what was learned: parameters, how sure they are, how well they predict. By any task,
+ * as toy_estimate(). Returns OK, or OVERLAP where feedback() came between three times; what was
+ * written is then refused by load(). */
 int toy_save(const toy_t *self, toy_saved_t *saved);
 
-/* Start with what was saved, after toy_init() or init_with(): an empty window, the saved parameters. Friction changes while nothing is
- * measured: their variances grow by that of settings.pause, but not beyond those before any data. Parameters that were held are to be
- * held again; settings and mass stay. REFUSED: damaged, of another machine file or layout, no numbers, or parameters beyond their
- * bounds. The axis is then as fresh as after init_with(). */
+/* Start with what was saved, after toy_init() or init_with(): an empty window, the saved
+ * parameters. Friction changes while nothing is measured: their variances grow by that of
+ * settings.pause, but not beyond those before any data. Parameters that were held are to be held
+ * again; settings and mass stay. REFUSED: damaged, of another machine file or layout, no numbers,
+ * or parameters beyond their bounds. The axis is then as fresh as after init_with(). */
 int toy_load(toy_t *self, const toy_saved_t *saved);
 
 /* Start the signals and the window anew, with the parameters learned so far as the prior mean. */
 void toy_reset(toy_t *self);
 
-/* One sample at 1000 Hz: position, drive force [N]. A sample that is NaN, infinite or beyond 4e6 m or 1e9 N counts as missing. tick() does the whole estimation by
- * itself, in bounded slices; sample() only takes the sample in.
+/* One sample at 1000 Hz: position, drive force [N]. A sample that is NaN, infinite or beyond 4e6 m
+ * or 1e9 N counts as missing. tick() does the whole estimation by itself, in bounded slices;
+ * sample() only takes the sample in.
  *
- * Returns the force [N] to add to the drive's command: the friction that the axis will have when the answer to this sample acts. The
- * last estimate is carried through the newest samples, over the displacement that the filters still hold back (2.03 ms),
- * and over the loop's delay ([compensation] delay, 0 us: computing, half a sample of hold, the current loop). The drive force that
- * the next samples report is the whole of it, this part included.
+ * Returns the force [N] to add to the drive's command: the friction that the axis will have when
+ * the answer to this sample acts. The last estimate is carried through the newest samples, over the
+ * displacement that the filters still hold back (2.03 ms), and over the loop's delay
+ * ([compensation] delay, 0 us: computing, half a sample of hold, the current loop). The drive force
+ * that the next samples report is the whole of it, this part included.
  *
- * The force follows a ramp (0 ms) from off to on and back, has no limit of its own, and follows the estimate at standstill too (hold is 0). It is a
- * finite number whatever comes in. It ramps to zero by itself and comes back by itself: while the status is negative or says OVERRUN (the
- * elements' state is not the axis's), while the position has been missing for more than 7 samples, and beyond twice max_velocity.
- * MISSING, SPEED, BOUND and HOLD leave it on: the model goes on with the last good parameters. */
+ * The force follows a ramp (0 ms) from off to on and back, has no limit of its own, and follows the
+ * estimate at standstill too (hold is 0). It is a finite number whatever comes in. It ramps to zero
+ * by itself and comes back by itself: while the status is negative or says OVERRUN (the elements'
+ * state is not the axis's), while the position has been missing for more than 7 samples, and beyond
+ * twice max_velocity. MISSING, SPEED, BOUND and HOLD leave it on: the model goes on with the last
+ * good parameters. */
 toy_real toy_tick(toy_t *self, toy_position position, toy_real force);
 toy_real toy_sample(toy_t *self, toy_position position, toy_real force);
 
-/* The set-point while the answer to the next sample acts, from that sample on over the loop's delay: mean velocity [m/s], acceleration
- * [m/s^2]. To be called before every tick(), sample() or insert() by a controller that knows it: at a reversal the set-point changes sign
- * before the measured velocity does, and it has no noise. It serves one sample; without it the measured velocity is extrapolated and no
- * acceleration assumed. A number that is not finite is ignored. The acceleration matters to a model with [[effects]] of inertia only; the
- * inertial force itself, mass * acceleration, stays the controller's own feed-forward. */
+/* The set-point while the answer to the next sample acts, from that sample on over the loop's
+ * delay: mean velocity [m/s], acceleration [m/s^2]. To be called before every tick(), sample() or
+ * insert() by a controller that knows it: at a reversal the set-point changes sign before the
+ * measured velocity does, and it has no noise. It serves one sample; without it the measured
+ * velocity is extrapolated and no acceleration assumed. A number that is not finite is ignored. The
+ * acceleration matters to a model with [[effects]] of inertia only; the inertial force itself, mass
+ * * acceleration, stays the controller's own feed-forward. */
 void toy_ahead(toy_t *self, toy_real velocity, toy_real acceleration);
 
-/* Turn the force that tick() and sample() return on or off, along the ramp. Estimation goes on either way. After init() it is on. */
+/* Turn the force that tick() and sample() return on or off, along the ramp. Estimation goes on
+ * either way. After init() it is on. */
 void toy_compensate(toy_t *self, int on);
 
 /* How much of it is on at the moment, 0 to 1. */
 toy_real toy_share(const toy_t *self);
 
-/* sample() for a controller with a signal chain of its own: signals of one instant, `delay` behind the sample. What it returns is for the loop's
- * delay after that instant: the lag of another chain is not made up for, so compensation wants one without. */
+/* sample() for a controller with a signal chain of its own: signals of one instant, `delay` behind
+ * the sample. What it returns is for the loop's delay after that instant: the lag of another chain
+ * is not made up for, so compensation wants one without. */
 toy_real toy_insert(toy_t *self, const toy_signals *signals);
 
 /* Whether an interval is complete and waits for feedback(). */
 int toy_due(const toy_t *self);
 
-/* All of the update that does not need the newest sample: the older nodes of the last solution, the linearisation, the eliminations. */
+/* All of the update that does not need the newest sample: the older nodes of the last solution, the
+ * linearisation, the eliminations. */
 void toy_prepare(toy_t *self);
 
 /* Take in the newest interval and its measurement, solve, shift. Returns the status. */

@@ -2,8 +2,9 @@
  *
  * Constants of toy for the package's own source. Nothing here is for the application.
  *
- * Work at most, whatever comes in, in operations: additions, multiplications, divisions, comparisons and absolute values
- * of its numbers, as a processor without vector registers does them.
+ * Work at most, whatever comes in, in operations: additions, multiplications, divisions,
+ * comparisons and absolute values of its numbers, as a processor without vector registers does
+ * them.
  *
  *   tick()          136041
  *   sample()         81973   insert() too
@@ -33,27 +34,37 @@ enum {
     ELEMENTS = TOY_ELEMENTS,                     /* Maxwell-slip elements, the first states */
     PARAMETERS = TOY_PARAMETERS,                 /* theta */
     HORIZON = 2,                                 /* intervals of the window; 0 for the filter */
-    DRIFT_INTERVAL = 2,                          /* shifts of the window after which pending drift enters the arrival cost */
-    SLOTS = TOY_SLOTS,                           /* intervals kept, the one that is filling included */
+    /* shifts of the window after which pending drift enters the arrival cost */
+    DRIFT_INTERVAL = 2,
+    /* intervals kept, the one that is filling included */
+    SLOTS = TOY_SLOTS,
     SAMPLES = TOY_SAMPLES,                       /* per interval */
     MERGED = 1,                                  /* samples per integration step */
     STEPS = 5,                                   /* integration steps per interval */
     LEAST_SUBSTEPS = 1,                          /* Runge-Kutta substeps of a step, at least */
-    ELEMENT_MOST_SUBSTEPS = 34,                  /* of a step of group element, at most: at max_velocity */
+    /* of a step of group element, at most: at max_velocity */
+    ELEMENT_MOST_SUBSTEPS = 34,
     NODES = 1,                                   /* of a step of the series */
     TERMS = 2,                                   /* stored per node: velocity, inverse_level */
-    SERIES_STRIDE = 4,                           /* numbers from one row of the series to the next: intervals, padded */
-    LANE_STRIDE = 4,                             /* numbers from one row of lanes to the next: scalars side by side, padded */
+    /* numbers from one row of the series to the next: intervals, padded */
+    SERIES_STRIDE = 4,
+    /* numbers from one row of lanes to the next: scalars side by side, padded */
+    LANE_STRIDE = 4,
     BLOCKS = 1,                                  /* of states that depend on no other */
     LARGEST_BLOCK = 1,                           /* states */
     BLOCKS_SIZE = TOY_BLOCKS_SIZE,               /* numbers of blocks side by side */
-    LANES_SIZE = TOY_LANES_SIZE,                 /* numbers of all blocks of intervals side by side */
-    SETTLE = 7,                                  /* samples that a disturbance of the filters lasts */
-    CHAIN = 0,                                   /* what the model reads of the signal chain beside velocity and friction */
+    /* numbers of all blocks of intervals side by side */
+    LANES_SIZE = TOY_LANES_SIZE,
+    /* samples that a disturbance of the filters lasts */
+    SETTLE = 7,
+    /* what the model reads of the signal chain beside velocity and friction */
+    CHAIN = 0,
     FACTOR_ROWS = TOY_UNKNOWNS,                  /* unknowns of a factor */
     FACTOR_WIDTH = FACTOR_ROWS + 1,              /* with its right side */
-    ROOT_WIDTH = PARAMETERS + 1,                 /* of theta's triangle in square, with a column for sums */
-    COUPLED = 1,                                 /* states that a state depends on over an interval, at most */
+    /* of theta's triangle in square, with a column for sums */
+    ROOT_WIDTH = PARAMETERS + 1,
+    /* states that a state depends on over an interval, at most */
+    COUPLED = 1,
     DEFECT_WIDTH = TOY_DEFECT_WIDTH,             /* numbers of a defect's row */
     KEPT_WIDTH = TOY_KEPT_WIDTH,                 /* numbers of a row that gives a node back */
 };
@@ -67,7 +78,8 @@ enum { VECTOR = 2 };
 enum { VECTOR = 1 };
 #endif
 
-/* Multiplications of a unit of the work: a node expanded, a step, a node condensed; of those in one sample. */
+/* Multiplications of a unit of the work: a node expanded, a step, a node condensed; of those in one
+ * sample. */
 enum {
     STEP_COST = 180,
     COST_PER_SAMPLE = 360,
@@ -82,20 +94,23 @@ enum {
 #define PIECE_TIME 0.001                     /* s, of constant signals */
 #define MASS 2.0                             /* kg */
 #define MAX_VELOCITY 0.5                     /* m/s */
-#define HOLD_PATH 2.9999999999999997e-05     /* m; an interval that moves less says nothing of the parameters */
+/* m; an interval that moves less says nothing of the parameters */
+#define HOLD_PATH 2.9999999999999997e-05
 #define MEASUREMENT_SD 0.2                   /* N, stated of a reading */
 /* Of test ratios: squared innovations over their predicted variance. */
 #define RATIO_FAST 0.1                       /* weight of the newest one in their fast mean */
 #define RATIO_SLOW 0.003                     /* and in their slow mean */
 #define RATIO_MOST 1000.0                    /* one counts no more in the means */
 #define RATIO_FREE 9.0                       /* beyond it a reading counts less at once */
-#define DOUBTED_FAST 5.0                     /* means beyond which the readings contradict the model */
+/* means beyond which the readings contradict the model */
+#define DOUBTED_FAST 5.0
 #define DOUBTED_SLOW 2.0                     /*  */
 /* What toy_settings() gives. */
 #define PRIOR_SD 0.2                         /* of theta */
 #define PAUSE_SD 0.05                        /* of theta, over a power cycle */
 #define DRIFT_SD 0.001                       /* of theta, per update */
-#define IMPLAUSIBLE 10000.0                  /* first node's standard deviations: a state beyond is no solution */
+/* first node's standard deviations: a state beyond is no solution */
+#define IMPLAUSIBLE 10000.0
 
 static const sgms_real lower_bound[PARAMETERS] = {0.5, -1e+300};
 static const sgms_real upper_bound[PARAMETERS] = {2.0, 1e+300};
@@ -104,7 +119,8 @@ static const sgms_real upper_bound[PARAMETERS] = {2.0, 1e+300};
 #define LEAST_SIZE 1e-60
 /* A parameter that is held: as well known as that, over nominal. */
 #define HELD_SD 1e-06
-/* What is moved, beyond so many times the machine file's or its inverse: another machine, or another unit. */
+/* What is moved, beyond so many times the machine file's or its inverse: another machine, or
+ * another unit. */
 #define MASS_RANGE 20.0
 
 /* States that each state depends on over an interval, itself included, and how many. */

@@ -3,10 +3,10 @@
  * Integration of toy over one step of the series, with sensitivities:
  * classical Runge-Kutta, fourth order.
  *
- * Blocks are independent, so each is integrated by itself: all blocks of the interval under way side by side in lanes,
- * of older intervals all intervals of one block.
- * The rows of a block, LANE_STRIDE numbers apart, are chi (m), d(chi)/d(chi at the start) (m x m), d(chi)/dq (m x n_q), and
- * behind them what is constant over an interval. */
+ * Blocks are independent, so each is integrated by itself: all blocks of the interval under way
+ * side by side in lanes, of older intervals all intervals of one block. The rows of a block,
+ * LANE_STRIDE numbers apart, are chi (m), d(chi)/d(chi at the start) (m x m), d(chi)/dq (m x n_q),
+ * and behind them what is constant over an interval. */
 #ifndef TOY_INTEGRATOR_H
 #define TOY_INTEGRATOR_H
 
@@ -60,7 +60,8 @@ typedef struct {
 } element_point;
 
 /* That of one lane; its terms lie `stride` numbers apart. */
-static SGMS_INLINE element_point element_at(const sgms_real *term, int stride, const sgms_real *block)
+static SGMS_INLINE element_point element_at(
+    const sgms_real *term, int stride, const sgms_real *block)
 {
     const element_point at = {
         { block[0 * LANE_STRIDE] },
@@ -71,9 +72,10 @@ static SGMS_INLINE element_point element_at(const sgms_real *term, int stride, c
     return at;
 }
 
-/* Put a block at its node into a lane whose rows are zero: chi, identity for its derivative, and what is constant over
- * the interval. */
-static void element_start(const toy_parameters *p, int block, const sgms_real *node, sgms_real *lane)
+/* Put a block at its node into a lane whose rows are zero: chi, identity for its derivative, and
+ * what is constant over the interval. */
+static void element_start(
+    const toy_parameters *p, int block, const sgms_real *node, sgms_real *lane)
 {
     for (int i = 0; i < ELEMENT_STATES; i++) {
         const int state = block_states[ELEMENT_FIRST + block][i];
@@ -88,7 +90,8 @@ static void element_start(const toy_parameters *p, int block, const sgms_real *n
 
 /* Rows of an interval's map that belong to one block, which lies in `lane`. */
 static void element_end(
-    const toy_parameters *p, int block, const sgms_real *lane, const sgms_real *start, interval_map *map)
+    const toy_parameters *p, int block, const sgms_real *lane, const sgms_real *start,
+    interval_map *map)
 {
     const sgms_real *const d_q = p->d_q + (ELEMENT_FIRST_Q + block * ELEMENT_Q) * PARAMETERS;
     for (int i = 0; i < ELEMENT_STATES; i++) {
@@ -118,7 +121,8 @@ static void element_end(
                 b += by_q[k] * d_q[k * PARAMETERS + j];
             }
             for (int k = 0; k < ELEMENT_STATES; k++) {
-                b -= by_scale[k] * p->d_scale[block_states[ELEMENT_FIRST + block][k] * PARAMETERS + j];
+                b -= by_scale[k] * p->d_scale[block_states[ELEMENT_FIRST + block][k] * PARAMETERS +
+                    j];
             }
             b_row[j] = b;
         }
@@ -154,19 +158,21 @@ typedef struct {
     sgms_real brake; /* rho |v| f_C / s(v) */
 } element_drive;
 
-/* Beyond the velocity of the clamp the window is shut wherever the gate is not saturated, so it changes nothing and no
- * exponential overflows. */
+/* Beyond the velocity of the clamp the window is shut wherever the gate is not saturated, so it
+ * changes nothing and no exponential overflows. */
 static inline element_drive element_drive_at(const element_point *at)
 {
     const element_level level = element_level_at(at);
     element_drive drive;
     drive.speed = sgms_fabs(at->velocity);
-    drive.gate = -2524.716321555686 * (sgms_fabs(at->velocity + 0.01) - sgms_fabs(at->velocity - 0.01));
+    drive.gate =
+        -2524.716321555686 * (sgms_fabs(at->velocity + 0.01) - sgms_fabs(at->velocity - 0.01));
     drive.brake = level.rho * drive.speed * level.over_level;
     return drive;
 }
 
-/* Equations (1) and (3), window and gate as two logistic functions that share a division. Powers are of two. */
+/* Equations (1) and (3), window and gate as two logistic functions that share a division. Powers
+ * are of two. */
 static inline element_rhs element_rhs_at(const element_point *at, const element_drive *drive)
 {
     const element_level level = element_level_at(at);
@@ -189,7 +195,8 @@ static inline element_rhs element_rhs_at(const element_point *at, const element_
 }
 
 /* Slopes k of all rows y of a block that move: those of its sensitivities by the chain rule. */
-static SGMS_INLINE void element_slopes(const element_drive *drive, const sgms_real *term, const sgms_real *block, const sgms_real *y, sgms_real *k)
+static SGMS_INLINE void element_slopes(const element_drive *drive, const sgms_real *term,
+    const sgms_real *block, const sgms_real *y, sgms_real *k)
 {
     element_point at = element_at(term, LANE_STRIDE, block);
     element_rhs rhs;
@@ -200,9 +207,9 @@ static SGMS_INLINE void element_slopes(const element_drive *drive, const sgms_re
     k[2] = rhs.d_chi[0] * y[2] + rhs.d_q[0];
 }
 
-/* `substeps` equal Runge-Kutta steps over the time `duration` in all lanes.
- * Every stage but the first stands at y + a h k with the slope k before it, so the stages' weighted states hold the sum of
- * the slopes but for the last.
+/* `substeps` equal Runge-Kutta steps over the time `duration` in all lanes. Every stage but the
+ * first stands at y + a h k with the slope k before it, so the stages' weighted states hold the sum
+ * of the slopes but for the last.
  */
 static void element_runge_kutta(
     int lanes,
@@ -273,9 +280,15 @@ static void element_runge_kutta(
                 block[2 * LANE_STRIDE + l] + h * 1.0 * slope[2 * LANE_STRIDE + l]};
             sgms_real k[ELEMENT_ROWS];
             element_slopes(&drive, term + l, block + l, y, k);
-            block[0 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333333333333326 * block[0 * LANE_STRIDE + l] + (sum[0 * LANE_STRIDE + l] + 0.3333333333333333 * y[0]) + h * 0.16666666666666666 * k[0]);
-            block[1 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333333333333326 * block[1 * LANE_STRIDE + l] + (sum[1 * LANE_STRIDE + l] + 0.3333333333333333 * y[1]) + h * 0.16666666666666666 * k[1]);
-            block[2 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333333333333326 * block[2 * LANE_STRIDE + l] + (sum[2 * LANE_STRIDE + l] + 0.3333333333333333 * y[2]) + h * 0.16666666666666666 * k[2]);
+            block[0 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333333333333326 *
+                block[0 * LANE_STRIDE + l] + (sum[0 * LANE_STRIDE + l] +
+                0.3333333333333333 * y[0]) + h * 0.16666666666666666 * k[0]);
+            block[1 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333333333333326 *
+                block[1 * LANE_STRIDE + l] + (sum[1 * LANE_STRIDE + l] +
+                0.3333333333333333 * y[1]) + h * 0.16666666666666666 * k[1]);
+            block[2 * LANE_STRIDE + l] = sgms_drop_tiny(-0.33333333333333326 *
+                block[2 * LANE_STRIDE + l] + (sum[2 * LANE_STRIDE + l] +
+                0.3333333333333333 * y[2]) + h * 0.16666666666666666 * k[2]);
         }
     }
 }
@@ -283,7 +296,8 @@ static void element_runge_kutta(
 /* Runge-Kutta substeps at a speed, for the share `share` of a step: not rounded, and rounded up. */
 static inline sgms_real element_wanted(sgms_real speed, const sgms_real *block)
 {
-    const sgms_real wanted = speed * block[ELEMENT_SUBSTEPS * LANE_STRIDE] + block[ELEMENT_AT_REST * LANE_STRIDE];
+    const sgms_real wanted =
+        speed * block[ELEMENT_SUBSTEPS * LANE_STRIDE] + block[ELEMENT_AT_REST * LANE_STRIDE];
     return sgms_fmin(wanted, block[ELEMENT_MOST * LANE_STRIDE]);
 }
 
@@ -295,14 +309,15 @@ static inline int element_count(sgms_real speed, sgms_real share, const sgms_rea
     return bounded > LEAST_SUBSTEPS ? bounded : LEAST_SUBSTEPS;
 }
 
-/* One step with as many Runge-Kutta substeps as the speed asks for: all lanes together where none asks for more than the
- * least. */
+/* One step with as many Runge-Kutta substeps as the speed asks for: all lanes together where none
+ * asks for more than the least. */
 static void element_step(int lanes, const sgms_real *term, sgms_real *block)
 {
     const sgms_real *const velocity = term;
     sgms_integer any_more = 0;
     SGMS_LANES for (int l = 0; l < lanes; l++) {
-        any_more |= sgms_less((sgms_real)LEAST_SUBSTEPS, element_wanted(sgms_fabs(velocity[l]), block + l));
+        any_more |= sgms_less(
+            (sgms_real)LEAST_SUBSTEPS, element_wanted(sgms_fabs(velocity[l]), block + l));
     }
     if (!any_more) {
         element_runge_kutta(lanes, LEAST_SUBSTEPS, PIECE_TIME, term, block);
@@ -328,13 +343,15 @@ static void integrate_blocks(const sgms_real *term, sgms_real *blocks)
 {
     sgms_real wide[NODES * TERMS * LANE_STRIDE];
     for (int row = 0; row < NODES * TERMS; row++) {
-        fill(wide + row * LANE_STRIDE, term[row * SERIES_STRIDE], (1 + VECTOR - 1) / VECTOR * VECTOR);
+        fill(wide + row * LANE_STRIDE, term[row * SERIES_STRIDE],
+            (1 + VECTOR - 1) / VECTOR * VECTOR);
     }
     element_step(ELEMENT_BLOCKS, wide, blocks + ELEMENT_PLACE);
 }
 
 /* The interval's map up to where they are. */
-static void blocks_end(const toy_parameters *p, const sgms_real *blocks, const sgms_real *start, interval_map *map)
+static void blocks_end(
+    const toy_parameters *p, const sgms_real *blocks, const sgms_real *start, interval_map *map)
 {
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
         element_end(p, block, blocks + ELEMENT_PLACE + block, start, map);
@@ -353,12 +370,14 @@ static void blocks_states(const toy_parameters *p, const sgms_real *blocks, sgms
 }
 
 /* Put the nodes of `lanes` intervals into the lanes, one block behind the other. */
-static inline void start_lanes(int lanes, const toy_parameters *p, const sgms_real *node, sgms_real *lane)
+static inline void start_lanes(
+    int lanes, const toy_parameters *p, const sgms_real *node, sgms_real *lane)
 {
     fill(lane, 0.0, LANES_SIZE);
     for (int l = 0; l < lanes; l++) {
         for (int block = 0; block < ELEMENT_BLOCKS; block++) {
-            element_start(p, block, node + l * STATES, lane + ELEMENT_LANES_PLACE + block * ELEMENT_SIZE * LANE_STRIDE + l);
+            element_start(p, block, node + l * STATES,
+                lane + ELEMENT_LANES_PLACE + block * ELEMENT_SIZE * LANE_STRIDE + l);
         }
     }
 }
@@ -372,10 +391,12 @@ static inline void integrate_lanes(int lanes, const sgms_real *term, sgms_real *
 }
 
 /* The map of the interval in lane l, up to its end. */
-static inline void lane_end(const toy_parameters *p, const sgms_real *lane, int l, const sgms_real *start, interval_map *map)
+static inline void lane_end(const toy_parameters *p, const sgms_real *lane, int l,
+    const sgms_real *start, interval_map *map)
 {
     for (int block = 0; block < ELEMENT_BLOCKS; block++) {
-        element_end(p, block, lane + ELEMENT_LANES_PLACE + block * ELEMENT_SIZE * LANE_STRIDE + l, start, map);
+        element_end(p, block, lane + ELEMENT_LANES_PLACE + block * ELEMENT_SIZE * LANE_STRIDE + l,
+            start, map);
     }
 }
 
