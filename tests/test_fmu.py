@@ -146,6 +146,7 @@ def slave(bound: Any, tmp_path: Path) -> Iterator[Callable[..., Slave]]:
 # --- what the standard says --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "version"), CASES)
 def test_it_is_a_valid_fmu(kind: str, version: int, bound: Any) -> None:
     package = bound(kind)

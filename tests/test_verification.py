@@ -59,6 +59,7 @@ def test_random_machines_are_many_and_repeat() -> None:
     assert len({e.name for m in found for e in m.effects}) >= 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["merged_auto", "ekf", "switching_levels", "signals"])
 def test_random_calls_find_nothing(name: str, require_tool: Tool, tmp_path: Path) -> None:
     require_tool("gcc")
@@ -114,6 +115,7 @@ def test_sanitizer_that_is_absent_is_told(tmp_path: Path) -> None:
 # --- bits ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("name", ["merged_auto", "switching"])
 def test_compilers_and_levels_give_the_same_bits(name: str, precision: str, require_tool: Tool) -> None:

@@ -1,6 +1,7 @@
 """The rooms of the package: all on the map in CONTRIBUTING, and each imports from rooms below its own alone.
 
-And what keeps them fit to live in: nothing is imported in hiding, and no file, function or template outgrows its limit.
+And what keeps them fit to live in: nothing is imported in hiding, no file, function or template outgrows its limit, and
+no effect is known by its name outside the catalogue: what is said of one stands in its definition.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from sgms_mhe.model.effects import BASE_CAUSES, CAUSE_NAMES, EFFECT_NAMES, effect_definition
 
 pytestmark = pytest.mark.core
 
@@ -120,3 +123,70 @@ def test_no_template_is_too_long() -> None:
     lengths = {path: path.read_text(encoding="utf-8").count("\n") for path in (ROOT / "templates").rglob("*.jinja")}
     assert lengths
     assert [f"{path.relative_to(ROOT)}: {lines}" for path, lines in lengths.items() if lines > LONGEST_TEMPLATE] == []
+
+
+# --- names of effects --------------------------------------------------------------------------------------------
+
+MACHINE_KEYS = {"micro_viscous"} | {name for base in BASE_CAUSES.values() for name in (base.name, *base.frees)}
+"""Names that are keys of a machine file too: only rooms that speak of effects alone must do without them."""
+
+PARAMETERS = {p.name for name in EFFECT_NAMES for p in effect_definition(name).parameters} - {"time_s", "gain"}
+"""Parameters of effects; `time_s` is a column of every log too, a gain what a diagnosis is for."""
+
+ENDS = ("startswith", "endswith", "removeprefix", "removesuffix")
+
+OF_EFFECTS = ("diagnosis", "report")
+
+SPECIMENS = BENCH / "verification" / "specimens.py"  # machine files, which have effects by name
+
+CATALOGUE = PACKAGE / "model" / "effects"
+PLANT = PACKAGE / "plant"  # independent of the catalogue: it has the effects a second time
+EXEMPT = {*CATALOGUE.rglob("*.py"), *PLANT.rglob("*.py"), SPECIMENS}
+
+
+def texts(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Every text constant and its line."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.lineno, node.value
+
+
+def ends_asked_for(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """What names are asked to begin or end with."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in ENDS:
+            for argument in node.args:
+                yield from texts(argument)
+
+
+def named(path: Path, root: Path) -> list[str]:
+    """Lines of a module below `root` that name a single effect."""
+    own = path.relative_to(root)
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    forbidden = set(EFFECT_NAMES) - MACHINE_KEYS
+    if own.parts[0] in OF_EFFECTS:
+        forbidden |= set(CAUSE_NAMES) | PARAMETERS
+        ends = [
+            (line, text)
+            for line, text in ends_asked_for(tree)
+            if len(text) > 3 and any(name.startswith(text) or name.endswith(text) for name in forbidden)
+        ]
+    else:
+        ends = []
+    found = [(line, text) for line, text in texts(tree) if text in forbidden]
+    return [f"{own}:{line}: {text!r}" for line, text in sorted({*found, *ends})]
+
+
+def test_no_module_names_an_effect() -> None:
+    modules = [(path, root) for root in (PACKAGE, BENCH) for path in sorted(root.rglob("*.py")) if path not in EXEMPT]
+    assert len(modules) > len(EXEMPT) and [line for path, root in modules for line in named(path, root)] == []
+
+
+def test_a_name_is_seen(tmp_path: Path) -> None:
+    (tmp_path / "diagnosis").mkdir()
+    module = tmp_path / "diagnosis" / "module.py"
+    for line in ('x == "backlash"', 'x == "coulomb"', 'x in ("a", "pitch_m")', 'x.startswith(("amplitude", "b"))'):
+        module.write_text(line + "\n")
+        assert len(named(module, tmp_path)) == 1, line
+    module.write_text('x == "backlash force"\ny.startswith("+")\n')
+    assert named(module, tmp_path) == []
