@@ -90,7 +90,7 @@ class PeerExport:
     def __init__(
         self, machine: Machine, kind: Kind, intervals: int, steps: int, flags: Sequence[str] = DEFAULT_FLAGS
     ) -> None:
-        fixed = {"scheme": "rk4", "substeps": steps, "velocity": "constant"}
+        fixed = {"scheme": "rk4", "substeps": steps}
         self.kind, self.intervals, self.steps = kind, intervals, steps
         self._model = build_model(override_machine(machine, {"sampling": {"integrator": fixed}}))
         step = self._step()
