@@ -18,7 +18,7 @@ from sgms_bench.benchmark.figures import STYLES
 from sgms_bench.benchmark.harness import build_harness
 from sgms_bench.benchmark.integration_errors import Recording, emitted_errors
 from sgms_bench.benchmark.peers import KINDS, Evaluation, Kind, PeerExport
-from sgms_bench.benchmark.running import Bench, fitted_exponents, with_elements
+from sgms_bench.benchmark.running import Bench, fitted_exponents, set_elements
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
@@ -252,7 +252,7 @@ def test_exponents_of_known_costs() -> None:
 def test_sizes_are_swept_at_equal_range(small: Path) -> None:
     machine = load_machine(small)
     for count in (1, 3, 10):
-        friction = with_elements(machine, count).friction
+        friction = set_elements(machine, count).friction
         assert friction.n_z == count
         scales = [
             nu * friction.coulomb / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True)

@@ -774,5 +774,5 @@ def test_scenarios_are_whole_periods(compensated: Machine) -> None:
     assert step.position_m[-1] == period.position_m[-1]
     with pytest.raises(InputError, match="trajectory"):
         make_scenario(compensated, "spiral", 3.0, truth)
-    mirrored: Mapping[str, float] = truth.mirrored().scale
+    mirrored: Mapping[str, float] = truth.mirror().scale
     assert mirrored == {"coulomb": pytest.approx(0.7), "viscous": pytest.approx(0.7), "stiffness": pytest.approx(1.3)}

@@ -17,8 +17,8 @@ from sgms_bench.diagnosis.draws import (
     KINDS,
     VISIBLE,
     Draw,
+    _draw_unmodelled,
     _Frame,
-    _unmodelled,
     machine_of,
     make_draw,
     simulate_draw,
@@ -26,7 +26,7 @@ from sgms_bench.diagnosis.draws import (
 )
 from sgms_bench.diagnosis.faults import FAULTS
 from sgms_bench.diagnosis.motions import STYLES, WEAK_STYLES, draw_motion
-from sgms_bench.diagnosis.running import diagnosed, run_diagnosis_benchmark, run_draw
+from sgms_bench.diagnosis.running import diagnose_draw, run_diagnosis_benchmark, run_draw
 from sgms_bench.diagnosis.scoring import (
     Found,
     confusion_table,
@@ -159,7 +159,8 @@ def test_unmodelled_curves_over_speed_are_none_of_the_catalogue(machine: Machine
     random = np.random.default_rng(5)
     number = list(UNMODELLED).index(name)
     frame = _Frame(machine, SEED, number, random)
-    draw = next(d for d in (_unmodelled(frame, frame.draw("unmodelled", "workout"), number) for _ in range(25)) if d)
+    draws = (_draw_unmodelled(frame, frame.draw("unmodelled", "workout"), number) for _ in range(25))
+    draw = next(draw for draw in draws if draw)
     (hidden,) = draw.hidden
     axis = machine_of(machine, draw)
     left = hidden.visible * float(np.sqrt(np.mean(unmodelled_force(machine, draw, hidden) ** 2)))
@@ -536,6 +537,6 @@ def test_what_is_known_to_look_alike_is_tried_where_a_derivative_tells_half(mach
         encoder_resolution_m=1.1608982055278733e-09,
         noise_seed=470065265,
     )
-    found = diagnosed(machine, draw)
+    found = diagnose_draw(machine, draw)
     assert found.verdict == "ambiguous", found
     assert {"load_dependent_friction", "drive_efficiency"} <= {*found.names, *(name for name, _ in found.rivals)}

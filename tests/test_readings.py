@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sgms_bench.records import simulate_record
-from sgms_bench.studies.cases import counted
+from sgms_bench.studies.cases import counted_updates
 from sgms_bench.studies.faults import FAULTS, Fault, Trial
 from sgms_bench.studies.readings import readings_row
 from sgms_mhe.configuration import load_machine, override_machine
@@ -112,7 +112,7 @@ def test_stiffness_off_by_a_factor_of_two_is_found(factor: float, kind: str) -> 
     nominal = np.array(machine.friction.stiffness)
     wrong = np.abs(estimates.parameters / nominal - record.theta)
     assert np.max(wrong[-1] / record.theta) < 0.12
-    assert np.mean((wrong < 2.0 * estimates.std / nominal)[counted(record)]) > 0.93
+    assert np.mean((wrong < 2.0 * estimates.std / nominal)[counted_updates(record)]) > 0.93
 
 
 # --- what a reading counts --------------------------------------------------------------------------------------

@@ -10,12 +10,12 @@ import pytest
 
 from sgms_bench.verification import __main__ as command
 from sgms_bench.verification import coverage, fuzzing, limits
-from sgms_bench.verification.bits import Build, exercise, same_bits, statuses_wanted, target_builds
+from sgms_bench.verification.bits import Build, exercise, required_statuses, same_bits, target_builds
 from sgms_bench.verification.constructs import jumps_and_storage, pointers_and_recursion, unbounded_loops
-from sgms_bench.verification.coverage import covered, measure
+from sgms_bench.verification.coverage import check_coverage, measure
 from sgms_bench.verification.fuzzing import SANITIZERS, Sanitizer, fuzz_machines, fuzz_package
 from sgms_bench.verification.gaps import GAPS, Gap
-from sgms_bench.verification.limits import STATED, stated_operations, within_limits
+from sgms_bench.verification.limits import STATED, check_limits, stated_operations
 from sgms_bench.verification.machines import random_package
 from sgms_bench.verification.outcome import Outcome
 from sgms_bench.verification.specimens import SPECIMENS, specimen, specimens
@@ -121,7 +121,7 @@ def test_sanitizer_that_is_absent_is_told(tmp_path: Path) -> None:
 def test_compilers_and_levels_give_the_same_bits(name: str, precision: str, require_tool: Tool) -> None:
     emitted = emit_package(override_machine(specimen(name), {"code": {"precision": precision}}), selftest=False)
     first = exercise(emitted, Build(require_tool("gcc"), ("-O2",)))
-    wanted = statuses_wanted(emitted.machine)
+    wanted = required_statuses(emitted.machine)
     assert first.statuses & wanted == wanted and first.numbers > 10_000
     for build in (Build("gcc", ("-O0",)), Build(require_tool("clang"), ("-O3", "-mavx2"))):
         assert exercise(emitted, build) == first, build.title
@@ -141,7 +141,7 @@ def test_processors_give_the_same_bits() -> None:
 
 def test_every_line_is_reached_or_explained(require_tool: Tool) -> None:
     require_tool("gcov")
-    outcome = covered(list(specimens()), silent)
+    outcome = check_coverage(list(specimens()), silent)
     assert outcome.skipped is None and outcome.failures == ()
 
 
@@ -157,7 +157,7 @@ def test_gap_without_a_reason_is_found(require_tool: Tool, monkeypatch: pytest.M
     )
     monkeypatch.setattr(coverage, "GAPS", (Gap("absent", "nothing", "of a function that no package has"),))
     monkeypatch.setattr(coverage, "measure", lambda _: found)
-    outcome = covered([specimen("ekf")], silent)
+    outcome = check_coverage([specimen("ekf")], silent)
     assert len(outcome.failures) == len(left) + 1
     assert "no package has this gap any more: absent: nothing" in outcome.failures
 
@@ -214,10 +214,10 @@ def test_what_no_proof_deals_with_is_found(code: str, said: str, package: Packag
 @pytest.mark.needs_riscv
 def test_work_and_stack_stay_within_what_is_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     machines = [specimen("merged_auto"), specimen("ekf")]
-    outcomes = within_limits(machines, silent)
+    outcomes = check_limits(machines, silent)
     assert len(outcomes) == 2 and all(o.failures == () and o.skipped is None for o in outcomes)
     monkeypatch.setattr(limits, "INSTRUCTIONS_PER_OPERATION", 0.01)
-    beyond = within_limits(machines[:1], silent)
+    beyond = check_limits(machines[:1], silent)
     assert all(any("feedback takes" in text for text in o.failures) for o in beyond)
 
 

@@ -102,7 +102,7 @@ def record_of(machine: Machine, run: SimulatedRun, stiffness: Sequence[float]) -
 def run_estimator(name: str, machine: Machine, record: Record) -> Outcome:
     """Run the emitted C of a machine over a record."""
     estimator = CompiledEstimator(machine)
-    return timed(name, machine, lambda: estimator.estimate(record.signals))
+    return time_estimator(name, machine, lambda: estimator.estimate(record.signals))
 
 
 def friction_rms(outcome: Outcome, record: Record) -> float:
@@ -122,7 +122,7 @@ def coverage(outcome: Outcome, record: Record) -> Array:
     return np.asarray(inside[SKIPPED_UPDATES:].mean(axis=0))
 
 
-def timed(name: str, machine: Machine, run: Callable[[], Estimates]) -> Outcome:
+def time_estimator(name: str, machine: Machine, run: Callable[[], Estimates]) -> Outcome:
     """Run an estimator of the stiffness and take its time per update."""
     start = time.perf_counter()
     estimates = run()

@@ -1,4 +1,4 @@
-"""What the emitted integrator leaves of an interval's end and of its derivatives, against a converged solution."""
+"""Errors of the emitted integrator at an interval's end, and of its derivatives, against a converged solution."""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ class PeerExport:
         self.kind, self.intervals, self.steps = kind, intervals, steps
         self._model = build_model(override_machine(machine, {"sampling": {"integrator": fixed}}))
         step = self._step()
-        self._functions = self._whole(step) if kind == "whole" else self._propagated(step)
+        self._functions = self._whole(step) if kind == "whole" else self._propagate(step)
         generator = ca.CodeGenerator("peer", {"with_header": False})
         for function in self._functions.values():
             generator.add(function)
@@ -143,7 +143,7 @@ class PeerExport:
             )
         }
 
-    def _propagated(self, step: ca.Function) -> dict[str, ca.Function]:
+    def _propagate(self, step: ca.Function) -> dict[str, ca.Function]:
         model = self._model
         chi, x, w, theta = model.chi, model.x, model.w, model.theta
         after = step(chi, w, theta)
@@ -206,7 +206,7 @@ class PeerExport:
     # --- data in and out -------------------------------------------------------------------------------------------
 
     def problems(self, windows: Windows) -> bytes:
-        """What the program reads: its windows as doubles."""
+        """Return the input of the program: its windows as doubles."""
         count, _, samples, _ = windows.w.shape
         w = windows.w
         if self.steps >= samples:
@@ -219,7 +219,7 @@ class PeerExport:
         return np.hstack([part.reshape(count, -1) for part in parts]).tobytes()
 
     def evaluation(self, windows: Windows, results: bytes) -> Evaluation:
-        """What the program wrote for these windows."""
+        """Return the output of the program for these windows."""
         n_x, n_p, intervals = self._model.n_x, self._model.n_p, self.intervals
         count, nodes = len(windows.x), intervals + 1
         rows = np.frombuffer(results).reshape(count, -1)

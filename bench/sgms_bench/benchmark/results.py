@@ -1,4 +1,4 @@
-"""What the benchmark measures: variants, peers, the cost over the problem's size."""
+"""Results of the benchmark: variants, peers, the cost over the problem's size."""
 
 from __future__ import annotations
 

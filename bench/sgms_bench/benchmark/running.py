@@ -1,4 +1,4 @@
-"""What an update costs on this host and how exact its integration is, beside the same problem by a peer's code.
+"""Cost of an update on this host and error of its integration, beside the same problem by a peer's code.
 
 Time and instructions of the emitted C are those of all the work between two updates, as `bench/c/harness.c` calls it:
 the samples of one interval through the signal chain and the newest interval, feedback, prepare; in the variants that
@@ -156,8 +156,8 @@ def run_benchmark(
         for precision in PRECISIONS:
             variant = override_machine(machine, {"code": {"precision": precision}})
             if machine.estimator.kind == "mhe":
-                tasks.append(("sweeps", partial(bench.sweep, "horizon", variant, with_horizon, HORIZONS)))
-            tasks.append(("sweeps", partial(bench.sweep, "elements", variant, with_elements, ELEMENTS)))
+                tasks.append(("sweeps", partial(bench.sweep, "horizon", variant, set_horizon, HORIZONS)))
+            tasks.append(("sweeps", partial(bench.sweep, "elements", variant, set_elements, ELEMENTS)))
     results: dict[str, list[Any]] = {}
     for done, (section, task) in enumerate(tasks, start=1):
         results.setdefault(section, []).append(task())
@@ -167,16 +167,16 @@ def run_benchmark(
 
 
 def _is_smooth(machine: Machine) -> bool:
-    """Whether integrators have something to integrate: elements that switch take every step in closed form."""
+    """Return True if integrators have work: elements that switch take every step in closed form."""
     return not machine.friction.switches
 
 
-def with_horizon(machine: Machine, intervals: int) -> Machine:
+def set_horizon(machine: Machine, intervals: int) -> Machine:
     """The machine with another horizon."""
     return override_machine(machine, {"estimator": {"horizon": intervals}})
 
 
-def with_elements(machine: Machine, count: int) -> Machine:
+def set_elements(machine: Machine, count: int) -> Machine:
     """The machine with so many elements of equal level, deflection scales in the middles of equal parts of its range.
 
     The parts are equal in the logarithm, so the mean stays, and with it the cost of an element.

@@ -130,7 +130,7 @@ def settling_figure(comparison: Comparison) -> Figure:
 
 
 def parameter_figure(comparison: Comparison) -> Figure:
-    """What the estimators in the loop found, and what was true."""
+    """Draw the estimates of the estimators in the loop, and the truth."""
     scenario = comparison.scenarios[list(comparison.scenarios)[-1]]
     runs = {method: comparison.runs[scenario.name, method][0] for method in (EKF, MHE)}
     estimates = {method: run.estimates for method, run in runs.items() if run.estimates is not None}

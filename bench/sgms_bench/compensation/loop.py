@@ -92,7 +92,7 @@ class LoopCompensation:
         return NativeCompensation(function, ctypes.addressof(self._loop))
 
     def estimates(self, log: Log) -> Estimates:
-        """What the estimator said at its updates, once the run that left `log` is over."""
+        """Return the estimates at the updates, once the run that left `log` is over."""
         done = int(self._loop.updates)
         run = Replay(self._rows[:done], self._status[:done].astype(np.int64), self.force_N)
         samples = self._estimator.machine.sampling.samples_per_update

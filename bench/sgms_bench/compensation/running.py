@@ -78,7 +78,7 @@ def make_scenario(machine: Machine, name: str, duration_s: float, truth: Truth) 
         velocity = min(0.02, 0.5 * max_velocity)
         lap = 2.0 * math.pi * 5e-3 / velocity
         x, y = circle(rate, velocity=velocity, laps=max(1, math.ceil(duration_s / lap)))
-        return Scenario(name, ((x, truth), (y, truth.mirrored())))
+        return Scenario(name, ((x, truth), (y, truth.mirror())))
     period = make_trajectory(name, rate, max_velocity=max_velocity)
     whole = math.ceil(duration_s / period.duration_s - 1e-9) * period.duration_s
     return Scenario(name, ((period.repeat(whole), truth),))

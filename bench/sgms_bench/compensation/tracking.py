@@ -34,7 +34,7 @@ class Truth:
     scale: Mapping[str, float]
     drift: Mapping[str, float]
 
-    def mirrored(self) -> Truth:
+    def mirror(self) -> Truth:
         """Off, and drifting, the other way round."""
         return Truth({k: 2.0 - v for k, v in self.scale.items()}, {k: -v for k, v in self.drift.items()})
 

@@ -1,4 +1,4 @@
-"""Which axis a log is of: linear or turning, and what law of friction its machine file states."""
+"""Axes of the logs: linear or turning, and the law of friction that their machine files state."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Axis:
 
     @property
     def switches(self) -> bool:
-        """Whether its elements slip at once."""
+        """Return True if its elements slip at once."""
         return self.obeys == "maxwell_slip"
 
 

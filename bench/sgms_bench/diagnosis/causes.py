@@ -72,7 +72,7 @@ def sized_cause(
     goal = size * friction.coulomb
     hidden, force, peak = Hidden(name), plain.friction, 0.0
     for _ in range(5):
-        hidden = Hidden(name, _within_limits(name, parameters(x)))
+        hidden = Hidden(name, _is_allowed_size(name, parameters(x)))
         force = prescribed_signals(machine, motion, hidden).friction - plain.friction
         peak = peak_force(force)
         if peak > 0.0 and abs(peak / goal - 1.0) < 0.1:
@@ -83,7 +83,7 @@ def sized_cause(
     return replace(hidden, size=peak / machine.friction.coulomb), force
 
 
-def _within_limits(name: str, values: Mapping[str, float]) -> Values:
+def _is_allowed_size(name: str, values: Mapping[str, float]) -> Values:
     known = {key: effect_definition(name).parameter(key) for key in values}
     return {key: min(max(value, known[key].lower), known[key].upper) for key, value in values.items()}
 
@@ -119,7 +119,7 @@ def prescribed_signals(machine: Machine, motion: Trajectory, hidden: Hidden) -> 
 
 
 def peak_force(force: Array) -> float:
-    """What the force exceeds in a fiftieth of the log, the start left out."""
+    """Return the force that is exceeded in a fiftieth of the log, the start left out."""
     return float(np.quantile(np.abs(force[len(force) // 50 :]), 0.98))
 
 

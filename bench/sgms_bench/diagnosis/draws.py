@@ -1,4 +1,4 @@
-"""What is hidden in a log: drawn from (seed, index) alone, and fair.
+"""Draws of hidden effects: from (seed, index) alone, and fair.
 
 Fair means that the log meets the excitation that the cause's own description asks for, and that after a refit of the
 base model's numbers at least `VISIBLE` of its force is left to be seen.
@@ -129,7 +129,7 @@ def sized_draw(machine: Machine, seed: int, index: int, name: str, size: float, 
     for _ in range(ATTEMPTS):
         draw = frame.draw(kind, _style(random), obeys)
         if name in BASE_CAUSES or name in frame.effects(draw):
-            found = _with_causes(frame, draw, (name,), size)
+            found = _hide_causes(frame, draw, (name,), size)
             if found is not None and abs(found.size / size - 1.0) < OFF_SIZE:
                 return found
     return None
@@ -179,7 +179,7 @@ def unmodelled_force(machine: Machine, draw: Draw, hidden: Hidden) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """What draws are made of: the machine of the benchmark, where in the series they stand, and chance."""
+    """Inputs of draws: the machine of the benchmark, their place in the series, and chance."""
 
     machine: Machine
     seed: int
@@ -225,21 +225,21 @@ def _attempt(frame: _Frame, kind: str, number: int) -> Draw | None:
     if kind == "fault":
         return replace(draw, hidden=(Hidden(list(FAULTS)[number % len(FAULTS)]),))
     if kind == "unmodelled":
-        return _unmodelled(frame, draw, number)
+        return _draw_unmodelled(frame, draw, number)
     if kind == "base":
-        return _with_causes(frame, draw, (_in_turn(tuple(BASE_CAUSES), number, frame.seed),))
+        return _hide_causes(frame, draw, (_take_turns(tuple(BASE_CAUSES), number, frame.seed),))
     names = frame.effects(draw)
     if kind == "single":
         # In turn over the whole catalogue: what this axis cannot have is left for another one.
-        name = _in_turn(EFFECT_NAMES, number, frame.seed)
-        return _with_causes(frame, draw, (name,)) if name in names else None
+        name = _take_turns(EFFECT_NAMES, number, frame.seed)
+        return _hide_causes(frame, draw, (name,)) if name in names else None
     together = random.choice(names, _TOGETHER[kind], replace=False).tolist()
     if any(b in cause(a).confused_with for a in together for b in together if a != b):
         return None
-    return _with_causes(frame, draw, tuple(together))
+    return _hide_causes(frame, draw, tuple(together))
 
 
-def _unmodelled(frame: _Frame, draw: Draw, number: int) -> Draw | None:
+def _draw_unmodelled(frame: _Frame, draw: Draw, number: int) -> Draw | None:
     axis = machine_of(frame.machine, draw)
     name = list(UNMODELLED)[number % len(UNMODELLED)]
     smooth = name in SMOOTH_CURVES
@@ -257,7 +257,7 @@ def _unmodelled(frame: _Frame, draw: Draw, number: int) -> Draw | None:
     return replace(draw, hidden=(replace(hidden, visible=left),)) if fair else None
 
 
-def _in_turn(names: tuple[str, ...], number: int, seed: int) -> str:
+def _take_turns(names: tuple[str, ...], number: int, seed: int) -> str:
     """Every name once before any comes again, in an order that changes with every round."""
     cycle, place = divmod(number, len(names))
     return str(np.random.default_rng([seed, 10**6 + cycle]).permutation(names)[place])
@@ -267,7 +267,7 @@ def _style(random: Generator) -> str:
     return str(random.choice(STYLES, p=[0.55, 0.15, 0.15, 0.15]))
 
 
-def _with_causes(frame: _Frame, draw: Draw, names: tuple[str, ...], size: float | None = None) -> Draw | None:
+def _hide_causes(frame: _Frame, draw: Draw, names: tuple[str, ...], size: float | None = None) -> Draw | None:
     """The draw with these causes hidden, each of that size (None: drawn), where that is fair."""
     axis = machine_of(frame.machine, draw)
     changes = something_to_act_on(axis, names)
@@ -296,7 +296,7 @@ def _with_causes(frame: _Frame, draw: Draw, names: tuple[str, ...], size: float 
 
 
 def _is_sampling(machine: Machine, hidden: Hidden) -> bool:
-    """Whether sampling alone puts force and position as far apart as this cause does, or nearly."""
+    """Return True if sampling alone puts force and position as far apart as this cause does, or nearly."""
     least = _BEYOND_SAMPLING * TIMING_MOST * machine.sampling.step
     return any(
         abs(value) < least and effect_definition(hidden.name).parameter(key).timing

@@ -1,4 +1,4 @@
-"""Whether the next experiment works: one of two causes that look alike is hidden, the move that separates them run.
+"""Test of the next experiment: one of two causes that look alike is hidden, the separating move is run.
 
 Where a diagnosis is `ambiguous` it hands out a trajectory (`plan --separate A B`). On the log of that move it has to
 say one name, the right one, whichever of the two is hidden and whichever law the axis obeys.

@@ -68,7 +68,7 @@ def run_diagnosis_benchmark(
         progress(0, draws)
     for outcome in run_kept(tasks, folder / RESULTS, place):
         index = keys[outcome.task.key]
-        done[index] = _scored(outcome, machine, seed, index)
+        done[index] = _score(outcome, machine, seed, index)
         if progress is not None:
             progress(len(done), draws)
     summary = summarise(machine, [done[k] for k in sorted(done)])
@@ -83,11 +83,11 @@ def run_diagnosis_benchmark(
 def run_draw(machine: Machine, seed: int, index: int, diagnose: Diagnose = diagnosis.diagnose) -> tuple[Draw, Found]:
     """One log: drawn, simulated, read, diagnosed."""
     draw = make_draw(machine, seed, index)
-    return draw, diagnosed(machine, draw, diagnose)
+    return draw, diagnose_draw(machine, draw, diagnose)
 
 
-def diagnosed(machine: Machine, draw: Draw, diagnose: Diagnose = diagnosis.diagnose) -> Found:
-    """What a diagnosis says of the draw's log. What goes wrong in it is a result too."""
+def diagnose_draw(machine: Machine, draw: Draw, diagnose: Diagnose = diagnosis.diagnose) -> Found:
+    """Return the diagnosis of the draw's log. An error in it is a result too."""
     log, noise = simulate_draw(machine, draw)
     file, started = machine_of(machine, draw), time.monotonic()
     try:
@@ -112,7 +112,7 @@ def kept_result(draw: Draw, found: Found) -> dict[str, bytes]:
 
 
 def read_result(folder: Path) -> tuple[Draw, Found]:
-    """What `kept_result` gave."""
+    """Return the result that `kept_result` wrote."""
     content = json.loads((folder / RESULT).read_bytes())
     return Draw.from_json(_back(content["draw"])), Found.from_json(content["found"])
 
@@ -128,7 +128,7 @@ def digest_of(machine: Machine, seed: int) -> str:
     return hashlib.sha256(whole.encode()).hexdigest()[:_DIGITS]
 
 
-def _scored(outcome: Outcome, machine: Machine, seed: int, index: int) -> tuple[Draw, Found]:
+def _score(outcome: Outcome, machine: Machine, seed: int, index: int) -> tuple[Draw, Found]:
     """A draw with what was found; a diagnosis that took its process with it is an error of its own."""
     if outcome.failure:
         return make_draw(machine, seed, index), Found("", seconds=outcome.seconds, error=outcome.failure)

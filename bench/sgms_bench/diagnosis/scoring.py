@@ -25,7 +25,7 @@ WITHIN: Final = 0.1
 
 @dataclass(frozen=True)
 class Found:
-    """What a diagnosis said, as far as it is scored.
+    """Scored part of a diagnosis.
 
     `causes`: (name, parameters, std); `rivals`: (name, instead of which cause); `law`: of friction, as told; `noise_N`:
     of the log, known from its making, over means of ten samples, NaN where it is not; `refused`: what was said of a log
@@ -71,7 +71,7 @@ class Found:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Found:
-        """What `to_json` gave."""
+        """Return the record of a `to_json`."""
         causes = tuple((name, values, std) for name, values, std in content["causes"])
         rivals = tuple((name, instead) for name, instead in content["rivals"])
         numbers = {key: math.nan for key, value in content.items() if value is None}
@@ -128,7 +128,7 @@ def outcome(draw: Draw, found: Found) -> str:
 
 
 def is_confidently_wrong(draw: Draw, found: Found) -> bool:
-    """Whether all is said to be explained by something that is not there, or that the log cannot tell.
+    """Return True if a cause that is not there explains all, or one that the log cannot decide.
 
     Or nothing to be wrong with a log that no axis has left.
     """

@@ -17,7 +17,7 @@ from sgms_bench.diagnosis.running import (
     RESULT,
     RESULTS,
     Progress,
-    diagnosed,
+    diagnose_draw,
     digest_of,
     kept_result,
     plain_json,
@@ -63,7 +63,7 @@ def cells(sizes: Sequence[float], draws: int) -> list[Cell]:
 def run_cell(machine: Machine, seed: int, cell: Cell) -> tuple[Draw, Found] | None:
     """Hide the cause, diagnose the log; None where no log shows a cause of that size."""
     draw = sized_draw(machine, seed, cell.index, cell.name, cell.size, cell.obeys)
-    return None if draw is None else (draw, diagnosed(machine, draw))
+    return None if draw is None else (draw, diagnose_draw(machine, draw))
 
 
 def run_small(

@@ -53,25 +53,25 @@ def _chirp(random: Generator, t: Array, _: Array, __: Array) -> Array:
     return np.asarray(np.sin(2.0 * math.pi * low * np.expm1(rise * (t - t[0])) / rise))
 
 
-def _in_place_and_time(random: Generator, t: Array, q: Array, _: Array) -> Array:
+def _place_and_time(random: Generator, t: Array, q: Array, _: Array) -> Array:
     """A pattern in position that swells and fades in time."""
     pitch = np.ptp(q) / random.uniform(3.0, 8.0)
     return np.asarray(np.sin(2.0 * math.pi * q / pitch) * np.sin(2.0 * math.pi * random.uniform(0.3, 1.5) * t))
 
 
-def _bump_in_speed(random: Generator, t: Array, _: Array, v: Array) -> Array:
+def _speed_bump(random: Generator, t: Array, _: Array, v: Array) -> Array:
     """Friction that rises within a narrow band of speed only."""
     fast = float(np.quantile(np.abs(v), 0.95))
     at = random.uniform(0.25, 0.7) * fast
     return np.asarray(np.sign(v) * np.exp(-(((np.abs(v) - at) / (0.12 * at)) ** 2)))
 
 
-def _power_of_speed(random: Generator, _: Array, __: Array, v: Array) -> Array:
+def _speed_power(random: Generator, _: Array, __: Array, v: Array) -> Array:
     """Friction that rises with a power of speed well below 1."""
     return np.asarray(np.sign(v) * np.abs(v) ** random.uniform(0.35, 0.6))
 
 
-def _log_of_speed(random: Generator, _: Array, __: Array, v: Array) -> Array:
+def _speed_logarithm(random: Generator, _: Array, __: Array, v: Array) -> Array:
     """Friction that rises with the logarithm of speed, as that of rubber and of hard contacts does."""
     slow = float(np.quantile(np.abs(v), 0.95)) * math.exp(random.uniform(math.log(2e-3), math.log(2e-2)))
     return np.asarray(np.sign(v) * np.log1p(np.abs(v) / slow))
@@ -95,11 +95,11 @@ UNMODELLED: Final[Mapping[str, Unmodelled]] = MappingProxyType(
         "telegraph": _telegraph,
         "random_walk": _random_walk,
         "chirp": _chirp,
-        "place_and_time": _in_place_and_time,
-        "bump_in_speed": _bump_in_speed,
+        "place_and_time": _place_and_time,
+        "bump_in_speed": _speed_bump,
         "spots": _spots,
-        "power_of_speed": _power_of_speed,
-        "log_of_speed": _log_of_speed,
+        "power_of_speed": _speed_power,
+        "log_of_speed": _speed_logarithm,
     }
 )
 """Unmodelled forces by name."""

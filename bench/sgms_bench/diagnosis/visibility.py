@@ -1,4 +1,4 @@
-"""What of a force is left to be seen once the base model's numbers have taken over what they can."""
+"""Visible part of a force, once the base model's numbers have absorbed their share."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from sgms_bench.records import (
     run_estimator,
     simulate_record,
     smoothness,
-    timed,
+    time_estimator,
 )
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.evaluation.plots import save_figure
@@ -174,11 +174,11 @@ def _drawn(
 
 
 def _reference(name: str, machine: Machine, record: Record) -> Outcome:
-    return timed(name, machine, lambda: estimate_reference(machine, record.signals, "mhe"))
+    return time_estimator(name, machine, lambda: estimate_reference(machine, record.signals, "mhe"))
 
 
 def _smoother(name: str, machine: Machine, record: Record) -> Outcome:
-    return timed(name, machine, lambda: estimate_smoother(machine, record.signals))
+    return time_estimator(name, machine, lambda: estimate_smoother(machine, record.signals))
 
 
 def _table(title: str, outcomes: Sequence[Outcome], record: Record, notes: tuple[str, ...]) -> Table:

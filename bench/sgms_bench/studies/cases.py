@@ -48,7 +48,7 @@ def factor_of_two(rng: np.random.Generator) -> Array:
     return rng.choice([0.5, 2.0], 4)
 
 
-def weighted(stiffness_bounds: tuple[float, float] | None = None, **noise: Any) -> dict[str, Any]:
+def weight_changes(stiffness_bounds: tuple[float, float] | None = None, **noise: Any) -> dict[str, Any]:
     """Changes of a machine file: entries of its noise, and bounds of the stiffness over nominal."""
     bounds = {} if stiffness_bounds is None else {"bounds": {"stiffness": list(stiffness_bounds)}}
     return {"estimator": {"noise": noise, **bounds}}
@@ -59,7 +59,7 @@ def thirty_percent(rng: np.random.Generator) -> Array:
     return rng.choice([0.7, 1.3], 4)
 
 
-def simulated(machine: Machine, case: Case, seed: int, duration_s: float) -> Record:
+def simulate_case(machine: Machine, case: Case, seed: int, duration_s: float) -> Record:
     """One of the case's axes in closed loop, as estimators see it."""
     rng = np.random.default_rng([seed, 2])
     config = AxisConfig(force_noise_N=case.force_noise_N, seed=seed)
@@ -72,15 +72,15 @@ def simulated(machine: Machine, case: Case, seed: int, duration_s: float) -> Rec
     )
 
 
-def counted(record: Record) -> NDArray[np.bool_]:
-    """Which updates count (u)."""
+def counted_updates(record: Record) -> NDArray[np.bool_]:
+    """Return the updates that count (u)."""
     # The first quarter second: the filters settle.
     return np.asarray(record.signals.time[record.nodes] > 0.25)
 
 
 def friction_error(estimates: Estimates, record: Record) -> float:
     """RMS of estimated minus true friction over the updates that count [N]."""
-    return rms((estimates.friction_N - record.friction)[counted(record)])
+    return rms((estimates.friction_N - record.friction)[counted_updates(record)])
 
 
 def rms(values: Array) -> float:
@@ -95,7 +95,7 @@ def say(text: str) -> None:
 
 
 def done_of(what: str) -> Callable[[int, int], None]:
-    """What reports (parts done, parts in all) with the time that the rest may take."""
+    """Return a reporter of (parts done, parts in all) with the time that the rest may take."""
     started = time.monotonic()
 
     def tell(done: int, total: int) -> None:

@@ -51,7 +51,7 @@ class Drawn:
     theta: Array
     friction: Array
 
-    def measured(self, run: int, sigma: float) -> Signals:
+    def add_noise(self, run: int, sigma: float) -> Signals:
         """Signals of a run with measurement noise [N]."""
         noise = np.random.default_rng([run, 1]).standard_normal(self.friction.shape[1])
         friction = np.zeros(len(self.signals))
@@ -109,7 +109,7 @@ def normalised_errors(machine: Machine, drawn: Drawn, update: int) -> tuple[Arra
     nominal = np.array(machine.friction.stiffness)
     errors, sigmas = [], []
     for run, theta in enumerate(drawn.theta):
-        estimates = estimator.estimate(drawn.measured(run, machine.estimator.noise.measurement))
+        estimates = estimator.estimate(drawn.add_noise(run, machine.estimator.noise.measurement))
         sigma = estimates.std[update - 1] / nominal
         errors.append((estimates.parameters[update - 1] / nominal - theta) / sigma)
         sigmas.append(sigma)

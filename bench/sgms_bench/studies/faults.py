@@ -78,7 +78,7 @@ def _jump(size: float) -> Inject:
     return inject
 
 
-def _scaled(position_by: float, force_by: float) -> Inject:
+def _scale(position_by: float, force_by: float) -> Inject:
     def inject(position: Array, force: Array, part: slice, _: np.random.Generator) -> None:
         position[part] *= position_by
         force[part] *= force_by
@@ -109,15 +109,15 @@ def _spikes(position: Array, force: Array, part: slice, rng: np.random.Generator
     force[at] += 40.0 * rng.choice([-1.0, 1.0], 200)
 
 
-def _quantised(position: Array, force: Array, part: slice, _: np.random.Generator) -> None:
+def _quantise(position: Array, force: Array, part: slice, _: np.random.Generator) -> None:
     position[part] = np.round(position[part] / 1e-6) * 1e-6
 
 
-def _clipped(position: Array, force: Array, part: slice, _: np.random.Generator) -> None:
+def _clip(position: Array, force: Array, part: slice, _: np.random.Generator) -> None:
     np.clip(force[part], -10.0, 10.0, out=force[part])
 
 
-def _resampled(times: Callable[[Array, np.random.Generator], Array], of: Sequence[int] = (0, 1)) -> Inject:
+def _resample(times: Callable[[Array, np.random.Generator], Array], of: Sequence[int] = (0, 1)) -> Inject:
     """The signals at other times than those that the samples say, in sample periods."""
 
     def inject(position: Array, force: Array, part: slice, rng: np.random.Generator) -> None:
@@ -148,9 +148,9 @@ FAULTS: Final = (
     Fault("encoder jumps by 1 mm", 0.0, _jump(1e-3)),
     Fault("encoder wraps by 0.1 m", 0.5, _offset(0.1, 0.0)),
     Fault("encoder drifts by 1 mm/s", 1.0, _drifting),
-    Fault("position's sign", 0.5, _scaled(-1.0, 1.0)),
-    Fault("force's sign", 0.2, _scaled(1.0, -1.0)),
-    Fault("force's gain 5 % off", 5.0, _scaled(1.0, 1.05)),
+    Fault("position's sign", 0.5, _scale(-1.0, 1.0)),
+    Fault("force's sign", 0.2, _scale(1.0, -1.0)),
+    Fault("force's gain 5 % off", 5.0, _scale(1.0, 1.05)),
     Fault("force off by 1 N", 5.0, _offset(0.0, 1.0)),
     Fault("push of 50 N", 0.3, _offset(0.0, 50.0)),
     Fault("push of 500 N", 2.0, _offset(0.0, 500.0)),
@@ -158,12 +158,12 @@ FAULTS: Final = (
     Fault("noise of 1.6 N", 2.0, _noise(0.0, 1.6)),
     Fault("small garbage", 2.0, _noise(1e-6, 1.0, instead=True)),
     Fault("large garbage", 2.0, _noise(1.0, 1e3, instead=True)),
-    Fault("force saturates at 10 N", 2.0, _clipped),
-    Fault("force reads zero", 1.0, _scaled(1.0, 0.0)),
-    Fault("encoder's steps 1 um", 2.0, _quantised),
-    Fault("jitter of 20 us", 2.0, _resampled(lambda at, rng: at + 0.2 * rng.standard_normal(len(at)))),
-    Fault("every sample twice", 1.0, _resampled(lambda at, rng: at - at % 2.0)),
-    Fault("force late by 20 samples", 1.0, _resampled(lambda at, rng: at - 20.0, (1,))),
+    Fault("force saturates at 10 N", 2.0, _clip),
+    Fault("force reads zero", 1.0, _scale(1.0, 0.0)),
+    Fault("encoder's steps 1 um", 2.0, _quantise),
+    Fault("jitter of 20 us", 2.0, _resample(lambda at, rng: at + 0.2 * rng.standard_normal(len(at)))),
+    Fault("every sample twice", 1.0, _resample(lambda at, rng: at - at % 2.0)),
+    Fault("force late by 20 samples", 1.0, _resample(lambda at, rng: at - 20.0, (1,))),
     Fault("one sample NaN", 1e-4, _missing((0, 1))),
     Fault("100 samples lost", 0.01, _missing((0, 1))),
     Fault("10000 samples lost", 1.0, _missing((0, 1))),
@@ -182,7 +182,7 @@ VARIANTS: Final[Mapping[str, Mapping[str, Any]]] = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one fault did to one estimator.
+    """Effect of one fault on one estimator.
 
     Attributes:
         sigmas: largest error of a parameter over its stated deviation, from 1 s after good data are back.
@@ -200,7 +200,7 @@ class Outcome:
 
     @property
     def matters(self) -> bool:
-        """Whether the fault moved a parameter by a hundredth of nominal, or more, and shows in the readings."""
+        """Return True if the fault moved a parameter by 1 % of nominal, or more, and shows in the measurements."""
         return self.deviation > 0.01 and self.contradicts
 
 
@@ -259,9 +259,9 @@ class Trial:
         self._estimator = CompiledEstimator(machine)
         self._stated = machine.estimator.noise.measurement
         self._nominal = np.array([parameter.nominal for parameter in self._estimator.model.parameters])
-        self._good = [self._estimated(base_record(axis)) for axis in range(axes)]
+        self._good = [self._estimate(base_record(axis)) for axis in range(axes)]
 
-    def _estimated(self, record: Record) -> _Good:
+    def _estimate(self, record: Record) -> _Good:
         log, estimator = record.run.log, self._estimator.running()
         learning = estimator.take(_part_of(log, 0, SUM))
         learned = estimator.state()
@@ -315,7 +315,7 @@ def _part(index: int, seeds: range) -> list[tuple[str, Outcome]]:
     return [(name, _trial(name).run(TRIED[index], seed)) for name in VARIANTS for seed in seeds]
 
 
-def _doubted(variant: str) -> float:
+def _run_doubts(variant: str) -> float:
     return _trial(variant).doubted_when_clean()
 
 
@@ -327,7 +327,7 @@ def faults_study(runs: int, place: Place = HERE) -> Table:
     found: list[list[tuple[str, Outcome]]] = [[] for _ in TRIED]
     for (index, _), outcomes in zip(parts, results(tasks, place, done_of("faults")), strict=True):
         found[index] += outcomes
-    doubted = results([Task(name, _doubted, (name,)) for name in VARIANTS], place)
+    doubted = results([Task(name, _run_doubts, (name,)) for name in VARIANTS], place)
     rows = [_row(fault, outcomes) for fault, outcomes in zip(TRIED, found, strict=True)]
     clean = ", ".join(f"{name} {share:.2%}" for name, share in zip(VARIANTS, doubted, strict=True))
     return Table(

@@ -138,7 +138,7 @@ def true_residual(axis: Axis, explored: Explored) -> Array:
     return np.asarray(residual[rows.rows_held_out()])
 
 
-def scored(axis: Axis, explored: Explored) -> dict[str, tuple[float, Quantity]]:
+def score_axis(axis: Axis, explored: Explored) -> dict[str, tuple[float, Quantity]]:
     """Truth and finding of every number that has a truth: those of elements where their count is right."""
     friction, settled = axis.machine.friction, explored.settled
     truth: dict[str, float] = {"coulomb": friction.coulomb, "viscous": friction.viscous}
@@ -177,7 +177,7 @@ def identified_axis(seed: int, seconds: float) -> dict[str, Any]:
         return row | {"found": f"refused: {error.where}", "hits": {}}
     settled, fit = explored.settled, explored.settled.fit
     best = math.sqrt(float(np.mean(true_residual(axis, explored) ** 2)))
-    compared = scored(axis, explored)
+    compared = score_axis(axis, explored)
     again = math.nan
     if seed % STARTED_AGAIN == 0:
         other = explore([axis.log], Wanted("axis", given, per_decade=COARSER)).settled

@@ -15,9 +15,9 @@ from sgms_bench.studies.cases import (
     factor_of_two,
     friction_error,
     rms,
-    simulated,
+    simulate_case,
     spread,
-    weighted,
+    weight_changes,
 )
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
@@ -41,18 +41,18 @@ def _auto(changes: dict[str, Any]) -> dict[str, Any]:
 
 CASES: Final[tuple[Case, ...]] = (
     Case("default", {}, spread),
-    Case("noise of the force 1.6 N", weighted(measurement=0.5), spread, 1.6),
+    Case("noise of the force 1.6 N", weight_changes(measurement=0.5), spread, 1.6),
     Case("factor 2", {}, factor_of_two),
-    Case("factor 2, prior 1.0", weighted(parameter=1.0), factor_of_two),
-    Case("bounds at truth's limits", weighted((0.7, 1.4), parameter=0.3, measurement=0.5), spread, 1.6),
-    Case("bounds 0.95, 1.05", weighted((0.95, 1.05)), spread),
+    Case("factor 2, prior 1.0", weight_changes(parameter=1.0), factor_of_two),
+    Case("bounds at truth's limits", weight_changes((0.7, 1.4), parameter=0.3, measurement=0.5), spread, 1.6),
+    Case("bounds 0.95, 1.05", weight_changes((0.95, 1.05)), spread),
     Case("coulomb too", {"estimator": {"parameters": ["stiffness", "coulomb"]}}, spread),
     Case("fast moves", {}, spread, trajectory="mixed"),
     Case("50 ms", _updates_at(20.0), spread),
-    Case("50 ms, factor 2, prior 0.5", _updates_at(20.0) | weighted(parameter=0.5), factor_of_two),
-    Case("100 ms, factor 2, prior 0.5", _updates_at(10.0) | weighted(parameter=0.5), factor_of_two),
-    Case("50 ms, factor 2, prior 0.5, auto", _updates_at(20.0) | _auto(weighted(parameter=0.5)), factor_of_two),
-    Case("100 ms, factor 2, prior 0.5, auto", _updates_at(10.0) | _auto(weighted(parameter=0.5)), factor_of_two),
+    Case("50 ms, factor 2, prior 0.5", _updates_at(20.0) | weight_changes(parameter=0.5), factor_of_two),
+    Case("100 ms, factor 2, prior 0.5", _updates_at(10.0) | weight_changes(parameter=0.5), factor_of_two),
+    Case("50 ms, factor 2, prior 0.5, auto", _updates_at(20.0) | _auto(weight_changes(parameter=0.5)), factor_of_two),
+    Case("100 ms, factor 2, prior 0.5, auto", _updates_at(10.0) | _auto(weight_changes(parameter=0.5)), factor_of_two),
 )
 """With everything about the last solution, which is all that a window can give, unless a case says otherwise."""
 
@@ -81,7 +81,7 @@ def compare_case(case: Case, seeds: Sequence[int], duration_s: float = 6.0, smoo
     }
     errors: dict[str, list[float]] = {"mhe": [], "ekf": [], "smoother": []}
     for index, seed in enumerate(seeds):
-        record = simulated(machine, case, seed, duration_s)
+        record = simulate_case(machine, case, seed, duration_s)
         for kind, estimator in estimators.items():
             errors[kind].append(friction_error(estimator.estimate(record.signals), record))
         if index < smoothed:

@@ -13,9 +13,9 @@ from sgms_bench.studies.cases import (
     done_of,
     factor_of_two,
     positive,
-    simulated,
+    simulate_case,
     spread,
-    weighted,
+    weight_changes,
 )
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
@@ -38,9 +38,9 @@ CASES: Final[tuple[Case, ...]] = (
     Case("factor 2", {}, factor_of_two),
     Case("force noise 0.35 N (0.1 N of friction)", {}, spread, 0.35),
     Case("force noise 1.6 N (0.46 N of friction)", {}, spread, 1.6),
-    Case("the same, measurement = 0.5", weighted(measurement=0.5), spread, 1.6),
-    Case("prior 0.3", weighted(parameter=0.3), spread),
-    Case("no drift", weighted(parameter_drift=0.0), spread),
+    Case("the same, measurement = 0.5", weight_changes(measurement=0.5), spread, 1.6),
+    Case("prior 0.3", weight_changes(parameter=0.3), spread),
+    Case("no drift", weight_changes(parameter_drift=0.0), spread),
     Case("the paper's weights", papers(PAPER_WEIGHTS), spread),
 )
 
@@ -59,7 +59,7 @@ def _part(index: int, seeds: range, duration_s: float) -> list[tuple[Array, Arra
     nominal = np.array(machine.friction.stiffness)
     found = []
     for seed in seeds:
-        record = simulated(machine, case, seed, duration_s)
+        record = simulate_case(machine, case, seed, duration_s)
         estimates = estimator.estimate(record.signals)
         error = (estimates.parameters / nominal - record.theta) / (estimates.std / nominal)
         second_half = error[len(error) // 2 :]

@@ -1,4 +1,4 @@
-"""What the estimate gains from more friction readings per second, and where readings become too alike to gain more."""
+"""Gain of the estimate from more friction measurements per second, and its end where they become too alike."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_bench.records import Record, simulate_record
-from sgms_bench.studies.cases import counted, done_of, friction_error
+from sgms_bench.studies.cases import counted_updates, done_of, friction_error
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -39,7 +39,7 @@ def readings_row(rate: float, records: Sequence[Record]) -> dict[str, Any]:
         wrong, std = np.abs(estimates.parameters / nominal - record.theta), estimates.std / nominal
         at = np.searchsorted(estimates.time_s, np.minimum(AFTER_S, estimates.time_s[-1]))
         after.append(np.max(wrong[at] / record.theta, axis=1))
-        covered.append(float(np.mean((wrong < 2.0 * std)[counted(record)])))
+        covered.append(float(np.mean((wrong < 2.0 * std)[counted_updates(record)])))
         friction.append(1e3 * friction_error(estimates, record))
     errors = np.mean(after, axis=0)
     return {

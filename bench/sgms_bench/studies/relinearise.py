@@ -1,4 +1,4 @@
-"""What it costs the estimate to keep linearisations."""
+"""Error of the estimate from stored linearisations."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from sgms_bench.experiment.running import PAPER_WEIGHTS, papers
 from sgms_bench.studies.cases import (
     Case,
-    counted,
+    counted_updates,
     done_of,
     friction_error,
-    simulated,
+    simulate_case,
     spread,
     thirty_percent,
-    weighted,
+    weight_changes,
 )
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
@@ -38,14 +38,14 @@ def _paper(**noise: float) -> dict[str, Any]:
 
 RELINEARISE_CASES: Final[tuple[Case, ...]] = (
     Case("default (state 0.01)", {}, spread),
-    Case("state 0.003", weighted(state=0.003), spread),
-    Case("state 0.1", weighted(state=0.1), spread),
-    Case("measurement 0.5, noise 1.6 N", weighted(measurement=0.5), spread, 1.6),
+    Case("state 0.003", weight_changes(state=0.003), spread),
+    Case("state 0.1", weight_changes(state=0.1), spread),
+    Case("measurement 0.5, noise 1.6 N", weight_changes(measurement=0.5), spread, 1.6),
     Case("30 % off", {}, thirty_percent),
-    Case("30 % off, prior 0.3", weighted(parameter=0.3), thirty_percent),
+    Case("30 % off, prior 0.3", weight_changes(parameter=0.3), thirty_percent),
     Case("coulomb too", {"estimator": {"parameters": ["stiffness", "coulomb"]}}, spread),
     Case("mixed motion", {}, spread, trajectory="mixed"),
-    Case("mixed motion, noise 1.6 N", weighted(measurement=0.5), spread, 1.6, "mixed"),
+    Case("mixed motion, noise 1.6 N", weight_changes(measurement=0.5), spread, 1.6, "mixed"),
     Case("the paper's", _paper(), spread),
     Case("the paper's, noise 1.6 N", _paper(), spread, 1.6),
     Case("the paper's, state 0.01", _paper(state=0.01), spread),
@@ -54,7 +54,7 @@ RELINEARISE_CASES: Final[tuple[Case, ...]] = (
 
 @dataclass(frozen=True)
 class Kept:
-    """What keeping linearisations costs.
+    """Error from stored linearisations.
 
     Attributes:
         errors: RMS errors of friction [N] and of every parameter over nominal, against truth (1 + n_p).
@@ -68,7 +68,7 @@ class Kept:
 def relinearise_errors(case: Case, seeds: Sequence[int], duration_s: float) -> dict[str, Kept]:
     """Of the ways to relinearise, `all` first."""
     machine = override_machine(load_machine("etel_xy"), case.changes)
-    records = [simulated(machine, case, seed, duration_s) for seed in seeds]
+    records = [simulate_case(machine, case, seed, duration_s) for seed in seeds]
     kept: dict[str, Kept] = {}
     of_all: list[Estimates] = []
     for relinearise in RELINEARISE:
@@ -78,7 +78,7 @@ def relinearise_errors(case: Case, seeds: Sequence[int], duration_s: float) -> d
         of_all = of_all or estimates
         errors, away = [], []
         for record, estimate, by_all in zip(records, estimates, of_all, strict=True):
-            late = counted(record)
+            late = counted_updates(record)
             wrong = estimate.parameters[late] / nominal - record.theta
             apart = (estimate.parameters - by_all.parameters)[late] / by_all.std[late]
             errors.append([friction_error(estimate, record), *np.sqrt(np.mean(wrong**2, axis=0))])

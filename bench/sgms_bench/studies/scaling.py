@@ -1,4 +1,4 @@
-"""What a task costs beside its work, and how a fleet's time falls with the number of processes."""
+"""Cost of a task beside its work, and a fleet's time over the number of processes."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ WAIT_S: Final = 0.2
 LOG_S: Final = 10.0
 
 
-def _estimated(log: str) -> int:
+def _estimate(log: str) -> int:
     machine = load_machine("etel_xy")
     return len(CompiledEstimator(machine).estimate_log(read_log(log, machine), mode="tick"))
 
 
-def _diagnosed(log: str) -> str:
+def _diagnose(log: str) -> str:
     machine = load_machine("etel_xy")
     return diagnose(machine, read_log(log, machine)).verdict
 
@@ -54,8 +54,8 @@ def scaling_study(logs: int) -> Table:
         work = {
             "nothing": [Task(str(k), abs, (k,)) for k in range(EMPTY)],
             "waiting": [Task(str(k), time.sleep, (WAIT_S,)) for k in range(EMPTY)],
-            "estimate": [Task(path, _estimated, (path,)) for path in paths],
-            "diagnose": [Task(path, _diagnosed, (path,)) for path in paths],
+            "estimate": [Task(path, _estimate, (path,)) for path in paths],
+            "diagnose": [Task(path, _diagnose, (path,)) for path in paths],
         }
         results(work["estimate"][:1] + work["diagnose"][:1], Place(1))  # what is compiled once for all is compiled
         rows: list[dict[str, Any]] = []

@@ -1,4 +1,4 @@
-"""What fast moves cost the integrators."""
+"""Cost of fast moves for the integrators."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ _SAMPLE: Final = np.dtype([("position", "<i8"), ("force", "<f4"), ("unused", "<f
 
 @dataclass(frozen=True)
 class Memory:
-    """What the package takes on the target, in bytes.
+    """Memory of the package on the target, in bytes.
 
     Attributes:
         package: its code and constants.
@@ -283,7 +283,7 @@ class HostComparison:
 
     @property
     def agrees(self) -> bool:
-        """Whether the differences are those of rounding."""
+        """Return True if the differences are those of rounding."""
         return self.comparison.agrees
 
 

@@ -1,1 +1,1 @@
-"""What emitted C holds whatever comes in, wherever it is compiled: `python -m sgms_bench.verification`."""
+"""Properties of emitted C for any input and any compiler: `python -m sgms_bench.verification`."""

@@ -1,4 +1,4 @@
-"""What emitted C has to hold, in one table: check, tried, failed.
+"""Table of the properties of emitted C: check, tried, failed.
 
 Random calls under sanitizers, the same bits from every compiler and processor, every line and branch reached or
 explained, work and stack within what is stated, nothing in the code that a proof could not deal with.
@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Final
 
 from sgms_bench.verification.bits import host_builds, same_bits, target_builds
-from sgms_bench.verification.constructs import without_constructs
-from sgms_bench.verification.coverage import covered
+from sgms_bench.verification.constructs import check_constructs
+from sgms_bench.verification.coverage import check_coverage
 from sgms_bench.verification.fuzzing import SANITIZERS, fuzz_machines
-from sgms_bench.verification.limits import within_limits
+from sgms_bench.verification.limits import check_limits
 from sgms_bench.verification.outcome import Outcome
 from sgms_bench.verification.specimens import specimen, specimens
 from sgms_mhe.configuration import load_machine
@@ -48,9 +48,9 @@ def _machine_files() -> list[Machine]:
 
 
 CHECKS: Final[Mapping[str, Callable[[argparse.Namespace, Progress], list[Outcome]]]] = {
-    "constructs": lambda _, progress: without_constructs(list(specimens()), progress),
-    "coverage": lambda _, progress: [covered(list(specimens()), progress)],
-    "limits": lambda _, progress: within_limits(list(specimens()), progress),
+    "constructs": lambda _, progress: check_constructs(list(specimens()), progress),
+    "coverage": lambda _, progress: [check_coverage(list(specimens()), progress)],
+    "limits": lambda _, progress: check_limits(list(specimens()), progress),
     "bits": _bits,
     "fuzz": _fuzz,
 }

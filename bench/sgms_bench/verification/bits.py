@@ -31,7 +31,7 @@ BOUND, NUMERIC = 1 << 4, 1 << 9
 
 @dataclass(frozen=True)
 class Digest:
-    """What came out of an exercise.
+    """Digest of an exercise.
 
     Attributes:
         bits: digest of all numbers. numbers: how many.
@@ -76,34 +76,34 @@ def same_bits(machines: Sequence[Machine], builds: Sequence[Build], progress: Ca
     One outcome per processor; of a processor whose tools are absent, one that says so.
     """
     outcomes = []
-    for processor, own in _by_processor(builds).items():
+    for processor, own in _group_by_processor(builds).items():
         check = f"bits equal: {processor}"
         try:
             require(*{build.compiler for build in own}, *{b.target.emulator[0] for b in own if b.target})
         except AbsentError as absent:
             outcomes.append(Outcome(check, "", skipped=str(absent)))
             continue
-        failures = [failure for machine in machines for failure in _compared(machine, own)]
+        failures = [failure for machine in machines for failure in _compare(machine, own)]
         outcomes.append(Outcome(check, f"{2 * len(machines)} packages, {len(own)} builds each", tuple(failures)))
         progress(f"{check}: {len(failures)} failures")
     return outcomes
 
 
-def _by_processor(builds: Sequence[Build]) -> dict[str, list[Build]]:
+def _group_by_processor(builds: Sequence[Build]) -> dict[str, list[Build]]:
     found: dict[str, list[Build]] = {}
     for build in builds:
         found.setdefault(build.target.title if build.target else "x86-64", []).append(build)
     return found
 
 
-def _compared(machine: Machine, builds: Sequence[Build]) -> Iterator[str]:
-    """What differs from the first build, in either precision."""
+def _compare(machine: Machine, builds: Sequence[Build]) -> Iterator[str]:
+    """Return the differences from the first build, in either precision."""
     first = Build("gcc", ("-O2",))
     for precision in ("double", "single"):
         package = emit_package(override_machine(machine, {"code": {"precision": precision}}), selftest=False)
         expected = exercise(package, first)
         named = f"{machine.name}, {precision}"
-        wanted = statuses_wanted(machine)
+        wanted = required_statuses(machine)
         if expected.statuses & wanted != wanted:
             yield f"{named}: the exercise sees statuses {expected.statuses:#x} alone"
         for build in builds:
@@ -112,8 +112,8 @@ def _compared(machine: Machine, builds: Sequence[Build]) -> Iterator[str]:
                 yield f"{named}: {build.title} gives {found.bits:016x}, {first.title} {expected.bits:016x}"
 
 
-def statuses_wanted(machine: Machine) -> int:
-    """What an exercise has to see of a machine, a bit each.
+def required_statuses(machine: Machine) -> int:
+    """Return the statuses that an exercise has to see of a machine, a bit each.
 
     Where readings are doubted no wild one gets as far as a bound or a solution that is none.
     """

@@ -1,4 +1,4 @@
-"""What emitted C does without, so that it can be proven: checked in the syntax tree that a compiler makes of it."""
+"""Constructs that emitted C avoids, so that it can be proven: checked in the syntax tree of a compiler."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ LOOPS: Final[Mapping[tuple[str, str], str]] = {
 """Loops that do not count up to a bound which stands before they start, and why they end: (function, kind)."""
 
 
-def without_constructs(machines: Sequence[Machine], progress: Callable[[str], None]) -> list[Outcome]:
-    """Whether packages have no function pointers, no recursion, no jumps, nothing writable, bounded loops."""
+def check_constructs(machines: Sequence[Machine], progress: Callable[[str], None]) -> list[Outcome]:
+    """Check that packages have no function pointers, recursion, jumps, writable objects, unbounded loops."""
     checks = {
         "no function pointers, no recursion": pointers_and_recursion,
         "no jumps, no variable-length arrays, no globals": jumps_and_storage,
@@ -74,11 +74,11 @@ def pointers_and_recursion(_: Package, tree: Node) -> tuple[int, list[str]]:
     found += [f"{node.get('name')} is a pointer to a function: {node['type']}" for node in declared]
     outside = {n for to in graph.values() for n in to if n not in own and not BUILTINS.fullmatch(n)}
     found += [f"{name} is called, and not part of the package" for name in sorted(outside)]
-    found += [f"{name} calls itself" for name in own if name in _reached(graph, name)]
+    found += [f"{name} calls itself" for name in own if name in _reachable(graph, name)]
     return sum(len(to) for to in graph.values()), found
 
 
-def _reached(graph: Mapping[str, Mapping[str, bool]], start: str) -> set[str]:
+def _reachable(graph: Mapping[str, Mapping[str, bool]], start: str) -> set[str]:
     """Functions that a call may come to."""
     reached: set[str] = set()
     left = list(graph[start])
@@ -106,7 +106,7 @@ def jumps_and_storage(_: Package, tree: Node) -> tuple[int, list[str]]:
 
 
 def _is_constant(type_name: str) -> bool:
-    """Whether an object of a type is constant itself: of a pointer, what stands behind the star counts."""
+    """Return True if an object of a type is constant itself: of a pointer, the part behind the star counts."""
     return "const" in type_name.rpartition("*")[2]
 
 
@@ -129,7 +129,7 @@ def unbounded_loops(package: Package, tree: Node) -> tuple[int, list[str]]:
 
 
 def _is_counted(loop: Node) -> bool:
-    """Whether it counts a variable up (or down) to a bound, and its body changes neither."""
+    """Return True if it counts a variable up (or down) to a bound, and its body changes neither."""
     _, _, condition, advance, body = loop["inner"]
     counter = _counter(advance)
     if counter is None:
@@ -173,7 +173,7 @@ def _comparisons(condition: Node) -> Iterator[tuple[Node, Node]]:
 
 
 def _is_linear(side: Node) -> bool:
-    """Whether an expression is a variable and a constant added to it."""
+    """Return True if an expression is a variable and a constant added to it."""
     return side.get("kind") == "BinaryOperator" and side["opcode"] in ("+", "-")
 
 

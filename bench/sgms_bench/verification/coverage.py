@@ -61,8 +61,8 @@ class Coverage:
         return taken, sum(place.branches for place in self.counts)
 
 
-def covered(machines: Sequence[Machine], progress: Callable[[str], None]) -> Outcome:
-    """Whether every line and branch of packages is reached: in each, in another one of them, or not for a reason."""
+def check_coverage(machines: Sequence[Machine], progress: Callable[[str], None]) -> Outcome:
+    """Check that every line and branch of packages is reached: in each, in another, or not for a reason."""
     check = "coverage: every line and branch, or a reason"
     try:
         require("gcc", "gcov")
@@ -73,7 +73,7 @@ def covered(machines: Sequence[Machine], progress: Callable[[str], None]) -> Out
         found.append(measure(emit_package(machine)))
         progress(f"{check}: {machine.name}, {found[-1].lines} lines, {found[-1].branches} branches")
     lines, branches = (np.sum([getattr(of, name) for of in found], axis=0) for name in ("lines", "branches"))
-    left = never_reached(found)
+    left = find_gaps(found)
     explained = {place: reason_of(place) for place in left}
     failures = [f"{place.function}: {place.code}" for place, reason in explained.items() if reason is None]
     used = set(explained.values())
@@ -85,7 +85,7 @@ def covered(machines: Sequence[Machine], progress: Callable[[str], None]) -> Out
     return Outcome(check, tried, tuple(failures))
 
 
-def never_reached(found: Sequence[Coverage]) -> list[Place]:
+def find_gaps(found: Sequence[Coverage]) -> list[Place]:
     """Lines that no package executes, or of which a branch is taken in none."""
     most: dict[Place, tuple[int, ...]] = {}
     for coverage in found:

@@ -22,7 +22,7 @@ class Gap:
     reason: str
 
     def explains(self, function: str, code: str) -> bool:
-        """Whether a line is this one."""
+        """Return True if a line is this one."""
         return re.fullmatch(self.function, function) is not None and re.search(self.code, code) is not None
 
 

@@ -26,8 +26,8 @@ def stated_operations(package: Package) -> Mapping[str, int]:
     return {call: int(count) for call, count in found}
 
 
-def within_limits(machines: Sequence[Machine], progress: Callable[[str], None]) -> list[Outcome]:
-    """Whether no call of a run takes more stack than its deepest call path, or more work than stated; per target."""
+def check_limits(machines: Sequence[Machine], progress: Callable[[str], None]) -> list[Outcome]:
+    """Check that no call takes more stack than its deepest path, or more work than stated; per target."""
     outcomes = []
     for target in TARGETS.values():
         check = f"work and stack within what is stated: {target.title}"

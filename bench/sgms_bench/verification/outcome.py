@@ -1,4 +1,4 @@
-"""What a check found, and the tools and programs that checks take."""
+"""Outcome of a check, and the tools and programs that checks take."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sgms_mhe.host.compiled import replay_definitions
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one check came to.
+    """Outcome of one check.
 
     Attributes:
         check: its name.
@@ -62,7 +62,7 @@ def definitions(package: Package) -> list[str]:
 
 @dataclass(frozen=True)
 class Run:
-    """What a program came to."""
+    """Outcome of a program."""
 
     code: int
     output: str

@@ -18,7 +18,7 @@ BELIEVING: Final = {"noise": {"self_scaling": False}}
 COMPENSATED: Final = {"compensation": {"delay": 210e-6, "limit": 20.0, "hold": 5e-6, "ramp": 0.01}}
 
 
-def _merged(substeps: int, **more: Any) -> dict[str, Any]:
+def _merge(substeps: int, **more: Any) -> dict[str, Any]:
     return {"sampling": {"integrator": {"substeps": substeps}}, **more}
 
 
@@ -28,8 +28,8 @@ def _scheme(name: str, **settings: Any) -> dict[str, Any]:
 
 SPECIMENS: Final[Mapping[str, Mapping[str, Any]]] = {
     "flow": COMPENSATED,
-    "merged_auto": _merged(4, estimator={"relinearise": "auto"}, **SINGLE, **COMPENSATED),
-    "merged_all": _merged(4, estimator=BELIEVING),
+    "merged_auto": _merge(4, estimator={"relinearise": "auto"}, **SINGLE, **COMPENSATED),
+    "merged_all": _merge(4, estimator=BELIEVING),
     "newest": {"estimator": {"relinearise": "newest", **BELIEVING}, **_scheme("rk4"), **SINGLE},
     "auto": {"estimator": {"relinearise": "auto", "parameters": ["coulomb", "viscous"]}, **_scheme("rk4", substeps=40)},
     "fixed": {
@@ -37,7 +37,7 @@ SPECIMENS: Final[Mapping[str, Mapping[str, Any]]] = {
         **_scheme("rk4", substeps=4),
     },
     "ekf": {"estimator": {"kind": "ekf", "bounds": {}, **BELIEVING}, **_scheme("rk4"), **SINGLE},
-    "groups": _merged(
+    "groups": _merge(
         4,
         estimator={"relinearise": "auto"},
         effects=[
@@ -57,11 +57,11 @@ SPECIMENS: Final[Mapping[str, Mapping[str, Any]]] = {
         **SINGLE,
     },
     "switching": {"friction": {"law": "switching"}, **SINGLE, **COMPENSATED},
-    "switching_merged": {"friction": {"law": "switching"}, **_merged(4, estimator=BELIEVING)},
+    "switching_merged": {"friction": {"law": "switching"}, **_merge(4, estimator=BELIEVING)},
     "switching_levels": {
         "friction": {"law": "switching"},
         "effects": [{"name": "dwell_dependence"}, {"name": "encoder_periodic_error", "amplitude_m": 5e-7}],
-        **_merged(4, estimator={"relinearise": "auto"}),
+        **_merge(4, estimator={"relinearise": "auto"}),
     },
 }
 """What is changed in the small machine, by name."""

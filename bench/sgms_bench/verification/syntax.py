@@ -92,10 +92,10 @@ def callees(function: Node) -> Iterator[tuple[str, bool]]:
 
 
 def is_function_pointer(type_name: str) -> bool:
-    """Whether a type is, or holds, a pointer to a function."""
+    """Return True if a type is, or holds, a pointer to a function."""
     return re.search(r"\(\*[^()]*\)\s*\(", type_name) is not None
 
 
 def is_variable_length(type_name: str) -> bool:
-    """Whether a type is an array whose length is not a constant."""
+    """Return True if a type is an array whose length is not a constant."""
     return re.search(r"\[[^\]\d]", type_name) is not None

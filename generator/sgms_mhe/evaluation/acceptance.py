@@ -1,4 +1,4 @@
-"""Whether machine files, the packages that were generated from them, and compilers fit together.
+"""Consistency of machine files, the packages that were generated from them, and compilers.
 
 For whoever keeps machine files and packages in a repository of their own: a changed file without its package, another
 version of the generator, a compiler that breaks the arithmetic are found before they reach an axis.
@@ -60,7 +60,7 @@ class Check:
 
 
 class _FailedError(Exception):
-    """What a check found wrong."""
+    """Failure of a check."""
 
 
 @dataclass

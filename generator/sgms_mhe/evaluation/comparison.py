@@ -72,7 +72,7 @@ class Quantity:
 
     @property
     def agrees(self) -> bool:
-        """Whether the difference is within tolerance; one that is not a number never is."""
+        """Return True if the difference is within tolerance; NaN never is."""
         return self.relative <= self.tolerance
 
 
@@ -100,7 +100,7 @@ class Comparison:
 
     @property
     def agrees(self) -> bool:
-        """Whether everything is within tolerance."""
+        """Return True if everything is within tolerance."""
         return self.status_mismatches == 0 and all(quantity.agrees for quantity in self.quantities)
 
 

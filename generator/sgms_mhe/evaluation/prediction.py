@@ -59,7 +59,7 @@ class PredictedFriction:
 
 @dataclass(frozen=True)
 class ForceError:
-    """What the model leaves of the drive force, over `rows` compared rows of a log; all RMS [N].
+    """Residual of the drive force, over `rows` compared rows of a log; all RMS [N].
 
     Measured minus simulated friction is also measured minus simulated drive force: both hold the same mass times
     acceleration. `relative` to the drive force it is the number by which inverse dynamic models are judged.

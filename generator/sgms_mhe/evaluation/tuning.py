@@ -97,12 +97,12 @@ class Tuned:
 
     @property
     def crowded(self) -> bool:
-        """Whether the machine takes readings that follow each other more closely than the low-pass lets them differ."""
+        """Return True if measurements follow each other more closely than the low-pass lets them differ."""
         sampling = self.machine.sampling
         return sampling.readings_per_update * sampling.update_rate > 2.0 * sampling.velocity_cutoff
 
     def changes(self) -> dict[str, Any]:
-        """What a machine file that extends the machine says of it; empty where nothing is to be changed."""
+        """Return the changes in a machine file that extends the machine; empty where nothing is to be changed."""
         noise = {name: value for name, value in self.best.changes.items() if name in LIMITS}
         content: dict[str, Any] = {"estimator": {"noise": noise}} if noise else {}
         if self.horizon is not None:
@@ -136,7 +136,7 @@ def tune(machine: Machine, log: Log, report: Progress = lambda _: None) -> Tuned
             kept.append(name)
     best = search.trial(final)
     horizon = search.horizon(best)
-    return Tuned(machine, start, best, horizon, search.tried(), tuple(kept))
+    return Tuned(machine, start, best, horizon, search.trials_by_weight(), tuple(kept))
 
 
 class _Search:
@@ -188,7 +188,7 @@ class _Search:
         shortest = next(n for n, trial in trials.items() if likeliest.better_by(trial) < WORTH)
         return None if shortest == own else shortest
 
-    def tried(self) -> dict[str, tuple[tuple[float, Trial], ...]]:
+    def trials_by_weight(self) -> dict[str, tuple[tuple[float, Trial], ...]]:
         """Every trial by the weight in which it differs from the others that were made for it."""
         found: dict[str, tuple[tuple[float, Trial], ...]] = {}
         for name in (*LIMITS, "horizon"):

@@ -1,4 +1,4 @@
-"""What an estimator's updates have come to so far, in memory that does not grow with them."""
+"""Running summary of an estimator's updates, in memory that does not grow with them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def flags_of(status: int) -> list[str]:
 
 
 def status_words(status: int) -> str:
-    """What a status says."""
+    """Return the words of a status."""
     return "; ".join(WORDS[name] for name in flags_of(status))
 
 
@@ -74,7 +74,7 @@ class Trend:
     @property
     def points(self) -> Array:
         """One row per point (p, k); the last one may stand for fewer rows."""
-        return np.concatenate((self._points, self._merged(self._waiting, max(len(self._waiting), 1))))
+        return np.concatenate((self._points, self._merge(self._waiting, max(len(self._waiting), 1))))
 
     def add(self, rows: Array) -> None:
         """Take rows (n, k); the points do not depend on how many come at a time."""
@@ -82,12 +82,12 @@ class Trend:
             room = (TREND_POINTS - len(self._points)) * self.every - len(self._waiting)
             waiting, rows = np.concatenate((self._waiting, rows[:room])), rows[room:]
             full = len(waiting) // self.every * self.every
-            self._points = np.concatenate((self._points, self._merged(waiting[:full], self.every)))
+            self._points = np.concatenate((self._points, self._merge(waiting[:full], self.every)))
             self._waiting = waiting[full:]
             if len(self._points) == TREND_POINTS:
-                self._points, self.every = self._merged(self._points, 2), 2 * self.every
+                self._points, self.every = self._merge(self._points, 2), 2 * self.every
 
-    def _merged(self, rows: Array, count: int) -> Array:
+    def _merge(self, rows: Array, count: int) -> Array:
         blocks = rows.reshape(-1, count, rows.shape[1])
         return np.where(self._greatest, np.fmax.reduce(blocks, axis=1), blocks[:, -1]) if len(rows) else rows
 
@@ -103,7 +103,7 @@ class Episode:
 
 
 class Course:
-    """What a run has come to.
+    """Summary of a run.
 
     Args:
         machine: of the estimator.

@@ -31,7 +31,7 @@ _IMPORT = re.compile(
 
 @dataclass(frozen=True)
 class Sources:
-    """What decides the bytes of every package.
+    """Sources that decide the bytes of every package.
 
     Attributes:
         files: content by path below the tree it is part of (`package/...`, `templates/...`, `runtime/...`).

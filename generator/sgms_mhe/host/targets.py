@@ -48,7 +48,7 @@ class Target:
 
     @property
     def remedy(self) -> str:
-        """What to do where they are absent."""
+        """Name the remedy where they are absent."""
         return f"the Debian packages {self.packages} bring what the target takes"
 
 
@@ -173,5 +173,5 @@ def _wait(process: subprocess.Popen[bytes], results: Path, report: Callable[[int
 
 
 def run_tool(target: Target, tool: str, *arguments: str | Path) -> str:
-    """What one of the target's tools (`gcc`, `size`) prints. Raises BuildError where it is not there, or refused."""
+    """Return the stdout of one of the target's tools (`gcc`, `size`). Raises BuildError if it is absent, or refused."""
     return tool_output([f"{target.prefix}{tool}", *map(str, arguments)], target.remedy)

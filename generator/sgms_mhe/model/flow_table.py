@@ -67,7 +67,7 @@ def gate_ratio(zeta: float, lambda_: float, gamma: float, tail: float = TAIL) ->
 
 
 def gate_saturates(zeta: float, lambda_: float, gamma: float, tail: float = TAIL) -> bool:
-    """Whether there is a speed at which `gate_ratio` calls the gate saturated."""
+    """Return True if there is a speed at which `gate_ratio` calls the gate saturated."""
     return _gate_tail(zeta, lambda_, gamma, _LARGEST / 100.0) < tail  # the tail falls with speed
 
 
@@ -82,7 +82,7 @@ def _gate_tail(zeta: float, lambda_: float, gamma: float, ratio: float) -> float
 
 
 def flow_applies(zeta: float, lambda_: float, precision: str) -> bool:
-    """Whether the smoothing is sharp enough for an elastic range to be left above r = 0."""
+    """Return True if the smoothing is sharp enough for an elastic range above r = 0."""
     return _reach(lambda_, precision) < zeta
 
 
