@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.io import savemat
 
 from cli_cases import run
 from sgms_mhe.api.inputs import read_log
@@ -227,3 +229,79 @@ def test_inspect_lists_the_variables_of_a_long_format(tmp_path: Path) -> None:
     by_name = {column["from"]: column for column in content["columns"]}
     assert by_name["lever"]["max"] == pytest.approx(log.position_m.max())
     assert by_name["weight"]["min"] == pytest.approx(log.force_N.min())
+
+
+# --- struct arrays of MAT files ---------------------------------------------------------------------------------
+
+
+def control_desk(rasters: Sequence[Log], labels: tuple[str, str], units: tuple[str, str]) -> dict[str, Any]:
+    """X with the times of each raster, Y with position and force, whose XIndex says of which they are."""
+    fast, slow = rasters[0], rasters[-1]
+    x = np.zeros((1, len(rasters)), dtype=[("Name", object), ("Data", object)])
+    for k, log in enumerate(rasters):
+        x[0, k] = (f"raster {k}", log.time_s.reshape(1, -1))
+    y = np.zeros((1, 3), dtype=[("Name", object), ("Unit", object), ("Data", object), ("XIndex", object)])
+    y[0, 0] = ("Model Root/mode", "", np.ones((1, len(fast))), 1)
+    y[0, 1] = (labels[0], units[0], 1e3 * fast.position_m.reshape(1, -1), 1)
+    y[0, 2] = (labels[1], units[1], slow.force_N.reshape(1, -1), len(rasters))
+    return {"X": x, "Y": y, "Description": {"General": {"DateTime": "today"}}}
+
+
+@pytest.mark.parametrize("nested", [True, False])
+@pytest.mark.parametrize("compressed", [True, False])
+@pytest.mark.parametrize("labels", [("Model Root/Axis/ActPos", "Model Root/Axis/Force"), ("ActPos", "ActForce")])
+def test_channels_of_struct_arrays_are_read(
+    nested: bool, compressed: bool, labels: tuple[str, str], tmp_path: Path
+) -> None:
+    log = motion(10, 1000.0)
+    content = control_desk([log], labels, ("mm", "N"))
+    savemat(tmp_path / "rec.mat", {"rec_001": content} if nested else content, do_compression=compressed)
+    found = read_log(tmp_path / "rec.mat")
+    assert found.rate == pytest.approx(1000.0)
+    assert found.position_m == pytest.approx(log.position_m) and found.force_N == pytest.approx(log.force_N)
+
+
+def test_members_of_struct_arrays_have_a_path(tmp_path: Path) -> None:
+    log = motion(11, 500.0)
+    savemat(tmp_path / "rec.mat", {"rec": control_desk([log], ("lever", "weight"), ("", ""))})
+    listed = json.loads(run("inspect", tmp_path / "rec.mat", "--json").stdout)
+    assert {"rec.X.Data", "rec.Y(1).Data", "rec.Y(2).Data", "rec.Y(3).Data"} <= {c["from"] for c in listed["columns"]}
+    for position, force in (("rec.Y(2).Data", "rec.Y(3).Data"), ("lever", "weight")):
+        table = {"position_m": {"variable": position, "unit": "mm"}, "force_N": {"member": force}}
+        assert read_log(tmp_path / "rec.mat", table=table).position_m == pytest.approx(log.position_m)
+
+
+def test_rasters_have_clocks_of_their_own(tmp_path: Path) -> None:
+    fast, slow = motion(12, 1000.0), motion(12, 200.0)
+    slow = Log(slow.time_s, slow.position_m, 50.0 * slow.position_m, slow.rate)
+    savemat(tmp_path / "rec.mat", {"rec": control_desk([fast, slow], ("ActPos", "Force"), ("mm", "N"))})
+    found = read_log(tmp_path / "rec.mat")
+    inside = fast.time_s <= slow.time_s[-1]
+    assert found.position_m == pytest.approx(fast.position_m)
+    assert found.force_N[inside] == pytest.approx(50.0 * fast.position_m[inside], abs=2e-3)
+
+
+@pytest.mark.parametrize("shape", [(-1, 1), (1, 1, -1)])
+def test_simulink_s_scope_is_read(shape: tuple[int, ...], tmp_path: Path) -> None:
+    log = motion(13, 250.0)
+    signals = np.zeros((1, 2), dtype=[("values", object), ("dimensions", object), ("label", object)])
+    signals[0, 0] = (log.force_N.reshape(shape), 1, "Force [N]")
+    signals[0, 1] = (log.position_m.reshape(shape), 1, "x_act [m]")
+    other = {"time": np.arange(9.0).reshape(-1, 1), "signals": {"values": np.ones((9, 1)), "label": "temperature"}}
+    scope_data = {"time": log.time_s.reshape(-1, 1), "signals": signals, "blockName": "model/Scope"}
+    savemat(tmp_path / "scope.mat", {"Other": other, "ScopeData": scope_data})
+    found = read_log(tmp_path / "scope.mat")
+    assert found.position_m == pytest.approx(log.position_m) and found.force_N == pytest.approx(log.force_N)
+
+
+def test_a_damaged_struct_array_is_refused_and_never_trips(tmp_path: Path) -> None:
+    savemat(tmp_path / "rec.mat", {"rec": control_desk([motion(14, 100.0)], ("ActPos", "Force"), ("mm", "N"))})
+    whole = (tmp_path / "rec.mat").read_bytes()
+    rng = np.random.default_rng(1)
+    for _ in range(300):
+        content = bytearray(whole)
+        for at in rng.integers(128, len(content), 3):
+            content[at] = rng.integers(256)
+        (tmp_path / "bad.mat").write_bytes(bytes(content[: rng.integers(129, len(content))]))
+        with contextlib.suppress(InputError):
+            read_log(tmp_path / "bad.mat")

@@ -189,18 +189,23 @@ def _data(path: Path, filled: Sequence[tuple[int, str]], hints: LogMapping | Non
 
 
 def _first_sample(filled: Sequence[tuple[int, str]], separator: str) -> int | None:
-    """Index of the first sample: where rows of two or more values begin that have as many fields, the most of them."""
-    best, start, rows, count = (0, -1), -1, 0, 0
+    """Index of the first sample: where rows of two or more values begin, two of them with as many fields.
+
+    A preamble may have a few such rows too, but lines without a value below them.
+    """
+    best, start, rows, count = (0, 0), 0, 0, 0
     for k, (_, line) in enumerate(filled):
         fields = fields_of(line, separator) if separator == " " or separator in line else []
         values = sum(map(_is_value, fields))
-        if values >= 2:
-            start, rows, count = (start, rows + 1, count) if rows and count == len(fields) else (k, 1, len(fields))
-            best = max(best, (rows, -start))
-            if rows >= _SURE_ROWS:
-                break
+        if values >= 2 and rows < 2 and count != len(fields):
+            start, rows, count = k, 1, len(fields)
+        elif values >= 2 and count == len(fields):
+            rows += 1
         elif not values:
-            rows = 0
+            rows, count = 0, 0
+        best = max(best, (rows, -start))
+        if rows >= _SURE_ROWS:
+            break
     return -best[1] if best[0] else None
 
 

@@ -7,10 +7,11 @@ damaged file ends the process where a user needs a message. Numeric arrays and s
 from __future__ import annotations
 
 import math
+import re
 import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,24 +21,28 @@ from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damage_erro
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _MATRIX, _COMPRESSED = 14, 15
-_STRUCT, _OPAQUE = 2, 17
+_STRUCT, _CHAR, _OPAQUE = 2, 4, 17
 _NUMERIC_CLASSES = range(6, 16)  # double, single, the integers
 _COMPLEX = 0x0800
 _HEADER = 128
 _PEEK = 4096  # bytes of a variable that hold its flags, dimensions and name
+_VALUES = frozenset(("Data", "data", "values", "Values"))
+_CHANNEL = re.compile(r"(?P<root>.*\.)?(?P<own>(?:signals|Y)(?:\(\d+\))?)\.(?P<field>\w+)")
 _DEEPEST = 16  # structs within structs
 _V5, _V73 = 0x0100, 0x0200
 
 
 @dataclass(frozen=True)
 class MatVariable:
-    """A variable, or a member of a struct, that has been found and not yet read."""
+    """A variable, or a member of a struct, that has been found and not yet read; `label`, `unit`: as it states them."""
 
     name: str
     shape: tuple[int, ...]
     order: str
     packed: bool
     body: memoryview
+    label: str = ""
+    unit: str = ""
 
     def read(self) -> Array:
         """The values in the variable's own shape; ValueError or zlib.error where they are damaged or not real."""
@@ -71,8 +76,29 @@ def read_mat(path: Path) -> Table:
         except (ValueError, zlib.error) as error:
             raise damage_error(path, whole, error) from None
 
-    columns = tuple(Column(name, name, shape=variable.shape) for name, variable in found.items())
-    return Table("MAT v5", columns, read, array_row)
+    clocks = {name: clock for name, variable in found.items() if (clock := _clock(name, variable, found))}
+    columns = tuple(
+        Column(name, v.label or name, v.unit or ("s" if name in clocks.values() else ""), v.shape)
+        for name, v in found.items()
+    )
+    return Table("MAT v5", columns, read, array_row, clocks=clocks)
+
+
+def _clock(name: str, variable: MatVariable, found: Mapping[str, MatVariable]) -> str | None:
+    """Name of the times of a channel: X(k).Data of Y(i).Data in ControlDesk's files, time of signals in Simulink's."""
+    path = _CHANNEL.fullmatch(name)
+    if path is None:
+        return None
+    root, own, field = path["root"] or "", path["own"], path["field"]
+    if own.startswith("signals") and field == "values":
+        wanted = [f"{root}time"]
+    elif own.startswith("Y") and field == "Data":
+        index = found.get(f"{root}{own}.XIndex")
+        k = int(index.read().reshape(-1)[0]) if index is not None and math.prod(index.shape) == 1 else 1
+        wanted = [f"{root}X({k}).Data", f"{root}X.Data"]
+    else:
+        return None
+    return next((time for time in wanted if time in found), None)
 
 
 def _version(content: bytes) -> int:
@@ -112,10 +138,10 @@ def _unpack(body: memoryview, packed: bool) -> memoryview:
 
 
 def _members(matrix: memoryview, order: str, path: str, depth: int) -> dict[str, MatVariable]:
-    """Numeric members of one struct, and of those inside it; those of an array of structs are nobody's column."""
+    """Numeric members of a struct, and of those inside it; of an array of structs those of path(1), path(2), ..."""
     elements = _elements(matrix, order)
     _, shape, _ = _description(elements, order)
-    if math.prod(shape) != 1 or depth > _DEEPEST:
+    if depth > _DEEPEST:
         return {}
     try:
         (_, width), (_, names) = next(elements), next(elements)
@@ -125,17 +151,45 @@ def _members(matrix: memoryview, order: str, path: str, depth: int) -> dict[str,
     if size <= 0 or len(names) % size:
         raise ValueError("a struct whose names are damaged")
     fields = [bytes(names[k : k + size]).partition(b"\0")[0].decode("latin-1") for k in range(0, len(names), size)]
+    values = list(elements)
     found: dict[str, MatVariable] = {}
-    for field, (kind, body) in zip(fields, elements, strict=False):
+    for k in range(min(math.prod(shape), len(values))):
+        own = path if math.prod(shape) == 1 else f"{path}({k + 1})"
+        part = values[k * len(fields) : (k + 1) * len(fields)]
+        found |= _fields(dict(zip(fields, part, strict=False)), order, own, depth)
+    return found
+
+
+def _fields(members: Mapping[str, tuple[int, memoryview]], order: str, path: str, depth: int) -> dict[str, MatVariable]:
+    """Numeric members of one struct by their paths, its values with the label and the unit that stand beside them."""
+    found: dict[str, MatVariable] = {}
+    texts: dict[str, str] = {}
+    for field, (kind, body) in members.items():
         if kind != _MATRIX or not len(body):
             continue
-        own = _flags(body, order) & 0xFF
+        own, name = _flags(body, order) & 0xFF, f"{path}.{field}"
         if own == _STRUCT:
-            found |= _members(body, order, f"{path}.{field}", depth + 1)
+            found |= _members(body, order, name, depth + 1)
         elif own in _NUMERIC_CLASSES:
-            member = _description(_elements(body, order), order)[1]
-            found[f"{path}.{field}"] = MatVariable(f"{path}.{field}", member, order, False, body)
+            found[name] = MatVariable(name, _description(_elements(body, order), order)[1], order, False, body)
+        elif own == _CHAR:
+            texts[field.casefold()] = _text(body, order)
+    for field in _VALUES & members.keys():
+        if (name := f"{path}.{field}") in found:
+            label = next((texts[key] for key in ("name", "label", "title") if texts.get(key)), "")
+            found[name] = replace(found[name], label=label, unit=texts.get("unit", texts.get("units", "")))
     return found
+
+
+def _text(matrix: memoryview, order: str) -> str:
+    """An array of characters; empty where it is none that is understood."""
+    elements = _elements(matrix, order)
+    _description(elements, order)
+    kind, data = next(elements, (0, memoryview(b"")))
+    encoding = {2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16"}.get(kind, "")
+    if encoding == "utf-16":
+        encoding += "-le" if order == "<" else "-be"
+    return bytes(data).decode(encoding, "replace").strip("\0 ") if encoding else ""
 
 
 def _flags(matrix: memoryview, order: str) -> int:

@@ -72,8 +72,11 @@ def choose_sources(
     velocity = find("velocity", by_name=position is None, required=False)  # without a position it is integrated
     if (carrier := position or velocity) is None:
         raise _missing(path, table, quantities["position"], None)
-    if not has_clock and (clock := table.clocks.get(carrier.column)) is not None:
-        time = _own(path, quantities["time"], table.named(clock), clock in table.stamped)
+    if not has_clock:
+        clock = table.clocks.get(carrier.column)
+        time = find("time", by_name=True, required=not by_rate) if clock is None else None
+        if clock is not None:
+            time = _own(path, quantities["time"], table.named(clock), clock in table.stamped)
     friction = find("friction", required=False)
     force = find("force", by_name=True, required=friction is None)
     rest = (find(role, required=False) for role in ("acceleration", "temperature"))
