@@ -14,7 +14,7 @@ from c_packages import PROBES, Array, machine, run, scheme, written
 from package_variants import EFFECTS, VARIANTS
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.budget import OPERATION_RATE
-from sgms_mhe.emission.flow import flow_of
+from sgms_mhe.emission.element_law import flow_of
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.errors import InputError

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from sgms_mhe.emission.compensation import FARTHEST_MOVE, Compensation
-from sgms_mhe.emission.flow import Flow
+from sgms_mhe.emission.element_law import RK4, Flow
 from sgms_mhe.emission.groups import GroupView
 from sgms_mhe.emission.operations import EXP, EXP2, LOG, operations_of
 from sgms_mhe.emission.schedule import Costs
 from sgms_mhe.emission.sizes import Sizes
-from sgms_mhe.emission.stepping import RK4
 from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Variant
 from sgms_mhe.machine.sampling import Sampling

@@ -1,12 +1,17 @@
-"""Expressions to C: single-assignment constants with names a reader can follow."""
+"""Expressions to C: single-assignment constants with names a reader can follow, as bodies of functions."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
+import casadi as ca
 import numpy as np
 
-from sgms_mhe.emission.graph import Node, walk
+from sgms_mhe.emission.graph import Graph, Node, operations, walk
+from sgms_mhe.emission.structure import Group, Structure
+from sgms_mhe.model import SIGNAL_NAMES, Model
 
 _ATOM, _UNARY, _PRODUCT, _SUM, _COMPARE = range(5)
 _LONGEST_INLINE = 72
@@ -134,3 +139,109 @@ class CPrinter:
             return f"(sgms_real)({operand(0, _SUM)} {sign} {operand(1, _SUM)})", _UNARY
         arguments = ", ".join(text[a][0] for a in node.args)
         return f"sgms_{op}({arguments})", _ATOM
+
+
+@dataclass(frozen=True)
+class Function:
+    """Body of one emitted function.
+
+    Attributes:
+        statements: C statements, in order.
+        operations: (operation, how many), by name.
+        cleared: (array, length) of those that are mostly zero: they are cleared first.
+    """
+
+    statements: tuple[str, ...]
+    operations: tuple[tuple[str, int], ...]
+    cleared: tuple[tuple[str, int], ...] = ()
+
+
+Value = TypeVar("Value", ca.SX, Node)
+
+
+@dataclass(frozen=True)
+class Output(Generic[Value]):
+    """What a function computes: values, and the C array or scalar that receives them.
+
+    Attributes:
+        name: of the array; of a scalar, the place itself.
+        values: expressions of the model, or nodes of a graph.
+        stride: name of the distance between entries, where it is not 1.
+        sparse: mostly zero: cleared, then set where it is not.
+    """
+
+    name: str
+    values: Sequence[Value]
+    scalar: bool = False
+    stride: str = ""
+    sparse: bool = False
+
+    def place(self, k: int) -> str:
+        """C expression of entry k."""
+        if self.scalar:
+            return self.name
+        return f"{self.name}[{k} * {self.stride}]" if self.stride else f"{self.name}[{k}]"
+
+
+def scalar(name: str, value: Value) -> Output[Value]:
+    """One number."""
+    return Output(name, [value], scalar=True)
+
+
+def entries(expression: ca.SX) -> list[ca.SX]:
+    """All entries of a vector, zeros that are not stored included."""
+    return list(ca.vertsplit(ca.densify(expression)))
+
+
+class FunctionPrinter:
+    """Prints functions of one package."""
+
+    def __init__(self, structure: Structure, printer: CPrinter) -> None:
+        self._model: Model = structure.model
+        self._printer = printer
+        self._terms = tuple(term.name for term in structure.sample_terms)
+        self._labels = {
+            "x": [f"x_{s.name}" for s in self._model.states],
+            "w": list(SIGNAL_NAMES),
+            "theta": [f"theta_{p.column}" for p in self._model.parameters],
+        }
+
+    def of_model(self, inputs: Mapping[str, str], outputs: Sequence[Output[ca.SX]]) -> Function:
+        """Function of the model's vectors x, w, theta; `inputs` gives the C array of each that it has."""
+        graph = Graph()
+        vectors = {"x": self._model.x, "w": self._model.w, "theta": self._model.theta}
+        nodes = graph.read(ca.vertcat(*(e for o in outputs for e in o.values)), vectors, self._labels)
+        places = [(o, o.place(k)) for o in outputs for k in range(len(o.values))]
+        zero = graph.constant(0.0)
+        targets = [
+            (place, node)
+            for (output, place), node in zip(places, nodes, strict=True)
+            if not (node is zero and output.sparse)
+        ]
+        names = {
+            graph.input(vector, label): f"{array}[{f'W_{label.upper()}' if vector == 'w' else k}]"
+            for vector, array in inputs.items()
+            for k, label in enumerate(self._labels[vector])
+        }
+        return Function(
+            statements=tuple(self._printer.statements(targets, names, {})),
+            operations=_counts(nodes),
+            cleared=tuple((o.name, len(o.values)) for o in outputs if o.sparse and o.values),
+        )
+
+    def of_group(self, group: Group, outputs: Sequence[Output[Node]]) -> Function:
+        """Function of a point `at` at which a block stands: its chi, sample terms, parameter terms q and data."""
+        targets = [(o.place(k), node) for o in outputs for k, node in enumerate(o.values)]
+        nodes = [node for _, node in targets]
+        names = {node: f"at->{self._group_input(node)}" for node in walk(nodes) if node.op == "input"}
+        return Function(tuple(self._printer.statements(targets, names, group.names)), _counts(nodes))
+
+    def _group_input(self, node: Node) -> str:
+        """Field of a block's input: chi0 -> chi[0], term0 -> velocity, q0 -> q[0], data0 -> data[0]."""
+        vector = next(iter(node.inputs))
+        index = int(node.label.removeprefix("term" if vector == "terms" else vector))
+        return self._terms[index] if vector == "terms" else f"{vector}[{index}]"
+
+
+def _counts(nodes: Sequence[Node]) -> tuple[tuple[str, int], ...]:
+    return tuple(sorted(operations(nodes).items()))

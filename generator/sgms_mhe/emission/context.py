@@ -10,21 +10,17 @@ import numpy as np
 
 from sgms_mhe import __version__
 from sgms_mhe.emission.block_work import Ingredients
-from sgms_mhe.emission.c_source import CPrinter
+from sgms_mhe.emission.c_source import CPrinter, Function, FunctionPrinter, Output, entries, scalar
 from sgms_mhe.emission.clock import Clock, clock_of
 from sgms_mhe.emission.compensation import Compensation, compensation_of
-from sgms_mhe.emission.element_law import ElementLaw, element_law
-from sgms_mhe.emission.flow import Flow, flow_of
-from sgms_mhe.emission.functions import Function, FunctionPrinter, Output, entries, scalar
+from sgms_mhe.emission.element_law import RK4, ElementLaw, Flow, Stage, element_law, flow_of
 from sgms_mhe.emission.groups import GroupView, group_views
 from sgms_mhe.emission.operations import operations_of
 from sgms_mhe.emission.schedule import Costs, schedule_of
 from sgms_mhe.emission.selftest import Vectors
 from sgms_mhe.emission.sizes import Sizes, couplings, sizes_of
-from sgms_mhe.emission.statuses import Status, statuses_of
-from sgms_mhe.emission.stepping import RK4, Stage
 from sgms_mhe.emission.structure import Structure
-from sgms_mhe.emission.variant import Variant, variant_of
+from sgms_mhe.emission.variant import Status, Variant, statuses_of, variant_of
 from sgms_mhe.emission.work import Work, work_of
 from sgms_mhe.machine import Machine, Units
 from sgms_mhe.model import SIGNAL_NAMES, FreeParameter, Model

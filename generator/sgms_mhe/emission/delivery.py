@@ -1,18 +1,21 @@
-"""What a package brings beside its C: a page to read, build files, a list of files, digests, the licence."""
+"""Files of a package beside its C, and its folder: a page, build files, a list, digests, the licence."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import shutil
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final
 
+from sgms_mhe.emission.bindings import SUFFIX, Variable, fmu, variables_of
 from sgms_mhe.emission.context import PackageView
-from sgms_mhe.emission.fmu import SUFFIX, fmu
 from sgms_mhe.emission.layout import Memory, memory_of
 from sgms_mhe.emission.rendering import render_page
-from sgms_mhe.emission.variables import Variable, variables_of
+from sgms_mhe.support.errors import InputError
 
 MANIFEST: Final = "MANIFEST.json"
 
@@ -115,3 +118,44 @@ def manifested(text: str) -> frozenset[str]:
     is_ours = isinstance(content, dict) and str(content.get("generator", "")).startswith("sgms-mhe ")
     listed = content.get("sha256") if is_ours else None
     return frozenset({MANIFEST, *listed}) if isinstance(listed, dict) else frozenset()
+
+
+EARLIER_SUFFIXES = (".c", ".h", ".txt")
+"""Of the files of packages that had no manifest."""
+
+
+def write_folder(files: Mapping[str, str | bytes], folder: Path) -> None:
+    """Write files into `folder`, which afterwards holds them and nothing else that a package could have left.
+
+    The folder is replaced in one move, so an interruption leaves the old one or the new one.
+
+    Raises:
+        InputError: the folder cannot be written, or holds files that no package emits.
+    """
+    parent = folder.parent
+    foreign = _foreign(folder) if folder.is_dir() else []
+    if foreign:
+        raise InputError(folder, "output folder", sorted(foreign)[0], "an empty folder or an earlier package")
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(dir=parent, prefix=f".{folder.name}-"))
+        try:
+            for name, content in files.items():
+                (scratch / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+            scratch.chmod(0o755)
+            if folder.exists():
+                shutil.rmtree(folder)
+            scratch.rename(folder)
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+    except OSError as error:
+        raise InputError(folder, "output folder", None, f"cannot be written: {error.strerror}") from None
+
+
+def _foreign(folder: Path) -> list[str]:
+    """Names of what is in a folder and belongs to no package: its manifest lists what does."""
+    listed = folder / MANIFEST
+    names = {path.name for path in folder.iterdir()}
+    if listed.is_file():
+        return list(names - manifested(listed.read_text(encoding="utf-8", errors="replace")))
+    return [name for name in names if not name.endswith(EARLIER_SUFFIXES) or name == "CMakeLists.txt"]

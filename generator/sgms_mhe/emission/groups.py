@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from sgms_mhe.emission.c_source import Function, FunctionPrinter, Output, scalar
 from sgms_mhe.emission.compensation import AHEAD_DISPLACEMENT, AHEAD_SLOW_DISPLACEMENT, ahead_elastic
-from sgms_mhe.emission.element_law import element_law
-from sgms_mhe.emission.functions import Function, FunctionPrinter, Output, scalar
+from sgms_mhe.emission.element_law import common_slow_steps, element_law, follows_flow, step_rates
 from sgms_mhe.emission.sizes import GroupSizes, Sizes
-from sgms_mhe.emission.stepping import common_slow_steps, follows_flow, step_rates
 from sgms_mhe.emission.structure import Block, Group, Structure
 
 

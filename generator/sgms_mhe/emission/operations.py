@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from sgms_mhe.emission.functions import Function
+from sgms_mhe.emission.c_source import Function
 
 EXP: Final = 29
 EXP2: Final = 19

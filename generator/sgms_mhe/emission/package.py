@@ -6,15 +6,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from sgms_mhe.emission.amalgamation import amalgamated
 from sgms_mhe.emission.bindings import binding_files
 from sgms_mhe.emission.budget import check_budget
 from sgms_mhe.emission.context import PackageView, package_view
-from sgms_mhe.emission.delivery import accompany, memory_of_package
-from sgms_mhe.emission.rendering import render, stamped
+from sgms_mhe.emission.delivery import accompany, memory_of_package, write_folder
+from sgms_mhe.emission.rendering import amalgamated, render, stamped
 from sgms_mhe.emission.selftest import selftest_vectors
 from sgms_mhe.emission.structure import analyse, report
-from sgms_mhe.emission.writing import write_folder
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.support.errors import InputError

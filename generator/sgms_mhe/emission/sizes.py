@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sgms_mhe.emission.stepping import step_rates
+from sgms_mhe.emission.element_law import step_rates
 from sgms_mhe.emission.structure import Group, Structure
 from sgms_mhe.emission.variant import Variant
 from sgms_mhe.model import SIGNAL_NAMES

@@ -19,9 +19,8 @@ from typing import Final, TypeVar
 from xml.etree import ElementTree
 
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.emission.bindings import bindings_among
+from sgms_mhe.emission.bindings import bindings_among, without_binaries
 from sgms_mhe.emission.delivery import MANIFEST
-from sgms_mhe.emission.fmu import without_binaries
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.evaluation.comparison import compare_signals
 from sgms_mhe.host.targets import TARGET_FLAGS, TARGETS, Target, emulate, link_program
