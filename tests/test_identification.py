@@ -20,14 +20,12 @@ from sgms_bench.studies.identification import identified_axis
 from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.identification import Wanted, identify, interval
 from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
-from sgms_mhe.identification.fitting import AxisFit
-from sgms_mhe.identification.linear import solve_bounded
+from sgms_mhe.identification.fits import AxisFit
 from sgms_mhe.identification.records import Motion, in_order, records_of
 from sgms_mhe.identification.result import Number, rounded
 from sgms_mhe.identification.sampling import common_rate, rounded_up
-from sgms_mhe.identification.search import gains
+from sgms_mhe.identification.search import element_numbers, gains
 from sgms_mhe.identification.spectrum import Spectrum, clustered
-from sgms_mhe.identification.starting import element_numbers
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine, Smoothing
 from sgms_mhe.model import build_model
@@ -35,6 +33,7 @@ from sgms_mhe.model.flow_table import gate_ratio
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion as Path_
+from sgms_mhe.recordings.least_squares import solve_nonnegative
 from sgms_mhe.recordings.path import smooth_path
 from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.reference import Integrator
@@ -122,7 +121,7 @@ def test_bounded_least_squares(seed: int) -> None:
     random = np.random.default_rng(seed)
     X, positive = random.standard_normal((200, 9)) * np.geomspace(1e-6, 1e6, 9), random.random(9) < 0.6
     y = X @ (random.standard_normal(9) / np.geomspace(1e-6, 1e6, 9)) + random.standard_normal(200)
-    found = solve_bounded(X.T @ X, X.T @ y, positive, np.zeros(9))
+    found = solve_nonnegative(X.T @ X, X.T @ y, positive, np.zeros(9))
     wanted = lsq_linear(X / np.geomspace(1e-6, 1e6, 9), y, (np.where(positive, 0.0, -np.inf), np.inf), tol=1e-14).x
     assert np.allclose(found * np.geomspace(1e-6, 1e6, 9), wanted, atol=1e-6)
     assert np.all(found[positive] >= 0.0)
@@ -447,7 +446,7 @@ def test_numbers_to_start_from_where_no_level_is_left(monkeypatch: pytest.Monkey
     record = prepare(machine, viscous_log(both=True, level=0.0))
     viscous, level = 20.0 * record.velocity, 0.5 * np.sign(record.velocity)
     trace = Spectrum(np.array([1e-5, 1e-4]), np.array([1e-3, 1e-3]), None)
-    monkeypatch.setattr("sgms_mhe.identification.starting.find_spectrum", lambda *_: trace)
+    monkeypatch.setattr("sgms_mhe.identification.search.find_spectrum", lambda *_: trace)
     assert element_numbers(dataclasses.replace(record, friction=viscous - level), 0.03) == {}
     found = element_numbers(dataclasses.replace(record, friction=viscous + level), 0.03)
     assert found["coulomb"] == pytest.approx(0.5, rel=0.1)

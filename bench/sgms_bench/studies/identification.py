@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from sgms_bench.studies.cases import done_of
 from sgms_mhe.configuration import make_machine
 from sgms_mhe.identification.elements import NO_RISE, Stribeck, run_elements
+from sgms_mhe.identification.fits import Quantity
 from sgms_mhe.identification.identify import Explored, Wanted, explore
-from sgms_mhe.identification.intervals import Quantity
 from sgms_mhe.identification.terms import sampling_terms
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig

@@ -17,7 +17,7 @@ from sgms_mhe.diagnosis.criteria import Criteria
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.parametrisation import Extra, machine_groups
-from sgms_mhe.identification.starting import element_numbers
+from sgms_mhe.identification.search import element_numbers
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, nuisance

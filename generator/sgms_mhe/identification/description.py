@@ -9,11 +9,10 @@ from typing import Final
 
 import numpy as np
 
-from sgms_mhe.identification.fitting import AxisFit, View
-from sgms_mhe.identification.intervals import Quantity
+from sgms_mhe.identification.final_fit import CERTAIN, Settled
+from sgms_mhe.identification.fits import AxisFit, Quantity, View
 from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.search import Found
-from sgms_mhe.identification.settling import CERTAIN, Settled
 from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING
 from sgms_mhe.machine import Units
 from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition

@@ -10,7 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from sgms_mhe.configuration import make_machine
+from sgms_mhe.configuration import make_machine, override_machine
+from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification.description import (
     check_slides,
     frictionless,
@@ -19,15 +20,14 @@ from sgms_mhe.identification.description import (
     mass_number,
     unexcited,
 )
-from sgms_mhe.identification.fitting import View
+from sgms_mhe.identification.final_fit import Known, Settled, settle
+from sgms_mhe.identification.fits import View
 from sgms_mhe.identification.records import Records, in_order, records_of, started
 from sgms_mhe.identification.result import Identification, Number
 from sgms_mhe.identification.sampling import common_rate, rough_mass, unknown_axis
 from sgms_mhe.identification.search import MOST_ELEMENTS, Found, Progress, Views, search
-from sgms_mhe.identification.settling import Known, Settled, settle
 from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid, find_spectrum
 from sgms_mhe.identification.terms import Term, companion_terms, mass_term, sampling_terms, viscous_term
-from sgms_mhe.identification.weights import measurement_noise
 from sgms_mhe.identification.writing import checked, machine_content, machine_toml
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Kind, Machine
@@ -36,6 +36,7 @@ from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.excitation import measures
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.signals.chain import signals_of_record
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
@@ -45,6 +46,8 @@ LEAST_TRAVEL: Final = 20.0
 
 DRIVEN: Final = 0.2
 """Mean power of friction over its mean size below minus which a sign is wrong: friction takes power."""
+LEAST_NOISE: Final = 1e-4
+"""Of the Coulomb level: a simulation without noise still has rounding and a sample's length."""
 
 
 @dataclass(frozen=True)
@@ -282,3 +285,20 @@ def _described(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: 
         by_count=found.counts,
         sources=records.names,
     )
+
+
+def measurement_noise(machine: Machine, logs: Sequence[Log]) -> float:
+    """Return the RMS [N] of measured minus simulated friction over all valid samples of all logs.
+
+    Noise, and what the model gets wrong: with it an innovation is about as large as the estimator expects.
+    """
+    sampling = machine.sampling
+    if sampling.integrator.substeps < sampling.samples_per_update:
+        machine = override_machine(machine, {"sampling": {"integrator": {"substeps": sampling.samples_per_update}}})
+    model = CompiledModel(machine)
+    total, count = 0.0, 0
+    for log in logs:
+        signals = signals_of_record(log, machine)
+        rest = (signals.friction - model.predict(signals).friction_N)[signals.valid]
+        total, count = total + float(rest @ rest), count + len(rest)
+    return max(float(np.sqrt(total / max(count, 1))), LEAST_NOISE * machine.friction.coulomb)

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.identification.elements import NO_RISE, Stribeck, run_elements
-from sgms_mhe.identification.linear import solve_bounded
 from sgms_mhe.identification.records import Records
 from sgms_mhe.identification.terms import Term
+from sgms_mhe.recordings.least_squares import solve_nonnegative
 from sgms_mhe.support.parallel import in_parallel
 
 Array = NDArray[np.float64]
@@ -176,6 +176,6 @@ def _cross_validated(grams: Sequence[Array], positive: NDArray[np.bool_], inform
     for i, gram in enumerate(grams):
         # Sums of the others, not a difference: that of a column seen in one fold alone would be rounding.
         others = np.sum([*grams[:i], *grams[i + 1 :]], axis=0)
-        b = solve_bounded(others[:-1, :-1], others[:-1, -1], positive, information)
+        b = solve_nonnegative(others[:-1, :-1], others[:-1, -1], positive, information)
         loss += float(b @ gram[:-1, :-1] @ b - 2.0 * b @ gram[:-1, -1])
-    return loss, solve_bounded(whole[:-1, :-1], whole[:-1, -1], positive, information)
+    return loss, solve_nonnegative(whole[:-1, :-1], whole[:-1, -1], positive, information)

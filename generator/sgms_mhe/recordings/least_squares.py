@@ -12,6 +12,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Box = tuple[Array, Array]
 """Least and largest step (p)."""
 
@@ -28,6 +29,8 @@ TRIES: Final = 3
 """Dampings that are tried for a step."""
 RIDGE: Final = 1e-12
 """Of the largest diagonal term: keeps a step finite in a direction without excitation."""
+COMMON_RIDGE: Final = 1e-8
+"""Of the diagonal of normal equations: columns that are the same to so many digits share what they explain."""
 TINY: Final = 1e-300
 
 
@@ -152,3 +155,22 @@ def solve_box(A: Array, g: Array, lower: Array, upper: Array) -> Array:
         inside = np.clip(scale[moves] * found.x, lower[moves], upper[moves])
         s[moves] = np.select([found.active_mask < 0, found.active_mask > 0], [lower[moves], upper[moves]], inside)
     return s
+
+
+def solve_nonnegative(gram: Array, moment: Array, positive: Mask, information: Array) -> Array:
+    """Return argmin |y - X b|^2 + sum_j information_j b_j^2 with b_j >= 0 where positive: convex, no start decides it.
+
+    Args:
+        gram: X'X (p, p).
+        moment: X'y (p).
+        positive: coefficients that are at least 0 (p).
+        information: of the prior (p).
+
+    Returns:
+        b (p); 0 where a column is.
+    """
+    diagonal = np.diag(gram)
+    scale = np.where(diagonal > TINY, 1.0 / np.sqrt(np.maximum(diagonal, TINY)), 0.0)
+    A = gram * np.outer(scale, scale) + np.diag(information * scale**2 + COMMON_RIDGE + (scale == 0.0))
+    b = solve_box(A, moment * scale, np.where(positive, 0.0, -np.inf), np.full(len(moment), np.inf))
+    return np.asarray(b * scale)

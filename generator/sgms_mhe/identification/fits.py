@@ -17,24 +17,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.identification.elements import NO_RISE, Law, Stribeck, least_distance, run_elements
-from sgms_mhe.identification.linear import solve_bounded
 from sgms_mhe.identification.records import Motion
 from sgms_mhe.identification.terms import Term
-from sgms_mhe.recordings.evidence import cross_loss
+from sgms_mhe.recordings.evidence import UNSEEN_ERROR, cross_loss, noise_floor, robust_covariance
+from sgms_mhe.recordings.least_squares import Box, Quadratic, minimise, solve_nonnegative
 from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-FIRST_DAMPING: Final = 1e-3
-LEAST_DAMPING: Final = 1e-7
-MOST_DAMPING: Final = 1e4
-FACTOR: Final = 10.0
 LONGEST: Final = 0.7
 """Largest change of a logarithm, and of the Stribeck ratio over 1 + itself, in one step."""
 ENOUGH: Final = 1e-5
 """Share of the sum of squares that a step must gain to be followed by another."""
 ITERATIONS: Final = 30
+TRIES: Final = 6
+"""Dampings that are tried for a step: where elements turn round all the time the sum of squares is rough."""
 MOST_RISE: Final = 20.0
 WIDER: Final = 4.0
 """Beyond the grid's ends, as a factor, distances are not followed."""
@@ -160,7 +158,7 @@ class _Problem:
         positive = np.concatenate((np.ones(count, dtype=np.bool_), self.positive))
         information = np.concatenate((np.zeros(count), self.information))
         X, y = linear.compress(self.seen, axis=0), self.view.rows.friction[self.seen]
-        b = solve_bounded(X.T @ X, X.T @ y, positive, information)
+        b = solve_nonnegative(X.T @ X, X.T @ y, positive, information)
         residual = self.view.rows.friction - linear @ b
         nonlinear = [b[k] * run.slopes[:, 0] for k, run in enumerate(runs)]
         if shape.rise is not None:
@@ -169,27 +167,43 @@ class _Problem:
         cost = float(seen @ seen + information @ b**2)
         return _Point(shape, b[:count], b[count:], residual, np.column_stack(nonlinear), linear, cost)
 
-    def step(self, here: _Point, damping: float) -> Array:
-        """Change of log D, beta, log v_s that a quadratic model of the cost asks for.
+    @property
+    def count(self) -> int:
+        """Residual rows."""
+        return int(self.seen.sum())
 
-        What stands at its limit and would leave it stays: the others would be changed to go with a change that it
-        does not make.
-        """
+    def quadratic(self, here: _Point) -> Quadratic:
+        """Return the quadratic model of the cost in log D, beta, log v_s, the linear part solved for."""
         N = here.nonlinear.compress(self.seen, axis=0)
-        held = np.concatenate((here.levels, np.where(self.positive, here.coefficients, 1.0))) == 0.0
-        X = here.linear.compress(self.seen, axis=0).compress(~held, axis=1)
-        scale = np.sqrt(np.sum(X**2, axis=0)) + 1e-300
-        X = X / scale
+        fixed = np.concatenate((here.levels, np.where(self.positive, here.coefficients, 1.0))) == 0.0
+        X = here.linear.compress(self.seen, axis=0).compress(~fixed, axis=1)
+        X = X / (np.sqrt(np.sum(X**2, axis=0)) + 1e-300)
         gram = X.T @ X + 1e-9 * np.eye(X.shape[1])
         projected = N - X @ np.linalg.solve(gram, X.T @ N)
         H = projected.T @ projected
-        g = projected.T @ here.residual[self.seen]
-        diagonal = np.diag(H) + 1e-12 * max(float(np.diag(H).max(initial=0.0)), 1e-300)
-        below, above = _at_limits(here.shape, self.view)
-        moves = np.flatnonzero(~(below & (g < 0.0)) & ~(above & (g > 0.0)))
-        step = np.zeros(len(g))
-        step[moves] = np.linalg.solve((H + damping * np.diag(diagonal))[np.ix_(moves, moves)], g[moves])
-        return step
+        return Quadratic(H, projected.T @ here.residual[self.seen], np.zeros(len(H)), np.diag(H))
+
+    def box(self, here: _Point) -> Box:
+        """Return the least and largest change of log D, beta, log v_s: no longer a step, and within the limits."""
+        shape, view = here.shape, self.view
+        low, high = _distances(shape.law, shape.rise, view)
+        lower, upper = np.log(low / shape.distances), np.log(high / shape.distances)
+        longest = np.full(len(lower), LONGEST)
+        if shape.rise is not None:
+            slow, fast = _speeds(view)
+            ratio, speed = shape.rise.ratio, shape.rise.velocity
+            lower = np.append(lower, (-ratio, math.log(slow / speed)))
+            upper = np.append(upper, (MOST_RISE - ratio, math.log(fast / speed)))
+            longest = np.append(longest, (LONGEST * (1.0 + ratio), LONGEST))
+        return np.minimum(0.0, np.maximum(lower, -longest)), np.maximum(0.0, np.minimum(upper, longest))
+
+    def after(self, here: _Point, step: Array) -> _Point:
+        """Return the model after a step of log D, beta, log v_s."""
+        shape, count = here.shape, len(here.shape.distances)
+        rise = shape.rise
+        if rise is not None:
+            rise = Stribeck(rise.ratio + float(step[count]), rise.velocity * math.exp(step[count + 1]))
+        return self.at(_within(Shape(shape.law, shape.distances * np.exp(step[:count]), rise), self.view))
 
 
 def fit_axis(
@@ -214,23 +228,7 @@ def fit_axis(
         (view.noise / deviation) ** 2,
     )
     here = problem.at(_within(start, view))
-    damping = FIRST_DAMPING
-    for _ in range(iterations):
-        better = None
-        while better is None and damping <= MOST_DAMPING:
-            shape = _moved(here.shape, problem.step(here, damping), view)
-            there = problem.at(shape)
-            if there.cost < here.cost:
-                better = there
-            else:
-                damping *= FACTOR
-        if better is None:
-            break
-        gain, here = here.cost - better.cost, better
-        damping = max(LEAST_DAMPING, damping / FACTOR)
-        if gain < ENOUGH * here.cost:
-            break
-    return _finished(problem, here)
+    return _finished(problem, minimise(problem, here, problem.box, iterations, ENOUGH * problem.count, TRIES))
 
 
 def _finished(problem: _Problem, point: _Point) -> AxisFit:
@@ -257,17 +255,6 @@ def _finished(problem: _Problem, point: _Point) -> AxisFit:
     )
 
 
-def _moved(shape: Shape, step: Array, view: View) -> Shape:
-    count = len(shape.distances)
-    limited = np.clip(step, -LONGEST, LONGEST)
-    rise = shape.rise
-    if rise is not None:
-        most = LONGEST * (1.0 + rise.ratio)
-        ratio = rise.ratio + float(np.clip(step[count], -most, most))
-        rise = Stribeck(ratio, rise.velocity * math.exp(limited[count + 1]))
-    return _within(Shape(shape.law, shape.distances * np.exp(limited[:count]), rise), view)
-
-
 def _within(shape: Shape, view: View) -> Shape:
     """The shape within what the records can tell, distances in order."""
     rise = shape.rise
@@ -275,17 +262,6 @@ def _within(shape: Shape, view: View) -> Shape:
         slow, fast = _speeds(view)
         rise = Stribeck(min(max(rise.ratio, 0.0), MOST_RISE), min(max(rise.velocity, slow), fast))
     return Shape(shape.law, np.sort(np.clip(shape.distances, *_distances(shape.law, rise, view))), rise)
-
-
-def _at_limits(shape: Shape, view: View) -> tuple[Mask, Mask]:
-    """Which of log D, beta, log v_s of a shape within what the records can tell stand at its lower and upper end."""
-    low, high = (np.full(len(shape.distances), end) for end in _distances(shape.law, shape.rise, view))
-    here = shape.distances
-    if shape.rise is not None:
-        slow, fast = _speeds(view)
-        here = np.append(here, (shape.rise.ratio, shape.rise.velocity))
-        low, high = np.append(low, (0.0, slow)), np.append(high, (MOST_RISE, fast))
-    return here <= low, here >= high
 
 
 def _distances(law: Law, rise: Stribeck | None, view: View) -> tuple[float, float]:
@@ -302,3 +278,77 @@ def _speeds(view: View) -> tuple[float, float]:
     """Smallest and largest Stribeck velocity [m/s] that a fit follows."""
     slow, fast = STRIBECK
     return slow * view.rows.extents.speed, fast * view.rows.extents.speed
+
+
+def covariance(view: View, fit: AxisFit) -> Array:
+    """Covariance (p, p) of log D (k), levels (k), beta and log v_s where there is a rise, and the coefficients.
+
+    Noise and what the model gets wrong (`robust_covariance`): its RMS beyond the noise floor, or UNSEEN_ERROR of that,
+    which it may hide. 0 where a level or a coefficient is held at 0.
+    """
+    rows = view.rows
+    loose = np.any(fit.slopes != 0.0, axis=0)
+    X = fit.slopes[:, loose]
+    scale = np.sqrt(np.maximum(np.sum(X[rows.used] ** 2, axis=0) + fit.prior[loose], 1e-300))
+    X = X / scale
+    H = X[rows.used].T @ X[rows.used] + np.diag(fit.prior[loose] / scale**2)
+    inverse = np.asarray(np.linalg.pinv(H, hermitian=True, rcond=1e-14))
+    floor = noise_floor(rows, fit.residual)
+    wrong = max(math.sqrt(max(0.0, fit.cross_rms**2 - floor**2)), UNSEEN_ERROR * floor)
+    result = np.zeros((len(loose), len(loose)))
+    inner = robust_covariance(rows, X, fit.residual, H, inverse, wrong)
+    result[np.ix_(loose, loose)] = inner / np.outer(scale, scale)
+    return result
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number and its standard deviation."""
+
+    value: float
+    std: float
+
+    @property
+    def relative(self) -> float:
+        """Standard deviation over the value's size; inf where that is 0."""
+        return self.std / abs(self.value) if self.value != 0.0 else math.inf
+
+
+def quantities(fit: AxisFit, cov: Array) -> dict[str, Quantity]:
+    """The friction law's numbers with their deviations, named as in a machine file.
+
+    `coulomb`, `viscous`, `stribeck_ratio`, `stribeck_velocity`, `stiffness_k`, `fraction_k`; what the fit does not have
+    is left out. Where all levels are 0 shares have no meaning and are NaN.
+    """
+    count, level = len(fit.levels), fit.coulomb
+    p = len(cov)
+    found: dict[str, Quantity] = {}
+
+    def add(name: str, value: float, gradient: Array) -> None:
+        found[name] = Quantity(value, math.sqrt(max(0.0, float(gradient @ cov @ gradient))))
+
+    total = np.zeros(p)
+    total[count : 2 * count] = 1.0
+    add("coulomb", level, total)
+    for k, (own, distance) in enumerate(zip(fit.levels.tolist(), fit.shape.distances.tolist(), strict=True)):
+        stiffness = np.zeros(p)
+        stiffness[k], stiffness[count + k] = -own / distance, 1.0 / distance
+        add(f"stiffness_{k + 1}", own / distance, stiffness)
+        if level > 0.0:
+            share = -own / level**2 * total
+            share[count + k] += 1.0 / level
+            add(f"fraction_{k + 1}", own / level, share)
+        else:
+            found[f"fraction_{k + 1}"] = Quantity(math.nan, math.nan)
+    rise = fit.shape.rise
+    if rise is not None:
+        for place, name, value, unit in (
+            (2 * count, "stribeck_ratio", rise.ratio, 1.0),
+            (2 * count + 1, "stribeck_velocity", rise.velocity, rise.velocity),
+        ):
+            add(name, value, unit * np.eye(p)[place])
+    for name in ("viscous", "mass"):
+        column = fit.place(name)
+        if column.stop:
+            add(name, float(fit.coefficient(name)[0]), np.eye(p)[column.start])
+    return found

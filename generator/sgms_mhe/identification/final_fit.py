@@ -10,8 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.identification.fitting import AxisFit, Shape, View, fit_axis
-from sgms_mhe.identification.intervals import Quantity, covariance, quantities
+from sgms_mhe.identification.fits import AxisFit, Quantity, Shape, View, covariance, fit_axis, quantities
 from sgms_mhe.identification.search import Progress, Views, fit_in_line, gains, with_speed_of_rise
 from sgms_mhe.identification.terms import LAW_AND_SAMPLING, Term
 from sgms_mhe.recordings.recording import Recording
