@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from c_packages import PROBES, machine, scheme, written
 from cli_cases import done, refused
-from sgms_bench.compensation.loop import LoopCompensation, compile_for_loop
+from sgms_bench.compensation.loop import LoopCompensation, LoopedEstimator
 from sgms_bench.compensation.running import (
     actuation_delay,
     axis_config,
@@ -43,7 +43,7 @@ from sgms_bench.compensation.tracking import (
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.evaluation.plots import save_figure
-from sgms_mhe.host.compiled import CompiledEstimator, replay_definitions
+from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig, Controller
 from sgms_mhe.plant.simulation import simulate_axis
@@ -605,9 +605,7 @@ def test_single_precision_in_the_loop(compensated: Machine) -> None:
     found = []
     for precision in ("double", "single"):
         settings = override_machine(compensated, {"code": {"precision": precision}, "estimator": {"kind": "ekf"}})
-        run = run_axis(
-            settings, compile_for_loop(settings), x, truth_of(settings), EKF, config=axis_config(settings, 0)
-        )
+        run = run_axis(settings, LoopedEstimator(settings), x, truth_of(settings), EKF, config=axis_config(settings, 0))
         found.append(float(np.sqrt(np.mean(run.error_m**2))))
     assert found[1] == pytest.approx(found[0], rel=0.05)
 
@@ -621,7 +619,7 @@ def stand(compensated: Machine, hold: float) -> tuple[float, float]:
     trajectory = path.trajectory("stand")
     settings = override_machine(compensated, {"compensation": {"hold": hold}, "estimator": {"kind": "ekf"}})
     truth, config = truth_of(settings, drift=0.0), axis_config(settings, 0)
-    run = run_axis(settings, compile_for_loop(settings), trajectory, truth, EKF, config=config)
+    run = run_axis(settings, LoopedEstimator(settings), trajectory, truth, EKF, config=config)
     return float(np.ptp(run.error_m[-5000:])), float(np.ptp(run.compensation_N[-5000:]))
 
 
@@ -634,7 +632,7 @@ def test_hold_ends_the_hunting_at_standstill(compensated: Machine) -> None:
 
 def test_set_point_is_not_needed(compensated: Machine) -> None:
     x, _ = circle(RATE, laps=1)
-    estimator = CompiledEstimator(compensated)
+    estimator = LoopedEstimator(compensated)
     peaks = [
         measure(
             run_axis(
@@ -657,13 +655,13 @@ def test_series_fed_forward_is_what_a_callback_feeds(compensated: Machine) -> No
     x, _ = circle(RATE, laps=1)
     x = Trajectory("part", RATE, x.position_m[:4000])
     force = np.sin(np.arange(4000) / 100.0)
-    loop = LoopCompensation(compile_for_loop(compensated), 4000, force=force)
+    loop = LoopCompensation(LoopedEstimator(compensated), 4000, force=force)
     values = iter(force.tolist())
     native = simulate_axis(compensated, x, compensation=loop.native)
     called = simulate_axis(compensated, x, compensation=lambda *_: next(values))
     np.testing.assert_array_equal(native.log.position_m, called.log.position_m)
     with pytest.raises(ValueError, match="shape"):
-        LoopCompensation(compile_for_loop(compensated), 100, force=force)
+        LoopCompensation(LoopedEstimator(compensated), 100, force=force)
 
 
 def test_inertia_fed_forward_in_time_leaves_no_error(compensated: Machine) -> None:

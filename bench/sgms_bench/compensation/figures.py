@@ -24,6 +24,7 @@ from sgms_bench.compensation.tracking import (
     rests,
     reversals,
 )
+from sgms_bench.experiment.figures import open_axes
 from sgms_mhe.evaluation.plots import save_figure
 
 Array = NDArray[np.float64]
@@ -75,7 +76,7 @@ def reversal_figure(comparison: Comparison) -> Figure:
     axes[0, 0].set_ylabel(f"true - reference position [n{comparison.units.position}]")
     axes[1, 0].set_ylabel(f"{comparison.units.push} [{comparison.units.force}]")
     _legend(figure, [*axes[0, 0].get_legend_handles_labels()], axes[1, 0])
-    _open(axes.ravel())
+    open_axes(*axes.ravel())
     return figure
 
 
@@ -125,7 +126,7 @@ def settling_figure(comparison: Comparison) -> Figure:
     axis.set_ylabel(f"|true - reference position| [n{comparison.units.position}]")
     axis.set_title("median over the moves; thin: the largest", loc="left", fontsize="medium")
     axis.legend(loc="upper right", frameon=False)
-    _open([axis])
+    open_axes(axis)
     return figure
 
 
@@ -148,7 +149,7 @@ def parameter_figure(comparison: Comparison) -> Figure:
     axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2)
     axes[-1].set_xlabel("time [s]")
     figure.align_ylabels(axes)
-    _open(axes)
+    open_axes(*axes)
     return figure
 
 
@@ -198,13 +199,3 @@ def _legend(figure: Figure, entries: Sequence[Any], forces: Any) -> None:
     more, texts = forces.get_legend_handles_labels()
     known = dict(zip([*labels, *texts], [*handles, *more], strict=True))
     figure.legend(known.values(), known.keys(), loc="outside upper center", ncols=len(known), frameon=False)
-
-
-def _open(axes: Any) -> None:
-    for axis in axes:
-        axis.spines[["top", "right"]].set_visible(False)
-        axis.grid(color="0.93", linewidth=0.6)
-        axis.set_axisbelow(True)
-
-
-__all__ = ["circle_figure", "parameter_figure", "reversal_figure", "settling_figure", "write_figures"]

@@ -33,20 +33,22 @@ class _Loop(ctypes.Structure):
     )
 
 
-def compile_for_loop(machine: Machine) -> CompiledEstimator:
-    """Compile a machine's package with the callback of the simulated axis.
+class LoopedEstimator(CompiledEstimator):
+    """A machine's package compiled with the callback of the simulated axis.
 
     Raises:
         BuildError: the compiler refused.
     """
-    return CompiledEstimator(machine, beside=(C_DIR / "loop.c",))
+
+    def __init__(self, machine: Machine) -> None:
+        super().__init__(machine, beside=(C_DIR / "loop.c",))
 
 
 class LoopCompensation:
     """One estimator, a fresh one, in the loop of a simulated axis.
 
     Args:
-        estimator: its package, by `compile_for_loop`; serves any number of axes.
+        estimator: its package; serves any number of axes.
         velocity: set-point ahead of each sample (n) [m/s], mean over the loop's delay; None: the drive does not tell.
         acceleration: likewise (n) [m/s^2].
         samples: n.
@@ -55,7 +57,7 @@ class LoopCompensation:
 
     def __init__(
         self,
-        estimator: CompiledEstimator,
+        estimator: LoopedEstimator,
         samples: int,
         *,
         velocity: Array | None = None,

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_bench.compensation.figures import write_figures
-from sgms_bench.compensation.loop import LoopCompensation, compile_for_loop
+from sgms_bench.compensation.loop import LoopCompensation, LoopedEstimator
 from sgms_bench.compensation.tracking import (
     EKF,
     METHODS,
@@ -36,7 +36,6 @@ from sgms_bench.compensation.tracking import (
     measure_contour,
 )
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig, Controller
 from sgms_mhe.plant.simulation import linear_drift, simulate_axis
@@ -98,7 +97,7 @@ def axis_config(machine: Machine, seed: int) -> AxisConfig:
 
 def run_axis(
     machine: Machine,
-    estimator: CompiledEstimator,
+    estimator: LoopedEstimator,
     trajectory: Trajectory,
     truth: Truth,
     method: str,
@@ -180,7 +179,7 @@ def compare_compensations(
     truth = truth_of(machine)
     scenarios = {name: make_scenario(machine, name, duration_s, truth) for name in dict.fromkeys(names)}
     machines = {kind: override_machine(machine, {"estimator": {"kind": kind.lower()}}) for kind in (EKF, MHE)}
-    estimators = {kind: compile_for_loop(settings) for kind, settings in machines.items()}
+    estimators = {kind: LoopedEstimator(settings) for kind, settings in machines.items()}
     runs: dict[tuple[str, str], tuple[AxisRun, ...]] = {}
     done, total = 0, len(METHODS) * sum(len(scenario.axes) for scenario in scenarios.values())
     for scenario in scenarios.values():

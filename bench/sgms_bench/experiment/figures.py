@@ -61,7 +61,7 @@ def hysteresis_figure(machine: Machine) -> Figure:
     right.plot(position, friction, color=MHE, linewidth=1.2)
     right.set_xlabel(f"displacement [µ{machine.plant.units.position}]")
     right.set_ylabel(f"friction [{machine.plant.units.force}]")
-    _open(left, right)
+    open_axes(left, right)
     return figure
 
 
@@ -94,7 +94,7 @@ def signals_figure(record: Record) -> Figure:
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(time[0], time[-1])
     figure.align_ylabels(axes)
-    _open(*axes)
+    open_axes(*axes)
     return figure
 
 
@@ -132,7 +132,7 @@ def friction_figure(record: Record, mhe: Outcome, ekf: Outcome) -> Figure:
     errors.set_ylabel("estimate - true\n[mN]")
     errors.set_xlabel("time [s]")
     figure.align_ylabels([whole, near, errors])
-    _open(whole, near, errors)
+    open_axes(whole, near, errors)
     return figure
 
 
@@ -160,7 +160,7 @@ def stiffness_figure(record: Record, mhe: Outcome, ekf: Outcome, title: str) -> 
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(time[0], time[-1])
     figure.align_ylabels(axes)
-    _open(*axes)
+    open_axes(*axes)
     return figure
 
 
@@ -173,7 +173,8 @@ def _busiest(time: Array, friction: Array, width_s: float) -> tuple[float, float
     return float(time[first]), float(time[first + count])
 
 
-def _open(*axes: Any) -> None:
+def open_axes(*axes: Any) -> None:
+    """Draw axes without their upper and right spines, on a faint grid."""
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(color="0.93", linewidth=0.6)
