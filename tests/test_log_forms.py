@@ -14,9 +14,11 @@ from scipy.io import savemat
 
 from cli_cases import refused, run
 from sgms_mhe.api.inputs import read_log
+from sgms_mhe.configuration import load_machine
 from sgms_mhe.logfiles.names import is_usual
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import understand
+from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 
@@ -268,3 +270,54 @@ def test_notes_are_kept_by_the_reading(tmp_path: Path) -> None:
     )  # type: ignore[arg-type]
     assert len(reading.notes) == 1
     assert replace(reading, notes=()).notes == ()
+
+
+# --- a force of two values --------------------------------------------------------------------------------------
+
+RELAY = """
+name = "relay"
+description = "a rotor"
+[plant]
+kind = "rotary"
+inertia = 2e-3
+[friction]
+stiffness = [50.0]
+fraction = [1.0]
+viscous = 0.002
+coulomb = 0.05
+[sampling]
+rate = 1000.0
+update_rate = 100.0
+velocity_cutoff = 100.0
+max_velocity = 500.0
+integrator = { scheme = "flow" }
+[estimator]
+horizon = 5
+parameters = ["coulomb"]
+"""
+
+
+def driven(torque: Array) -> Log:
+    """A rotor of 2e-3 kg m^2 with friction under a torque at 1 kHz."""
+    angle = speed = 0.0
+    angles = []
+    for value in torque:
+        angles.append(angle)
+        for _ in range(10):
+            speed += 1e-4 * (value - 0.05 * np.tanh(speed / 0.01) - 0.002 * speed) / 2e-3
+            angle += 1e-4 * speed
+    return Log(np.arange(len(torque)) / 1e3, np.round(np.array(angles) / 1e-5) * 1e-5, torque, 1e3, kind="rotary")
+
+
+@pytest.mark.parametrize(("level", "period"), [(0.4, 1.0), (0.15, 0.31)])
+def test_a_torque_of_two_values_is_no_saturation(level: float, period: float, tmp_path: Path) -> None:
+    (tmp_path / "relay.toml").write_text(RELAY)
+    machine = load_machine(tmp_path / "relay.toml")
+    time = np.arange(9000) / 1e3
+    found = prepare(machine, driven(level * np.where(np.mod(time, period) < period / 2, 1.0, -1.0)))
+    assert not any("saturated" in warning for warning in found.warnings)
+    assert np.mean(found.block >= 0) > 0.9
+    swing = 1.5 * level * np.sin(2.0 * np.pi * time / period)  # cut off at the level for half of the time, or less
+    clipped = driven(swing)
+    cut = replace(clipped, force_N=np.clip(swing, -1.2 * level, 1.2 * level))
+    assert any("saturated" in warning for warning in prepare(machine, cut).warnings)

@@ -252,6 +252,24 @@ def test_a_controllers_answer_to_a_disturbance_on_a_crawl_is_no_mass(
         check_plausible(log, machine)
 
 
+@pytest.mark.parametrize("constant", [31.0, 44.0, 190.0])
+@pytest.mark.parametrize("sampled", ["etel_xy", "small"])
+def test_an_unknown_force_constant_is_a_scale_and_no_unit_of_position(
+    constant: float, sampled: str, machine: Machine
+) -> None:
+    chosen = machine if sampled == "small" else load_machine(sampled)
+    log = simulated(chosen, "mixed")
+    with pytest.raises(InputError, match="over scale alone") as caught:
+        check_plausible(replace(log, force_N=log.force_N / constant), chosen)
+    said = caught.value.allowed
+    stated = float(said.rpartition("scale = ")[2].partition(" ")[0])
+    determined = float(said.rpartition("alone, ")[2].partition(" ")[0])
+    assert stated == pytest.approx(constant, rel=0.05)
+    assert determined == pytest.approx(chosen.plant.moved / constant, rel=0.05)
+    assert 'unit = "cm"' not in said and 'unit = "in"' not in said
+    check_plausible(replace(log, force_N=log.force_N / 15.0), chosen)  # that may be the mass's
+
+
 def test_positions_in_too_large_a_unit_are_refused() -> None:
     machine = load_machine("etel_xy")
     log = simulated(machine, "mixed")

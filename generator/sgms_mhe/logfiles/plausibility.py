@@ -288,20 +288,25 @@ def _resisting(log: Log, machine: Machine) -> float:
 
 
 def _remedy(log: Log, machine: Machine, ratio: float) -> str:
-    """Return the line to write where force over acceleration is `ratio` times the mass: units that correct it."""
+    """Return the lines to write where force over acceleration is `ratio` times the mass: units, or the force's scale.
+
+    Mass and scale of the force are one number for a log, the mass over the scale.
+    """
     fastest = _fastest(log.position_m, machine.sampling.samples_per_update, log.rate)
     highest, found, units = machine.sampling.max_velocity, [], log.units
     position, force = units.named("position_m"), units.named("force_N")
-    for unit, (factor, _) in _units(log, "position_m").items():
-        if factor != 1.0 and 1 / NEAR <= ratio / factor <= NEAR and fastest * factor <= highest:
+    for unit in _SMALL[log.kind]:
+        factor = _units(log, "position_m")[unit][0]
+        if 1 / NEAR <= ratio / factor <= NEAR and fastest * factor <= highest:
             found.append(f'{position} = {{ variable = "...", unit = "{unit}" }}')
     found += [
         f'{force} = {{ variable = "...", unit = "{unit}" }}'
         for unit, (factor, _) in _units(log, "force_N").items()
         if factor != 1.0 and 1 / NEAR <= ratio * factor <= NEAR
     ]
-    found = found or [f'{force} = {{ variable = "...", scale = ... }} if it is no {units.push} in {units.force}']
-    return f"[log] of the machine file has {' or '.join(found)}"
+    found.append(f'{force} = {{ variable = "...", scale = {1.0 / ratio:.3g} }}')
+    known = f"the log determines {units.inert} over scale alone, {ratio * machine.plant.moved:.3g} {units.mass}"
+    return f"[log] of the machine file has {' or '.join(found)}, the scale times the one that it has: {known}"
 
 
 def _check_force(log: Log, machine: Machine, motion: _Motion) -> None:

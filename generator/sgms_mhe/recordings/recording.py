@@ -61,6 +61,8 @@ REMEMBERED_MIN: Final = 0.5
 never forgets; it is kept, and taken to start from relaxed elements."""
 SATURATED_RUN: Final = 5
 """Run of exactly the largest force that is a saturation [samples]: noise does not repeat a number so often."""
+SWITCHING: Final = 0.5
+"""Share of the samples at the largest or smallest force beyond which these are the two values of a switched one."""
 
 
 class Runs:
@@ -321,7 +323,10 @@ def reduced(
 
 
 def _saturated(force: Array) -> Mask:
-    """Samples in runs of exactly the largest or smallest force, SATURATED_RUN samples or more."""
+    """Samples in runs of exactly the largest or smallest force, SATURATED_RUN samples or more.
+
+    A force that is at either for most of the record switches between them: it moves the axis as any other does.
+    """
     finite = np.isfinite(force)
     mask = np.zeros(len(force), dtype=np.bool_)
     if not finite.any():
@@ -336,7 +341,7 @@ def _saturated(force: Array) -> Mask:
         for start, end in zip(starts, ends, strict=True):
             if end - start >= SATURATED_RUN:
                 mask[start:end] = True
-    return mask
+    return mask & (np.count_nonzero(mask) <= SWITCHING * len(mask))
 
 
 def _dilate(mask: Mask, samples: int) -> Mask:
