@@ -353,6 +353,7 @@ def test_its_bytes_are_those_of_its_content(bound: Any, monkeypatch: pytest.Monk
     assert content.read(f"sources/{package.name}.c") == (package.folder / f"{package.name}.c").read_bytes()
 
 
+@pytest.mark.slow
 def test_without_a_compiler_it_has_its_sources(tmp_path: Path, bound: Any) -> None:
     path, out = tmp_path / "small.toml", tmp_path / "out"
     path.write_text(SMALL)

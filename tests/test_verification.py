@@ -129,6 +129,7 @@ def test_compilers_and_levels_give_the_same_bits(name: str, precision: str, requ
     assert fused.numbers == first.numbers and fused.bits != first.bits
 
 
+@pytest.mark.slow
 @pytest.mark.needs_arm
 @pytest.mark.needs_riscv
 def test_processors_give_the_same_bits() -> None:
@@ -139,6 +140,7 @@ def test_processors_give_the_same_bits() -> None:
 # --- coverage --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_line_is_reached_or_explained(require_tool: Tool) -> None:
     require_tool("gcov")
     outcome = check_coverage(list(specimens()), silent)
