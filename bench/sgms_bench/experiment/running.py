@@ -68,7 +68,7 @@ PAPER_WEIGHTS_EKF: Final[dict[str, Any]] = PAPER_WEIGHTS | {
 
 
 def papers(weights: Mapping[str, Any]) -> dict[str, Any]:
-    """Changes of etel_xy that make it one of the paper's estimators, which take one reading per update."""
+    """Changes of etel_xy that make it one of the paper's estimators, which take one measurement per update."""
     return {"sampling": {"measurement_rate": 100.0}, "estimator": weights}
 
 

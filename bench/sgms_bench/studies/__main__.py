@@ -2,7 +2,7 @@
 
 `coverage` draws data from the estimator's own noise model, `plant` asks the same of the axis in closed loop,
 `monte-carlo` compares MHE, EKF and batch smoother over random axes, `creep` follows the parameters over 10^5 updates,
-`readings` asks what more friction readings per second gain, `relinearise` what it costs to keep linearisations,
+`readings` asks what more friction measurements per second gain, `relinearise` what it costs to keep linearisations,
 `faults` puts broken sensors into good logs, `speed` asks what fast moves cost the integrators, `identify` draws axes
 and identifies each from its log alone.
 `scaling` says what a task costs in 1 to 8 processes. All numbers are seeded; the same command prints the same table,

@@ -40,7 +40,7 @@ STIFFNESS: Final = (0.75, 1.3)
 BLOCK: Final = 250
 """Injections of a task: what is lost where one is killed."""
 BEYOND: Final = 5.0
-"""Stated deviations by which a reading departs that contradicts a good log."""
+"""Stated deviations by which a measurement departs that contradicts a good log."""
 SHORT_S: Final = 0.5
 RECOVERS_S: Final = (1.0, 3.0)
 """Within what an estimate has to recover from a fault up to `SHORT_S`, and from a longer one."""
@@ -188,7 +188,7 @@ class Outcome:
         sigmas: largest error of a parameter over its stated deviation, from 1 s after good data are back.
         deviation: largest change of a parameter against the same log without fault, over nominal.
         recovery_s: from good data until the friction error stays within 1.5 times the largest of the log without fault.
-        contradicts: whether a reading departs from the good log's by `BEYOND` stated deviations, or is lost.
+        contradicts: whether a measurement departs from the good log's by `BEYOND` stated deviations, or is lost.
         said: updates from the first that does until DOUBT or MISSING, that one included; 0: it was never said.
     """
 

@@ -291,7 +291,7 @@ class Watch:
         """The updates of the samples that follow; `judged`: the columns were held against the axis before.
 
         Raises:
-            InputError: signals of its own, and no reading to begin with.
+            InputError: signals of its own, and no measurement to begin with.
         """
         if isinstance(piece, Log) and not judged:
             self._stretch.append(piece)

@@ -184,7 +184,7 @@ def _of_sampling(whole: Subject, friction: Array) -> Array:
 
 
 def of_the_step(whole: Subject, fit: Fit) -> Array:
-    """What a vanishing step changes of a model's friction (m) [N], to be added to it.
+    """Return the change of a model's friction (m) [N] by a vanishing step, to be added to it.
 
     The chain's velocity is a mean over a sample: that is what displacements need, but as a speed it is half a sample
     old. A force is sampled in a point, so viscous friction shows an acceleration h / 2 more of it, which looks like a
@@ -274,7 +274,7 @@ def with_half_steps(recording: Recording, machine: Machine) -> Recording:
 
 
 def is_mean_velocity(recording: Recording) -> bool:
-    """Whether the velocity is that of the step before its sample, as a difference of positions is.
+    """Return True if the velocity is that of the step before its sample, as a difference of positions is.
 
     A log may bring its own, which may as well be a reading: what was travelled says.
     """
@@ -347,7 +347,7 @@ def in_step(log: Log, offset: float) -> Log:
 
 
 def offset_notes(machine: Machine, offset: float) -> tuple[str, ...]:
-    """What a user should know of a force that was put in step with the position by that time [s]."""
+    """Return the remarks on a force that was put in step with the position by that time [s]."""
     if offset == 0.0:
         return ()
     age = "older" if offset > 0.0 else "younger"

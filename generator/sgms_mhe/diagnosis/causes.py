@@ -105,7 +105,7 @@ def _vague(cause: Cause) -> tuple[str, ...]:
 
 
 def holds(cause: Cause, *, constant: bool = False, complete: bool = False) -> bool:
-    """Whether a cause has a size, and a gain on data that its fit has not seen.
+    """Return True if a cause has a size, and a gain on data that its fit has not seen.
 
     The gain may be uncertain where it is certain that the cause is there: few blocks of a short record, not all of
     which it acts in. It is of a cause that is the same all over the record (`constant`), by its test; and where the fit
@@ -119,13 +119,13 @@ def holds(cause: Cause, *, constant: bool = False, complete: bool = False) -> bo
 
 
 def has_size(cause: Cause) -> bool:
-    """Whether one of its numbers that the record determines is not what it is where there is no such cause."""
+    """Return True if a determined size differs significantly from its no-effect value."""
     sizes = _sizes(cause)
     return not sizes or any(abs(cause.parameters[key] - none) > SIGMAS * cause.std[key] for key, none in sizes.items())
 
 
 def is_possible(cause: Cause, settled: Settled) -> bool:
-    """Whether an axis can have a cause of this size."""
+    """Return True if an axis can have a cause of this size."""
     if cause.nominal:
         return True
     return effect_definition(cause.name).possible(cause.parameters, scales_of(settled.subject.machine))
@@ -141,7 +141,7 @@ def _sizes(cause: Cause) -> dict[str, float]:
 
 
 def _file_values(fit: Fit, group: Group) -> dict[str, float]:
-    """What the machine file says of a group's numbers; nothing of an effect under test."""
+    """Return the machine file's numbers of a group; none for an effect under test."""
     return {
         _reported(group, c.name): c.si(c.machine_theta)
         for c in fit.model.columns
@@ -274,7 +274,7 @@ def _doubt(
 
 
 def _echoes(cause: Cause, causes: Collection[Cause]) -> bool:
-    """Whether a small sine has the period of a large one: what the form of that gets wrong comes again with it."""
+    """Return True if a small sine has the period of a large one: the error in the form of that repeats with it."""
     own = _period(cause)
     if own is None:
         return False
@@ -297,7 +297,7 @@ def _period(cause: Cause) -> tuple[str, float, float] | None:
 
 
 def _imitates(settled: Settled, fit: Fit, group: Group, cause: Cause) -> bool:
-    """Whether a wrong number may be no more than what elements get wrong that stand in for ones that switch.
+    """Return True if a wrong number may be the error of elements that stand for switching ones.
 
     Beside an effect that stands with no such elements no record says that an axis does not switch.
     """
@@ -432,7 +432,7 @@ def _not_named(settled: Settled, selection: Selection, group: Group) -> Selectio
 
 
 def _named_less(selection: Selection, before: Selection, group: Group) -> Selection:
-    """What belongs to the causes of a selection that had one more, `group`, `before`."""
+    """Return the causes of a selection that had one more, `group`, `before`."""
     left = [g for g in before.causes if g != group]
     return replace(
         selection,
@@ -452,7 +452,7 @@ def _inconstancy(settled: Settled, selection: Selection, group: Group) -> float:
 
 
 def _follows(settled: Settled, selection: Selection, group: Group) -> bool:
-    """Whether a number of the machine is wrong only beside the effects: it was right for a model without them."""
+    """Return True if a number of the machine is wrong only beside the effects: right for a model without them."""
     if group.is_extra or not selection.fit.extras:
         return False
     fit, plain = selection.fit, settled.fit((), refitted=())

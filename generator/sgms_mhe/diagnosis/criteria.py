@@ -90,7 +90,7 @@ def _within(begin: float, end: float, rounds: float) -> float:
 
 @dataclass(frozen=True)
 class Criteria:
-    """What a gain must be, on this record, to count.
+    """Criteria of a gain, on this record.
 
     Attributes:
         table: [diagnosis] of the machine file.
@@ -109,11 +109,11 @@ class Criteria:
     course: Course
 
     def same_clock(self, first: str, second: str) -> bool:
-        """Whether two causes come again with the same clock: at one speed place is one, and so is time."""
+        """Return True if two causes repeat with the same clock: at one speed place is one, and so is time."""
         return self.one_speed and _is_periodic(first) and _is_periodic(second)
 
     def alike(self, first: str, second: str) -> bool:
-        """Whether two causes are known to be confused, or this record's motion makes one of them."""
+        """Return True if two causes are known to be confused, or this record's motion confuses them."""
         known = first in cause(second).confused_with or second in cause(first).confused_with
         return known or self.same_clock(first, second)
 
@@ -125,11 +125,11 @@ class Criteria:
         return math.sqrt(max(0.0, fit.rms**2 - self.floor**2))
 
     def costs_nothing(self, fit: Fit, other: Fit) -> bool:
-        """Whether another fit leaves no more than this one that matters, on unseen folds."""
+        """Return True if another fit's residual is larger by no more than matters, on unseen folds."""
         return gain_force(other.cross, fit.cross, fit.rows) < self.material
 
     def enough(self, fit: Fit) -> float:
-        """What an effect must explain to be added to a fit [N]: what matters, and a fair share of what is left.
+        """Return the least gain of an effect in a fit [N]: one that matters, and a fair share of the residual.
 
         Where a lot is left, something with a small share of it only imitates a part of what is really there.
         """
@@ -201,7 +201,7 @@ def proposed_effect(proposal: Proposal) -> Extra:
 
 
 def is_ruled_out(fit: Fit, name: str, subject: Subject) -> bool:
-    """Whether the effect that was added last has turned into a simpler one, or into one that no such axis has."""
+    """Return True if the effect added last has turned into a simpler one, or into an impossible one."""
     if not fit.extras or fit.extras[-1].name != name:
         return False
     parameters = fit.extras[-1].parameters

@@ -65,7 +65,7 @@ def _within(effect: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _estimable(machine: Machine, changes: Mapping[str, Any]) -> tuple[str, ...]:
-    """What the machine estimates, without the base numbers and the bounded ones of effects that are 0 now."""
+    """Return the machine's estimated names, without base numbers and bounded ones of effects that are 0 now."""
     zero = {key for key, value in changes.get("friction", {}).items() if value == 0.0}
     for effect, entry in zip(machine.effects, changes.get("effects", ()), strict=False):  # new ones come behind
         zero |= {

@@ -28,7 +28,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Left:
-    """What a fit leaves of a record: `residual` (m) [N], `loss` and `rows` per block as those of a fit."""
+    """Residual of a record: `residual` (m) [N], `loss` and `rows` per block as those of a fit."""
 
     residual: Array
     loss: Array
@@ -94,7 +94,7 @@ class Settled:
 
     @property
     def recording(self) -> Recording:
-        """What the fits are to."""
+        """Return the record of the fits."""
         return self.subject.recording
 
     @property
@@ -119,7 +119,7 @@ class Settled:
         )
 
     def left(self, fit: Fit) -> Left:
-        """What a fit leaves of the whole record."""
+        """Return the residual of the whole record."""
         if self.along is None:
             return Left.of(fit)
         if id(fit) not in self.known:
@@ -218,7 +218,7 @@ def _between_fitted(whole: Recording, fitted: Recording, instant: float) -> Mask
 
 
 def rival_fits(settled: Settled, selection: Selection) -> tuple[RivalFit, ...]:
-    """What is left with each rival in its cause's place, all else of the selection beside it.
+    """Return the fit of each rival in its cause's place, all else of the selection beside it.
 
     The fits do not see the held-out blocks, as those behind the causes' gains do not. A rival without a finite model at
     the full rate has none.

@@ -94,7 +94,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """What was taken out of a record that says nothing about friction; see `aligned`.
+    """Part of a record that carries no information on friction; see `aligned`.
 
     Attributes:
         measured: friction before any of it was (m) [N].
@@ -109,7 +109,7 @@ class Alignment:
     at: Array | None = None
 
     def later_at(self, friction: Array) -> Array | None:
-        """What the length of the steps takes from a friction (m) [N]; None where it has to be asked for.
+        """Return the error of the steps' length in a friction (m) [N]; None where it has to be computed.
 
         It is a part in a thousand of it, and of one that differs by little the same.
         """
@@ -254,7 +254,7 @@ def fit_model(
 
 @dataclass(frozen=True, eq=False)
 class _Wanted:
-    """What a fit may move and see; as the arguments of `fit_model`."""
+    """Freedom and data of a fit; as the arguments of `fit_model`."""
 
     refitted: Sequence[Group] | None
     rows: Mask | None
@@ -262,7 +262,7 @@ class _Wanted:
     iterations: int
 
     def frees(self, column: Column) -> bool:
-        """Whether a column is fitted."""
+        """Return True if a column is fitted."""
         if column.group.is_extra:
             return not column.frozen
         wanted = self.refitted is None or column.group in self.refitted

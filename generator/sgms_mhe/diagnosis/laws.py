@@ -1,4 +1,4 @@
-"""Which law of friction an axis obeys: elements that go over smoothly or that switch. Found out beside the causes."""
+"""Choice of the friction law: elements that go over smoothly or that switch, beside the causes."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def laws_of(machine: Machine, recording: Recording, floor: float) -> Laws:
 
 
 def compilations(machine: Machine, recording: Recording) -> list[Callable[[], object]]:
-    """What compiles all that `laws_of` runs, to be done beside something else."""
+    """Return the functions that compile every model of `laws_of`, to be done beside other work."""
     return [partial(one.model, ()) for thin in _thinned(machine, recording, 1.0) for one in (thin.whole, thin)]
 
 
@@ -209,7 +209,7 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: F
 
 
 def is_driven(extras: Sequence[Extra]) -> bool:
-    """Whether an effect takes the elements' motion from them."""
+    """Return True if an effect changes the elements' motion."""
     return any(effect_definition(extra.name).drives_elements for extra in extras)
 
 

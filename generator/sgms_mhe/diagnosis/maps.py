@@ -94,7 +94,7 @@ class _Moments:
 
 @dataclass(frozen=True, eq=False)
 class _Beside:
-    """What no period changes.
+    """Part of a search that no period changes.
 
     Attributes:
         fold: of each used row.
@@ -170,7 +170,7 @@ class _Search:
         return _Carried(period, tuple(n + 1 for n in taken), left)
 
     def visited(self, period: float) -> bool:
-        """Whether the axis was everywhere in a period: elsewhere a map would be made up."""
+        """Return True if the axis was everywhere in a period: elsewhere a map would be invented."""
         turns = self.x / period
         parts = np.minimum(PARTS - 1, (PARTS * (turns - np.floor(turns))).astype(np.int64))
         return len(np.unique(parts)) >= VISITED * PARTS
@@ -189,7 +189,7 @@ class _Search:
         return nearest_peak(gathered, columns, best, width, self.kind.room * self.travel)
 
     def nearest(self, carried: _Carried) -> _Carried:
-        """What the record carries at the refined period."""
+        """Return the orders that the record carries at the refined period."""
         return self.carried(self.refined(carried))
 
     def simplest(self, found: Sequence[_Carried]) -> _Carried:
@@ -203,7 +203,7 @@ class _Search:
         return min((c for c in few if c.left - least <= self.least_gain), key=lambda c: c.period)
 
     def elsewhere(self, best: _Carried) -> list[_Carried]:
-        """What the record carries at other periods of the same force.
+        """Return the orders that the record carries at other periods of the same force.
 
         All multiples of a period are periods too. And where a period is wrong, its sines are none the less about where
         those of the right one are, though of other orders.
@@ -268,7 +268,7 @@ def search_periodic(definition: EffectDefinition, kind: Periodic, seen: Residual
 
 
 def _search_of(kind: Periodic, seen: Residual) -> _Search | None:
-    """What a record lets a search see; None where nothing moves."""
+    """Return the part of a record that a search can use; None where nothing moves."""
     used, motion = seen.recording.used, seen.motion
     x, speed = motion.position[used], np.abs(motion.velocity[used])
     slow = speed <= float(np.quantile(speed, 1.0 - FAST_ROWS))
@@ -332,7 +332,7 @@ def _places(orders: Sequence[int]) -> list[int]:
 
 
 def _pair_energies(target: Array, square: Array, least: float) -> Array:
-    """What each sine and its cosine explain beside what is taken up; `least`: determinant that tells them from it."""
+    """Return the gain of each sine and its cosine; `least`: determinant that separates them from it."""
     s, c = target[0::2], target[1::2]
     diagonal = np.diag(square)
     ss, cc, sc = diagonal[0::2], diagonal[1::2], np.diag(square, 1)[0::2]

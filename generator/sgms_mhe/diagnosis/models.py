@@ -68,7 +68,7 @@ class _State:
         return _State(self.x.copy(), self.d_x.copy(), self.moved)
 
     def is_close(self, other: _State) -> bool:
-        """Whether nothing that comes from here would differ by anything that matters."""
+        """Return True if no result from here would differ by an amount that matters."""
         return bool(
             np.max(np.abs(self.x - other.x)) < SAME_STATE
             and np.max(np.abs(self.d_x - other.d_x)) < SAME_SLOPES * (1.0 + np.max(np.abs(other.d_x)))
@@ -122,7 +122,7 @@ class CompiledFit:
     def _with_forces(
         self, recording: Recording, theta: Array, friction: Array, slopes: Array | None
     ) -> tuple[Array, Array | None]:
-        """What the code makes of theta (n_p), and the forces beside it."""
+        """Return the output of the code at theta (n_p), with the forces beside it."""
         m, coded = len(friction), self.model.n_p + int(self.delayed)
         total, wide = friction.copy(), None if slopes is None else np.empty((m, len(theta)))
         shift = Shift.of(self._delay(theta), recording.machine.sampling.rate) if self.delayed else None
@@ -315,7 +315,7 @@ class _Waiting:
         self._locks: dict[Structure, threading.Lock] = {}
 
     def of(self, structure: Structure) -> threading.Lock:
-        """What to hold while asking for it."""
+        """Return the lock to hold while asking for it."""
         with self._guard:
             return self._locks.setdefault(structure, threading.Lock())
 
@@ -338,7 +338,7 @@ def compiled_structure(structure: Structure) -> CompiledFit:
 
 @lru_cache(maxsize=MODELS_CACHED)
 def compiled_once(structure: Structure) -> CompiledFit:
-    """What `compiled_structure` keeps, for one thread at a time."""
+    """Return the cached value of `compiled_structure`, for one thread at a time."""
     machine = structure.machine
     with SYMBOLIC:
         extended = extended_machine(structure)
@@ -364,7 +364,7 @@ class FitError(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known of the free parameters before the record (free).
+    """Prior of the free parameters (free).
 
     Attributes:
         information: in units of the sum of squares; damps a step.

@@ -91,12 +91,12 @@ class Group:
 
     @property
     def is_extra(self) -> bool:
-        """Whether it is an effect under test; otherwise its numbers stand in the machine file."""
+        """Return True if it is an effect under test; otherwise its numbers stand in the machine file."""
         return self.kind == "extra"
 
     @property
     def name(self) -> str:
-        """What its numbers are listed under: the machine's own label where there is one."""
+        """Return the name under which its numbers are listed: the machine's own label where there is one."""
         return self.label or self.cause
 
 
@@ -168,7 +168,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Structure:
-    """What a compiled model depends on; the machine by its content."""
+    """Inputs of a compiled model; the machine by its content."""
 
     machine: Machine = field(compare=False, hash=False)
     extras: tuple[tuple[str, Nominal], ...]
@@ -311,7 +311,7 @@ def _load_is_read(structure: Structure) -> bool:
 
 
 def plain_places(machine: Machine, structures: Sequence[Structure]) -> tuple[int, ...]:
-    """Which of some effects under test, each a structure with the machine, may stand beside a compiled model.
+    """Return the effects under test, each a structure with the machine, that may stand beside a compiled model.
 
     None where one of them, or of the machine's, changes what forces read or what becomes of them.
     """

@@ -1,4 +1,4 @@
-"""What a search proposes: where the refit of an effect starts, and how much it would explain to first order."""
+"""Criteria that a search for causes compares a gain with."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Residual:
-    """What a search looks at.
+    """Input of a search.
 
     Attributes:
         recording: the record.

@@ -102,7 +102,7 @@ def pruned(
 
 
 def wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Groups, Fit]:
-    """Which of the machine's numbers must differ from the file: the fewest groups that leave no material gain.
+    """Return the machine's numbers that must differ from the file: the fewest groups without a material loss.
 
     Not what is small: laws of friction and long steps are wrong by as much, where elements slip. Returns them, and the
     fit with only them free.

@@ -1,4 +1,4 @@
-"""What a diagnosis found: everything that diagnosis.json and a report need."""
+"""Result of a diagnosis: everything that diagnosis.json and a report need."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class Alternative:
 
 @dataclass(frozen=True, eq=False)
 class RivalFit:
-    """What a rival leaves in a cause's place, of a fit that did not see the held-out segments.
+    """Fit of a rival in a cause's place, which did not see the held-out segments.
 
     Attributes:
         name: of the rival.
@@ -260,7 +260,7 @@ class Diagnosis:
     encoder_noise_N: float = 0.0
 
     def identifies(self, cause: Cause) -> bool:
-        """Whether the record determines a cause's numbers, and nothing else would do as well."""
+        """Return True if the record determines a cause's numbers, and no rival fits as well."""
         doubted = cause.vague or cause.stands_in
         return not doubted and all(a.instead_of != cause.name for a in self.alternatives if a.rival)
 
@@ -271,7 +271,7 @@ class Diagnosis:
 
     @property
     def undecidable(self) -> tuple[Limit, ...]:
-        """What this record cannot decide, with the two causes where it is a choice between them."""
+        """Return the questions that this record does not decide, with the two causes where it is a choice."""
         named = self.machine.plant.units.named
         pairs = [
             Limit(f"{a.instead_of} or {a.name}: {a.why_not}", (a.instead_of, a.name))
@@ -293,7 +293,7 @@ class Diagnosis:
 
     @property
     def _left(self) -> tuple[str, ...]:
-        """What is left where something is."""
+        """Return the residual's dependences where it has one."""
         if self.verdict != "unexplained" or not self.excited:
             return ()
         unit, rms = self.machine.plant.units.force, self.rms.held_out_after
@@ -309,7 +309,7 @@ class Diagnosis:
 
     @property
     def _curves(self) -> tuple[str, ...]:
-        """What may only stand for a curve over speed."""
+        """Return the causes that may stand for a curve over speed only."""
         names = ", ".join(dict.fromkeys(cause.name for cause in self.causes if cause.stands_in))
         if not names:
             return ()

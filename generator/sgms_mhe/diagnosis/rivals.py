@@ -292,7 +292,7 @@ def _compared(subject: Subject, place: _Place, name: str, trial: Fit, criteria: 
 
 
 def _is_clearly_better(fit: Fit, trial: Fit, criteria: Criteria) -> bool:
-    """Whether a fit is better than another one on all blocks."""
+    """Return True if a fit is better than another one on all blocks."""
     t = difference_statistic(fit.cross, trial.cross)
     return _clearly(t, gain_force(trial.cross, fit.cross, fit.rows), criteria)
 
@@ -321,7 +321,7 @@ def cause_significance(subject: Subject, fit: Fit, group: Group) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """What was selected.
+    """Selected causes.
 
     Attributes:
         fit: effects and the machine's numbers that are wrong; all other numbers as in the machine file.

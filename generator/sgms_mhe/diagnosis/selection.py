@@ -55,7 +55,7 @@ RIVAL_STEPS: Final = 3
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """What a round found.
+    """Step of the forward selection.
 
     Attributes:
         fit: with the effect that is added; None: none is.
@@ -267,7 +267,7 @@ def search_causes(laws: Laws, criteria: Criteria) -> Searched:
 
 
 def _by_simpler_law(searched: Searched) -> Searched:
-    """What was found, under the other law where the record decides for none and fewer causes explain as much there.
+    """Return the causes under the other law where the record decides for none and fewer explain as much there.
 
     A cause may be the difference of the laws.
     """

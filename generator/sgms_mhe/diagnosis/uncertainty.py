@@ -37,7 +37,7 @@ RUNAWAY: Final = 10.0  # slope of a number of the machine, over the largest fric
 
 
 def explains_noise(subject: Subject, fit: Fit, gain: float) -> bool:
-    """Whether the effect that was added last explains noise: what it takes out of that is most of its gain (RMS) [N].
+    """Return True if the effect added last explains noise: that is most of its gain (RMS) [N].
 
     Asked of what is about as fast as a sample and of what acts on the acceleration; nothing else follows noise.
     """
@@ -61,7 +61,7 @@ def noise_explained(subject: Subject, fit: Fit) -> float:
 
 
 def noise_left(recording: Recording, fit: Fit, theta: Array) -> Array:
-    """What the encoder's noise adds to the residual of a fit's model at theta (n_p), (m) [N]."""
+    """Return the encoder's noise in the residual of a fit's model at theta (n_p), (m) [N]."""
     noisy = with_more_noise(recording)
     answers = [fit.model.run(record, theta, derivatives=False)[0] for record in (noisy, recording)]
     return np.asarray(answers[1] - answers[0] - inertial_noise(recording))
@@ -169,7 +169,7 @@ def _is_smooth(subject: Subject, fit: Fit, slopes: Array) -> NDArray[np.bool_]:
 
 
 def _noise(subject: Subject, fit: Fit, inverse: Array) -> Array:
-    """What the free parameters are off by because the signals that they act on are noisy (free).
+    """Return the covariance of the free parameters by noise in their signals (free).
 
     Noise of an acceleration is in the measured force and in a mass's slope alike, so that they go together where
     nothing moved (errors in variables): it makes a mass 0.4 % of all that moves too small where it has 0.4 % of the
@@ -185,7 +185,7 @@ def _noise(subject: Subject, fit: Fit, inverse: Array) -> Array:
 
 
 def _law(subject: Subject, fit: Fit, other: Subject | None, inverse: Array, wrong: float) -> Array:
-    """What the free parameters may be off by because the axis does not slip as the law says (free).
+    """Return the bias of the free parameters because the axis does not slip by the law (free).
 
     An axis switches, a law is smooth, and the difference comes back at every reversal: no average over blocks sees it.
     How it acts on each number is what a change of the law does: the other transition's friction minus this one's is

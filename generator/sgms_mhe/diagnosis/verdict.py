@@ -166,7 +166,7 @@ def _judged(record: Recording, nominal: Fit, searched: Searched, course: Course)
 
 
 def _excited(recording: Recording, nominal: Fit) -> bool:
-    """Whether the axis moved enough for its friction to show."""
+    """Return True if the axis moved enough for its friction to show."""
     simulated = (recording.friction - nominal.residual)[recording.used]
     machine = recording.machine
     return not float(np.ptp(simulated)) < EXCITED * machine.friction.coulomb
@@ -248,12 +248,12 @@ def _judge(settled: Settled) -> _Judged:
 
 
 def _may_stand_in(name: str) -> bool:
-    """Whether a cause beside a curve over speed that is left may be a part of it: a number of the machine, a curve."""
+    """Return True if a cause beside a residual curve over speed may be a part of it: a machine's number, a curve."""
     return name in BASE_CAUSES or cause_definition(name).over_speed
 
 
 def _leaves_curve(settled: Settled, fit: Fit) -> bool:
-    """Whether a good part of what a fit leaves is a curve over speed, and it matters."""
+    """Return True if a good part of the residual is a curve over speed, and it matters."""
     material = material_force(settled.record.machine, settled.floor)
     left = settled.left(fit)
     curve = force_over_speed(settled.record, left.residual)
@@ -343,7 +343,7 @@ def _force_of_noise(record: Recording) -> float:
 
 
 def _law_notes(settled: Settled, plain: Fit) -> tuple[str, ...]:
-    """What a user should know of an axis that obeys another law than its machine file says."""
+    """Return the remarks on an axis that obeys another law than its machine file states."""
     if not settled.foreign:
         return ()
     unit, law = settled.record.machine.plant.units.force, settled.subject.machine.friction.law
@@ -352,7 +352,7 @@ def _law_notes(settled: Settled, plain: Fit) -> tuple[str, ...]:
 
 
 def _estimation_notes(machine: Machine, extended: Machine | None) -> tuple[str, ...]:
-    """What the estimator of the machine estimates and that of the extended one cannot."""
+    """Return the remarks on parameters that the machine estimates and the extended one cannot."""
     estimated = machine.estimator.parameters if extended is None else extended.estimator.parameters
     return tuple(
         f"{name}: 0 in the extended machine, which does not estimate it: there is no scale for it"

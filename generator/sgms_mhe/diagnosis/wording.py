@@ -1,4 +1,4 @@
-"""What a diagnosis says in words."""
+"""Words of a diagnosis."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PLATEAUS = "constant speeds from the slowest to the fastest, in both directions:
 
 
 def alternatives_of(selection: Selection, units: Units) -> tuple[Alternative, ...]:
-    """What was not named, and why; the rivals first."""
+    """Return the candidates that were not named, with the reasons; the rivals first."""
     found = [
         Alternative(
             rival.group.cause,
@@ -66,7 +66,7 @@ def _why_not(selection: Selection, name: str, units: Units) -> str:
 def experiment_of(
     verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Alternative], noise: float = 0.0
 ) -> str | None:
-    """What to record next: the moves that tell causes and rivals apart; None: nothing. `noise`: as of `summary_of`."""
+    """Return the next motion: the moves that separate causes and rivals; None: nothing. `noise`: as of `summary_of`."""
     left = FINER if noise > 0.0 else PLATEAUS if any(cause.stands_in for cause in causes) else TWICE
     moves = [left] if verdict == "unexplained" else []
     for rival in rivals:

@@ -214,7 +214,7 @@ def fmu(files: Mapping[str, str], name: str, archive: str) -> tuple[bytes, str |
 
 
 def without_binaries(archive: bytes) -> dict[str, bytes] | None:
-    """What of an FMU does not hang on the compiler that made it, by path; None where it is no archive."""
+    """Return the parts of an FMU that do not depend on the compiler, by path; None where it is no archive."""
     try:
         with zipfile.ZipFile(io.BytesIO(archive)) as opened:
             return {path: opened.read(path) for path in opened.namelist() if not path.startswith("binaries/")}

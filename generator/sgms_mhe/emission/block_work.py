@@ -28,7 +28,7 @@ ROW_OF_STAGE, ROW_OF_LAST_STAGE = 5, 12
 
 @dataclass(frozen=True)
 class Ingredients:
-    """What the work of a package depends on beside its groups.
+    """Inputs to the work of a package beside its groups.
 
     Attributes:
         reach: as in `Couplings`.
@@ -194,7 +194,7 @@ class _Costs:
         return 12 + 6 * self.interpolated + 2 * self.along_line(count)
 
     def _beside_merged(self) -> int:
-        """What a block takes of a step of merged samples beside its Runge-Kutta steps or samples."""
+        """Count the work of a block in a step of merged samples, beside its Runge-Kutta steps or samples."""
         slide = self.level + 17 + 4 * self.g.sizes.n_q + self._slide() if self.g.slides else 0
         return 30 + slide
 

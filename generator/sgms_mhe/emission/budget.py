@@ -45,7 +45,7 @@ def _called(machine: Machine, part: Part) -> str:
 
 
 def _remedies(machine: Machine, part: Part) -> str:
-    """What makes it less."""
+    """Name the changes that make it smaller."""
     sampling, estimator = machine.sampling, machine.estimator
     if part.in_closed_form:
         what = ["lower sampling.integrator.substeps, so that samples merge"]

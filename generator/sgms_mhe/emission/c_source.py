@@ -161,7 +161,7 @@ Value = TypeVar("Value", ca.SX, Node)
 
 @dataclass(frozen=True)
 class Output(Generic[Value]):
-    """What a function computes: values, and the C array or scalar that receives them.
+    """Output of a function: values, and the C array or scalar that receives them.
 
     Attributes:
         name: of the array; of a scalar, the place itself.

@@ -28,7 +28,7 @@ class Ahead:
     Attributes:
         displacement: largest move per Runge-Kutta step, in deflection scales.
         farthest: move in deflection scales after which an element slides, wherever it was.
-        equal: relative deflections that need not be told apart.
+        equal: relative deflections that need not be distinguished.
         elastic: relative deflection below which slip is less than `equal` of the motion; not positive: there is none.
         gate_velocity: speed above which the gate counts as saturated [m/s].
         longest: duration of the longest move [s].
@@ -50,7 +50,7 @@ class Ahead:
 
 @dataclass(frozen=True)
 class Compensation:
-    """What an axis feeds forward, and when.
+    """Force that an axis feeds forward, and the conditions for it.
 
     Attributes:
         moves: of the propagation ahead: over the lag, over the delay.
@@ -83,7 +83,7 @@ class Compensation:
 
 
 def compensation_of(machine: Machine) -> Compensation:
-    """What the machine file says of compensation, as the emitted code takes it."""
+    """Return the machine file's compensation in the form of the emitted code."""
     compensation, rate = machine.compensation, machine.sampling.rate
     lag, h = chain_delay(machine), machine.sampling.step
     # At constant acceleration the filtered velocity is that of lag + h/2 ago (a difference is the velocity of half a

@@ -1,4 +1,4 @@
-"""What templates read: one typed object per subject, assembled from a machine, its model and the structure analysis."""
+"""Context of the templates: one typed object per subject, from a machine, its model and the structure analysis."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ HOLD_PART = 0.1
 
 @dataclass(frozen=True)
 class ReadingRule:
-    """How test ratios of readings, squared innovations over their predicted variance, change what readings count.
+    """Weights of measurements by their test ratios, squared innovations over their predicted variance.
 
     Attributes:
         fast, slow: weights of the newest ratio in two means of them.
         most: a ratio counts no more in the means.
-        free: beyond it a reading counts less at once.
-        doubted_fast, doubted_slow: means beyond which the readings contradict the model.
+        free: beyond it a measurement counts less at once.
+        doubted_fast, doubted_slow: means beyond which the measurements contradict the model.
     """
 
     fast: float = 0.1
@@ -160,12 +160,12 @@ class Weights:
 
 @dataclass(frozen=True)
 class Couplings:
-    """Which states depend on which over an interval.
+    """Dependence of states on each other over an interval.
 
     Attributes:
         counts: per state, how many states it depends on, itself included.
         columns: which they are, in rows of one length; the last one repeats.
-        reach: per state, how many rows its column of the elimination spans.
+        reach: per state, how many rows its column of the condensing spans.
     """
 
     counts: tuple[int, ...]

@@ -159,7 +159,7 @@ class StepRate:
 
 
 def follows_flow(group: Group, structure: Structure) -> bool:
-    """Whether the group's steps are taken by the displacement flow."""
+    """Return True if the group's steps are taken by the displacement flow."""
     return structure.model.machine.sampling.integrator.scheme == "flow" and group.is_elements
 
 

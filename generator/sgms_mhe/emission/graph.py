@@ -63,7 +63,7 @@ class Node:
 
     @property
     def is_expensive(self) -> bool:
-        """Whether computing this node once more costs a division or an elementary function."""
+        """Return True if computing this node once more costs a division or an elementary function."""
         return COST.get(self.op, EXPENSIVE) >= EXPENSIVE or any(a.is_expensive for a in self.args)
 
 
@@ -110,7 +110,7 @@ class Graph:
         return self._intern((op, *map(id, ordered)), lambda: Node(op, args, inputs))
 
     def _look_up(self, op: str, args: tuple[Node, ...]) -> Node | None:
-        """What is a look-up again: a comparison with a number, its multiples, and the sum of two at one place."""
+        """Return a look-up for a comparison with a number, its multiples, or the sum of two at one place; else None."""
         if op == "eq":
             number, place = args if args[0].op == "const" else args[::-1]
             if number.op != "const":

@@ -86,17 +86,17 @@ class GroupView:
 
     @property
     def is_slider(self) -> bool:
-        """Whether a block is a Maxwell-slip element and nothing else."""
+        """Return True if a block is a Maxwell-slip element and nothing else."""
         return self.is_elements and self.sizes.m == 1
 
     @property
     def slow_ahead(self) -> bool:
-        """Whether the propagation ahead takes linearly implicit steps below its gate, and the flow above."""
+        """Return True if the propagation ahead takes linearly implicit steps below its gate, and the flow above."""
         return self.follows_flow and self.is_slider
 
     @property
     def elastic_ahead(self) -> bool:
-        """Whether the propagation ahead moves elastic elements with the axis."""
+        """Return True if the propagation ahead moves elastic elements with the axis."""
         return self.is_slider and self.level is not None and self.has_elastic_range
 
     def slow_count(self, most: str, speed: str) -> str:

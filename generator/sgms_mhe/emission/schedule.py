@@ -19,7 +19,7 @@ class Costs:
         step: a step of the series of what is linearised anew.
         readings: those of an older interval into the sweep's factor.
         condense: a node out of that.
-        fold: a reading inside the newest interval into it.
+        fold: a measurement inside the newest interval into it.
         per_sample: of the units in one sample.
     """
 

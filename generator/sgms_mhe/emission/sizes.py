@@ -80,8 +80,8 @@ class Sizes:
         groups: sizes of each group.
         kept_steps: steps of the series that are kept, of each interval.
         least_substeps: Runge-Kutta substeps of a step of the series, at least.
-        inner: readings inside an interval, besides the one at its end.
-        spacing: steps of the series from one reading to the next.
+        inner: measurements inside an interval, besides the one at its end.
+        spacing: steps of the series from one measurement to the next.
     """
 
     states: int
@@ -163,7 +163,7 @@ class Sizes:
 
     @property
     def inner_rows(self) -> int:
-        """Rows that say of (x, theta) what all readings inside an interval say."""
+        """Rows that say of (x, theta) what all measurements inside an interval say."""
         return min(self.inner, self.factor_rows)
 
     @property

@@ -91,12 +91,12 @@ class Group:
 
     @property
     def is_elements(self) -> bool:
-        """Whether the blocks are Maxwell-slip elements, which have a closed form in displacement."""
+        """Return True if the blocks are Maxwell-slip elements, which have a closed form in displacement."""
         return bool(self.level)
 
     @property
     def at_once(self) -> bool:
-        """Whether they are elements that switch and take merged samples in one clip: alone, rho not in the signals."""
+        """Return True if they are switching elements that take merged samples in one clip: alone, rho constant."""
         return self.switches and self.m == 1 and "terms" not in self.rate[0].inputs
 
 
@@ -110,7 +110,7 @@ class SampleTerm:
 
 @dataclass(frozen=True)
 class Structure:
-    """What the analysis found.
+    """Result of the structure analysis.
 
     Attributes:
         groups: groups of blocks.
@@ -383,7 +383,7 @@ def _group(
 
 
 def _obeys_law(rhs: Sequence[Node], rate: Sequence[Node], inverse_level: Sequence[Node], machine: Machine) -> bool:
-    """Whether the right side is equation (1) with (3) in the block's rho and level, v its first sample term.
+    """Return True if the right side is (1) with (3) in the block's rho and level, v its first sample term.
 
     Compared at points over all regimes, for both signs; an effect that changes the law differs at most of them.
     """

@@ -41,17 +41,17 @@ class Variant:
 
     @property
     def has_series(self) -> bool:
-        """Whether the series of older intervals is kept, because they may be integrated again."""
+        """Return True if the series of older intervals is stored, because they may be integrated again."""
         return self.relinearise != "newest"
 
     @property
     def keeps_inner(self) -> bool:
-        """Whether the readings inside an older interval stay as they were linearised."""
+        """Return True if the measurements inside an older interval stay as they were linearised."""
         return self.horizon > 0 and self.relinearise != "all"
 
     @property
     def drifts(self) -> bool:
-        """Whether the parameters' drift enters; where the arrival cost is fixed there is nothing for it to enter."""
+        """Return True if the parameters' drift enters; with a fixed arrival cost there is nothing for it to enter."""
         return not (self.fixed and self.horizon)
 
 

@@ -31,7 +31,7 @@ SAMPLE = 60
 
 @dataclass(frozen=True)
 class Part:
-    """What one group of blocks adds to the longest tick.
+    """Share of one group of blocks in the longest tick.
 
     Attributes:
         states: of its blocks, by name.
@@ -54,7 +54,8 @@ class Work:
         sample: of sample() or insert().
         tick: of tick().
         unit: of the largest unit of prepare().
-        prepare: of prepare(). feedback: of feedback() where prepare() ran before any reading inside the interval came.
+        prepare: of prepare(). feedback: of feedback() where prepare() ran before any measurement inside the interval
+            came.
         update: of all calls of one interval.
         parts: what of a tick the groups of blocks take, largest first.
     """
@@ -165,7 +166,7 @@ def _step(
 
 
 class _LeastSquares:
-    """Costs of readings, of the sweep and of the feedback."""
+    """Costs of measurements, of the sweep and of the feedback."""
 
     def __init__(self, of: Ingredients) -> None:
         self.of, self.sizes, self.variant = of, of.sizes, of.variant
@@ -193,7 +194,7 @@ class _LeastSquares:
         return self.map + self.sizes.states * self.defect
 
     def taken(self) -> int:
-        """A reading inside the newest interval; a filter folds it at once."""
+        """A measurement inside the newest interval; a filter folds it at once."""
         return self.map + self.inner_row + (0 if self.variant.horizon else self.folded)
 
     def kept(self) -> int:
@@ -202,7 +203,7 @@ class _LeastSquares:
         return sum(reflection(rows - 1 - c, width, c) for c in range(min(rows, width - 1)))
 
     def after_step(self) -> int:
-        """What a unit of steps does beside them, at worst: a reading, or the end of the interval."""
+        """Count the work of a unit of steps beside them, at worst: a measurement, or the end of the interval."""
         sizes = self.sizes
         renewed = self.map + self.inner_row + sizes.factor_rows + 1 if sizes.inner else 0
         if self.variant.relinearise == "all":
@@ -211,7 +212,7 @@ class _LeastSquares:
         return blocks + max(renewed, self.ends() + (self.kept() if sizes.inner else 0))
 
     def readings(self) -> int:
-        """Readings of an older interval into the factor."""
+        """Measurements of an older interval into the factor."""
         sizes, width = self.sizes, self.sizes.factor_rows + 1
         if not sizes.inner:
             return self.fold_start

@@ -1,15 +1,16 @@
 """Noise weights out of a log: those under which the innovations are as likely as they can be.
 
-An estimator that predicts a reading with the variance S and misses it by e finds that with the likelihood of a normal
-number of that variance. Its mean over a record,
+An estimator that predicts a measurement with the variance S and misses it by e finds that with the likelihood of a
+normal number of that variance. Its mean over a record,
 
     L = mean( log(S) + min(e^2 / S, 25) ) / 2
 
 is least for the weights that describe the axis: with too small a variance misses are punished, with too large a one the
-variance is. A reading five deviations off counts no more than that: it is a fault, and no reason to believe in noise.
-The estimator that is asked is the filter without self-scaling, which carries the information of the window, with one
-reading per update: readings that follow each other closely share their noise, and what predicts the next one best then
-believes too much. How many readings an update may take is a matter of the signal chain, not of likelihood.
+variance is. A measurement five deviations off counts no more than that: it is a fault, and no reason to believe in
+noise. The estimator that is asked is the filter without self-scaling, which carries the information of the window,
+with one measurement per update: measurements that follow each other closely share their noise, and what predicts the
+next one best then believes too much. How many measurements an update may take is a matter of the signal chain, not of
+likelihood.
 """
 
 from __future__ import annotations

@@ -110,12 +110,12 @@ class Course:
         model: its model.
 
     Attributes:
-        updates, measured: how many, and how many took a reading in.
+        updates, measured: how many, and how many took a measurement in.
         samples, missing: of the log; those without a position or a force.
         latest: the newest update, as a row; None before the first.
         first_s: time of the first update [s].
         greatest: the greatest test ratio and its time [s].
-        trend: parameters (n_p), their deviations (n_p), test ratio and whether readings were doubted, over the run.
+        trend: parameters (n_p), their deviations (n_p), test ratio and whether measurements were doubted, over the run.
         episodes: stretches with a fault, the first ones; `faults` counts all of them.
     """
 
@@ -170,7 +170,7 @@ class Course:
 
     @property
     def residual_rms_N(self) -> float | None:
-        """RMS of measured minus estimated friction over the updates with a reading; None without one."""
+        """RMS of measured minus estimated friction over the updates with a measurement; None without one."""
         return float(np.sqrt(self._squares / self.measured)) if self.measured else None
 
     def summary(self) -> dict[str, Any]:
@@ -199,7 +199,7 @@ class Course:
         }
 
     def _find_episodes(self, e: Estimates, flags: Mapping[str, NDArray[np.bool_]], taken: NDArray[np.bool_]) -> None:
-        """Stretches with a fault. Readings are not missed before the first one: the signal chain settles."""
+        """Stretches with a fault. Measurements are not missed before the first one: the signal chain settles."""
         begun = int(np.argmax(taken)) if taken.any() else len(taken)
         seen: list[tuple[int, str]] = []
         for fault in FAULTS:

@@ -178,7 +178,7 @@ def mass_number(settled: Settled, given: float | None, adopted: float, units: Un
 
 
 def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, view: View, units: Units) -> list[str]:
-    """What the records leave open, with the move that would tell."""
+    """Return the open questions of the records, with the move that would answer each."""
     length = units.position
     said = []
     if not found.decided:
@@ -211,7 +211,7 @@ def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, view: V
 
 
 def _late(settled: Settled, view: View, units: Units) -> list[str]:
-    """What is to be said where force and position are apart in time: it is in no number, and in no machine either."""
+    """Return the sentence on force and position that are apart in time: no number holds it, and no machine either."""
     fit, place = settled.fit, settled.fit.place(LATE)
     late, std = float(fit.coefficient(LATE)[0]), math.sqrt(float(settled.cov[place.start, place.start]))
     size = abs(late) * float(np.std(fit.slopes[view.rows.used, place.start]))
@@ -225,5 +225,5 @@ def _late(settled: Settled, view: View, units: Units) -> list[str]:
 
 
 def _needed(name: str) -> str:
-    """What a motion must hold for a cause to be seen, and how to get one."""
+    """Return the motion that shows a cause, and how to get one."""
     return f"Needed (sgms-mhe plan makes such a motion): {cause(name).excitation.text}"

@@ -121,7 +121,7 @@ def _nominal(law: Law, velocity: float) -> float:
 
 
 def _compiled(law: Law, velocity: float) -> CompiledModel:
-    """What `_compiled_once` keeps, for one thread at a time."""
+    """Return the cached value of `_compiled_once`, for one thread at a time."""
     with _one_at_a_time:
         return _compiled_once(law, velocity)
 

@@ -37,7 +37,7 @@ FINAL_ITERATIONS: Final = 8
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """What is reported.
+    """Reported fit.
 
     Attributes:
         fit: at the full rate, of all used rows, with what the records show alone.
@@ -58,7 +58,7 @@ class Settled:
 
 @dataclass(frozen=True)
 class Known:
-    """What a user gave, and stays where the motion does not contradict it: the mass, the number of elements."""
+    """Numbers of a user, which stay unless the motion contradicts them: the mass, the number of elements."""
 
     mass: bool
     count: bool

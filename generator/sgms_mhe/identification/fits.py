@@ -59,7 +59,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What is not linear: the law, break-away distances (k) [m], the rise (None: none)."""
+    """Nonlinear numbers: the law, break-away distances (k) [m], the Stribeck effect (None: none)."""
 
     law: Law
     distances: Array

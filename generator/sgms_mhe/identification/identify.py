@@ -52,7 +52,7 @@ LEAST_NOISE: Final = 1e-4
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is asked for.
+    """Request of a user.
 
     Attributes:
         name: of the machine.
@@ -216,7 +216,7 @@ def _check_dissipates(records: Records) -> None:
 
 
 def _measured(records: Records, found: Found) -> Mapping[Measure, float]:
-    """What the motion holds, on the scale of the friction found."""
+    """Return the excitation of the motion, on the scale of the friction found."""
     fit = found.fit
     content = {
         "law": "switching",
@@ -229,7 +229,7 @@ def _measured(records: Records, found: Found) -> Mapping[Measure, float]:
 
 
 def _is_excited(definition: CauseDefinition, measured: Mapping[Measure, float]) -> bool:
-    """Whether a motion can show an effect, as far as that does not depend on its size."""
+    """Return True if a motion can show an effect, as far as that does not depend on its size."""
     return not any(need.times is None for need in definition.excitation.unmet(measured, {}))
 
 

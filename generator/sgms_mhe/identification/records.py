@@ -31,7 +31,7 @@ PATH_RATE: Final = 16000.0
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What elements see of one log: displacements at some rate, and what becomes of a force on its way to the rows.
+    """Motion of the elements in one log: displacements at some rate, and the way of a force to decimated samples.
 
     Attributes:
         machine: whose chain the log went through.
@@ -70,7 +70,7 @@ class Records:
         rows: all rows one log behind the other; blocks, folds and what is held out as a diagnosis has them.
         coarse: motion behind the filters at the rate of the rows, a log each.
         fine: the encoder's motion at the logs' rate, a log each.
-        resolution: of the position [m], noise of a reading included.
+        resolution: of the position [m], noise of a measurement included.
         warnings: what a user should know of the logs.
     """
 

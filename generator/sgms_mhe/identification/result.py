@@ -1,4 +1,4 @@
-"""What an identification found: the machine, its numbers with intervals, and what the records leave open."""
+"""Result of an identification: the machine, its numbers with intervals, and the open questions."""
 
 from __future__ import annotations
 

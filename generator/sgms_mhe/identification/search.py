@@ -1,4 +1,4 @@
-"""Which law, how many elements, what beside them: what held-out rows gain by, and nothing that they do not.
+"""Choice of law, number of elements and effects by the gain on held-out samples.
 
 Choices are made at the rate of the rows. What the longer steps change there is taken out by lining the measured
 friction up with the fine model at a fit: the residual is then the fine one's, but for the change away from that fit.
@@ -63,7 +63,7 @@ class Views:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What was chosen.
+    """Chosen model.
 
     Attributes:
         fit: at the records' full rate, of all used rows.
@@ -165,7 +165,7 @@ def _settled_count(
 
 
 def gains(richer: AxisFit, simpler: AxisFit) -> bool:
-    """Whether one fit leaves less than another on rows that neither has seen, by what matters and beyond chance."""
+    """Return True if one fit is better than another on unseen samples, by an amount that matters and beyond chance."""
     if richer.cross_rms >= (1.0 - MATERIAL) * simpler.cross_rms:
         return False
     return difference_statistic(richer.cross, simpler.cross) > SIGNIFICANT

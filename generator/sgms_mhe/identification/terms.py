@@ -48,12 +48,12 @@ def viscous_term(rows: Recording) -> Term:
 
 
 def mass_term(rows: Recording) -> Term:
-    """What the moved mass is more than that of the machine."""
+    """Return the term of the moved mass minus that of the machine."""
     return Term("mass", rows.acceleration[:, None])
 
 
 def sampling_terms(rows: Recording) -> tuple[Term, ...]:
-    """What sampling leaves of a force, by its first derivative, and of an acceleration, by its second one.
+    """Return the errors of sampling: of a force by its first derivative, of an acceleration by its second.
 
     Force and position are not of the same instant, be it by h: all of the force is then late, to first order. To second
     order the inertial force is off by half the second derivative of the acceleration times h^2, beside which the

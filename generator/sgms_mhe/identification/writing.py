@@ -119,7 +119,7 @@ def _table(name: str, table: Mapping[str, Any], notes: Mapping[str, str]) -> lis
 
 
 def _inline(name: str) -> bool:
-    """Whether tables within this one stand on one line."""
+    """Return True if tables within this one stand on one line."""
     return name != "estimator"
 
 

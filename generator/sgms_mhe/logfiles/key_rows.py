@@ -21,7 +21,7 @@ _NAME, _UNIT, _STEP, _SCALE, _OFFSET = "name", "unit", "sampletime", "scalefacto
 
 @dataclass(frozen=True)
 class KeyRows:
-    """What the keys say of the columns.
+    """Keys of the columns.
 
     Attributes:
         line: of the names.

@@ -85,7 +85,7 @@ class SymbolicAxis:
         micro_viscous: damping [N s/m] shared out to the elements by nu_i, on top of their own sigma_i.
         stribeck_level: s(v) / f_C, which an effect may replace by the level that the elements really have.
         rest_level: the same at v = 0, 1 + beta.
-        gate_per_velocity: gamma / v_s [s/m], how sharply directions are told apart.
+        gate_per_velocity: gamma / v_s [s/m], how sharply directions are distinguished.
         level_force: what the level that elements slip at has beyond its factors [N].
         engagement: share of the velocity that reaches the friction elements.
         load: what acts on the axis from outside, and what its mass is more than the machine file's [N]; friction-like

@@ -57,7 +57,7 @@ class Nuisance:
     basis: Array
 
     def project(self, columns: Array) -> Array:
-        """What is left of columns (rows used, ...) that no nuisance parameter explains."""
+        """Return the part of columns (rows used, ...) that no nuisance parameter explains."""
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
 
 
@@ -245,7 +245,7 @@ def inconstancy(recording: Recording, contribution: Array, residual: Array, *, i
 
 
 def _faster(series: Array, rows: int) -> Array:
-    """What is left of a series without its mean over so many rows around each."""
+    """Return a series minus its mean over so many samples around each."""
     return np.asarray(series - uniform_filter1d(series, max(1, rows), mode="nearest"))
 
 

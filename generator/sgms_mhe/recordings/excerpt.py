@@ -45,7 +45,7 @@ class _Piece:
 
 
 def excerpt(recording: Recording) -> Recording:
-    """What models are fitted to: the record, or of a longer one pieces from all over it, `fitted_time` in all.
+    """Return the record that models are fitted to; of a longer one segments from all over it, `fitted_time` in all.
 
     A piece is a block and the motion before it, which the fit runs through and does not see: as long as states need to
     forget what was before. The record is cut into as many stretches of time as there are to be pieces. Each gives the
@@ -143,7 +143,7 @@ def _leads(recording: Recording) -> dict[int, int]:
 
 
 def _places(recording: Recording) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Which part of the range of position each row is in (m)."""
+    """Return the part of the range of position that each decimated sample is in (m)."""
     low, high = float(np.min(recording.position)), float(np.max(recording.position))
     return np.minimum(PLACES - 1, (recording.position - low) / max(high - low, 1e-12) * PLACES).astype(np.int64)
 

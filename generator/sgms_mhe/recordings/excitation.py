@@ -102,7 +102,7 @@ def lap(recording: Recording) -> float | None:
 
 
 def in_step(recording: Recording, frequency: Array) -> Mask:
-    """Which frequencies (n) [Hz] are multiples of one over a lap, as far as the record can tell."""
+    """Return the frequencies (n) [Hz] that are multiples of one over a lap, as far as the record can show."""
     period = lap(recording)
     if period is None:
         return np.zeros(frequency.shape, dtype=np.bool_)
@@ -132,7 +132,7 @@ def steady_blocks(recording: Recording) -> Mask | None:
 
 
 def clock_note(recording: Recording) -> tuple[str, ...]:
-    """What a record cannot decide whose motion and time are one clock."""
+    """Return the question that a record whose motion and time are one clock does not decide."""
     period = lap(recording)
     if period is not None:
         how = f"the motion repeats itself every {period:.3g} s: whether a force comes again in time or with the motion"

@@ -28,7 +28,7 @@ MEMORY: Final = 12.0  # periods of the cutoff after which the low-passes' respon
 
 @dataclass(frozen=True, eq=False)
 class Colour:
-    """What a polynomial leaves of pieces of noise of variance 1 behind the chain.
+    """Residual of a polynomial through segments of noise of variance 1 behind the chain.
 
     Attributes:
         basis: orthonormal, of the polynomial (width, order + 1).

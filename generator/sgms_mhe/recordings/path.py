@@ -60,7 +60,7 @@ def bridged(position: Array) -> Array:
 
 
 def reading_error(position: Array, step: float) -> Array:
-    """What an encoder of this step would be off by along the same way with its lines elsewhere (n) [m].
+    """Return the error of an encoder of this step along the same trajectory with its lines elsewhere (n) [m].
 
     The way is known to a tenth or a quarter of a step: about its own lines an axis at rest would show no error, and a
     slow one too little.
@@ -90,7 +90,7 @@ def _furthest(rest: Array) -> float:
 
 
 def displacements(position: Array, steps: int) -> Array:
-    """What an axis moves by in so many steps to each sample from the one before it, none to the first: (n steps) [m].
+    """Return the displacements in so many steps to each sample from the one before, none to the first: (n steps) [m].
 
     Between two samples of a slow log an axis may turn round, and elements of small break-away distances let go. A
     straight line from sample to sample leaves out the turning point; a cubic spline through the samples has it.

@@ -73,7 +73,7 @@ class Runs:
         self._kept: OrderedDict[tuple[int, int, bytes], tuple[object, object, Run]] = OrderedDict()
 
     def get(self, code: object, signals: object, theta: Array, derivatives: bool, run: Callable[[], Run]) -> Run:
-        """What `run` returns, from before where it is known; one with derivatives serves where none are asked for."""
+        """Return the result of `run`, cached where it is known; one with derivatives serves requests without."""
         key = (id(code), id(signals), np.ascontiguousarray(theta, dtype=np.float64).tobytes())
         with self._lock:
             known = self._kept.get(key)
@@ -237,7 +237,7 @@ def encoder_noise(machine: Machine, log: Log) -> Array | None:
 
 
 def chained(machine: Machine, position: Array) -> Array:
-    """What the chain makes of a position (n) [m]: position, velocity and acceleration (n, 3)."""
+    """Return a position (n) [m] behind the chain: position, velocity and acceleration (n, 3)."""
     n, rate = len(position), machine.sampling.rate
     log = Log(np.arange(n) / rate, position, np.zeros(n), rate, kind=machine.plant.kind)
     signals = signals_from_log(log, machine)

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 def run_ekf(record: Record, progress: Progress | None = None) -> Estimates:
-    """Update with the readings inside of an interval, predict through it, update with the reading at its end."""
+    """Update with the measurements inside of an interval, predict through it, update with the one at its end."""
     weights, model = record.weights, record.model
     n_x, n_p, updates = model.n_x, model.n_p, record.updates
     belief, prior = record.first, weights.prior[1]

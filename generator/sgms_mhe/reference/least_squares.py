@@ -18,7 +18,7 @@ LARGEST_CORRECTION = 60
 
 
 def triangular_factor(J: Array, r: Array) -> tuple[Array, Array]:
-    """(R, b) of the orthogonal elimination of J d + r: min |J d + r| is R d = b."""
+    """(R, b) of the orthogonal condensing of J d + r: min |J d + r| is R d = b."""
     n = J.shape[1]
     R: Array = np.asarray(np.linalg.qr(np.column_stack([J, r]), mode="r"))
     return R[:n, :n], -R[:n, n]

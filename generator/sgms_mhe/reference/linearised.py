@@ -35,7 +35,7 @@ class Linearised(NamedTuple):
         x1: where they end (n, n_x).
         A: its sensitivity to the node state (n, n_x, n_x).
         B: its sensitivity to theta (n, n_x, n_p).
-        inner: outputs at the R - 1 readings inside of each: y (n, R - 1), C (n, R - 1, n_x), D (n, R - 1, n_p).
+        inner: outputs at the R - 1 measurements inside of each: y (n, R - 1), C (n, R - 1, n_x), D (n, R - 1, n_p).
     """
 
     x1: Array

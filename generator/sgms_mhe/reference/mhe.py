@@ -105,7 +105,7 @@ def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
             status = NOT_FINITE
             x, arrival = x[-1:], Gaussian(np.concatenate([x[-1], theta]), prior.covariance)
             kept, scaling, newest = None, Scaling(weights.self_scaling), Reading.none()
-            scales.end[node] = np.inf  # the reading that came with it is not to be trusted
+            scales.end[node] = np.inf  # the measurement that came with it is not to be trusted
             shifts = owed = 0
         else:
             x, theta, std, active = solution
@@ -147,8 +147,8 @@ def renew(record: Record, first: int, kept: Kept, x: Array, theta: Array) -> Kep
 def dense_problem(record: Record, window: Window, arrival: Gaussian, scales: Scales) -> tuple[Array, Array]:
     """Jacobian J and residual r of the window, so that the step d of (x_0, ..., x_n, theta) minimises |J d + r|^2.
 
-    Rows: arrival cost, then per node its reading (if valid) and per interval the valid readings inside of it and its
-    defect (paper, equations 10, 12).
+    Rows: arrival cost, then per node its measurement (if valid) and per interval the valid measurements inside of it
+    and its defect (paper, equations 10, 12).
     """
     weights = record.weights
     nodes, n_x = window.x.shape
@@ -187,7 +187,7 @@ def dense_problem(record: Record, window: Window, arrival: Gaussian, scales: Sca
 
 
 def take_newest(record: Record, window: Window, arrival: Gaussian, scaling: Scaling, scales: Scales) -> Taken | None:
-    """Readings of the newest interval, each predicted from all before it; None where that is not finite.
+    """Measurements of the newest interval, each predicted from all before it; None where that is not finite.
 
     What they are to count goes to `scales`.
     """
@@ -239,8 +239,8 @@ def _solve(
 def arrival_update(record: Record, arrival: Gaussian, window: Window, scales: Scales, owed: int) -> Gaussian:
     """Kalman update and prediction of (x, theta) over the interval that leaves, linearised as the window was.
 
-    Covariance form: readings of the oldest node and inside of its interval (Joseph), prediction with state noise, then
-    the drift of theta that is owed for so many intervals.
+    Covariance form: measurements of the oldest node and inside of its interval (Joseph), prediction with state noise,
+    then the drift of theta that is pending for so many intervals.
     """
     weights, n_x, first = record.weights, window.x.shape[1], window.first
     point = np.concatenate([window.x[0], window.theta])

@@ -32,20 +32,20 @@ class Plan:
     """Steps of a record, set by its signals alone.
 
     A step takes a block along the line from `start` to `end`, in two pieces where the velocity changes sign, or up K
-    stairs of constant signals; an element that slides may take it at once. Where samples are not merged K is 1, and the
-    stair has the signals of the step's end. An element that switches takes a step or a stair by a clip.
+    samplewise steps of constant signals; an element that slides may take it at once. Where samples are not merged K is
+    1, and the stair has the signals of the step's end. An element that switches takes a step or a stair by a clip.
 
     Attributes:
         steps: steps per interval.
         h: duration of a step [s].
         start: signals w at the beginning of each step (intervals * steps, 5).
         end: signals w at its end; equal to `start` where velocity is constant.
-        substeps: Runge-Kutta substeps along the line (intervals * steps, blocks); 0 are stairs. Of elements that switch
-            1 is the step at once.
+        substeps: Runge-Kutta substeps along the line (intervals * steps, blocks); 0 are samplewise steps. Of elements
+            that switch 1 is the step at once.
         cut: share of the step before its velocity changes sign (intervals * steps); 0 where it does not.
         piece_substeps: Runge-Kutta substeps along the pieces before and after that (intervals * steps, blocks, 2);
-            0 are stairs, or a step that is not cut. Of elements that switch 1 is the piece at once.
-        stairs: K, stairs of a step; each lasts h / K.
+            0 are samplewise steps, or a step that is not cut. Of elements that switch 1 is the piece at once.
+        stairs: K, samplewise steps of a step; each lasts h / K.
         stair: signals w of each stair (intervals * steps * K, 5).
         stair_substeps: Runge-Kutta substeps of each (intervals * steps * K, blocks); 0 is one jump of the displacement
             flow, or a clip.
@@ -53,7 +53,7 @@ class Plan:
             not let an element slide through it.
         path: sum |v_k| h of each interval [m].
         fastest: largest |v_k| of each interval [m/s].
-        readings: R, friction readings of an interval at equal distances, the last one at its end.
+        readings: R, friction measurements of an interval at equal distances, the last one at its end.
         inner_w: signals w at those inside (intervals, R - 1, 5).
     """
 
@@ -75,7 +75,7 @@ class Plan:
 
 
 def inner_readings(sampling: Sampling) -> slice:
-    """The samples of an interval (0 is the first after its start) at which its readings but the last one stand."""
+    """The samples of an interval (0 is the first after its start) at which its measurements but the last one stand."""
     spacing = sampling.samples_per_update // sampling.readings_per_update
     return slice(spacing - 1, sampling.samples_per_update - 1, spacing)
 
@@ -187,7 +187,7 @@ class Planner:
         return counts
 
     def _line_substeps(self, speed: Array, h: Array | float, fast: Mask) -> Counts:
-        """Substeps along lines of this mean speed and duration, 0 where stairs are less work (n, blocks).
+        """Substeps along lines of this mean speed and duration, 0 where samplewise steps are less work (n, blocks).
 
         `fast`: the gate is saturated all along.
         """

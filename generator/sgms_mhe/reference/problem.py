@@ -53,7 +53,7 @@ class Weights:
         parameter: prior of theta (n_p).
         drift: random walk of theta per update (n_p).
         lower, upper: bounds on theta (n_p), infinite where there are none.
-        self_scaling: whether readings are weighed by how well they were predicted.
+        self_scaling: whether measurements are weighed by how well they were predicted.
         hold_path: path of an interval below which theta does not drift [m].
         max_velocity: speed beyond which the estimate is flagged [m/s].
     """
@@ -118,7 +118,7 @@ class Start:
         x: node state (n_x), known as well as any first node's.
         theta: scaled parameters (n_p).
         covariance: of theta (n_p, n_p).
-        slow: slow mean of the test ratios of readings.
+        slow: slow mean of the test ratios of measurements.
     """
 
     x: Array
@@ -130,7 +130,7 @@ class Start:
 class Record:
     """A record as the estimators see it: plan of its intervals, signals and measurements.
 
-    Readings y, valid: at the nodes 0 .. updates; inner_y, inner_valid (updates, R - 1): inside of the intervals.
+    Measurements y, valid: at the nodes 0 .. updates; inner_y, inner_valid (updates, R - 1): inside of the intervals.
     """
 
     def __init__(
@@ -171,7 +171,7 @@ class Record:
 
     @property
     def scaling(self) -> Scaling:
-        """How readings are weighed before any measurement."""
+        """How measurements are weighed before any measurement."""
         return Scaling(self.weights.self_scaling, slow=self.start.slow if self.start else 1.0)
 
     def moves(self, interval: int) -> bool:

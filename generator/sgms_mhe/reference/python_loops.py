@@ -60,7 +60,7 @@ class PythonLoops:
         return Outputs(y.reshape(count), C.reshape(count, n_x), D.reshape(count, n_p))
 
     def _interval(self, plan: Plan, interval: int, x: Array, theta: Array) -> list[tuple[Array, Array, Array]]:
-        """Node states and their sensitivities to x and theta at the readings of an interval, the last one its end."""
+        """Node states, their sensitivities to x and theta, at the measurements of an interval, the last one its end."""
         n_x, n_p, functions = self._model.n_x, self._model.n_p, self._functions
         begin, F_x, F_t = (np.array(part) for part in functions["start"](x, theta))
         begin = begin.reshape(n_x)

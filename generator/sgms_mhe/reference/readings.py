@@ -1,4 +1,4 @@
-"""Readings one after the other: innovation, test ratio, and the noise that each is taken with (docs/weights.md)."""
+"""Measurements one after the other: innovation, test ratio, and the noise that each is taken with (docs/weights.md)."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ FAST, SLOW = 0.1, 0.003
 MOST = 1000.0
 """A test ratio counts no more than this in the means."""
 FREE = 9.0
-"""A test ratio of three standard deviations, squared: what is beyond it weighs a reading down at once."""
+"""A test ratio of three standard deviations, squared: what is beyond it weighs a measurement down at once."""
 
 
 DOUBTED_FAST, DOUBTED_SLOW = 5.0, 2.0
-"""Means of the test ratios beyond which the readings contradict the predictions."""
+"""Means of the test ratios beyond which the measurements contradict the predictions."""
 
 
 class Gaussian(NamedTuple):
@@ -33,7 +33,7 @@ class Reading(NamedTuple):
     """Result of a measurement.
 
     Attributes:
-        innovation: reading minus its prediction [N].
+        innovation: measurement minus its prediction [N].
         test_ratio: its square over its predicted variance.
         scale: factor on the stated standard deviation that it was taken with.
     """
@@ -50,7 +50,7 @@ class Reading(NamedTuple):
 
 @dataclass
 class Scaling:
-    """The two means of the test ratios, from which the noise of the next reading follows."""
+    """The two means of the test ratios, from which the noise of the next measurement follows."""
 
     enabled: bool
     fast: float = 1.0
@@ -62,7 +62,7 @@ class Scaling:
         return self.fast > DOUBTED_FAST or self.slow > DOUBTED_SLOW
 
     def variance_factor(self, test_ratio: float) -> float:
-        """How many times larger than predicted the innovation's variance has to be for this reading, >= 1."""
+        """How many times larger than predicted the innovation's variance has to be for this measurement, >= 1."""
         counted = min(test_ratio, MOST)
         self.fast += FAST * (counted - self.fast)
         self.slow += SLOW * (counted - self.slow)
@@ -74,17 +74,17 @@ class Scaling:
 def take_reading(
     belief: Gaussian, C: Array, innovation: float, sigma: float, scaling: Scaling
 ) -> tuple[Gaussian, Reading]:
-    """Fold a scalar reading, C (n,) its sensitivity, with the noise that its innovation asks for."""
+    """Fold a scalar measurement, C (n,) its sensitivity, with the noise that its innovation asks for."""
     spread = float(C @ belief.covariance @ C)
     predicted = spread + sigma**2
     test_ratio = innovation**2 / predicted
-    # The variance of the reading at which the innovation's is `variance_factor` times the predicted one.
+    # The variance of the measurement at which the innovation's is `variance_factor` times the predicted one.
     variance = sigma**2 + (scaling.variance_factor(test_ratio) - 1.0) * predicted
     return fold(belief, C, innovation, variance), Reading(innovation, test_ratio, float(np.sqrt(variance)) / sigma)
 
 
 def fold(belief: Gaussian, C: Array, innovation: float, variance: float) -> Gaussian:
-    """Kalman update of a scalar reading in Joseph's form, which keeps the covariance positive definite."""
+    """Kalman update of a scalar measurement in Joseph's form, which keeps the covariance positive definite."""
     mean, P = belief
     gain = P @ C / (C @ P @ C + variance)
     keep = np.eye(len(mean)) - np.outer(gain, C)

@@ -121,7 +121,7 @@ def _linearise(record: Record, x: Array, theta: Array) -> _Problem:
     width = nodes * n_x
     first = csc_matrix((1.0 / weights.initial_state, (np.arange(n_x), np.arange(n_x))), shape=(n_x, width))
     measured = _block_diagonal(outputs.C[:, None, :] / weights.sigma_y, width)[valid]
-    # Readings inside an interval see the node where it starts.
+    # Measurements inside an interval see the node where it starts.
     inner = _block_diagonal(intervals.inner.C / weights.sigma_y, width)[record.inner_valid.ravel()]
     scale = 1.0 / np.tile(weights.sigma_x, nodes - 1)
     ends = csr_matrix((scale, (np.arange(width - n_x), np.arange(n_x, width))), shape=(width - n_x, width))

@@ -1,4 +1,4 @@
-"""Shooting intervals side by side about one point: what an update linearises, and the readings of one of them."""
+"""Shooting intervals side by side about one point: what an update linearises, and the measurements of one of them."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ def window_of(record: Record, first: int, x: Array, theta: Array, intervals: Lin
 
 
 class Scales(NamedTuple):
-    """Factors on the stated standard deviation that readings are taken with.
+    """Factors on the stated standard deviation that measurements are taken with.
 
     Attributes:
-        end: at the nodes (updates + 1); infinite where a reading is left out.
+        end: at the nodes (updates + 1); infinite where a measurement is left out.
         inner: inside of the intervals (updates, R - 1).
     """
 
@@ -71,17 +71,17 @@ class Scales(NamedTuple):
 
     @classmethod
     def of(cls, record: Record) -> Scales:
-        """As stated, before any reading was looked at."""
+        """As stated, before any measurement was looked at."""
         return cls(np.ones(record.updates + 1), np.ones(record.inner_y.shape))
 
 
 class Taken(NamedTuple):
-    """An interval's readings, each predicted from all before it.
+    """An interval's measurements, each predicted from all before it.
 
     Attributes:
         belief: of the node where the interval ends and theta, after all of them.
         readings: the valid ones, in their order.
-        inner_scales: factors of those inside (R - 1), 1 where a reading is not valid.
+        inner_scales: factors of those inside (R - 1), 1 where a measurement is not valid.
         end_scale: of the last one.
     """
 
@@ -96,7 +96,7 @@ class Taken(NamedTuple):
 
 
 def take_interval(record: Record, window: Window, belief: Gaussian, scaling: Scaling, *, drift: int = 0) -> Taken:
-    """Fold the readings of a window of one interval into a belief of its start; predict over it in between.
+    """Fold the measurements of a window of one interval into a belief of its start; predict over it in between.
 
     theta drifts for `drift` intervals.
     """
@@ -115,7 +115,7 @@ def take_interval(record: Record, window: Window, belief: Gaussian, scaling: Sca
     belief = Gaussian(belief.mean, belief.covariance + np.diag(np.concatenate([weights.sigma_x**2, growth])))
     end_scale = 1.0
     if record.valid[k + 1]:
-        # The output is linearised where the interval leads, not where the readings inside have moved it.
+        # The output is linearised where the interval leads, not where the measurements inside have moved it.
         C = np.concatenate([window.outputs.C[1], window.outputs.D[1]])
         image = np.concatenate([window.intervals.x1[0], window.theta])
         innovation = float(record.y[k + 1] - window.outputs.y[1] - C @ (belief.mean - image))

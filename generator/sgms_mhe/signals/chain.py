@@ -30,7 +30,7 @@ _NEVER = int(np.iinfo(np.int64).max)
 
 FARTHEST_m = 4e6
 LARGEST_SIGNAL = 1e9
-"""A position, or any other channel [N, m/s, m/s^2], at or beyond these is no reading: it counts as missing."""
+"""A position, or any other channel [N, m/s, m/s^2], at or beyond these is no measurement: it counts as missing."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def signals_from_log(log: Log, machine: Machine) -> Signals:
 class Chain:
     """The chain along a log, whole or in pieces: what comes out is the same to the last bit.
 
-    But for readings that are missing at the very start: until the first one comes, what it is counts as having been
+    But for measurements that are missing at the very start: until the first one comes, what it is counts as having been
     there before, and it has to be in the first piece.
 
     Args:
@@ -222,7 +222,7 @@ def settle_samples(machine: Machine) -> int:
 
 
 def readings(log: Log) -> Log:
-    """The log with NaN for whatever is no reading."""
+    """The log with NaN for whatever is no measurement."""
     limits = {"position_m": FARTHEST_m}
     limits |= dict.fromkeys(("force_N", "velocity_m_s", "acceleration_m_s2", "friction_N"), LARGEST_SIGNAL)
     spoilt: dict[str, Any] = {}
@@ -234,14 +234,14 @@ def readings(log: Log) -> Log:
 
 
 def _missing(log: Log) -> Mask:
-    """Samples at which a channel has no reading."""
+    """Samples at which a channel has no measurement."""
     given = (log.position_m, log.force_N, log.velocity_m_s, log.acceleration_m_s2, log.friction_N)
     finite: Mask = np.logical_and.reduce([np.isfinite(channel) for channel in given if channel is not None])
     return ~finite
 
 
 def _bridge(log: Log) -> Log:
-    """The log with every gap between two readings filled."""
+    """The log with every gap between two measurements filled."""
     filled: dict[str, Any] = {}
     for name in ("position_m", "force_N", "velocity_m_s", "acceleration_m_s2", "friction_N"):
         channel = getattr(log, name)
@@ -260,7 +260,7 @@ def _bridge(log: Log) -> Log:
 
 
 def _cubic(at: NDArray[np.int64], good: NDArray[np.int64], values: Array) -> Array:
-    """Values between readings that keep the speeds on both sides, each over the two readings next to the gap."""
+    """Values between measurements that keep the speeds on both sides, each over the two samples next to the gap."""
     left = np.searchsorted(good, at) - 1
     right = left + 1
     width = (good[right] - good[left]).astype(np.float64)

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 READING_COLUMNS: Final = ("innovation_N", "test_ratio", "noise_scale")
-"""Of the newest reading; files that were written without them read as NaN."""
+"""Of the newest measurement; files that were written without them read as NaN."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class Estimates:
     """One row per update; u updates, n_z elements, n_p estimated parameters, all in SI units.
 
     time_s, friction_measured_N, friction_N (u,); z_m (u, n_z); parameters, std (u, n_p); status (u,) int; of the newest
-    reading innovation_N, test_ratio (its square over the variance predicted for it), noise_scale (u,), NaN where an
-    observer does not predict readings;
+    measurement innovation_N, test_ratio (its square over the variance predicted for it), noise_scale (u,), NaN where an
+    observer does not predict measurements;
     parameter_names (n_p): `stiffness_1`, ..., `coulomb`. Of a rotary axis angles and torques stand where this says m
     and N; `kind` says which it is, and a file's columns are named so. `extra` holds what a solver wants to hand on
     besides (arrays by name); it is not written.

@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MOST_RATIO: Final = 25.0
-"""Test ratio that a reading counts with at the most: beyond, it is a fault."""
+"""Test ratio that a measurement counts with at the most: beyond, it is a fault."""
 LEAST_UPDATES: Final = 100
-"""Updates with a reading in motion that it takes to tell weights apart."""
+"""Updates with a measurement in motion that it takes to tell weights apart."""
 NOISE_FITS: Final = (0.1, 3.0)
 """Noise that innovations speak for, over the stated one, within which there is nothing to say: room is no mistake."""
 
@@ -33,7 +33,7 @@ def innovation_loss(estimates: Estimates, counted: Mask) -> tuple[Array, float]:
 
 
 def moving_updates(estimates: Estimates) -> Mask:
-    """Updates (u) that took a reading in while the axis moved, the first of them left out."""
+    """Updates (u) that took a measurement in while the axis moved, the first of them left out."""
     left_out = FLAGS["filling"] | FLAGS["hold"] | FLAGS["speed"]
     counted: Mask = measured(estimates.status) & (estimates.status & left_out == 0)
     counted &= np.isfinite(estimates.test_ratio) & (estimates.innovation_N != 0.0)

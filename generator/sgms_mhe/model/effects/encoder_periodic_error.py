@@ -1,4 +1,4 @@
-"""An encoder whose reading errs periodically in position: interpolation error, a scale's mounting."""
+"""An encoder whose measurement errs periodically in position: interpolation error, a scale's mounting."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from sgms_mhe.model.effects.specimen import ripple
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
     """Reading = q + A sin(k q + phi): its derivatives give the real velocity and acceleration.
 
-    v_read = v (1 + A k cos), a_read = a (1 + A k cos) - A k^2 v^2 sin. The angle at the reading is one
-    Newton step away from the one at q; |A k| < 1, or the reading would not tell the position.
+    v_read = v (1 + A k cos), a_read = a (1 + A k cos) - A k^2 v^2 sin. The angle at the measurement is one
+    Newton step away from the one at q; |A k| < 1, or the measurement would not tell the position.
     """
     k = 2.0 * math.pi / p["pitch_m"]
     angle = k * axis.position + p["phase_rad"]
-    # q = reading - A sin(k q + phi), solved to second order in A k
+    # q = measurement - A sin(k q + phi), solved to second order in A k
     shift = p["amplitude_m"] * ca.sin(angle) / (1.0 + p["amplitude_m"] * k * ca.cos(angle))
     real = angle - k * shift
     slope = 1.0 + p["amplitude_m"] * k * ca.cos(real)
