@@ -378,7 +378,7 @@ def test_a_law_replaces_the_smoothing_and_the_integrator_of_another(tmp_path: Pa
 
 def axis_of_two() -> tuple[SymbolicAxis, ca.SX]:
     """An axis with an element and a state of an effect's own."""
-    axis = SymbolicAxis(1.0, 1.0, step=1e-4, hold=1e-4, gate_per_velocity=1.0)
+    axis = SymbolicAxis(1.0, 1.0, step=1e-4, gate_per_velocity=1.0)
     for name, element in (("z_1", 0), ("own", None)):
         axis.add_state(StateSpec(name, element, 1.0, 1.0, 1.0, 1.0)).rate = ca.SX(0)
     return axis, axis.states[1].chi
