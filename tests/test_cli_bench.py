@@ -215,8 +215,8 @@ def test_bench_in_full_compares_motions_integrators_and_sizes(
     small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Few sizes and two integrators take the same way as all of them.
-    monkeypatch.setattr("sgms_bench.benchmark.running.HORIZONS", (3, 12))
-    monkeypatch.setattr("sgms_bench.benchmark.running.ELEMENTS", (1, 3))
+    monkeypatch.setattr("sgms_bench.benchmark.running.HORIZONS", (3, 6, 12))
+    monkeypatch.setattr("sgms_bench.benchmark.running.ELEMENTS", (1, 2, 3))
     monkeypatch.setattr("sgms_bench.benchmark.running.MOTIONS", ())
     monkeypatch.setattr("sgms_bench.benchmark.running.SPEEDS", (1.0,))
     monkeypatch.setattr("sgms_bench.benchmark.running.INTEGRATORS", ({"scheme": "flow"}, {"scheme": "rk4"}))

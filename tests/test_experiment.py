@@ -25,6 +25,7 @@ def record() -> Record:
     return simulate_record(load_machine("etel_xy"), TRUE_STIFFNESS, duration_s=10.0)
 
 
+@pytest.mark.slow
 def test_experiment_writes_figures_tables_and_data(tmp_path: Path) -> None:
     steps: list[tuple[int, int]] = []
     experiment = run_experiment(

@@ -308,6 +308,7 @@ def sweep(seconds: float) -> Array:
     return np.asarray(3e-3 * np.sin(2.0 * np.pi * 3.0 * time) * (1.0 + 0.5 * np.sin(2.0 * np.pi * 0.7 * time)))
 
 
+@pytest.mark.slow
 def test_stiffness_is_found_and_its_uncertainty_is_honest() -> None:
     theta = np.array([1.25, 0.8, 1.15, 0.95])
     machine = axis()

@@ -212,6 +212,7 @@ def test_what_no_proof_deals_with_is_found(code: str, said: str, package: Packag
 # --- limits ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.needs_arm
 @pytest.mark.needs_riscv
 def test_work_and_stack_stay_within_what_is_stated(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -735,6 +735,7 @@ def test_standard_input_is_watched(small: Path, log: Path, tmp_path: Path) -> No
     assert '"ended": "end of the input"' in summary  # the rows have stdout
 
 
+@pytest.mark.slow
 def test_a_terminal_shows_a_panel_that_goes(small: Path, log: Path) -> None:
     shown = on_terminal("watch", small, log, "--speed", "max")
     assert "stiffness_1" in shown and "± 2 sigma" in shown and "test ratio" in shown
