@@ -21,6 +21,8 @@ _MANY: Final = 5.0
 """A jump is one where it is so many times the largest of all other steps."""
 _ONE: Final = 50.0
 """The same of a single jump, which has to be one of PERIODS."""
+_LARGEST: Final = 1e15
+"""A recorded number at or beyond it is no position, and its digits tell no period."""
 _CUT: Final = 0.01
 """Share of the samples by which a column may be longer or shorter than time."""
 
@@ -170,7 +172,7 @@ def _check_jumps(path: Path, source: Source, values: Array, row: Callable[[int],
     good = np.flatnonzero(np.isfinite(values))
     known = values[good]
     steps = np.diff(known)
-    if len(steps) < 100:
+    if len(steps) < 100 or not np.abs(known).max() < _LARGEST:
         return
     sizes, extent = np.abs(steps), float(np.ptp(known))
     jumps = np.flatnonzero(sizes > 0.5 * extent)
@@ -197,4 +199,5 @@ def _check_jumps(path: Path, source: Source, values: Array, row: Callable[[int],
 
 def _round_number(value: float, tolerance: float) -> float:
     """The number of fewest digits within a tolerance."""
-    return next(n for digits in range(1, 18) if abs((n := float(f"{value:.{digits}g}")) - value) <= tolerance)
+    shorter = (float(f"{value:.{digits}g}") for digits in range(1, 17))
+    return next((number for number in shorter if abs(number - value) <= tolerance), value)
