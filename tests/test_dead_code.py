@@ -23,6 +23,7 @@ USED_FROM_OUTSIDE = {
     "list_commands": "click",
     "get_command": "click",
     "filter_stream": "jinja2",
+    "emit": "logging",
     "read_estimates": "Python code of users, for the files that estimate writes",
     "cascade": "Python code of users, as a controller of the simulated axis",
     "to_frame": "Python code of users, for series as a DataFrame",

@@ -13,6 +13,8 @@ from sgms_bench.studies.monte_carlo import CASES, compare_case
 from sgms_bench.studies.relinearise import RELINEARISE_CASES, relinearise_errors
 from sgms_mhe.configuration import load_machine, override_machine
 
+pytestmark = pytest.mark.slow
+
 
 def case(name: str) -> Case:
     return next(c for c in CASES if c.name == name)
@@ -22,7 +24,6 @@ def formulation(name: str) -> Formulation:
     return next(f for f in FORMULATIONS if f.name == name)
 
 
-@pytest.mark.slow
 def test_coverage_on_the_estimators_own_noise_model() -> None:
     # 400 runs lie within 93 to 97 % for each parameter. Here 4 x 120 errors: one standard deviation of their coverage
     # is 1 %, and these seeds never change.
@@ -47,7 +48,6 @@ def test_bounds_of_mhe_and_ekf_agree() -> None:
     assert np.abs(results[0][0] - results[1][0]).max() < 1.0
 
 
-@pytest.mark.slow
 def test_a_wide_prior_is_overconfident() -> None:
     # The sharp break-away is not linear over a third of the stiffness.
     machine = statistics_machine(load_machine("etel_xy"), parameter=0.3)

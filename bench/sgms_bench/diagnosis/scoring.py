@@ -194,7 +194,6 @@ class Rate:
 
 
 _ONE: Final = ("single", "base")
-_SOUND: Final = tuple(kind for kind in KINDS if kind != "fault")
 RATES: Final[Mapping[str, Rate]] = {
     "recovery": Rate("named right (a correct ambiguous counts)", ">= 97 %", FOUND, _ONE, True),
     "ambiguous": Rate("  of these ambiguous, the truth among them", "", ("ambiguous",), _ONE, True),
