@@ -153,8 +153,8 @@ def test_gap_without_a_reason_is_found(require_tool: Tool, monkeypatch: pytest.M
     alone = measure(emit_package(specimen("ekf")), exercised=False)
     assert alone.lines[0] < found.lines[0] < found.lines[1] == alone.lines[1]
     assert alone.branches[0] < found.branches[0] < found.branches[1]
-    left = coverage.never_reached([found])
-    assert not coverage.never_reached(
+    left = coverage.find_gaps([found])
+    assert not coverage.find_gaps(
         [found, replace(found, counts={place: (1,) * (1 + place.branches) for place in left})]
     )
     monkeypatch.setattr(coverage, "GAPS", (Gap("absent", "nothing", "of a function that no package has"),))
