@@ -13,7 +13,7 @@ import pytest
 from cli_cases import done, files, refused
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import diagnose
-from sgms_mhe.diagnosis.criteria import Course
+from sgms_mhe.diagnosis.criteria import ProgressReport
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -90,16 +90,16 @@ def test_diagnose_a_part_and_try_the_estimator_on_another_log(
 
 def test_shares_of_the_work_only_grow() -> None:
     told: list[float] = []
-    course = Course(lambda _, share: told.append(share))
-    course.begun()
-    course.base()
+    course = ProgressReport(lambda _, share: told.append(share))
+    course.report_start()
+    course.report_base()
     for number in range(1, 5):
-        course.search(number)
-        course.refits(number, ["force_ripple"])
+        course.report_search(number)
+        course.report_refits(number, ["force_ripple"])
     for number in range(1, 4):
         for share in (0.0, 0.5):
-            course.rivals(number, share, "viscous", ["force_ripple"])
-    course.judgement()
+            course.report_rivals(number, share, "viscous", ["force_ripple"])
+    course.report_judgement()
     assert told[0] == 0.0
     assert told == sorted(set(told))
     assert told[-1] < 1.0

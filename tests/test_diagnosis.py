@@ -13,13 +13,13 @@ import pytest
 from sgms_bench.diagnosis.motions import draw_motion
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
-from sgms_mhe.diagnosis.alignment import aligned, thinned
+from sgms_mhe.diagnosis.alignment import align, decimate
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import material_force
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.fits import Subject, fit_model
-from sgms_mhe.diagnosis.models import compiled_once
-from sgms_mhe.diagnosis.parametrisation import Extra, Group
+from sgms_mhe.diagnosis.models import compile_once
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Group
 from sgms_mhe.diagnosis.plan import make_plan, write_plan
 from sgms_mhe.evaluation.prediction import force_error, predict_log
 from sgms_mhe.logfiles.reading import read_log
@@ -28,7 +28,7 @@ from sgms_mhe.model import build_model
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.recordings.evidence import inconstancy, noise_floor, nuisance, score_test
+from sgms_mhe.recordings.evidence import find_nuisance, inconstancy, noise_floor, score_test
 from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -132,12 +132,12 @@ def test_a_lag_is_seen_though_the_fit_left_nothing_that_could_lag() -> None:
     moves = draw_motion("strokes", machine, 10.0, np.random.default_rng(0))
     hidden = [("frictional_lag", {"time_constant_s": 0.15})]
     log = simulate_axis(machine, moves, AxisConfig(seed=1), hidden_effects=hidden, truth=False).log
-    subject = thinned(Subject.of(machine, prepare(machine, log)))
+    subject = decimate(Subject.of(machine, prepare(machine, log)))
     fit = fit_model(subject, ())
-    driven = {c.name for c, held in zip(fit.model.columns, fit.free & ~fit.loose, strict=True) if held}
+    driven = {c.name for c, held in zip(fit.model.columns, fit.free & ~fit.interior, strict=True) if held}
     assert driven == {"stribeck_ratio"}
     used = subject.recording.used
-    (found,) = search(subject, fit, ["frictional_lag"], nuisance(fit.slopes[used][:, fit.loose]))
+    (found,) = search(subject, fit, ["frictional_lag"], find_nuisance(fit.jacobian[used][:, fit.interior]))
     assert 0.03 < found.parameters["time_constant_s"] < 0.3
     assert found.p_value < 1e-6
     assert found.energy > 0.7 * float(np.sum(fit.residual[used] ** 2))
@@ -346,7 +346,7 @@ def test_score_test_holds_its_level_under_coloured_residuals(recording: Recordin
 def test_projection_removes_what_is_free() -> None:
     random = np.random.default_rng(0)
     X = random.normal(size=(500, 3)) @ np.diag([1.0, 1e-6, 1e6])
-    left = nuisance(X).project(X @ np.array([1.0, 2.0, 3.0]))
+    left = find_nuisance(X).project(X @ np.array([1.0, 2.0, 3.0]))
     assert np.abs(left).max() < 1e-3
 
 
@@ -358,7 +358,7 @@ def test_noise_floor_is_that_of_the_noise(recording: Recording) -> None:
 
 def test_derivatives_along_a_recording_match_differences(machine: Machine, recording: Recording) -> None:
     subject = Subject.of(machine, recording)
-    extras = [Extra("force_ripple", {"amplitude_N": 0.3, "pitch_m": 0.02, "phase_rad": 0.1})]
+    extras = [CandidateEffect("force_ripple", {"amplitude_N": 0.3, "pitch_m": 0.02, "phase_rad": 0.1})]
     model = subject.model(extras)
     theta = subject.start(model, extras)
     _, slopes = model.run(recording, theta)
@@ -376,7 +376,7 @@ def test_derivatives_along_a_recording_match_differences(machine: Machine, recor
 
 
 def test_a_thinned_record_agrees_with_the_whole_at_the_fit(machine: Machine, recording: Recording) -> None:
-    thin = thinned(Subject.of(machine, recording))
+    thin = decimate(Subject.of(machine, recording))
     used = recording.used
 
     def difference(subject: Subject) -> float:
@@ -388,7 +388,7 @@ def test_a_thinned_record_agrees_with_the_whole_at_the_fit(machine: Machine, rec
     assert thin.recording.factor < recording.factor
     before = difference(thin)
     assert before > 0.003
-    assert difference(aligned(thin, fit_model(thin, (), refitted=()))) < 1e-9
+    assert difference(align(thin, fit_model(thin, (), refitted=()))) < 1e-9
     assert difference(thin) == before  # a value of its own
 
 
@@ -403,7 +403,7 @@ def test_the_timing_of_force_and_position_is_no_cause(machine: Machine, recordin
     def left(share: float) -> float:
         late = replace(recording, friction=recording.friction + 0.05 * share * step * rate)
         subject = Subject.of(machine, late)
-        return fit_model(aligned(subject, fit_model(subject, (), refitted=())), (), refitted=()).rms
+        return fit_model(align(subject, fit_model(subject, (), refitted=())), (), refitted=()).rms
 
     assert left(1.0) == pytest.approx(left(0.0), rel=1e-3)
     assert left(20.0) > 1.5 * left(0.0)  # a sample late is a delay
@@ -413,12 +413,12 @@ def test_a_parameter_at_its_bound_is_no_free_direction(machine: Machine, recordi
     plain = fit_model(Subject.of(machine, recording), (), refitted=())
     at = {c.name: i for i, c in enumerate(plain.model.columns)}
     # As if friction fell towards low speed: the record pushes the Stribeck ratio below zero.
-    falling = recording.friction - 2.0 * plain.slopes[:, at["stribeck_ratio"]]
+    falling = recording.friction - 2.0 * plain.jacobian[:, at["stribeck_ratio"]]
     fit = fit_model(Subject.of(machine, replace(recording, friction=falling)), (), refitted=(Group.base("stribeck"),))
     assert fit.theta[at["stribeck_ratio"]] == 0.0
     assert fit.free[at["stribeck_ratio"]]
-    assert not fit.loose[at["stribeck_ratio"]]
-    assert not (fit.loose & ~fit.free).any()
+    assert not fit.interior[at["stribeck_ratio"]]
+    assert not (fit.interior & ~fit.free).any()
 
 
 def test_an_imitation_is_not_the_same_everywhere(recording: Recording) -> None:
@@ -437,12 +437,22 @@ def test_an_imitation_is_not_the_same_everywhere(recording: Recording) -> None:
 @pytest.mark.parametrize(
     ("one", "other"),
     [
-        (Extra("constant_offset", {"force_N": 0.4}), Extra("quadratic_drag", {"coefficient_N_s2_m2": 1.5})),
-        (Extra("asymmetric_coulomb", {"ratio": 0.1}), Extra("position_dependent_friction", {"ratio": 0.2})),
+        (
+            CandidateEffect("constant_offset", {"force_N": 0.4}),
+            CandidateEffect("quadratic_drag", {"coefficient_N_s2_m2": 1.5}),
+        ),
+        (
+            CandidateEffect("asymmetric_coulomb", {"ratio": 0.1}),
+            CandidateEffect("position_dependent_friction", {"ratio": 0.2}),
+        ),
     ],
 )
 def test_models_are_compiled_once_whatever_the_order(
-    machine: Machine, recording: Recording, one: Extra, other: Extra, monkeypatch: pytest.MonkeyPatch
+    machine: Machine,
+    recording: Recording,
+    one: CandidateEffect,
+    other: CandidateEffect,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     subject = Subject.of(machine, recording)
     first, second = (subject.model(extras) for extras in ((one, other), (other, one)))
@@ -451,14 +461,14 @@ def test_models_are_compiled_once_whatever_the_order(
         for model, extras in ((first, (one, other)), (second, (other, one)))
     ]
     np.testing.assert_array_equal(runs[0], runs[1])
-    found = {c.name for c in second.columns if c.group == Group.extra(other.name, 0)}
+    found = {c.name for c in second.columns if c.group == Group.candidate(other.name, 0)}
     assert found and found >= set(other.parameters)
 
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("emitted again")
 
     monkeypatch.setattr("sgms_mhe.host.packages.emit_package", refuse)
-    compiled_once.cache_clear()
+    compile_once.cache_clear()
     subject.model((one, other))
 
 

@@ -48,7 +48,7 @@ from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause
 from sgms_mhe.model.scales import scales_of
-from sgms_mhe.recordings.excitation import measures
+from sgms_mhe.recordings.excitation import measure_excitation
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import ImplausibleError
@@ -98,7 +98,7 @@ def test_hidden_causes_are_sized_excited_and_visible(machine: Machine, draws: li
             continue
         axis = machine_of(machine, draw)
         log, _ = simulate_draw(machine, draw)
-        found = measures(signals_from_log(log, axis), axis)
+        found = measure_excitation(signals_from_log(log, axis), axis)
         for hidden in draw.hidden:
             assert 0.01 < hidden.size < 0.6
             assert hidden.visible >= VISIBLE

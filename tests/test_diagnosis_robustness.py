@@ -21,11 +21,11 @@ from sgms_bench.diagnosis.causes import Hidden
 from sgms_bench.diagnosis.draws import Draw, machine_of, simulate_draw
 from sgms_mhe.configuration import load_machine, override_machine, under_other_law
 from sgms_mhe.diagnosis import Diagnosis, diagnose
-from sgms_mhe.diagnosis.causes import SIGMAS, _echoes, _imitates, holds
+from sgms_mhe.diagnosis.causes import SIGMAS, _is_echo, _is_imitation, is_confirmed
 from sgms_mhe.diagnosis.fits import Subject, fit_model
-from sgms_mhe.diagnosis.laws import fit_chosen, laws_of
-from sgms_mhe.diagnosis.models import CompiledFit, FitError, compiled_fit
-from sgms_mhe.diagnosis.parametrisation import Extra, Group
+from sgms_mhe.diagnosis.laws import fit_chosen, make_laws
+from sgms_mhe.diagnosis.models import CompiledFit, FitError, make_model
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Group
 from sgms_mhe.diagnosis.plan import make_plan
 from sgms_mhe.diagnosis.result import Cause, Rms
 from sgms_mhe.diagnosis.rivals import Contest, Selection
@@ -37,8 +37,8 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory
 from sgms_mhe.recordings.evidence import noise_floor
-from sgms_mhe.recordings.excerpt import excerpt
-from sgms_mhe.recordings.recording import Recording, prepare, rows_spanning
+from sgms_mhe.recordings.excerpt import make_excerpt
+from sgms_mhe.recordings.recording import Recording, count_spanning, prepare
 from sgms_mhe.signals.logs import Log, write_log
 
 Effects = Sequence[tuple[str, Mapping[str, float]]]
@@ -133,7 +133,7 @@ def test_interval_knows_that_the_axis_switches(quick: Machine) -> None:
     recording = prepare(quick, recorded(quick, law="maxwell_slip", force_noise_N=0.03))
     axis = under_other_law(quick)
     assert axis is not None
-    smooth, switching = Subject.of(quick, recording).settled(), Subject.of(axis, recording)
+    smooth, switching = Subject.of(quick, recording).with_final_steps(), Subject.of(axis, recording)
     smooth = replace(smooth, noise=noise_floor(recording, fit_model(smooth, (), refitted=()).residual))
     fit = fit_model(smooth, (), iterations=40)
 
@@ -361,9 +361,9 @@ def long(quick: Machine) -> Log:
 
 def test_excerpt_is_spread_over_the_record(slow: Machine, rippled: Log, long: Log) -> None:
     whole = prepare(slow, long)
-    part = excerpt(whole)
+    part = make_excerpt(whole)
     short = prepare(slow, rippled)
-    assert excerpt(short) is short
+    assert make_excerpt(short) is short
     assert len(part.signals) <= 1.1 * slow.diagnosis.fitted_time * slow.sampling.rate
     time = part.time[part.used]
     stretch = whole.time[-1] / len(np.unique(np.floor(time / 2.0)))
@@ -405,16 +405,16 @@ def test_spring_far_from_its_centre_is_found_in_few_steps(
         return run(*args, **options)
 
     monkeypatch.setattr(CompiledFit, "run", counted)
-    fit = fit_model(subject, [Extra("position_spring", {"stiffness_N_m": 6.0, "centre_m": 0.0})], refitted=())
+    fit = fit_model(subject, [CandidateEffect("position_spring", {"stiffness_N_m": 6.0, "centre_m": 0.0})], refitted=())
     assert len(runs) <= 4
-    assert fit.extras[0].parameters["centre_m"] == pytest.approx(spring["centre_m"], rel=0.05)
-    assert fit.extras[0].parameters["stiffness_N_m"] == pytest.approx(spring["stiffness_N_m"], rel=0.05)
+    assert fit.effects[0].parameters["centre_m"] == pytest.approx(spring["centre_m"], rel=0.05)
+    assert fit.effects[0].parameters["stiffness_N_m"] == pytest.approx(spring["stiffness_N_m"], rel=0.05)
 
 
 @pytest.mark.parametrize(("stiffer", "largest"), [(1.0, 1e-5), (10.0, 1e-3)])
 def test_steps_of_a_fit_are_short_enough(slow: Machine, rippled: Log, stiffer: float, largest: float) -> None:
     """Coarser than a controller's below the gate, and far below any noise, also where the file is wrong by far."""
-    code = compiled_fit(slow, ()).code
+    code = make_model(slow, ()).code
     fine = CompiledModel(override_machine(code.machine, {"sampling": {"integrator": {"slow_displacement": 2e-3}}}))
     theta = np.where(["stiffness" in p.column for p in code.model.parameters], stiffer, 1.0)
     signals = prepare(slow, rippled).signals
@@ -424,9 +424,9 @@ def test_steps_of_a_fit_are_short_enough(slow: Machine, rippled: Log, stiffer: f
 
 def test_rows_until_a_motion_has_covered_an_extent() -> None:
     to_and_fro = np.tile([0.0, 0.4, 0.9, 0.4], 500)
-    assert rows_spanning(to_and_fro, 1.0) == len(to_and_fro)
-    assert rows_spanning(np.append(to_and_fro, [1.0, 2.0]), 1.0) == len(to_and_fro)
-    assert rows_spanning(to_and_fro, 0.9) == 2
+    assert count_spanning(to_and_fro, 1.0) == len(to_and_fro)
+    assert count_spanning(np.append(to_and_fro, [1.0, 2.0]), 1.0) == len(to_and_fro)
+    assert count_spanning(to_and_fro, 0.9) == 2
 
 
 def test_work_on_a_long_record_is_bounded(slow: Machine, long: Log) -> None:
@@ -460,21 +460,21 @@ def test_work_on_a_long_record_is_bounded(slow: Machine, long: Log) -> None:
 def test_stand_ins_for_elements_that_switch_are_no_stribeck_effect(quick: Machine) -> None:
     """A gap is fitted with elements that do not switch. What they leave of an axis that does is no wrong number."""
     floor, stribeck = 0.05, Group.base("stribeck")
-    gap = SimpleNamespace(extras=(Extra("backlash", {"gap_m": 1e-4}),))
-    ripple = SimpleNamespace(extras=(Extra("force_ripple", {"amplitude_N": 1.0}),))
+    gap = SimpleNamespace(effects=(CandidateEffect("backlash", {"gap_m": 1e-4}),))
+    ripple = SimpleNamespace(effects=(CandidateEffect("force_ripple", {"amplitude_N": 1.0}),))
 
     def imitates(fit: object, gain: float, *, may_switch: bool = True, group: Group = stribeck) -> bool:
         other = SimpleNamespace(machine=under_other_law(quick)) if may_switch else None
         subject = SimpleNamespace(machine=quick)
         settled = SimpleNamespace(subject=subject, other=other, floor=floor)
-        return _imitates(settled, fit, group, SimpleNamespace(gain_N=gain * floor))  # type: ignore[arg-type]
+        return _is_imitation(settled, fit, group, SimpleNamespace(gain_N=gain * floor))  # type: ignore[arg-type]
 
     assert not quick.friction.switches
     assert imitates(gap, 2.7)
     assert not imitates(gap, 3.1)
     assert not imitates(gap, 2.7, may_switch=False)
     assert not imitates(ripple, 2.7)
-    assert not imitates(gap, 2.7, group=Group.extra("backlash", 0))
+    assert not imitates(gap, 2.7, group=Group.candidate("backlash", 0))
 
 
 def test_the_difference_of_the_laws_is_no_wrong_number(quick: Machine) -> None:
@@ -502,9 +502,9 @@ def test_the_difference_of_the_laws_is_no_wrong_number(quick: Machine) -> None:
 
 def test_a_known_fit_stands_where_none_can_begin(slow: Machine, rippled: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     """Beside a gap the file's numbers may be none that a model runs through, though the search went round by others."""
-    laws = laws_of(slow, prepare(slow, rippled), 0.05)
+    laws = make_laws(slow, prepare(slow, rippled), 0.05)
     criteria: Any = SimpleNamespace(material=0.02, excess=lambda fit: 0.0)
-    extras = (Extra("force_ripple", RIPPLE),)
+    extras = (CandidateEffect("force_ripple", RIPPLE),)
     known = fit_model(laws.chosen, extras)
 
     def refuse(*_: object) -> None:
@@ -522,7 +522,7 @@ def test_an_effect_without_a_finite_model_is_left_out_and_said_to_be(
     real = select_causes
 
     def refuse(searched: Searched) -> Selection:
-        if searched.fit.extras:
+        if searched.fit.effects:
             raise FitError("not finite")
         return real(searched)
 
@@ -545,7 +545,7 @@ def test_a_small_sine_with_the_period_of_a_large_one_is_none() -> None:
     level: Any = SimpleNamespace(name="coulomb", gain_N=9.0, parameters={"coulomb_N": 0.037}, std={"coulomb_N": 1e-3})
 
     def echoes(cause: Any) -> bool:
-        return _echoes(cause, (large, level, cause))
+        return _is_echo(cause, (large, level, cause))
 
     assert echoes(sine("encoder_periodic_error", 0.03, "pitch_m", 0.03705))
     assert not echoes(sine("encoder_periodic_error", 0.05, "pitch_m", 0.03705))  # too large to be a flaw of the other
@@ -571,7 +571,7 @@ def test_a_wrong_number_differs_from_the_file_by_its_own_interval() -> None:
             gain_interval_N=(0.1, 0.5),
             p_value=1e-12,
         )
-        return holds(cause)
+        return is_confirmed(cause)
 
     assert not held(0.17)
     assert held(0.12 + 1.01 * SIGMAS * 0.11)

@@ -40,7 +40,7 @@ from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import plant_effects, simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory
-from sgms_mhe.recordings.excitation import measures
+from sgms_mhe.recordings.excitation import measure_excitation
 from sgms_mhe.reference.integrator import Integrator
 from sgms_mhe.reference.mhe import run_mhe
 from sgms_mhe.reference.problem import Record
@@ -356,7 +356,7 @@ def test_sines_are_reported_with_positive_size_and_a_phase_within_one_turn() -> 
 
 
 def test_excitation_is_measured() -> None:
-    found = measures(simulated(base(), as_read=False), base())
+    found = measure_excitation(simulated(base(), as_read=False), base())
     assert set(found) == set(MEASURES)
     assert found["travel_m"] == pytest.approx(8.2e-3, rel=0.1)
     assert found["speed_m_s"] == pytest.approx(0.05, rel=0.02)
@@ -367,7 +367,7 @@ def test_excitation_is_measured() -> None:
     assert [need.measure for need in excitation.unmet(found, {"pitch_m": 0.032})] == ["travel_m"]
     zero, good = np.zeros(500), np.ones(500, dtype=bool)
     still = Signals(zero, zero, zero, zero, zero, zero, good, ~good)
-    assert effect_definition("asymmetric_coulomb").excitation.unmet(measures(still, base()), {"ratio": 0.0})
+    assert effect_definition("asymmetric_coulomb").excitation.unmet(measure_excitation(still, base()), {"ratio": 0.0})
 
 
 # --- against the base model -------------------------------------------------------------------------------------

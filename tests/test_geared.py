@@ -24,7 +24,7 @@ from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition, effect_names
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory, make_trajectory
-from sgms_mhe.recordings.excitation import measures
+from sgms_mhe.recordings.excitation import measure_excitation
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.support.errors import InputError
 
@@ -205,7 +205,7 @@ def test_excitation_asks_for_loads_and_angles() -> None:
     names = ("unbalance", "load_dependent_friction", "drive_efficiency")
 
     def excited(*parts: tuple[float, float, float]) -> list[str]:
-        found = measures(prescribed_signals(machine, moves(*parts), Hidden("")), machine)
+        found = measure_excitation(prescribed_signals(machine, moves(*parts), Hidden("")), machine)
         return [name for name in names if not effect_definition(name).excitation.unmet(found, {})]
 
     assert excited(*SMALL) == []

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine, under_other_law
 from sgms_mhe.diagnosis import alignment
-from sgms_mhe.diagnosis.alignment import is_mean_velocity, of_the_step, thinned, with_half_steps
-from sgms_mhe.diagnosis.final_fit import _timed
+from sgms_mhe.diagnosis.alignment import decimate, find_step_error, halve_steps, is_mean_velocity
+from sgms_mhe.diagnosis.final_fit import _time_step
 from sgms_mhe.diagnosis.fits import Subject, fit_model
-from sgms_mhe.diagnosis.parametrisation import Extra
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import SimulatedRun, simulate_axis
@@ -70,7 +70,7 @@ def test_what_a_step_gets_wrong_is_known(slow: Machine, law: str, mean_velocity:
     recording = exact(machine, simulated(machine), mean_velocity=mean_velocity)
     subject = Subject.of(machine, recording)
     fit = fit_model(subject, (), refitted=())
-    later = of_the_step(subject, fit)
+    later = find_step_error(subject, fit)
     truth = recording.reduce(recording.signals.friction)
     moving = slice(len(truth) // 10, None)  # elements start relaxed; after the first move they have forgotten that
     before = rms((truth - subject.friction(fit))[moving])
@@ -84,16 +84,16 @@ def test_a_long_record_is_taken_in_parts(slow: Machine, monkeypatch: pytest.Monk
     recording = exact(slow, simulated(slow), mean_velocity=True)
     subject = Subject.of(slow, recording)
     fit = fit_model(subject, (), refitted=())
-    at_once = of_the_step(subject, fit)
+    at_once = find_step_error(subject, fit)
     monkeypatch.setattr(alignment, "SAMPLES_AT_A_TIME", 3000)
     monkeypatch.setattr(alignment, "LEADS", 2)
-    assert rms(of_the_step(subject, fit) - at_once) < 0.02 * rms(at_once)
+    assert rms(find_step_error(subject, fit) - at_once) < 0.02 * rms(at_once)
 
 
 def test_half_steps_end_where_the_samples_do(slow: Machine) -> None:
     run = simulated(slow)
     recording = exact(slow, run, mean_velocity=True)
-    halved = with_half_steps(recording, slow).signals
+    halved = halve_steps(recording, slow).signals
     step, signals = slow.sampling.step, recording.signals
     np.testing.assert_array_equal(halved.position[1::2], signals.position)
     np.testing.assert_array_equal(halved.acceleration[1::2], signals.acceleration)
@@ -123,7 +123,7 @@ def test_any_measurement_rate_can_be_thinned() -> None:
     machine = override_machine(load_machine("etel_xy"), {"sampling": {"measurement_rate": 500.0}})
     path = make_trajectory("mixed", machine.sampling.rate, duration_s=3.0, max_velocity=0.3)
     log = simulate_axis(machine, path, AxisConfig(seed=1), truth=False).log
-    thin = thinned(Subject.of(machine, prepare(machine, log)))
+    thin = decimate(Subject.of(machine, prepare(machine, log)))
     assert thin.machine.sampling.rate == RATE
 
 
@@ -136,7 +136,7 @@ def test_steps_of_a_microsecond_are_short_enough() -> None:
     config = AxisConfig(control="prescribed", seed=1)
     log = simulate_axis(machine, path.trajectory("stroke"), config, truth=False).log
     subject = Subject.of(machine, prepare(machine, log))
-    assert not of_the_step(subject, fit_model(subject, (), refitted=())).any()
+    assert not find_step_error(subject, fit_model(subject, (), refitted=())).any()
 
 
 def test_a_step_goes_to_where_the_record_has_it(slow: Machine) -> None:
@@ -145,7 +145,7 @@ def test_a_step_goes_to_where_the_record_has_it(slow: Machine) -> None:
     hidden = [("step_disturbance", {"force_N": size, "time_s": at})]
     log = simulated(slow, hidden_effects=hidden).log
     subject = Subject.of(slow, prepare(slow, log))
-    fit = fit_model(subject, (Extra("step_disturbance", {"force_N": size, "time_s": 4.3}),), refitted=())
-    found = _timed(subject, None, fit, fit.extras[0])
+    fit = fit_model(subject, (CandidateEffect("step_disturbance", {"force_N": size, "time_s": 4.3}),), refitted=())
+    found = _time_step(subject, None, fit, fit.effects[0])
     assert found.parameters["time_s"] == pytest.approx(at, abs=0.02)
-    assert found.parameters["force_N"] == fit.extras[0].parameters["force_N"]
+    assert found.parameters["force_N"] == fit.effects[0].parameters["force_N"]

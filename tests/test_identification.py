@@ -21,11 +21,11 @@ from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.identification import Wanted, identify, interval
 from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
 from sgms_mhe.identification.fits import AxisFit
-from sgms_mhe.identification.records import Motion, in_order, records_of
-from sgms_mhe.identification.result import Number, rounded
-from sgms_mhe.identification.sampling import common_rate, rounded_up
-from sgms_mhe.identification.search import element_numbers, gains
-from sgms_mhe.identification.spectrum import Spectrum, clustered
+from sgms_mhe.identification.records import Motion, make_records, sort_logs
+from sgms_mhe.identification.result import Number, round_number
+from sgms_mhe.identification.sampling import common_rate, round_up
+from sgms_mhe.identification.search import element_numbers, is_better
+from sgms_mhe.identification.spectrum import Spectrum, cluster
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine, Smoothing
 from sgms_mhe.model import build_model
@@ -173,11 +173,11 @@ def test_smooth_elements_are_those_of_the_reference() -> None:
 @pytest.mark.parametrize("law", ["switching", "sgms"])
 def test_derivatives_of_elements(law: Law) -> None:
     velocity, distance, rise, step = random_motion(), 5e-6, Stribeck(0.3, 1e-3), 1e-6
-    slopes = run_element(still(velocity), law, distance, rise).slopes
+    slopes = run_element(still(velocity), law, distance, rise).jacobian
 
     def chi(a: float = 0.0, b: float = 0.0, c: float = 0.0) -> Array:
         changed = Stribeck(0.3 + b, 1e-3 * np.exp(c))
-        return run_element(still(velocity), law, distance * np.exp(a), changed, slopes=False).chi
+        return run_element(still(velocity), law, distance * np.exp(a), changed, jacobian=False).chi
 
     for j in range(3):
         ahead, behind = (chi(*(sign * step * np.eye(3)[j])) for sign in (1.0, -1.0))
@@ -195,7 +195,7 @@ def test_elements_see_where_an_axis_turns_between_samples() -> None:
     """Elements that let go there leave another force behind than the samples alone would have."""
     time = np.arange(2000) / RATE
     position = 1e-5 * np.sin(2.0 * np.pi * RATE / 8.0 * time + np.pi / 8.0)  # samples miss every turning point
-    motion = records_of(axis(), [Log(time, position, np.sin(40.0 * time), RATE)]).fine[0]
+    motion = make_records(axis(), [Log(time, position, np.sin(40.0 * time), RATE)]).fine[0]
     path = position[0] + np.cumsum(motion.velocity) / motion.rate
     assert np.abs(path[motion.steps - 1 :: motion.steps] - position).max() < 0.02e-5
     assert np.abs(position).max() < 0.93e-5
@@ -231,10 +231,10 @@ def test_step_of_an_encoder_is_told_from_motion() -> None:
     motion = 0.02 * np.sin(2.0 * np.pi * 0.4 * np.clip(time - 2.0, 0.0, None)) ** 3
     step, force = 1.23456789e-6, np.sin(40.0 * time)
     counted = np.round(np.round(motion / step) * step, 9)
-    assert records_of(axis(), [Log(time, counted, force, RATE)]).resolution == pytest.approx(
+    assert make_records(axis(), [Log(time, counted, force, RATE)]).resolution == pytest.approx(
         step / math.sqrt(12.0), rel=0.1
     )
-    assert records_of(axis(), [Log(time, motion, force, RATE)]).resolution < 0.01 * step
+    assert make_records(axis(), [Log(time, motion, force, RATE)]).resolution < 0.01 * step
 
 
 def test_changes_of_one_size_are_no_steps_of_an_encoder() -> None:
@@ -265,25 +265,25 @@ def test_gain_of_a_few_blocks_hides_no_gain_of_all() -> None:
 
     one = np.ones(40)
     level = np.where(np.arange(40) == 7, 900.0, 1.5)
-    assert gains(fit(one), fit(level)) and not gains(fit(level), fit(one))
-    assert not gains(fit(one), fit(np.where(np.arange(40) == 7, 900.0, 1.0)))  # one block alone
-    assert not gains(fit(0.985 * one), fit(one))  # sure, but of no matter
+    assert is_better(fit(one), fit(level)) and not is_better(fit(level), fit(one))
+    assert not is_better(fit(one), fit(np.where(np.arange(40) == 7, 900.0, 1.0)))  # one block alone
+    assert not is_better(fit(0.985 * one), fit(one))  # sure, but of no matter
 
 
 def test_clusters_keep_the_level() -> None:
     spectrum = Spectrum(np.array([1e-6, 1.2e-6, 1e-4, 1.3e-4]), np.array([1.0, 2.0, 3.0, 1.0]), None)
-    distances, levels = clustered(spectrum, 2)
+    distances, levels = cluster(spectrum, 2)
     assert levels == pytest.approx([3.0, 4.0])
     assert 1e-6 < distances[0] < 1.2e-6 < 1e-4 < distances[1] < 1.3e-4
-    assert len(clustered(spectrum, 9)[0]) == 4
+    assert len(cluster(spectrum, 9)[0]) == 4
 
 
 def test_numbers_are_written_as_finely_as_they_are_known() -> None:
     assert interval(Number("coulomb", 4.01234, 0.0062, True)) == "4.012 +- 0.012"
     assert interval(Number("mass", 20.0, np.nan, True)) == "20"
-    assert abs(rounded(123456.789, 30.0) - 123456.789) < 0.1 * 30.0
-    assert rounded(1.0 / 3.0, np.nan) == pytest.approx(1.0 / 3.0, rel=1e-11)
-    assert rounded_up(0.0123) == 0.013
+    assert abs(round_number(123456.789, 30.0) - 123456.789) < 0.1 * 30.0
+    assert round_number(1.0 / 3.0, np.nan) == pytest.approx(1.0 / 3.0, rel=1e-11)
+    assert round_up(0.0123) == 0.013
 
 
 def test_rates_are_as_round_as_clocks_allow(log: Log) -> None:
@@ -526,4 +526,4 @@ def test_emps_from_nothing(measured_data: Callable[[str], Path], tmp_path: Path)
 
 def test_digest_orders_logs(log: Log) -> None:
     other = dataclasses.replace(log, force_N=log.force_N + 1.0)
-    assert [a.force_N[0] for a in in_order([log, other])] == [a.force_N[0] for a in in_order([other, log])]
+    assert [a.force_N[0] for a in sort_logs([log, other])] == [a.force_N[0] for a in sort_logs([other, log])]

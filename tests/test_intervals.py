@@ -11,11 +11,11 @@ import pytest
 from sgms_bench.diagnosis.motions import draw_motion
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis.fits import Subject, fit_model
-from sgms_mhe.diagnosis.parametrisation import Extra
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.diagnosis.uncertainty import covariance
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.recordings.evidence import ALONE, between_blocks, cross_loss
+from sgms_mhe.recordings.evidence import ALONE, cross_loss, jackknife_covariance
 from sgms_mhe.recordings.recording import prepare
 
 BLOCKS, ROWS, FOLDS = 12, 40, 4
@@ -44,7 +44,7 @@ def test_numbers_that_few_blocks_tell_of_are_as_unsure_as_they_scatter() -> None
         found = np.linalg.solve(H, X.T @ noise)
         errors.append(found[0])
         rest = noise - X @ found
-        stated.append(between_blocks(recording, X, rest, H)[0, 0])  # type: ignore[arg-type]
+        stated.append(jackknife_covariance(recording, X, rest, H)[0, 0])  # type: ignore[arg-type]
         sums = (X * rest[:, None]).reshape(BLOCKS, ROWS, 2).sum(axis=1)
         sandwich.append((np.linalg.solve(H, sums.T) @ np.linalg.solve(H, sums.T).T)[0, 0])
     true = float(np.var(errors))
@@ -84,7 +84,7 @@ def test_a_number_of_one_block_alone_has_a_finite_interval() -> None:
     X[5 * ROWS : 6 * ROWS, 0] = 1.0
     residual = np.zeros(len(X))
     residual[5 * ROWS] = 1.0
-    moved = between_blocks(recording, X, residual, X.T @ X)[0, 0]  # type: ignore[arg-type]
+    moved = jackknife_covariance(recording, X, residual, X.T @ X)[0, 0]  # type: ignore[arg-type]
     assert moved == pytest.approx((1.0 / ROWS / (1.0 - ALONE)) ** 2 * (BLOCKS - 1) / BLOCKS)
 
 
@@ -114,9 +114,9 @@ def test_derivatives_that_have_run_away_promise_nothing() -> None:
     recording = prepare(machine, simulate_axis(machine, motion, AxisConfig(force_noise_N=0.1, seed=2)).log)
     subject = Subject.of(machine, recording)
     fit = fit_model(subject, ())
-    slopes = fit.slopes.copy()
+    slopes = fit.jacobian.copy()
     slopes[1000:1010] *= 1e5
-    usual, stated = (np.diag(covariance(subject, f))[fit.free] for f in (fit, replace(fit, slopes=slopes)))
+    usual, stated = (np.diag(covariance(subject, f))[fit.free] for f in (fit, replace(fit, jacobian=slopes)))
     np.testing.assert_allclose(stated, usual, rtol=0.1)
 
 
@@ -129,5 +129,5 @@ def test_a_gap_is_as_long_as_it_is_found(gap: float, seed: int, style: str) -> N
         machine, motion, AxisConfig(force_noise_N=0.02, seed=1), hidden_effects=[("backlash", {"gap_m": gap})]
     )
     subject = Subject.of(machine, prepare(machine, run.log))
-    found = fit_model(subject, [Extra("backlash", {"gap_m": 1.1 * gap})], refitted=())
-    assert found.extras[0].parameters["gap_m"] == pytest.approx(gap, rel=0.05)
+    found = fit_model(subject, [CandidateEffect("backlash", {"gap_m": 1.1 * gap})], refitted=())
+    assert found.effects[0].parameters["gap_m"] == pytest.approx(gap, rel=0.05)

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
-from sgms_mhe.diagnosis.parametrisation import Extra
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.diagnosis.uncertainty import (
+    add_noise,
     covariance,
     explains_noise,
+    find_explained_noise,
     inertial_noise,
-    noise_explained,
     standard_deviations,
-    with_more_noise,
 )
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
@@ -69,7 +69,7 @@ def recorded(machine: Machine, *hidden: str, noise: float = NOISE_m) -> Recordin
 def fitted(subject: Subject) -> tuple[Fit, float]:
     """A resonance, from where noise would have it, and what it gains [N]."""
     without = fit_model(subject, ())
-    found = fit_model(subject, [Extra("structural_resonance", {**RESONANCE, "mass_kg": 15.0})], warm=without)
+    found = fit_model(subject, [CandidateEffect("structural_resonance", {**RESONANCE, "mass_kg": 15.0})], warm=without)
     return found, gain_force(without.cross, found.cross, found.rows)
 
 
@@ -77,8 +77,8 @@ def test_a_resonance_that_takes_noise_out_of_the_force_is_none(machine: Machine)
     subject = Subject.of(machine, recorded(machine))
     found, gain = fitted(subject)
     assert gain > 0.1  # a quarter of what is left, on data that the fit has not seen
-    assert 5.0 < found.extras[0].parameters["mass_kg"] < machine.plant.moved
-    assert noise_explained(subject, found) == pytest.approx(gain, rel=0.3)
+    assert 5.0 < found.effects[0].parameters["mass_kg"] < machine.plant.moved
+    assert find_explained_noise(subject, found) == pytest.approx(gain, rel=0.3)
     assert explains_noise(subject, found, gain)
 
 
@@ -86,7 +86,7 @@ def test_a_resonance_that_takes_noise_out_of_the_force_is_none(machine: Machine)
 def test_a_resonance_that_rings_is_one(noise: float, machine: Machine) -> None:
     subject = Subject.of(machine, recorded(machine, "structural_resonance", noise=noise))
     found, gain = fitted(subject)
-    assert found.extras[0].parameters["frequency_Hz"] == pytest.approx(RESONANCE["frequency_Hz"], rel=0.01)
+    assert found.effects[0].parameters["frequency_Hz"] == pytest.approx(RESONANCE["frequency_Hz"], rel=0.01)
     assert not explains_noise(subject, found, gain)
 
 
@@ -168,19 +168,19 @@ def test_noise_is_told_where_it_is() -> None:
 
 def test_a_delay_makes_other_noise_but_not_less(machine: Machine) -> None:
     subject = Subject.of(machine, recorded(machine))
-    late = fit_model(subject, [Extra("force_delay", {"delay_s": 1.5e-3})], iterations=0)
-    assert noise_explained(subject, late) < 0.1 * noise_floor(subject.recording, late.residual)
+    late = fit_model(subject, [CandidateEffect("force_delay", {"delay_s": 1.5e-3})], iterations=0)
+    assert find_explained_noise(subject, late) < 0.1 * noise_floor(subject.recording, late.residual)
 
 
 def test_the_interval_of_a_mass_knows_of_errors_in_variables(machine: Machine) -> None:
     """Noise of an acceleration is in the force that is left and in the mass's slope: a mass comes out too small."""
     subject = Subject.of(machine, recorded(machine, noise=5.0 * NOISE_m))
-    fit = fit_model(subject, [Extra("mass_mismatch", {"mass_kg": 0.0})])
+    fit = fit_model(subject, [CandidateEffect("mass_mismatch", {"mass_kg": 0.0})])
     (column,) = [i for i, c in enumerate(fit.model.columns) if c.name == "mass_kg"]
     missed = fit.model.columns[column].si(float(fit.theta[column]))  # there is none
     spread = standard_deviations(covariance(subject, fit), fit)[column]
     record = subject.recording
-    added = record.reduce(with_more_noise(record).signals.acceleration - record.signals.acceleration)
+    added = record.reduce(add_noise(record).signals.acceleration - record.signals.acceleration)
     share = np.var(added[record.used]) / np.var(record.acceleration[record.used])
     wanted = -machine.plant.moved * float(share)
     assert missed == pytest.approx(wanted, rel=0.3)
@@ -189,7 +189,7 @@ def test_the_interval_of_a_mass_knows_of_errors_in_variables(machine: Machine) -
 
 def test_what_is_slower_than_noise_is_not_asked(machine: Machine) -> None:
     subject = Subject.of(machine, recorded(machine))
-    assert not explains_noise(subject, fit_model(subject, [Extra("constant_offset", {})]), 0.0)
+    assert not explains_noise(subject, fit_model(subject, [CandidateEffect("constant_offset", {})]), 0.0)
     assert not explains_noise(subject, fit_model(subject, ()), 0.0)
 
 
@@ -198,7 +198,7 @@ def test_noise_of_an_encoder_is_told_behind_the_chain(noise: float, machine: Mac
     """As large as the difference to the record without it, whatever the motion."""
     quiet, record = recorded(machine, noise=0.0), recorded(machine, noise=noise)
     there = record.signals.acceleration - quiet.signals.acceleration
-    added = with_more_noise(record).signals.acceleration - record.signals.acceleration
+    added = add_noise(record).signals.acceleration - record.signals.acceleration
     assert float(np.std(added)) == pytest.approx(float(np.std(there)), rel=0.1)
 
 

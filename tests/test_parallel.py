@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
-from sgms_mhe.diagnosis.alignment import thinned
+from sgms_mhe.diagnosis.alignment import decimate
 from sgms_mhe.diagnosis.fits import Subject
-from sgms_mhe.diagnosis.models import CompiledFit, compiled_once
+from sgms_mhe.diagnosis.models import CompiledFit, compile_once
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
@@ -283,7 +283,7 @@ def test_halves_of_a_record_run_as_the_whole_does(
     law: str, softer: float, again: int, machine: Machine, log: Log, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where elements are so soft that the second half does not begin as the first one ends, it is run again."""
-    subject = thinned(Subject.of(override_machine(machine, {"friction": {"law": law}}), prepare(machine, log)))
+    subject = decimate(Subject.of(override_machine(machine, {"friction": {"law": law}}), prepare(machine, log)))
     model, recording = subject.model(()), subject.recording
     theta = subject.start(model, ())
     theta[[c.name.startswith("stiffness") for c in model.columns]] = softer
@@ -328,9 +328,9 @@ def test_one_and_two_workers_say_the_same_to_the_bit(
 
         monkeypatch.setattr(Runs, "get", looked_up)
         monkeypatch.setenv(VARIABLE, count)
-        compiled_once.cache_clear()
+        compile_once.cache_clear()
         found.append(diagnose(machine, log))
-        compiled.append(compiled_once.cache_info())
+        compiled.append(compile_once.cache_info())
     assert [cause.name for cause in found[0].causes] == ["force_ripple"]
     same_but_for_its_duration(*found)
     assert compiled[0].misses == compiled[0].currsize == compiled[1].misses == compiled[1].currsize  # once each

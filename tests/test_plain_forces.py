@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import models
-from sgms_mhe.diagnosis.alignment import thinned
+from sgms_mhe.diagnosis.alignment import decimate
 from sgms_mhe.diagnosis.fits import Subject
-from sgms_mhe.diagnosis.models import CompiledFit, compiled_fit, compiled_once
-from sgms_mhe.diagnosis.parametrisation import Extra
+from sgms_mhe.diagnosis.models import CompiledFit, compile_once, make_model
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.host.evaluation import Evaluation
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
@@ -51,18 +51,18 @@ def recordings(machine: Machine) -> tuple[Recording, Recording]:
         machine, make_trajectory("mixed", machine.sampling.rate, duration_s=1.5), AxisConfig(seed=3), truth=False
     ).log
     whole = prepare(machine, log)
-    return whole, thinned(Subject.of(machine, whole)).recording
+    return whole, decimate(Subject.of(machine, whole)).recording
 
 
-def extras_of(*names: str) -> list[Extra]:
-    return [Extra(name, {}) for name in names]
+def extras_of(*names: str) -> list[CandidateEffect]:
+    return [CandidateEffect(name, {}) for name in names]
 
 
-def together(machine: Machine, extras: list[Extra], monkeypatch: pytest.MonkeyPatch) -> CompiledFit:
+def together(machine: Machine, extras: list[CandidateEffect], monkeypatch: pytest.MonkeyPatch) -> CompiledFit:
     """The model with every effect compiled in."""
     with monkeypatch.context() as patch:
-        patch.setattr(models, "plain_places", lambda *_: ())
-        return compiled_fit(machine, extras)
+        patch.setattr(models, "find_plain_forces", lambda *_: ())
+        return make_model(machine, extras)
 
 
 def assert_same(apart: CompiledFit, whole: CompiledFit, recording: Recording) -> None:
@@ -89,7 +89,7 @@ def assert_same(apart: CompiledFit, whole: CompiledFit, recording: Recording) ->
 def test_which_effects_are_plain_forces(machine: Machine) -> None:
     kind = machine.plant.kind
     names = [name for name in EFFECT_NAMES if kind in effect_definition(name).kinds]
-    found = {name for name in names if compiled_fit(machine, extras_of(name)).forces}
+    found = {name for name in names if make_model(machine, extras_of(name)).forces}
     assert found == {name for name in PLAIN if name in names}
 
 
@@ -101,7 +101,7 @@ def test_force_beside_a_model_is_the_model_with_it(
     for recording in recordings:
         for name in names:
             extras = extras_of(name, "asymmetric_coulomb")
-            apart = compiled_fit(recording.machine, extras)
+            apart = make_model(recording.machine, extras)
             assert len(apart.forces) == 1, name
             assert_same(apart, together(recording.machine, extras, monkeypatch), recording)
 
@@ -121,7 +121,7 @@ def test_several_forces_and_a_delay_of_all_of_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     recording, extras = recordings[0], extras_of(*names)
-    apart = compiled_fit(machine, extras)
+    apart = make_model(machine, extras)
     assert len(apart.forces) == sum(name in PLAIN for name in names)
     assert_same(apart, together(machine, extras, monkeypatch), recording)
 
@@ -130,7 +130,7 @@ def test_pieces_of_a_record_are_put_together(
     machine: Machine, recordings: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for recording in recordings:
-        model = compiled_fit(recording.machine, extras_of("force_ripple", "position_spring"))
+        model = make_model(recording.machine, extras_of("force_ripple", "position_spring"))
         theta = np.full(len(model.columns), 1.1)
         whole = model.run(recording, theta)
         with monkeypatch.context() as patch:
@@ -145,25 +145,25 @@ def test_pieces_of_a_record_are_put_together(
 
 @pytest.mark.parametrize("other", ["force_gain", "force_constant_ripple", "encoder_periodic_error", "actuator_lag"])
 def test_what_changes_signals_or_forces_is_compiled_with_them(other: str, machine: Machine) -> None:
-    assert compiled_fit(machine, extras_of("force_ripple", other)).forces == ()
-    assert len(compiled_fit(machine, extras_of("force_ripple", "viscous_drift")).forces) == 1
+    assert make_model(machine, extras_of("force_ripple", other)).forces == ()
+    assert len(make_model(machine, extras_of("force_ripple", "viscous_drift")).forces) == 1
 
 
 def test_load_that_a_level_hangs_on_is_compiled() -> None:
     """A torque that friction grows with is no force beside it, one that does not act on the load is."""
     geared = load_machine("etel_xy_rotary")
     for level in ("load_dependent_friction", "drive_efficiency"):
-        assert compiled_fit(geared, extras_of("position_spring", level)).forces == ()
-        assert len(compiled_fit(geared, extras_of("eddy_current_damping", level)).forces) == 1
-    assert len(compiled_fit(geared, extras_of("position_spring", "asymmetric_coulomb")).forces) == 1
+        assert make_model(geared, extras_of("position_spring", level)).forces == ()
+        assert len(make_model(geared, extras_of("eddy_current_damping", level)).forces) == 1
+    assert len(make_model(geared, extras_of("position_spring", "asymmetric_coulomb")).forces) == 1
 
 
 def test_one_compiled_model_serves_all_forces(machine: Machine) -> None:
-    compiled_fit(machine, ())
-    before = compiled_once.cache_info().misses
+    make_model(machine, ())
+    before = compile_once.cache_info().misses
     for names in (("force_ripple",), ("constant_offset", "force_ripple"), ("position_map", "quadratic_drag")):
-        compiled_fit(machine, extras_of(*names))
-    assert compiled_once.cache_info().misses == before
+        make_model(machine, extras_of(*names))
+    assert compile_once.cache_info().misses == before
 
 
 def test_expressions_are_evaluated_as_casadi_does() -> None:

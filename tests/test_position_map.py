@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from sgms_bench.diagnosis.motions import draw_motion
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, maps
-from sgms_mhe.diagnosis.alignment import thinned
+from sgms_mhe.diagnosis.alignment import decimate
 from sgms_mhe.diagnosis.candidates import search
-from sgms_mhe.diagnosis.criteria import Course, criteria_of
+from sgms_mhe.diagnosis.criteria import ProgressReport, make_criteria
 from sgms_mhe.diagnosis.fits import Subject, fit_model
-from sgms_mhe.diagnosis.parametrisation import Extra
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.diagnosis.proposals import Residual
-from sgms_mhe.diagnosis.reduction import in_lowest_terms, joined
+from sgms_mhe.diagnosis.reduction import join_map, reduce_orders
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine import Machine
@@ -32,8 +32,8 @@ from sgms_mhe.model.effects.periodic_table import POINTS, periodic_spline, splin
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.recordings.evidence import Nuisance, noise_floor, nuisance
-from sgms_mhe.recordings.excitation import measures
+from sgms_mhe.recordings.evidence import Nuisance, find_nuisance, noise_floor
+from sgms_mhe.recordings.excitation import measure_excitation
 from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.support.errors import InputError
 
@@ -189,9 +189,11 @@ def test_a_period_is_found_though_no_single_sine_tells_it(
     moves = draw_motion("workout", machine, 12.0, random)
     config = AxisConfig(seed=seed, force_noise_N=0.05)
     log = simulate_axis(machine, moves, config, hidden_effects=[("position_map", hidden)], truth=False).log
-    subject = thinned(Subject.of(machine, prepare(machine, log)))
+    subject = decimate(Subject.of(machine, prepare(machine, log)))
     base = fit_model(subject, ())
-    (found,) = search(subject, base, ["position_map"], nuisance(base.slopes[subject.recording.used][:, base.loose]))
+    (found,) = search(
+        subject, base, ["position_map"], find_nuisance(base.jacobian[subject.recording.used][:, base.interior])
+    )
     assert found.parameters["pitch_m"] == pytest.approx(pitch, rel=0.01)
     told = {round(value) for key, value in found.parameters.items() if key.startswith("order")}
     assert set(orders) <= told and len(told) <= len(orders) + 1
@@ -203,7 +205,7 @@ def test_rows_near_each_other_stand_as_one_for_all_of_them() -> None:
     basis = np.linalg.qr(np.column_stack((np.ones(8000), x, random.normal(size=8000))))[0]
     force = np.sin(2.0 * math.pi * 5.0 * x / period) + random.normal(0.0, 0.3, 8000)
     seen = Residual(None, None, Nuisance(basis), force - basis @ (basis.T @ force))  # type: ignore[arg-type]
-    gathered, at, root = maps._gathered(seen, x, period / (maps.BINS_PER_PERIOD * max(orders)))
+    gathered, at, root = maps._gather(seen, x, period / (maps.BINS_PER_PERIOD * max(orders)))
     assert len(at) < 600 and np.sum(root**2) == pytest.approx(8000)
     every, few = maps._columns(x, period, orders), root[:, None] * maps._columns(at, period, orders)
     size = np.sqrt(np.sum(every**2, axis=0))
@@ -215,10 +217,10 @@ def test_rows_near_each_other_stand_as_one_for_all_of_them() -> None:
 
 def test_a_map_is_stated_over_its_shortest_period() -> None:
     map_of = effect_definition("position_map").entries
-    found = in_lowest_terms(Extra("position_map", map_of({"pitch_m": 0.3, **MAP, "order": (3, 12, 18)})))
+    found = reduce_orders(CandidateEffect("position_map", map_of({"pitch_m": 0.3, **MAP, "order": (3, 12, 18)})))
     assert found.parameters == pytest.approx(map_of({"pitch_m": 0.1, **MAP, "order": (1, 4, 6)}))
-    for extra in (found, Extra("constant_offset", {"force_N": 0.1})):
-        assert in_lowest_terms(extra) == extra
+    for extra in (found, CandidateEffect("constant_offset", {"force_N": 0.1})):
+        assert reduce_orders(extra) == extra
 
 
 @pytest.mark.parametrize(
@@ -234,10 +236,12 @@ def test_a_ripple_that_comes_again_with_a_map_belongs_to_it(share: float, named:
     log = simulate_axis(machine, moves, AxisConfig(seed=2), hidden_effects=hidden, truth=False).log
     recording = prepare(machine, log)
     subject = Subject.of(machine, recording)
-    fit = fit_model(subject, (Extra("force_ripple", ripple), Extra("position_map", map_of(true))))
+    fit = fit_model(subject, (CandidateEffect("force_ripple", ripple), CandidateEffect("position_map", map_of(true))))
     floor = noise_floor(recording, fit.residual)
-    criteria = criteria_of(machine, floor, measures(recording.signals, machine), Course(lambda step, share: None))
-    after = joined(subject, fit, criteria).extras
+    criteria = make_criteria(
+        machine, floor, measure_excitation(recording.signals, machine), ProgressReport(lambda step, share: None)
+    )
+    after = join_map(subject, fit, criteria).effects
     assert [extra.name for extra in after] == named
     if named == ["position_map"]:
         found = after[0].parameters
@@ -287,7 +291,7 @@ def test_a_measured_motor_s_cogging_is_mapped_as_well_as_by_its_ten_strongest_ha
     recording = prepare(machine, read_log(measured_data("odrive/slow2_slower_nocomp_0.npy"), machine))
     subject = replace(Subject.of(machine, recording), noise=NOISE)
     base, used, held = fit_model(subject, ()), recording.used, recording.rows_held_out()
-    (found,) = search(subject, base, ["position_map"], nuisance(base.slopes[used][:, base.loose]))
+    (found,) = search(subject, base, ["position_map"], find_nuisance(base.jacobian[used][:, base.interior]))
     fit = fit_model(subject, (found.extra,), warm=base, rows=used & ~held)
     left = float(np.sqrt(np.mean(fit.residual[held] ** 2)))
 

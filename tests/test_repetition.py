@@ -9,7 +9,7 @@ from sgms_mhe.configuration import load_machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion
-from sgms_mhe.recordings.excitation import clock_note, steady_blocks
+from sgms_mhe.recordings.excitation import clock_note, find_steady_blocks
 from sgms_mhe.recordings.recording import Recording, prepare
 
 SPEED = 0.02
@@ -29,7 +29,7 @@ def record(*moves: tuple[float, float]) -> Recording:
 
 def test_one_speed_is_a_clock_where_it_is_kept() -> None:
     at_one = record((6.0 * SPEED, SPEED))
-    steady = steady_blocks(at_one)
+    steady = find_steady_blocks(at_one)
     assert steady is not None
     assert len(steady) - 6 <= np.count_nonzero(steady) < len(steady)
     assert not steady[0] and not steady[-1], "the axis starts and stops there"
@@ -48,5 +48,5 @@ def test_one_speed_is_a_clock_where_it_is_kept() -> None:
     ids=["two speeds", "out and back"],
 )
 def test_more_than_one_speed_is_none(moves: list[tuple[float, float]]) -> None:
-    assert steady_blocks(record(*moves)) is None
+    assert find_steady_blocks(record(*moves)) is None
     assert clock_note(record(*moves)) == ()

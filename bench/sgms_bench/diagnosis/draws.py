@@ -30,7 +30,7 @@ from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory
-from sgms_mhe.recordings.excitation import measures
+from sgms_mhe.recordings.excitation import measure_excitation
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import settle_samples, signals_from_log
 from sgms_mhe.signals.logs import Log
@@ -276,7 +276,7 @@ def _hide_causes(frame: _Frame, draw: Draw, names: tuple[str, ...], size: float 
         axis = machine_of(frame.machine, draw)
     motion = _motion(axis, draw)
     plain = prescribed_signals(axis, motion, Hidden(""))
-    found, columns = measures(plain, axis), sensitivities(axis, plain)
+    found, columns = measure_excitation(plain, axis), sensitivities(axis, plain)
     causes, forces = [], []
     for name in names:
         wanted = draw_size(frame.random) if size is None else size

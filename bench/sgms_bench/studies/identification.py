@@ -121,11 +121,11 @@ def _motion(random: Generator, rate: float, distances: Array, fastest: float, se
 
 def true_residual(axis: Axis, explored: Explored) -> Array:
     """Measured minus true friction on the held-out rows [N]: what the best of models leaves."""
-    friction, view = axis.machine.friction, explored.settled.view
+    friction, view = axis.machine.friction, explored.final.view
     levels = np.array(friction.fraction) * friction.coulomb
     rise = Stribeck(friction.stribeck_ratio, friction.stribeck_velocity) if friction.stribeck_ratio else NO_RISE
     rise = Stribeck(rise.ratio, friction.stribeck_velocity)
-    runs = run_elements(view.motions, friction.law, levels / np.array(friction.stiffness), rise, slopes=False)
+    runs = run_elements(view.motions, friction.law, levels / np.array(friction.stiffness), rise, jacobian=False)
     rows = view.rows
     model = np.sum([level * run.chi for level, run in zip(levels.tolist(), runs, strict=True)], axis=0)
     model += friction.viscous * (rows.velocity + 0.5 * rows.machine.sampling.step * rows.acceleration)
@@ -140,7 +140,7 @@ def true_residual(axis: Axis, explored: Explored) -> Array:
 
 def score_axis(axis: Axis, explored: Explored) -> dict[str, tuple[float, Quantity]]:
     """Truth and finding of every number that has a truth: those of elements where their count is right."""
-    friction, settled = axis.machine.friction, explored.settled
+    friction, settled = axis.machine.friction, explored.final
     truth: dict[str, float] = {"coulomb": friction.coulomb, "viscous": friction.viscous}
     if friction.stribeck_ratio:
         truth |= {name: getattr(friction, name) for name in ("stribeck_ratio", "stribeck_velocity")}
@@ -175,12 +175,12 @@ def identified_axis(seed: int, seconds: float) -> dict[str, Any]:
         explored = explore([axis.log], Wanted("axis", given))
     except InputError as error:
         return row | {"found": f"refused: {error.where}", "hits": {}}
-    settled, fit = explored.settled, explored.settled.fit
+    settled, fit = explored.final, explored.final.fit
     best = math.sqrt(float(np.mean(true_residual(axis, explored) ** 2)))
     compared = score_axis(axis, explored)
     again = math.nan
     if seed % STARTED_AGAIN == 0:
-        other = explore([axis.log], Wanted("axis", given, per_decade=COARSER)).settled
+        other = explore([axis.log], Wanted("axis", given, per_decade=COARSER)).final
         again = _apart(settled.numbers, other.numbers)
     hits = {name: (found.value - truth) / found.std for name, (truth, found) in compared.items()}
     return row | {

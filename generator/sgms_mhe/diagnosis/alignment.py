@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.fits import Fit, Subject
-from sgms_mhe.diagnosis.parametrisation import TIMING, TIMING_MOST, without_bounds
+from sgms_mhe.diagnosis.parametrisation import TIMING, TIMING_MOST, drop_bounds
 from sgms_mhe.diagnosis.result import Diagnosis
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
-from sgms_mhe.recordings.evidence import nuisance
+from sgms_mhe.recordings.evidence import find_nuisance
 from sgms_mhe.recordings.least_squares import RIDGE, TINY, solve_box
-from sgms_mhe.recordings.recording import Recording, reduced
+from sgms_mhe.recordings.recording import Recording, reduce_signals
 from sgms_mhe.recordings.series import Shift, row_means
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.signals.logs import Log
@@ -45,10 +45,10 @@ SEAM: Final = 1.5
 """Steps between two samples from which on they are of different pieces of a record."""
 
 
-def thinned(subject: Subject) -> Subject:
+def decimate(subject: Subject) -> Subject:
     """The same record with the mean signals of as many samples as a step of the search may share.
 
-    Means keep displacements exact. What else a longer step changes, `aligned` takes out.
+    Means keep displacements exact. What else a longer step changes, `align` takes out.
     """
     recording, factor = subject.recording, _samples_per_step(subject.recording)
     if factor == 1:
@@ -59,7 +59,7 @@ def thinned(subject: Subject) -> Subject:
     def mean(series: Array) -> Array:
         return row_means(series[:n], factor)
 
-    machine = at_rate(subject.machine, rate)
+    machine = set_rate(subject.machine, rate)
     signals = recording.signals
     thin = Signals(
         time=mean(signals.time),
@@ -80,18 +80,18 @@ def thinned(subject: Subject) -> Subject:
 
 
 def _samples_per_step(recording: Recording) -> int:
-    """How many samples share a step: the most, dividing those of a row, that keep at least SEARCH_RATE."""
+    """Return the samples that share a step: the most, dividing those of a row, that keep at least SEARCH_RATE."""
     rate, factor = recording.machine.sampling.rate, recording.factor
     return max(k for k in range(1, factor + 1) if k == 1 or (factor % k == 0 and rate / k >= SEARCH_RATE))
 
 
-def aligned(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
+def align(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
     """The subject with measured friction in line with the model at a fit.
 
-    Three things are taken out of it: what the length of the model's steps does (`of_the_step`). What is of the sampling
-    (`_sampling`), unless a delay or lag is under test. And of a thinned one the difference of its model's friction to
-    that at the full rate: residuals are then those of the full rate, but for the change of that difference away from
-    the fit. `anew`: with the steps of this very fit, for numbers that are reported.
+    Three parts are taken out of it: the error of the model's step length (`find_step_error`); that of the sampling
+    (`_fit_sampling`), unless a delay or lag is under test; and of a decimated one the difference of its model's
+    friction to that at the full rate: residuals are then those of the full rate, but for the change of that difference
+    away from the fit. `anew`: with the steps of this very fit, for numbers that are reported.
     """
     whole = subject.whole
     tasks = [partial(whole.friction, fit)]
@@ -103,16 +103,16 @@ def aligned(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
     used = subject.recording.used
     if not np.all(np.isfinite(exact)):
         return subject
-    later = None if anew else whole.alignment.later_at(exact)
+    later = None if anew else whole.alignment.find_later(exact)
     steps = whole.alignment
     if later is None:
-        later = of_the_step(whole, fit)
+        later = find_step_error(whole, fit)
         steps = replace(steps, later=later, at=exact)
     measured = steps.measured - later
-    names = [extra.name for extra in fit.extras] + [effect.name for effect in subject.machine.effects]
+    names = [effect.name for effect in fit.effects] + [effect.name for effect in subject.machine.effects]
     timed = any(effect_definition(name).acts_on_timing for name in names)
-    columns = _of_sampling(whole, exact)
-    sampled = _sampling(whole, fit, columns, measured - exact, timed=timed)
+    columns = _sampling_columns(whole, exact)
+    sampled = _fit_sampling(whole, fit, columns, measured - exact, timed=timed)
     measured = measured - columns @ sampled
     whole = replace(
         whole,
@@ -130,18 +130,18 @@ def aligned(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
     return replace(subject, recording=recording, alignment=alignment, fine=whole, known={})
 
 
-def residual_along(whole: Subject, fit: Fit, sampled: Array) -> Array:
+def find_residual(whole: Subject, fit: Fit, sampled: Array) -> Array:
     """Measured minus simulated friction (m) [N] along a whole record, of a fit to parts of it.
 
     `sampled` (2): what the alignment there found of the sampling.
     """
     exact = whole.friction(fit)
-    measured = whole.alignment.measured - of_the_step(whole, fit) - _of_sampling(whole, exact) @ sampled
+    measured = whole.alignment.measured - find_step_error(whole, fit) - _sampling_columns(whole, exact) @ sampled
     return np.asarray(measured - exact)
 
 
-def _sampling(whole: Subject, fit: Fit, columns: Array, residual: Array, *, timed: bool) -> Array:
-    """Coefficients of `_of_sampling` (2) in what a residual (m) owes to the sampling of force and position alone.
+def _fit_sampling(whole: Subject, fit: Fit, columns: Array, residual: Array, *, timed: bool) -> Array:
+    """Coefficients of `_sampling_columns` (2) in what a residual (m) owes to the sampling of force and position alone.
 
     Proportional to the force's rate: force and position up to TIMING of a sample apart. Proportional to the second
     derivative of the inertial force: its second difference over a sample h is low by h^2 / 12 of that, against a force
@@ -149,7 +149,7 @@ def _sampling(whole: Subject, fit: Fit, columns: Array, residual: Array, *, time
     force that is held over a sample, which is low by h^2 / 8.
     """
     used, step = whole.recording.used, whole.machine.sampling.step
-    free = nuisance(fit.slopes[used][:, fit.loose])
+    free = find_nuisance(fit.jacobian[used][:, fit.interior])
     scale = np.array([TIMING * step, step**2 / 12.0])
     Z = free.project(columns[used] * scale)
     e = free.project(residual[used])
@@ -169,7 +169,7 @@ def _within(Z: Array, e: Array, lower: Sequence[float], upper: Sequence[float]) 
     return solve_box(H + ridge * np.eye(len(H)), Z.T @ e, np.array(lower), np.array(upper))
 
 
-def _of_sampling(whole: Subject, friction: Array) -> Array:
+def _sampling_columns(whole: Subject, friction: Array) -> Array:
     """Rate of the force [N/s], and second derivative of the inertial one [N/s^2] (m, 2), at a friction (m) [N].
 
     A force that is late is late with all that it overcomes: the rate is that of the inertial force, as the log's
@@ -183,7 +183,7 @@ def _of_sampling(whole: Subject, friction: Array) -> Array:
     return np.asarray(inertial)
 
 
-def of_the_step(whole: Subject, fit: Fit) -> Array:
+def find_step_error(whole: Subject, fit: Fit) -> Array:
     """Return the change of a model's friction (m) [N] by a vanishing step, to be added to it.
 
     The chain's velocity is a mean over a sample: that is what displacements need, but as a speed it is half a sample
@@ -194,31 +194,31 @@ def of_the_step(whole: Subject, fit: Fit) -> Array:
     no series in the step.
     """
     m, factor = len(whole.recording.time), whole.recording.factor
-    change, still = np.zeros(m), _without_ringing(fit)
-    machine, rows = _twice_as_fast(whole.machine), max(1, SAMPLES_AT_A_TIME // factor)
+    change, still = np.zeros(m), _drop_ringing(fit)
+    machine, rows = _double_rate(whole.machine), max(1, SAMPLES_AT_A_TIME // factor)
     if machine is None:
         return change
     for first in range(0, m, rows):
         # What came before is in both runs, and so hardly in their difference.
         lead = min(first, rows // LEADS)
         part = whole if m <= rows else _part(whole, slice(first - lead, min(m, first + rows)))
-        fine = Subject.of(machine, with_half_steps(part.recording, machine)).friction(still)[1::2]
+        fine = Subject.of(machine, halve_steps(part.recording, machine)).friction(still)[1::2]
         change[first : first + rows] = 2.0 * (part.recording.reduce(fine) - part.friction(still))[lead:]
     # A model that is not finite at one of the rates says nothing about the other.
     return change if np.all(np.isfinite(change)) else np.zeros(m)
 
 
 def compile_half_steps(whole: Subject, fit: Fit) -> None:
-    """Compile what `of_the_step` runs, while something else is done."""
-    machine = _twice_as_fast(whole.machine)
+    """Compile what `find_step_error` runs, while something else is done."""
+    machine = _double_rate(whole.machine)
     if machine is not None:
-        Subject.of(machine, whole.recording).model(fit.extras)
+        Subject.of(machine, whole.recording).model(fit.effects)
 
 
-def _twice_as_fast(machine: Machine) -> Machine | None:
+def _double_rate(machine: Machine) -> Machine | None:
     """The machine at twice the rate; None where that is beyond all that there is."""
     rate = 2.0 * machine.sampling.rate
-    return None if rate > FASTEST else at_rate(machine, rate)
+    return None if rate > FASTEST else set_rate(machine, rate)
 
 
 def _part(whole: Subject, rows: slice) -> Subject:
@@ -226,17 +226,17 @@ def _part(whole: Subject, rows: slice) -> Subject:
     recording = whole.recording
     samples = slice(rows.start * recording.factor, rows.stop * recording.factor)
     signals, clock = recording.signals.part(samples), recording.clock[samples]
-    return Subject.of(whole.machine, _uncounted(recording.machine, signals, clock, recording.factor))
+    return Subject.of(whole.machine, _make_uncounted(recording.machine, signals, clock, recording.factor))
 
 
-def _uncounted(machine: Machine, signals: Signals, clock: Array, factor: int) -> Recording:
+def _make_uncounted(machine: Machine, signals: Signals, clock: Array, factor: int) -> Recording:
     """A record none of whose rows counts: what a model makes of them is compared with nothing."""
     unused = np.full(len(signals) // factor, -1, dtype=np.int64)
     none, nowhere = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
-    return reduced(machine, signals, clock, factor, unused, none, nowhere, ())
+    return reduce_signals(machine, signals, clock, factor, unused, none, nowhere, ())
 
 
-def _without_ringing(fit: Fit) -> Fit:
+def _drop_ringing(fit: Fit) -> Fit:
     """The same numbers, the sizes of effects that ring set to none."""
     ringing = set()
     for group in {column.group for column in fit.model.columns if column.group.kind != "base"}:
@@ -246,7 +246,7 @@ def _without_ringing(fit: Fit) -> Fit:
     return replace(fit, theta=fit.theta_without(ringing))
 
 
-def with_half_steps(recording: Recording, machine: Machine) -> Recording:
+def halve_steps(recording: Recording, machine: Machine) -> Recording:
     """The record with a sample in the middle of each step, for a machine at twice its rate.
 
     (2 n) rows, each second one the sample itself; none counts.
@@ -255,22 +255,22 @@ def with_half_steps(recording: Recording, machine: Machine) -> Recording:
     if is_mean_velocity(recording):
         # Along what was travelled: pieces of a record need not meet.
         way = np.concatenate((np.zeros(1), np.cumsum(signals.velocity) * h))
-        velocity = np.diff(_with_middles(way)[1:]) * (2.0 / h)
+        velocity = np.diff(_insert_middles(way)[1:]) * (2.0 / h)
     else:
-        velocity = _with_middles(signals.velocity)
+        velocity = _insert_middles(signals.velocity)
     middle = signals.position - 0.5 * h * velocity[1::2]
     halved = Signals(
-        time=_in_turn(signals.time - 0.5 * h, signals.time),
-        position=_in_turn(middle, signals.position),
+        time=_interleave(signals.time - 0.5 * h, signals.time),
+        position=_interleave(middle, signals.position),
         velocity=velocity,
-        acceleration=_with_middles(signals.acceleration),
-        force=_with_middles(signals.force),
-        friction=_with_middles(signals.friction),
+        acceleration=_insert_middles(signals.acceleration),
+        force=_insert_middles(signals.force),
+        friction=_insert_middles(signals.friction),
         valid=np.repeat(signals.valid, 2),
         missing=np.repeat(signals.missing, 2),
         delay=signals.delay,
     )
-    return _uncounted(machine, halved, _in_turn(recording.clock - 0.5 * h, recording.clock), 1)
+    return _make_uncounted(machine, halved, _interleave(recording.clock - 0.5 * h, recording.clock), 1)
 
 
 def is_mean_velocity(recording: Recording) -> bool:
@@ -279,17 +279,17 @@ def is_mean_velocity(recording: Recording) -> bool:
     A log may bring its own, which may as well be a reading: what was travelled says.
     """
     signals, h = recording.signals, recording.machine.sampling.step
-    joined = np.diff(recording.clock) < SEAM * h
+    join_map = np.diff(recording.clock) < SEAM * h
     travelled, now = np.diff(signals.position), signals.velocity[1:]
     between = 0.5 * (signals.velocity[:-1] + now)
 
     def off(velocity: Array) -> float:
-        return float(np.sum((velocity * h - travelled)[joined] ** 2))
+        return float(np.sum((velocity * h - travelled)[join_map] ** 2))
 
     return off(now) <= off(between)
 
 
-def at_rate(machine: Machine, rate: float) -> Machine:
+def set_rate(machine: Machine, rate: float) -> Machine:
     """The machine with signals at another rate [Hz], one update and one step of the integrator a sample."""
     cutoff = float(np.clip(machine.sampling.velocity_cutoff, LOWEST * rate, CUTOFF * rate))
     changes = {
@@ -301,26 +301,26 @@ def at_rate(machine: Machine, rate: float) -> Machine:
             "integrator": {"substeps": 1},
         }
     }
-    return override_machine(without_bounds(machine), changes)
+    return override_machine(drop_bounds(machine), changes)
 
 
-def _with_middles(series: Array) -> Array:
+def _insert_middles(series: Array) -> Array:
     """Samples (2 n): the middle before each, of a polynomial through the six about it, and the sample.
 
     Lines would change a force by its second derivative, which delays and lags show as much of.
     """
     reach = len(MIDDLE) // 2
     padded = np.pad(series, (reach, reach - 1), mode="reflect", reflect_type="odd")
-    return _in_turn(np.convolve(padded, MIDDLE, mode="valid"), series)
+    return _interleave(np.convolve(padded, MIDDLE, mode="valid"), series)
 
 
-def _in_turn(middles: Array, series: Array) -> Array:
+def _interleave(middles: Array, series: Array) -> Array:
     """A middle and its sample, and the next ones (2 n)."""
     return np.column_stack((middles, series)).ravel()
 
 
 def sampling_offset(diagnosis: Diagnosis) -> float:
-    """How old [s] the logged force is by a delay or lag that a diagnosis names, but that sampling alone makes; 0: none.
+    """Return the age [s] of the logged force by a named delay or lag that is of the sampling; 0: none.
 
     A drive that holds its force over a sample logs one that is half a sample old on average, or half a sample young
     (below zero), depending on when it writes it down. What is less than that and a margin says nothing about the axis.

@@ -20,7 +20,7 @@ from sgms_mhe.diagnosis.fits import Fit, Subject
 from sgms_mhe.diagnosis.harmonics import search_harmonic
 from sgms_mhe.diagnosis.maps import search_periodic
 from sgms_mhe.diagnosis.models import CompiledFit
-from sgms_mhe.diagnosis.parametrisation import Extra, Group
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Group
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
 from sgms_mhe.model.effects import (
     BASE_CAUSES,
@@ -48,7 +48,7 @@ STEP_RESIDUAL: Final = 1e-3
 """What must be left of a step's column beside the free numbers [rows after a step]: of less there is nothing to fit."""
 
 
-def motion_of(recording: Recording, fit: Fit) -> MotionRecord:
+def make_motion(recording: Recording, fit: Fit) -> MotionRecord:
     """Signals and the model's sensitivities at a fit."""
     columns, scales = fit.model.columns, scales_of(recording.machine)
     coulomb = next(i for i, c in enumerate(columns) if c.name == LEVEL)
@@ -60,7 +60,7 @@ def motion_of(recording: Recording, fit: Fit) -> MotionRecord:
         acceleration=recording.acceleration,
         force=recording.force,
         friction=recording.friction - fit.residual,
-        level=fit.slopes[:, coulomb] * fit.theta[coulomb],
+        level=fit.jacobian[:, coulomb] * fit.theta[coulomb],
         damping=columns[viscous].si(fit.theta[viscous]) or columns[viscous].nominal,
         mass=scales.mass,
         deflection=scales.deflection,
@@ -72,7 +72,7 @@ def search(subject: Subject, fit: Fit, names: Sequence[str], free: Nuisance) -> 
     """Search every named effect in the residual of a fit; `free`: directions of its parameters on used rows."""
     recording = subject.recording
     e = free.project(fit.residual[recording.used])
-    seen = Residual(recording, motion_of(recording, fit), free, e)
+    seen = Residual(recording, make_motion(recording, fit), free, e)
     # Begun last, what takes longest would have one core search and the others wait.
     order = sorted(names, key=lambda name: _place_by_duration(effect_definition(name).search))
     found = in_parallel([partial(_search_effect, effect_definition(name), subject, fit, seen) for name in order])
@@ -99,7 +99,7 @@ def _search_effect(definition: EffectDefinition, subject: Subject, fit: Fit, see
         case Columns():
             proposal = _search_columns(definition, kind, seen)
             if proposal is not None:
-                proposal = _exact(definition, kind, proposal, subject, fit, seen)
+                proposal = _refine_exactly(definition, kind, proposal, subject, fit, seen)
         case Step():
             proposal = _search_step(definition, kind, seen)
         case Derivative():
@@ -169,15 +169,15 @@ def _slope(
     definition: EffectDefinition, size: str, trial: Mapping[str, float], subject: Subject, model: CompiledFit, fit: Fit
 ) -> Array | None:
     """Force per unit of a size (m, 1) [N], from the compiled model at a trial; None where it is not finite."""
-    extras = (*fit.extras, Extra(definition.name, trial))
-    _, slopes = model.run(subject.recording, subject.start(model, extras, fit))
-    index = model.index(Group.extra(definition.name, len(fit.extras)), size)
-    if slopes is None or not np.all(np.isfinite(slopes[:, index])):
+    effects = (*fit.effects, CandidateEffect(definition.name, trial))
+    _, jacobian = model.run(subject.recording, subject.start(model, effects, fit))
+    index = model.index(Group.candidate(definition.name, len(fit.effects)), size)
+    if jacobian is None or not np.all(np.isfinite(jacobian[:, index])):
         return None
-    return np.asarray(slopes[:, [index]] / model.columns[index].scale)
+    return np.asarray(jacobian[:, [index]] / model.columns[index].scale)
 
 
-def _exact(
+def _refine_exactly(
     definition: EffectDefinition, kind: Columns, proposal: Proposal, subject: Subject, fit: Fit, seen: Residual
 ) -> Proposal:
     """The proposal with its column from the compiled model's derivative where the effect is none, if that is wanted."""
@@ -185,12 +185,12 @@ def _exact(
     if size is None:
         return proposal
     trial = {**proposal.parameters, size: definition.parameter(size).none}
-    extras = (*fit.extras, Extra(definition.name, trial))
-    suited = subject.suited(extras)
-    slope = _slope(definition, size, trial, suited, suited.model(extras), fit)
+    effects = (*fit.effects, CandidateEffect(definition.name, trial))
+    choose_rate = subject.choose_rate(effects)
+    slope = _slope(definition, size, trial, choose_rate, choose_rate.model(effects), fit)
     if slope is None:
         return proposal
-    here = replace(seen, recording=suited.recording)
+    here = replace(seen, recording=choose_rate.recording)
     return propose(
         definition,
         here,
@@ -206,12 +206,12 @@ def _search_derivative(
     """Derivatives in a size where the effect is none, at every trial, from one compiled model."""
     size = kind.size or next(p.name for p in definition.parameters if p.is_size)
     none = definition.parameter(size).none
-    suited = subject.suited(fit.extras)
-    here = replace(seen, recording=suited.recording)
+    choose_rate = subject.choose_rate(fit.effects)
+    here = replace(seen, recording=choose_rate.recording)
     grid = kind.grid(seen.motion)
-    model = suited.model((*fit.extras, Extra(definition.name, grid[0])))
+    model = choose_rate.model((*fit.effects, CandidateEffect(definition.name, grid[0])))
     best: tuple[float, Mapping[str, float], Array] | None = None
-    trials = [partial(_slope, definition, size, {size: none, **given}, suited, model, fit) for given in grid]
+    trials = [partial(_slope, definition, size, {size: none, **given}, choose_rate, model, fit) for given in grid]
     for given, slope in zip(grid, in_parallel(trials), strict=True):
         if slope is None:
             continue
@@ -234,28 +234,32 @@ def _search_trials(
     A number of the machine that the fit drove to its bound may be what the effect acts on: no lag shows in a Stribeck
     effect of none. In the trials it is what the file says.
     """
-    suited = subject.suited(fit.extras)
-    here = replace(seen, recording=suited.recording)
-    at_rest = suited.model(fit.extras)
-    theta = suited.start(at_rest, fit.extras, fit)
-    without, _ = at_rest.run(suited.recording, theta, derivatives=False)
+    choose_rate = subject.choose_rate(fit.effects)
+    here = replace(seen, recording=choose_rate.recording)
+    at_rest = choose_rate.model(fit.effects)
+    theta = choose_rate.start(at_rest, fit.effects, fit)
+    without, _ = at_rest.run(choose_rate.recording, theta, derivatives=False)
     trials = kind.grid(seen.motion)
-    driven = {c.name for c, held in zip(fit.model.columns, fit.free & ~fit.loose, strict=True) if held}
+    driven = {c.name for c, held in zip(fit.model.columns, fit.free & ~fit.interior, strict=True) if held}
 
     # One compiled model serves all: that of the first, which asks for the shortest steps.
-    own = suited.model((*fit.extras, Extra(definition.name, trials[0]))) if kind.through is None else at_rest
+    own = (
+        choose_rate.model((*fit.effects, CandidateEffect(definition.name, trials[0])))
+        if kind.through is None
+        else at_rest
+    )
 
-    def force_of(values: Mapping[str, float]) -> Array:
+    def make_force(values: Mapping[str, float]) -> Array:
         if kind.through is not None:
-            return _through(kind, values, suited.recording, at_rest, theta, seen.motion)
-        extras = (*fit.extras, Extra(definition.name, values))
-        start = suited.start(own, extras, fit)
+            return _run_through(kind, values, choose_rate.recording, at_rest, theta, seen.motion)
+        effects = (*fit.effects, CandidateEffect(definition.name, values))
+        start = choose_rate.start(own, effects, fit)
         back = np.array([c.group.kind == "base" and c.name in driven for c in own.columns], dtype=np.bool_)
         start[back] = [c.machine_theta for c, is_back in zip(own.columns, back, strict=True) if is_back]
-        return own.run(suited.recording, start, derivatives=False)[0]
+        return own.run(choose_rate.recording, start, derivatives=False)[0]
 
     best: tuple[float, Mapping[str, float], Array] | None = None
-    forces = in_parallel([partial(force_of, values) for values in trials])
+    forces = in_parallel([partial(make_force, values) for values in trials])
     for values, force in zip(trials, forces, strict=True):
         if not np.all(np.isfinite(force)):
             continue
@@ -278,7 +282,7 @@ def _search_trials(
     return propose(definition, here, Z, float(len(trials)), parameters)
 
 
-def _through(
+def _run_through(
     kind: Trials,
     values: Mapping[str, float],
     recording: Recording,
@@ -306,7 +310,7 @@ def _through(
 
 def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> dict[str, float]:
     """Numbers to start from where the machine file says nothing of them; empty where the record shows none."""
-    motion = motion_of(recording, fit)
+    motion = make_motion(recording, fit)
     e = free.project(fit.residual[recording.used])
     best: tuple[float, dict[str, float]] = (0.0, {})
     for cause in BASE_CAUSES.values():
@@ -322,14 +326,14 @@ def stribeck_start(recording: Recording, fit: Fit, free: Nuisance) -> dict[str, 
     return best[1]
 
 
-def stiffness_start(subject: Subject, extras: Sequence[Extra], material: float) -> dict[str, float]:
+def stiffness_start(subject: Subject, effects: Sequence[CandidateEffect], material: float) -> dict[str, float]:
     """Numbers to start from, all of a cause by one factor off the machine's.
 
     Empty where none leaves `material` [N] less.
     """
-    subject = subject.suited(extras)
-    recording, model = subject.recording, subject.model(extras)
-    theta = subject.start(model, extras)
+    subject = subject.choose_rate(effects)
+    recording, model = subject.recording, subject.model(effects)
+    theta = subject.start(model, effects)
     start: dict[str, float] = {}
     for cause in BASE_CAUSES.values():
         if not cause.start_factors:

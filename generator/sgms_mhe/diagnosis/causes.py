@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import law_changes
 from sgms_mhe.diagnosis.criteria import MATERIAL_NOISE, material_force, small_force
 from sgms_mhe.diagnosis.extension import extend_machine
-from sgms_mhe.diagnosis.final_fit import Settled, split_rms
-from sgms_mhe.diagnosis.fits import ITERATIONS, Fit, _reported, reported_values
+from sgms_mhe.diagnosis.final_fit import FinalFit, split_rms
+from sgms_mhe.diagnosis.fits import ITERATIONS, Fit, _report_name, report_values
 from sgms_mhe.diagnosis.models import FitError
-from sgms_mhe.diagnosis.parametrisation import Group, bearing, machine_groups, without_extra, without_group
+from sgms_mhe.diagnosis.parametrisation import Group, drop_effect, drop_group, machine_groups, smooth_law
 from sgms_mhe.diagnosis.result import BaseParameter, Cause, Rms
 from sgms_mhe.diagnosis.rivals import Rejected, Selection
 from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations
@@ -59,24 +59,24 @@ FOLLOWS: Final = 0.5
 less it was right for a model without them."""
 
 
-def measured_causes(settled: Settled, selection: Selection, blind: Fit) -> dict[Group, Cause]:
+def measure_causes(final: FinalFit, selection: Selection, blind: Fit) -> dict[Group, Cause]:
     """Causes of a selection, with parameters of all data and gains of a fit `blind` to the held-out blocks."""
-    recording, fit = settled.recording, selection.fit
-    deviations = standard_deviations(covariance(settled.subject, fit, settled.other), fit)
+    recording, fit = final.recording, selection.fit
+    deviations = standard_deviations(covariance(final.subject, fit, final.other), fit)
     held = recording.held_out
     causes = {}
     for group in selection.causes:
-        extras, refitted = without_extra(blind.extras, group), without_group(selection.refitted, group)
-        without = settled.fit(extras, refitted=refitted, warm=blind, rows=settled.seen)
+        effects, refitted = drop_effect(blind.effects, group), drop_group(selection.refitted, group)
+        without = final.fit(effects, refitted=refitted, warm=blind, rows=final.seen)
         before, held_before = split_rms(without, recording)
         after, held_after = split_rms(blind, recording)
-        again = group.is_extra and any(e.name == group.cause for e in fit.extras[: group.index])
+        again = group.is_candidate and any(e.name == group.cause for e in fit.effects[: group.index])
         causes[group] = Cause(
             name=group.cause,
             label=f"{group.cause}_2" if again else group.name,
-            parameters=reported_values(fit, group),
+            parameters=report_values(fit, group),
             std={
-                _reported(group, c.name): s
+                _report_name(group, c.name): s
                 for c, s in zip(fit.model.columns, deviations, strict=True)
                 if c.group == group
             },
@@ -86,10 +86,10 @@ def measured_causes(settled: Settled, selection: Selection, blind: Fit) -> dict[
             gain_interval_N=gain_interval(without.loss[held], blind.loss[held], fit.rows[held]),
             p_value=selection.p_values.get(group, math.nan),
         )
-    return {group: replace(cause, vague=_vague(cause)) for group, cause in causes.items()}
+    return {group: replace(cause, vague=_find_vague(cause)) for group, cause in causes.items()}
 
 
-def _vague(cause: Cause) -> tuple[str, ...]:
+def _find_vague(cause: Cause) -> tuple[str, ...]:
     """Parameters that the record does not determine: their intervals are as wide as they are, or there are none."""
     found = []
     for key, value in cause.parameters.items():
@@ -104,7 +104,7 @@ def _vague(cause: Cause) -> tuple[str, ...]:
     return tuple(found)
 
 
-def holds(cause: Cause, *, constant: bool = False, complete: bool = False) -> bool:
+def is_confirmed(cause: Cause, *, constant: bool = False, complete: bool = False) -> bool:
     """Return True if a cause has a size, and a gain on data that its fit has not seen.
 
     The gain may be uncertain where it is certain that the cause is there: few blocks of a short record, not all of
@@ -124,11 +124,11 @@ def has_size(cause: Cause) -> bool:
     return not sizes or any(abs(cause.parameters[key] - none) > SIGMAS * cause.std[key] for key, none in sizes.items())
 
 
-def is_possible(cause: Cause, settled: Settled) -> bool:
+def is_possible(cause: Cause, final: FinalFit) -> bool:
     """Return True if an axis can have a cause of this size."""
     if cause.nominal:
         return True
-    return effect_definition(cause.name).possible(cause.parameters, scales_of(settled.subject.machine))
+    return effect_definition(cause.name).possible(cause.parameters, scales_of(final.subject.machine))
 
 
 def _sizes(cause: Cause) -> dict[str, float]:
@@ -143,15 +143,15 @@ def _sizes(cause: Cause) -> dict[str, float]:
 def _file_values(fit: Fit, group: Group) -> dict[str, float]:
     """Return the machine file's numbers of a group; none for an effect under test."""
     return {
-        _reported(group, c.name): c.si(c.machine_theta)
+        _report_name(group, c.name): c.si(c.machine_theta)
         for c in fit.model.columns
-        if c.group == group and not group.is_extra
+        if c.group == group and not group.is_candidate
     }
 
 
-def base_parameters(settled: Settled, fit: Fit) -> tuple[BaseParameter, ...]:
+def base_parameters(final: FinalFit, fit: Fit) -> tuple[BaseParameter, ...]:
     """The machine's own numbers, as the file has them and as a fit found them."""
-    deviations = standard_deviations(covariance(settled.subject, fit, settled.other), fit)
+    deviations = standard_deviations(covariance(final.subject, fit, final.other), fit)
     return tuple(
         BaseParameter(
             c.name if c.group.kind == "base" else f"{c.group.label}.{c.name}",
@@ -160,12 +160,12 @@ def base_parameters(settled: Settled, fit: Fit) -> tuple[BaseParameter, ...]:
             std,
         )
         for c, theta, std in zip(fit.model.columns, fit.theta, deviations, strict=True)
-        if not c.group.is_extra
+        if not c.group.is_candidate
     )
 
 
 def extended_machine(
-    machine: Machine, settled: Settled, selection: Selection, causes: Sequence[Cause]
+    machine: Machine, final: FinalFit, selection: Selection, causes: Sequence[Cause]
 ) -> tuple[Machine, str]:
     """The machine with its wrong numbers corrected and the effects added, and its file."""
     fit = selection.fit
@@ -187,15 +187,15 @@ def extended_machine(
                 friction[number.name], total = whole_shares(friction[number.name], nominal)
                 if total != 1.0:
                     friction[LEVEL] = total * friction.get(LEVEL, getattr(machine.friction, LEVEL))
-    friction = {**law_changes(machine, bearing(settled.subject.machine, fit.extras)), **friction}
+    friction = {**law_changes(machine, smooth_law(final.subject.machine, fit.effects)), **friction}
     effects: list[dict[str, Any]] = []
     for effect in machine.effects:
         group = Group.own(effect.name, effect.label)
         effects.append(
             {"name": effect.name, **(fit.values(group) if group in selection.refitted else effect.parameters)}
         )
-    effects += [{"name": e.name, **effect_definition(e.name).tidy(e.parameters)} for e in fit.extras]
-    changed = bool(fit.extras) or any(group.kind == "own" for group in selection.refitted)
+    effects += [{"name": e.name, **effect_definition(e.name).tidy(e.parameters)} for e in fit.effects]
+    changed = bool(fit.effects) or any(group.kind == "own" for group in selection.refitted)
     return extend_machine(machine, [cause.label for cause in causes], friction, effects if changed else None)
 
 
@@ -214,26 +214,26 @@ class Confirmed:
     causes: tuple[Cause, ...]
 
 
-def confirmed(settled: Settled, selection: Selection, *, constant: bool = False) -> Confirmed:
+def confirm_causes(final: FinalFit, selection: Selection, *, constant: bool = False) -> Confirmed:
     """The causes that hold on held-out data; what does not is taken out, the weakest first.
 
     `constant`: they are known to be the same all over the record.
     """
     while selection.causes:
         fit = selection.fit
-        blind = settled.fit(fit.extras, refitted=selection.refitted, warm=fit, rows=settled.seen)
-        causes = measured_causes(settled, selection, blind)
-        left, machine = settled.excess(fit), settled.subject.machine
-        complete = left < material_force(machine, settled.floor)
+        blind = final.fit(fit.effects, refitted=selection.refitted, warm=fit, rows=final.seen)
+        causes = measure_causes(final, selection, blind)
+        left, machine = final.excess(fit), final.subject.machine
+        complete = left < material_force(machine, final.floor)
         small = small_force(machine)
         doubts = {
             g: doubt
             for g, cause in causes.items()
-            if (doubt := _doubt(settled, fit, g, causes, constant=constant, complete=complete))
+            if (doubt := _doubt(final, fit, g, causes, constant=constant, complete=complete))
         }
         found = Confirmed(selection, blind, _strongest_first(causes))
         if not doubts:
-            doubts = dict.fromkeys(_undetermined(settled, found), "none once undetermined numbers are the file's")
+            doubts = dict.fromkeys(_find_undetermined(final, found), "none once undetermined numbers are the file's")
         log_decision(
             "confirmation",
             "the weakest cause that a rule doubts is taken out",
@@ -251,29 +251,29 @@ def confirmed(settled: Settled, selection: Selection, *, constant: bool = False)
         if not doubts:
             return found
         weakest = min(doubts, key=lambda group: causes[group].gain_N)
-        selection = _not_named(settled, selection, weakest) if constant else _without(settled, selection, weakest)
+        selection = _unname(final, selection, weakest) if constant else _without(final, selection, weakest)
     return Confirmed(selection, selection.fit, ())
 
 
 def _doubt(
-    settled: Settled, fit: Fit, group: Group, causes: Mapping[Group, Cause], *, constant: bool, complete: bool
+    final: FinalFit, fit: Fit, group: Group, causes: Mapping[Group, Cause], *, constant: bool, complete: bool
 ) -> str | None:
     """Return the rule by which a cause does not hold, None if it does; `complete`: its fit leaves next to nothing."""
-    cause, small = causes[group], small_force(settled.subject.machine)
-    if not holds(cause, constant=constant, complete=complete):
+    cause, small = causes[group], small_force(final.subject.machine)
+    if not is_confirmed(cause, constant=constant, complete=complete):
         return "its size, or its gain on held-out data, may be zero"
-    if not is_possible(cause, settled):
+    if not is_possible(cause, final):
         return "a number that is physically impossible"
-    if _imitates(settled, fit, group, cause):
+    if _is_imitation(final, fit, group, cause):
         return "may be the difference of the laws of friction"
-    if _echoes(cause, causes.values()):
+    if _is_echo(cause, causes.values()):
         return "a small sine with the period of a large one"
-    if cause.gain_N < (min(small, settled.excess(fit)) if group.is_extra else small):
+    if cause.gain_N < (min(small, final.excess(fit)) if group.is_candidate else small):
         return "its gain is less than matters"
     return None
 
 
-def _echoes(cause: Cause, causes: Collection[Cause]) -> bool:
+def _is_echo(cause: Cause, causes: Collection[Cause]) -> bool:
     """Return True if a small sine has the period of a large one: the error in the form of that repeats with it."""
     own = _period(cause)
     if own is None:
@@ -289,31 +289,31 @@ def _echoes(cause: Cause, causes: Collection[Cause]) -> bool:
 
 
 def _period(cause: Cause) -> tuple[str, float, float] | None:
-    """Of a sine: over what it repeats, how long, and how far off that may be; None: it is none."""
+    """Return coordinate, period and margin of a sine; None of any other cause."""
     sine = None if cause.name in BASE_CAUSES else effect_definition(cause.name).sine
     if sine is None:
         return None
     return sine.coordinate, cause.parameters[sine.period], SIGMAS * cause.std[sine.period]
 
 
-def _imitates(settled: Settled, fit: Fit, group: Group, cause: Cause) -> bool:
+def _is_imitation(final: FinalFit, fit: Fit, group: Group, cause: Cause) -> bool:
     """Return True if a wrong number may be the error of elements that stand for switching ones.
 
     Beside an effect that stands with no such elements no record says that an axis does not switch.
     """
-    laws = (settled.subject, settled.other or settled.subject)
-    if group.is_extra or all(bearing(law.machine, fit.extras) is law.machine for law in laws):
+    laws = (final.subject, final.other or final.subject)
+    if group.is_candidate or all(smooth_law(law.machine, fit.effects) is law.machine for law in laws):
         return False
-    return cause.gain_N < REPLACED_LAW_GAIN * settled.floor
+    return cause.gain_N < REPLACED_LAW_GAIN * final.floor
 
 
-def constant_causes(settled: Settled, selection: Selection) -> Confirmed:
+def confirm_constant_causes(final: FinalFit, selection: Selection) -> Confirmed:
     """The causes whose size is the same everywhere in the record, the least constant one taken out first."""
     for group in selection.causes:
-        if _follows(settled, selection, group):
-            selection = _not_named(settled, selection, group)
+        if _is_consequence(final, selection, group):
+            selection = _unname(final, selection, group)
     while selection.causes:
-        change = {group: _inconstancy(settled, selection, group) for group in selection.causes}
+        change = {group: _inconstancy(final, selection, group) for group in selection.causes}
         worst = max(change, key=lambda group: change[group])
         log_decision(
             "constancy",
@@ -323,12 +323,12 @@ def constant_causes(settled: Settled, selection: Selection) -> Confirmed:
         )
         if change[worst] < INCONSTANT:
             break
-        less = _not_named(settled, selection, worst)
+        less = _unname(final, selection, worst)
         selection = replace(less, inconstant=(*selection.inconstant, worst.cause))
-    return refitted_beside(settled, confirmed(settled, selection, constant=True), constant=True)
+    return refit_numbers(final, confirm_causes(final, selection, constant=True), constant=True)
 
 
-def refitted_beside(settled: Settled, found: Confirmed, *, constant: bool) -> Confirmed:
+def refit_numbers(final: FinalFit, found: Confirmed, *, constant: bool) -> Confirmed:
     """The same causes with all numbers of the machine refitted, where that is better on held-out data.
 
     Where something is left that nothing accounts for, or the axis slips by another law than the file's, the machine's
@@ -338,35 +338,35 @@ def refitted_beside(settled: Settled, found: Confirmed, *, constant: bool) -> Co
     if not found.causes:
         return found
     selection = found.selection
-    fit, groups = selection.fit, machine_groups(settled.subject.machine)
+    fit, groups = selection.fit, machine_groups(final.subject.machine)
     # Where all is explained the numbers are near the file's; else a fit may have far to go.
-    starts = (selection.free, settled.start, fit) if constant else (fit,)
+    starts = (selection.free, final.start, fit) if constant else (fit,)
     iterations = PATIENT_ITERATIONS if constant else ITERATIONS
     free: Fit | None = None
     for warm in starts:
         with suppress(FitError):  # beside a gap some of them are no model of the record
-            free = settled.fit(fit.extras, refitted=groups, warm=warm, iterations=iterations, again=True)
+            free = final.fit(fit.effects, refitted=groups, warm=warm, iterations=iterations, again=True)
     if free is None:
         return found
-    blind = settled.fit(fit.extras, refitted=groups, warm=free, rows=settled.seen, iterations=iterations)
-    if not split_rms(blind, settled.recording)[1] < split_rms(found.blind, settled.recording)[1]:
+    blind = final.fit(fit.effects, refitted=groups, warm=free, rows=final.seen, iterations=iterations)
+    if not split_rms(blind, final.recording)[1] < split_rms(found.blind, final.recording)[1]:
         return found
     unnamed = tuple(group for group in groups if group not in selection.causes)
     whole = replace(selection, fit=free, refitted=groups, unnamed=unnamed)
-    causes = measured_causes(settled, whole, blind)
+    causes = measure_causes(final, whole, blind)
     lost = [
         group
         for group, cause in causes.items()
-        if not holds(cause) or (constant and _inconstancy(settled, whole, group) > INCONSTANT)
+        if not is_confirmed(cause) or (constant and _inconstancy(final, whole, group) > INCONSTANT)
     ]
-    if any(group.is_extra for group in lost) or (lost and not constant):
+    if any(group.is_candidate for group in lost) or (lost and not constant):
         return found
     # A number of the machine that is no cause any more stays refitted with the others.
     whole = replace(whole, unnamed=(*unnamed, *lost))
     return Confirmed(whole, blind, _strongest_first({g: c for g, c in causes.items() if g not in lost}))
 
 
-def without_undetermined(settled: Settled, found: Confirmed) -> Confirmed:
+def restore_undetermined(final: FinalFit, found: Confirmed) -> Confirmed:
     """The same causes with numbers at the machine file's that the record does not determine, where that costs nothing.
 
     A refit moves all numbers of a cause together. One of an element that hardly shows may end anywhere, and would stand
@@ -374,9 +374,9 @@ def without_undetermined(settled: Settled, found: Confirmed) -> Confirmed:
     """
     selection = found.selection
     fit = selection.fit
-    deviations = standard_deviations(covariance(settled.subject, fit, settled.other), fit)
-    held: set[str] = set()
-    for group in machine_groups(settled.subject.machine):
+    deviations = standard_deviations(covariance(final.subject, fit, final.other), fit)
+    fixed: set[str] = set()
+    for group in machine_groups(final.subject.machine):
         numbers = [
             (c.name, c.si(float(t)), c.si(c.machine_theta), SIGMAS * s)
             for c, t, s in zip(fit.model.columns, fit.theta, deviations, strict=True)
@@ -385,28 +385,28 @@ def without_undetermined(settled: Settled, found: Confirmed) -> Confirmed:
         vague = {
             name for name, value, file, margin in numbers if abs(value - file) <= margin and margin > VAGUE * abs(value)
         }
-        held |= vague if len(vague) < len(numbers) else set()
-    if not held:
+        fixed |= vague if len(vague) < len(numbers) else set()
+    if not fixed:
         return found
-    names = frozenset(held)
-    least = settled.fit(fit.extras, refitted=selection.refitted, warm=fit, held=names)
-    level = settled.subject.machine.diagnosis.material * settled.subject.machine.friction.coulomb
-    if gain_force(least.cross, fit.cross, fit.rows) > max(level, MATERIAL_NOISE * settled.floor):
+    names = frozenset(fixed)
+    least = final.fit(fit.effects, refitted=selection.refitted, warm=fit, fixed=names)
+    level = final.subject.machine.diagnosis.material * final.subject.machine.friction.coulomb
+    if gain_force(least.cross, fit.cross, fit.rows) > max(level, MATERIAL_NOISE * final.floor):
         return found
-    blind = settled.fit(least.extras, refitted=selection.refitted, warm=least, rows=settled.seen, held=names)
+    blind = final.fit(least.effects, refitted=selection.refitted, warm=least, rows=final.seen, fixed=names)
     selection = replace(selection, fit=least)
-    return Confirmed(selection, blind, _strongest_first(measured_causes(settled, selection, blind)))
+    return Confirmed(selection, blind, _strongest_first(measure_causes(final, selection, blind)))
 
 
-def _undetermined(settled: Settled, found: Confirmed) -> list[Group]:
+def _find_undetermined(final: FinalFit, found: Confirmed) -> list[Group]:
     """Wrong numbers of the machine that are none once the ones are as in its file that the record does not determine.
 
     Together they may make up for what something else gets wrong.
     """
-    own = [group for group in found.selection.causes if not group.is_extra]
+    own = [group for group in found.selection.causes if not group.is_candidate]
     if not own:
         return own
-    known = {cause.name for cause in without_undetermined(settled, found).causes if has_size(cause)}
+    known = {cause.name for cause in restore_undetermined(final, found).causes if has_size(cause)}
     return [group for group in own if group.cause not in known]
 
 
@@ -414,24 +414,24 @@ def _strongest_first(causes: Mapping[Group, Cause]) -> tuple[Cause, ...]:
     return tuple(sorted(causes.values(), key=lambda cause: -cause.gain_N))
 
 
-def _without(settled: Settled, selection: Selection, group: Group) -> Selection:
+def _without(final: FinalFit, selection: Selection, group: Group) -> Selection:
     """The selection without one of its causes, the others fitted again."""
-    refitted = without_group(selection.refitted, group)
-    fit = settled.fit(without_extra(selection.fit.extras, group), refitted=refitted, warm=selection.fit)
-    return _named_less(replace(selection, fit=fit, refitted=refitted), selection, group)
+    refitted = drop_group(selection.refitted, group)
+    fit = final.fit(drop_effect(selection.fit.effects, group), refitted=refitted, warm=selection.fit)
+    return _remove_name(replace(selection, fit=fit, refitted=refitted), selection, group)
 
 
-def _not_named(settled: Settled, selection: Selection, group: Group) -> Selection:
+def _unname(final: FinalFit, selection: Selection, group: Group) -> Selection:
     """The same where more is left than is known: a number of the machine stays refitted, but is no cause.
 
     Held at the file's it would pass its error on to the other causes, which then would seem to change.
     """
-    if group.is_extra:
-        return _without(settled, selection, group)
-    return _named_less(replace(selection, unnamed=(*selection.unnamed, group)), selection, group)
+    if group.is_candidate:
+        return _without(final, selection, group)
+    return _remove_name(replace(selection, unnamed=(*selection.unnamed, group)), selection, group)
 
 
-def _named_less(selection: Selection, before: Selection, group: Group) -> Selection:
+def _remove_name(selection: Selection, before: Selection, group: Group) -> Selection:
     """Return the causes of a selection that had one more, `group`, `before`."""
     left = [g for g in before.causes if g != group]
     return replace(
@@ -442,21 +442,21 @@ def _named_less(selection: Selection, before: Selection, group: Group) -> Select
     )
 
 
-def _inconstancy(settled: Settled, selection: Selection, group: Group) -> float:
-    """How much a cause's size changes over the record."""
+def _inconstancy(final: FinalFit, selection: Selection, group: Group) -> float:
+    """Return the relative change of a cause's size over the record."""
     fit = selection.fit
-    refitted = without_group(selection.refitted, group)
-    without = settled.fit(without_extra(fit.extras, group), refitted=refitted, warm=fit)
+    refitted = drop_group(selection.refitted, group)
+    without = final.fit(drop_effect(fit.effects, group), refitted=refitted, warm=fit)
     inertial = cause_definition(group.cause).inertial
-    return inconstancy(settled.recording, without.residual - fit.residual, fit.residual, inertial=inertial)
+    return inconstancy(final.recording, without.residual - fit.residual, fit.residual, inertial=inertial)
 
 
-def _follows(settled: Settled, selection: Selection, group: Group) -> bool:
+def _is_consequence(final: FinalFit, selection: Selection, group: Group) -> bool:
     """Return True if a number of the machine is wrong only beside the effects: right for a model without them."""
-    if group.is_extra or not selection.fit.extras:
+    if group.is_candidate or not selection.fit.effects:
         return False
-    fit, plain = selection.fit, settled.fit((), refitted=())
-    without = settled.fit(fit.extras, refitted=without_group(selection.refitted, group), warm=fit)
-    alone = settled.fit((), refitted=(group,), warm=plain)
+    fit, plain = selection.fit, final.fit((), refitted=())
+    without = final.fit(fit.effects, refitted=drop_group(selection.refitted, group), warm=fit)
+    alone = final.fit((), refitted=(group,), warm=plain)
     gained = gain_force(plain.cross, alone.cross, fit.rows)
     return gained < FOLLOWS * gain_force(without.cross, fit.cross, fit.rows)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.fits import Fit, Subject
-from sgms_mhe.diagnosis.parametrisation import Extra, Group
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Group
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.machine import DiagnosisTable, Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, Measure, cause, effect_definition, effect_names
@@ -52,33 +52,33 @@ EQUAL_T: Final = 2.5
 
 
 @dataclass(frozen=True)
-class Course:
+class ProgressReport:
     """Tells `report` how far a diagnosis is."""
 
     report: Progress
 
-    def begun(self) -> None:
+    def report_start(self) -> None:
         """The log is made ready."""
         self.report("preparing the log", 0.0)
 
-    def base(self) -> None:
+    def report_base(self) -> None:
         """The machine's own numbers are fitted."""
         self.report("refitting the base model", BASE_BEGINS)
 
-    def search(self, number: int) -> None:
+    def report_search(self, number: int) -> None:
         """A round of the search begins; `number` from 1."""
         self.report(f"searching effects, round {number}", _within(SEARCH_BEGINS, RIVALS_BEGIN, number - 1.0))
 
-    def refits(self, number: int, names: Sequence[str]) -> None:
+    def report_refits(self, number: int, names: Sequence[str]) -> None:
         """Effects are refitted in a round."""
         self.report(f"refitting {', '.join(names)}", _within(SEARCH_BEGINS, RIVALS_BEGIN, number - 1.0 + _REFITS))
 
-    def rivals(self, number: int, share: float, cause: str, names: Sequence[str]) -> None:
+    def report_rivals(self, number: int, share: float, cause: str, names: Sequence[str]) -> None:
         """Others are put in a cause's place, `share` of a round's causes having been tried; `number` from 1."""
         text = f"comparing {cause} with {', '.join(names)}" if names else "comparing rivals"
         self.report(text, _within(RIVALS_BEGIN, JUDGEMENT_BEGINS, number - 1.0 + share))
 
-    def judgement(self) -> None:
+    def report_judgement(self) -> None:
         """Causes are measured."""
         self.report("measuring the gain on held-out data", JUDGEMENT_BEGINS)
 
@@ -98,7 +98,7 @@ class Criteria:
         material: RMS gain that matters [N].
         excited: effects that the record can show.
         one_speed: whether the motion has but one speed: what comes again in place comes again in time.
-        course: told of each step.
+        progress: told of each step.
     """
 
     table: DiagnosisTable
@@ -106,16 +106,16 @@ class Criteria:
     material: float
     excited: tuple[str, ...]
     one_speed: bool
-    course: Course
+    progress: ProgressReport
 
-    def same_clock(self, first: str, second: str) -> bool:
+    def has_same_clock(self, first: str, second: str) -> bool:
         """Return True if two causes repeat with the same clock: at one speed place is one, and so is time."""
         return self.one_speed and _is_periodic(first) and _is_periodic(second)
 
     def alike(self, first: str, second: str) -> bool:
         """Return True if two causes are known to be confused, or this record's motion confuses them."""
         known = first in cause(second).confused_with or second in cause(first).confused_with
-        return known or self.same_clock(first, second)
+        return known or self.has_same_clock(first, second)
 
     def excess(self, fit: Fit) -> float:
         """RMS of what a fit leaves beyond noise [N].
@@ -124,7 +124,7 @@ class Criteria:
         """
         return math.sqrt(max(0.0, fit.rms**2 - self.floor**2))
 
-    def costs_nothing(self, fit: Fit, other: Fit) -> bool:
+    def is_as_good(self, fit: Fit, other: Fit) -> bool:
         """Return True if another fit's residual is larger by no more than matters, on unseen folds."""
         return gain_force(other.cross, fit.cross, fit.rows) < self.material
 
@@ -146,8 +146,13 @@ def small_force(machine: Machine) -> float:
     return SMALL_GAIN * machine.friction.coulomb
 
 
-def criteria_of(
-    machine: Machine, floor: float, excitation: Mapping[Measure, float], course: Course, *, one_speed: bool = False
+def make_criteria(
+    machine: Machine,
+    floor: float,
+    excitation: Mapping[Measure, float],
+    progress: ProgressReport,
+    *,
+    one_speed: bool = False,
 ) -> Criteria:
     """The criteria of a record of this noise floor [N] and these measures."""
     # What a record does not excite cannot be found in it; what only imitates it can.
@@ -156,18 +161,18 @@ def criteria_of(
         for name in effect_names(machine.plant.kind)
         if not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
     )
-    return Criteria(machine.diagnosis, floor, material_force(machine, floor), excited, one_speed, course)
+    return Criteria(machine.diagnosis, floor, material_force(machine, floor), excited, one_speed, progress)
 
 
-def addable(
-    machine: Machine, extras: Sequence[Extra], criteria: Criteria, *, instead_of: str | None = None
+def list_addable(
+    machine: Machine, effects: Sequence[CandidateEffect], criteria: Criteria, *, instead_of: str | None = None
 ) -> list[str]:
     """Effects that may still be added to a machine with others under test.
 
     `instead_of`: the cause whose place one would take. Its look-alikes count then though the record does not excite
     them: on a motion in one direction nothing tells a wrong level from an asymmetric one.
     """
-    tested = [extra.name for extra in extras]
+    tested = [effect.name for effect in effects]
     taken = {*tested, *(effect.name for effect in machine.effects)}
     taken |= {other for name in taken for other in cause(name).excludes}
     full = {name for name in tested if tested.count(name) >= MOST_ALIKE}
@@ -195,16 +200,16 @@ class Ranked:
     group: Group | None = None
 
 
-def proposed_effect(proposal: Proposal) -> Extra:
+def make_effect(proposal: Proposal) -> CandidateEffect:
     """Return the effect that a refit of a proposal starts from."""
-    return Extra(proposal.name, proposal.parameters)
+    return CandidateEffect(proposal.name, proposal.parameters)
 
 
 def is_ruled_out(fit: Fit, name: str, subject: Subject) -> bool:
     """Return True if the effect added last has turned into a simpler one, or into an impossible one."""
-    if not fit.extras or fit.extras[-1].name != name:
+    if not fit.effects or fit.effects[-1].name != name:
         return False
-    parameters = fit.extras[-1].parameters
+    parameters = fit.effects[-1].parameters
     definition = effect_definition(name)
     if not definition.possible(parameters, scales_of(subject.machine)):
         return True
@@ -215,7 +220,7 @@ def is_ruled_out(fit: Fit, name: str, subject: Subject) -> bool:
     return cause(name).simpler.reached(parameters, subject.recording.extents)
 
 
-def with_gains(subject: Subject, current: Fit, proposals: Sequence[Proposal]) -> list[Ranked]:
+def rank_proposals(subject: Subject, current: Fit, proposals: Sequence[Proposal]) -> list[Ranked]:
     """Proposals with what they explain by cross-validation, in their order."""
     gains = in_parallel([partial(linear_gain, subject, current, proposal) for proposal in proposals])
     return [Ranked(gain, proposal) for gain, proposal in zip(gains, proposals, strict=True)]
@@ -234,7 +239,7 @@ def linear_gain(subject: Subject, current: Fit, proposal: Proposal) -> float:
     return gain_force(current.loss, after, current.rows)
 
 
-def distinct(ranked: Sequence[Ranked], same_force: float) -> list[Ranked]:
+def drop_duplicates(ranked: Sequence[Ranked], same_force: float) -> list[Ranked]:
     """Without proposals that make the same force as another one with fewer numbers."""
     forces = [r.proposal.columns @ r.proposal.coefficients for r in ranked]
     numbers = [len(r.proposal.parameters) or r.proposal.columns.shape[1] for r in ranked]

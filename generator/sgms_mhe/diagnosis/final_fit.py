@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.alignment import aligned, residual_along
+from sgms_mhe.diagnosis.alignment import align, find_residual
 from sgms_mhe.diagnosis.candidates import edge_rows
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.laws import ALIGNMENTS, Laws
 from sgms_mhe.diagnosis.models import FitError
-from sgms_mhe.diagnosis.parametrisation import Extra, Group, without_extra, without_group
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Group, drop_effect, drop_group
 from sgms_mhe.diagnosis.result import RivalFit
 from sgms_mhe.diagnosis.rivals import Selection
 from sgms_mhe.model.effects import effect_definition
@@ -27,7 +27,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Left:
+class RecordResidual:
     """Residual of a record: `residual` (m) [N], `loss` and `rows` per block as those of a fit."""
 
     residual: Array
@@ -35,14 +35,14 @@ class Left:
     rows: Array
 
     @classmethod
-    def of(cls, fit: Fit) -> Left:
-        """Of the record that it was fitted to."""
+    def of(cls, fit: Fit) -> RecordResidual:
+        """Return that of the record that was fitted."""
         return cls(fit.residual, fit.loss, fit.rows)
 
     @classmethod
-    def along(cls, whole: Subject, fit: Fit, sampled: Array) -> Left:
-        """Of a whole record, parts of which it was fitted to; see `residual_along`."""
-        residual, recording = residual_along(whole, fit, sampled), whole.recording
+    def along(cls, whole: Subject, fit: Fit, sampled: Array) -> RecordResidual:
+        """Return that of a whole record, parts of which were fitted; see `find_residual`."""
+        residual, recording = find_residual(whole, fit, sampled), whole.recording
         rows = recording.sum_blocks(np.ones(len(residual)))
         return cls(residual, recording.sum_blocks(residual**2), rows)
 
@@ -52,7 +52,7 @@ class Left:
         return math.sqrt(float(self.loss.sum() / self.rows.sum()))
 
 
-def split_rms(fit: Fit | Left, recording: Recording) -> tuple[float, float]:
+def split_rms(fit: Fit | RecordResidual, recording: Recording) -> tuple[float, float]:
     """RMS [N] on blocks that the fit behind the gains sees, and on the held-out ones."""
 
     def value(blocks: Mask) -> float:
@@ -63,17 +63,17 @@ def split_rms(fit: Fit | Left, recording: Recording) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class FinalFit:
     """A record with the causes that were selected, ready to be judged.
 
     Attributes:
         record: all of it.
         subject: machine with the transition that fits, in line with the selection; on pieces of a long record.
         other: the same under the other law; None: there is none.
-        foreign: whether the law that fits is not the machine file's.
+        alternative: whether the law that fits is not the machine file's.
         selection: with numbers that can be reported.
         nominal: the machine as it is, with its own transition.
-        nominal_left: what that leaves of the whole record.
+        nominal_residual: what that leaves of the whole record.
         start: all of the machine's numbers refitted, no effect added.
         floor: noise of the measured friction [N].
         along: the machine along the whole record, where the fits are to pieces of it.
@@ -83,14 +83,14 @@ class Settled:
     record: Recording
     subject: Subject
     other: Subject | None
-    foreign: bool
+    alternative: bool
     selection: Selection
     nominal: Fit
-    nominal_left: Left
+    nominal_residual: RecordResidual
     start: Fit
     floor: float
     along: Subject | None
-    known: dict[int, tuple[Fit, Left]] = field(default_factory=dict, repr=False)
+    known: dict[int, tuple[Fit, RecordResidual]] = field(default_factory=dict, repr=False)
 
     @property
     def recording(self) -> Recording:
@@ -104,38 +104,45 @@ class Settled:
 
     def fit(
         self,
-        extras: Sequence[Extra],
+        effects: Sequence[CandidateEffect],
         *,
         refitted: Sequence[Group] | None = None,
         warm: Fit | None = None,
         rows: Mask | None = None,
-        held: frozenset[str] = frozenset(),
+        fixed: frozenset[str] = frozenset(),
         iterations: int | None = None,
         again: bool = False,
     ) -> Fit:
         """`fit_model` of the subject."""
         return fit_model(
-            self.subject, extras, refitted=refitted, warm=warm, rows=rows, held=held, iterations=iterations, again=again
+            self.subject,
+            effects,
+            refitted=refitted,
+            warm=warm,
+            rows=rows,
+            fixed=fixed,
+            iterations=iterations,
+            again=again,
         )
 
-    def left(self, fit: Fit) -> Left:
+    def residual_of(self, fit: Fit) -> RecordResidual:
         """Return the residual of the whole record."""
         if self.along is None:
-            return Left.of(fit)
+            return RecordResidual.of(fit)
         if id(fit) not in self.known:
-            self.known[id(fit)] = fit, Left.along(self.along, fit, self.subject.alignment.sampled)
+            self.known[id(fit)] = fit, RecordResidual.along(self.along, fit, self.subject.alignment.sampled)
         return self.known[id(fit)][1]
 
     def excess(self, fit: Fit) -> float:
         """RMS beyond noise [N]; of a record fitted in pieces, that of the pieces or of the whole, whichever is more."""
         beyond = fit.cross_rms**2 - self.floor**2
         if self.along is not None:
-            left = self.left(fit)
+            left = self.residual_of(fit)
             beyond = max(beyond, left.rms**2 - noise_floor(self.record, left.residual) ** 2)
         return math.sqrt(max(0.0, beyond))
 
 
-def settle(record: Recording, nominal: Fit, laws: Laws, selection: Selection) -> Settled:
+def make_final_fit(record: Recording, nominal: Fit, laws: Laws, selection: Selection) -> FinalFit:
     """The selection fitted at the full rate until its numbers can be reported.
 
     Args:
@@ -144,56 +151,56 @@ def settle(record: Recording, nominal: Fit, laws: Laws, selection: Selection) ->
         laws: of the excerpt, with the transition that fits.
         selection: its causes.
     """
-    subject = laws.chosen.settled()
+    subject = laws.chosen.with_final_steps()
     # A long record is fitted in pieces; what is left is measured along all of it.
     in_pieces = len(subject.whole.recording.signals) < len(record.signals)
     along = Subject.of(subject.whole.machine, record) if in_pieces else None
     fit = selection.fit
     for _ in range(ALIGNMENTS):
-        subject = aligned(subject, fit, anew=True)
-        extras = tuple(_timed(subject, along, fit, extra) for extra in fit.extras)
-        fit = fit_model(subject, extras, refitted=selection.refitted, warm=fit)
+        subject = align(subject, fit, anew=True)
+        effects = tuple(_time_step(subject, along, fit, effect) for effect in fit.effects)
+        fit = fit_model(subject, effects, refitted=selection.refitted, warm=fit)
     floor = noise_floor(subject.recording, fit.residual)
     subject = replace(subject, noise=floor)
-    nominal_left = Left.of(nominal)
+    nominal_residual = RecordResidual.of(nominal)
     if along is not None:  # the machine as it is keeps the transition of its file
-        nominal_left = Left.along(Subject.of(record.machine, record), nominal, subject.alignment.sampled)
-    return Settled(
+        nominal_residual = RecordResidual.along(Subject.of(record.machine, record), nominal, subject.alignment.sampled)
+    return FinalFit(
         record=record,
         subject=subject,
         other=laws.other,
-        foreign=laws.taken,
+        alternative=laws.taken,
         selection=replace(selection, fit=fit),
         nominal=nominal,
-        nominal_left=nominal_left,
+        nominal_residual=nominal_residual,
         start=fit_model(subject, ()),
         floor=floor,
         along=along,
     )
 
 
-def _timed(subject: Subject, along: Subject | None, fit: Fit, extra: Extra) -> Extra:
+def _time_step(subject: Subject, along: Subject | None, fit: Fit, effect: CandidateEffect) -> CandidateEffect:
     """A step at the instant that the whole record says, its size given; `along`: that record, where pieces are fitted.
 
     Pieces only know what two of them it is between; and a search may have put it where something was not known yet.
     """
-    kind = effect_definition(extra.name).search
+    kind = effect_definition(effect.name).search
     if not isinstance(kind, Step):
-        return extra
-    size, instant, whole = extra.parameters[kind.size], extra.parameters[kind.time], subject.whole
+        return effect
+    size, instant, whole = effect.parameters[kind.size], effect.parameters[kind.time], subject.whole
     if along is None:
         recording, left = whole.recording, whole.recording.friction - whole.friction(fit)
         inside = _away_from_edges(recording)
     else:
-        recording, left = along.recording, residual_along(along, fit, subject.alignment.sampled)
+        recording, left = along.recording, find_residual(along, fit, subject.alignment.sampled)
         inside = _between_fitted(recording, whole.recording, instant)
     without = left + np.where(recording.time > instant, size, 0.0)
     if inside.sum() < 2:
-        return extra
+        return effect
     rest, time = without[inside], recording.time[inside]
     last = int(np.argmin(np.cumsum(rest**2 - (rest - size) ** 2)))  # before the step
     at = float(time[min(last + 1, len(time) - 1)])
-    return replace(extra, parameters={**extra.parameters, kind.time: at - 0.5 / recording.rate})
+    return replace(effect, parameters={**effect.parameters, kind.time: at - 0.5 / recording.rate})
 
 
 def _away_from_edges(recording: Recording) -> Mask:
@@ -217,7 +224,7 @@ def _between_fitted(whole: Recording, fitted: Recording, instant: float) -> Mask
     return inside
 
 
-def rival_fits(settled: Settled, selection: Selection) -> tuple[RivalFit, ...]:
+def fit_rivals(final: FinalFit, selection: Selection) -> tuple[RivalFit, ...]:
     """Return the fit of each rival in its cause's place, all else of the selection beside it.
 
     The fits do not see the held-out blocks, as those behind the causes' gains do not. A rival without a finite model at
@@ -228,17 +235,17 @@ def rival_fits(settled: Settled, selection: Selection) -> tuple[RivalFit, ...]:
         place = next((group for group in selection.causes if group.cause == rival.instead_of), None)
         if place is None:
             continue
-        extras = without_extra(selection.fit.extras, place)
-        refitted = without_group(selection.refitted, place)
-        if rival.group.is_extra:
-            extras += (rival.fit.extras[rival.group.index],)
+        effects = drop_effect(selection.fit.effects, place)
+        refitted = drop_group(selection.refitted, place)
+        if rival.group.is_candidate:
+            effects += (rival.fit.effects[rival.group.index],)
         else:
-            refitted = (*without_group(refitted, rival.group), rival.group)
+            refitted = (*drop_group(refitted, rival.group), rival.group)
         try:
-            fit = settled.fit(extras, refitted=refitted, warm=rival.fit, rows=settled.seen)
+            fit = final.fit(effects, refitted=refitted, warm=rival.fit, rows=final.seen)
         except FitError:
             continue
-        left = settled.left(fit)
-        seen, held_out = split_rms(left, settled.record)
+        left = final.residual_of(fit)
+        seen, held_out = split_rms(left, final.record)
         found.append(RivalFit(rival.group.cause, rival.instead_of, seen, held_out, left.residual))
     return tuple(found)

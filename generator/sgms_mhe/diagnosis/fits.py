@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.models import CompiledFit, FitError, LeastSquares, Prior, compiled_fit, held_at_bounds
-from sgms_mhe.diagnosis.parametrisation import Column, Extra, Group, bearing
+from sgms_mhe.diagnosis.models import CompiledFit, FitError, LeastSquares, Prior, find_at_bounds, make_model
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Column, Group, smooth_law
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition, reported_name
 from sgms_mhe.recordings.evidence import cross_loss
@@ -40,32 +40,32 @@ class Fit:
 
     Attributes:
         model: its compiled code.
-        extras: effects under test, with the numbers found.
+        effects: effects under test, with the numbers found.
         theta: (n_p).
         free: parameters that were fitted (n_p).
-        loose: those of them that no bound holds (n_p): the directions that the data may still move.
+        interior: those of them that no bound holds (n_p): the directions that the data may still move.
         residual: measured minus model (m) [N].
-        slopes: d(model)/d(theta) (m, n_p).
+        jacobian: d(model)/d(theta) (m, n_p).
         loss: sum of squared residuals per block (blocks).
         cross: the same, each block predicted by a fit without its fold (blocks).
         rows: used rows per block (blocks).
     """
 
     model: CompiledFit
-    extras: tuple[Extra, ...]
+    effects: tuple[CandidateEffect, ...]
     theta: Array
     free: Mask
-    loose: Mask
+    interior: Mask
     residual: Array
-    slopes: Array
+    jacobian: Array
     loss: Array
     cross: Array
     rows: Array
 
     @property
-    def extra_groups(self) -> tuple[Group, ...]:
+    def candidate_groups(self) -> tuple[Group, ...]:
         """Groups of the effects under test."""
-        return tuple(Group.extra(extra.name, i) for i, extra in enumerate(self.extras))
+        return tuple(Group.candidate(effect.name, i) for i, effect in enumerate(self.effects))
 
     @property
     def rms(self) -> float:
@@ -94,7 +94,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Part of a record that carries no information on friction; see `aligned`.
+    """Part of a record that carries no information on friction; see `align`.
 
     Attributes:
         measured: friction before any of it was (m) [N].
@@ -108,7 +108,7 @@ class Alignment:
     later: Array | None = None
     at: Array | None = None
 
-    def later_at(self, friction: Array) -> Array | None:
+    def find_later(self, friction: Array) -> Array | None:
         """Return the error of the steps' length in a friction (m) [N]; None where it has to be computed.
 
         It is a part in a thousand of it, and of one that differs by little the same.
@@ -154,42 +154,42 @@ class Subject:
         """The one at the record's full rate."""
         return self if self.fine is None else self.fine
 
-    def model(self, extras: Sequence[Extra]) -> CompiledFit:
+    def model(self, effects: Sequence[CandidateEffect]) -> CompiledFit:
         """The machine with effects added, everything in it a free parameter."""
-        return compiled_fit(self.machine, extras)
+        return make_model(self.machine, effects)
 
-    def suited(self, extras: Sequence[Extra]) -> Subject:
+    def choose_rate(self, effects: Sequence[CandidateEffect]) -> Subject:
         """The one whose rate suits these effects: this one, or the full rate.
 
         States that elements which slip almost at once depend on need its steps too.
         """
-        borne = bearing(self.machine, extras) is not self.machine
-        known = [effect_definition(extra.name) for extra in extras]
+        borne = smooth_law(self.machine, effects) is not self.machine
+        known = [effect_definition(effect.name) for effect in effects]
         return self.whole if any(e.full_rate or (borne and e.drives_elements) for e in known) else self
 
-    def starting_from(self, starts: Mapping[str, float]) -> Subject:
+    def start_from(self, starts: Mapping[str, float]) -> Subject:
         """The same with other values that fits start from."""
         fine = None if self.fine is None else replace(self.fine, starts=starts, known={})
         return replace(self, starts=starts, fine=fine, known={})
 
-    def settled(self) -> Subject:
+    def with_final_steps(self) -> Subject:
         """The same with fits that go on until their numbers can be reported."""
         fine = None if self.fine is None else replace(self.fine, enough=FINAL_STEP)
         return replace(self, enough=FINAL_STEP, fine=fine)
 
-    def start(self, model: CompiledFit, extras: Sequence[Extra], warm: Fit | None = None) -> Array:
+    def start(self, model: CompiledFit, effects: Sequence[CandidateEffect], warm: Fit | None = None) -> Array:
         """Theta (n_p) to start from: the machine's, a warm fit's where it has them, the proposals' otherwise."""
         known: dict[tuple[Group, str], float] = {}
         if warm is not None:
             known = {
                 (c.group, c.name): c.si(t)
                 for c, t in zip(warm.model.columns, warm.theta, strict=True)
-                if not c.group.is_extra
+                if not c.group.is_candidate
             }
         wanted = {
-            (Group.extra(extra.name, i), key): value
-            for i, extra in enumerate(extras)
-            for key, value in extra.parameters.items()
+            (Group.candidate(effect.name, i), key): value
+            for i, effect in enumerate(effects)
+            for key, value in effect.parameters.items()
         }
         values = {**known, **wanted}
         theta = np.array(
@@ -207,19 +207,19 @@ class Subject:
     def friction(self, fit: Fit) -> Array:
         """Friction (m) [N] of this machine at this rate, with the numbers of a fit."""
         values = {(c.group, c.name): c.si(t) for c, t in zip(fit.model.columns, fit.theta, strict=True)}
-        model = self.model(fit.extras)
+        model = self.model(fit.effects)
         theta = np.array([c.theta(values[c.group, c.name]) for c in model.columns])
         return model.run(self.recording, theta, derivatives=False)[0]
 
 
 def fit_model(
     subject: Subject,
-    extras: Sequence[Extra],
+    effects: Sequence[CandidateEffect],
     *,
     refitted: Sequence[Group] | None = None,
     warm: Fit | None = None,
     rows: Mask | None = None,
-    held: frozenset[str] = frozenset(),
+    fixed: frozenset[str] = frozenset(),
     iterations: int | None = None,
     again: bool = False,
 ) -> Fit:
@@ -227,11 +227,11 @@ def fit_model(
 
     Args:
         subject: the machine and the record.
-        extras: effects under test and their starting values.
+        effects: effects under test and their starting values.
         refitted: groups of the machine's own numbers that are free; None: all.
         warm: a fit whose machine numbers to start from.
         rows: rows that the fit sees (m); None: all used ones.
-        held: columns of the machine's own numbers that stay at its file's, whatever is refitted.
+        fixed: columns of the machine's own numbers that stay at its file's, whatever is refitted.
         iterations: at most; None: the usual ones.
         again: fit even what is known, from `warm`, and keep the better one.
 
@@ -239,15 +239,15 @@ def fit_model(
         FitError: the model is not finite where its fit starts.
     """
     key: FitKey = (
-        tuple((e.name, tuple(e.parameters.items())) for e in extras),
+        tuple((e.name, tuple(e.parameters.items())) for e in effects),
         None if refitted is None else frozenset(refitted),
         None if rows is None else rows.tobytes(),
-        held,
+        fixed,
     )
     known = subject.known.get(key)
     if known is None or again:
-        wanted = _Wanted(refitted, rows, held, iterations or ITERATIONS)
-        fit = _fit(subject, extras, warm, wanted)
+        wanted = _Wanted(refitted, rows, fixed, iterations or ITERATIONS)
+        fit = _fit(subject, effects, warm, wanted)
         subject.known[key] = fit if known is None or fit.rms < known.rms else known
     return subject.known[key]
 
@@ -258,103 +258,109 @@ class _Wanted:
 
     refitted: Sequence[Group] | None
     rows: Mask | None
-    held: frozenset[str]
+    fixed: frozenset[str]
     iterations: int
 
     def frees(self, column: Column) -> bool:
         """Return True if a column is fitted."""
-        if column.group.is_extra:
+        if column.group.is_candidate:
             return not column.frozen
         wanted = self.refitted is None or column.group in self.refitted
-        return wanted and not column.frozen and column.name not in self.held
+        return wanted and not column.frozen and column.name not in self.fixed
 
 
-def _fit(subject: Subject, extras: Sequence[Extra], warm: Fit | None, wanted: _Wanted) -> Fit:
+def _fit(subject: Subject, effects: Sequence[CandidateEffect], warm: Fit | None, wanted: _Wanted) -> Fit:
     """At the rate that suits the effects, and where a thinned model is not finite at the full one."""
-    if subject.suited(extras) is subject:
+    if subject.choose_rate(effects) is subject:
         try:
-            return _fit_here(subject, extras, warm, wanted)
+            return _fit_here(subject, effects, warm, wanted)
         except FitError:
             if subject.fine is None:
                 raise
     return fit_model(
         subject.whole,
-        extras,
+        effects,
         refitted=wanted.refitted,
         warm=warm,
         rows=wanted.rows,
-        held=wanted.held,
+        fixed=wanted.fixed,
         iterations=wanted.iterations,
     )
 
 
-def _fit_here(subject: Subject, extras: Sequence[Extra], warm: Fit | None, wanted: _Wanted) -> Fit:
+def _fit_here(subject: Subject, effects: Sequence[CandidateEffect], warm: Fit | None, wanted: _Wanted) -> Fit:
     """At the subject's own rate."""
-    recording, model = subject.recording, subject.model(extras)
+    recording, model = subject.recording, subject.model(effects)
     columns = model.columns
-    theta = subject.start(model, extras, warm)
+    theta = subject.start(model, effects, warm)
     free = np.array([wanted.frees(c) for c in columns], dtype=np.bool_)
-    kept = ~free & np.array([not c.group.is_extra for c in columns], dtype=np.bool_)
+    kept = ~free & np.array([not c.group.is_candidate for c in columns], dtype=np.bool_)
     theta[kept] = [c.machine_theta for c, k in zip(columns, kept, strict=True) if k]
     seen = recording.used if wanted.rows is None else wanted.rows
     problem = LeastSquares(model, recording, seen, free, _prior(subject, model, free))
     found = problem.descend(theta, wanted.iterations, subject.enough)
     # A parameter that its bound holds moves neither with a candidate nor from fold to fold.
-    loose = free & ~held_at_bounds(columns, found, seen, recording)
+    interior = free & ~find_at_bounds(columns, found, seen, recording)
     return Fit(
         model=model,
-        extras=tuple(
-            Extra(
+        effects=tuple(
+            CandidateEffect(
                 e.name,
                 {
                     c.name: c.si(t)
                     for c, t in zip(columns, found.theta, strict=True)
-                    if c.group == Group.extra(e.name, i)
+                    if c.group == Group.candidate(e.name, i)
                 },
             )
-            for i, e in enumerate(extras)
+            for i, e in enumerate(effects)
         ),
         theta=found.theta,
         free=free,
-        loose=loose,
+        interior=interior,
         residual=found.residual,
-        slopes=found.slopes,
+        jacobian=found.jacobian,
         loss=recording.sum_blocks(found.residual**2),
-        cross=cross_loss(recording, found.slopes[:, loose], found.residual, prior_information(subject, model, loose)),
+        cross=cross_loss(
+            recording, found.jacobian[:, interior], found.residual, prior_information(subject, model, interior)
+        ),
         rows=recording.sum_blocks(np.ones(len(recording.time))),
     )
 
 
 def prior_information(subject: Subject, model: CompiledFit, free: Mask) -> Array:
     """Information of the prior of the parameters `free` (n_p) in units of the sum of squares, (free)."""
-    sd = np.array([EFFECT_PRIOR if c.group.is_extra else MACHINE_PRIOR for c in model.columns])
+    sd = np.array([EFFECT_PRIOR if c.group.is_candidate else MACHINE_PRIOR for c in model.columns])
     return np.asarray((subject.noise / sd[free]) ** 2)
 
 
 def _prior(subject: Subject, model: CompiledFit, free: Mask) -> Prior:
     information = prior_information(subject, model, free)
-    own = np.array([not c.group.is_extra for c in model.columns])[free]
+    own = np.array([not c.group.is_candidate for c in model.columns])[free]
     centre = np.array(
         [c.theta(subject.starts[c.name]) if c.name in subject.starts else c.machine_theta for c in model.columns]
     )
     return Prior(information, np.where(own, information, 0.0), centre[free])
 
 
-def reported_values(fit: Fit, group: Group) -> dict[str, float]:
+def report_values(fit: Fit, group: Group) -> dict[str, float]:
     """A group's numbers as a report states them, with units at the ends of their names."""
-    values = {_reported(group, name): value for name, value in fit.values(group).items()}
-    return effect_definition(group.cause).tidy(values) if group.is_extra else values
+    values = {_report_name(group, name): value for name, value in fit.values(group).items()}
+    return effect_definition(group.cause).tidy(values) if group.is_candidate else values
 
 
-def _reported(group: Group, column: str) -> str:
+def _report_name(group: Group, column: str) -> str:
     return reported_name(column) if group.kind == "base" else column
 
 
-def attempted_fit(
-    subject: Subject, extras: Sequence[Extra], *, refitted: Sequence[Group] | None = None, warm: Fit | None = None
+def try_fit(
+    subject: Subject,
+    effects: Sequence[CandidateEffect],
+    *,
+    refitted: Sequence[Group] | None = None,
+    warm: Fit | None = None,
 ) -> Fit | None:
     """A fit, or None where the model is not finite from its start on."""
     try:
-        return fit_model(subject, extras, refitted=refitted, warm=warm)
+        return fit_model(subject, effects, refitted=refitted, warm=warm)
     except FitError:
         return None

@@ -11,16 +11,16 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.configuration import under_other_law
-from sgms_mhe.diagnosis.alignment import aligned, thinned
+from sgms_mhe.diagnosis.alignment import align, decimate
 from sgms_mhe.diagnosis.candidates import stiffness_start, stribeck_start
 from sgms_mhe.diagnosis.criteria import Criteria
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.models import FitError
-from sgms_mhe.diagnosis.parametrisation import Extra, machine_groups
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, machine_groups
 from sgms_mhe.identification.search import element_numbers
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
-from sgms_mhe.recordings.evidence import difference_statistic, nuisance
+from sgms_mhe.recordings.evidence import difference_statistic, find_nuisance
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import beside, in_parallel
@@ -47,7 +47,7 @@ def convex_start(subject: Subject, fit: Fit) -> dict[str, float]:
     Neither the machine file's numbers nor where the fit stopped matter. Nothing where there is no friction.
     """
     recording = subject.recording
-    if fit.extras:
+    if fit.effects:
         alone = subject.model(())
         theta = subject.start(alone, (), fit)
         effects = subject.friction(fit) - alone.run(recording, theta, derivatives=False)[0]
@@ -63,15 +63,15 @@ class Laws:
 
     Attributes:
         own: that of the machine file.
-        foreign: the other one; None where it is no model of the record, or an effect of the file's does not stand
+        alternative: the other one; None where it is no model of the record, or an effect of the file's does not stand
             with it.
-        taken: whether the foreign one fits better.
+        taken: whether the alternative one fits better.
         decided: whether the one that is not taken is out of the question, whatever effect is added.
         apart: RMS of what they differed by when both were fitted last [N]; inf: they never were.
     """
 
     own: Subject
-    foreign: Subject | None
+    alternative: Subject | None
     taken: bool = False
     decided: bool = False
     apart: float = math.inf
@@ -79,53 +79,53 @@ class Laws:
     @property
     def chosen(self) -> Subject:
         """The one that is taken."""
-        return self.foreign if self.taken and self.foreign is not None else self.own
+        return self.alternative if self.taken and self.alternative is not None else self.own
 
     @property
     def other(self) -> Subject | None:
         """The one that is not."""
-        return self.own if self.taken else self.foreign
+        return self.own if self.taken else self.alternative
 
     @property
     def doubt(self) -> float:
         """RMS of a force that might yet be the difference of the laws [N]."""
-        return 0.0 if self.foreign is None or self.decided else self.apart
+        return 0.0 if self.alternative is None or self.decided else self.apart
 
-    def with_chosen(self, subject: Subject) -> Laws:
+    def replace_chosen(self, subject: Subject) -> Laws:
         """The same with another subject in the place of the chosen one."""
-        return replace(self, foreign=subject) if self.taken else replace(self, own=subject)
+        return replace(self, alternative=subject) if self.taken else replace(self, own=subject)
 
 
-def laws_of(machine: Machine, recording: Recording, floor: float) -> Laws:
+def make_laws(machine: Machine, recording: Recording, floor: float) -> Laws:
     """A machine along a record under both laws, thinned for the search; `floor`: its noise [N]."""
     thin = _thinned(machine, recording, floor)
-    own, *others = in_parallel([partial(_in_line_as_it_is, subject) for subject in thin])
+    own, *others = in_parallel([partial(_align_nominal, subject) for subject in thin])
     if own is None:
         raise FitError("the model is not finite with the machine's own numbers")
     return Laws(own, others[0] if others else None)
 
 
-def compilations(machine: Machine, recording: Recording) -> list[Callable[[], object]]:
-    """Return the functions that compile every model of `laws_of`, to be done beside other work."""
+def list_compilations(machine: Machine, recording: Recording) -> list[Callable[[], object]]:
+    """Return the functions that compile every model of `make_laws`, to be done beside other work."""
     return [partial(one.model, ()) for thin in _thinned(machine, recording, 1.0) for one in (thin.whole, thin)]
 
 
 def _thinned(machine: Machine, recording: Recording, floor: float) -> list[Subject]:
     """The machine along a record, under its own law and the other one if there is one; `floor`: its noise [N]."""
-    foreign = under_other_law(machine)
-    axes = [machine] if foreign is None else [machine, foreign]
-    return [thinned(replace(Subject.of(axis, recording), noise=floor)) for axis in axes]
+    alternative = under_other_law(machine)
+    axes = [machine] if alternative is None else [machine, alternative]
+    return [decimate(replace(Subject.of(axis, recording), noise=floor)) for axis in axes]
 
 
-def _in_line_as_it_is(subject: Subject) -> Subject | None:
+def _align_nominal(subject: Subject) -> Subject | None:
     """The subject in line with the machine's own numbers; None where that is no model of the record."""
     try:
-        return aligned(subject, fit_model(subject, (), refitted=()))
+        return align(subject, fit_model(subject, (), refitted=()))
     except FitError:
         return None
 
 
-def starting_unknown(laws: Laws) -> Laws:
+def start_unknown_numbers(laws: Laws) -> Laws:
     """The laws with fits that start from what the record shows of numbers that the machine file says nothing of.
 
     A file without a Stribeck effect says nothing about its velocity.
@@ -140,13 +140,15 @@ def starting_unknown(laws: Laws) -> Laws:
         return laws
     groups = tuple(g for g in machine_groups(subject.machine) if g.kind != "base" or g.cause not in unknown)
     fit = fit_model(subject, (), refitted=groups)
-    free = nuisance(fit.slopes[subject.recording.used][:, fit.loose])
+    free = find_nuisance(fit.jacobian[subject.recording.used][:, fit.interior])
     found = stribeck_start(subject.recording, fit, free)
-    foreign = laws.foreign and laws.foreign.starting_from({**laws.foreign.starts, **found})
-    return replace(laws, own=subject.starting_from({**subject.starts, **found}), foreign=foreign)
+    alternative = laws.alternative and laws.alternative.start_from({**laws.alternative.starts, **found})
+    return replace(laws, own=subject.start_from({**subject.starts, **found}), alternative=alternative)
 
 
-def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: Fit | None = None) -> tuple[Laws, Fit]:
+def fit_law(
+    laws: Laws, effects: Sequence[CandidateEffect], criteria: Criteria, *, known: Fit | None = None
+) -> tuple[Laws, Fit]:
     """Fit under the law that fits better, and keep to it from now on.
 
     Both are tried, so that the difference is not taken for an effect, nor an effect for it; each with its own thinned
@@ -154,31 +156,31 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: F
     record alone gives. But where an effect takes the elements' motion from them, one run costs a hundred others and
     the laws hardly differ: the law and the start stay what they were without it. `known`: as of `fit_chosen`.
     """
-    if is_driven(extras):
-        return fit_chosen(laws, extras, criteria, known=known)
-    if laws.foreign is None or laws.decided:
-        laws, fit = fit_chosen(laws, extras, criteria, known=known)
-        subject, fit = _from_nothing(laws.chosen, fit, criteria)
-        return laws.with_chosen(subject), fit
-    both = (laws.own, laws.foreign)
+    if is_driven(effects):
+        return fit_chosen(laws, effects, criteria, known=known)
+    if laws.alternative is None or laws.decided:
+        laws, fit = fit_chosen(laws, effects, criteria, known=known)
+        subject, fit = _restart(laws.chosen, fit, criteria)
+        return laws.replace_chosen(subject), fit
+    both = (laws.own, laws.alternative)
     # What runs next, at the full rate, is compiled beside.
-    own, foreign = beside(
-        partial(in_parallel, [partial(_starting_stiff, subject, extras, criteria) for subject in both]),
-        [partial(subject.whole.model, extras) for subject in both],
+    own, alternative = beside(
+        partial(in_parallel, [partial(_start_stiff, subject, effects, criteria) for subject in both]),
+        [partial(subject.whole.model, effects) for subject in both],
     )
-    own, fit = in_line(own, fit_model(own, extras))
+    own, fit = align_fit(own, fit_model(own, effects))
 
     def fit_other() -> tuple[Subject, Fit | None]:
-        subject, found = _fit_foreign(foreign, fit)
-        return (subject, found) if found is None else _from_nothing(subject, found, criteria)
+        subject, found = _fit_alternative(alternative, fit)
+        return (subject, found) if found is None else _restart(subject, found, criteria)
 
     def fit_own() -> tuple[Subject, Fit | None]:
-        return _from_nothing(own, fit, criteria)
+        return _restart(own, fit, criteria)
 
-    (own, better), (foreign, other) = in_parallel([fit_own, fit_other])
+    (own, better), (alternative, other) = in_parallel([fit_own, fit_other])
     fit = better or fit
     if other is None:
-        return replace(laws, own=own, foreign=foreign, taken=False, apart=0.0), fit
+        return replace(laws, own=own, alternative=alternative, taken=False, apart=0.0), fit
     # Both have as many numbers: what they leave of the rows they saw is a fair comparison, and a sharper one than what
     # they predict of others, where elements that switch are rough.
     ratio = other.rms / fit.rms
@@ -194,7 +196,7 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: F
     log_decision(
         "law",
         "law that leaves clearly less, else the file's",
-        effects=[extra.name for extra in extras],
+        effects=[effect.name for effect in effects],
         file=own.machine.friction.law,
         residual_N=fit.rms,
         residual_other_N=other.rms,
@@ -205,16 +207,16 @@ def fit_law(laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: F
         decided=decided,
         apart_N=apart,
     )
-    return Laws(own, foreign, taken, decided, apart), better
+    return Laws(own, alternative, taken, decided, apart), better
 
 
-def is_driven(extras: Sequence[Extra]) -> bool:
+def is_driven(effects: Sequence[CandidateEffect]) -> bool:
     """Return True if an effect changes the elements' motion."""
-    return any(effect_definition(extra.name).drives_elements for extra in extras)
+    return any(effect_definition(effect.name).drives_elements for effect in effects)
 
 
 def fit_chosen(
-    laws: Laws, extras: Sequence[Extra], criteria: Criteria, *, known: Fit | None = None
+    laws: Laws, effects: Sequence[CandidateEffect], criteria: Criteria, *, known: Fit | None = None
 ) -> tuple[Laws, Fit]:
     """Fit under the law that is taken.
 
@@ -225,27 +227,27 @@ def fit_chosen(
         FitError: the model is not finite where its fit starts, and no fit is known.
     """
     subject = laws.chosen
-    if not is_driven(extras):  # what runs next, at the full rate, is compiled beside
-        subject = beside(partial(_starting_stiff, subject, extras, criteria), [partial(subject.whole.model, extras)])
+    if not is_driven(effects):  # what runs next, at the full rate, is compiled beside
+        subject = beside(partial(_start_stiff, subject, effects, criteria), [partial(subject.whole.model, effects)])
     try:
-        fit = fit_model(subject, extras)
+        fit = fit_model(subject, effects)
     except FitError:
         if known is None:
             raise
         return laws, known
-    subject, fit = in_line(subject, fit)
-    return laws.with_chosen(subject), fit
+    subject, fit = align_fit(subject, fit)
+    return laws.replace_chosen(subject), fit
 
 
-def in_line(subject: Subject, fit: Fit) -> tuple[Subject, Fit]:
+def align_fit(subject: Subject, fit: Fit) -> tuple[Subject, Fit]:
     """The fit with everything at hand, the record brought into line with it."""
     for _ in range(ALIGNMENTS):
-        subject = aligned(subject, fit)
-        fit = fit_model(subject, fit.extras, warm=fit)
+        subject = align(subject, fit)
+        fit = fit_model(subject, fit.effects, warm=fit)
     return subject, fit
 
 
-def _starting_stiff(subject: Subject, extras: Sequence[Extra], criteria: Criteria) -> Subject:
+def _start_stiff(subject: Subject, effects: Sequence[CandidateEffect], criteria: Criteria) -> Subject:
     """The subject with fits that start from the common factor on stiffnesses that leaves clearly less than the file's.
 
     Where elements turn round all the time the sum of squares is rough in their stiffness, and a fit that starts far
@@ -256,11 +258,11 @@ def _starting_stiff(subject: Subject, extras: Sequence[Extra], criteria: Criteri
     }
     numbers = [number for cause in rough for number in BASE_CAUSES[cause].numbers]
     kept = {key: value for key, value in subject.starts.items() if not any(number.holds(key) for number in numbers)}
-    subject = subject.starting_from(kept)
-    return subject.starting_from({**kept, **stiffness_start(subject, extras, criteria.material)})
+    subject = subject.start_from(kept)
+    return subject.start_from({**kept, **stiffness_start(subject, effects, criteria.material)})
 
 
-def _from_nothing(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Subject, Fit]:
+def _restart(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Subject, Fit]:
     """The fit, or where it leaves something one from numbers that no machine file has a say in, if that is better.
 
     A sum of squares of elements has more than one minimum, and the file's numbers decide which one a fit ends in.
@@ -270,15 +272,15 @@ def _from_nothing(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Subje
     starts = convex_start(subject, fit)
     if not starts:
         return subject, fit
-    again = subject.starting_from({**subject.starts, **starts})
+    again = subject.start_from({**subject.starts, **starts})
     try:
-        again, better = in_line(again, fit_model(again, fit.extras))
+        again, better = align_fit(again, fit_model(again, fit.effects))
     except FitError:
         return subject, fit
     return (again, better) if better.rms < SHARPER * fit.rms else (subject, fit)
 
 
-def _fit_foreign(foreign: Subject, fit: Fit) -> tuple[Subject, Fit | None]:
+def _fit_alternative(alternative: Subject, fit: Fit) -> tuple[Subject, Fit | None]:
     """The other law with the effects of a fit, in line; None where it cannot be fitted.
 
     The switching law's sum of squares is rough: from the machine's numbers and from the fit's.
@@ -286,10 +288,10 @@ def _fit_foreign(foreign: Subject, fit: Fit) -> tuple[Subject, Fit | None]:
     found: Fit | None = None
     for _ in range(ALIGNMENTS):
         if found is not None:
-            foreign = aligned(foreign, found)
+            alternative = align(alternative, found)
         for warm in (None, found or fit):
             try:
-                found = fit_model(foreign, fit.extras, warm=warm, again=warm is not None)
+                found = fit_model(alternative, fit.effects, warm=warm, again=warm is not None)
             except FitError:
                 continue
-    return (foreign, None) if found is None else in_line(foreign, found)
+    return (alternative, None) if found is None else align_fit(alternative, found)

@@ -108,7 +108,7 @@ class _Beside:
 
     @classmethod
     def of(cls, seen: Residual) -> _Beside:
-        """Of a residual and the nuisance beside it."""
+        """Return those of a residual and the nuisance beside it."""
         recording = seen.recording
         fold = recording.fold[recording.block[recording.used]]
         rows = [fold == f for f in range(int(recording.fold.max()) + 1)]
@@ -153,7 +153,7 @@ class _Search:
         highest = min(int(self.kind.order.upper), int(period * self.finest))
         start = left = float(self.seen.e @ self.seen.e)
         taken: list[int] = []
-        if highest < 1 or not self.visited(period):
+        if highest < 1 or not self.is_visited(period):
             return _Carried(period, (), left)
         moments = _moments(self.seen, self.beside, self.x, self.slow, period, highest)
         H, b = moments.square(), moments.target.sum(axis=0)
@@ -169,7 +169,7 @@ class _Search:
             left = trial
         return _Carried(period, tuple(n + 1 for n in taken), left)
 
-    def visited(self, period: float) -> bool:
+    def is_visited(self, period: float) -> bool:
         """Return True if the axis was everywhere in a period: elsewhere a map would be invented."""
         turns = self.x / period
         parts = np.minimum(PARTS - 1, (PARTS * (turns - np.floor(turns))).astype(np.int64))
@@ -181,7 +181,7 @@ class _Search:
         if not carried.orders:
             return best
         width = STEP * best**2 / (self.travel * max(carried.orders[:STRONGEST]))
-        gathered, x, root = _gathered(self.seen, self.x, best / (BINS_PER_PERIOD * max(carried.orders)))
+        gathered, x, root = _gather(self.seen, self.x, best / (BINS_PER_PERIOD * max(carried.orders)))
 
         def columns(period: float) -> Array:
             return np.asarray(root[:, None] * _columns(x, period, carried.orders))
@@ -202,7 +202,7 @@ class _Search:
         least = min(c.left for c in few)
         return min((c for c in few if c.left - least <= self.least_gain), key=lambda c: c.period)
 
-    def elsewhere(self, best: _Carried) -> list[_Carried]:
+    def search_related(self, best: _Carried) -> list[_Carried]:
         """Return the orders that the record carries at other periods of the same force.
 
         All multiples of a period are periods too. And where a period is wrong, its sines are none the less about where
@@ -235,7 +235,7 @@ def _most(H: Array, b: Array, taken: Sequence[int]) -> int | None:
 
 def search_periodic(definition: EffectDefinition, kind: Periodic, seen: Residual) -> Proposal | None:
     """The map that explains most on data that it has not seen; None where one sine does as well."""
-    search = _search_of(kind, seen)
+    search = _make_search(kind, seen)
     if search is None:
         return None
     periods = _periods(definition, kind, seen, search.travel)
@@ -244,7 +244,7 @@ def search_periodic(definition: EffectDefinition, kind: Periodic, seen: Residual
     if not found:
         return None
     best = min(in_parallel([partial(search.nearest, c) for c in found]), key=lambda c: c.left)
-    chosen = search.nearest(search.simplest([best, *search.elsewhere(best)]))
+    chosen = search.nearest(search.simplest([best, *search.search_related(best)]))
     orders = tuple(sorted(chosen.orders))
     if len(orders) < 2:
         return None
@@ -267,7 +267,7 @@ def search_periodic(definition: EffectDefinition, kind: Periodic, seen: Residual
     return replace(proposal, p_value=min(1.0, p * tests))
 
 
-def _search_of(kind: Periodic, seen: Residual) -> _Search | None:
+def _make_search(kind: Periodic, seen: Residual) -> _Search | None:
     """Return the part of a record that a search can use; None where nothing moves."""
     used, motion = seen.recording.used, seen.motion
     x, speed = motion.position[used], np.abs(motion.velocity[used])
@@ -304,13 +304,13 @@ def _columns(x: Array, period: float, orders: Sequence[int]) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _at_middles(highest: int) -> Array:
+def _middle_columns(highest: int) -> Array:
     """The columns of all orders at the middles of a period's bins; not to be written to: most periods have the same."""
     bins = BINS_PER_PERIOD * highest
     return _columns((np.arange(bins) + 0.5) / bins, 1.0, range(1, highest + 1))
 
 
-def _gathered(seen: Residual, x: Array, width: float) -> tuple[Residual, Array, Array]:
+def _gather(seen: Residual, x: Array, width: float) -> tuple[Residual, Array, Array]:
     """Rows that are so near to each other in x that no column changes between them, as one each: (bins) of them.
 
     Their mean x, and the root of their count. Columns at the one times the other have the products that the rows' own
@@ -365,7 +365,7 @@ def _moments(seen: Residual, beside: _Beside, x: Array, slow: Mask, period: floa
         """Sums of series (rows, k) over the slow rows of each bin (folds, k, bins)."""
         return np.asarray(bin_sums(series, counts, key, folds * bins).reshape(folds, bins, -1).transpose(0, 2, 1))
 
-    F = _at_middles(highest)
+    F = _middle_columns(highest)
     count, target = binned(np.ones((len(x), 1)))[:, 0], binned(seen.e[:, None])[:, 0]
     mixed = np.asarray(binned(Q) @ F)
     product = target @ F - beside.target @ mixed.sum(axis=0)

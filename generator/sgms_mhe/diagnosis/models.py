@@ -14,23 +14,23 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.parametrisation import (
+    CandidateEffect,
     Column,
-    Extra,
     Force,
     Group,
     Structure,
     base_column,
-    bearing,
     bounds,
     delay_column,
+    drop_bounds,
     effect_column,
     extended_machine,
-    force_of,
+    find_plain_forces,
+    make_force,
     nominal_values,
-    plain_places,
+    smooth_law,
     step_limit,
     typical_sizes,
-    without_bounds,
 )
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.host.packages import SYMBOLIC, cached_package
@@ -103,7 +103,7 @@ class CompiledFit:
     def ordered(self, places: Sequence[int]) -> CompiledFit:
         """The same code for effects under test in another order: `places[i]` is where number i stands in the order."""
         groups = {c.group: c.group for c in self.columns}
-        groups |= {g: replace(g, index=places[g.index]) for g in groups if g.is_extra}
+        groups |= {g: replace(g, index=places[g.index]) for g in groups if g.is_candidate}
         return replace(self, columns=tuple(replace(c, group=groups[c.group]) for c in self.columns))
 
     def run(self, recording: Recording, theta: Array, *, derivatives: bool = True) -> tuple[Array, Array | None]:
@@ -113,23 +113,23 @@ class CompiledFit:
         asked, run = own, self._run
         if self.delayed:  # models with the same code may scale their delays otherwise
             asked, run = np.append(own, (self._delay(own), self.columns[coded - 1].scale)), self._run_late
-        friction, slopes = recording.runs.get(
+        friction, jacobian = recording.runs.get(
             self.code, recording.signals, asked, derivatives, lambda: run(recording, own, derivatives)
         )
         # A code that has just run with the same numbers is not run again for other forces beside it.
-        return self._with_forces(recording, theta, friction, slopes) if self.forces else (friction, slopes)
+        return self._add_forces(recording, theta, friction, jacobian) if self.forces else (friction, jacobian)
 
-    def _with_forces(
-        self, recording: Recording, theta: Array, friction: Array, slopes: Array | None
+    def _add_forces(
+        self, recording: Recording, theta: Array, friction: Array, jacobian: Array | None
     ) -> tuple[Array, Array | None]:
         """Return the output of the code at theta (n_p), with the forces beside it."""
         m, coded = len(friction), self.model.n_p + int(self.delayed)
-        total, wide = friction.copy(), None if slopes is None else np.empty((m, len(theta)))
+        total, wide = friction.copy(), None if jacobian is None else np.empty((m, len(theta)))
         shift = Shift.of(self._delay(theta), recording.machine.sampling.rate) if self.delayed else None
 
         def put(rows: slice) -> None:
-            if wide is not None and slopes is not None:
-                wide[rows, :coded] = slopes[rows]
+            if wide is not None and jacobian is not None:
+                wide[rows, :coded] = jacobian[rows]
             first = coded
             for force in self.forces:
                 columns = slice(first, first + len(force.parameters))
@@ -155,18 +155,18 @@ class CompiledFit:
         if factor == 1 and m <= CHUNK and begin is None:  # one piece, whose samples are the rows
             _, y, d = next(self._pieces(recording, theta, derivatives, slice(0, m), self._relaxed()))
             return y, d
-        force, slopes = np.empty(m), np.empty((m, n_p)) if derivatives else None
+        force, jacobian = np.empty(m), np.empty((m, n_p)) if derivatives else None
 
         def run(rows: slice, at: _State) -> _State:
             for piece, y, d in self._pieces(recording, theta, derivatives, rows, at):
                 force[piece] = row_means(y, factor)
-                if slopes is not None and d is not None:
-                    slopes[piece] = row_means(d, factor)
+                if jacobian is not None and d is not None:
+                    jacobian[piece] = row_means(d, factor)
             return at
 
         if begin is None:
             run(slice(0, m), self._relaxed())
-            return force, slopes
+            return force, jacobian
         # Whether there is a core for the second half has no say in this: it must not change a result.
         middle = m // 2
 
@@ -185,7 +185,7 @@ class CompiledFit:
         reached, guessed = in_parallel(halves)
         if not guessed.is_close(reached):
             run(slice(middle, m), reached)
-        return force, slopes
+        return force, jacobian
 
     def _relaxed(self) -> _State:
         return _State(np.zeros(self.model.n_x), np.zeros((self.model.n_x, self.model.n_p)))
@@ -234,7 +234,7 @@ def _add_force(
     rows: slice,
     shift: Shift | None,
     friction: Array,
-    slopes: Array | None,
+    jacobian: Array | None,
 ) -> Array | None:
     """Add a plain force with its parameters theta (n_p) to rows of the friction (m), and put its derivatives (m, n_p).
 
@@ -245,35 +245,37 @@ def _add_force(
     at_a_time = rows.stop if shift is not None else max(1, CHUNK // factor)
     for first in range(rows.start, rows.stop, at_a_time):
         part = slice(first, min(rows.stop, first + at_a_time))
-        y, d = force.at(recording.inputs(first * factor, part.stop * factor), theta, derivatives=slopes is not None)
+        y, d = force.at(recording.inputs(first * factor, part.stop * factor), theta, derivatives=jacobian is not None)
         if shift is not None:
             by_shift = recording.reduce(shift.slope_of(y))
             y, d = shift.of_series(y), None if d is None else shift.of_series(d)
         friction[part] += row_means(y, factor)
-        if slopes is not None and d is not None:
-            slopes[part] = row_means(d, factor)
+        if jacobian is not None and d is not None:
+            jacobian[part] = row_means(d, factor)
     return by_shift
 
 
-def compiled_fit(machine: Machine, extras: Sequence[Extra]) -> CompiledFit:
+def make_model(machine: Machine, effects: Sequence[CandidateEffect]) -> CompiledFit:
     """The machine with effects added, everything in it a free parameter.
 
     Their values are where a fit starts; what is compiled is near them, so that few models serve all fits.
     """
-    keys = [(e.name, nominal_values(machine, e)) for e in extras]
-    machine = bearing(machine, extras)
-    prompt = _prompt(machine)
-    late = [i for i, extra in enumerate(extras) if effect_definition(extra.name).delays]
+    keys = [(e.name, nominal_values(machine, e)) for e in effects]
+    machine = smooth_law(machine, effects)
+    prompt = _drop_delays(machine)
+    late = [i for i, effect in enumerate(effects) if effect_definition(effect.name).delays]
     others = [i for i in range(len(keys)) if i not in late]
     alone = {i: Structure(prompt, (keys[i],)) for i in others}
     # In the order of their names: what order effects were found in must neither cost another compilation nor change a
     # digit.
-    plain = sorted((others[k] for k in plain_places(prompt, list(alone.values()))), key=lambda i: keys[i])
+    plain = sorted((others[k] for k in find_plain_forces(prompt, list(alone.values()))), key=lambda i: keys[i])
     places = sorted((i for i in others if i not in plain), key=lambda i: keys[i])
-    compiled = compiled_structure(Structure(prompt, tuple(keys[i] for i in places)))
+    compiled = compile_structure(Structure(prompt, tuple(keys[i] for i in places)))
     if places != list(range(len(places))):
         compiled = compiled.ordered(places)
-    delays = [delay_column(machine, extras[i].name, Group.extra(extras[i].name, i), dict(keys[i][1])) for i in late]
+    delays = [
+        delay_column(machine, effects[i].name, Group.candidate(effects[i].name, i), dict(keys[i][1])) for i in late
+    ]
     delays += [
         delay_column(
             machine,
@@ -284,9 +286,9 @@ def compiled_fit(machine: Machine, extras: Sequence[Extra]) -> CompiledFit:
         for effect in machine.effects
         if effect_definition(effect.name).delays
     ]
-    forces = {i: force for i in plain if (force := force_of(alone[i])) is not None}
+    forces = {i: force for i in plain if (force := make_force(alone[i])) is not None}
     beside = [
-        effect_column(Group.extra(extras[i].name, i), free.column.partition(".")[2], free)
+        effect_column(Group.candidate(effects[i].name, i), free.column.partition(".")[2], free)
         for i, force in forces.items()
         for free in force.parameters
     ]
@@ -298,17 +300,17 @@ def compiled_fit(machine: Machine, extras: Sequence[Extra]) -> CompiledFit:
     )
 
 
-def _prompt(machine: Machine) -> Machine:
+def _drop_delays(machine: Machine) -> Machine:
     """The machine without effects that delay all of its force."""
     kept = [effect for effect in machine.effects if not effect_definition(effect.name).delays]
     if len(kept) == len(machine.effects):
         return machine
     units = machine.plant.units
-    return override_machine(without_bounds(machine), {"effects": [effect.entry(units) for effect in kept]})
+    return override_machine(drop_bounds(machine), {"effects": [effect.entry(units) for effect in kept]})
 
 
 class _Waiting:
-    """Who asks for a structure while another thread compiles it waits for that one."""
+    """Locks of structures: a thread that asks for one while another thread compiles it waits."""
 
     def __init__(self) -> None:
         self._guard = threading.Lock()
@@ -328,17 +330,17 @@ class _Waiting:
 _waiting = _Waiting()
 
 
-def compiled_structure(structure: Structure) -> CompiledFit:
+def compile_structure(structure: Structure) -> CompiledFit:
     """The compiled model of a structure, emitted and loaded once, by whichever threads it is asked for."""
     with _waiting.of(structure):
-        compiled = compiled_once(structure)
+        compiled = compile_once(structure)
     _waiting.done(structure)
     return compiled
 
 
 @lru_cache(maxsize=MODELS_CACHED)
-def compiled_once(structure: Structure) -> CompiledFit:
-    """Return the cached value of `compiled_structure`, for one thread at a time."""
+def compile_once(structure: Structure) -> CompiledFit:
+    """Return the cached value of `compile_structure`, for one thread at a time."""
     machine = structure.machine
     with SYMBOLIC:
         extended = extended_machine(structure)
@@ -347,7 +349,7 @@ def compiled_once(structure: Structure) -> CompiledFit:
     code = CompiledModel(extended, package, model)
     own, zero = len(machine.effects), typical_sizes(machine)
     groups = {
-        e.label: Group.own(e.name, e.label) if i < own else Group.extra(e.name, i - own)
+        e.label: Group.own(e.name, e.label) if i < own else Group.candidate(e.name, i - own)
         for i, e in enumerate(extended.effects)
     }
     columns = []
@@ -383,7 +385,7 @@ class Point:
 
     theta: Array
     residual: Array
-    slopes: Array
+    jacobian: Array
     cost: float
 
 
@@ -410,16 +412,16 @@ class LeastSquares:
         recording, free, prior = self.recording, self.free, self.prior
         scale = max(_largest(recording.friction), recording.machine.friction.coulomb)
         largest = UNSTABLE * scale
-        y, slopes = self.model.run(recording, theta)
+        y, jacobian = self.model.run(recording, theta)
         residual = recording.friction - y
         if not _largest(residual) < largest:
             return Point(theta, residual, np.empty((0, 0)), math.inf)
         seen = residual[self.seen]
         cost = float(seen @ seen) + float(prior.binding @ (theta[free] - prior.centre) ** 2)
         # A state that its steps are too long for shows in its derivatives first.
-        if slopes is None or not math.isfinite(cost) or not _largest(slopes) < largest:
+        if jacobian is None or not math.isfinite(cost) or not _largest(jacobian) < largest:
             return Point(theta, residual, np.empty((0, 0)), math.inf)
-        return Point(theta, residual, slopes, cost)
+        return Point(theta, residual, jacobian, cost)
 
     @property
     def count(self) -> int:
@@ -452,16 +454,16 @@ class LeastSquares:
     def quadratic(self, here: Point) -> Quadratic:
         """Return the quadratic model of the cost about a point, in what is free."""
         free, prior = self.free, self.prior
-        X = here.slopes.compress(self.seen, axis=0).compress(free, axis=1)  # a third of what masks take
+        X = here.jacobian.compress(self.seen, axis=0).compress(free, axis=1)  # a third of what masks take
         H = X.T @ X
         g = X.T @ here.residual[self.seen] - prior.binding * (here.theta[free] - prior.centre)
         return Quadratic(H, g, prior.binding, np.diag(H) + prior.information)
 
     def after(self, here: Point, step: Array) -> Point:
         """Return the model after a step of what is free."""
-        return self.at(self._moved(here.theta, step))
+        return self.at(self._move(here.theta, step))
 
-    def _moved(self, theta: Array, step: Array) -> Array:
+    def _move(self, theta: Array, step: Array) -> Array:
         """theta (n_p) after a step of what is free (free).
 
         Where the force is linear in s and s p, the step is one of s and s p: p + dp s / (s + ds). One along p alone
@@ -486,9 +488,9 @@ def _largest(values: Array) -> float:
     return max(float(values.max()), -float(values.min()))
 
 
-def held_at_bounds(columns: Sequence[Column], at: Point, seen: Mask, recording: Recording) -> Mask:
+def find_at_bounds(columns: Sequence[Column], at: Point, seen: Mask, recording: Recording) -> Mask:
     """Parameters at a bound that the rows seen (m) push them against (n_p)."""
-    descent = at.slopes[seen].T @ at.residual[seen]
+    descent = at.jacobian[seen].T @ at.residual[seen]
     lower, upper = bounds(columns, recording)
     near = AT_BOUND * np.maximum(1.0, np.abs(at.theta))
     return np.asarray(((at.theta <= lower + near) & (descent < 0.0)) | ((at.theta >= upper - near) & (descent > 0.0)))

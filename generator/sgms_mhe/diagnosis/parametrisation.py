@@ -51,7 +51,7 @@ MACHINE_STEP: Final = 0.5
 
 
 @dataclass(frozen=True)
-class Extra:
+class CandidateEffect:
     """An effect under test and where its fit starts."""
 
     name: str
@@ -63,13 +63,13 @@ class Group:
     """Parameters that are wrong, or there, together: what a cause is made of.
 
     Attributes:
-        kind: base: numbers of the base model; own: an effect that the machine has; extra: an effect under test.
+        kind: base: numbers of the base model; own: an effect that the machine has; candidate: an effect under test.
         cause: what a diagnosis calls it: the wrong number or the effect.
         label: what the machine calls its effect (`force_ripple_2`); empty for the others.
         index: of an effect under test, its place among them.
     """
 
-    kind: Literal["base", "own", "extra"]
+    kind: Literal["base", "own", "candidate"]
     cause: str
     label: str = ""
     index: int = 0
@@ -85,14 +85,14 @@ class Group:
         return cls("own", cause, label)
 
     @classmethod
-    def extra(cls, cause: str, index: int) -> Self:
+    def candidate(cls, cause: str, index: int) -> Self:
         """An effect under test."""
-        return cls("extra", cause, index=index)
+        return cls("candidate", cause, index=index)
 
     @property
-    def is_extra(self) -> bool:
+    def is_candidate(self) -> bool:
         """Return True if it is an effect under test; otherwise its numbers stand in the machine file."""
-        return self.kind == "extra"
+        return self.kind == "candidate"
 
     @property
     def name(self) -> str:
@@ -112,12 +112,12 @@ def machine_groups(machine: Machine) -> tuple[Group, ...]:
     )
 
 
-def without_extra(extras: tuple[Extra, ...], group: Group) -> tuple[Extra, ...]:
+def drop_effect(effects: tuple[CandidateEffect, ...], group: Group) -> tuple[CandidateEffect, ...]:
     """The effects under test but the one of a group; all of them where it is none."""
-    return tuple(extra for i, extra in enumerate(extras) if not (group.is_extra and i == group.index))
+    return tuple(effect for i, effect in enumerate(effects) if not (group.is_candidate and i == group.index))
 
 
-def without_group(groups: tuple[Group, ...], group: Group) -> tuple[Group, ...]:
+def drop_group(groups: tuple[Group, ...], group: Group) -> tuple[Group, ...]:
     """The groups but one; all of them where it is not among them."""
     return tuple(other for other in groups if other != group)
 
@@ -171,7 +171,7 @@ class Structure:
     """Inputs of a compiled model; the machine by its content."""
 
     machine: Machine = field(compare=False, hash=False)
-    extras: tuple[tuple[str, Nominal], ...]
+    effects: tuple[tuple[str, Nominal], ...]
     digest: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -181,7 +181,7 @@ class Structure:
 def extended_machine(structure: Structure) -> Machine:
     """The machine of a structure with its effects, all its numbers to be estimated."""
     machine = structure.machine
-    return _with_everything_free(machine, structure.extras, typical_sizes(machine))
+    return _free_everything(machine, structure.effects, typical_sizes(machine))
 
 
 def typical_sizes(machine: Machine) -> dict[str, float]:
@@ -194,30 +194,30 @@ def typical_sizes(machine: Machine) -> dict[str, float]:
     }
 
 
-def _with_everything_free(
-    machine: Machine, extras: Sequence[tuple[str, Nominal]], friction: Mapping[str, float]
+def _free_everything(
+    machine: Machine, effects: Sequence[tuple[str, Nominal]], friction: Mapping[str, float]
 ) -> Machine:
     """The machine with effects added and numbers of [friction] replaced, all its numbers to be estimated."""
     units = machine.plant.units
-    effects = [e.entry(units) for e in machine.effects]
-    effects += [{"name": name} | units.keyed(effect_definition(name).lists(dict(values))) for name, values in extras]
+    entries = [e.entry(units) for e in machine.effects]
+    entries += [{"name": name} | units.keyed(effect_definition(name).lists(dict(values))) for name, values in effects]
     axis = machine.friction.model_copy(update=dict(friction))
     names = [name for cause in BASE_CAUSES.values() for name in cause.frees if name in axis.estimable]
     changes: dict[str, Any] = {
         "name": "fit",
         "description": "",
         "friction": dict(friction),
-        "effects": effects,
+        "effects": entries,
         "code": {"precision": "double"},
         "estimator": {"parameters": names, "bounds": {}},
-        "sampling": _integrator(machine, [name for name, _ in extras]),
+        "sampling": _integrator(machine, [name for name, _ in effects]),
     }
-    extended = override_machine(without_bounds(machine), changes)
+    extended = override_machine(drop_bounds(machine), changes)
     names += [units.named(f"{e.label}.{p}") for e in extended.effects for p in e.parameters]
     return override_machine(extended, {"estimator": {"parameters": names}})
 
 
-def without_bounds(machine: Machine) -> Machine:
+def drop_bounds(machine: Machine) -> Machine:
     """The same machine with an estimator that constrains nothing."""
     estimator = dict(machine.content.get("estimator", {}))
     kept = {key: value for key, value in estimator.items() if key not in ("bounds", "parameters")}
@@ -245,16 +245,16 @@ def _integrator(machine: Machine, names: Sequence[str]) -> dict[str, Any]:
     return {"integrator": integrator}
 
 
-def nominal_values(machine: Machine, extra: Extra) -> Nominal:
+def nominal_values(machine: Machine, effect: CandidateEffect) -> Nominal:
     """Nominal values of an effect's compiled model: coarse, so that few are compiled, near where rates matter."""
-    definition, scales = effect_definition(extra.name), scales_of(machine)
+    definition, scales = effect_definition(effect.name), scales_of(machine)
     values: list[tuple[str, float]] = []
-    for name in definition.names(extra.parameters):
+    for name in definition.names(effect.parameters):
         parameter = definition.parameter(name)
         size = parameter.default if parameter.default != 0.0 else abs(parameter.size(scales))
         if parameter.whole:  # each once; which they are, a fit says
             size += sum(parameter.holds(known) for known, _ in values)
-        wanted = extra.parameters.get(name, size)
+        wanted = effect.parameters.get(name, size)
         if definition.states and wanted > 0.0 and size > 0.0:
             size *= COARSE ** round(math.log(wanted / size, COARSE))
         values.append((name, float(min(max(size, parameter.lower), parameter.upper))))
@@ -277,21 +277,21 @@ class Force:
     def at(self, w: Array, theta: Array, *, derivatives: bool) -> tuple[Array, Array | None]:
         """Force (n) [N] at signals w (n, 5) with its theta (n_p), and its derivatives (n, n_p) where asked for."""
         n, n_p = len(w), len(self.parameters)
-        force, slopes = np.empty(n), np.empty((n, n_p)) if derivatives else None
+        force, jacobian = np.empty(n), np.empty((n, n_p)) if derivatives else None
         numbers = {free.column: float(value) for free, value in zip(self.parameters, theta, strict=True)}
         for first in range(0, n, AT_A_TIME):
             part = slice(first, first + AT_A_TIME)
             signals = {name: w[part, i] for i, name in enumerate(SIGNAL_NAMES)}
             found = self._evaluation.at({**signals, **numbers})
             force[part] = found[0]
-            if slopes is not None:
+            if jacobian is not None:
                 for i in range(n_p):
-                    slopes[part, i] = found[1 + i]
-        return force, slopes
+                    jacobian[part, i] = found[1 + i]
+        return force, jacobian
 
 
 @lru_cache(maxsize=FORCES_CACHED)
-def force_of(structure: Structure) -> Force | None:
+def make_force(structure: Structure) -> Force | None:
     """The last effect of a structure, if it is a plain force."""
     with SYMBOLIC:
         machine = extended_machine(structure)
@@ -310,24 +310,24 @@ def _load_is_read(structure: Structure) -> bool:
         return load_is_read(extended_machine(structure))
 
 
-def plain_places(machine: Machine, structures: Sequence[Structure]) -> tuple[int, ...]:
+def find_plain_forces(machine: Machine, structures: Sequence[Structure]) -> tuple[int, ...]:
     """Return the effects under test, each a structure with the machine, that may stand beside a compiled model.
 
     None where one of them, or of the machine's, changes what forces read or what becomes of them.
     """
-    names = [name for structure in structures for name, _ in structure.extras]
+    names = [name for structure in structures for name, _ in structure.effects]
     stages = {effect_definition(name).stage for name in (*names, *(effect.name for effect in machine.effects))}
     if not stages.isdisjoint(MIXING):
         return ()
-    forces = [force_of(structure) for structure in structures]
-    compiled = tuple(s.extras[0] for s, force in zip(structures, forces, strict=True) if force is None)
+    forces = [make_force(structure) for structure in structures]
+    compiled = tuple(s.effects[0] for s, force in zip(structures, forces, strict=True) if force is None)
     loaded = _load_is_read(Structure(machine, tuple(sorted(compiled))))
     return tuple(i for i, force in enumerate(forces) if force is not None and not (force.loads and loaded))
 
 
-def bearing(machine: Machine, extras: Sequence[Extra]) -> Machine:
+def smooth_law(machine: Machine, effects: Sequence[CandidateEffect]) -> Machine:
     """The machine with a law that effects can stand with: for elements that switch, ones that slip almost at once."""
-    if not machine.friction.switches or not any(effect_definition(extra.name).smooth_only for extra in extras):
+    if not machine.friction.switches or not any(effect_definition(effect.name).smooth_only for effect in effects):
         return machine
     return override_machine(machine, {"friction": {"law": "sgms", "smoothing": SHARP_SMOOTHING}})
 
@@ -382,7 +382,7 @@ def base_column(free: FreeParameter, zero: Mapping[str, float]) -> Column:
 
 def step_limit(column: Column, theta: float, recording: Recording) -> float:
     """Largest change of theta in one step, beyond which derivatives do not hold."""
-    if not column.group.is_extra or column.step is None:
+    if not column.group.is_candidate or column.step is None:
         return MACHINE_STEP * max(1.0, abs(theta))
     scale = abs(column.scale)
     return column.step(column.si(theta), scale, recording.extents) / scale

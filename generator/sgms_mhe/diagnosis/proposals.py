@@ -21,7 +21,7 @@ NARROWED: Final = (1.0, 1.0, 0.3, 0.1)  # of the first width: those of the parab
 
 @dataclass(frozen=True)
 class Proposal:
-    """Where the search for one effect ended.
+    """Proposal of an effect.
 
     Attributes:
         name: effect.

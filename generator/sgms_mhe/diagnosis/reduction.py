@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.candidates import search
-from sgms_mhe.diagnosis.criteria import Criteria, proposed_effect, small_force
-from sgms_mhe.diagnosis.fits import Fit, Subject, attempted_fit, fit_model, prior_information
+from sgms_mhe.diagnosis.criteria import Criteria, make_effect, small_force
+from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model, prior_information, try_fit
 from sgms_mhe.diagnosis.maps import ENTRY_GAIN
-from sgms_mhe.diagnosis.parametrisation import Extra, Group, machine_groups, without_extra, without_group
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Group, drop_effect, drop_group, machine_groups
 from sgms_mhe.model.effects import cause, effect_definition
 from sgms_mhe.model.effects.search import Harmonic, Periodic
-from sgms_mhe.recordings.evidence import cross_loss, gain_force, nuisance
+from sgms_mhe.recordings.evidence import cross_loss, find_nuisance, gain_force
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import in_parallel
 
@@ -25,51 +25,51 @@ Array = NDArray[np.float64]
 Groups = tuple[Group, ...]
 
 
-def joined(subject: Subject, fit: Fit, criteria: Criteria) -> Fit:
+def join_map(subject: Subject, fit: Fit, criteria: Criteria) -> Fit:
     """The fit with one map in place of a map and the ripples beside it, where it has no more numbers and is as good.
 
     A search adds one effect after the other: of a map whose first sine is by far the strongest it adds that one as a
     ripple, and what is left as a map of another period.
     """
-    mapped = [e for e in fit.extras if isinstance(effect_definition(e.name).search, Periodic)]
+    mapped = [e for e in fit.effects if isinstance(effect_definition(e.name).search, Periodic)]
     for one in mapped:
         simpler = cause(one.name).simpler.causes
         ripples = [
-            e for e in fit.extras if e.name in simpler and isinstance(effect_definition(e.name).search, Harmonic)
+            e for e in fit.effects if e.name in simpler and isinstance(effect_definition(e.name).search, Harmonic)
         ]
         if not ripples:
             continue
         parts = [one, *ripples]
-        others = tuple(extra for extra in fit.extras if extra not in parts)
-        without = attempted_fit(subject, others, warm=fit)
+        others = tuple(effect for effect in fit.effects if effect not in parts)
+        without = try_fit(subject, others, warm=fit)
         if without is None:
             continue
-        used = subject.suited(others).recording.used
-        free = nuisance(without.slopes[used][:, without.loose])
-        numbers = sum(len(extra.parameters) for extra in parts)
+        used = subject.choose_rate(others).recording.used
+        free = find_nuisance(without.jacobian[used][:, without.interior])
+        numbers = sum(len(effect.parameters) for effect in parts)
         for whole in search(subject, without, [one.name], free):
-            trial = attempted_fit(subject, (*others, proposed_effect(whole)), warm=without)
+            trial = try_fit(subject, (*others, make_effect(whole)), warm=without)
             if trial is None or len(whole.parameters) > numbers:
                 continue
-            if criteria.costs_nothing(fit, trial):
+            if criteria.is_as_good(fit, trial):
                 return trial
     return fit
 
 
-def in_lowest_terms(extra: Extra) -> Extra:
+def reduce_orders(effect: CandidateEffect) -> CandidateEffect:
     """The same force over its shortest period: all multiples of that are periods too."""
-    definition = effect_definition(extra.name)
+    definition = effect_definition(effect.name)
     kind = definition.search
     if not isinstance(kind, Periodic):
-        return extra
-    orders = {key: round(value) for key, value in extra.parameters.items() if kind.order.holds(key)}
+        return effect
+    orders = {key: round(value) for key, value in effect.parameters.items() if kind.order.holds(key)}
     common = math.gcd(*orders.values())
     lower = {key: float(order // common) for key, order in orders.items()}
-    period = extra.parameters[kind.sine.period] / common
-    return replace(extra, parameters={**extra.parameters, **lower, kind.sine.period: period})
+    period = effect.parameters[kind.sine.period] / common
+    return replace(effect, parameters={**effect.parameters, **lower, kind.sine.period: period})
 
 
-def pruned(
+def prune_effects(
     subject: Subject, fit: Fit, criteria: Criteria, *, refitted: Sequence[Group] | None = None, least: int = 0
 ) -> Fit:
     """The fit without effects that the others have made superfluous; `least` effects stay.
@@ -77,11 +77,11 @@ def pruned(
     `refitted`: groups of the machine's own numbers that are free; None: all. An effect without which there is no model
     of the record is not superfluous.
     """
-    while len(fit.extras) > least:
+    while len(fit.effects) > least:
         fits = in_parallel(
             [
-                partial(attempted_fit, subject, without_extra(fit.extras, group), refitted=refitted, warm=fit)
-                for group in fit.extra_groups
+                partial(try_fit, subject, drop_effect(fit.effects, group), refitted=refitted, warm=fit)
+                for group in fit.candidate_groups
             ]
         )
         trials = [trial for trial in fits if trial is not None]
@@ -90,10 +90,10 @@ def pruned(
         log_decision(
             "reduction",
             "effect without which no more is left than matters is superfluous",
-            effects=[extra.name for extra in fit.extras],
+            effects=[effect.name for effect in fit.effects],
             least_loss_N=min(gains, default=math.inf),
             material_N=criteria.material,
-            left=[extra.name for extra in (fit if stays else trials[gains.index(min(gains))]).extras],
+            left=[effect.name for effect in (fit if stays else trials[gains.index(min(gains))]).effects],
         )
         if stays:
             return fit
@@ -101,24 +101,22 @@ def pruned(
     return fit
 
 
-def wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Groups, Fit]:
+def find_wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Groups, Fit]:
     """Return the machine's numbers that must differ from the file: the fewest groups without a material loss.
 
     Not what is small: laws of friction and long steps are wrong by as much, where elements slip. Returns them, and the
     fit with only them free.
     """
-    extras, material = fit.extras, max(criteria.material, small_force(subject.machine))
-    everything = fit_model(subject, extras, warm=fit)
+    effects, material = fit.effects, max(criteria.material, small_force(subject.machine))
+    everything = fit_model(subject, effects, warm=fit)
     named: Groups = ()
-    current = fit_model(subject, extras, refitted=(), warm=everything)
+    current = fit_model(subject, effects, refitted=(), warm=everything)
     while True:
         missing = gain_force(current.cross, everything.cross, fit.rows)
         rest = [group for group in machine_groups(subject.machine) if group not in named]
         if missing < material or not rest:
             break
-        fits = in_parallel(
-            [partial(attempted_fit, subject, extras, refitted=(*named, g), warm=everything) for g in rest]
-        )
+        fits = in_parallel([partial(try_fit, subject, effects, refitted=(*named, g), warm=everything) for g in rest])
         trials = {group: trial for group, trial in zip(rest, fits, strict=True) if trial is not None}
         if not trials:
             break
@@ -129,14 +127,14 @@ def wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Group
     for group in named:  # an early one may have stood in for later ones
         if len(named) < 2:
             break
-        without = without_group(named, group)
-        trial = fit_model(subject, extras, refitted=without, warm=current, again=True)
+        without = drop_group(named, group)
+        trial = fit_model(subject, effects, refitted=without, warm=current, again=True)
         if gain_force(trial.cross, current.cross, fit.rows) < material:
             named, current = without, trial
     log_decision(
         "reduction",
         "fewest numbers of the file that must differ",
-        effects=[extra.name for extra in extras],
+        effects=[effect.name for effect in effects],
         material_N=material,
         residual_all_free_N=everything.cross_rms,
         residual_N=current.cross_rms,
@@ -145,19 +143,21 @@ def wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Group
     return named, current
 
 
-def necessary(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Groups, Fit]:
+def keep_necessary(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Groups, Fit]:
     """The wrong numbers, and the fit without effects that are superfluous now that those are what they are."""
-    refitted, fit = wrong_numbers(subject, joined(subject, fit, criteria), criteria)
-    return refitted, shortened(subject, pruned(subject, fit, criteria, refitted=refitted), criteria, refitted)
+    refitted, fit = find_wrong_numbers(subject, join_map(subject, fit, criteria), criteria)
+    return refitted, shorten_lists(
+        subject, prune_effects(subject, fit, criteria, refitted=refitted), criteria, refitted
+    )
 
 
-def shortened(subject: Subject, fit: Fit, criteria: Criteria, refitted: Sequence[Group]) -> Fit:
+def shorten_lists(subject: Subject, fit: Fit, criteria: Criteria, refitted: Sequence[Group]) -> Fit:
     """The fit without entries of lists that gain nothing on unseen folds, to first order; one entry stays.
 
     What is left of a map is stated over its shortest period.
     """
     gain = ENTRY_GAIN * criteria.material
-    for group in fit.extra_groups:
+    for group in fit.candidate_groups:
         definition = effect_definition(group.cause)
         entries = _entries(fit, group)
         dropped: list[int] = []
@@ -168,20 +168,20 @@ def shortened(subject: Subject, fit: Fit, criteria: Criteria, refitted: Sequence
             if gain_force(cross, left[weakest], fit.rows) < -gain:
                 break
             dropped, cross = [*dropped, weakest], left[weakest]
-        values = fit.extras[group.index].parameters
+        values = fit.effects[group.index].parameters
         names = [name for name in values if not any(name in entries[i] for i in dropped)]
         short = definition.lists({name: values[name] for name in names})
-        least = in_lowest_terms(Extra(group.cause, definition.entries(short)))
+        least = reduce_orders(CandidateEffect(group.cause, definition.entries(short)))
         if least.parameters != values:
-            extras = [least if i == group.index else extra for i, extra in enumerate(fit.extras)]
-            fit = fit_model(subject, extras, refitted=refitted, warm=fit)
+            effects = [least if i == group.index else effect for i, effect in enumerate(fit.effects)]
+            fit = fit_model(subject, effects, refitted=refitted, warm=fit)
     return fit
 
 
 def _entries(fit: Fit, group: Group) -> dict[int, tuple[str, ...]]:
     """Names of an effect's numbers by the entry of its lists that they are of; empty where it has none."""
     lists = [p for p in effect_definition(group.cause).parameters if p.array]
-    values = fit.extras[group.index].parameters
+    values = fit.effects[group.index].parameters
     count = sum(lists[0].holds(name) for name in values) if lists else 0
     return {i: tuple(p.entry(i) for p in lists) for i in range(1, count + 1)}
 
@@ -194,7 +194,7 @@ def _cross_without(subject: Subject, fit: Fit, group: Group, dropped: Sequence[i
     inside = np.array([c.group == group and c.name in names for c in columns])
     sizes = inside & np.array([c.proportional for c in columns])
     shift = (fit.theta - np.array([c.theta(c.none) for c in columns]))[sizes]
-    kept = fit.loose & ~inside
-    residual = fit.residual + fit.slopes[:, sizes] @ shift
+    kept = fit.interior & ~inside
+    residual = fit.residual + fit.jacobian[:, sizes] @ shift
     prior = prior_information(subject, fit.model, kept)
-    return cross_loss(subject.suited(fit.extras).recording, fit.slopes[:, kept], residual, prior)
+    return cross_loss(subject.choose_rate(fit.effects).recording, fit.jacobian[:, kept], residual, prior)

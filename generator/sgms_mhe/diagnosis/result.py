@@ -66,7 +66,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Score:
-    """How one candidate did in one round of the search.
+    """Score of one candidate in one step of the forward selection.
 
     Attributes:
         name: candidate.
@@ -133,7 +133,7 @@ class BaseParameter:
 
 @dataclass(frozen=True)
 class Structure:
-    """Where the remaining residual lives: strength of its dependence on one coordinate.
+    """Dependence of the residual on one coordinate.
 
     Attributes:
         coordinate: position, velocity, acceleration, time, after_reversal or frequency.

@@ -16,21 +16,21 @@ from sgms_mhe.diagnosis.criteria import (
     SAME_FORCE,
     Criteria,
     Ranked,
-    addable,
-    distinct,
+    drop_duplicates,
     is_ruled_out,
     linear_gain,
-    proposed_effect,
-    with_gains,
+    list_addable,
+    make_effect,
+    rank_proposals,
 )
-from sgms_mhe.diagnosis.fits import Fit, Subject, attempted_fit, fit_model
-from sgms_mhe.diagnosis.parametrisation import Extra, Group, machine_groups, without_extra, without_group
+from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model, try_fit
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Group, drop_effect, drop_group, machine_groups
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.result import Score
 from sgms_mhe.diagnosis.uncertainty import explains_noise
 from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition
-from sgms_mhe.recordings.evidence import difference_statistic, gain_force, nuisance, score_test
-from sgms_mhe.recordings.excitation import steady_blocks
+from sgms_mhe.recordings.evidence import difference_statistic, find_nuisance, gain_force, score_test
+from sgms_mhe.recordings.excitation import find_steady_blocks
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import in_parallel
 
@@ -70,7 +70,7 @@ class Rejected:
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """How the causes of a fit stand against the rest of the catalogue.
+    """Contest of the causes of a fit with the rest of the catalogue.
 
     Attributes:
         better: a fit with a better candidate in a cause's place; the rest then says nothing.
@@ -91,7 +91,7 @@ class _Place:
         group: of the cause.
         fit: with the cause.
         without: without it.
-        extras: effects under test that stay, as they are beside it.
+        effects: effects under test that stay, as they are beside it.
         refitted: groups of the machine's own numbers that stay free without it.
         gain: RMS of the force that it explains [N].
         ranked: candidates for it, the most promising first.
@@ -100,7 +100,7 @@ class _Place:
     group: Group
     fit: Fit
     without: Fit
-    extras: tuple[Extra, ...]
+    effects: tuple[CandidateEffect, ...]
     refitted: tuple[Group, ...]
     gain: float
     ranked: tuple[Ranked, ...]
@@ -131,17 +131,17 @@ def find_rivals(
     """
     rivals: list[Rival] = []
     rejected: dict[str, Rejected] = {}
-    groups = (*refitted, *fit.extra_groups)
+    groups = (*refitted, *fit.candidate_groups)
     places = in_parallel([partial(_place, subject, fit, refitted, group, seen, criteria) for group in groups])
     for k, place in enumerate(places):
         if place is None:
             continue
-        comparing = partial(criteria.course.rivals, number, k / len(groups), place.cause)
+        comparing = partial(criteria.progress.report_rivals, number, k / len(groups), place.cause)
         for judged in _contest(subject, place, criteria, comparing):
             if judged.judgement == "better":
                 return Contest(judged.fit, (), {})
             if judged.judgement == "rival" and judged.fit is not None:
-                own = judged.group or judged.fit.extra_groups[-1]
+                own = judged.group or judged.fit.candidate_groups[-1]
                 rivals.append(Rival(own, place.cause, judged.fit, judged.excess))
             elif judged.judgement == "worse" or judged.name not in rejected:
                 rejected[judged.name] = Rejected(place.cause, judged.excess)
@@ -157,14 +157,14 @@ def _place(
     criteria: Criteria,
 ) -> _Place | None:
     """The place of a cause and who might take it; None where it explains nothing."""
-    extras, base = without_extra(fit.extras, group), without_group(refitted, group)
-    without = fit_model(subject, extras, refitted=base, warm=fit)
+    effects, base = drop_effect(fit.effects, group), drop_group(refitted, group)
+    without = fit_model(subject, effects, refitted=base, warm=fit)
     gain = gain_force(without.cross, fit.cross, fit.rows)
     if gain <= 0.0:
         return None
     found = (*_effects(subject, without, group.cause, seen, criteria), *_machine_numbers(subject, without, refitted))
     ranked = tuple(sorted(found, key=lambda r: -r.gain))
-    return _Place(group, fit, without, extras, base, gain, ranked)
+    return _Place(group, fit, without, effects, base, gain, ranked)
 
 
 def _contest(
@@ -172,9 +172,9 @@ def _contest(
 ) -> Iterator[_Judged]:
     """Judge all candidates for a place, the most promising first; `comparing` is told which are tried."""
     ranked = place.ranked
-    kept = distinct(ranked, SAME_FORCE)[: criteria.table.refits]
+    kept = drop_duplicates(ranked, SAME_FORCE)[: criteria.table.refits]
     if criteria.one_speed:
-        kept += [r for r in ranked if r not in kept and criteria.same_clock(place.cause, _name(r))]
+        kept += [r for r in ranked if r not in kept and criteria.has_same_clock(place.cause, _name(r))]
     others = [r for r in ranked if _name(r) != place.cause]
     tried = [r for r in others if r in kept and not r.gain < _promising(place.cause, _name(r)) * place.gain]
     if tried:
@@ -202,35 +202,35 @@ def _name(candidate: Ranked) -> str:
 
 def _trial(subject: Subject, place: _Place, candidate: Ranked) -> Fit | None:
     """The fit with a candidate in the place; None where it is no model of the record."""
-    extras = place.extras if candidate.group else (*place.extras, proposed_effect(candidate.proposal))
+    effects = place.effects if candidate.group else (*place.effects, make_effect(candidate.proposal))
     base = (*place.refitted, candidate.group) if candidate.group else place.refitted
-    return attempted_fit(subject, extras, refitted=base, warm=place.without)
+    return try_fit(subject, effects, refitted=base, warm=place.without)
 
 
 def _effects(
     subject: Subject, without: Fit, instead_of: str, seen: Collection[str], criteria: Criteria
 ) -> list[Ranked]:
     """Effects in a cause's place; costly ones only if they ever looked good or are known to be confused with it."""
-    free = nuisance(without.slopes[subject.recording.used][:, without.loose])
+    free = find_nuisance(without.jacobian[subject.recording.used][:, without.interior])
     names = [
         name
-        for name in addable(subject.machine, without.extras, criteria, instead_of=instead_of)
+        for name in list_addable(subject.machine, without.effects, criteria, instead_of=instead_of)
         if name != instead_of
         and (not effect_definition(name).costly or name in seen or instead_of in cause(name).confused_with)
     ]
-    return with_gains(subject, without, [p for p in search(subject, without, names, free) if p.feasible])
+    return rank_proposals(subject, without, [p for p in search(subject, without, names, free) if p.feasible])
 
 
 def _machine_numbers(subject: Subject, without: Fit, refitted: tuple[Group, ...]) -> list[Ranked]:
     """The machine's own numbers that are not refitted yet, in a cause's place."""
     recording = subject.recording
-    slopes = without.slopes[recording.used]
-    free = nuisance(slopes[:, without.loose])
+    jacobian = without.jacobian[recording.used]
+    free = find_nuisance(jacobian[:, without.interior])
     found = []
     for group in machine_groups(subject.machine):
         if group in refitted:
             continue
-        Z = free.project(slopes[:, [i for i, c in enumerate(without.model.columns) if c.group == group]])
+        Z = free.project(jacobian[:, [i for i, c in enumerate(without.model.columns) if c.group == group]])
         p, size = score_test(recording, Z, free.project(without.residual[recording.used]))
         proposal = Proposal(group.cause, {}, Z, size, 0.0, 1.0, p, True)
         found.append(Ranked(linear_gain(subject, without, proposal), proposal, group))
@@ -239,7 +239,7 @@ def _machine_numbers(subject: Subject, without: Fit, refitted: tuple[Group, ...]
 
 def _judge(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Criteria) -> tuple[Judgement, float]:
     """A refitted candidate against the cause whose place it took, and the RMS that it leaves more [N]."""
-    judgement, excess = _compared(subject, place, name, trial, criteria)
+    judgement, excess = _compare(subject, place, name, trial, criteria)
     log_decision(
         "rivals",
         "candidate refitted in a cause's place",
@@ -259,24 +259,24 @@ def _judge(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Cri
     return judgement, excess
 
 
-def _compared(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Criteria) -> tuple[Judgement, float]:
+def _compare(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Criteria) -> tuple[Judgement, float]:
     """The same by what both leave."""
     material = criteria.material
-    same_clock = criteria.same_clock(place.cause, name)
-    steady = steady_blocks(subject.recording) if same_clock else None
+    has_same_clock = criteria.has_same_clock(place.cause, name)
+    steady = find_steady_blocks(subject.recording) if has_same_clock else None
     if steady is not None and _is_clearly_better(place.fit, trial, criteria):
         # The start and the stop do not tell the two apart, but a model has to run through them.
         return "better", gain_force(trial.cross, place.fit.cross, place.fit.rows)
     told = np.ones(subject.recording.blocks, dtype=np.bool_) if steady is None else steady
     excess = gain_force(trial.cross[told], place.fit.cross[told], place.fit.rows[told])
     t = difference_statistic(place.fit.cross[told], trial.cross[told])
-    unseen = same_clock or (name in EFFECT_NAMES and name not in criteria.excited)
+    unseen = has_same_clock or (name in EFFECT_NAMES and name not in criteria.excited)
     if is_ruled_out(trial, name, subject):
         return "worse", max(0.0, excess)
     as_good = excess < EQUAL_EXCESS * material
     if as_good and unseen:
         return "rival", excess  # however well it fits: the record does not hold what would show it
-    clearly = _clearly(t, excess, criteria)
+    clearly = _is_clear(t, excess, criteria)
     simpler = name in cause(place.cause).simpler.causes and excess < material
     if simpler and t > EQUAL_T and excess > BETTER * material:
         return "rival", excess  # something more is there for sure, but not enough to matter
@@ -286,7 +286,7 @@ def _compared(subject: Subject, place: _Place, name: str, trial: Fit, criteria: 
     if place.cause in cause(name).simpler.causes and hardly:
         return "worse", max(0.0, excess)  # more numbers and no better: it only imitates
     # The start and the stop pull at the numbers of what is told by them alone.
-    if as_good or (excess < EQUAL_SHARE * place.gain and (same_clock or t < EQUAL_T)):
+    if as_good or (excess < EQUAL_SHARE * place.gain and (has_same_clock or t < EQUAL_T)):
         return "rival", excess
     return "worse", excess
 
@@ -294,10 +294,10 @@ def _compared(subject: Subject, place: _Place, name: str, trial: Fit, criteria: 
 def _is_clearly_better(fit: Fit, trial: Fit, criteria: Criteria) -> bool:
     """Return True if a fit is better than another one on all blocks."""
     t = difference_statistic(fit.cross, trial.cross)
-    return _clearly(t, gain_force(trial.cross, fit.cross, fit.rows), criteria)
+    return _is_clear(t, gain_force(trial.cross, fit.cross, fit.rows), criteria)
 
 
-def _clearly(t: float, excess: float, criteria: Criteria) -> bool:
+def _is_clear(t: float, excess: float, criteria: Criteria) -> bool:
     return t < -EQUAL_T and excess < -BETTER * criteria.material
 
 
@@ -305,11 +305,11 @@ def cause_significance(subject: Subject, fit: Fit, group: Group) -> float:
     """Score test of a group's parameters at a fit (Wald form)."""
     recording, columns = subject.recording, fit.model.columns
     inside = np.array([c.group == group for c in columns]) & fit.free
-    X = fit.slopes[recording.used]
-    free = nuisance(X[:, fit.loose & ~inside])
+    X = fit.jacobian[recording.used]
+    free = find_nuisance(X[:, fit.interior & ~inside])
     Z = free.project(X[:, inside])
     # What the group contributes at the fit stands in for the sizes that the parameters started from.
-    if group.is_extra:
+    if group.is_candidate:
         sizes = np.array([c.group == group and c.proportional for c in columns])
         none = np.array([c.theta(c.none) if c.group == group else 0.0 for c in columns])
         shift = np.where(sizes, fit.theta - none, 0.0)[inside]
@@ -349,4 +349,4 @@ class Selection:
     def causes(self) -> tuple[Group, ...]:
         """Groups that are named: the machine's own, then effects under test."""
         own = tuple(group for group in self.refitted if group not in self.unnamed)
-        return own + self.fit.extra_groups
+        return own + self.fit.candidate_groups

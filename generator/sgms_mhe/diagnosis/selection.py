@@ -17,21 +17,21 @@ from sgms_mhe.diagnosis.criteria import (
     SAME_FORCE,
     Criteria,
     Ranked,
-    addable,
-    distinct,
+    drop_duplicates,
     is_ruled_out,
-    proposed_effect,
-    with_gains,
+    list_addable,
+    make_effect,
+    rank_proposals,
 )
-from sgms_mhe.diagnosis.fits import Fit, Subject, attempted_fit, fit_model
-from sgms_mhe.diagnosis.laws import SHARPER, Laws, fit_chosen, fit_law, is_driven, starting_unknown
+from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model, try_fit
+from sgms_mhe.diagnosis.laws import SHARPER, Laws, fit_chosen, fit_law, is_driven, start_unknown_numbers
 from sgms_mhe.diagnosis.models import FitError
-from sgms_mhe.diagnosis.reduction import necessary, pruned
+from sgms_mhe.diagnosis.reduction import keep_necessary, prune_effects
 from sgms_mhe.diagnosis.result import Outcome, Score
 from sgms_mhe.diagnosis.rivals import Contest, Selection, cause_significance, find_rivals
 from sgms_mhe.diagnosis.uncertainty import explains_noise
 from sgms_mhe.model.effects import cause, effect_definition
-from sgms_mhe.recordings.evidence import difference_statistic, gain_force, nuisance
+from sgms_mhe.recordings.evidence import difference_statistic, find_nuisance, gain_force
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import in_parallel
 
@@ -54,7 +54,7 @@ RIVAL_STEPS: Final = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Round:
+class SelectionStep:
     """Step of the forward selection.
 
     Attributes:
@@ -68,9 +68,11 @@ class Round:
     seen: frozenset[str]
 
 
-def search_round(subject: Subject, current: Fit, number: int, seen: Collection[str], criteria: Criteria) -> Round:
+def search_step(
+    subject: Subject, current: Fit, number: int, seen: Collection[str], criteria: Criteria
+) -> SelectionStep:
     """Search, refit the best, choose the one to add to the current fit; `seen`: what looked good before."""
-    names = addable(subject.machine, current.extras, criteria)
+    names = list_addable(subject.machine, current.effects, criteria)
     candidates = _candidates(subject, current, names, seen, criteria)
     significant = [
         r for r in candidates if r.proposal.feasible and r.proposal.p_value * len(names) < criteria.table.significance
@@ -98,7 +100,7 @@ def search_round(subject: Subject, current: Fit, number: int, seen: Collection[s
         "search",
         "effect that explains most of those significant and large enough, refitted",
         step=number,
-        effects=[extra.name for extra in current.extras],
+        effects=[effect.name for effect in current.effects],
         beyond_noise_N=criteria.excess(current),
         significance=criteria.table.significance,
         least_gain_N=criteria.enough(current),
@@ -109,7 +111,7 @@ def search_round(subject: Subject, current: Fit, number: int, seen: Collection[s
         ],
         added=chosen,
     )  # fmt: skip
-    return Round(
+    return SelectionStep(
         fit=None if chosen is None else fits[chosen],
         scores=tuple(scores),
         seen=frozenset(r.proposal.name for r in strong),
@@ -129,9 +131,9 @@ def _refits(
         best = max((gain_force(current.cross, fit.cross, fit.rows) for fit in fits.values()), default=0.0)
         proposals = [r.proposal for r in stage if r.gain > CLEAR * best]
         if proposals:
-            criteria.course.refits(number, [p.name for p in proposals])
+            criteria.progress.report_refits(number, [p.name for p in proposals])
         tried = in_parallel(
-            [partial(attempted_fit, subject, (*current.extras, proposed_effect(p)), warm=current) for p in proposals]
+            [partial(try_fit, subject, (*current.effects, make_effect(p)), warm=current) for p in proposals]
         )
         fits |= {p.name: fit for p, fit in zip(proposals, tried, strict=True) if fit is not None}
     return fits
@@ -141,10 +143,10 @@ def _candidates(
     subject: Subject, current: Fit, names: Sequence[str], seen: Collection[str], criteria: Criteria
 ) -> list[Ranked]:
     """The best proposal of every effect that is searched."""
-    free = nuisance(current.slopes[subject.recording.used][:, current.loose])
+    free = find_nuisance(current.jacobian[subject.recording.used][:, current.interior])
 
     def ranked(wanted: Sequence[str]) -> list[Ranked]:
-        return with_gains(subject, current, search(subject, current, wanted, free))
+        return rank_proposals(subject, current, search(subject, current, wanted, free))
 
     found = ranked([name for name in names if not effect_definition(name).costly])
     costly = _worth_a_search(current, found, seen, criteria)
@@ -176,7 +178,7 @@ def _shortlist(strong: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
     if not strong:
         return []
     near = [r for r in strong if r.gain > CLOSE * strong[0].gain]
-    kept = distinct(near, SAME_FORCE)[: criteria.table.refits]
+    kept = drop_duplicates(near, SAME_FORCE)[: criteria.table.refits]
     return [r for r in kept if r.gain > CLEAR * kept[0].gain or not effect_definition(r.proposal.name).linear]
 
 
@@ -202,13 +204,13 @@ def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: C
     ]
     if len(equal) == 1:
         return best
-    alone = {name: fit_model(subject, fits[name].extras, refitted=()) for name in equal}
+    alone = {name: fit_model(subject, fits[name].effects, refitted=()) for name in equal}
     return min(alone, key=lambda name: float(alone[name].cross.sum()))
 
 
 @dataclass(frozen=True, eq=False)
 class Searched:
-    """Where the forward search ended.
+    """Result of the forward selection.
 
     Attributes:
         laws: the transitions, with the one that fits.
@@ -232,7 +234,7 @@ def search_causes(laws: Laws, criteria: Criteria) -> Searched:
     more than they differ by: it might be that difference. And once nothing more is found; where the comparison changes
     something, the search goes on.
     """
-    laws, current = fit_law(starting_unknown(laws), (), criteria)
+    laws, current = fit_law(start_unknown_numbers(laws), (), criteria)
     scores: tuple[Score, ...] = ()
     seen: frozenset[str] = frozenset()
     number, compared, ended = 0, True, False
@@ -242,53 +244,53 @@ def search_causes(laws: Laws, criteria: Criteria) -> Searched:
         ended = ended or number == criteria.table.rounds or excess < criteria.material
         if not ended and (compared or excess > laws.doubt):
             number += 1
-            criteria.course.search(number)
-            found = search_round(laws.chosen, current, number, seen, criteria)
+            criteria.progress.report_search(number)
+            found = search_step(laws.chosen, current, number, seen, criteria)
             seen |= found.seen
             ended = found.fit is None
             if compared or found.fit is None or _gain(current, found.fit) > laws.doubt:
                 scores += found.scores
                 if found.fit is not None:
-                    known = pruned(laws.chosen, found.fit, criteria, least=1)
-                    laws, current = fit_chosen(laws, known.extras, criteria, known=known)
+                    known = prune_effects(laws.chosen, found.fit, criteria, least=1)
+                    laws, current = fit_chosen(laws, known.effects, criteria, known=known)
                     compared = False
                     continue
         if compared:
             break
         before, taken = current, laws.taken
-        laws, current = fit_law(laws, current.extras, criteria, known=current)
+        laws, current = fit_law(laws, current.effects, criteria, known=current)
         compared = True
         if laws.taken != taken or current.rms < SHARPER * before.rms:
             ended = False
     # What is left unexplained is no measure for the machine's numbers, but no finer one than that is possible.
     told = END_SHARE * criteria.excess(current)
     criteria = replace(criteria, material=max(criteria.material, told))
-    return _by_simpler_law(Searched(laws, current, criteria, scores, seen))
+    return _choose_simpler_law(Searched(laws, current, criteria, scores, seen))
 
 
-def _by_simpler_law(searched: Searched) -> Searched:
+def _choose_simpler_law(searched: Searched) -> Searched:
     """Return the causes under the other law where the record decides for none and fewer explain as much there.
 
     A cause may be the difference of the laws.
     """
     laws, criteria = searched.laws, searched.criteria
-    if laws.other is None or laws.decided or is_driven(searched.fit.extras):
+    if laws.other is None or laws.decided or is_driven(searched.fit.effects):
         return searched
-    causes, fit = necessary(laws.chosen, searched.fit, criteria)
-    count = len(causes) + len(fit.extras)
+    causes, fit = keep_necessary(laws.chosen, searched.fit, criteria)
+    count = len(causes) + len(fit.effects)
     if count == 0:
         return searched
     try:
-        found = fit_model(laws.other, searched.fit.extras, warm=searched.fit)
+        found = fit_model(laws.other, searched.fit.effects, warm=searched.fit)
     except FitError:
         return searched
-    causes, other = necessary(laws.other, found, criteria)
-    if len(causes) + len(other.extras) < count and criteria.costs_nothing(fit, other):
+    causes, other = keep_necessary(laws.other, found, criteria)
+    if len(causes) + len(other.effects) < count and criteria.is_as_good(fit, other):
         return replace(searched, laws=replace(laws, taken=not laws.taken), fit=found)
     return searched
 
 
-def without_effects(searched: Searched) -> Searched:
+def drop_effects(searched: Searched) -> Searched:
     """The same with none of the effects that were found."""
     laws, fit = fit_law(searched.laws, (), searched.criteria)
     return replace(searched, laws=laws, fit=fit)
@@ -300,17 +302,17 @@ def _gain(before: Fit, after: Fit) -> float:
 
 
 def select_causes(searched: Searched) -> Selection:
-    """Of what was found, and of the machine's numbers, as little as explains the record; and what would do as well."""
+    """Select the fewest effects and numbers of the machine that explain the record, and find their rivals."""
     subject, criteria = searched.laws.chosen, searched.criteria
-    refitted, fit = necessary(subject, searched.fit, criteria)
+    refitted, fit = keep_necessary(subject, searched.fit, criteria)
     contest = Contest(None, (), {})
     for number in range(1, RIVAL_STEPS + 1):
-        criteria.course.rivals(number, 0.0, "", ())
+        criteria.progress.report_rivals(number, 0.0, "", ())
         contest = find_rivals(subject, fit, refitted, searched.seen, criteria, number)
         if contest.better is None:
             break
-        refitted, fit = necessary(subject, contest.better, criteria)
-    groups = (*refitted, *fit.extra_groups)
+        refitted, fit = keep_necessary(subject, contest.better, criteria)
+    groups = (*refitted, *fit.candidate_groups)
     return Selection(
         fit=fit,
         refitted=refitted,

@@ -1,4 +1,4 @@
-"""Where a residual lives: position, velocity, acceleration, time, the way after reversals, frequency."""
+"""Maps of a residual over position, velocity, acceleration, time, distance after reversals, frequency."""
 
 from __future__ import annotations
 

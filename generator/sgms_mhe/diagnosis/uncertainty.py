@@ -19,7 +19,7 @@ from sgms_mhe.diagnosis.fits import Fit, Subject, prior_information
 from sgms_mhe.diagnosis.parametrisation import TIMING, TIMING_MOST
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import UNSEEN_ERROR, robust_covariance
-from sgms_mhe.recordings.recording import Recording, Runs, chained
+from sgms_mhe.recordings.recording import Recording, Runs, filter_position
 from sgms_mhe.signals.noise import noise_course, position_noise
 from sgms_mhe.support.parallel import in_parallel
 
@@ -41,40 +41,40 @@ def explains_noise(subject: Subject, fit: Fit, gain: float) -> bool:
 
     Asked of what is about as fast as a sample and of what acts on the acceleration; nothing else follows noise.
     """
-    if not fit.extras:
+    if not fit.effects:
         return False
-    added = effect_definition(fit.extras[-1].name)
+    added = effect_definition(fit.effects[-1].name)
     if not (added.full_rate or added.inertial):
         return False
-    return noise_explained(subject, fit) > NOISE_SHARE * gain
+    return find_explained_noise(subject, fit) > NOISE_SHARE * gain
 
 
-def noise_explained(subject: Subject, fit: Fit) -> float:
+def find_explained_noise(subject: Subject, fit: Fit) -> float:
     """RMS of what the effect added last takes out of a residual that is the encoder's noise [N].
 
     A delay makes other noise of it, but not less.
     """
-    recording = subject.suited(fit.extras).recording
-    numbers = (fit.theta_without(fit.extra_groups[-1:]), fit.theta)
-    without, left = (float(np.mean(noise_left(recording, fit, n)[recording.used] ** 2)) for n in numbers)
+    recording = subject.choose_rate(fit.effects).recording
+    numbers = (fit.theta_without(fit.candidate_groups[-1:]), fit.theta)
+    without, left = (float(np.mean(noise_residual(recording, fit, n)[recording.used] ** 2)) for n in numbers)
     return math.sqrt(max(0.0, without - left))
 
 
-def noise_left(recording: Recording, fit: Fit, theta: Array) -> Array:
+def noise_residual(recording: Recording, fit: Fit, theta: Array) -> Array:
     """Return the encoder's noise in the residual of a fit's model at theta (n_p), (m) [N]."""
-    noisy = with_more_noise(recording)
+    noisy = add_noise(recording)
     answers = [fit.model.run(record, theta, derivatives=False)[0] for record in (noisy, recording)]
     return np.asarray(answers[1] - answers[0] - inertial_noise(recording))
 
 
 def inertial_noise(recording: Recording) -> Array:
     """Force that the encoder's noise makes of the acceleration (m) [N]: as large as what is in measured friction."""
-    noise = with_more_noise(recording).signals.acceleration - recording.signals.acceleration
+    noise = add_noise(recording).signals.acceleration - recording.signals.acceleration
     return recording.reduce(recording.machine.plant.moved * noise)
 
 
 @lru_cache(maxsize=NOISY_CACHED)
-def with_more_noise(recording: Recording) -> Recording:
+def add_noise(recording: Recording) -> Recording:
     """The record with as much noise of its encoder once more, sent through the chain.
 
     How much there is, the acceleration tells: of a position behind the chain's filters no difference shows it, and a
@@ -98,7 +98,7 @@ def with_more_noise(recording: Recording) -> Recording:
 def _white_noise(recording: Recording) -> Array:
     """Noise of position, velocity and acceleration (n, 3), of a position's white one."""
     acceleration = recording.signals.acceleration
-    noise = chained(recording.machine, np.random.default_rng(SEED).standard_normal(len(acceleration)))
+    noise = filter_position(recording.machine, np.random.default_rng(SEED).standard_normal(len(acceleration)))
     unit = position_noise(noise[:, 2])
     size = noise_course(acceleration) / unit if unit > 0.0 else np.zeros(len(acceleration))
     return np.asarray(size[:, None] * noise)
@@ -118,7 +118,7 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
         other: the same axis with the other transition from sticking to slipping; None: it has none.
     """
     recording = subject.recording
-    X = np.where(_is_smooth(subject, fit, fit.slopes)[:, None], fit.slopes[:, fit.free], 0.0)
+    X = np.where(_is_smooth(subject, fit, fit.jacobian)[:, None], fit.jacobian[:, fit.free], 0.0)
     prior = np.diag(prior_information(subject, fit.model, fit.free))
     H = X[recording.used].T @ X[recording.used] + prior
     inverse = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
@@ -150,14 +150,14 @@ def _timing(subject: Subject, fit: Fit) -> Array:
 
 
 def standard_deviations(covariance: Array, fit: Fit) -> list[float]:
-    """Of each number of a fit, SI; NaN where it was not fitted."""
+    """Return the standard deviation of each number of a fit, SI; NaN where it was not fitted."""
     return [
         math.sqrt(float(covariance[i, i])) * abs(column.scale) if fit.free[i] else math.nan
         for i, column in enumerate(fit.model.columns)
     ]
 
 
-def _is_smooth(subject: Subject, fit: Fit, slopes: Array) -> NDArray[np.bool_]:
+def _is_smooth(subject: Subject, fit: Fit, jacobian: Array) -> NDArray[np.bool_]:
     """Rows (m) whose slopes (m, n_p) say what a change of the numbers of a fit does.
 
     Where elements let go or a gap opens again and again along a short way, a derivative grows with every time, far
@@ -165,7 +165,7 @@ def _is_smooth(subject: Subject, fit: Fit, slopes: Array) -> NDArray[np.bool_]:
     """
     own = [c.group.kind == "base" for c in fit.model.columns]
     most = RUNAWAY * float(np.max(np.abs(subject.recording.friction[subject.recording.used])))
-    return np.asarray((np.abs(slopes[:, own]) <= most).all(axis=1))
+    return np.asarray((np.abs(jacobian[:, own]) <= most).all(axis=1))
 
 
 def _noise(subject: Subject, fit: Fit, inverse: Array) -> Array:
@@ -175,13 +175,13 @@ def _noise(subject: Subject, fit: Fit, inverse: Array) -> Array:
     nothing moved (errors in variables): it makes a mass 0.4 % of all that moves too small where it has 0.4 % of the
     acceleration's power. No average over blocks sees that either. As much noise once more says how much.
     """
-    recording = subject.suited(fit.extras).recording
-    _, slopes = fit.model.run(with_more_noise(recording), fit.theta)
-    if slopes is None or not np.all(np.isfinite(slopes)):
+    recording = subject.choose_rate(fit.effects).recording
+    _, jacobian = fit.model.run(add_noise(recording), fit.theta)
+    if jacobian is None or not np.all(np.isfinite(jacobian)):
         return np.zeros(len(inverse))
-    told = recording.used & _is_smooth(subject, fit, fit.slopes) & _is_smooth(subject, fit, slopes)
-    apart = (slopes - fit.slopes)[told][:, fit.free]
-    return np.asarray(inverse @ (apart.T @ noise_left(recording, fit, fit.theta)[told]))
+    told = recording.used & _is_smooth(subject, fit, fit.jacobian) & _is_smooth(subject, fit, jacobian)
+    apart = (jacobian - fit.jacobian)[told][:, fit.free]
+    return np.asarray(inverse @ (apart.T @ noise_residual(recording, fit, fit.theta)[told]))
 
 
 def _law(subject: Subject, fit: Fit, other: Subject | None, inverse: Array, wrong: float) -> Array:
@@ -200,7 +200,7 @@ def _law(subject: Subject, fit: Fit, other: Subject | None, inverse: Array, wron
     change = theirs[used] - own[used]
     if not np.all(np.isfinite(change)):
         return nothing
-    X = fit.slopes[used][:, fit.free]
+    X = fit.jacobian[used][:, fit.free]
     moved = inverse @ (X.T @ change)
     left = float(np.sqrt(np.mean((change - X @ moved) ** 2)))
     return np.asarray(moved * min(1.0, wrong / left)) if left > 0.0 else nothing

@@ -16,29 +16,29 @@ from sgms_mhe.diagnosis.alignment import compile_half_steps, in_step, offset_not
 from sgms_mhe.diagnosis.causes import (
     Confirmed,
     base_parameters,
-    confirmed,
-    constant_causes,
+    confirm_causes,
+    confirm_constant_causes,
     extended_machine,
-    refitted_beside,
-    without_undetermined,
+    refit_numbers,
+    restore_undetermined,
 )
-from sgms_mhe.diagnosis.criteria import Course, Progress, criteria_of, material_force, small_force
-from sgms_mhe.diagnosis.final_fit import Left, Settled, rival_fits, settle, split_rms
+from sgms_mhe.diagnosis.criteria import Progress, ProgressReport, make_criteria, material_force, small_force
+from sgms_mhe.diagnosis.final_fit import FinalFit, RecordResidual, fit_rivals, make_final_fit, split_rms
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
-from sgms_mhe.diagnosis.laws import compilations, laws_of
+from sgms_mhe.diagnosis.laws import list_compilations, make_laws
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.parametrisation import TIMING_MOST, Group
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
-from sgms_mhe.diagnosis.selection import Searched, search_causes, select_causes, without_effects
+from sgms_mhe.diagnosis.selection import Searched, drop_effects, search_causes, select_causes
 from sgms_mhe.diagnosis.structure import force_over_speed, structure_map
 from sgms_mhe.diagnosis.uncertainty import inertial_noise
-from sgms_mhe.diagnosis.wording import alternatives_of, experiment_of, summary_of
+from sgms_mhe.diagnosis.wording import choose_experiment, list_alternatives, summarise
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.recordings.evidence import gain_interval, noise_floor
-from sgms_mhe.recordings.excerpt import excerpt
-from sgms_mhe.recordings.excitation import clock_note, measures, steady_blocks
+from sgms_mhe.recordings.excerpt import make_excerpt
+from sgms_mhe.recordings.excitation import clock_note, find_steady_blocks, measure_excitation
 from sgms_mhe.recordings.recording import Recording, encoder_noise, prepare
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
@@ -94,40 +94,40 @@ def diagnose(
         InputError: the log does not fit the machine, has too few usable samples, or a model of it is not finite.
     """
     started = time.monotonic()
-    course = Course(progress or (lambda step, share: None))
+    told = ProgressReport(progress or (lambda step, share: None))
     most, offset = TIMING_MOST * machine.sampling.step, 0.0
     try:
-        found = _diagnosed(machine, log, held_out_s, course)
+        found = _diagnose_log(machine, log, held_out_s, told)
         while (more := sampling_offset(found)) and abs(offset + more) <= most:
             offset += more
             log_decision("record", "force put in step with position, and diagnosed again", offset_s=offset, most_s=most)
-            found = _diagnosed(machine, in_step(log, offset), held_out_s, course)
+            found = _diagnose_log(machine, in_step(log, offset), held_out_s, told)
     except FitError as error:
         raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
     warnings = (*offset_notes(machine, offset), *found.warnings)
     return replace(found, warnings=warnings, seconds=time.monotonic() - started)
 
 
-def _diagnosed(
-    machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]] | None, course: Course
+def _diagnose_log(
+    machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]] | None, progress: ProgressReport
 ) -> Diagnosis:
     """The diagnosis of a log as it is."""
-    course.begun()
+    progress.report_start()
     record = prepare(machine, log, held_out_s)
-    noise = beside(partial(encoder_noise, machine, log), compilations(machine, excerpt(record)))
+    noise = beside(partial(encoder_noise, machine, log), list_compilations(machine, make_excerpt(record)))
     record = replace(record, noise=noise)
-    recording = excerpt(record)
+    recording = make_excerpt(record)
     nominal = fit_model(Subject.of(machine, recording), (), refitted=())
-    if not _excited(recording, nominal):
+    if not _is_excited(recording, nominal):
         if recording is not record:
             # A long rest may hold all pieces; a whole record costs no more than this one run.
             recording, nominal = record, fit_model(Subject.of(machine, record), (), refitted=())
-        return _without_excitation(machine, log, recording, nominal)
-    course.base()
+        return _report_standstill(machine, log, recording, nominal)
+    progress.report_base()
     floor = noise_floor(recording, nominal.residual)
-    one_speed = steady_blocks(record) is not None
-    measured = measures(record.signals, machine)
-    criteria = criteria_of(machine, floor, measured, course, one_speed=one_speed)
+    one_speed = find_steady_blocks(record) is not None
+    measured = measure_excitation(record.signals, machine)
+    criteria = make_criteria(machine, floor, measured, progress, one_speed=one_speed)
     log_decision(
         "record",
         "noise floor, gain that matters, and effects that the motion can show",
@@ -141,31 +141,33 @@ def _diagnosed(
         excited=criteria.excited,
         warnings=record.warnings,
     )
-    searched = search_causes(laws_of(machine, recording, floor), criteria)
+    searched = search_causes(make_laws(machine, recording, floor), criteria)
     left_out: tuple[str, ...] = ()
     try:
-        settled, judged = _judged(record, nominal, searched, course)
+        final, judged = _judge_search(record, nominal, searched, progress)
     except FitError:
         # A gap that opens again and again has no finite derivatives, wherever a fit of it would begin.
-        left_out = tuple(dict.fromkeys(extra.name for extra in searched.fit.extras))
+        left_out = tuple(dict.fromkeys(effect.name for effect in searched.fit.effects))
         if not left_out:
             raise
-        settled, judged = _judged(record, nominal, without_effects(searched), course)
-    return _diagnosis(machine, log, settled, judged, left_out)
+        final, judged = _judge_search(record, nominal, drop_effects(searched), progress)
+    return _diagnosis(machine, log, final, judged, left_out)
 
 
-def _judged(record: Recording, nominal: Fit, searched: Searched, course: Course) -> tuple[Settled, _Judged]:
-    """Of what was found, the causes that hold."""
-    # What was found is mostly what is selected, and settled next.
+def _judge_search(
+    record: Recording, nominal: Fit, searched: Searched, progress: ProgressReport
+) -> tuple[FinalFit, _Judged]:
+    """Judge the result of a search: select, fit to the end, confirm."""
+    # What was found is mostly what is selected, and final next.
     selection = beside(
         partial(select_causes, searched), [partial(compile_half_steps, searched.laws.chosen.whole, searched.fit)]
     )
-    settled = settle(record, nominal, searched.laws, selection)
-    course.judgement()
-    return settled, _judge(settled)
+    final = make_final_fit(record, nominal, searched.laws, selection)
+    progress.report_judgement()
+    return final, _judge(final)
 
 
-def _excited(recording: Recording, nominal: Fit) -> bool:
+def _is_excited(recording: Recording, nominal: Fit) -> bool:
     """Return True if the axis moved enough for its friction to show."""
     simulated = (recording.friction - nominal.residual)[recording.used]
     machine = recording.machine
@@ -189,32 +191,32 @@ class _Judged:
     free: Fit
 
 
-def _judge(settled: Settled) -> _Judged:
+def _judge(final: FinalFit) -> _Judged:
     """Confirm the causes, and say whether they explain the record."""
-    found = confirmed(settled, settled.selection)
-    plain = settled.fit((), refitted=())
+    found = confirm_causes(final, final.selection)
+    plain = final.fit((), refitted=())
     # The base numbers' own small errors are no structure that asks for a name.
-    free = settled.fit(found.selection.fit.extras, warm=found.selection.fit)
-    best = min(found.selection.fit, free, key=settled.excess)
-    before, after = settled.excess(plain), settled.excess(best)
+    free = final.fit(found.selection.fit.effects, warm=found.selection.fit)
+    best = min(found.selection.fit, free, key=final.excess)
+    before, after = final.excess(plain), final.excess(best)
     judged = found.selection.causes
-    allowed = _allowed(settled.record.machine, settled.floor, judged, before)
-    curve = after < allowed and any(_may_stand_in(group.cause) for group in judged) and _leaves_curve(settled, best)
+    allowed = _allowed_excess(final.record.machine, final.floor, judged, before)
+    curve = after < allowed and any(_may_stand_in(group.cause) for group in judged) and _leaves_curve(final, best)
     verdict: Verdict
     if not found.selection.causes:
         # As it is, and not with other numbers: what these explain and no cause does is not adequate.
         verdict = "adequate" if before < allowed else "unexplained"
     elif after < allowed and not curve:
         verdict = "ambiguous" if found.selection.rivals else "explained"
-        if settled.foreign:
-            found = refitted_beside(settled, found, constant=False)
+        if final.alternative:
+            found = refit_numbers(final, found, constant=False)
     else:
         verdict = "unexplained"
         # Something is left; but causes that are the same everywhere in the record are none the less real.
-        found = constant_causes(settled, settled.selection)
+        found = confirm_constant_causes(final, final.selection)
         # What refitted numbers explain that are no cause is no merit of the causes.
-        before = settled.excess(settled.fit((), refitted=found.selection.unnamed))
-        kept = settled.excess(found.selection.fit)
+        before = final.excess(final.fit((), refitted=found.selection.unnamed))
+        kept = final.excess(found.selection.fit)
         certain = bool(found.causes) and kept < MOST_RESIDUAL * before
         log_decision(
             "verdict",
@@ -227,20 +229,20 @@ def _judge(settled: Settled) -> _Judged:
         if not certain:
             found = Confirmed(replace(found.selection, fit=plain, refitted=(), rivals=()), plain, ())
     if found.causes:
-        found = without_undetermined(settled, found)
-        if verdict == "unexplained" and _leaves_curve(settled, found.selection.fit):
+        found = restore_undetermined(final, found)
+        if verdict == "unexplained" and _leaves_curve(final, found.selection.fit):
             found = replace(found, causes=tuple(replace(c, stands_in=_may_stand_in(c.name)) for c in found.causes))
     log_decision(
         "verdict",
         "residual beyond noise is within what a complete explanation may leave, and no curve over speed is left",
         confirmed=[group.name for group in judged],
-        noise_floor_N=settled.floor,
+        noise_floor_N=final.floor,
         beyond_noise_before_N=before,
         beyond_noise_after_N=after,
         allowed_N=allowed,
         leaves_curve_over_speed=curve,
         rivals=[rival.group.cause for rival in found.selection.rivals],
-        law_of_the_file=not settled.foreign,
+        law_of_the_file=not final.alternative,
         outcome=verdict,
         named=[cause.label for cause in found.causes],
     )
@@ -252,16 +254,16 @@ def _may_stand_in(name: str) -> bool:
     return name in BASE_CAUSES or cause_definition(name).over_speed
 
 
-def _leaves_curve(settled: Settled, fit: Fit) -> bool:
+def _leaves_curve(final: FinalFit, fit: Fit) -> bool:
     """Return True if a good part of the residual is a curve over speed, and it matters."""
-    material = material_force(settled.record.machine, settled.floor)
-    left = settled.left(fit)
-    curve = force_over_speed(settled.record, left.residual)
-    beyond = math.sqrt(max(0.0, left.rms**2 - settled.floor**2))
+    material = material_force(final.record.machine, final.floor)
+    left = final.residual_of(fit)
+    curve = force_over_speed(final.record, left.residual)
+    beyond = math.sqrt(max(0.0, left.rms**2 - final.floor**2))
     return curve > max(CURVE_GAIN * material, CURVE_SHARE * beyond)
 
 
-def _allowed(machine: Machine, floor: float, causes: Sequence[Group] = (), before: float = 0.0) -> float:
+def _allowed_excess(machine: Machine, floor: float, causes: Sequence[Group] = (), before: float = 0.0) -> float:
     """RMS beyond noise [N] that a complete explanation may leave; `before`: without its causes.
 
     A wrong number beside effects may stand for a part of what they leave: then that is no more than what is small.
@@ -269,27 +271,25 @@ def _allowed(machine: Machine, floor: float, causes: Sequence[Group] = (), befor
     level = machine.friction.coulomb
     wanted = max(machine.diagnosis.unexplained * level, ALLOWED_NOISE * floor, ALLOWED_SHARE * before)
     most = MOST_WITH_CAUSES if causes else MOST_WITHOUT_CAUSES
-    mixed = len({group.is_extra for group in causes}) > 1
+    mixed = len({group.is_candidate for group in causes}) > 1
     least = small_force(machine) if mixed else LEAST_ALLOWED * level
     return min(wanted, max(most * floor, least))
 
 
-def _diagnosis(
-    machine: Machine, log: Log, settled: Settled, judged: _Judged, left_out: Sequence[str] = ()
-) -> Diagnosis:
+def _diagnosis(machine: Machine, log: Log, final: FinalFit, judged: _Judged, left_out: Sequence[str] = ()) -> Diagnosis:
     """The verdict with everything that a report needs; `left_out`: effects that looked good, but have no model here."""
-    record, verdict, causes = settled.record, judged.verdict, judged.found.causes
+    record, verdict, causes = final.record, judged.verdict, judged.found.causes
     selection = judged.found.selection
     named = bool(causes)
-    nominal, start = settled.nominal_left, settled.left(settled.start)
+    nominal, start = final.nominal_residual, final.residual_of(final.start)
     # Where nothing is named: the machine's numbers, with the transition that fits.
-    unseen = settled.left(judged.found.blind if named else judged.plain)
-    final = settled.left(selection.fit)
+    unseen = final.residual_of(judged.found.blind if named else judged.plain)
+    extended_left = final.residual_of(selection.fit)
     rms_before, held_before = split_rms(nominal, record)
     rms_after, held_after = split_rms(unseen, record)
-    extended, toml = extended_machine(machine, settled, selection, causes) if named else (None, None)
+    extended, toml = extended_machine(machine, final, selection, causes) if named else (None, None)
     held = record.held_out
-    alternatives = alternatives_of(selection, machine.plant.units)
+    alternatives = list_alternatives(selection, machine.plant.units)
     rivals = [alternative for alternative in alternatives if alternative.rival]
     encoder = _force_of_noise(record) if verdict == "unexplained" else 0.0
     hidden_by = min(encoder, held_after) if encoder**2 > MOSTLY * held_after**2 else 0.0
@@ -297,27 +297,27 @@ def _diagnosis(
         machine=machine,
         source=log.source,
         verdict=verdict,
-        summary=summary_of(verdict, causes, rivals, held_before, held_after, machine.plant.units, hidden_by),
+        summary=summarise(verdict, causes, rivals, held_before, held_after, machine.plant.units, hidden_by),
         causes=causes,
         alternatives=alternatives,
-        separating_experiment=experiment_of(verdict, causes, rivals, hidden_by),
+        separating_experiment=choose_experiment(verdict, causes, rivals, hidden_by),
         rms=Rms(rms_before, rms_after, held_before, held_after),
-        noise_floor_N=settled.floor if settled.along is None else noise_floor(record, final.residual),
+        noise_floor_N=final.floor if final.along is None else noise_floor(record, extended_left.residual),
         gain_interval_N=gain_interval(nominal.loss[held], unseen.loss[held], unseen.rows[held])
         if named
         else (0.0, 0.0),
-        base=base_parameters(settled, judged.free if named else settled.start),
-        scores=selection.scores if named or verdict != "unexplained" else _unnamed(selection.scores),
+        base=base_parameters(final, judged.free if named else final.start),
+        scores=selection.scores if named or verdict != "unexplained" else _unname_scores(selection.scores),
         structure_before=structure_map(record, nominal.residual),
-        structure_after=structure_map(record, final.residual if named else start.residual),
-        traces=_traces(record, nominal, start, final if named else nominal, unseen),
+        structure_after=structure_map(record, extended_left.residual if named else start.residual),
+        traces=_traces(record, nominal, start, extended_left if named else nominal, unseen),
         extended=extended,
         extended_toml=toml,
-        law=settled.subject.machine.friction.law,
+        law=final.subject.machine.friction.law,
         excited=True,
         warnings=(
-            *settled.recording.warnings,
-            *_law_notes(settled, judged.plain),
+            *final.recording.warnings,
+            *_law_notes(final, judged.plain),
             *_estimation_notes(machine, extended),
             *(
                 f"{name}: it looked good, but its model is not finite along this record: left out"
@@ -326,7 +326,7 @@ def _diagnosis(
             ),
         ),
         seconds=0.0,
-        rival_fits=rival_fits(settled, selection),
+        rival_fits=fit_rivals(final, selection),
         undecided=clock_note(record),
         encoder_noise_N=hidden_by,
     )
@@ -342,11 +342,11 @@ def _force_of_noise(record: Recording) -> float:
     return float(np.sqrt(np.mean(inertial_noise(record)[rows] ** 2))) if rows.any() else 0.0
 
 
-def _law_notes(settled: Settled, plain: Fit) -> tuple[str, ...]:
+def _law_notes(final: FinalFit, plain: Fit) -> tuple[str, ...]:
     """Return the remarks on an axis that obeys another law than its machine file states."""
-    if not settled.foreign:
+    if not final.alternative:
         return ()
-    unit, law = settled.record.machine.plant.units.force, settled.subject.machine.friction.law
+    unit, law = final.record.machine.plant.units.force, final.subject.machine.friction.law
     how = "at once" if law == "switching" else "smoothly"
     return (f"elements slip {how}: [friction] law = {law} alone leaves {plain.rms:.3g} {unit}",)
 
@@ -361,11 +361,17 @@ def _estimation_notes(machine: Machine, extended: Machine | None) -> tuple[str, 
     )
 
 
-def _unnamed(scores: Sequence[Score]) -> tuple[Score, ...]:
+def _unname_scores(scores: Sequence[Score]) -> tuple[Score, ...]:
     return tuple(replace(s, outcome="redundant") if s.outcome == "named" else s for s in scores)
 
 
-def _traces(recording: Recording, nominal: Left, start: Left, extended: Left, blind: Left) -> Traces:
+def _traces(
+    recording: Recording,
+    nominal: RecordResidual,
+    start: RecordResidual,
+    extended: RecordResidual,
+    blind: RecordResidual,
+) -> Traces:
     measured = recording.reduce(recording.signals.friction)
     return Traces(
         time_s=recording.time,
@@ -385,7 +391,7 @@ def _traces(recording: Recording, nominal: Left, start: Left, extended: Left, bl
     )
 
 
-def _without_excitation(machine: Machine, log: Log, recording: Recording, nominal: Fit) -> Diagnosis:
+def _report_standstill(machine: Machine, log: Log, recording: Recording, nominal: Fit) -> Diagnosis:
     rms, held = split_rms(nominal, recording)
     maps = structure_map(recording, nominal.residual)
     floor = noise_floor(recording, nominal.residual)
@@ -393,7 +399,7 @@ def _without_excitation(machine: Machine, log: Log, recording: Recording, nomina
     return Diagnosis(
         machine=machine,
         source=log.source,
-        verdict="adequate" if excess < _allowed(machine, floor) else "unexplained",
+        verdict="adequate" if excess < _allowed_excess(machine, floor) else "unexplained",
         summary="There is no excitation in this record: the axis hardly moves, so nothing can be said about friction.",
         causes=(),
         alternatives=(),
@@ -405,7 +411,7 @@ def _without_excitation(machine: Machine, log: Log, recording: Recording, nomina
         scores=(),
         structure_before=maps,
         structure_after=maps,
-        traces=_traces(recording, *4 * (Left.of(nominal),)),
+        traces=_traces(recording, *4 * (RecordResidual.of(nominal),)),
         extended=None,
         extended_toml=None,
         law=machine.friction.law,

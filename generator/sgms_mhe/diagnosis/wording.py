@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from sgms_mhe.diagnosis.fits import reported_values
+from sgms_mhe.diagnosis.fits import report_values
 from sgms_mhe.diagnosis.result import Alternative, Cause, Verdict
 from sgms_mhe.diagnosis.rivals import Selection
 from sgms_mhe.machine import Units
@@ -16,7 +16,7 @@ FINER = "the same log with a lower [sampling] velocity_cutoff, or a finer encode
 PLATEAUS = "constant speeds from the slowest to the fastest, in both directions: friction over speed shows as it is"
 
 
-def alternatives_of(selection: Selection, units: Units) -> tuple[Alternative, ...]:
+def list_alternatives(selection: Selection, units: Units) -> tuple[Alternative, ...]:
     """Return the candidates that were not named, with the reasons; the rivals first."""
     found = [
         Alternative(
@@ -24,7 +24,7 @@ def alternatives_of(selection: Selection, units: Units) -> tuple[Alternative, ..
             f"fits as well as {rival.instead_of} on this record",
             True,
             rival.instead_of,
-            reported_values(rival.fit, rival.group),
+            report_values(rival.fit, rival.group),
             max(0.0, rival.excess_N),
         )
         for rival in selection.rivals
@@ -63,10 +63,10 @@ def _why_not(selection: Selection, name: str, units: Units) -> str:
     return f"in place of {lost.instead_of} leaves {lost.excess_N:.3g} {units.force} more"
 
 
-def experiment_of(
+def choose_experiment(
     verdict: Verdict, causes: Sequence[Cause], rivals: Sequence[Alternative], noise: float = 0.0
 ) -> str | None:
-    """Return the next motion: the moves that separate causes and rivals; None: nothing. `noise`: as of `summary_of`."""
+    """Return the next motion: the moves that separate causes and rivals; None: nothing. `noise`: as of `summarise`."""
     left = FINER if noise > 0.0 else PLATEAUS if any(cause.stands_in for cause in causes) else TWICE
     moves = [left] if verdict == "unexplained" else []
     for rival in rivals:
@@ -78,7 +78,7 @@ def experiment_of(
     return ". ".join(moves) if moves else None
 
 
-def summary_of(
+def summarise(
     verdict: Verdict,
     causes: Sequence[Cause],
     rivals: Sequence[Alternative],

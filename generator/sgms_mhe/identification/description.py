@@ -1,4 +1,4 @@
-"""The numbers of a settled fit as those of a machine file, and sentences on what the records leave open."""
+"""The numbers of a final fit as those of a machine file, and sentences on what the records leave open."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from sgms_mhe.identification.final_fit import CERTAIN, Settled
+from sgms_mhe.identification.final_fit import CERTAIN, FinalFit
 from sgms_mhe.identification.fits import AxisFit, Quantity, View
 from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.search import Found
@@ -54,7 +54,7 @@ def check_slides(view: View, fit: AxisFit, shown: Collection[str], source: str) 
         InputError: what is needed.
     """
     if not fit.coulomb > 0.0:
-        raise frictionless(source)
+        raise frictionless_error(source)
     travel, length = view.rows.extents.travel, view.rows.machine.plant.units.position
     open_level = float(fit.levels[fit.shape.distances > SLID * travel].sum())
     level = fit.coulomb
@@ -73,7 +73,7 @@ def check_slides(view: View, fit: AxisFit, shown: Collection[str], source: str) 
         )
 
 
-def frictionless(source: str) -> InputError:
+def frictionless_error(source: str) -> InputError:
     """Return the refusal of logs whose fit ends at a Coulomb level of 0, which no machine file may state."""
     return InputError(
         source,
@@ -84,7 +84,7 @@ def frictionless(source: str) -> InputError:
     )
 
 
-def unexcited(measured: Mapping[Measure, float]) -> tuple[str, ...]:
+def list_unexcited(measured: Mapping[Measure, float]) -> tuple[str, ...]:
     """Numbers of the law (arrays without index) that a motion of these measures cannot show, whatever fits it."""
     return tuple(
         name
@@ -94,23 +94,23 @@ def unexcited(measured: Mapping[Measure, float]) -> tuple[str, ...]:
     )
 
 
-def law_numbers(settled: Settled, unseen: Sequence[str]) -> tuple[Number, ...]:
-    """Numbers of [friction] and of the effects, in the file's order; `unseen`: see `unexcited`."""
-    found, count = settled.numbers, len(settled.fit.levels)
+def law_numbers(final: FinalFit, unseen: Sequence[str]) -> tuple[Number, ...]:
+    """Numbers of [friction] and of the effects, in the file's order; `unseen`: see `list_unexcited`."""
+    found, count = final.numbers, len(final.fit.levels)
     numbers = [_number(name, found[name]) for name in ("coulomb",)]
     numbers += [_number(f"{name}_{k}", found[f"{name}_{k}"]) for name in ("stiffness", "fraction") for k in _to(count)]
     if "viscous" in found:
         numbers.append(_number("viscous", found["viscous"]))
     else:
         numbers.append(Number("viscous", 0.0, math.nan, False, "default: the motion shows none"))
-    if settled.fit.shape.rise is None:
+    if final.fit.shape.rise is None:
         none = "default: the motion shows no rise towards low speed"
         numbers.append(Number("stribeck_ratio", 0.0, math.nan, False, none))
         numbers.append(Number("stribeck_velocity", 1e-3, math.nan, False, "default"))
     else:
         numbers += [_number(name, found[name]) for name in ("stribeck_ratio", "stribeck_velocity")]
     numbers = [replace(n, determined=False, note=n.note or STAND_IN) if _stem(n.name) in unseen else n for n in numbers]
-    return (*numbers, *effect_numbers(settled))
+    return (*numbers, *effect_numbers(final))
 
 
 def _stem(name: str) -> str:
@@ -119,17 +119,17 @@ def _stem(name: str) -> str:
     return stem if index.isdecimal() else name
 
 
-def effect_numbers(settled: Settled) -> tuple[Number, ...]:
+def effect_numbers(final: FinalFit) -> tuple[Number, ...]:
     """Numbers of the effects that stand beside the elements, their names before those of their parameters."""
     numbers = []
-    for term in settled.fit.terms:
+    for term in final.fit.terms:
         if term.name in LAW_AND_SAMPLING:
             continue
         search = effect_definition(term.name).search
         if not isinstance(search, Columns):
             continue
-        place = settled.fit.place(term.name)
-        sizes, cov = settled.fit.coefficient(term.name), settled.cov[place, place]
+        place = final.fit.place(term.name)
+        sizes, cov = final.fit.coefficient(term.name), final.cov[place, place]
         values = search.parameters({}, sizes)
         for key, value in values.items():
             steps = np.sqrt(np.diag(cov))
@@ -155,9 +155,9 @@ def _to(count: int) -> range:
     return range(1, count + 1)
 
 
-def mass_number(settled: Settled, given: float | None, adopted: float, units: Units) -> tuple[Number, tuple[str, ...]]:
+def mass_number(final: FinalFit, given: float | None, adopted: float, units: Units) -> tuple[Number, tuple[str, ...]]:
     """The mass, or inertia, that is written, and what is to be said of it."""
-    seen, inert, unit = settled.mass, units.inert, units.mass
+    seen, inert, unit = final.mass, units.inert, units.mass
     if given is None:
         if seen is None:  # refused before
             raise ValueError("neither a mass nor a motion that shows one")
@@ -177,7 +177,7 @@ def mass_number(settled: Settled, given: float | None, adopted: float, units: Un
     return Number("mass", adopted, seen.std, True, f"of the motion; {given:g} was given"), (sentence,)
 
 
-def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, view: View, units: Units) -> list[str]:
+def list_limits(numbers: Sequence[Number], found: Found, final: FinalFit, view: View, units: Units) -> list[str]:
     """Return the open questions of the records, with the move that would answer each."""
     length = units.position
     said = []
@@ -192,8 +192,8 @@ def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, view: V
         for name in ("coulomb", "viscous", "stribeck")
         if unknown & set(CONTROLLED[name])
     ]
-    said += _late(settled, view, units)
-    travel, fit = view.rows.extents.travel, settled.fit
+    said += _late(final, view, units)
+    travel, fit = view.rows.extents.travel, final.fit
     for k, (distance, level) in enumerate(zip(fit.shape.distances.tolist(), fit.levels.tolist(), strict=True), start=1):
         element = f"element {k} (breaks away after {distance:.2g} {length})"
         if distance <= NEXT_TO_NOTHING * view.limits[0]:
@@ -210,11 +210,11 @@ def limits_of(numbers: Sequence[Number], found: Found, settled: Settled, view: V
     return said
 
 
-def _late(settled: Settled, view: View, units: Units) -> list[str]:
+def _late(final: FinalFit, view: View, units: Units) -> list[str]:
     """Return the sentence on force and position that are apart in time: no number holds it, and no machine either."""
-    fit, place = settled.fit, settled.fit.place(LATE)
-    late, std = float(fit.coefficient(LATE)[0]), math.sqrt(float(settled.cov[place.start, place.start]))
-    size = abs(late) * float(np.std(fit.slopes[view.rows.used, place.start]))
+    fit, place = final.fit, final.fit.place(LATE)
+    late, std = float(fit.coefficient(LATE)[0]), math.sqrt(float(final.cov[place.start, place.start]))
+    size = abs(late) * float(np.std(fit.jacobian[view.rows.used, place.start]))
     if abs(late) <= CERTAIN * std or size <= fit.rms:
         return []
     which = "after" if late > 0.0 else "before"

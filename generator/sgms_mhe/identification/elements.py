@@ -64,23 +64,23 @@ class ElementRun:
     """One element of unit level along rows: chi (m), and its derivatives in log D, beta and log v_s (m, 3)."""
 
     chi: Array
-    slopes: Array
+    jacobian: Array
 
 
-def run_element(motion: Motion, law: Law, distance: float, rise: Stribeck, *, slopes: bool = True) -> ElementRun:
+def run_element(motion: Motion, law: Law, distance: float, rise: Stribeck, *, jacobian: bool = True) -> ElementRun:
     """An element that breaks away after `distance` [m], relaxed at first, along a motion.
 
     It runs in a unit of length in which that is DISTANCE, and of time in which a sample is 1 / RATE: one compiled
     element then serves all that have about the same Stribeck velocity in these.
     """
     unit = DISTANCE / distance * RATE / motion.rate
-    code = _compiled(law, _nominal(law, rise.velocity * unit))
+    code = _compile(law, _nominal(law, rise.velocity * unit))
     nominal = np.array([p.nominal for p in code.model.parameters])
     values = np.array([1.0 / DISTANCE, rise.ratio, rise.velocity * unit])
     n = len(motion.velocity)
     w = np.zeros((n, 5))
     w[:, 1] = motion.velocity * unit
-    chi, d = np.empty(n), np.empty((n, 3)) if slopes else None
+    chi, d = np.empty(n), np.empty((n, 3)) if jacobian else None
     code.advance(w, values / nominal, np.zeros(1), np.zeros((1, 3)), chi, d)
     if d is None:
         return ElementRun(motion.to_rows(chi), np.empty((motion.rows, 0)))
@@ -90,13 +90,13 @@ def run_element(motion: Motion, law: Law, distance: float, rise: Stribeck, *, sl
 
 
 def run_elements(
-    motions: Sequence[Motion], law: Law, distances: Array, rise: Stribeck, *, slopes: bool = True
+    motions: Sequence[Motion], law: Law, distances: Array, rise: Stribeck, *, jacobian: bool = True
 ) -> list[ElementRun]:
     """Elements of these distances (k) along all logs, their rows behind one another."""
 
     def run(distance: float) -> ElementRun:
-        runs = [run_element(motion, law, distance, rise, slopes=slopes) for motion in motions]
-        return ElementRun(np.concatenate([r.chi for r in runs]), np.concatenate([r.slopes for r in runs]))
+        runs = [run_element(motion, law, distance, rise, jacobian=jacobian) for motion in motions]
+        return ElementRun(np.concatenate([r.chi for r in runs]), np.concatenate([r.jacobian for r in runs]))
 
     return in_parallel([partial(run, distance) for distance in distances.tolist()])
 
@@ -120,14 +120,14 @@ def _nominal(law: Law, velocity: float) -> float:
     return 1.0 if law == "switching" else COARSE ** math.ceil(math.log(velocity, COARSE))
 
 
-def _compiled(law: Law, velocity: float) -> CompiledModel:
-    """Return the cached value of `_compiled_once`, for one thread at a time."""
+def _compile(law: Law, velocity: float) -> CompiledModel:
+    """Return the cached value of `_compile_once`, for one thread at a time."""
     with _one_at_a_time:
-        return _compiled_once(law, velocity)
+        return _compile_once(law, velocity)
 
 
 @lru_cache(maxsize=64)
-def _compiled_once(law: Law, velocity: float) -> CompiledModel:
+def _compile_once(law: Law, velocity: float) -> CompiledModel:
     """The emitted model of an axis with one element of level 1 and nothing else."""
     content = {
         "name": "one_element",

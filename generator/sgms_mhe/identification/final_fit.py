@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.identification.fits import AxisFit, Quantity, Shape, View, covariance, fit_axis, quantities
-from sgms_mhe.identification.search import Progress, Views, fit_in_line, gains, with_speed_of_rise
+from sgms_mhe.identification.search import Progress, Views, fit_aligned, is_better, search_rise_speed
 from sgms_mhe.identification.terms import LAW_AND_SAMPLING, Term
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
@@ -36,7 +36,7 @@ FINAL_ITERATIONS: Final = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class FinalFit:
     """Reported fit.
 
     Attributes:
@@ -64,14 +64,14 @@ class Known:
     count: bool
 
 
-def settle(
+def make_final_fit(
     views: Views,
     fit: AxisFit,
     base: Sequence[Term],
     companions: Sequence[Term],
     wanted: Known,
     report: Progress,
-) -> Settled:
+) -> FinalFit:
     """Choose what stands beside the elements and fit all of it at the full rate.
 
     Args:
@@ -83,17 +83,17 @@ def settle(
         report: called with each step.
     """
     report("what stands beside the elements")
-    fit = fit_in_line(views, base, fit.shape)
-    fit = _with_companions(views, fit, companions)
-    fit = _with_rise(views, fit)
+    fit = fit_aligned(views, base, fit.shape)
+    fit = _add_companions(views, fit, companions)
+    fit = _test_rise(views, fit)
     report("numbers at the full rate")
     fit = fit_axis(views.fine, fit.terms, fit.shape, iterations=FINAL_ITERATIONS)
     if not wanted.count:
-        fit = _without_traces(views, fit)
+        fit = _drop_traces(views, fit)
     cov = covariance(views.fine, fit)
     wide = quantities(fit, cov)
     mass = _mass(views.fine.rows, wide["mass"])
-    dropped = _unseen(fit, cov, wide, views.fine.rows.machine.plant.moved if wanted.mass else None)
+    dropped = _find_unseen(fit, cov, wide, views.fine.rows.machine.plant.moved if wanted.mass else None)
     log_decision(
         "numbers",
         "numbers that the records do not show, and a mass that agrees with the one given, are not free",
@@ -111,10 +111,10 @@ def settle(
     held_out = rows.rows_held_out()
     judge = fit_axis(views.fine, fit.terms, fit.shape, rows.used & ~held_out, iterations=2)
     held_out_rms = float(np.sqrt(np.mean(judge.residual[held_out] ** 2)))
-    return Settled(fit, cov, numbers, mass, held_out_rms, views.fine)
+    return FinalFit(fit, cov, numbers, mass, held_out_rms, views.fine)
 
 
-def _without_traces(views: Views, fit: AxisFit) -> AxisFit:
+def _drop_traces(views: Views, fit: AxisFit) -> AxisFit:
     """The fit without elements of next to no level that it is not sure of either."""
     while len(fit.levels) > 1:
         count = len(fit.levels)
@@ -127,12 +127,12 @@ def _without_traces(views: Views, fit: AxisFit) -> AxisFit:
     return fit
 
 
-def _with_companions(views: Views, fit: AxisFit, companions: Sequence[Term]) -> AxisFit:
+def _add_companions(views: Views, fit: AxisFit, companions: Sequence[Term]) -> AxisFit:
     """The fit with the effects that it gains by, the best first; of two that gain as much the one of fewer sizes."""
     left = sorted(companions, key=lambda term: term.columns.shape[1])
     while left:
-        tried = [fit_in_line(views, (*fit.terms, term), fit.shape, rounds=1) for term in left]
-        better = [i for i, other in enumerate(tried) if gains(other, fit)]
+        tried = [fit_aligned(views, (*fit.terms, term), fit.shape, rounds=1) for term in left]
+        better = [i for i, other in enumerate(tried) if is_better(other, fit)]
         log_decision(
             "companions",
             "effect beside the elements that leaves clearly less on unseen rows",
@@ -144,20 +144,20 @@ def _with_companions(views: Views, fit: AxisFit, companions: Sequence[Term]) -> 
             break
         best = better[0]
         for i in better[1:]:
-            if gains(tried[i], tried[best]):
+            if is_better(tried[i], tried[best]):
                 best = i
         fit = tried[best]
         left.pop(best)
     return fit
 
 
-def _with_rise(views: Views, fit: AxisFit) -> AxisFit:
+def _test_rise(views: Views, fit: AxisFit) -> AxisFit:
     """The fit without its rise where that leaves no more."""
     if fit.shape.rise is None:
         return fit
-    fit = with_speed_of_rise(views, fit)
-    level = fit_in_line(views, fit.terms, Shape(fit.shape.law, fit.shape.distances, None))
-    return fit if gains(fit, level) else level
+    fit = search_rise_speed(views, fit)
+    level = fit_aligned(views, fit.terms, Shape(fit.shape.law, fit.shape.distances, None))
+    return fit if is_better(fit, level) else level
 
 
 def _mass(rows: Recording, extra: Quantity) -> Quantity | None:
@@ -166,7 +166,7 @@ def _mass(rows: Recording, extra: Quantity) -> Quantity | None:
     return mass if mass.value > 0.0 and mass.relative <= MASS_SEEN else None
 
 
-def _unseen(fit: AxisFit, cov: Array, numbers: dict[str, Quantity], given_mass: float | None) -> set[str]:
+def _find_unseen(fit: AxisFit, cov: Array, numbers: dict[str, Quantity], given_mass: float | None) -> set[str]:
     """Terms whose numbers the records do not show, and the mass where the one given will do."""
     viscous, mass = numbers["viscous"], numbers["mass"]
     dropped = set() if viscous.value > SHOWN * viscous.std else {"viscous"}

@@ -76,7 +76,7 @@ class AxisFit:
         terms: what else is linear.
         coefficients: of all columns of the terms (c).
         residual: measured minus model (m) [N].
-        slopes: derivatives (m, p) in log D (k), levels (k), beta and log v_s where there is a rise, coefficients (c).
+        jacobian: derivatives (m, p) in log D (k), levels (k), beta and log v_s where there is a rise, coefficients (c).
         prior: information of priors (p), in units of the sum of squares.
         loss, cross, rows: per block: sum of squares, the same predicted without its fold, rows.
     """
@@ -86,7 +86,7 @@ class AxisFit:
     terms: tuple[Term, ...]
     coefficients: Array
     residual: Array
-    slopes: Array
+    jacobian: Array
     prior: Array
     loss: Array
     cross: Array
@@ -101,7 +101,7 @@ class AxisFit:
     def elements(self) -> Array:
         """Deflections over their levels (m, k)."""
         count = len(self.levels)
-        return np.asarray(self.slopes[:, count : 2 * count])
+        return np.asarray(self.jacobian[:, count : 2 * count])
 
     @property
     def rms(self) -> float:
@@ -114,8 +114,8 @@ class AxisFit:
         return math.sqrt(max(0.0, float(self.cross.sum() / self.rows.sum())))
 
     def place(self, name: str) -> slice:
-        """Where the columns of a term stand among the slopes; empty where it is not there."""
-        start = self.slopes.shape[1] - len(self.coefficients)
+        """Return the place of a term's columns in the Jacobian; empty where it is not there."""
+        start = self.jacobian.shape[1] - len(self.coefficients)
         for term in self.terms:
             width = term.columns.shape[1]
             if term.name == name and name:
@@ -125,7 +125,7 @@ class AxisFit:
 
     def coefficient(self, name: str) -> Array:
         """Coefficients of a term; none where it is not there."""
-        place, first = self.place(name), self.slopes.shape[1] - len(self.coefficients)
+        place, first = self.place(name), self.jacobian.shape[1] - len(self.coefficients)
         return self.coefficients[place.start - first : place.stop - first] if place.stop else self.coefficients[:0]
 
 
@@ -160,9 +160,9 @@ class _Problem:
         X, y = linear.compress(self.seen, axis=0), self.view.rows.friction[self.seen]
         b = solve_nonnegative(X.T @ X, X.T @ y, positive, information)
         residual = self.view.rows.friction - linear @ b
-        nonlinear = [b[k] * run.slopes[:, 0] for k, run in enumerate(runs)]
+        nonlinear = [b[k] * run.jacobian[:, 0] for k, run in enumerate(runs)]
         if shape.rise is not None:
-            nonlinear += [np.sum([b[k] * run.slopes[:, j] for k, run in enumerate(runs)], axis=0) for j in (1, 2)]
+            nonlinear += [np.sum([b[k] * run.jacobian[:, j] for k, run in enumerate(runs)], axis=0) for j in (1, 2)]
         seen = residual[self.seen]
         cost = float(seen @ seen + information @ b**2)
         return _Point(shape, b[:count], b[count:], residual, np.column_stack(nonlinear), linear, cost)
@@ -228,29 +228,29 @@ def fit_axis(
         (view.noise / deviation) ** 2,
     )
     here = problem.at(_within(start, view))
-    return _finished(problem, minimise(problem, here, problem.box, iterations, ENOUGH * problem.count, TRIES))
+    return _finish(problem, minimise(problem, here, problem.box, iterations, ENOUGH * problem.count, TRIES))
 
 
-def _finished(problem: _Problem, point: _Point) -> AxisFit:
+def _finish(problem: _Problem, point: _Point) -> AxisFit:
     rows, count = problem.view.rows, len(point.levels)
     extra = point.nonlinear.shape[1] - count
-    slopes = np.column_stack(
+    jacobian = np.column_stack(
         (point.nonlinear[:, :count], point.linear[:, :count], point.nonlinear[:, count:], point.linear[:, count:])
     )
     prior = np.concatenate((np.zeros(2 * count + extra), problem.information))
-    held = np.concatenate((np.zeros(count, dtype=np.bool_), point.levels == 0.0, np.zeros(extra, dtype=np.bool_),
+    fixed = np.concatenate((np.zeros(count, dtype=np.bool_), point.levels == 0.0, np.zeros(extra, dtype=np.bool_),
                            problem.positive & (point.coefficients == 0.0)))  # fmt: skip
-    loose = ~held
+    interior = ~fixed
     return AxisFit(
         shape=point.shape,
         levels=point.levels,
         terms=problem.terms,
         coefficients=point.coefficients,
         residual=point.residual,
-        slopes=slopes,
+        jacobian=jacobian,
         prior=prior,
         loss=rows.sum_blocks(point.residual**2),
-        cross=cross_loss(rows, slopes[:, loose], point.residual, prior[loose]),
+        cross=cross_loss(rows, jacobian[:, interior], point.residual, prior[interior]),
         rows=rows.sum_blocks(np.ones(len(rows.time))),
     )
 
@@ -287,17 +287,17 @@ def covariance(view: View, fit: AxisFit) -> Array:
     which it may hide. 0 where a level or a coefficient is held at 0.
     """
     rows = view.rows
-    loose = np.any(fit.slopes != 0.0, axis=0)
-    X = fit.slopes[:, loose]
-    scale = np.sqrt(np.maximum(np.sum(X[rows.used] ** 2, axis=0) + fit.prior[loose], 1e-300))
+    interior = np.any(fit.jacobian != 0.0, axis=0)
+    X = fit.jacobian[:, interior]
+    scale = np.sqrt(np.maximum(np.sum(X[rows.used] ** 2, axis=0) + fit.prior[interior], 1e-300))
     X = X / scale
-    H = X[rows.used].T @ X[rows.used] + np.diag(fit.prior[loose] / scale**2)
+    H = X[rows.used].T @ X[rows.used] + np.diag(fit.prior[interior] / scale**2)
     inverse = np.asarray(np.linalg.pinv(H, hermitian=True, rcond=1e-14))
     floor = noise_floor(rows, fit.residual)
     wrong = max(math.sqrt(max(0.0, fit.cross_rms**2 - floor**2)), UNSEEN_ERROR * floor)
-    result = np.zeros((len(loose), len(loose)))
+    result = np.zeros((len(interior), len(interior)))
     inner = robust_covariance(rows, X, fit.residual, H, inverse, wrong)
-    result[np.ix_(loose, loose)] = inner / np.outer(scale, scale)
+    result[np.ix_(interior, interior)] = inner / np.outer(scale, scale)
     return result
 
 

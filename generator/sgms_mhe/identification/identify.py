@@ -14,27 +14,27 @@ from sgms_mhe.configuration import make_machine, override_machine
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification.description import (
     check_slides,
-    frictionless,
+    frictionless_error,
     law_numbers,
-    limits_of,
+    list_limits,
+    list_unexcited,
     mass_number,
-    unexcited,
 )
-from sgms_mhe.identification.final_fit import Known, Settled, settle
+from sgms_mhe.identification.final_fit import FinalFit, Known, make_final_fit
 from sgms_mhe.identification.fits import View
-from sgms_mhe.identification.records import Records, in_order, records_of, started
+from sgms_mhe.identification.records import Records, drop_start, make_records, sort_logs
 from sgms_mhe.identification.result import Identification, Number
 from sgms_mhe.identification.sampling import common_rate, rough_mass, unknown_axis
 from sgms_mhe.identification.search import MOST_ELEMENTS, Found, Progress, Views, search
 from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid, find_spectrum
 from sgms_mhe.identification.terms import Term, companion_terms, mass_term, sampling_terms, viscous_term
-from sgms_mhe.identification.writing import checked, machine_content, machine_toml
+from sgms_mhe.identification.writing import check_toml, machine_content, machine_toml
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.model.effects import MOVES, Measure, effect_definition
 from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.recordings.evidence import noise_floor
-from sgms_mhe.recordings.excitation import measures
+from sgms_mhe.recordings.excitation import measure_excitation
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.chain import signals_of_record
 from sgms_mhe.signals.logs import Log
@@ -81,14 +81,14 @@ class Explored:
         records: the logs behind the chain.
         views: their rows.
         found: law and elements.
-        settled: the numbers.
+        final: the numbers.
         measured: what the motion holds, by measure.
     """
 
     records: Records
     views: Views
     found: Found
-    settled: Settled
+    final: FinalFit
     measured: Mapping[Measure, float]
 
 
@@ -98,17 +98,17 @@ def identify(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) ->
     Raises:
         InputError: logs that cannot tell: without motion, below break-away, of different rates, ...
     """
-    return _described(explore(logs, wanted, report), in_order(logs), wanted, report)
+    return _describe(explore(logs, wanted, report), sort_logs(logs), wanted, report)
 
 
 def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> Explored:
     """Find law, elements and numbers of an axis; raises as `identify` does."""
     if wanted.elements is not None and not 1 <= wanted.elements <= MOST_ELEMENTS:
         raise InputError("identify", "elements", wanted.elements, f"1 to {MOST_ELEMENTS}, or auto")
-    records = _records(in_order(logs), wanted)
+    records = _records(sort_logs(logs), wanted)
     report("convex start")
     # Which rows count is no matter of where the search starts: of one grid, whatever the start's is.
-    records = started(records, _spectrum(records, PER_DECADE).reach)
+    records = drop_start(records, _spectrum(records, PER_DECADE).reach)
     spectrum = _spectrum(records, wanted.per_decade)
     rows = records.rows
     base, companions = _base_terms(rows), companion_terms(rows)
@@ -117,24 +117,24 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
     views = Views(View(rows, records.coarse, noise, limits), View(rows, records.fine, noise, limits))
     found = search(views, (*base, *companions), spectrum, wanted.elements, report)
     if not found.fit.coulomb > 0.0:
-        raise frictionless(records.names[0])
-    measured = _measured(records, found)
+        raise frictionless_error(records.names[0])
+    measured = _measure(records, found)
     excited = tuple(term for term in companions if _is_excited(effect_definition(term.name), measured))
     shown = [term.name for term in excited]
     check_slides(views.fine, found.fit, shown, records.names[0])
     known = Known(wanted.mass is not None, wanted.elements is not None)
-    settled = settle(views, found.fit, base, excited, known, report)
-    check_slides(views.fine, settled.fit, shown, records.names[0])  # elements took what springs had
+    final = make_final_fit(views, found.fit, base, excited, known, report)
+    check_slides(views.fine, final.fit, shown, records.names[0])  # elements took what springs had
     log_decision(
         "numbers",
         "final fit",
-        residual_held_out_N=settled.held_out_rms,
+        residual_held_out_N=final.held_out_rms,
         noise_floor_N=noise,
-        numbers={name: (number.value, number.std) for name, number in settled.numbers.items()},
+        numbers={name: (number.value, number.std) for name, number in final.numbers.items()},
         motion=dict(measured),
         shown=shown,
     )
-    return Explored(records, views, found, settled, measured)
+    return Explored(records, views, found, final, measured)
 
 
 def _base_terms(rows: Recording) -> tuple[Term, ...]:
@@ -151,7 +151,7 @@ def _spectrum(records: Records, per_decade: float) -> Spectrum:
     terms = (*_base_terms(rows), *companion_terms(rows))
     spectrum = find_spectrum(records, terms, noise_floor(rows, rows.friction), distance_grid(records, per_decade))
     if not len(spectrum.distances):
-        raise frictionless(records.names[0])
+        raise frictionless_error(records.names[0])
     return spectrum
 
 
@@ -166,7 +166,7 @@ def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
     machine = unknown_axis(logs, wanted.name, mass, wanted.like)
     for log in logs:
         check_plausible(log, machine)
-    records = records_of(machine, logs)
+    records = make_records(machine, logs)
     _check_dissipates(records)
     return records
 
@@ -215,7 +215,7 @@ def _check_dissipates(records: Records) -> None:
         )
 
 
-def _measured(records: Records, found: Found) -> Mapping[Measure, float]:
+def _measure(records: Records, found: Found) -> Mapping[Measure, float]:
     """Return the excitation of the motion, on the scale of the friction found."""
     fit = found.fit
     content = {
@@ -225,7 +225,7 @@ def _measured(records: Records, found: Found) -> Mapping[Measure, float]:
         "coulomb": fit.coulomb,
     }
     machine = make_machine({**records.machine.content, "friction": content}, records.machine.source)
-    return measures(records.rows.signals, machine)
+    return measure_excitation(records.rows.signals, machine)
 
 
 def _is_excited(definition: CauseDefinition, measured: Mapping[Measure, float]) -> bool:
@@ -238,11 +238,11 @@ def _fractions(levels: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> lis
     return [float(share) for share in shares / shares.sum()]
 
 
-def _described(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: Progress) -> Identification:
+def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: Progress) -> Identification:
     """The numbers, the file and what is to be said of both."""
-    records, views, found, settled = explored.records, explored.views, explored.found, explored.settled
-    fit, given, units = settled.fit, wanted.mass, records.machine.plant.units
-    seen = settled.mass
+    records, views, found, final = explored.records, explored.views, explored.found, explored.final
+    fit, given, units = final.fit, wanted.mass, records.machine.plant.units
+    seen = final.mass
     if given is None and seen is None:
         raise InputError(
             records.names[0],
@@ -250,11 +250,11 @@ def _described(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: 
             None,
             f"--{units.inert}: the motion does not show it; or a log with {MOVES['jerks']}, which do",
         )
-    adopted = given if given is not None and (seen is None or "mass" not in settled.numbers) else seen
+    adopted = given if given is not None and (seen is None or "mass" not in final.numbers) else seen
     mass_kg = adopted if isinstance(adopted, float) else adopted.value if adopted is not None else math.nan
-    mass, said = mass_number(settled, given, mass_kg, units)
-    numbers: tuple[Number, ...] = (mass, *law_numbers(settled, unexcited(explored.measured)))
-    limits = [*said, *limits_of(numbers, found, settled, views.fine, units)]
+    mass, said = mass_number(final, given, mass_kg, units)
+    numbers: tuple[Number, ...] = (mass, *law_numbers(final, list_unexcited(explored.measured)))
+    limits = [*said, *list_limits(numbers, found, final, views.fine, units)]
     law = fit.shape.law
     path = Path(f"{wanted.name}.toml")
     report("weights")
@@ -264,14 +264,14 @@ def _described(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: 
     head = [
         f"Written by sgms-mhe identify over {', '.join(Path(name).name for name in sorted(records.names))}.",
         "Intervals are two standard deviations.",
-        f"On blocks that the fit had not seen {settled.held_out_rms:.3g} {units.force} rms are left; noise is "
+        f"On blocks that the fit had not seen {final.held_out_rms:.3g} {units.force} rms are left; noise is "
         f"{floor:.3g} {units.force}.",
         *limits,
     ]
     toml = machine_toml(units, content, numbers, head)
     used = views.fine.rows.used
     return Identification(
-        machine=checked(toml, content, path),
+        machine=check_toml(toml, content, path),
         toml=toml,
         law=law,
         law_decided=found.decided,
@@ -279,7 +279,7 @@ def _described(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: 
         limits=tuple(limits),
         warnings=records.warnings,
         rms_N=fit.rms,
-        held_out_rms_N=settled.held_out_rms,
+        held_out_rms_N=final.held_out_rms,
         noise_floor_N=floor,
         friction_rms_N=float(np.std(views.fine.rows.friction[used])),
         by_count=found.counts,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
-from sgms_mhe.recordings.path import bridged, displacements, smooth_path
+from sgms_mhe.recordings.path import bridge_gaps, displacements, smooth_path
 from sgms_mhe.recordings.recording import Recording, prepare
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import Signals, apply_chain, readings
@@ -83,7 +83,7 @@ class Records:
     warnings: tuple[str, ...]
 
 
-def in_order(logs: Sequence[Log]) -> list[Log]:
+def sort_logs(logs: Sequence[Log]) -> list[Log]:
     """Logs in the order of a digest of what they hold: in which order they were given says nothing."""
 
     def key(log: Log) -> str:
@@ -94,7 +94,7 @@ def in_order(logs: Sequence[Log]) -> list[Log]:
     return sorted(logs, key=key)
 
 
-def records_of(machine: Machine, logs: Sequence[Log]) -> Records:
+def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
     """Send logs through the chain of a machine and put them behind one another.
 
     Raises:
@@ -112,15 +112,15 @@ def records_of(machine: Machine, logs: Sequence[Log]) -> Records:
     return Records(
         machine=machine,
         names=names,
-        rows=_joined(recordings),
-        coarse=tuple(behind_filters(recording) for recording in recordings),
-        fine=tuple(map(_at_encoder, recordings, logs, resolutions)),
+        rows=_join(recordings),
+        coarse=tuple(filter_motion(recording) for recording in recordings),
+        fine=tuple(map(_encoder_motion, recordings, logs, resolutions)),
         resolution=max(resolutions),
         warnings=warnings,
     )
 
 
-def _joined(recordings: Sequence[Recording]) -> Recording:
+def _join(recordings: Sequence[Recording]) -> Recording:
     """Rows of several recordings behind one another, blocks numbered through."""
     first = recordings[0]
     if len(recordings) == 1:
@@ -150,7 +150,7 @@ def _joined(recordings: Sequence[Recording]) -> Recording:
     )
 
 
-def behind_filters(recording: Recording) -> Motion:
+def filter_motion(recording: Recording) -> Motion:
     """The motion behind the filters at the rate of the rows: means of velocities keep displacements exact."""
     return Motion(
         machine=recording.machine,
@@ -163,7 +163,7 @@ def behind_filters(recording: Recording) -> Motion:
     )
 
 
-def _at_encoder(recording: Recording, log: Log, resolution: float) -> Motion:
+def _encoder_motion(recording: Recording, log: Log, resolution: float) -> Motion:
     """The axis's own way, also between the samples; of a log that brings its velocity, that."""
     rate = recording.machine.sampling.rate
     bypassed = log.velocity_m_s is not None
@@ -171,7 +171,7 @@ def _at_encoder(recording: Recording, log: Log, resolution: float) -> Motion:
     if bypassed:
         velocity = recording.signals.velocity
     else:
-        velocity = displacements(smooth_path(bridged(readings(log).position_m), resolution), steps) * (rate * steps)
+        velocity = displacements(smooth_path(bridge_gaps(readings(log).position_m), resolution), steps) * (rate * steps)
     return Motion(
         machine=recording.machine,
         rate=rate * steps,
@@ -184,12 +184,12 @@ def _at_encoder(recording: Recording, log: Log, resolution: float) -> Motion:
 
 
 def _resolution(log: Log) -> float:
-    """How finely position is read [m], one standard deviation: the larger of noise and of the encoder's step."""
+    """Return the resolution of position [m], one standard deviation: the larger of noise and of the encoder's step."""
     position = readings(log).position_m
     return max(position_noise(position), encoder_step(position) / math.sqrt(12.0))
 
 
-def started(records: Records, distance: float) -> Records:
+def drop_start(records: Records, distance: float) -> Records:
     """The records without the rows at which elements may still remember how a log began.
 
     An axis is not at rest, relaxed, where a log begins. After an excursion of twice the largest break-away distance no

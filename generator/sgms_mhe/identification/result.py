@@ -116,7 +116,7 @@ def interval(number: Number, digits: int = 2) -> str:
     return f"{number.value:.{_significant(number.value, wide)}g} +- {wide:.{digits}g}"
 
 
-def rounded(value: float, std: float) -> float:
+def round_number(value: float, std: float) -> float:
     """A value with as many digits as its deviation has meaning, two more for safety; at most twelve."""
     if value == 0.0 or not math.isfinite(std) or std <= 0.0:
         return float(f"{value:.12g}")

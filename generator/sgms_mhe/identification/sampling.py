@@ -49,9 +49,9 @@ def common_rate(logs: Sequence[Log]) -> float:
             raise InputError(log.source or "log", "time_s", f"{log.rate:.6g} Hz", allowed)
     rate = float(np.median([log.rate for log in logs]))
     for digits in range(1, 6):
-        rounded = float(f"{rate:.{digits}g}")
-        if abs(rounded - rate) <= NOT_A_ROUND_RATE * rate:
-            return rounded
+        round_number = float(f"{rate:.{digits}g}")
+        if abs(round_number - rate) <= NOT_A_ROUND_RATE * rate:
+            return round_number
     return rate
 
 
@@ -69,7 +69,7 @@ def unknown_axis(logs: Sequence[Log], name: str, mass: float, like: Machine | No
     """
     rate = common_rate(logs)
     fastest = max(_fastest(log, rate) for log in logs)
-    content: dict[str, Any] = {"name": name, "plant": plant_content(logs[0].kind, mass), "friction": _stand_in(logs)}
+    content: dict[str, Any] = {"name": name, "plant": plant_content(logs[0].kind, mass), "friction": _placeholder(logs)}
     if like is not None:
         if abs(like.sampling.rate - rate) > JITTER * like.sampling.rate:
             allowed = f"sampling.rate of {like.name}, {like.sampling.rate:g} Hz"
@@ -87,20 +87,20 @@ def unknown_axis(logs: Sequence[Log], name: str, mass: float, like: Machine | No
         "rate": rate,
         "update_rate": rate / samples,
         "velocity_cutoff": HIGHEST_CUTOFF * rate,
-        "max_velocity": rounded_up(HEADROOM * fastest),
+        "max_velocity": round_up(HEADROOM * fastest),
     }
     content |= {"sampling": sampling}
     machine = make_machine(content, Path(f"{name}.toml"))
-    return _with_quiet_filter(machine, logs)
+    return _choose_filter(machine, logs)
 
 
-def rounded_up(value: float) -> float:
+def round_up(value: float) -> float:
     """The next larger number of two digits."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 1) if value > 0.0 else 1.0
     return float(f"{math.ceil(value / unit - 1e-9) * unit:.3g}") if value > 0.0 else 1.0
 
 
-def _stand_in(logs: Sequence[Log]) -> Mapping[str, Any]:
+def _placeholder(logs: Sequence[Log]) -> Mapping[str, Any]:
     """Friction of about the right size, for what asks for scales before any is known."""
     level = max(float(np.nanstd(log.force_N)) for log in logs) or 1.0
     travel = max(float(np.nanmax(log.position_m) - np.nanmin(log.position_m)) for log in logs) or 1.0
@@ -116,7 +116,7 @@ def _fastest(log: Log, rate: float) -> float:
     return float(np.quantile(speed, 0.999)) if len(speed) else 0.0
 
 
-def _with_quiet_filter(machine: Machine, logs: Sequence[Log]) -> Machine:
+def _choose_filter(machine: Machine, logs: Sequence[Log]) -> Machine:
     """The machine with the fastest low-pass behind which noise is small beside friction."""
     rate = machine.sampling.rate
     allowed = [c for c in CUTOFFS if LOWEST_CUTOFF * rate <= c <= HIGHEST_CUTOFF * rate] or [0.1 * rate]

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from sgms_mhe.identification.elements import NO_RISE, Law, Stribeck, run_elements
 from sgms_mhe.identification.fits import AxisFit, Shape, View, fit_axis
-from sgms_mhe.identification.records import Records, behind_filters
-from sgms_mhe.identification.spectrum import Spectrum, clustered, distance_grid, find_spectrum
+from sgms_mhe.identification.records import Records, filter_motion
+from sgms_mhe.identification.spectrum import Spectrum, cluster, distance_grid, find_spectrum
 from sgms_mhe.identification.terms import Term, companion_terms, mass_term, sampling_terms, viscous_term
 from sgms_mhe.recordings.evidence import difference_statistic
 from sgms_mhe.recordings.recording import Recording
@@ -78,12 +78,12 @@ class Found:
     counts: dict[int, float]
 
 
-def fit_in_line(views: Views, terms: Sequence[Term], start: Shape, rounds: int = 2) -> AxisFit:
+def fit_aligned(views: Views, terms: Sequence[Term], start: Shape, rounds: int = 2) -> AxisFit:
     """Fit at the rate of the rows, in line with the fine model; the fit that is returned is the fine model's."""
     shape = start
     anchor = fit_axis(views.fine, terms, shape, iterations=0)
     for _ in range(rounds):
-        lined = _in_line(views, anchor)
+        lined = _align(views, anchor)
         shape = fit_axis(lined, terms, anchor.shape, iterations=CHOICE_ITERATIONS).shape
         there = fit_axis(views.fine, terms, shape, iterations=0)
         if there.rms >= anchor.rms:
@@ -92,11 +92,11 @@ def fit_in_line(views: Views, terms: Sequence[Term], start: Shape, rounds: int =
     return anchor
 
 
-def _in_line(views: Views, anchor: AxisFit) -> View:
+def _align(views: Views, anchor: AxisFit) -> View:
     """The coarse view whose friction leaves the residual of the fine one at a fit."""
     rows, shape = views.coarse.rows, anchor.shape
     rise = shape.rise or NO_RISE
-    coarse = run_elements(views.coarse.motions, shape.law, shape.distances, rise, slopes=False)
+    coarse = run_elements(views.coarse.motions, shape.law, shape.distances, rise, jacobian=False)
     change = anchor.elements @ anchor.levels - np.column_stack([run.chi for run in coarse]) @ anchor.levels
     return replace(views.coarse, rows=replace(rows, friction=rows.friction - change))
 
@@ -116,20 +116,20 @@ def search(views: Views, terms: Sequence[Term], spectrum: Spectrum, elements: in
     first = {}
     for law in LAWS:
         report(f"{law}: {count} elements")
-        first[law] = fit_in_line(views, terms, Shape(law, split_distances(spectrum, count), rise))
+        first[law] = fit_aligned(views, terms, Shape(law, split_distances(spectrum, count), rise))
     law, other = sorted(LAWS, key=lambda law: first[law].cross_rms)
     fits: dict[Law, dict[int, AxisFit]] = {law: {len(fit.levels): fit} for law, fit in first.items()}
-    chosen = _settled_count(views, terms, spectrum, fits[law], elements, report)
+    chosen = _search_count(views, terms, spectrum, fits[law], elements, report)
     # With too few elements the wrong law may bend better: asked again where there are enough.
     report(f"{other}: {len(chosen.levels)} elements")
-    again = fit_in_line(views, terms, Shape(other, chosen.shape.distances, chosen.shape.rise))
+    again = fit_aligned(views, terms, Shape(other, chosen.shape.distances, chosen.shape.rise))
     fits[other][len(again.levels)] = min(again, fits[other].get(len(again.levels), again), key=lambda fit: fit.rms)
     rival = min(fits[other].values(), key=lambda fit: fit.cross_rms)
     if rival.cross_rms < LIKELY * chosen.cross_rms:
-        rival = _settled_count(views, terms, spectrum, fits[other], elements, report)
+        rival = _search_count(views, terms, spectrum, fits[other], elements, report)
         if rival.cross_rms < chosen.cross_rms:
             law, other, chosen, rival = other, law, rival, chosen
-    decided = gains(chosen, rival)
+    decided = is_better(chosen, rival)
     if not decided and law == "switching":
         law, other, chosen, rival = other, law, rival, chosen
     counts = {k: fits[law][k].cross_rms for k in sorted(fits[law])}
@@ -149,7 +149,7 @@ def search(views: Views, terms: Sequence[Term], spectrum: Spectrum, elements: in
     return Found(chosen, rival, decided, counts)
 
 
-def _settled_count(
+def _search_count(
     views: Views,
     terms: Sequence[Term],
     spectrum: Spectrum,
@@ -161,20 +161,20 @@ def _settled_count(
     if elements is not None:
         return fits[elements]
     _try_counts(views, terms, spectrum, fits, report)
-    return fits[simplest(fits)]
+    return fits[choose_count(fits)]
 
 
-def gains(richer: AxisFit, simpler: AxisFit) -> bool:
+def is_better(richer: AxisFit, simpler: AxisFit) -> bool:
     """Return True if one fit is better than another on unseen samples, by an amount that matters and beyond chance."""
     if richer.cross_rms >= (1.0 - MATERIAL) * simpler.cross_rms:
         return False
     return difference_statistic(richer.cross, simpler.cross) > SIGNIFICANT
 
 
-def simplest(fits: dict[int, AxisFit]) -> int:
+def choose_count(fits: dict[int, AxisFit]) -> int:
     """The fewest elements than which no larger number gains."""
     for count in sorted(fits):
-        if not any(gains(fits[more], fits[count]) for more in fits if more > count):
+        if not any(is_better(fits[more], fits[count]) for more in fits if more > count):
             return count
     return max(fits)
 
@@ -189,7 +189,7 @@ def _try_counts(
     for count in range(first + 1, MOST_ELEMENTS + 1):
         report(f"{law}: {count} elements")
         fits[count] = _best(views, terms, spectrum, fits[count - 1], count)
-        in_vain = 0 if gains(fits[count], fits[count - 1]) else in_vain + 1
+        in_vain = 0 if is_better(fits[count], fits[count - 1]) else in_vain + 1
         if in_vain == IN_VAIN:
             break
     in_vain = 0
@@ -197,46 +197,46 @@ def _try_counts(
         if count not in fits:
             report(f"{law}: {count} elements")
             fits[count] = _best(views, terms, spectrum, fits[count + 1], count)
-        in_vain = in_vain + 1 if any(gains(fits[more], fits[count]) for more in fits if more > count) else 0
+        in_vain = in_vain + 1 if any(is_better(fits[more], fits[count]) for more in fits if more > count) else 0
         if in_vain == IN_VAIN:
             break
 
 
 def _best(views: Views, terms: Sequence[Term], spectrum: Spectrum, near: AxisFit, count: int) -> AxisFit:
     """The best of several fits: from the clusters of the spectrum, and from a fit with one element more or less."""
-    starts = [split_distances(spectrum, count), *_changed(near, count)]
-    lined = _in_line(views, near)
+    starts = [split_distances(spectrum, count), *_change_count(near, count)]
+    lined = _align(views, near)
     looks = [
         fit_axis(lined, terms, Shape(near.shape.law, start, near.shape.rise), iterations=LOOK_ITERATIONS)
         for start in starts
     ]
     promising = sorted(looks, key=lambda fit: fit.rms)[:FOLLOWED]
     tried = [fit_axis(lined, terms, fit.shape, iterations=CHOICE_ITERATIONS) for fit in promising]
-    return fit_in_line(views, terms, min(tried, key=lambda fit: fit.rms).shape)
+    return fit_aligned(views, terms, min(tried, key=lambda fit: fit.rms).shape)
 
 
-def with_speed_of_rise(views: Views, fit: AxisFit) -> AxisFit:
+def search_rise_speed(views: Views, fit: AxisFit) -> AxisFit:
     """The better of a fit and the one from another speed of its rise.
 
     A fit that begins far from it ends in another minimum, so it is looked for from slow to fast. Elements that go over
     smoothly turn round at that speed, of whatever size the rise is.
     """
-    lined, fastest = _in_line(views, fit), views.fine.rows.extents.speed
+    lined, fastest = _align(views, fit), views.fine.rows.extents.speed
     starts = [replace(fit.shape, rise=Stribeck(SMALL_RISE, share * fastest)) for share in RISE_SPEEDS]
     tried = [fit_axis(lined, fit.terms, start, iterations=CHOICE_ITERATIONS) for start in starts]
-    other = fit_in_line(views, fit.terms, min(tried, key=lambda one: one.rms).shape)
+    other = fit_aligned(views, fit.terms, min(tried, key=lambda one: one.rms).shape)
     return min(fit, other, key=lambda one: one.rms)
 
 
 def split_distances(spectrum: Spectrum, count: int) -> Array:
     """So many break-away distances: clusters of the spectrum, the widest gaps filled where these are few."""
-    distances = clustered(spectrum, count)[0]
+    distances = cluster(spectrum, count)[0]
     while len(distances) < count:
-        distances = _filled(distances)
+        distances = _fill_gap(distances)
     return distances
 
 
-def _filled(distances: Array) -> Array:
+def _fill_gap(distances: Array) -> Array:
     """One distance more, in the middle of the widest gap; of a single one, below it."""
     if len(distances) == 1:
         return np.array([NEXT * distances[0], distances[0]])
@@ -245,14 +245,14 @@ def _filled(distances: Array) -> Array:
     return np.insert(distances, k + 1, math.sqrt(distances[k] * distances[k + 1]))
 
 
-def _changed(near: AxisFit, count: int) -> list[Array]:
+def _change_count(near: AxisFit, count: int) -> list[Array]:
     """Distances of a fit with its closest two elements merged, or with one more: below all, above all, in any gap."""
     distances = near.shape.distances
     if count > len(distances):
         ends = NEXT * distances[0], distances[-1] / NEXT
         between = np.sqrt(distances[1:] * distances[:-1])
         return [np.sort(np.append(distances, one)) for one in (ends[0], *between.tolist(), ends[1])]
-    merged = clustered(Spectrum(distances, np.maximum(near.levels, 1e-9 * near.coulomb), None), count)
+    merged = cluster(Spectrum(distances, np.maximum(near.levels, 1e-9 * near.coulomb), None), count)
     return [merged[0]]
 
 
@@ -272,7 +272,7 @@ def element_numbers(recording: Recording, noise: float) -> dict[str, float]:
         Nothing where there is no friction.
     """
     friction = recording.machine.friction
-    records = Records(recording.machine, ("",), recording, (behind_filters(recording),), (), 0.0, ())
+    records = Records(recording.machine, ("",), recording, (filter_motion(recording),), (), 0.0, ())
     terms = (viscous_term(recording), mass_term(recording), *sampling_terms(recording), *companion_terms(recording))
     grid = distance_grid(records)
     spectrum = find_spectrum(records, terms, noise, grid)

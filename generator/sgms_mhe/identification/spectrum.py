@@ -74,7 +74,7 @@ def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: A
     """Nonnegative least squares over a grid of distances (g) [m]; `noise` [N] weighs the priors of terms."""
     rows = records.rows
     used = rows.used
-    stops = run_elements(records.coarse, "switching", grid, NO_RISE, slopes=False)
+    stops = run_elements(records.coarse, "switching", grid, NO_RISE, jacobian=False)
     stop = np.column_stack([run.chi for run in stops])[used]
     columns = np.column_stack([term.columns for term in terms])[used]
     positive = np.concatenate([np.full(term.columns.shape[1], term.positive) for term in terms])
@@ -102,7 +102,7 @@ def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: A
     return Spectrum(grid[kept], levels[kept], rise)
 
 
-def clustered(spectrum: Spectrum, count: int) -> tuple[Array, Array]:
+def cluster(spectrum: Spectrum, count: int) -> tuple[Array, Array]:
     """Distances (k) and levels (k) of at most `count` clusters: neighbours that are nearest merge first.
 
     What is nearest is Ward's: the growth of the sum of squares of log D about the clusters' means, weighted by levels.
@@ -140,7 +140,7 @@ class _Sums:
 
     @classmethod
     def of(cls, stop: Array, columns: Array, y: Array, fold: NDArray[np.int64]) -> _Sums:
-        """Of stops (m, g), other columns (m, c) and friction (m) [N]."""
+        """Return those of stops (m, g), other columns (m, c) and friction (m) [N]."""
         order = np.argsort(fold, kind="stable")
         edges = [0, *(np.flatnonzero(np.diff(fold[order])) + 1).tolist(), len(fold)]
         folds = tuple(slice(*ends) for ends in pairwise(edges))

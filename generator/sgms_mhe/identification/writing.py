@@ -13,7 +13,7 @@ from typing import Any, Final
 from sgms_mhe.configuration import make_machine
 from sgms_mhe.identification.description import STAND_IN
 from sgms_mhe.identification.elements import Law
-from sgms_mhe.identification.result import Number, interval, rounded
+from sgms_mhe.identification.result import Number, interval, round_number
 from sgms_mhe.machine import Machine, Units, plant_content
 from sgms_mhe.machine.writing import toml_line
 
@@ -39,7 +39,7 @@ def machine_content(base: Machine, law: Law, numbers: Sequence[Number], measurem
     """
     by_name = {number.name: number for number in numbers}
     units = base.plant.units
-    value = {name: rounded(number.value, number.std) for name, number in by_name.items()}
+    value = {name: round_number(number.value, number.std) for name, number in by_name.items()}
     count = sum(name.startswith("stiffness_") for name in value)
     friction: dict[str, Any] = {
         "law": law,
@@ -87,7 +87,7 @@ def _shares(values: Sequence[float]) -> list[float]:
 def machine_toml(units: Units, content: Mapping[str, Any], numbers: Sequence[Number], head: Sequence[str]) -> str:
     """The file: `head` as comments, then the content, numbers with their intervals."""
     notes = _notes(units, numbers)
-    lines = [line for text in head for line in wrapped(text)]
+    lines = [line for text in head for line in wrap_comment(text)]
     lines += [toml_line(key, content[key]) for key in ("name", "description")]
     for table in ("plant", "friction", "sampling", "estimator", "compensation", "code", "diagnosis", "log"):
         if table in content:
@@ -100,7 +100,7 @@ def machine_toml(units: Units, content: Mapping[str, Any], numbers: Sequence[Num
     return "\n".join(lines) + "\n"
 
 
-def checked(toml: str, content: Mapping[str, Any], path: Path) -> Machine:
+def check_toml(toml: str, content: Mapping[str, Any], path: Path) -> Machine:
     """The machine that the text describes, which has to be that of the content."""
     read = tomllib.loads(toml)
     if read != json.loads(json.dumps(content)):
@@ -161,7 +161,7 @@ def _elements(units: Units, numbers: Sequence[Number]) -> list[str]:
     return lines
 
 
-def wrapped(text: str) -> list[str]:
+def wrap_comment(text: str) -> list[str]:
     """A comment in lines of the file's width."""
     return textwrap.wrap(text, COLUMNS, initial_indent="# ", subsequent_indent="#   ")
 

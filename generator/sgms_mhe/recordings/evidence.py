@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.ndimage import uniform_filter1d
 
-from sgms_mhe.recordings.noise import colour_of, quiet_variance
+from sgms_mhe.recordings.noise import find_colour, quiet_variance
 from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ class Nuisance:
         return np.asarray(columns - self.basis @ (self.basis.T @ columns))
 
 
-def nuisance(X: Array) -> Nuisance:
+def find_nuisance(X: Array) -> Nuisance:
     """Orthonormal basis of X (rows used, p), directions without excitation left out."""
     if X.shape[1] == 0:
         return Nuisance(X)
@@ -120,11 +120,11 @@ def noise_floor(recording: Recording, residual: Array) -> float:
     moves = speed > AT_REST * float(np.sqrt(np.mean(speed**2)))
     if moves.sum() >= max(PIECES, MOVING * len(pieces)):
         pieces = pieces[moves]
-    quiet = math.sqrt(quiet_variance(pieces, colour_of(recording.machine, recording.factor, width)))
-    return max(quiet, _of_steps(recording))
+    quiet = math.sqrt(quiet_variance(pieces, find_colour(recording.machine, recording.factor, width)))
+    return max(quiet, _encoder_force(recording))
 
 
-def _of_steps(recording: Recording) -> float:
+def _encoder_force(recording: Recording) -> float:
     """RMS of the force that an encoder's steps make of the acceleration [N]; 0 where they would hide friction.
 
     Such a record does not tell whether a model is right.
@@ -191,7 +191,7 @@ def gain_interval(before: Array, after: Array, rows: Array) -> tuple[float, floa
 
 
 def difference_statistic(first: Array, second: Array) -> float:
-    """How sure it is which of two fits is better, from their losses per block; positive where the second is worse.
+    """Return the test statistic of the difference of two fits' losses per block; positive where the second is worse.
 
     t of the mean difference, or the normal score of its signed ranks where that is surer and says the same: one block
     that holds most of the difference must not hide that all the others agree.
@@ -209,7 +209,7 @@ def difference_statistic(first: Array, second: Array) -> float:
 
 
 def inconstancy(recording: Recording, contribution: Array, residual: Array, *, inertial: bool = False) -> float:
-    """How much the size of a cause changes over the record: 0 for the same everywhere, 1 for as much as the size.
+    """Return the change of a cause's size over the record: 0 for the same everywhere, 1 for as much as the size.
 
     What only imitates something else fits here and misfits there. The record is cut into parts by time, by place and by
     speed; within each part the residual is regressed on the cause's contribution c: a - 1 = c'e / c'c. The RMS of
@@ -240,11 +240,11 @@ def inconstancy(recording: Recording, contribution: Array, residual: Array, *, i
         power = np.bincount(part, weights=c * c, minlength=parts)
         change = np.bincount(part, weights=c * e, minlength=parts) / np.maximum(power, TINY)
         worst = max(worst, math.sqrt(float(power @ change**2) / total))
-    c, e = _faster(c, len(c) // FAST_PARTS), _faster(e, len(e) // FAST_PARTS)
+    c, e = _drop_slow(c, len(c) // FAST_PARTS), _drop_slow(e, len(e) // FAST_PARTS)
     return max(worst, abs(float(c @ e)) / max(TINY, float(c @ c)))
 
 
-def _faster(series: Array, rows: int) -> Array:
+def _drop_slow(series: Array, rows: int) -> Array:
     """Return a series minus its mean over so many samples around each."""
     return np.asarray(series - uniform_filter1d(series, max(1, rows), mode="nearest"))
 
@@ -252,9 +252,9 @@ def _faster(series: Array, rows: int) -> Array:
 def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array, inverse: Array, wrong: float) -> Array:
     """Covariance of fitted numbers (p, p).
 
-    Noise, by what each block moves the numbers by (`between_blocks`), robust to colour within a block and to numbers
-    that few blocks tell of, but no less than if the residual were white. And what the model gets wrong, which does not
-    average out as noise does: taken as coherent over COHERENT_ROWS.
+    Noise, by the change of the numbers without each block (`jackknife_covariance`), robust to colour within a block and
+    to numbers that few blocks tell of, but no less than if the residual were white. And the error of the model, which
+    does not average out as noise does: taken as coherent over COHERENT_ROWS.
 
     Args:
         recording: rows of the fit.
@@ -264,14 +264,14 @@ def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array,
         inverse: of H, where that has one.
         wrong: RMS of what the model gets wrong [N].
     """
-    noise = between_blocks(recording, X, residual, H)
+    noise = jackknife_covariance(recording, X, residual, H)
     # Blocks that happen to balance must not promise more than white noise would allow.
     white = inverse * float(np.mean(residual[recording.used] ** 2))
     noise = np.where(np.eye(len(noise), dtype=np.bool_), np.maximum(noise, white), noise)
     return np.asarray(noise + inverse * COHERENT_ROWS * wrong**2)
 
 
-def between_blocks(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
+def jackknife_covariance(recording: Recording, X: Array, residual: Array, H: Array) -> Array:
     """Covariance from what the numbers move by when one block is left out (jackknife), of X (m, p): (p, p).
 
     A sandwich over blocks takes their residuals as they are; but in a block that alone tells of a number the fit has

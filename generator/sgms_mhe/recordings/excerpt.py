@@ -12,9 +12,9 @@ import numpy as np
 from sgms_mhe.recordings.recording import (
     BLOCKS,
     Recording,
-    forgotten_after,
-    reduced,
-    rows_spanning,
+    count_spanning,
+    forget_extent,
+    reduce_signals,
     samples_per_row,
     split_blocks,
 )
@@ -44,7 +44,7 @@ class _Piece:
     first: int
 
 
-def excerpt(recording: Recording) -> Recording:
+def make_excerpt(recording: Recording) -> Recording:
     """Return the record that models are fitted to; of a longer one segments from all over it, `fitted_time` in all.
 
     A piece is a block and the motion before it, which the fit runs through and does not see: as long as states need to
@@ -76,7 +76,7 @@ def excerpt(recording: Recording) -> Recording:
     kept = numbers[numbers >= 0]
     fine = samples_per_row(recording.machine)
     samples = np.flatnonzero(np.repeat(wanted, recording.factor))
-    fitted = reduced(
+    fitted = reduce_signals(
         recording.machine,
         recording.signals.part(samples),
         recording.clock[samples],
@@ -127,14 +127,14 @@ def _leads(recording: Recording) -> dict[int, int]:
     step = recording.factor / recording.machine.sampling.rate
     path = np.concatenate(([0.0], np.cumsum(np.abs(recording.velocity)) * step))
     low, high = float(np.min(recording.position)), float(np.max(recording.position))
-    forget = forgotten_after(recording.machine)
+    forget = forget_extent(recording.machine)
     way = LEAD_TRAVEL * (high - low)
     least, most = (math.ceil(lead / step) for lead in (LEAD_MIN, LEAD_MAX))
     leads: dict[int, int] = {}
     for block in range(recording.blocks):
         start = int(np.flatnonzero(recording.block == block)[0])
         earliest = max(0, start - most)
-        wiped = start - rows_spanning(recording.position[earliest : start + 1][::-1], forget)
+        wiped = start - count_spanning(recording.position[earliest : start + 1][::-1], forget)
         begin = int(np.searchsorted(path, path[start] - way, side="right")) - 1
         begin = max(earliest, min(begin, start - least, wiped))
         if begin == 0 or wiped >= earliest:
@@ -149,7 +149,7 @@ def _places(recording: Recording) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
 
 
 def _riches(recording: Recording) -> tuple[Callable[[slice], float], ...]:
-    """How much there is in rows: reversals, acceleration, speed, slow motion."""
+    """Return measures of rows: reversals, acceleration, speed, slow motion."""
     velocity, speed = recording.velocity, np.abs(recording.velocity)
     fastest = float(speed.max())
     sign = np.sign(np.where(speed > REST_SPEED * fastest, velocity, 0.0))

@@ -40,7 +40,7 @@ MOST: Final = 0.85
 """Share of the rows in motion, from which on a motion at one speed is one."""
 
 
-def measures(signals: Signals, machine: Machine) -> dict[Measure, float]:
+def measure_excitation(signals: Signals, machine: Machine) -> dict[Measure, float]:
     """All measures of a log; the axis moves where it covers MOVING_WAY in MOVING_TIME."""
     scales = scales_of(machine)
     velocity = np.asarray(signals.velocity)
@@ -78,7 +78,7 @@ def _runs(mask: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> np.ndarray[tuple[
 
 
 @lru_cache(maxsize=8)
-def lap(recording: Recording) -> float | None:
+def find_lap(recording: Recording) -> float | None:
     """Time after which the motion comes again [s]; None where it does not, or moves on at one speed.
 
     The least lag at which the velocity's correlation with itself has a maximum near 1.
@@ -103,7 +103,7 @@ def lap(recording: Recording) -> float | None:
 
 def in_step(recording: Recording, frequency: Array) -> Mask:
     """Return the frequencies (n) [Hz] that are multiples of one over a lap, as far as the record can show."""
-    period = lap(recording)
+    period = find_lap(recording)
     if period is None:
         return np.zeros(frequency.shape, dtype=np.bool_)
     turns = frequency * period
@@ -112,7 +112,7 @@ def in_step(recording: Recording, frequency: Array) -> Mask:
 
 
 @lru_cache(maxsize=8)
-def steady_blocks(recording: Recording) -> Mask | None:
+def find_steady_blocks(recording: Recording) -> Mask | None:
     """Blocks (b) all of whose rows go on at one speed; None where the motion has more than one.
 
     What such a motion does besides is to start and to stop. There a force that goes with place parts from one that goes
@@ -133,10 +133,10 @@ def steady_blocks(recording: Recording) -> Mask | None:
 
 def clock_note(recording: Recording) -> tuple[str, ...]:
     """Return the question that a record whose motion and time are one clock does not decide."""
-    period = lap(recording)
+    period = find_lap(recording)
     if period is not None:
         how = f"the motion repeats itself every {period:.3g} s: whether a force comes again in time or with the motion"
-    elif steady_blocks(recording) is not None:
+    elif find_steady_blocks(recording) is not None:
         how = "the motion has one speed: whether a force comes again in time or in place"
     else:
         return ()

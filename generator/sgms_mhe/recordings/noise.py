@@ -1,4 +1,4 @@
-"""How much noise is in a residual that holds more than noise, and how the signal chain has coloured it."""
+"""Noise of a residual that holds more than noise, and its colour behind the signal chain."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class Colour:
     freedom: float
 
 
-def colour_of(machine: Machine, factor: int, width: int) -> Colour:
-    """Of rows that are means over `factor` samples, in pieces of `width` rows."""
+def find_colour(machine: Machine, factor: int, width: int) -> Colour:
+    """Return the colour of rows that are means over `factor` samples, in segments of `width` rows."""
     return _colour(
         lowpass_coefficients(machine), machine.sampling.velocity_cutoff / machine.sampling.rate, factor, width
     )
@@ -95,10 +95,10 @@ def quiet_variance(pieces: Array, colour: Colour) -> float:
     if not quiet.any():
         return mean / float(colour.left[0])
     following = float(np.mean(np.sum(rest[quiet, 1:] * rest[quiet, :-1], axis=1))) / pieces.shape[1] / share
-    return _both(mean, following, colour)
+    return _solve_both(mean, following, colour)
 
 
-def _both(mean: float, following: float, colour: Colour) -> float:
+def _solve_both(mean: float, following: float, colour: Colour) -> float:
     """Variance of the force's and the encoder's noise together, that leave so much on rows and between neighbours."""
     force, encoder = np.linalg.solve(np.vstack((colour.left, colour.next)), [mean, following])
     if encoder <= 0.0:

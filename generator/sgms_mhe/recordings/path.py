@@ -45,15 +45,15 @@ def smooth_path(position: Array, noise: float) -> Array:
     found = readings
     for _ in range(HALVINGS):
         weight = 0.5 * (low + high)
-        way = _graduated(readings, 10.0**weight)
-        if _furthest(readings - way) <= CLOSE:
+        way = _graduate(readings, 10.0**weight)
+        if _largest_residual(readings - way) <= CLOSE:
             low, found = weight, way
         else:
             high = weight
     return np.asarray(position[0] + noise * found)
 
 
-def bridged(position: Array) -> Array:
+def bridge_gaps(position: Array) -> Array:
     """Readings (n) [m] with straight lines over those that are missing (NaN)."""
     good, at = np.isfinite(position), np.arange(len(position))
     return position if good.all() else np.interp(at, at[good], position[good])
@@ -73,7 +73,7 @@ def reading_error(position: Array, step: float) -> Array:
     return np.asarray(step * (np.round(way) - way))
 
 
-def _graduated(readings: Array, weight: float) -> Array:
+def _graduate(readings: Array, weight: float) -> Array:
     """Solve (I + weight D'D) way = readings, D being third differences."""
     order, n = len(DIFFERENCE) - 1, len(readings)
     bands = np.zeros((order + 1, n))
@@ -84,7 +84,7 @@ def _graduated(readings: Array, weight: float) -> Array:
     return np.asarray(solveh_banded(bands, readings, overwrite_ab=True, check_finite=False))
 
 
-def _furthest(rest: Array) -> float:
+def _largest_residual(rest: Array) -> float:
     blocks = rest[: len(rest) // BLOCK * BLOCK].reshape(-1, BLOCK)
     return float(np.sqrt(np.max(np.mean(blocks**2, axis=1))))
 

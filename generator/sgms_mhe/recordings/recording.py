@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import Extents
 from sgms_mhe.model.scales import scales_of
-from sgms_mhe.recordings.path import bridged, reading_error
+from sgms_mhe.recordings.path import bridge_gaps, reading_error
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import Signals, readings, settle_samples, signals_from_log, signals_of_record
 from sgms_mhe.signals.logs import Log
@@ -144,7 +144,7 @@ class Recording:
 
     @cached_property
     def extents(self) -> Extents:
-        """How far the rows reach that count."""
+        """Extents of the used rows."""
         return Extents(
             travel=float(np.ptp(self.position[self.used])),
             speed=float(np.max(np.abs(self.velocity[self.used]))),
@@ -165,7 +165,7 @@ class Recording:
         middle, most = m // 2, m // LONGEST_LEAD
         # Along what a model travels: pieces of a record need not meet.
         way = np.cumsum(self.velocity[middle - most : middle][::-1]) / self.rate
-        lead = rows_spanning(way, FORGOTTEN * scales_of(self.machine).deflection)
+        lead = count_spanning(way, FORGOTTEN * scales_of(self.machine).deflection)
         return None if lead >= most else middle - lead
 
     def inputs(self, start: int, end: int) -> Array:
@@ -210,7 +210,7 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
         InputError: fewer usable samples than a fit needs.
     """
     signals = signals_of_record(log, machine)
-    good, warnings = _usable(machine, log, signals)
+    good, warnings = _find_usable(machine, log, signals)
     n, rate = len(signals), machine.sampling.rate
     factor = samples_per_row(machine)
     factor *= math.ceil(n / factor / ROWS_MAX)
@@ -223,8 +223,8 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
     block, count = _blocks(used, factor / rate)
     fold, held_out = split_blocks(count, machine)
     clock = np.arange(n) / rate - signals.delay
-    recording = reduced(machine, signals, clock, factor, np.where(used, block, -1), fold, held_out, warnings)
-    return recording if held_out_s is None else _holding_out(recording, held_out_s)
+    recording = reduce_signals(machine, signals, clock, factor, np.where(used, block, -1), fold, held_out, warnings)
+    return recording if held_out_s is None else _hold_out(recording, held_out_s)
 
 
 def encoder_noise(machine: Machine, log: Log) -> Array | None:
@@ -233,10 +233,10 @@ def encoder_noise(machine: Machine, log: Log) -> Array | None:
         return None
     position = readings(log).position_m
     step = encoder_step(position)
-    return None if step == 0.0 else chained(machine, reading_error(bridged(position), step))
+    return None if step == 0.0 else filter_position(machine, reading_error(bridge_gaps(position), step))
 
 
-def chained(machine: Machine, position: Array) -> Array:
+def filter_position(machine: Machine, position: Array) -> Array:
     """Return a position (n) [m] behind the chain: position, velocity and acceleration (n, 3)."""
     n, rate = len(position), machine.sampling.rate
     log = Log(np.arange(n) / rate, position, np.zeros(n), rate, kind=machine.plant.kind)
@@ -244,7 +244,7 @@ def chained(machine: Machine, position: Array) -> Array:
     return np.column_stack((signals.position, signals.velocity, signals.acceleration))
 
 
-def _usable(machine: Machine, log: Log, signals: Signals) -> tuple[Mask, tuple[str, ...]]:
+def _find_usable(machine: Machine, log: Log, signals: Signals) -> tuple[Mask, tuple[str, ...]]:
     """Samples that a model can be compared with (n), and what a user should know of the others."""
     warnings: list[str] = []
     good = signals.valid.copy()
@@ -252,7 +252,7 @@ def _usable(machine: Machine, log: Log, signals: Signals) -> tuple[Mask, tuple[s
     gaps = int(signals.missing.sum())
     if gaps:
         warnings.append(f"{gaps} of {n} samples are missing; they and {settle} samples after each gap are left out")
-    saturated = _saturated(log.force_N)
+    saturated = _find_saturated(log.force_N)
     if saturated.any():
         near = _dilate(saturated, settle)
         warnings.append(f"the {units.push} is saturated in {int(saturated.sum())} of {n} samples; they are left out")
@@ -264,11 +264,11 @@ def _usable(machine: Machine, log: Log, signals: Signals) -> tuple[Mask, tuple[s
             "samples: left out"
         )
         good &= ~fast
-    good &= _remembered(signals, machine, good)
+    good &= _find_remembered(signals, machine, good)
     return good, tuple(warnings)
 
 
-def _holding_out(recording: Recording, intervals: Sequence[tuple[float, float]]) -> Recording:
+def _hold_out(recording: Recording, intervals: Sequence[tuple[float, float]]) -> Recording:
     """The recording with the blocks held out whose middle is in one of the intervals [s]."""
     time = recording.time
     middle = np.array([float(time[recording.block == b].mean()) for b in range(recording.blocks)])
@@ -287,7 +287,7 @@ def samples_per_row(machine: Machine) -> int:
     return max(1, int(rate / wanted + 1e-9))
 
 
-def reduced(
+def reduce_signals(
     machine: Machine,
     signals: Signals,
     clock: Array,
@@ -322,7 +322,7 @@ def reduced(
     )
 
 
-def _saturated(force: Array) -> Mask:
+def _find_saturated(force: Array) -> Mask:
     """Samples in runs of exactly the largest or smallest force, SATURATED_RUN samples or more.
 
     A force that is at either for most of the record switches between them: it moves the axis as any other does.
@@ -353,21 +353,21 @@ def _dilate(mask: Mask, samples: int) -> Mask:
     return np.asarray((total - earlier > 0) | mask)
 
 
-def _remembered(signals: Signals, machine: Machine, good: Mask) -> Mask:
+def _find_remembered(signals: Signals, machine: Machine, good: Mask) -> Mask:
     """Samples at which the model's state is known: some motion after the start and after each gap in the record.
 
     A record of presliding alone never forgets its start; it is kept, and taken to start from relaxed elements.
     """
-    scale = forgotten_after(machine)
+    scale = forget_extent(machine)
     known = np.ones(len(signals), dtype=np.bool_)
     starts = np.flatnonzero(np.diff(signals.missing.astype(np.int8)) == -1) + 1
     for start in starts:
-        known[start : start + rows_spanning(signals.position[start:], scale)] = False
+        known[start : start + count_spanning(signals.position[start:], scale)] = False
     least = REMEMBERED_MIN * good.sum()
     return known if (known & good).sum() >= least else np.ones(len(signals), dtype=np.bool_)
 
 
-def forgotten_after(machine: Machine) -> float:
+def forget_extent(machine: Machine) -> float:
     """Extent [m] of a motion after which elements do not remember where they started.
 
     Not its way: loops below break-away never forget, however many there are.
@@ -375,7 +375,7 @@ def forgotten_after(machine: Machine) -> float:
     return FORGET_EXTENT * scales_of(machine).deflection
 
 
-def rows_spanning(position: Array, extent: float) -> int:
+def count_spanning(position: Array, extent: float) -> int:
     """Rows from the first on until the position [m] has covered an extent [m]; all where it never does."""
     seen = 256
     while True:
