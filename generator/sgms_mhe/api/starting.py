@@ -10,9 +10,8 @@ from typing import Any, Final
 
 from sgms_mhe.configuration import make_machine
 from sgms_mhe.identification.sampling import UPDATE_RATE
-from sgms_mhe.identification.writing import commented_line
 from sgms_mhe.machine import OF_KIND, Kind, Machine
-from sgms_mhe.machine.writing import toml_line
+from sgms_mhe.machine.writing import toml_line, toml_table
 
 SPREAD: Final = (0.03, 0.1, 0.3, 1.0)
 """Break-away distances of the elements over that of the last one: a decade and a half, evenly in their logarithm."""
@@ -123,7 +122,8 @@ def start_text(known: Known, path: Path) -> tuple[str, Machine]:
         toml_line("name", known.name),
         toml_line("description", "a beginning"),
     ]
-    text = "\n".join(head + [line for name, entries in tables for line in _table(name, entries)]) + "\n"
+    lines = [line for name, entries in tables for line in _commented_table(name, entries)]
+    text = "\n".join([*head, *lines]) + "\n"
     return text, make_machine(tomllib.loads(text), path)
 
 
@@ -131,5 +131,6 @@ def _said(stated: float | None, meaning: str) -> str:
     return meaning if stated is not None else f"{meaning}; {_ASSUMED}"
 
 
-def _table(name: str, entries: Sequence[tuple[str, Any, str]]) -> list[str]:
-    return ["", f"[{name}]", *(commented_line(key, value, comment, COMMENT_COLUMN) for key, value, comment in entries)]
+def _commented_table(name: str, entries: Sequence[tuple[str, Any, str]]) -> list[str]:
+    values, notes = {key: value for key, value, _ in entries}, {key: note for key, _, note in entries}
+    return toml_table(f"[{name}]", values, notes=notes, column=COMMENT_COLUMN)

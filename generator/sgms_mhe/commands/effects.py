@@ -101,13 +101,11 @@ def _describe_need(need: Need) -> str:
 def _toml(definition: EffectDefinition) -> str:
     """The entry of a machine file with every parameter at its default, by which it changes nothing yet."""
     from sgms_mhe.machine import OF_KIND
-    from sgms_mhe.machine.writing import toml_line
+    from sgms_mhe.machine.writing import toml_table
 
     named = OF_KIND[definition.kinds[0]].named
     defaults = {named(p.name): [p.default] if p.array else p.default for p in definition.parameters}
-    return "\n".join(
-        ["[[effects]]", toml_line("name", definition.name), *(toml_line(key, value) for key, value in defaults.items())]
-    )
+    return "\n".join(toml_table("[[effects]]", {"name": definition.name, **defaults})).lstrip()
 
 
 def _text(content: dict[str, Any]) -> str:

@@ -15,9 +15,8 @@ from sgms_mhe.identification.description import STAND_IN
 from sgms_mhe.identification.elements import Law
 from sgms_mhe.identification.result import Number, interval, round_number
 from sgms_mhe.machine import Machine, Units, plant_content
-from sgms_mhe.machine.writing import toml_line
+from sgms_mhe.machine.writing import toml_line, toml_table
 
-COMMENT_COLUMN: Final = 40
 COLUMNS: Final = 100
 ELEMENTS: Final = ("stiffness_", "fraction_")
 SHARE_DIGITS: Final = 9
@@ -95,8 +94,7 @@ def machine_toml(units: Units, content: Mapping[str, Any], numbers: Sequence[Num
         if table == "friction":
             lines += _elements(units, numbers)
     for effect in content.get("effects", ()):
-        lines += ["", "[[effects]]"]
-        lines += [commented_line(key, entry, notes.get(f"{effect['name']}.{key}", "")) for key, entry in effect.items()]
+        lines += toml_table("[[effects]]", effect, notes=_within(notes, effect["name"]))
     return "\n".join(lines) + "\n"
 
 
@@ -110,12 +108,16 @@ def check_toml(toml: str, content: Mapping[str, Any], path: Path) -> Machine:
 
 def _table(name: str, table: Mapping[str, Any], notes: Mapping[str, str]) -> list[str]:
     plain = {key: entry for key, entry in table.items() if not isinstance(entry, Mapping) or _inline(name)}
-    lines = ["", f"[{name}]"] if plain else []
-    lines += [commented_line(key, entry, notes.get(f"{name}.{key}", "")) for key, entry in plain.items()]
+    lines = toml_table(f"[{name}]", plain, notes=_within(notes, name)) if plain else []
     for key, entry in table.items():
         if key not in plain and entry:
             lines += _table(f"{name}.{key}", entry, notes)
     return lines
+
+
+def _within(notes: Mapping[str, str], table: str) -> dict[str, str]:
+    """Return the comments of a table by its own keys."""
+    return {key.removeprefix(f"{table}."): note for key, note in notes.items() if key.startswith(f"{table}.")}
 
 
 def _inline(name: str) -> bool:
@@ -164,9 +166,3 @@ def _elements(units: Units, numbers: Sequence[Number]) -> list[str]:
 def wrap_comment(text: str) -> list[str]:
     """A comment in lines of the file's width."""
     return textwrap.wrap(text, COLUMNS, initial_indent="# ", subsequent_indent="#   ")
-
-
-def commented_line(key: str, value: Any, note: str, column: int = COMMENT_COLUMN) -> str:
-    """A key, its value and a comment that begins in a column, or where the value ends."""
-    line = toml_line(key, value)
-    return f"{line:<{column}} # {note}".rstrip() if note else line

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 from sgms_mhe.machine.resolved import Machine
 from sgms_mhe.support.paths import machines_dir
+
+COMMENT_COLUMN: Final = 40
+NO_NOTES: Final[Mapping[str, str]] = {}
 
 
 def toml_value(value: Any) -> str:
@@ -23,16 +26,36 @@ def toml_value(value: Any) -> str:
     return repr(value) if isinstance(value, int) else repr(float(value))
 
 
-def toml_line(key: str, value: Any) -> str:
-    """A key and its value."""
+def toml_line(key: str, value: Any, note: str = "", column: int = COMMENT_COLUMN) -> str:
+    """Return a key, its value and a comment that begins in a column, or where the value ends."""
     plain = key.replace("_", "").replace("-", "").isalnum()
-    return f"{key if plain else json.dumps(key)} = {toml_value(value)}"
+    line = f"{key if plain else json.dumps(key)} = {toml_value(value)}"
+    return f"{line:<{column}} # {note}".rstrip() if note else line
 
 
-def toml_table(header: str, entries: Mapping[str, Any], note: str = "") -> list[str]:
-    """Lines of a table behind an empty one; `note`: a comment below its header."""
+def toml_table(
+    header: str,
+    entries: Mapping[str, Any],
+    note: str = "",
+    notes: Mapping[str, str] = NO_NOTES,
+    column: int = COMMENT_COLUMN,
+) -> list[str]:
+    """Return the lines of a table behind an empty one.
+
+    Args:
+        header: with its brackets.
+        entries: values by key.
+        note: comment below the header; empty: none.
+        notes: comments beside values, by key.
+        column: at which these begin.
+    """
     comment = [f"# {note}"] if note else []
-    return ["", header, *comment, *(toml_line(key, value) for key, value in entries.items())]
+    return [
+        "",
+        header,
+        *comment,
+        *(toml_line(key, value, notes.get(key, ""), column) for key, value in entries.items()),
+    ]
 
 
 def toml_extends(machine: Machine) -> str:
