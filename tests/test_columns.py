@@ -9,7 +9,7 @@ import pytest
 from package_variants import TOY, VARIANTS
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.bindings import BINDINGS
-from sgms_mhe.emission.columns import COLUMNS, within_columns
+from sgms_mhe.emission.columns import COLUMNS, wrap_columns
 from sgms_mhe.emission.package import Package, emit_package
 
 SHAPES = (
@@ -50,9 +50,9 @@ def test_code_is_the_same(name: str) -> None:
     """Of lines that a longer name has made too long: the same words in the same order, and nothing left to do."""
     for file, text in c_files(VARIANTS["flow, 5 merged, all"].emit()).items():
         longer = text.replace("element_", f"{name}_").replace("etel_xy_", f"{name}_")
-        within = within_columns(longer)
+        within = wrap_columns(longer)
         assert tokens(within) == tokens(longer), file
-        assert within_columns(within) == within, file
+        assert wrap_columns(within) == within, file
 
 
 def test_comments_are_filled_and_tables_keep_their_columns() -> None:
@@ -61,7 +61,7 @@ def test_comments_are_filled_and_tables_keep_their_columns() -> None:
         f"/* {words}end.\n * more.\n *\n * short\n * lines\n *   name   {words}end\n *   other  short\n"
         f" * - {words}end\n *   of the item\n */\n"
     )
-    lines = within_columns(text).splitlines()
+    lines = wrap_columns(text).splitlines()
     assert all(len(line) <= COLUMNS for line in lines)
     assert lines[0].startswith("/* word") and lines[1].startswith(" * word") and lines[1].endswith("word end. more.")
     assert lines[2:5] == [" *", " * short", " * lines"]
@@ -74,12 +74,12 @@ def test_comments_are_filled_and_tables_keep_their_columns() -> None:
 
 def test_a_comment_behind_code_stands_before_it() -> None:
     line = f"    int32_t shifts, pending; /* {'word ' * 20}*/"
-    assert within_columns(f"{line}\n").splitlines()[-1] == "    int32_t shifts, pending;"
+    assert wrap_columns(f"{line}\n").splitlines()[-1] == "    int32_t shifts, pending;"
 
 
 def test_lines_break_outside_of_calls_and_strings() -> None:
     first, second = "f(" + "a, " * 15 + "a)", '"' + "b, " * 15 + '"'
-    lines = within_columns(f"    x = {first} + {second};\n").splitlines()
+    lines = wrap_columns(f"    x = {first} + {second};\n").splitlines()
     assert lines == [f"    x = {first} +", f"        {second};"]
-    macro = within_columns(f"#define MACRO {first} + {second}\n").splitlines()
+    macro = wrap_columns(f"#define MACRO {first} + {second}\n").splitlines()
     assert macro[0].endswith(" \\") and len(macro) == 2

@@ -14,7 +14,7 @@ import pytest
 
 from sgms_mhe.support.decisions import log_decision, trace_decisions
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.parallel import in_parallel
+from sgms_mhe.support.parallel import run_parallel
 
 
 def test_a_decision_is_a_log_record_with_its_numbers(caplog: pytest.LogCaptureFixture) -> None:
@@ -55,7 +55,7 @@ def test_a_trace_has_the_decisions_of_its_tasks(tmp_path: Path, monkeypatch: pyt
         log_decision("rivals", name)
 
     with trace_decisions(tmp_path):
-        in_parallel([partial(task, name) for name in "ab"])
+        run_parallel([partial(task, name) for name in "ab"])
     decisions = json.loads((tmp_path / "01_rivals.json").read_text())["decisions"]
     assert sorted(decision["rule"] for decision in decisions) == ["a", "b"]
 

@@ -19,7 +19,7 @@ from cli_cases import done, refused
 from sgms_bench.diagnosis.axes import Axis
 from sgms_bench.diagnosis.causes import Hidden
 from sgms_bench.diagnosis.draws import Draw, machine_of, simulate_draw
-from sgms_mhe.configuration import load_machine, override_machine, under_other_law
+from sgms_mhe.configuration import load_machine, override_machine, switch_law
 from sgms_mhe.diagnosis import Diagnosis, diagnose
 from sgms_mhe.diagnosis.causes import SIGMAS, _is_echo, _is_imitation, is_confirmed
 from sgms_mhe.diagnosis.fits import Subject, fit_model
@@ -131,7 +131,7 @@ def test_what_is_about_as_fast_as_a_sample_is_measured_right(
 def test_interval_knows_that_the_axis_switches(quick: Machine) -> None:
     # What the smooth law gets wrong at every reversal is in no scatter over blocks: the other law tells it.
     recording = prepare(quick, recorded(quick, law="maxwell_slip", force_noise_N=0.03))
-    axis = under_other_law(quick)
+    axis = switch_law(quick)
     assert axis is not None
     smooth, switching = Subject.of(quick, recording).with_final_steps(), Subject.of(axis, recording)
     smooth = replace(smooth, noise=noise_floor(recording, fit_model(smooth, (), refitted=()).residual))
@@ -464,7 +464,7 @@ def test_stand_ins_for_elements_that_switch_are_no_stribeck_effect(quick: Machin
     ripple = SimpleNamespace(effects=(CandidateEffect("force_ripple", {"amplitude_N": 1.0}),))
 
     def imitates(fit: object, gain: float, *, may_switch: bool = True, group: Group = stribeck) -> bool:
-        other = SimpleNamespace(machine=under_other_law(quick)) if may_switch else None
+        other = SimpleNamespace(machine=switch_law(quick)) if may_switch else None
         subject = SimpleNamespace(machine=quick)
         settled = SimpleNamespace(subject=subject, other=other, floor=floor)
         return _is_imitation(settled, fit, group, SimpleNamespace(gain_N=gain * floor))  # type: ignore[arg-type]

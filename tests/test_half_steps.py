@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sgms_mhe.configuration import load_machine, override_machine, under_other_law
+from sgms_mhe.configuration import load_machine, override_machine, switch_law
 from sgms_mhe.diagnosis import alignment
 from sgms_mhe.diagnosis.alignment import decimate, find_step_error, halve_steps, is_mean_velocity
 from sgms_mhe.diagnosis.final_fit import _time_step
@@ -65,7 +65,7 @@ def rms(series: Array) -> float:
 @pytest.mark.parametrize("law", ["sgms", "switching"])
 def test_what_a_step_gets_wrong_is_known(slow: Machine, law: str, mean_velocity: bool) -> None:
     """Elements that stick while the axis brakes, and viscous friction: nine tenths of the model's error go."""
-    machine = slow if law == "sgms" else under_other_law(slow)
+    machine = slow if law == "sgms" else switch_law(slow)
     assert machine.friction.law == law
     recording = exact(machine, simulated(machine), mean_velocity=mean_velocity)
     subject = Subject.of(machine, recording)

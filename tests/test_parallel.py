@@ -33,7 +33,7 @@ from sgms_mhe.recordings.recording import RUNS_CACHED, Runs, prepare
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support import toolchain
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.parallel import VARIABLE, _cores, in_parallel, workers
+from sgms_mhe.support.parallel import VARIABLE, _cores, run_parallel, workers
 
 Array = NDArray[np.float64]
 RIPPLE = {"amplitude_N": 0.5, "pitch_m": 0.0173, "phase_rad": 0.7}
@@ -59,8 +59,8 @@ def log(machine: Machine) -> Log:
 def test_results_come_in_the_order_of_the_tasks(count: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(VARIABLE, count)
     assert workers() == int(count)
-    assert in_parallel([partial(pow, k, 2) for k in range(7)]) == [k**2 for k in range(7)]
-    assert in_parallel([]) == []
+    assert run_parallel([partial(pow, k, 2) for k in range(7)]) == [k**2 for k in range(7)]
+    assert run_parallel([]) == []
 
 
 def test_tasks_run_at_the_same_time_and_no_more_than_there_are_cores(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -69,11 +69,11 @@ def test_tasks_run_at_the_same_time_and_no_more_than_there_are_cores(monkeypatch
 
     def task() -> set[int]:
         together.wait()  # nobody gets past it alone
-        seen = {threading.get_ident(), *in_parallel([threading.get_ident] * 3)}
+        seen = {threading.get_ident(), *run_parallel([threading.get_ident] * 3)}
         together.wait()  # both are at work up to here
         return seen
 
-    first, second = in_parallel([task, task])
+    first, second = run_parallel([task, task])
     assert len(first) == len(second) == 1
     assert first != second
 
@@ -84,7 +84,7 @@ def test_a_core_that_is_free_takes_what_another_piece_starts(monkeypatch: pytest
     def lasting() -> bool:
         until = time.monotonic() + 60.0
         while time.monotonic() < until:
-            if len(set(in_parallel([piece, piece]))) == 2:
+            if len(set(run_parallel([piece, piece]))) == 2:
                 return True
         return False
 
@@ -92,9 +92,9 @@ def test_a_core_that_is_free_takes_what_another_piece_starts(monkeypatch: pytest
         time.sleep(0.01)
         return threading.get_ident()
 
-    assert in_parallel([lambda: True, lasting]) == [True, True]
-    assert in_parallel([lasting, lambda: True]) == [True, True]
-    assert len(set(in_parallel([piece] * 8))) == 2  # as many as before
+    assert run_parallel([lambda: True, lasting]) == [True, True]
+    assert run_parallel([lasting, lambda: True]) == [True, True]
+    assert len(set(run_parallel([piece] * 8))) == 2  # as many as before
 
 
 def all_cores_come_back() -> bool:
@@ -123,9 +123,9 @@ def test_a_core_that_gets_free_takes_what_was_begun_without_it(swapped: bool, mo
         return threading.get_ident()
 
     def long() -> bool:
-        return len(set(in_parallel([first, second]))) == 2
+        return len(set(run_parallel([first, second]))) == 2
 
-    assert in_parallel([long, short] if swapped else [short, long]) == [True, True]
+    assert run_parallel([long, short] if swapped else [short, long]) == [True, True]
     assert all_cores_come_back()
 
 
@@ -144,7 +144,7 @@ def test_many_batches_within_each_other_keep_no_core(monkeypatch: pytest.MonkeyP
         return 1
 
     def node(depth: int) -> int:
-        return leaf() if depth == 0 else sum(in_parallel([partial(node, depth - 1)] * 3))
+        return leaf() if depth == 0 else sum(run_parallel([partial(node, depth - 1)] * 3))
 
     assert node(5) == 3**5
     assert 1 < most <= 3
@@ -159,7 +159,7 @@ def test_the_first_task_s_error_is_raised(monkeypatch: pytest.MonkeyPatch) -> No
         raise kind
 
     with pytest.raises(KeyError):
-        in_parallel([lambda: None, partial(fail, KeyError), partial(fail, ValueError)])
+        run_parallel([lambda: None, partial(fail, KeyError), partial(fail, ValueError)])
 
 
 @pytest.mark.parametrize("stated", ["0", "-1", "two", "", "1.5"])

@@ -7,7 +7,7 @@ from typing import Final, Literal
 
 from numpy.random import Generator
 
-from sgms_mhe.configuration import make_machine, under_other_law
+from sgms_mhe.configuration import make_machine, switch_law
 from sgms_mhe.machine import Kind, Machine
 
 PlantLaw = Literal["sgms", "maxwell_slip"]
@@ -53,5 +53,5 @@ def machine_file(machine: Machine, axis: Axis) -> Machine:
     if axis.kind != machine.plant.kind:
         plant = {"kind": axis.kind, "inertia": machine.plant.moved}
         machine = make_machine({**machine.content, "plant": plant}, machine.source)
-    other = under_other_law(machine) if axis.other_law else None
+    other = switch_law(machine) if axis.other_law else None
     return machine if other is None else other

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-from sgms_mhe.configuration import load_machine, with_log
+from sgms_mhe.configuration import load_machine, override_log
 from sgms_mhe.logfiles.frames import FRAME, Frame, read_frame
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import check_kind, log_of, understand, understand_table
@@ -62,7 +62,7 @@ def read_log(
     Raises:
         InputError: it cannot be read, is of another kind of axis or rate than the machine, or time is not uniform.
     """
-    axis = None if machine is None else with_log(load(machine), table or {})
+    axis = None if machine is None else override_log(load(machine), table or {})
     mapping = log_mapping(table, "[log]") if table and axis is None else None
     if isinstance(log, Log):
         if axis is not None:

@@ -104,9 +104,9 @@ def summarise(machine: Machine, estimates: Estimates, solver: Solver) -> dict[st
     import numpy as np
 
     from sgms_mhe.model import build_model
-    from sgms_mhe.signals.status import measured, select_flags
+    from sgms_mhe.signals.status import has_measurement, select_flags
 
-    counted = measured(estimates.status)
+    counted = has_measurement(estimates.status)
     residual = (estimates.friction_measured_N - estimates.friction_N)[counted]
     nominal = [parameter.nominal for parameter in build_model(machine).parameters]
     columns = (nominal, estimates.parameters[-1], estimates.std[-1])

@@ -98,9 +98,9 @@ def log_options(function: F) -> F:
 
 def load_for_log(machine: str, table: Mapping[str, Any]) -> Machine:
     """Load a machine, its table [log] with what options say of its logs laid over it. Raises InputError."""
-    from sgms_mhe.configuration import load_machine, with_log
+    from sgms_mhe.configuration import load_machine, override_log
 
-    return with_log(load_machine(machine), table)
+    return override_log(load_machine(machine), table)
 
 
 def log_text(table: Mapping[str, Any], kind: Kind) -> str:

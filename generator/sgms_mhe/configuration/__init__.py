@@ -1,7 +1,7 @@
 """From a machine file to the machine it describes: effects from their catalogue, the integrator by the friction law."""
 
-from sgms_mhe.configuration.laws import law_changes, under_other_law
-from sgms_mhe.configuration.resolution import load_machine, make_machine, override_machine, with_log
+from sgms_mhe.configuration.laws import law_changes, switch_law
+from sgms_mhe.configuration.resolution import load_machine, make_machine, override_log, override_machine
 from sgms_mhe.configuration.schema import machine_schema
 
 __all__ = [
@@ -9,7 +9,7 @@ __all__ = [
     "load_machine",
     "machine_schema",
     "make_machine",
+    "override_log",
     "override_machine",
-    "under_other_law",
-    "with_log",
+    "switch_law",
 ]

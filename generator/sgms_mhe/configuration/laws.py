@@ -13,7 +13,7 @@ LAW_KEYS: Final = ("law", "micro_viscous", "smoothing")
 """Keys of [friction] that belong to a law."""
 
 
-def under_other_law(machine: Machine) -> Machine | None:
+def switch_law(machine: Machine) -> Machine | None:
     """The machine with the other law: switching, or smooth as by default.
 
     Returns None where an effect of the machine does not stand with it.

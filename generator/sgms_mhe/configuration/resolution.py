@@ -62,7 +62,7 @@ def override_machine(machine: Machine, changes: Mapping[str, Any]) -> Machine:
     return _resolve(machine_file(merge_tables(machine.content, changes), [Layer(machine.source, changes)]))
 
 
-def with_log(machine: Machine, stated: Mapping[str, Any]) -> Machine:
+def override_log(machine: Machine, stated: Mapping[str, Any]) -> Machine:
     """The machine with what is stated of its logs laid over its table [log]; bare columns of its own kind alone."""
     if not stated:
         return machine

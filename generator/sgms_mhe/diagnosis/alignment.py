@@ -22,7 +22,7 @@ from sgms_mhe.recordings.recording import Recording, reduce_signals
 from sgms_mhe.recordings.series import Shift, row_means
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.support.parallel import beside, in_parallel
+from sgms_mhe.support.parallel import beside, run_parallel
 
 Array = NDArray[np.float64]
 AT_LIMIT: Final = 1e-6
@@ -99,7 +99,7 @@ def align(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
         tasks.append(partial(subject.friction, fit))
     # What is certain to run next is compiled beside what runs now.
     asked = anew or whole.alignment.later is None
-    exact, *own = beside(partial(in_parallel, tasks), [partial(compile_half_steps, whole, fit)] if asked else [])
+    exact, *own = beside(partial(run_parallel, tasks), [partial(compile_half_steps, whole, fit)] if asked else [])
     used = subject.recording.used
     if not np.all(np.isfinite(exact)):
         return subject

@@ -33,7 +33,7 @@ from sgms_mhe.model.effects.search import Columns, Derivative, Harmonic, Periodi
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import Nuisance, score_test
 from sgms_mhe.recordings.recording import Recording
-from sgms_mhe.support.parallel import in_parallel
+from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
 
@@ -75,7 +75,7 @@ def search(subject: Subject, fit: Fit, names: Sequence[str], free: Nuisance) -> 
     seen = Residual(recording, make_motion(recording, fit), free, e)
     # Begun last, what takes longest would have one core search and the others wait.
     order = sorted(names, key=lambda name: _place_by_duration(effect_definition(name).search))
-    found = in_parallel([partial(_search_effect, effect_definition(name), subject, fit, seen) for name in order])
+    found = run_parallel([partial(_search_effect, effect_definition(name), subject, fit, seen) for name in order])
     by_name = dict(zip(order, found, strict=True))
     return [proposal for name in names for proposal in by_name[name]]
 
@@ -212,7 +212,7 @@ def _search_derivative(
     model = choose_rate.model((*fit.effects, CandidateEffect(definition.name, grid[0])))
     best: tuple[float, Mapping[str, float], Array] | None = None
     trials = [partial(_slope, definition, size, {size: none, **given}, choose_rate, model, fit) for given in grid]
-    for given, slope in zip(grid, in_parallel(trials), strict=True):
+    for given, slope in zip(grid, run_parallel(trials), strict=True):
         if slope is None:
             continue
         Z = here.columns(slope)
@@ -259,7 +259,7 @@ def _search_trials(
         return own.run(choose_rate.recording, start, derivatives=False)[0]
 
     best: tuple[float, Mapping[str, float], Array] | None = None
-    forces = in_parallel([partial(make_force, values) for values in trials])
+    forces = run_parallel([partial(make_force, values) for values in trials])
     for values, force in zip(trials, forces, strict=True):
         if not np.all(np.isfinite(force)):
             continue
@@ -340,7 +340,7 @@ def stiffness_start(subject: Subject, effects: Sequence[CandidateEffect], materi
             continue
         common = np.array([c.group == Group.base(cause.name) for c in model.columns])
         starts = {factor: np.where(common, factor * theta, theta) for factor in cause.start_factors}
-        runs = in_parallel([partial(model.run, recording, at, derivatives=False) for at in starts.values()])
+        runs = run_parallel([partial(model.run, recording, at, derivatives=False) for at in starts.values()])
         left = {
             factor: float(np.mean((recording.friction - friction)[recording.used] ** 2))
             for factor, (friction, _) in zip(starts, runs, strict=True)

@@ -20,7 +20,7 @@ from sgms_mhe.model.effects import EFFECT_NAMES, Measure, cause, effect_definiti
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import cross_loss, gain_force
 from sgms_mhe.recordings.excitation import in_step
-from sgms_mhe.support.parallel import in_parallel
+from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -222,7 +222,7 @@ def is_ruled_out(fit: Fit, name: str, subject: Subject) -> bool:
 
 def rank_proposals(subject: Subject, current: Fit, proposals: Sequence[Proposal]) -> list[Ranked]:
     """Proposals with what they explain by cross-validation, in their order."""
-    gains = in_parallel([partial(linear_gain, subject, current, proposal) for proposal in proposals])
+    gains = run_parallel([partial(linear_gain, subject, current, proposal) for proposal in proposals])
     return [Ranked(gain, proposal) for gain, proposal in zip(gains, proposals, strict=True)]
 
 

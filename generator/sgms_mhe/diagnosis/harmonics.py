@@ -19,7 +19,7 @@ from sgms_mhe.model.effects.search import Harmonic
 from sgms_mhe.recordings.evidence import Nuisance
 from sgms_mhe.recordings.excitation import in_step
 from sgms_mhe.recordings.series import bin_sums
-from sgms_mhe.support.parallel import in_parallel
+from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -87,7 +87,7 @@ def search_harmonic(definition: EffectDefinition, kind: Harmonic, seen: Residual
 
     Slow trends have more energy than they deserve: a short period gets a proposal of its own.
     """
-    found = in_parallel([partial(_search, definition, kind, seen, fine) for fine in (False, True)])
+    found = run_parallel([partial(_search, definition, kind, seen, fine) for fine in (False, True)])
     return [proposal for proposal in found if proposal is not None]
 
 

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from sgms_mhe.configuration import under_other_law
+from sgms_mhe.configuration import switch_law
 from sgms_mhe.diagnosis.alignment import align, decimate
 from sgms_mhe.diagnosis.candidates import stiffness_start, stribeck_start
 from sgms_mhe.diagnosis.criteria import Criteria
@@ -23,7 +23,7 @@ from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, find_nuisance
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
-from sgms_mhe.support.parallel import beside, in_parallel
+from sgms_mhe.support.parallel import beside, run_parallel
 
 SHARPER: Final = 0.97
 """RMS below which the law is taken that is not the machine file's [RMS left by the other]: of a smaller difference the
@@ -99,7 +99,7 @@ class Laws:
 def make_laws(machine: Machine, recording: Recording, floor: float) -> Laws:
     """A machine along a record under both laws, thinned for the search; `floor`: its noise [N]."""
     thin = _thinned(machine, recording, floor)
-    own, *others = in_parallel([partial(_align_nominal, subject) for subject in thin])
+    own, *others = run_parallel([partial(_align_nominal, subject) for subject in thin])
     if own is None:
         raise FitError("the model is not finite with the machine's own numbers")
     return Laws(own, others[0] if others else None)
@@ -112,7 +112,7 @@ def list_compilations(machine: Machine, recording: Recording) -> list[Callable[[
 
 def _thinned(machine: Machine, recording: Recording, floor: float) -> list[Subject]:
     """The machine along a record, under its own law and the other one if there is one; `floor`: its noise [N]."""
-    alternative = under_other_law(machine)
+    alternative = switch_law(machine)
     axes = [machine] if alternative is None else [machine, alternative]
     return [decimate(replace(Subject.of(axis, recording), noise=floor)) for axis in axes]
 
@@ -165,7 +165,7 @@ def fit_law(
     both = (laws.own, laws.alternative)
     # What runs next, at the full rate, is compiled beside.
     own, alternative = beside(
-        partial(in_parallel, [partial(_start_stiff, subject, effects, criteria) for subject in both]),
+        partial(run_parallel, [partial(_start_stiff, subject, effects, criteria) for subject in both]),
         [partial(subject.whole.model, effects) for subject in both],
     )
     own, fit = align_fit(own, fit_model(own, effects))
@@ -177,7 +177,7 @@ def fit_law(
     def fit_own() -> tuple[Subject, Fit | None]:
         return _restart(own, fit, criteria)
 
-    (own, better), (alternative, other) = in_parallel([fit_own, fit_other])
+    (own, better), (alternative, other) = run_parallel([fit_own, fit_other])
     fit = better or fit
     if other is None:
         return replace(laws, own=own, alternative=alternative, taken=False, apart=0.0), fit

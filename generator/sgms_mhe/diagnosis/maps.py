@@ -22,7 +22,7 @@ from sgms_mhe.model.effects import EffectDefinition
 from sgms_mhe.model.effects.search import Periodic
 from sgms_mhe.recordings.evidence import Nuisance, score_test
 from sgms_mhe.recordings.series import bin_sums
-from sgms_mhe.support.parallel import in_parallel
+from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -210,15 +210,15 @@ class _Search:
         """
         wide = max(best.orders, default=1)
         parts = {best.period / g for g in range(2, wide + 1) if sum(n % g == 0 for n in best.orders) > 1}
-        exact = in_parallel([partial(self.carried, period) for period in sorted(parts)])
+        exact = run_parallel([partial(self.carried, period) for period in sorted(parts)])
         if len(best.orders) <= FEW and 1 in best.orders:
             return exact
         strongest = best.orders[:STRONGEST]
         periods = {best.period * k / n for n in strongest for k in range(1, LARGEST_PART + 1) if k != n}
         tried = sorted(period for period in periods if period <= self.kind.room * self.travel)
-        about = in_parallel([partial(self.carried, period) for period in tried])
+        about = run_parallel([partial(self.carried, period) for period in tried])
         nearby = sorted((c for c in about if c.orders), key=lambda c: c.left)[:RELATED_REFINED]
-        return exact + in_parallel([partial(self.nearest, c) for c in nearby])
+        return exact + run_parallel([partial(self.nearest, c) for c in nearby])
 
 
 def _most(H: Array, b: Array, taken: Sequence[int]) -> int | None:
@@ -239,11 +239,11 @@ def search_periodic(definition: EffectDefinition, kind: Periodic, seen: Residual
     if search is None:
         return None
     periods = _periods(definition, kind, seen, search.travel)
-    found = in_parallel([partial(search.carried, period) for period in periods])
+    found = run_parallel([partial(search.carried, period) for period in periods])
     found = sorted((c for c in found if c.orders), key=lambda c: c.left)[:PERIODS_REFINED]
     if not found:
         return None
-    best = min(in_parallel([partial(search.nearest, c) for c in found]), key=lambda c: c.left)
+    best = min(run_parallel([partial(search.nearest, c) for c in found]), key=lambda c: c.left)
     chosen = search.nearest(search.simplest([best, *search.search_related(best)]))
     orders = tuple(sorted(chosen.orders))
     if len(orders) < 2:

@@ -40,7 +40,7 @@ from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.least_squares import Box, Quadratic, minimise
 from sgms_mhe.recordings.recording import SPLIT, Recording
 from sgms_mhe.recordings.series import Shift, row_means
-from sgms_mhe.support.parallel import in_parallel
+from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -141,7 +141,7 @@ class CompiledFit:
 
         # What is shifted reads samples of other rows.
         parts = [slice(0, m)] if m < SPLIT or shift is not None else [slice(0, m // 2), slice(m // 2, m)]
-        in_parallel([partial(put, rows) for rows in parts])
+        run_parallel([partial(put, rows) for rows in parts])
         return total, wide
 
     def _delay(self, theta: Array) -> float:
@@ -182,7 +182,7 @@ class CompiledFit:
             partial(run, slice(0, middle), self._relaxed()),
             partial(run_second, slice(begin, middle)),
         ]
-        reached, guessed = in_parallel(halves)
+        reached, guessed = run_parallel(halves)
         if not guessed.is_close(reached):
             run(slice(middle, m), reached)
         return force, jacobian

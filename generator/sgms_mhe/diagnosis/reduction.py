@@ -19,7 +19,7 @@ from sgms_mhe.model.effects import cause, effect_definition
 from sgms_mhe.model.effects.search import Harmonic, Periodic
 from sgms_mhe.recordings.evidence import cross_loss, find_nuisance, gain_force
 from sgms_mhe.support.decisions import log_decision
-from sgms_mhe.support.parallel import in_parallel
+from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
 Groups = tuple[Group, ...]
@@ -78,7 +78,7 @@ def prune_effects(
     of the record is not superfluous.
     """
     while len(fit.effects) > least:
-        fits = in_parallel(
+        fits = run_parallel(
             [
                 partial(try_fit, subject, drop_effect(fit.effects, group), refitted=refitted, warm=fit)
                 for group in fit.candidate_groups
@@ -116,7 +116,7 @@ def find_wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[
         rest = [group for group in machine_groups(subject.machine) if group not in named]
         if missing < material or not rest:
             break
-        fits = in_parallel([partial(try_fit, subject, effects, refitted=(*named, g), warm=everything) for g in rest])
+        fits = run_parallel([partial(try_fit, subject, effects, refitted=(*named, g), warm=everything) for g in rest])
         trials = {group: trial for group, trial in zip(rest, fits, strict=True) if trial is not None}
         if not trials:
             break

@@ -32,7 +32,7 @@ from sgms_mhe.model.effects import EFFECT_NAMES, cause, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, find_nuisance, gain_force, score_test
 from sgms_mhe.recordings.excitation import find_steady_blocks
 from sgms_mhe.support.decisions import log_decision
-from sgms_mhe.support.parallel import in_parallel
+from sgms_mhe.support.parallel import run_parallel
 
 Judgement = Literal["better", "rival", "worse", "untried"]
 PROMISING_RIVAL: Final = 0.7
@@ -132,7 +132,7 @@ def find_rivals(
     rivals: list[Rival] = []
     rejected: dict[str, Rejected] = {}
     groups = (*refitted, *fit.candidate_groups)
-    places = in_parallel([partial(_place, subject, fit, refitted, group, seen, criteria) for group in groups])
+    places = run_parallel([partial(_place, subject, fit, refitted, group, seen, criteria) for group in groups])
     for k, place in enumerate(places):
         if place is None:
             continue
@@ -179,7 +179,7 @@ def _contest(
     tried = [r for r in others if r in kept and not r.gain < _promising(place.cause, _name(r)) * place.gain]
     if tried:
         comparing([_name(r) for r in tried])
-    trials = iter(in_parallel([partial(_trial, subject, place, r) for r in tried]))
+    trials = iter(run_parallel([partial(_trial, subject, place, r) for r in tried]))
     for candidate in others:
         name = _name(candidate)
         if candidate not in tried:

@@ -33,7 +33,7 @@ from sgms_mhe.diagnosis.uncertainty import explains_noise
 from sgms_mhe.model.effects import cause, effect_definition
 from sgms_mhe.recordings.evidence import difference_statistic, find_nuisance, gain_force
 from sgms_mhe.support.decisions import log_decision
-from sgms_mhe.support.parallel import in_parallel
+from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
 PROMISING: Final = 0.8
@@ -132,7 +132,7 @@ def _refits(
         proposals = [r.proposal for r in stage if r.gain > CLEAR * best]
         if proposals:
             criteria.progress.report_refits(number, [p.name for p in proposals])
-        tried = in_parallel(
+        tried = run_parallel(
             [partial(try_fit, subject, (*current.effects, make_effect(p)), warm=current) for p in proposals]
         )
         fits |= {p.name: fit for p, fit in zip(proposals, tried, strict=True) if fit is not None}

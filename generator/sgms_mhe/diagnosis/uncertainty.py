@@ -21,7 +21,7 @@ from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.recordings.evidence import UNSEEN_ERROR, robust_covariance
 from sgms_mhe.recordings.recording import Recording, Runs, filter_position
 from sgms_mhe.signals.noise import noise_course, position_noise
-from sgms_mhe.support.parallel import in_parallel
+from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
 NOISY_CACHED: Final = 2  # records with more noise: that of the rows' rate, and the full one
@@ -196,7 +196,7 @@ def _law(subject: Subject, fit: Fit, other: Subject | None, inverse: Array, wron
     if other is None:
         return nothing
     used = subject.recording.used
-    theirs, own = in_parallel([partial(law.whole.friction, fit) for law in (other, subject)])
+    theirs, own = run_parallel([partial(law.whole.friction, fit) for law in (other, subject)])
     change = theirs[used] - own[used]
     if not np.all(np.isfinite(change)):
         return nothing

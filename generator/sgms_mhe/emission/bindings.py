@@ -120,7 +120,7 @@ class Variable:
 
 def variables_of(view: PackageView) -> tuple[Variable, ...]:
     """All variables of a package's axis, in the order of their references."""
-    rows = [*_inputs(view), *_outputs(view), *_estimated(view)]
+    rows = [*_inputs(view), *_outputs(view), *_estimated_variables(view)]
     return tuple(Variable(number, *row) for number, row in enumerate(rows, 1))
 
 
@@ -166,7 +166,7 @@ def _outputs(view: PackageView) -> Iterator[_Row]:
     yield "doubt", "Boolean", "output", "", "the readings contradict the model beyond their stated noise", doubt
 
 
-def _estimated(view: PackageView) -> Iterator[_Row]:
+def _estimated_variables(view: PackageView) -> Iterator[_Row]:
     unit = _unit(view.units.position)
     for i in range(view.sizes.elements):
         code = f"(double)now->deflection[{i}]"
@@ -213,7 +213,7 @@ def fmu(files: Mapping[str, str], name: str, archive: str) -> tuple[bytes, str |
     return _archive(content), missing
 
 
-def without_binaries(archive: bytes) -> dict[str, bytes] | None:
+def strip_binaries(archive: bytes) -> dict[str, bytes] | None:
     """Return the parts of an FMU that do not depend on the compiler, by path; None where it is no archive."""
     try:
         with zipfile.ZipFile(io.BytesIO(archive)) as opened:

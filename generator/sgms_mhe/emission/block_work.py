@@ -107,7 +107,7 @@ class _Costs:
         """Substeps at constant signals."""
         return 1 + self.drive + substeps * self.substep
 
-    def along_line(self, substeps: int) -> int:
+    def count_line_substeps(self, substeps: int) -> int:
         """Substeps along the line of a step."""
         return 1 + self.drive + substeps * (self.substep + self.times * (self.interpolated + self.drive))
 
@@ -136,8 +136,11 @@ class _Costs:
         if not g.follows_flow:
             most = self.most_substeps(k)
             pieces = max(most + 2, 2 * self.of.sizes.least_substeps)
-            return 16 + max(self.along_line(most), 12 + 6 * self.interpolated + self.drive + self.along_line(pieces))
-        return self._beside_merged() + max(self._samplewise(k), self._cut(merged - 1))
+            return 16 + max(
+                self.count_line_substeps(most),
+                12 + 6 * self.interpolated + self.drive + self.count_line_substeps(pieces),
+            )
+        return self._merged_rest() + max(self._samplewise(k), self._cut(merged - 1))
 
     def together(self) -> int:
         """A step of the series of all blocks, whose signals are the same.
@@ -161,7 +164,7 @@ class _Costs:
                     for c, alone in zip(counts, samplewise, strict=True)
                 ]
                 most = max(most, sum(taken))
-        return len(steps) * self._beside_merged() + most
+        return len(steps) * self._merged_rest() + most
 
     def _switching_step(self) -> int:
         """A step of the series of an element that switches."""
@@ -191,9 +194,9 @@ class _Costs:
 
     def _cut(self, count: int) -> int:
         """A step cut in two, each piece of `count` substeps."""
-        return 12 + 6 * self.interpolated + 2 * self.along_line(count)
+        return 12 + 6 * self.interpolated + 2 * self.count_line_substeps(count)
 
-    def _beside_merged(self) -> int:
+    def _merged_rest(self) -> int:
         """Count the work of a block in a step of merged samples, beside its Runge-Kutta steps or samples."""
         slide = self.level + 17 + 4 * self.g.sizes.n_q + self._slide() if self.g.slides else 0
         return 30 + slide

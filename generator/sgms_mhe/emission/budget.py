@@ -31,13 +31,13 @@ def check_budget(machine: Machine, work: Work) -> None:
     default = "" if machine.code.tick_budget else f", what {OPERATION_RATE:g} operations per second leave at this rate"
     allowed = (
         f"at least the {work.tick:.4g} operations that the longest tick takes{default}; most of them ({share:.0f} %) "
-        f"go into {_called(machine, part)}. {_remedies(machine, part)}; or state code.tick_budget for the processor "
-        "that it runs on"
+        f"go into {_group_name(machine, part)}. {_remedies(machine, part)}; or state code.tick_budget for the "
+        "processor that it runs on"
     )
     raise InputError(machine.source, "code.tick_budget", budget, allowed)
 
 
-def _called(machine: Machine, part: Part) -> str:
+def _group_name(machine: Machine, part: Part) -> str:
     """A group by the effects in it and its states."""
     effects = [e.label for e in machine.effects if any(state.startswith(f"{e.label}_") for state in part.states)]
     title = f"the block of {', '.join(effects)}" if effects else "the elements"

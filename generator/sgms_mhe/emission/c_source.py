@@ -206,7 +206,7 @@ class FunctionPrinter:
             "theta": [f"theta_{p.column}" for p in self._model.parameters],
         }
 
-    def of_model(self, inputs: Mapping[str, str], outputs: Sequence[Output[ca.SX]]) -> Function:
+    def model_function(self, inputs: Mapping[str, str], outputs: Sequence[Output[ca.SX]]) -> Function:
         """Function of the model's vectors x, w, theta; `inputs` gives the C array of each that it has."""
         graph = Graph()
         vectors = {"x": self._model.x, "w": self._model.w, "theta": self._model.theta}
@@ -229,7 +229,7 @@ class FunctionPrinter:
             cleared=tuple((o.name, len(o.values)) for o in outputs if o.sparse and o.values),
         )
 
-    def of_group(self, group: Group, outputs: Sequence[Output[Node]]) -> Function:
+    def group_function(self, group: Group, outputs: Sequence[Output[Node]]) -> Function:
         """Function of a point `at` at which a block stands: its chi, sample terms, parameter terms q and data."""
         targets = [(o.place(k), node) for o in outputs for k, node in enumerate(o.values)]
         nodes = [node for _, node in targets]

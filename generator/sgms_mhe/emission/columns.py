@@ -44,7 +44,7 @@ class _Break(NamedTuple):
     opens: bool
 
 
-def within_columns(text: str) -> str:
+def wrap_columns(text: str) -> str:
     """Return C with no line longer than COLUMNS, but where a single word is."""
     return "".join(f"{line}\n" for line in _lines(text.splitlines()))
 
@@ -80,7 +80,7 @@ def _comment(block: list[str]) -> Iterator[str]:
     if closes_alone:
         del texts[-1]
     width = COLUMNS - len(indent) - 3
-    filled = [line for part in _parts(texts) for line in _filled(part, width)]
+    filled = [line for part in _parts(texts) for line in _fill(part, width)]
     for k, text in enumerate(filled):
         start = "/*" if k == 0 else " *"
         yield (indent + start + (f" {text}" if text else "")).replace(_LAST, " */")
@@ -108,7 +108,7 @@ def _hanging(text: str) -> str:
     return " " * (gaps[-1] if gaps else 0)
 
 
-def _filled(part: list[str], width: int) -> list[str]:
+def _fill(part: list[str], width: int) -> list[str]:
     """Lines of a width; those that fit stay as they are."""
     if all(len(line) <= width for line in part):
         return part

@@ -372,7 +372,7 @@ def _couplings(structure: Structure, sizes: Sizes) -> Couplings:
 
 def _model_view(structure: Structure, functions: FunctionPrinter) -> ModelView:
     model = structure.model
-    output = _of_node(model, model.output)
+    output = _to_node_state(model, model.output)
     point = {"x": "at->x", "w": "at->w", "theta": "at->theta"}
     outputs = [
         scalar("y", output),
@@ -381,15 +381,17 @@ def _model_view(structure: Structure, functions: FunctionPrinter) -> ModelView:
     ]
     terms = [Output("term", [t.expression for t in structure.sample_terms], stride="stride")]
     return ModelView(
-        sample_terms=functions.of_model({"w": "w"}, terms),
+        sample_terms=functions.model_function({"w": "w"}, terms),
         term_names=tuple(t.name for t in structure.sample_terms),
         parameter_terms=_parameter_terms(structure, functions),
-        output=functions.of_model(point, outputs),
-        deflection=functions.of_model(point, [Output("z", ca.vertsplit(_of_node(model, model.deflection)))]),
-        si=functions.of_model(
+        output=functions.model_function(point, outputs),
+        deflection=functions.model_function(
+            point, [Output("z", ca.vertsplit(_to_node_state(model, model.deflection)))]
+        ),
+        si=functions.model_function(
             {"theta": "theta"}, [Output("si", [_si(p, model.theta[k]) for k, p in enumerate(model.parameters)])]
         ),
-        feed_forward=functions.of_model(point, [scalar("y", _of_node(model, model.feed_forward))]),
+        feed_forward=functions.model_function(point, [scalar("y", _to_node_state(model, model.feed_forward))]),
         parameter_columns=tuple(p.column for p in model.parameters),
         parameter_units=tuple(abs(p.scale) for p in model.parameters),
     )
@@ -405,7 +407,7 @@ def _parameter_terms(structure: Structure, functions: FunctionPrinter) -> Functi
         Output("p->scale", scale),
         Output("p->d_scale", _gradients(scale, model.theta), sparse=True),
     ]
-    return functions.of_model({"theta": "p->theta"}, outputs)
+    return functions.model_function({"theta": "p->theta"}, outputs)
 
 
 def _gradients(expressions: Sequence[ca.SX], variables: ca.SX) -> list[ca.SX]:
@@ -413,7 +415,7 @@ def _gradients(expressions: Sequence[ca.SX], variables: ca.SX) -> list[ca.SX]:
     return [d for e in expressions for d in entries(ca.gradient(e, variables))]
 
 
-def _of_node(model: Model, expression: ca.SX) -> ca.SX:
+def _to_node_state(model: Model, expression: ca.SX) -> ca.SX:
     """An expression of chi as one of the node state."""
     return ca.substitute(expression, model.chi, model.from_node)
 

@@ -109,7 +109,7 @@ def manifest(view: PackageView, files: Mapping[str, str], archives: Mapping[str,
     return json.dumps(content, indent=2) + "\n"
 
 
-def manifested(text: str) -> frozenset[str]:
+def manifest_files(text: str) -> frozenset[str]:
     """Names of the files that a manifest lists, itself included; none where it is no manifest of a package."""
     try:
         content = json.loads(text)
@@ -157,5 +157,5 @@ def _foreign(folder: Path) -> list[str]:
     listed = folder / MANIFEST
     names = {path.name for path in folder.iterdir()}
     if listed.is_file():
-        return list(names - manifested(listed.read_text(encoding="utf-8", errors="replace")))
+        return list(names - manifest_files(listed.read_text(encoding="utf-8", errors="replace")))
     return [name for name in names if not name.endswith(EARLIER_SUFFIXES) or name == "CMakeLists.txt"]

@@ -164,7 +164,7 @@ def _view(group: Group, sizes: GroupSizes, structure: Structure, printer: Functi
 
 def _rhs(group: Group, printer: FunctionPrinter) -> Function:
     outputs = [Output("rhs.rate", group.rhs), Output("rhs.d_chi", group.d_chi), Output("rhs.d_q", group.d_q)]
-    return printer.of_group(group, outputs)
+    return printer.group_function(group, outputs)
 
 
 def _level(group: Group, printer: FunctionPrinter, *, in_q: bool) -> Function:
@@ -176,7 +176,7 @@ def _level(group: Group, printer: FunctionPrinter, *, in_q: bool) -> Function:
         Output(f"level.d_{name}", group.d_level if in_q else ()),
         Output("level.by_state", group.level_by_state),
     ]
-    return printer.of_group(group, outputs)
+    return printer.group_function(group, outputs)
 
 
 def _upstream(group: Group, printer: FunctionPrinter) -> Function:
@@ -185,7 +185,7 @@ def _upstream(group: Group, printer: FunctionPrinter) -> Function:
         Output("upstream.by_state", group.upstream_by_state),
         Output("upstream.by_q", group.upstream_by_q),
     ]
-    return printer.of_group(group, outputs)
+    return printer.group_function(group, outputs)
 
 
 def _ahead_steps(block: Block, structure: Structure, *, implicit: bool) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from sgms_mhe.emission.bindings import binding_files
 from sgms_mhe.emission.budget import check_budget
 from sgms_mhe.emission.context import PackageView, package_view
 from sgms_mhe.emission.delivery import accompany, memory_of_package, write_folder
-from sgms_mhe.emission.rendering import amalgamated, render, stamped
+from sgms_mhe.emission.rendering import amalgamate_files, render, stamp_digest
 from sgms_mhe.emission.selftest import selftest_vectors
 from sgms_mhe.emission.structure import analyse, report
 from sgms_mhe.machine import Machine
@@ -65,12 +65,12 @@ def emit_package(
         check_budget(machine, view.work)
     if selftest:
         view = replace(view, vectors=selftest_vectors(model))
-    view = stamped(view)
+    view = stamp_digest(view)
     files = render(view)
     memory = memory_of_package(view, files)
     files |= _runtime(view)
     if amalgamate:
-        files = amalgamated(files, machine.name)
+        files = amalgamate_files(files, machine.name)
     files["structure.txt"] = report(structure)
     whole, archives, missing = accompany(view, files, memory, bound)
     return Package(machine, dict(sorted(whole.items())), archives, missing)

@@ -27,7 +27,7 @@ from jinja2.ext import Extension
 from jinja2.lexer import Token, TokenStream
 
 from sgms_mhe.emission.c_source import CPrinter
-from sgms_mhe.emission.columns import COLUMNS, INDENT, within_columns
+from sgms_mhe.emission.columns import COLUMNS, INDENT, wrap_columns
 from sgms_mhe.emission.context import PackageView
 from sgms_mhe.support.paths import templates_dir
 
@@ -58,7 +58,7 @@ class _Literals(Extension):
 
 
 def render(view: PackageView) -> dict[str, str]:
-    """The emitted C of a package, by file name; `view` as `stamped`."""
+    """The emitted C of a package, by file name; `view` as `stamp_digest`."""
     name = view.package.name
     files = {
         f"{name}.h": "machine.h",
@@ -76,7 +76,7 @@ def render(view: PackageView) -> dict[str, str]:
         files[f"{name}_selftest.h"] = "selftest.h"
         files[f"{name}_selftest.c"] = "selftest.c"
     precision: Precision = "single" if view.variant.single else "double"
-    return {file: _rendered(view, template, precision) for file, template in files.items()}
+    return {file: _render(view, template, precision) for file, template in files.items()}
 
 
 def render_page(view: PackageView, template: str, delivery: object) -> str:
@@ -87,12 +87,12 @@ def render_page(view: PackageView, template: str, delivery: object) -> str:
         template: without its suffix.
         delivery: the package's C as templates name it.
     """
-    return _rendered(view, template, "double", delivery=delivery)
+    return _render(view, template, "double", delivery=delivery)
 
 
-def stamped(view: PackageView) -> PackageView:
+def stamp_digest(view: PackageView) -> PackageView:
     """The view with the digest of what the public header declares."""
-    header = _rendered(view, "machine.h", "double")
+    header = _render(view, "machine.h", "double")
     return replace(view, package=replace(view.package, header_digest=declared_digest(header)))
 
 
@@ -102,12 +102,12 @@ def declared_digest(header: str) -> str:
     return hashlib.sha256(" ".join(code.split()).encode()).hexdigest()[:8]
 
 
-def _rendered(view: PackageView, template: str, precision: Precision, **more: object) -> str:
+def _render(view: PackageView, template: str, precision: Precision, **more: object) -> str:
     """One template's text; literals in it as those of a precision."""
     subjects = {field.name: getattr(view, field.name) for field in fields(view)}
     subjects |= {"name": view.package.name, "NAME": view.package.NAME, **more}
     text = _environment(precision).get_template(f"{template}.jinja").render(subjects)
-    return within_columns(text) if template.endswith(C_SUFFIXES) else text
+    return wrap_columns(text) if template.endswith(C_SUFFIXES) else text
 
 
 @lru_cache(maxsize=2)
@@ -130,12 +130,12 @@ def _environment(precision: Precision) -> jinja2.Environment:
         series=printer.series,
         rows=_rows,
         each=_each,
-        braced=_braced,
+        braced=_brace,
     )
     return environment
 
 
-def _braced(values: Iterable[object]) -> str:
+def _brace(values: Iterable[object]) -> str:
     return "{" + ", ".join(map(str, values)) + "}"
 
 
@@ -157,7 +157,7 @@ _UNUSED: Final = """\
 _INCLUDE: Final = re.compile(r'^#include "(\w+\.h)"\n', re.MULTILINE)
 
 
-def amalgamated(files: Mapping[str, str], name: str) -> dict[str, str]:
+def amalgamate_files(files: Mapping[str, str], name: str) -> dict[str, str]:
     """The same C in NAME.c and NAME.h: every other header stands where it is first included.
 
     Args:

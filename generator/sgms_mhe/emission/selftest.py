@@ -63,17 +63,17 @@ def selftest_vectors(model: Model) -> Vectors:
     log = Log(np.arange(n) / sampling.rate, position, force, sampling.rate, kind=machine.plant.kind)
     kind = machine.estimator.kind
     found = estimate_model(model, signals_from_log(log, machine), kind, compiled=False)
-    friction_N = tuple(_rounded(f) for f in found.friction_N)
+    friction_N = tuple(_round(f) for f in found.friction_N)
     return Vectors(
         updates=updates,
         position=tuple(round(1e12 * float(p)) for p in position),
         force=tuple(float(f) for f in force),
         friction=friction_N,
         largest=max(map(abs, friction_N)),
-        parameters=tuple(tuple(_rounded(p) for p in row) for row in found.parameters),
+        parameters=tuple(tuple(_round(p) for p in row) for row in found.parameters),
     )
 
 
-def _rounded(value: float) -> float:
+def _round(value: float) -> float:
     """Eight significant digits: far from the last ones, which depend on the machine."""
     return float(f"{value:.8g}")

@@ -162,7 +162,7 @@ def _step(
         return 0, {}
     intervals = sizes.slots if variant.relinearise == "all" else 1
     parts = {g.name: intervals * (work.shared + work.together) for g, work in groups}
-    return sum(parts.values()) + least_squares.after_step(), parts
+    return sum(parts.values()) + least_squares.step_end_work(), parts
 
 
 class _LeastSquares:
@@ -202,7 +202,7 @@ class _LeastSquares:
         rows, width = self.sizes.inner, self.sizes.factor_rows + 1
         return sum(reflection(rows - 1 - c, width, c) for c in range(min(rows, width - 1)))
 
-    def after_step(self) -> int:
+    def step_end_work(self) -> int:
         """Count the work of a unit of steps beside them, at worst: a measurement, or the end of the interval."""
         sizes = self.sizes
         renewed = self.map + self.inner_row + sizes.factor_rows + 1 if sizes.inner else 0

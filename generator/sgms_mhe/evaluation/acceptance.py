@@ -19,7 +19,7 @@ from typing import Final, TypeVar
 from xml.etree import ElementTree
 
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.emission.bindings import bindings_among, without_binaries
+from sgms_mhe.emission.bindings import bindings_among, strip_binaries
 from sgms_mhe.emission.delivery import MANIFEST
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.evaluation.comparison import compare_signals
@@ -166,7 +166,7 @@ def _archives(package: Package, present: Mapping[str, bytes]) -> dict[str, bytes
     taken = {}
     for file, archive in package.archives.items():
         there = present.get(file)
-        same = there is not None and without_binaries(there) == without_binaries(archive)
+        same = there is not None and strip_binaries(there) == strip_binaries(archive)
         taken[file] = there if there is not None and same else archive
     manifest = json.loads(package.files[MANIFEST])
     manifest["sha256"] |= {file: hashlib.sha256(archive).hexdigest() for file, archive in taken.items()}

@@ -18,7 +18,7 @@ from sgms_mhe.machine import OF_KIND
 from sgms_mhe.model import FreeParameter
 from sgms_mhe.model.effects import base_number
 from sgms_mhe.signals.estimates import Estimates
-from sgms_mhe.signals.status import FLAGS, REFUSED, measured, select_flags
+from sgms_mhe.signals.status import FLAGS, REFUSED, has_measurement, select_flags
 from sgms_mhe.support.files import atomic_write
 from sgms_mhe.support.libraries import optional_library
 
@@ -34,7 +34,7 @@ def friction_figure(estimates: Estimates, title: str) -> Figure:
     """Friction measured and estimated, their difference, and the status of every update."""
     figure, unit = blank_figure(6.6), OF_KIND[estimates.kind].force
     axes = figure.subplots(3, 1, sharex=True, height_ratios=(4, 2, 1.6))
-    counted = measured(estimates.status)
+    counted = has_measurement(estimates.status)
     taken = np.where(counted, estimates.friction_measured_N, np.nan)
     axes[0].plot(estimates.time_s, taken, color=MEASURED, linewidth=1.6, label="measured")
     axes[0].plot(estimates.time_s, estimates.friction_N, color=ESTIMATED, linewidth=0.9, label="estimated")

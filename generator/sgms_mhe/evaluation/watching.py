@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
 from sgms_mhe.signals.estimates import Estimates
-from sgms_mhe.signals.status import FLAGS, REFUSED, measured, select_flags
+from sgms_mhe.signals.status import FLAGS, REFUSED, has_measurement, select_flags
 
 Array = NDArray[np.float64]
 
@@ -143,7 +143,7 @@ class Course:
         e, flags = estimates, select_flags(estimates.status)
         if self.latest is None:
             self.first_s = float(e.time_s[0])
-        taken = measured(e.status)
+        taken = has_measurement(e.status)
         residual = (e.friction_measured_N - e.friction_N)[taken]
         self._squares = float(np.add.accumulate(np.concatenate(([self._squares], residual**2)))[-1])
         for name, mask in flags.items():

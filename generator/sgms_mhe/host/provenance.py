@@ -102,7 +102,7 @@ def digest_of_sources(effects: Iterable[str] = ()) -> str:
     Args:
         effects: of the machine; those that other distributions bring count with their files and libraries.
     """
-    return _with_outside(_own_sources(), outside_sources(effects)).digest[:DIGITS]
+    return _add_outside(_own_sources(), outside_sources(effects)).digest[:DIGITS]
 
 
 @lru_cache(maxsize=1)
@@ -111,7 +111,7 @@ def _own_sources() -> Sources:
     return read_sources(package, templates_dir(), runtime_dir())
 
 
-def _with_outside(own: Sources, outside: Mapping[str, bytes]) -> Sources:
+def _add_outside(own: Sources, outside: Mapping[str, bytes]) -> Sources:
     """The sources with files of other distributions and the libraries that these import."""
     if not outside:
         return own

@@ -25,7 +25,7 @@ from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.host.packages import SYMBOLIC, cached_package
 from sgms_mhe.identification.records import Motion
 from sgms_mhe.model import build_model
-from sgms_mhe.support.parallel import in_parallel
+from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
 Law = Literal["sgms", "switching"]
@@ -98,7 +98,7 @@ def run_elements(
         runs = [run_element(motion, law, distance, rise, jacobian=jacobian) for motion in motions]
         return ElementRun(np.concatenate([r.chi for r in runs]), np.concatenate([r.jacobian for r in runs]))
 
-    return in_parallel([partial(run, distance) for distance in distances.tolist()])
+    return run_parallel([partial(run, distance) for distance in distances.tolist()])
 
 
 def least_distance(law: Law, rise: Stribeck, rate: float) -> float:

@@ -24,7 +24,7 @@ from sgms_mhe.identification.elements import NO_RISE, Stribeck, run_elements
 from sgms_mhe.identification.records import Records
 from sgms_mhe.identification.terms import Term
 from sgms_mhe.recordings.least_squares import solve_nonnegative
-from sgms_mhe.support.parallel import in_parallel
+from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: A
         loss, coefficients = _cross_validated(grams, nonnegative, information)
         return loss, speed, coefficients
 
-    tried = in_parallel([partial(tried_at, speed) for speed in (None, *speeds.tolist())])
+    tried = run_parallel([partial(tried_at, speed) for speed in (None, *speeds.tolist())])
     _, speed, coefficients = min(tried, key=lambda entry: entry[0])
     levels = coefficients[: len(grid)]
     rise = None

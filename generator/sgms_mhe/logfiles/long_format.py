@@ -49,7 +49,7 @@ def pivot(path: Path, table: Table, dialect: Dialect, hints: LogMapping | None) 
     if time is None or value is None:
         allowed = "beside the names a column of times, as time or stamps, and one of values"
         raise InputError(path, "columns", ", ".join(column.name for column in table.columns), allowed)
-    return _pivoted(table, dialect, channel, time, value)
+    return _pivot(table, dialect, channel, time, value)
 
 
 def _is_value(field: str) -> bool:
@@ -75,7 +75,7 @@ def _time(table: Table, numeric: Sequence[int]) -> int | None:
     return next(iter([*stamps, *named, *numeric]), None)
 
 
-def _pivoted(table: Table, dialect: Dialect, channel: int, time: int, value: int) -> Table:
+def _pivot(table: Table, dialect: Dialect, channel: int, time: int, value: int) -> Table:
     words = [fields_of(line, dialect.separator)[channel] for _, line in dialect.rows]
     places: dict[str, list[int]] = {}
     for k, word in enumerate(words):

@@ -15,7 +15,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.signals.chain import Signals, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.signals.status import FLAGS, measured
+from sgms_mhe.signals.status import FLAGS, has_measurement
 from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
@@ -132,7 +132,7 @@ def _usable(machine: Machine, signals: Signals, estimates: Estimates) -> Mask:
 
 
 def _run(error: Array, used: Mask, estimates: Estimates) -> EstimatorRun:
-    taken = measured(estimates.status) & (estimates.status & FLAGS["filling"] == 0)
+    taken = has_measurement(estimates.status) & (estimates.status & FLAGS["filling"] == 0)
     left = (estimates.friction_measured_N - estimates.friction_N)[taken]
     values = estimates.parameters[taken]
     return EstimatorRun(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.signals.estimates import Estimates
-from sgms_mhe.signals.status import FLAGS, measured
+from sgms_mhe.signals.status import FLAGS, has_measurement
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -35,7 +35,7 @@ def innovation_loss(estimates: Estimates, counted: Mask) -> tuple[Array, float]:
 def moving_updates(estimates: Estimates) -> Mask:
     """Updates (u) that took a measurement in while the axis moved, the first of them left out."""
     left_out = FLAGS["filling"] | FLAGS["hold"] | FLAGS["speed"]
-    counted: Mask = measured(estimates.status) & (estimates.status & left_out == 0)
+    counted: Mask = has_measurement(estimates.status) & (estimates.status & left_out == 0)
     counted &= np.isfinite(estimates.test_ratio) & (estimates.innovation_N != 0.0)
     counted[: min(len(counted), 10)] = False
     return counted

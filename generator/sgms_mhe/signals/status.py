@@ -24,7 +24,7 @@ def select_flags(status: NDArray[np.int64]) -> dict[str, NDArray[np.bool_]]:
     return {name: usable & (status & flag != 0) for name, flag in FLAGS.items()} | {REFUSED: ~usable}
 
 
-def measured(status: NDArray[np.int64]) -> NDArray[np.bool_]:
+def has_measurement(status: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Updates that took a measurement in (u)."""
     taken: NDArray[np.bool_] = (status >= 0) & (status & FLAGS["missing"] == 0)
     return taken

@@ -46,7 +46,7 @@ def leave_cores_to_tasks() -> None:
         os.environ.setdefault(name, "1")
 
 
-def in_parallel(tasks: Sequence[Callable[[], T]]) -> list[T]:
+def run_parallel(tasks: Sequence[Callable[[], T]]) -> list[T]:
     """Results of tasks that do not depend on each other, in their order.
 
     What a task starts in its turn is shared out likewise, among the cores that are free, or get free before all of it
@@ -64,7 +64,7 @@ def in_parallel(tasks: Sequence[Callable[[], T]]) -> list[T]:
 def beside(task: Callable[[], T], others: Sequence[Callable[[], object]]) -> T:
     """Result of a task; other ones, of which only that they are done counts, run at the same time."""
     found: list[T] = []
-    in_parallel([lambda: found.append(task()), *others])
+    run_parallel([lambda: found.append(task()), *others])
     return found[0]
 
 

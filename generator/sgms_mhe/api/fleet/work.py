@@ -22,7 +22,7 @@ from sgms_mhe.model import build_model
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.report import attempt_report
 from sgms_mhe.signals.estimates import Estimates, write_estimates
-from sgms_mhe.signals.status import measured, select_flags
+from sgms_mhe.signals.status import has_measurement, select_flags
 from sgms_mhe.support.json_values import finite
 
 RESULT: Final = "result.json"
@@ -138,7 +138,7 @@ def _course(machine: Machine, estimates: Estimates) -> tuple[str, str]:
     good = int(np.count_nonzero(estimates.status == 0))
     worst = max(counts.keys() - _USUAL, key=lambda name: counts[name])
     usual = good + max(counts[name] for name in _USUAL)
-    taken = measured(estimates.status)
+    taken = has_measurement(estimates.status)
     residual = (estimates.friction_measured_N - estimates.friction_N)[taken]
     left = f"{float(np.sqrt(np.mean(residual**2))):.3g} {machine.plant.units.force}" if len(residual) else "nothing"
     said = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
