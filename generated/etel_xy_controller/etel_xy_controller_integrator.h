@@ -43,13 +43,13 @@ static inline void interpolated_terms(const sgms_real *nodes, sgms_real at, sgms
     sample_terms(w, term, LANE_STRIDE);
 }
 
-/* Terms at the fraction `at` of a step in all lanes; `between` receives them where that is none of
- * its nodes. */
+/* Terms at the fraction `at` > 0 of a step in all lanes; `between` receives them where that is none
+ * of its nodes. */
 static SGMS_INLINE const sgms_real *terms_at(
     int lanes, sgms_real at, const sgms_real *nodes, sgms_real *between)
 {
-    if (at == 0.0f || at == 0.5f || at == 1.0f) {
-        return nodes + (at > 0.0f ? MIDDLE : 0) + (at > 0.5f ? MIDDLE : 0);
+    if (at == 0.5f || at == 1.0f) {
+        return nodes + (at > 0.5f ? LAST : MIDDLE);
     }
     for (int l = 0; l < lanes; l++) {
         interpolated_terms(nodes + l, at, between + l);
