@@ -305,3 +305,32 @@ def test_a_damaged_struct_array_is_refused_and_never_trips(tmp_path: Path) -> No
         (tmp_path / "bad.mat").write_bytes(bytes(content[: rng.integers(129, len(content))]))
         with contextlib.suppress(InputError):
             read_log(tmp_path / "bad.mat")
+
+
+# --- a clock in another file ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("clock", ["clock.csv", "log_time.txt", "clock.npz"])
+def test_the_clock_may_be_in_another_file(clock: str, tmp_path: Path) -> None:
+    log = motion(15, 500.0)
+    rows = "".join(f"{x:.12g},{f:.12g}\n" for x, f in zip(log.position_m, log.force_N, strict=True))
+    (tmp_path / "log.csv").write_text(f"position_m,force_N\n{rows}")
+    if clock.endswith(".npz"):
+        np.savez(tmp_path / clock, stamp=1e3 * log.time_s)
+    else:
+        (tmp_path / clock).write_text("stamp\n" + "".join(f"{1e3 * t:.9g}\n" for t in log.time_s))
+    for name in (clock, clock.replace("log", "{stem}")):
+        found = read_log(tmp_path / "log.csv", table={"time_s": {"variable": f"{name}:stamp", "unit": "ms"}})
+        assert found.rate == pytest.approx(500.0) and found.position_m == pytest.approx(log.position_m, abs=1e-10)
+    with pytest.raises(InputError, match=r"absent\.csv"):
+        read_log(tmp_path / "log.csv", table={"time_s": "absent.csv:stamp"})
+    with pytest.raises(InputError, match=r"missing: a column .*:tick"):
+        read_log(tmp_path / "log.csv", table={"time_s": f"{clock}:tick"})
+
+
+def test_another_file_of_another_length_is_refused(tmp_path: Path) -> None:
+    log = motion(16, 500.0)
+    np.savez(tmp_path / "log.npz", position_m=log.position_m, force_N=log.force_N)
+    np.savez(tmp_path / "clock.npz", stamp=log.time_s[:-200])
+    with pytest.raises(InputError, match="as many rows as time_s has"):
+        read_log(tmp_path / "log.npz", table={"time_s": "clock.npz:stamp"})

@@ -110,14 +110,17 @@ def lines_of(text: str) -> list[str]:
     return _END.split(text)
 
 
-def find_dialect(path: Path, text: str, hints: LogMapping | None) -> Dialect:
-    """Understand a text; `hints` are what [log] states of it. Raises InputError, with what to write where."""
+def find_dialect(path: Path, text: str, hints: LogMapping | None, least: int = 2) -> Dialect:
+    """Understand a text whose rows have `least` values or more; `hints` are what [log] states of it.
+
+    Raises InputError, with what to write where.
+    """
     lines = lines_of(text)
     if not any(line.strip() for line in lines):
         raise InputError(path, "file", "nothing", "a header line with the columns' names and at least 2 rows")
     stated = None if hints is None else hints.header_line
     filled = [(k + 1, line) for k, line in enumerate(lines) if k >= (stated or 0) and not is_empty(line)]
-    separator, first, count = _data(path, filled, hints)
+    separator, first, count = _data(path, filled, hints, least)
     last = _last(filled, first, separator)
     rows = tuple(filled[first : last + 1])
     # Rows that all end in a separator have a field more than names; any other field without a name is refused.
@@ -163,13 +166,13 @@ def _is_value(field: str) -> bool:
     return is_number(field) or stamp_form(field) is not None
 
 
-def _data(path: Path, filled: Sequence[tuple[int, str]], hints: LogMapping | None) -> tuple[str, int, int]:
+def _data(path: Path, filled: Sequence[tuple[int, str]], hints: LogMapping | None, least: int) -> tuple[str, int, int]:
     """(separator, index of the first sample, fields in it): the separator that leaves most fields values."""
     separators = (hints.separator,) if hints is not None and hints.separator else SEPARATORS
     for limit in (_SEARCHED, len(filled)):
         best: tuple[float, int, str, int] | None = None
         for separator in separators:
-            found = _first_sample(filled[:limit], separator)
+            found = _first_sample(filled[:limit], separator, least)
             if found is None:
                 continue
             following = [fields_of(line, separator) for _, line in filled[found : found + _TRIAL]]
@@ -188,18 +191,18 @@ def _data(path: Path, filled: Sequence[tuple[int, str]], hints: LogMapping | Non
     raise InputError(path, "file", "no row of numbers", allowed)
 
 
-def _first_sample(filled: Sequence[tuple[int, str]], separator: str) -> int | None:
-    """Index of the first sample: where rows of two or more values begin, two of them with as many fields.
+def _first_sample(filled: Sequence[tuple[int, str]], separator: str, least: int) -> int | None:
+    """Index of the first sample: where rows of `least` values or more begin, two of them with as many fields.
 
     A preamble may have a few such rows too, but lines without a value below them.
     """
     best, start, rows, count = (0, 0), 0, 0, 0
     for k, (_, line) in enumerate(filled):
-        fields = fields_of(line, separator) if separator == " " or separator in line else []
+        fields = fields_of(line, separator) if separator == " " or separator in line or least == 1 else []
         values = sum(map(_is_value, fields))
-        if values >= 2 and rows < 2 and count != len(fields):
+        if values >= least and rows < 2 and count != len(fields):
             start, rows, count = k, 1, len(fields)
-        elif values >= 2 and count == len(fields):
+        elif values >= least and count == len(fields):
             rows += 1
         elif not values:
             rows, count = 0, 0

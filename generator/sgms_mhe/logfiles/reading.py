@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sgms_mhe.logfiles.clocks import Note
 from sgms_mhe.logfiles.hdf5 import read_hdf5
 from sgms_mhe.logfiles.mat import read_mat
 from sgms_mhe.logfiles.mdf import read_mdf
+from sgms_mhe.logfiles.names import split_name
 from sgms_mhe.logfiles.numpy_files import read_numpy
 from sgms_mhe.logfiles.parquet import read_parquet
 from sgms_mhe.logfiles.quantities import integrate, si_values
 from sgms_mhe.logfiles.resampling import Resampling, resample
 from sgms_mhe.logfiles.sources import Source, choose_sources
-from sgms_mhe.logfiles.table import Array, Table
+from sgms_mhe.logfiles.table import Array, Column, Table
 from sgms_mhe.logfiles.text import read_text
 from sgms_mhe.logfiles.timing import Timing, check_uniform, measure_time
 from sgms_mhe.machine import OF_KIND, QUANTITIES, REQUIRED, Kind, LogMapping, Machine
@@ -205,13 +207,44 @@ def _mapping(machine: Machine | None, mapping: LogMapping | None) -> LogMapping 
 
 
 def read_table(path: Path, mapping: LogMapping | None) -> Table:
-    """Read the columns of a file. Raises InputError for one that no reader knows, or that is damaged."""
+    """Read the columns of a file, and of those beside it that [log] names as FILE:VARIABLE.
+
+    Raises InputError for one that no reader knows, or that is damaged.
+    """
+    table = _read_file(path, mapping, 2)
+    named = [column.name.partition(":")[0] for column in mapping.columns.values()] if mapping is not None else []
+    for file in dict.fromkeys(name for name in named if Path(name).suffix.lower() in (*READERS, *TEXTS)):
+        table = _join(table, file, _read_file(path.parent / file.replace("{stem}", path.stem), None, 1))
+    return table
+
+
+def _join(table: Table, file: str, other: Table) -> Table:
+    """The table with the columns of another file as FILE:VARIABLE, which none but that name finds."""
+    names = {f"{file}:{column.name}": column for column in other.columns}
+    columns = [Column(name, "", c.unit or split_name(c.header)[1], c.shape) for name, c in names.items()]
+
+    def read(wanted: Sequence[str]) -> Mapping[str, NDArray[Any]]:
+        there = [name for name in wanted if name in names]
+        own = table.read([name for name in wanted if name not in names])
+        found = other.read([names[name].name for name in there])
+        return {**own, **{name: found[names[name].name] for name in there}}
+
+    return replace(
+        table,
+        columns=(*table.columns, *columns),
+        read=read,
+        stamped=table.stamped | {name for name, column in names.items() if column.name in other.stamped},
+        notes=(*table.notes, *(f"{file}: {note}" for note in other.notes)),
+    )
+
+
+def _read_file(path: Path, mapping: LogMapping | None, least: int) -> Table:
     suffix = path.suffix.lower()
     if suffix not in READERS and suffix not in TEXTS:
         allowed = f"a log with one of the suffixes {', '.join((*TEXTS, *READERS))}"
         raise InputError(path, "file name", path.name, allowed)
     try:
-        return read_text(path, mapping) if suffix in TEXTS else READERS[suffix](path)
+        return read_text(path, mapping, least) if suffix in TEXTS else READERS[suffix](path)
     except OSError as error:
         raise InputError(path, "file", None, f"a readable log ({error.strerror or error})") from None
 

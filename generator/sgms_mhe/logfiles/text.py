@@ -17,10 +17,13 @@ from sgms_mhe.machine import LogMapping
 from sgms_mhe.support.errors import InputError
 
 
-def read_text(path: Path, hints: LogMapping | None) -> Table:
-    """The table of a text. Raises InputError, with what to write where; OSError as open does."""
+def read_text(path: Path, hints: LogMapping | None, least: int = 2) -> Table:
+    """The table of a text whose rows have `least` values or more.
+
+    Raises InputError, with what to write where; OSError as open does.
+    """
     text, encoding = decode(path, path.read_bytes(), None if hints is None else hints.encoding)
-    dialect = find_dialect(path, text, hints)
+    dialect = find_dialect(path, text, hints, least)
     cells = Cells(path, dialect, hints)
     notes = []
     if dialect.after:
