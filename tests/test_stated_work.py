@@ -41,6 +41,8 @@ SHAPES = (
     "switching, levels", "switching, levels, 5 merged", "switching, compensation",
 )  # fmt: skip
 """Variants whose work differs in kind."""
+MOST_OVER_COUNTED = {"sample": 2.1, "unit": 2.0, "prepare": 2.2, "update": 3.3, "tick": 4.9}
+"""Stated over counted. feedback() may search over all bounds, which no motion asks for; a part of it is in a tick."""
 
 
 def stated(package: Package) -> dict[str, int]:
@@ -126,9 +128,7 @@ def test_stated_work_of_a_machine_holds_and_is_not_far_off(name: str, require_to
     package = emit_package(settings, selftest=False, within_budget=True)
     most, said = counted(settings, Counter(package, require_tool, tmp_path)), stated(package)
     assert all(most[call] <= said[call] for call in said), (most, said)
-    # feedback() may take a search over all bounds, which no motion asks for; a part of it is in a tick
-    assert all(said[call] <= 4.5 * most[call] for call in said if call not in ("feedback", "tick")), (most, said)
-    assert said["tick"] <= 5 * most["tick"], (most, said)
+    assert all(said[call] <= limit * most[call] for call, limit in MOST_OVER_COUNTED.items()), (most, said)
 
 
 @pytest.mark.parametrize("title", SHAPES)
@@ -138,7 +138,7 @@ def test_stated_work_holds(title: str, require_tool: Tool, tmp_path: Path) -> No
     package = emit_package(settings, selftest=False)
     most, said = counted(settings, Counter(package, require_tool, tmp_path)), stated(package)
     assert all(most[call] <= said[call] for call in said), (most, said)
-    assert said["tick"] <= 5 * most["tick"], (most, said)
+    assert said["tick"] <= 4.4 * most["tick"], (most, said)
 
 
 # --- the budget ----------------------------------------------------------------------------------------------------
@@ -172,8 +172,8 @@ def test_elements_that_cost_too_much() -> None:
 
 
 def test_default_budget_is_what_a_small_controller_does_in_a_sample() -> None:
-    tight = override_machine(load_machine("etel_xy_controller"), {"code": {"tick_budget": 23e3}})
-    with pytest.raises(InputError, match=r"code\.tick_budget = 23000\.0"):
+    tight = override_machine(load_machine("etel_xy_controller"), {"code": {"tick_budget": 22e3}})
+    with pytest.raises(InputError, match=r"code\.tick_budget = 22000\.0"):
         emit_package(tight, selftest=False, within_budget=True)
     emps = load_machine("emps")
     assert emps.code.tick_budget is None

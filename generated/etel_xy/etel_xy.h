@@ -10,11 +10,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()           11981
+ *   tick()           11811
  *   sample()          3358   insert() too
- *   prepare()       382226   in units of at most 3645
+ *   prepare()       236917   in units of at most 3645
  *   feedback()       14041   after prepare()
- *   an update       711179   all calls of an interval
+ *   an update       565870   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *

@@ -7,11 +7,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()           23311
- *   sample()         14688   insert() too
- *   prepare()       347066   in units of at most 14262
+ *   tick()           22110
+ *   sample()         13657   insert() too
+ *   prepare()       299857   in units of at most 13223
  *   feedback()       14041   after prepare()
- *   an update       777899   all calls of an interval
+ *   an update       710070   all calls of an interval
  */
 #ifndef ETEL_XY_CONTROLLER_CONFIG_H
 #define ETEL_XY_CONTROLLER_CONFIG_H

@@ -6,11 +6,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()            9173
+ *   tick()            9003
  *   sample()           550   insert() too
- *   prepare()       214626   in units of at most 3645
+ *   prepare()        69317   in units of at most 3645
  *   feedback()       14041   after prepare()
- *   an update       262779   all calls of an interval
+ *   an update       117470   all calls of an interval
  */
 #ifndef ETEL_XY_SWITCHING_CONFIG_H
 #define ETEL_XY_SWITCHING_CONFIG_H

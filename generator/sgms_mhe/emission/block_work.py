@@ -140,7 +140,7 @@ class _Costs:
                 self.count_line_substeps(most),
                 12 + 6 * self.interpolated + self.drive + self.count_line_substeps(pieces),
             )
-        return self._merged_rest() + max(self._samplewise(k), self._cut(merged - 1))
+        return self._merged_rest() + max(self._samplewise(k, self._most_slow(k)), self._cut(merged - 1))
 
     def together(self) -> int:
         """A step of the series of all blocks, whose signals are the same.
@@ -154,14 +154,15 @@ class _Costs:
         if not (self.of.variant.merges and self.g.follows_flow):
             return sum(steps)
         wanted = [self._rate(k, "SUBSTEPS") for k in blocks]
-        samplewise = [self._samplewise(k) for k in blocks]
+        samplewise = [self._samplewise(k, self._most_slow(k)) for k in blocks]
+        fast = [self._samplewise(k, 0) for k in blocks]
         most = sum(samplewise)
         for own in set(wanted):
             for count in range(1, merged):
                 counts = [math.ceil(count * w / own + self._rate(k, "AT_REST")) for k, w in enumerate(wanted)]
                 taken = [
-                    alone if c >= merged else max(self._cut(c), alone if 2 * c > merged else 0)
-                    for c, alone in zip(counts, samplewise, strict=True)
+                    alone if c >= merged else max(self._cut(c), above if 2 * c > merged else 0)
+                    for c, alone, above in zip(counts, samplewise, fast, strict=True)
                 ]
                 most = max(most, sum(taken))
         return len(steps) * self._merged_rest() + most
@@ -188,9 +189,22 @@ class _Costs:
         m = self.g.sizes.m
         return operations_of(self.g.upstream) + (m - 1) * (3 * m + 4 * self.g.sizes.n_q)
 
-    def _samplewise(self, k: int) -> int:
-        """Merged samples of block k, one by one."""
-        return self.of.sizes.merged * (self.interpolated + 2 + self._sample(k))
+    def _samplewise(self, k: int, slow: int) -> int:
+        """Merged samples of block k, one by one, of which so many are below the flow's gate."""
+        merged = self.of.sizes.merged
+        fast = self._sample(k, is_slow=False)
+        return merged * (self.interpolated + 2 + fast) + slow * (self._sample(k) - fast)
+
+    def _most_slow(self, k: int) -> int:
+        """Return how many merged samples of block k that are taken one by one are below the flow's gate, at most.
+
+        Below the gate, samples go one by one where their line wants more than MERGED - 1 substeps, which takes a mean
+        speed of `speed`; where it changes sign, one of its pieces wants them, and its velocity changes by 2 `speed` or
+        more over the step. Either way it is below the gate for gate / speed of the step, at most.
+        """
+        merged, gate = self.of.sizes.merged, self.of.flow.gate_velocity if self.of.flow else 0.0
+        speed = (merged - 1 - self._rate(k, "AT_REST")) / self._rate(k, "SUBSTEPS")
+        return min(merged, int(merged * gate / speed) + 1) if speed > 0.0 else merged
 
     def _cut(self, count: int) -> int:
         """A step cut in two, each piece of `count` substeps."""
@@ -206,10 +220,10 @@ class _Costs:
         place = [rate for rate, _ in self.g.rates].index(name)
         return self.g.blocks[k].constants[self.g.sizes.n_data + place]
 
-    def _sample(self, k: int) -> int:
-        """A step at constant signals by the flow."""
+    def _sample(self, k: int, *, is_slow: bool = True) -> int:
+        """A step at constant signals by the flow, below its gate or above it."""
         g, m, n_q = self.g, self.g.sizes.m, self.g.sizes.n_q
-        slow = self.runge_kutta(self.slow_steps(k)) + (2 if g.paced and g.slow_steps != 1 else 0)
+        slow = self.runge_kutta(self.slow_steps(k)) + (2 if g.paced and g.slow_steps != 1 else 0) if is_slow else 0
         if g.n_upstream:
             sensitivities = n_q * (10 + 2 * (m - 1)) + m * (5 + 2 * (m - 1))
             return 2 + max(slow, self._upstream() + self.level + 15 + self._flow_step() + sensitivities)

@@ -6,7 +6,6 @@ one needs; docs/emission.md tells what an operation is.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,7 +20,6 @@ from sgms_mhe.emission.operations import (
     reflection,
     variances,
 )
-from sgms_mhe.emission.schedule import Costs
 
 FILTERS = 150
 """Signal chain, and the lag of the newest position."""
@@ -81,29 +79,12 @@ class Work:
 
 
 @dataclass(frozen=True)
-class Units:
-    """Operations of the units of prepare(), and how many of each there are at most."""
+class Unit:
+    """Unit of prepare(): its cost to the schedule, its operations at most, and whether it is a step of the series."""
 
-    expand: int
-    start: int
-    step: int
-    readings: int
-    condense: int
-    fold: int
-    nodes: int
-    steps: int
-    inner: int
-
-    @property
-    def largest(self) -> int:
-        """Of the largest unit."""
-        return max(self.expand, self.start, self.step, self.readings, self.condense, self.fold)
-
-    @property
-    def all(self) -> int:
-        """Of all of them."""
-        of_nodes = self.nodes * (self.expand + self.readings + self.condense)
-        return of_nodes + self.start + self.steps * self.step + self.inner * self.fold
+    cost: int
+    operations: int
+    is_step: bool = False
 
 
 def work_of(views: Sequence[GroupView], of: Ingredients) -> Work:
@@ -118,20 +99,22 @@ def work_of(views: Sequence[GroupView], of: Ingredients) -> Work:
     newest_step = sizes.nodes * (of.terms + 3 * of.signals) + sum(newest.values())
     reading = least_squares.taken() if sizes.inner else 0
     sample = without_step + newest_step + reading
-    step, of_step = _step(groups, of, least_squares)
+    of_step = _step(groups, of)
     names = [state.name for state in of.structure.model.states]
-    units = least_squares.units(step)
     feedback = least_squares.feedback()
-    prepare, left_over, in_sample, steps_in_sample = 0, 0, 0, 0
+    units, in_sample, left_over = [], [], 0
     if variant.horizon:
-        prepare, left_over = units.all, sizes.inner * units.fold
-        in_sample, steps_in_sample = _most_in_sample(units, of.schedule)
+        units = least_squares.units(sum(of_step.values()), sizes.slots - 1)
+        in_sample = _dearest_in_sample(least_squares, sum(of_step.values()))
+        left_over = sizes.inner * least_squares.folded
+    prepare, at_once = (sum(unit.operations for unit in some) for some in (units, in_sample))
     if sizes.samples == 1:  # every sample is an update: nothing to share out over
         tick = sample + prepare + feedback
     elif variant.merges:  # a sample that takes a step does no units
-        tick = max(without_step + in_sample, sample + feedback)
-    else:
-        tick = sample + max(in_sample, feedback)
+        tick = max(without_step + at_once, sample, sample - reading + feedback)
+    else:  # the sample that ends an interval has no measurement inside it
+        tick = max(sample + at_once, sample - reading + feedback)
+    steps_in_sample = sum(unit.is_step for unit in in_sample)
     parts = tuple(
         Part(
             states=tuple(names[i] for b in g.blocks for i in b.states),
@@ -145,7 +128,7 @@ def work_of(views: Sequence[GroupView], of: Ingredients) -> Work:
     return Work(
         sample=sample,
         tick=tick,
-        unit=units.largest if variant.horizon else 0,
+        unit=max((unit.operations for unit in units), default=0),
         prepare=prepare,
         feedback=feedback + left_over,
         update=of_samples + prepare + feedback,
@@ -153,16 +136,10 @@ def work_of(views: Sequence[GroupView], of: Ingredients) -> Work:
     )
 
 
-def _step(
-    groups: Sequence[tuple[GroupView, GroupWork]], of: Ingredients, least_squares: _LeastSquares
-) -> tuple[int, dict[str, int]]:
-    """A unit of the steps of older intervals, and what of it the groups take."""
-    sizes, variant = of.sizes, of.variant
-    if variant.relinearise == "newest":
-        return 0, {}
-    intervals = sizes.slots if variant.relinearise == "all" else 1
-    parts = {g.name: intervals * (work.shared + work.together) for g, work in groups}
-    return sum(parts.values()) + least_squares.step_end_work(), parts
+def _step(groups: Sequence[tuple[GroupView, GroupWork]], of: Ingredients) -> dict[str, int]:
+    """Return the operations of each group in one step of the series of older intervals."""
+    intervals = {"all": of.sizes.slots, "auto": 1, "newest": 0}[of.variant.relinearise]
+    return {g.name: intervals * (work.shared + work.together) for g, work in groups}
 
 
 class _LeastSquares:
@@ -202,14 +179,19 @@ class _LeastSquares:
         rows, width = self.sizes.inner, self.sizes.factor_rows + 1
         return sum(reflection(rows - 1 - c, width, c) for c in range(min(rows, width - 1)))
 
-    def step_end_work(self) -> int:
-        """Count the work of a unit of steps beside them, at worst: a measurement, or the end of the interval."""
-        sizes = self.sizes
-        renewed = self.map + self.inner_row + sizes.factor_rows + 1 if sizes.inner else 0
-        if self.variant.relinearise == "all":
-            return sizes.slots * renewed
-        blocks = 2 * sum(len(own) for own in sizes.block_states)
-        return blocks + max(renewed, self.ends() + (self.kept() if sizes.inner else 0))
+    def steps(self, step: int) -> list[int]:
+        """Return the operations of each step of the older intervals: measurements inside, the start and the end."""
+        sizes, relinearise = self.sizes, self.variant.relinearise
+        if relinearise == "newest" or sizes.slots == 1:
+            return []
+        renewed = self.map + self.inner_row + sizes.factor_rows + 1
+        steps = [step] * sizes.steps
+        for j in range(sizes.inner):
+            steps[(j + 1) * sizes.spacing - 1] += renewed * (sizes.slots - 1 if relinearise == "all" else 1)
+        if relinearise == "auto":
+            steps[0] += sum(len(own) for own in sizes.block_states)
+            steps[-1] += self.ends() + (self.kept() if sizes.inner else 0)
+        return steps
 
     def readings(self) -> int:
         """Measurements of an older interval into the factor."""
@@ -222,8 +204,8 @@ class _LeastSquares:
         folded: int = sum(reflection(below, width, c) for c, below in enumerate(reach))
         return self.start_row + folded
 
-    def units(self, step: int) -> Units:
-        """Units of prepare()."""
+    def units(self, step: int, condensed: int) -> list[Unit]:
+        """Return the units of prepare() in their order; so many intervals are condensed."""
         sizes, variant = self.sizes, self.variant
         n_x, n_p = sizes.states, sizes.parameters
         expand = 2 * n_x * (n_x + n_p) + back_substitution(n_x)
@@ -235,18 +217,15 @@ class _LeastSquares:
         elif sizes.inner:
             start += self.kept()
         condense = self.condensed + self.fold_start + (self.ends() if variant.relinearise == "all" else 0)
-        steps = 0 if variant.relinearise == "newest" or sizes.slots == 1 else sizes.steps
-        return Units(
-            expand=expand,
-            start=start,
-            step=step,
-            readings=self.readings(),
-            condense=condense,
-            fold=self.folded,
-            nodes=sizes.slots - 1,
-            steps=steps,
-            inner=sizes.inner,
-        )
+        costs = self.of.schedule
+        swept = [Unit(costs.readings, self.readings()), Unit(costs.condense, condense)]
+        return [
+            *[Unit(costs.expand, expand)] * (sizes.slots - 1),
+            Unit(costs.condense, start),
+            *(Unit(costs.step, operations, is_step=True) for operations in self.steps(step)),
+            *swept * condensed,
+            *[Unit(costs.fold, self.folded)] * sizes.inner,
+        ]
 
     def feedback(self) -> int:
         """An update whose preparation is done."""
@@ -260,21 +239,22 @@ class _LeastSquares:
         return newest + reading + solved + 2 * n_x * (n_p + n_x) + back_substitution(n_x) + checked + again
 
 
-def _most_in_sample(units: Units, costs: Costs) -> tuple[int, int]:
-    """Operations of the units that tick() does in one sample, and how many of them are steps."""
-    kinds = (
-        (units.nodes, costs.expand, units.expand),
-        (1, costs.condense, units.start),
-        (units.steps, costs.step, units.step),
-        (units.nodes, costs.readings, units.readings),
-        (units.nodes, costs.condense, units.condense),
-        (units.inner, costs.fold, units.fold),
-    )
-    # A knapsack, bounded by that of what can be divided: what is dearest by its cost first.
-    left, most, steps = float(costs.per_sample), 0.0, 0
-    for count, cost, operations in sorted(kinds, key=lambda kind: -kind[2] / kind[1]):
-        done = min(count, left / cost)
-        left -= done * cost
-        most += done * operations
-        steps += math.ceil(done) if operations == units.step else 0
-    return math.ceil(most), steps
+def _dearest_in_sample(least_squares: _LeastSquares, step: int) -> list[Unit]:
+    """Return the units of most operations that tick() does in one sample: as many in a row as the schedule lets it.
+
+    Intervals are condensed from any one on, and where none is linearised anew there are no steps.
+    """
+    dearest: list[Unit] = []
+    most = 0
+    for condensed in range(least_squares.sizes.slots):
+        every = least_squares.units(step, condensed)
+        for units in (every, [unit for unit in every if not unit.is_step]):
+            first = cost = operations = 0
+            for last, unit in enumerate(units):
+                cost, operations = cost + unit.cost, operations + unit.operations
+                while cost > least_squares.of.schedule.per_sample:
+                    cost, operations = cost - units[first].cost, operations - units[first].operations
+                    first += 1
+                if operations > most:
+                    most, dearest = operations, units[first : last + 1]
+    return dearest
