@@ -10,7 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.diagnosis import Alternative, BaseParameter, Cause, Diagnosis, RivalFit, Rms, Score, Structure, Traces
+from sgms_mhe.diagnosis import (
+    Alternative,
+    BaseParameter,
+    Cause,
+    Diagnosis,
+    ResidualStructure,
+    RivalFit,
+    Rms,
+    Score,
+    Traces,
+)
 from sgms_mhe.machine import Machine
 
 Array = NDArray[np.float64]
@@ -51,7 +61,7 @@ def traces(seconds: float = 12.0, rate: float = 500.0, ripple: float = AMPLITUDE
     )
 
 
-def structure(shown: Traces, residual: Array, significant: bool) -> tuple[Structure, ...]:
+def structure(shown: Traces, residual: Array, significant: bool) -> tuple[ResidualStructure, ...]:
     """Bins over two coordinates."""
     found = []
     for name, x in (("position", shown.position_m), ("velocity", shown.velocity_m_s), ("time", shown.time_s)):
@@ -60,7 +70,7 @@ def structure(shown: Traces, residual: Array, significant: bool) -> tuple[Struct
         mean = np.bincount(index, weights=residual, minlength=40) / np.maximum(np.bincount(index, minlength=40), 1)
         strong = significant and name == "position"
         found.append(
-            Structure(
+            ResidualStructure(
                 name,
                 float(np.std(mean)) if strong else 0.011,
                 1e-30 if strong else 0.4,

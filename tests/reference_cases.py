@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import FreeParameter, Model, StateSpec
-from sgms_mhe.reference.integrator import Integrator
+from sgms_mhe.reference.integrator import ReferenceIntegrator
 from sgms_mhe.reference.linearised import Linearised
 from sgms_mhe.signals.chain import Signals
 
@@ -57,7 +57,7 @@ def arrays(intervals: Linearised) -> tuple[Array, ...]:
     return (*intervals[:3], *intervals.inner)
 
 
-def simulate(integrator: Integrator, signals: Signals, theta: Array, x0: Array | None = None) -> Array:
+def simulate(integrator: ReferenceIntegrator, signals: Signals, theta: Array, x0: Array | None = None) -> Array:
     """Node states of a record at constant parameters (updates + 1, n_x)."""
     plan = integrator.plan(signals)
     x = np.zeros((len(plan.path) + 1, integrator.model.n_x))

@@ -16,8 +16,8 @@ import pytest
 from cli_cases import SMALL, done, files
 from sgms_bench.benchmark.figures import STYLES
 from sgms_bench.benchmark.harness import build_harness
-from sgms_bench.benchmark.integration_errors import Recording, emitted_errors
-from sgms_bench.benchmark.peers import KINDS, Evaluation, Kind, PeerExport
+from sgms_bench.benchmark.integration_errors import SampledMotion, emitted_errors
+from sgms_bench.benchmark.peers import KINDS, Kind, PeerEvaluation, PeerExport
 from sgms_bench.benchmark.running import Bench, fitted_exponents, set_elements
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import Package, emit_package
@@ -27,7 +27,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.machine.sampling import DISPLACEMENT
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.reference import Integrator
+from sgms_mhe.reference import ReferenceIntegrator
 from sgms_mhe.reference.linearised import Linearised, Outputs
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS, WARNING_FLAGS
 
@@ -272,11 +272,11 @@ def fixed_step(small: Path) -> Machine:
 
 
 @pytest.fixture(scope="module")
-def recording(fixed_step: Machine) -> Recording:
+def recording(fixed_step: Machine) -> SampledMotion:
     return Bench(fixed_step, DEFAULT_FLAGS).record(make_trajectory("paper", 1000.0, duration_s=1.2))
 
 
-def evaluated(export: PeerExport, recording: Recording, folder: Path) -> Evaluation:
+def evaluated(export: PeerExport, recording: SampledMotion, folder: Path) -> PeerEvaluation:
     (folder / "problems").write_bytes(export.problems(recording.windows))
     result = ran(export.program, folder / "problems", folder / "results")
     assert result.returncode == 0, result.stderr
@@ -286,11 +286,11 @@ def evaluated(export: PeerExport, recording: Recording, folder: Path) -> Evaluat
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_peer_computes_the_residual_and_jacobian_of_the_reference(
-    kind: Kind, fixed_step: Machine, recording: Recording, tmp_path: Path
+    kind: Kind, fixed_step: Machine, recording: SampledMotion, tmp_path: Path
 ) -> None:
     windows = recording.windows
     found = evaluated(PeerExport(fixed_step, kind, windows.w.shape[1], 20), recording, tmp_path)
-    integrator = Integrator(build_model(fixed_step))
+    integrator = ReferenceIntegrator(build_model(fixed_step))
     plan = integrator.plan(recording.signals)
     assert plan.substeps.max() == 1
     assert np.abs(found.A).max() > 0.1
@@ -305,7 +305,9 @@ def test_peer_computes_the_residual_and_jacobian_of_the_reference(
         np.testing.assert_allclose(found.D[i], outputs.D, rtol=0, atol=1e-12)
 
 
-def test_peer_computes_what_the_emitted_code_does(fixed_step: Machine, recording: Recording, tmp_path: Path) -> None:
+def test_peer_computes_what_the_emitted_code_does(
+    fixed_step: Machine, recording: SampledMotion, tmp_path: Path
+) -> None:
     windows = recording.windows
     found = evaluated(PeerExport(fixed_step, "propagated", windows.w.shape[1], 20), recording, tmp_path)
     nothing = Outputs(*(np.empty(0) for _ in range(3)))
@@ -317,7 +319,7 @@ def test_peer_computes_what_the_emitted_code_does(fixed_step: Machine, recording
     assert sensitivity is not None and sensitivity < 1e-7
 
 
-def test_peers_agree_where_effects_couple_states(small: Path, recording: Recording, tmp_path: Path) -> None:
+def test_peers_agree_where_effects_couple_states(small: Path, recording: SampledMotion, tmp_path: Path) -> None:
     effects = [{"name": "frictional_lag"}, {"name": "force_ripple"}]
     machine = override_machine(load_machine(small), {"effects": effects, "sampling": {"integrator": {"scheme": "rk4"}}})
     record = Bench(machine, DEFAULT_FLAGS).record(make_trajectory("paper", 1000.0, duration_s=1.2))

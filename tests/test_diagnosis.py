@@ -19,7 +19,7 @@ from sgms_mhe.diagnosis.criteria import material_force
 from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.models import compile_once
-from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Group
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup
 from sgms_mhe.diagnosis.plan import make_plan, write_plan
 from sgms_mhe.evaluation.prediction import force_error, predict_log
 from sgms_mhe.logfiles.reading import read_log
@@ -414,7 +414,9 @@ def test_a_parameter_at_its_bound_is_no_free_direction(machine: Machine, recordi
     at = {c.name: i for i, c in enumerate(plain.model.columns)}
     # As if friction fell towards low speed: the record pushes the Stribeck ratio below zero.
     falling = recording.friction - 2.0 * plain.jacobian[:, at["stribeck_ratio"]]
-    fit = fit_model(Subject.of(machine, replace(recording, friction=falling)), (), refitted=(Group.base("stribeck"),))
+    fit = fit_model(
+        Subject.of(machine, replace(recording, friction=falling)), (), refitted=(ParameterGroup.base("stribeck"),)
+    )
     assert fit.theta[at["stribeck_ratio"]] == 0.0
     assert fit.free[at["stribeck_ratio"]]
     assert not fit.interior[at["stribeck_ratio"]]
@@ -461,7 +463,7 @@ def test_models_are_compiled_once_whatever_the_order(
         for model, extras in ((first, (one, other)), (second, (other, one)))
     ]
     np.testing.assert_array_equal(runs[0], runs[1])
-    found = {c.name for c in second.columns if c.group == Group.candidate(other.name, 0)}
+    found = {c.name for c in second.columns if c.group == ParameterGroup.candidate(other.name, 0)}
     assert found and found >= set(other.parameters)
 
     def refuse(*_: object, **__: object) -> None:

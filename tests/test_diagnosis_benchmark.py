@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sgms_bench.diagnosis.axes import Axis, draw_axis, machine_file
+from sgms_bench.diagnosis.axes import DrawnAxis, draw_axis, machine_file
 from sgms_bench.diagnosis.causes import Hidden, prescribed_signals, sized_cause
 from sgms_bench.diagnosis.draws import (
     KINDS,
@@ -28,7 +28,7 @@ from sgms_bench.diagnosis.faults import FAULTS
 from sgms_bench.diagnosis.motions import STYLES, WEAK_STYLES, draw_motion
 from sgms_bench.diagnosis.running import diagnose_draw, run_diagnosis_benchmark, run_draw
 from sgms_bench.diagnosis.scoring import (
-    Found,
+    ScoredDiagnosis,
     confusion_table,
     half_found,
     is_confidently_wrong,
@@ -186,11 +186,13 @@ def test_noise_is_known_where_nothing_distorts_the_log(machine: Machine, draws: 
 
 def drawn(kind: str, *names: str, size: float = 0.2) -> Draw:
     hidden = tuple(Hidden(name, {"force_N": 0.5} if name == "constant_offset" else {}, size=size) for name in names)
-    return Draw(0, kind, Axis("linear", False, "sgms"), hidden, {}, "workout", 10.0, 1, 0.1, 0.0, 1e-9, 1)
+    return Draw(0, kind, DrawnAxis("linear", False, "sgms"), hidden, {}, "workout", 10.0, 1, 0.1, 0.0, 1e-9, 1)
 
 
-def said(verdict: str, *names: str, rivals: Sequence[tuple[str, str | None]] = ()) -> Found:
-    return Found(verdict, tuple((name, {}, {}) for name in names), tuple(rivals), has_experiment=verdict == "ambiguous")
+def said(verdict: str, *names: str, rivals: Sequence[tuple[str, str | None]] = ()) -> ScoredDiagnosis:
+    return ScoredDiagnosis(
+        verdict, tuple((name, {}, {}) for name in names), tuple(rivals), has_experiment=verdict == "ambiguous"
+    )
 
 
 OFFSET, COULOMB = "constant_offset", "asymmetric_coulomb"
@@ -247,15 +249,15 @@ OFFSET, COULOMB = "constant_offset", "asymmetric_coulomb"
         (drawn("weak"), said("adequate"), "right"),
         (drawn("triple", OFFSET, COULOMB, "force_ripple"), said("explained", OFFSET, COULOMB, "force_ripple"), "named"),
         (drawn("triple", OFFSET, COULOMB, "force_ripple"), said("explained", OFFSET, "force_ripple"), "partial"),
-        (drawn("fault", "force_of_other_sign"), Found("unexplained", refused="position.csv: force"), "right"),
+        (drawn("fault", "force_of_other_sign"), ScoredDiagnosis("unexplained", refused="position.csv: force"), "right"),
         (drawn("fault", "force_of_other_sign"), said("unexplained"), "right"),
         (drawn("fault", "force_of_other_sign"), said("explained", "mass_mismatch"), "misnamed"),
         (drawn("fault", "force_of_other_sign"), said("adequate"), "missed"),
-        (drawn("clean"), Found("unexplained", refused="position.csv: force"), "refused"),
-        (drawn("single", OFFSET), Found("", error="ValueError: no"), "error"),
+        (drawn("clean"), ScoredDiagnosis("unexplained", refused="position.csv: force"), "refused"),
+        (drawn("single", OFFSET), ScoredDiagnosis("", error="ValueError: no"), "error"),
     ],
 )
-def test_outcomes(draw: Draw, found: Found, how: str) -> None:
+def test_outcomes(draw: Draw, found: ScoredDiagnosis, how: str) -> None:
     assert outcome(draw, found) == how
 
 
@@ -276,7 +278,7 @@ def test_outcomes(draw: Draw, found: Found, how: str) -> None:
         (drawn("fault", "force_of_other_sign"), said("unexplained"), False),
     ],
 )
-def test_what_is_confidently_wrong(draw: Draw, found: Found, wrong: bool) -> None:
+def test_what_is_confidently_wrong(draw: Draw, found: ScoredDiagnosis, wrong: bool) -> None:
     assert is_confidently_wrong(draw, found) == wrong
 
 
@@ -303,7 +305,7 @@ def test_a_refused_log_is_a_result(machine: Machine, monkeypatch: pytest.MonkeyP
     draw, found = run_draw(machine, SEED, at, lambda *_: pytest.fail("diagnosed"))
     assert found.refused
     assert outcome(draw, found) == "right"
-    assert Found.from_json(json.loads(json.dumps(found.to_json()))).refused == found.refused
+    assert ScoredDiagnosis.from_json(json.loads(json.dumps(found.to_json()))).refused == found.refused
 
 
 def test_rates_and_confusion(machine: Machine) -> None:
@@ -319,8 +321,8 @@ def test_rates_and_confusion(machine: Machine) -> None:
         (drawn("unmodelled", "bursts"), said("unexplained")),
         (drawn("unmodelled", "chirp"), said("explained", "force_ripple")),
         (drawn("triple", OFFSET, COULOMB, "force_ripple"), said("explained", OFFSET, COULOMB, "force_ripple")),
-        (drawn("fault", "force_of_other_sign"), Found("unexplained", refused="of the other sign")),
-        (drawn("clean"), Found("unexplained", refused="of the other sign")),
+        (drawn("fault", "force_of_other_sign"), ScoredDiagnosis("unexplained", refused="of the other sign")),
+        (drawn("clean"), ScoredDiagnosis("unexplained", refused="of the other sign")),
         (drawn("clean"), replace(said("adequate"), law="sgms")),
         (drawn("clean"), replace(said("adequate"), law="switching")),
     ]
@@ -357,7 +359,9 @@ def test_parameter_errors_and_coverage(machine: Machine) -> None:
     draw = replace(drawn("single"), hidden=(Hidden("force_ripple", ripple, size=0.125),))
     # Half a turn of the phase makes up for the sign.
     values = {"amplitude_N": -0.52, "pitch_m": 0.03003, "phase_rad": 1.0 - math.pi}
-    found = Found("explained", (("force_ripple", values, {"amplitude_N": 0.015, "pitch_m": 1e-6, "phase_rad": 0.1}),))
+    found = ScoredDiagnosis(
+        "explained", (("force_ripple", values, {"amplitude_N": 0.015, "pitch_m": 1e-6, "phase_rad": 0.1}),)
+    )
     errors = {e.name: e for e in parameter_errors(machine, draw, found)}
     assert set(errors) == {"force_ripple.amplitude_N", "force_ripple.pitch_m"}
     assert errors["force_ripple.amplitude_N"].relative == pytest.approx(0.04)
@@ -366,12 +370,12 @@ def test_parameter_errors_and_coverage(machine: Machine) -> None:
     assert (summary.rates["covered"].hits, summary.rates["covered"].total) == (1, 2)
 
     wrong = replace(drawn("base"), hidden=(Hidden("viscous", factors={"viscous": 1.2}, size=0.2),))
-    found = Found("explained", (("viscous", {"viscous_N_s_m": 25.2}, {"viscous_N_s_m": 1.0}),))
+    found = ScoredDiagnosis("explained", (("viscous", {"viscous_N_s_m": 25.2}, {"viscous_N_s_m": 1.0}),))
     (error,) = parameter_errors(machine, wrong, found)
     assert error.relative == pytest.approx(0.05)
 
     gain = replace(drawn("single"), hidden=(Hidden("force_gain", {"gain": 1.02}, size=0.2),))
-    found = Found("explained", (("force_gain", {"gain": 1.021}, {"gain": 0.001}),))
+    found = ScoredDiagnosis("explained", (("force_gain", {"gain": 1.021}, {"gain": 0.001}),))
     (error,) = parameter_errors(machine, gain, found)
     assert error.relative == pytest.approx(0.05)
 
@@ -522,7 +526,7 @@ def test_what_is_known_to_look_alike_is_tried_where_a_derivative_tells_half(mach
     draw = Draw(
         index=0,
         kind="triple",
-        axis=Axis(kind="rotary", other_law=False, obeys="maxwell_slip"),
+        axis=DrawnAxis(kind="rotary", other_law=False, obeys="maxwell_slip"),
         hidden=(
             Hidden("asymmetric_viscous", {"difference_N_s_m": 0.3279551293968889}),
             Hidden("load_dependent_friction", {"ratio": 0.00785262763469043}),

@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cli_cases import done, refused
-from sgms_bench.diagnosis.axes import Axis
+from sgms_bench.diagnosis.axes import DrawnAxis
 from sgms_bench.diagnosis.causes import Hidden
 from sgms_bench.diagnosis.draws import Draw, machine_of, simulate_draw
 from sgms_mhe.configuration import load_machine, override_machine, switch_law
@@ -25,7 +25,7 @@ from sgms_mhe.diagnosis.causes import SIGMAS, _is_echo, _is_imitation, is_confir
 from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.laws import fit_chosen, make_laws
 from sgms_mhe.diagnosis.models import CompiledFit, FitError, make_model
-from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Group
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup
 from sgms_mhe.diagnosis.plan import make_plan
 from sgms_mhe.diagnosis.result import Cause, Rms
 from sgms_mhe.diagnosis.rivals import Contest, Selection
@@ -459,11 +459,11 @@ def test_work_on_a_long_record_is_bounded(slow: Machine, long: Log) -> None:
 
 def test_stand_ins_for_elements_that_switch_are_no_stribeck_effect(quick: Machine) -> None:
     """A gap is fitted with elements that do not switch. What they leave of an axis that does is no wrong number."""
-    floor, stribeck = 0.05, Group.base("stribeck")
+    floor, stribeck = 0.05, ParameterGroup.base("stribeck")
     gap = SimpleNamespace(effects=(CandidateEffect("backlash", {"gap_m": 1e-4}),))
     ripple = SimpleNamespace(effects=(CandidateEffect("force_ripple", {"amplitude_N": 1.0}),))
 
-    def imitates(fit: object, gain: float, *, may_switch: bool = True, group: Group = stribeck) -> bool:
+    def imitates(fit: object, gain: float, *, may_switch: bool = True, group: ParameterGroup = stribeck) -> bool:
         other = SimpleNamespace(machine=switch_law(quick)) if may_switch else None
         subject = SimpleNamespace(machine=quick)
         settled = SimpleNamespace(subject=subject, other=other, floor=floor)
@@ -474,7 +474,7 @@ def test_stand_ins_for_elements_that_switch_are_no_stribeck_effect(quick: Machin
     assert not imitates(gap, 3.1)
     assert not imitates(gap, 2.7, may_switch=False)
     assert not imitates(ripple, 2.7)
-    assert not imitates(gap, 2.7, group=Group.candidate("backlash", 0))
+    assert not imitates(gap, 2.7, group=ParameterGroup.candidate("backlash", 0))
 
 
 def test_the_difference_of_the_laws_is_no_wrong_number(quick: Machine) -> None:
@@ -482,7 +482,7 @@ def test_the_difference_of_the_laws_is_no_wrong_number(quick: Machine) -> None:
     draw = Draw(
         index=0,
         kind="base",
-        axis=Axis("linear", other_law=True, obeys="sgms"),
+        axis=DrawnAxis("linear", other_law=True, obeys="sgms"),
         hidden=(Hidden("coulomb", factors={"coulomb": 0.5121214720402487}),),
         machine_changes={},
         style="dies",

@@ -20,7 +20,7 @@ from sgms_mhe.model import Model
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.reference import Status, estimate_model, estimate_reference
+from sgms_mhe.reference import UpdateStatus, estimate_model, estimate_reference
 from sgms_mhe.signals.chain import Signals, settle_samples, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
@@ -162,7 +162,7 @@ def compare(c: Estimates, reference: Estimates, tolerance: float = 1e-8) -> None
     """Friction relative to its range, every parameter and its deviation relative to itself, statuses exactly."""
     np.testing.assert_array_equal(c.status, reference.status)
     np.testing.assert_array_equal(c.time_s, reference.time_s)
-    usable = reference.status & Status.MISSING == 0
+    usable = reference.status & UpdateStatus.MISSING == 0
     np.testing.assert_array_equal(c.friction_measured_N[usable], reference.friction_measured_N[usable])
     for name in ("friction_N", "z_m"):
         expected = getattr(reference, name)
@@ -186,7 +186,7 @@ def test_c_is_the_reference(case: str) -> None:
     assert np.ptp(reference.parameters, axis=0).max() > 1e-3 * np.abs(reference.parameters).max()
     assert (reference.status == 0).any() or case in BOUNDED
     if case in BOUNDED:
-        assert np.count_nonzero(reference.status & Status.BOUND) > 3
+        assert np.count_nonzero(reference.status & UpdateStatus.BOUND) > 3
 
 
 @pytest.mark.parametrize(("kind", "relinearise"), [("mhe", "all"), ("mhe", "auto"), ("mhe", "newest"), ("ekf", "all")])
@@ -202,7 +202,7 @@ def test_all_speeds_and_bad_samples(kind: str, relinearise: str) -> None:
     assert np.abs(signals.velocity).max() > 0.9
     reference = estimate_reference(settings, signals)
     compare(compiled(settings).estimate(signals), reference)
-    for flag in (Status.MISSING, Status.HOLD, *((Status.FILLING,) if kind == "mhe" else ())):
+    for flag in (UpdateStatus.MISSING, UpdateStatus.HOLD, *((UpdateStatus.FILLING,) if kind == "mhe" else ())):
         assert np.any(reference.status & flag), flag.name
 
 
@@ -218,7 +218,7 @@ def test_beyond_the_stated_speed_the_status_says_so() -> None:
     signals = signals_of(settings, "mixed", 1.0)
     reference = estimate_reference(settings, signals)
     compare(compiled(settings).estimate(signals), reference)
-    assert np.any(reference.status & Status.SPEED) and not np.all(reference.status & Status.SPEED)
+    assert np.any(reference.status & UpdateStatus.SPEED) and not np.all(reference.status & UpdateStatus.SPEED)
 
 
 @pytest.mark.slow
@@ -310,7 +310,7 @@ def test_raw_samples_and_one_task_give_the_same(changes: Mapping[str, Any]) -> N
     for name in ("friction_N", "friction_measured_N", "z_m", "parameters", "std", "status"):
         np.testing.assert_array_equal(getattr(tick, name), getattr(tasks, name), err_msg=name)
     # The two chains round differently, nothing more.
-    usable = reference.status & Status.MISSING == 0
+    usable = reference.status & UpdateStatus.MISSING == 0
     np.testing.assert_array_equal(tick.status, reference.status)
     np.testing.assert_allclose(
         tick.friction_measured_N[usable], reference.friction_measured_N[usable], rtol=0.0, atol=1e-8
@@ -475,5 +475,5 @@ def test_coupled_states_agree_with_the_reference(horizon: int, relinearise: str)
     model = linear_model(horizon=horizon, relinearise=relinearise, bounds={"stiffness": [0.95, 1.02]})
     signals = linear_signals()
     reference = estimate_model(model, signals, "mhe")
-    assert np.count_nonzero(reference.status & Status.BOUND) > 5
+    assert np.count_nonzero(reference.status & UpdateStatus.BOUND) > 5
     compare(compiled(model.machine, model).estimate(signals), reference, 1e-9)

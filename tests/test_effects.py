@@ -41,9 +41,9 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import plant_effects, simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.recordings.excitation import measure_excitation
-from sgms_mhe.reference.integrator import Integrator
+from sgms_mhe.reference.integrator import ReferenceIntegrator
 from sgms_mhe.reference.mhe import run_mhe
-from sgms_mhe.reference.problem import Record
+from sgms_mhe.reference.problem import NodeRecord
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.toolchain import WARNING_FLAGS
@@ -158,8 +158,8 @@ def machine_of(name: str) -> Machine:
 
 
 @cache
-def integrator_of(name: str) -> Integrator:
-    return Integrator(build_model(machine_of(name)))
+def integrator_of(name: str) -> ReferenceIntegrator:
+    return ReferenceIntegrator(build_model(machine_of(name)))
 
 
 def simulated(machine: Machine, *, as_read: bool, noise_N: float = 0.0) -> Signals:
@@ -185,10 +185,10 @@ def simulated(machine: Machine, *, as_read: bool, noise_N: float = 0.0) -> Signa
     )
 
 
-def deviation(integrator: Integrator, signals: Signals) -> Array:
+def deviation(integrator: ReferenceIntegrator, signals: Signals) -> Array:
     """Model alone along the motion minus the plant, at the updates [N]."""
     model = integrator.model
-    record = Record(model, signals, integrator)
+    record = NodeRecord(model, signals, integrator)
     theta = np.ones(model.n_p)
     x = np.zeros((record.updates + 1, model.n_x))
     for k in range(record.updates):
@@ -396,9 +396,9 @@ def test_effect_of_size_zero_is_the_base_model(name: str) -> None:
 # --- against the emitted C --------------------------------------------------------------------------------------
 
 
-def assert_c_agrees(machine: Machine, integrator: Integrator, signals: Signals) -> None:
+def assert_c_agrees(machine: Machine, integrator: ReferenceIntegrator, signals: Signals) -> None:
     limit = TOLERANCES["double"]
-    expected = run_mhe(Record(integrator.model, signals, integrator), None)
+    expected = run_mhe(NodeRecord(integrator.model, signals, integrator), None)
     found = CompiledEstimator(machine, flags=FLAGS).estimate(signals)
     np.testing.assert_array_equal(found.status, expected.status)
     assert np.all(expected.status >= 0)
@@ -434,7 +434,7 @@ def test_prediction_matches_the_plant(name: str) -> None:
 def test_an_early_force_matches_the_plant() -> None:
     """Below zero the drive obeys later than the log says: expanded in what was logged, not in the model."""
     machine = extended(("force_delay", {"delay_s": -5e-4}), free=("force_delay.delay_s",))
-    integrator, signals = Integrator(build_model(machine)), simulated(machine, as_read=False)
+    integrator, signals = ReferenceIntegrator(build_model(machine)), simulated(machine, as_read=False)
     error, without = deviation(integrator, signals)[START:], deviation(base_integrator(), signals)[START:]
     # As of a lag, the steps of the command.
     assert rms(error) < CASES["actuator_lag"].rms_N and np.abs(error).max() < CASES["actuator_lag"].largest_N
@@ -443,8 +443,8 @@ def test_an_early_force_matches_the_plant() -> None:
 
 
 @cache
-def base_integrator(kind: Kind = "linear") -> Integrator:
-    return Integrator(build_model(base(kind)))
+def base_integrator(kind: Kind = "linear") -> ReferenceIntegrator:
+    return ReferenceIntegrator(build_model(base(kind)))
 
 
 TOGETHER = ("encoder_periodic_error", "asymmetric_coulomb", "force_ripple", "hose_hysteresis", "structural_resonance",
@@ -454,7 +454,7 @@ TOGETHER = ("encoder_periodic_error", "asymmetric_coulomb", "force_ripple", "hos
 def test_many_effects_at_once() -> None:
     effects = [(name, CASES[name].parameters) for name in reversed(TOGETHER)]
     machine = extended(*effects, free=("force_ripple.amplitude_N", "hose_hysteresis.force_N", "force_gain.gain"))
-    integrator = Integrator(build_model(machine))
+    integrator = ReferenceIntegrator(build_model(machine))
     signals = simulated(machine, as_read=True)
     error, without = deviation(integrator, signals)[START:], deviation(base_integrator(), signals)[START:]
     assert rms(error) < 0.06 and rms(without) > 10.0 * rms(error)
@@ -468,7 +468,7 @@ def test_two_effects_of_one_name() -> None:
         ("force_ripple", {**ripple, "pitch_m": 0.0013}),
         free=("force_ripple.amplitude_N", "force_ripple_2.amplitude_N"),
     )
-    integrator = Integrator(build_model(machine))
+    integrator = ReferenceIntegrator(build_model(machine))
     assert rms(deviation(integrator, simulated(machine, as_read=False))[START:]) < 2e-3
 
 
@@ -518,7 +518,7 @@ def test_backlash_couples_all_elements() -> None:
 def test_flow_of_a_level_with_states_agrees_with_runge_kutta(name: str) -> None:
     signals = simulated(machine_of(name), as_read=False)
     sampling = {"integrator": {"scheme": "rk4", "displacement": 0.05}}
-    fine = Integrator(build_model(extended((name, CASES[name].parameters), free=(), sampling=sampling)))
+    fine = ReferenceIntegrator(build_model(extended((name, CASES[name].parameters), free=(), sampling=sampling)))
     # The level moves through a step; the flow sees it at the step's end.
     assert np.abs(deviation(integrator_of(name), signals) - deviation(fine, signals)).max() < 3e-3
 

@@ -17,7 +17,7 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.tables import CsvTable
 
 
 @pytest.fixture(scope="module")
@@ -116,6 +116,8 @@ def test_experiment_refuses_what_it_cannot_compare(tmp_path: Path) -> None:
 
 
 def test_tables_align_and_leave_what_is_absent_empty() -> None:
-    table = Table("title", {"name": "", "value": ".2f"}, ({"name": "a", "value": 1.0}, {"name": "longer"}), ("note",))
+    table = CsvTable(
+        "title", {"name": "", "value": ".2f"}, ({"name": "a", "value": 1.0}, {"name": "longer"}), ("note",)
+    )
     assert str(table).splitlines() == ["title", "  name    value", "  a        1.00", "  longer", "  note"]
     assert table.as_dict()["rows"][0] == {"name": "a", "value": 1.0}

@@ -19,11 +19,11 @@ import pytest
 from cli_cases import SCRIPT, SMALL, done, files, refused, run
 from dask_cluster import Cluster
 from sgms_mhe.api.fleet import Fleet, run_fleet
-from sgms_mhe.api.fleet.bands import LEVEL, Course, courses
+from sgms_mhe.api.fleet.bands import LEVEL, NumberSeries, courses
 from sgms_mhe.api.fleet.table import Row, read_table
-from sgms_mhe.api.fleet.work import Number, Result, machine_name
+from sgms_mhe.api.fleet.work import FleetNumber, Result, machine_name
 from sgms_mhe.signals.estimates import read_estimates
-from sgms_mhe.support.processes import HERE, Place
+from sgms_mhe.support.processes import HERE, WorkerSlot
 
 
 @pytest.fixture(scope="module")
@@ -207,7 +207,7 @@ def test_a_row_that_takes_too_long_has_failed(shop: Path, tmp_path: Path, monkey
     import process_tasks
 
     monkeypatch.setattr("sgms_mhe.api.fleet.running.work", process_tasks.hung_work)
-    fleet = run_fleet("estimate", table(shop, tmp_path, *GOOD), tmp_path / "out", Place(2, limit_s=1.0))
+    fleet = run_fleet("estimate", table(shop, tmp_path, *GOOD), tmp_path / "out", WorkerSlot(2, limit_s=1.0))
     assert [d.failure for d in fleet.rows] == ["not done within 1 s, and stopped"] * 3
 
 
@@ -226,10 +226,10 @@ def test_a_cluster_gives_what_this_host_gives(shop: Path, tmp_path: Path) -> Non
                 first.kill()
                 killed.append(True)
 
-        far = run_fleet("estimate", path, tmp_path / "far", Place(scheduler=cluster.address), kill)
+        far = run_fleet("estimate", path, tmp_path / "far", WorkerSlot(scheduler=cluster.address), kill)
     finally:
         cluster.close()
-    near = run_fleet("estimate", path, tmp_path / "near", Place(2))
+    near = run_fleet("estimate", path, tmp_path / "near", WorkerSlot(2))
     assert killed
     assert [(d.row.number, d.result, d.failure) for d in far.rows] == [
         (d.row.number, d.result, d.failure) for d in near.rows
@@ -265,12 +265,12 @@ def course(values: list[float], *, std: float = 0.1, machine: str = "m", axis: s
     for k, value in enumerate(values):
         date = start + datetime.timedelta(days=step * k)
         row = Row(k + 2, machine, Path(f"{axis}{k}.csv"), f"{axis}{k}", axis, date, None)
-        result = Result("good", "", "linear", machine, (Number("coulomb", value, std, 4.0),), ())
+        result = Result("good", "", "linear", machine, (FleetNumber("coulomb", value, std, 4.0),), ())
         found.append((row, result))
     return found
 
 
-def only(found: tuple[Course, ...], axis: str = "a") -> Course:
+def only(found: tuple[NumberSeries, ...], axis: str = "a") -> NumberSeries:
     return next(c for c in found if c.axis == axis)
 
 

@@ -21,7 +21,7 @@ from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.identification import Wanted, identify, interval
 from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
 from sgms_mhe.identification.fits import AxisFit
-from sgms_mhe.identification.records import Motion, make_records, sort_logs
+from sgms_mhe.identification.records import ElementMotion, make_records, sort_logs
 from sgms_mhe.identification.result import Number, round_number
 from sgms_mhe.identification.sampling import common_rate, round_up
 from sgms_mhe.identification.search import element_numbers, is_better
@@ -36,7 +36,7 @@ from sgms_mhe.plant.trajectories import Motion as Path_
 from sgms_mhe.recordings.least_squares import solve_nonnegative
 from sgms_mhe.recordings.path import smooth_path
 from sgms_mhe.recordings.recording import prepare
-from sgms_mhe.reference import Integrator
+from sgms_mhe.reference import ReferenceIntegrator
 from sgms_mhe.signals.chain import Signals, apply_chain, signals_from_log
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.signals.noise import encoder_step, position_noise
@@ -127,9 +127,9 @@ def test_bounded_least_squares(seed: int) -> None:
     assert np.all(found[positive] >= 0.0)
 
 
-def still(velocity: Array, rate: float = RATE) -> Motion:
+def still(velocity: Array, rate: float = RATE) -> ElementMotion:
     """A motion that no filter comes after."""
-    return Motion(axis(), rate, velocity, 1, 1, len(velocity), False)
+    return ElementMotion(axis(), rate, velocity, 1, 1, len(velocity), False)
 
 
 def random_motion(n: int = 3000) -> Array:
@@ -160,7 +160,7 @@ def test_smooth_elements_are_those_of_the_reference() -> None:
     n = len(velocity)
     zeros, ones = np.zeros(n), np.ones(n, dtype=np.bool_)
     signals = Signals(np.arange(n) / RATE, zeros, velocity, zeros, zeros, zeros, ones, ~ones)
-    integrator = Integrator(build_model(machine))
+    integrator = ReferenceIntegrator(build_model(machine))
     plan, x, theta = integrator.plan(signals), np.zeros((1, 1)), np.ones(1)
     wanted = [0.0]
     for k in range(n - 1):

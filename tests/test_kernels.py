@@ -26,7 +26,7 @@ from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.reference.flow import Flow
-from sgms_mhe.reference.integrator import Integrator
+from sgms_mhe.reference.integrator import ReferenceIntegrator
 from sgms_mhe.signals.chain import signal_array
 from sgms_mhe.support.paths import runtime_dir
 from sgms_mhe.support.toolchain import shared_library
@@ -116,7 +116,7 @@ def test_sensitivities_are_those_of_casadi(case: str, kernel: Any) -> None:
     compiled: Kernel = kernel(**CASES[case])
     model = compiled.model
     # Interpreted: compiling what CasADi prints takes longer than these few intervals.
-    integrator = Integrator(model, compiled=False)
+    integrator = ReferenceIntegrator(model, compiled=False)
     is_flow = model.machine.sampling.integrator.scheme == "flow"
     rng = np.random.default_rng(1)
     for seed in range(3):

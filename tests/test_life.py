@@ -20,7 +20,7 @@ from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
-from sgms_mhe.reference import Integrator, Record, Start, Weights, run_ekf, run_mhe
+from sgms_mhe.reference import NodeRecord, ReferenceIntegrator, Start, Weights, run_ekf, run_mhe
 from sgms_mhe.signals.chain import Signals, settle_samples, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
@@ -167,7 +167,7 @@ def reference(
     package: Package, signals: Signals, *, weights: Weights | None = None, start: Start | None = None
 ) -> Estimates:
     """The independent solver on the package's machine."""
-    record = Record(package.model, signals, Integrator(package.model), weights=weights, start=start)
+    record = NodeRecord(package.model, signals, ReferenceIntegrator(package.model), weights=weights, start=start)
     return run_ekf(record) if package.machine.estimator.kind == "ekf" else run_mhe(record)
 
 

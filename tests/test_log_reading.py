@@ -19,7 +19,7 @@ from cli_cases import refused, run
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.logfiles.decimals import told_by, value_of
 from sgms_mhe.logfiles.names import split_name
-from sgms_mhe.logfiles.reading import Reading, read_log, understand
+from sgms_mhe.logfiles.reading import LogContent, read_log, understand
 from sgms_mhe.machine import Machine, normal_unit
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -53,7 +53,7 @@ def usual(k: int) -> tuple[str, str, str]:
 
 def reading(
     folder: Path, header: str, row: Row = usual, log: Mapping[str, Any] | None = None, **options: Any
-) -> Reading:
+) -> LogContent:
     machine = None if log is None else override_machine(load_machine("etel_xy"), {"log": dict(log)})
     return understand(written(folder, header, row, **options), machine)
 

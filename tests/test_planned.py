@@ -8,14 +8,14 @@ import pytest
 
 from cli_cases import done
 from sgms_bench.diagnosis import planned
-from sgms_bench.diagnosis.planned import Experiment, experiments, run_experiment, run_planned, verdict_on
-from sgms_bench.diagnosis.scoring import Found
+from sgms_bench.diagnosis.planned import PlannedExperiment, experiments, run_experiment, run_planned, verdict_on
+from sgms_bench.diagnosis.scoring import ScoredDiagnosis
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis.plan import LEAST_S, make_plan
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import cause, separating_moves
 
-QUICK = Experiment("viscous", "quadratic_drag", "sgms")
+QUICK = PlannedExperiment("viscous", "quadratic_drag", "sgms")
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +23,8 @@ def machine() -> Machine:
     return load_machine("etel_xy")
 
 
-def found(verdict: str, *names: str, rivals: tuple[str, ...] = ()) -> Found:
-    return Found(verdict, causes=tuple((n, {}, {}) for n in names), rivals=tuple((n, None) for n in rivals))
+def found(verdict: str, *names: str, rivals: tuple[str, ...] = ()) -> ScoredDiagnosis:
+    return ScoredDiagnosis(verdict, causes=tuple((n, {}, {}) for n in names), rivals=tuple((n, None) for n in rivals))
 
 
 def test_every_pair_is_tried_both_ways_on_both_laws(machine: Machine) -> None:
@@ -32,7 +32,7 @@ def test_every_pair_is_tried_both_ways_on_both_laws(machine: Machine) -> None:
     assert len(set(tried)) == len(tried) > 200
     assert all(separating_moves(e.hidden, e.other) for e in tried)
     for e in tried:
-        assert Experiment(e.other, e.hidden, "maxwell_slip") in tried
+        assert PlannedExperiment(e.other, e.hidden, "maxwell_slip") in tried
     turning = {e.hidden for e in experiments(load_machine("etel_xy_rotary"))}
     assert "unbalance" in turning and "unbalance" not in {e.hidden for e in tried}
 
@@ -60,7 +60,7 @@ def test_a_plan_lasts_and_its_laps_differ(machine: Machine) -> None:
         (found("unexplained", "viscous"), "unexplained"),
     ],
 )
-def test_what_counts_as_right(said: Found | None, word: str) -> None:
+def test_what_counts_as_right(said: ScoredDiagnosis | None, word: str) -> None:
     assert verdict_on(QUICK, said) == word
 
 
@@ -70,13 +70,13 @@ def test_what_counts_as_right(said: Found | None, word: str) -> None:
     [
         QUICK,
         # Acts in a few blocks alone: the interval of its gain draws sets without any of them.
-        Experiment("mass_mismatch", "micro_viscous", "sgms"),
+        PlannedExperiment("mass_mismatch", "micro_viscous", "sgms"),
         # Stands on smooth elements alone: what stands in for the ones that switch is not quite them.
-        Experiment("micro_viscous", "stiffness", "maxwell_slip"),
+        PlannedExperiment("micro_viscous", "stiffness", "maxwell_slip"),
     ],
     ids=lambda e: e.key,
 )
-def test_the_planned_move_gives_the_one_name(experiment: Experiment, machine: Machine) -> None:
+def test_the_planned_move_gives_the_one_name(experiment: PlannedExperiment, machine: Machine) -> None:
     said = run_experiment(machine, experiment)
     assert said is not None
     assert verdict_on(experiment, said) == "right", said
@@ -84,14 +84,17 @@ def test_the_planned_move_gives_the_one_name(experiment: Experiment, machine: Ma
 
 def test_a_cause_that_the_move_cannot_show_has_no_log(machine: Machine) -> None:
     assert cause("encoder_periodic_error").moves
-    assert run_experiment(machine, Experiment("encoder_periodic_error", "structural_resonance", "maxwell_slip")) is None
+    assert (
+        run_experiment(machine, PlannedExperiment("encoder_periodic_error", "structural_resonance", "maxwell_slip"))
+        is None
+    )
 
 
 def test_results_are_kept_and_said(machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    other = Experiment("quadratic_drag", "viscous", "sgms")
-    asked: list[Experiment] = []
+    other = PlannedExperiment("quadratic_drag", "viscous", "sgms")
+    asked: list[PlannedExperiment] = []
 
-    def run(_: Machine, experiment: Experiment) -> Found:
+    def run(_: Machine, experiment: PlannedExperiment) -> ScoredDiagnosis:
         asked.append(experiment)
         return found("explained", "viscous")
 

@@ -19,9 +19,9 @@ from dask_cluster import Cluster
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.kept import run_kept
 from sgms_mhe.support.parallel import VARIABLE
-from sgms_mhe.support.processes import HERE, Outcome, Place, Task, TaskError, results, run_tasks
+from sgms_mhe.support.processes import HERE, Outcome, Task, TaskError, WorkerSlot, results, run_tasks
 
-TWO = Place(2)
+TWO = WorkerSlot(2)
 
 
 def by_key(outcomes: Iterator[Outcome]) -> dict[str, Outcome]:
@@ -50,8 +50,8 @@ def gone(process: int, within_s: float = 60.0) -> bool:
 # --- outcomes ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("place", [HERE, Place(1), Place(3)], ids=["here", "one", "three"])
-def test_values_in_the_order_of_the_tasks(place: Place) -> None:
+@pytest.mark.parametrize("place", [HERE, WorkerSlot(1), WorkerSlot(3)], ids=["here", "one", "three"])
+def test_values_in_the_order_of_the_tasks(place: WorkerSlot) -> None:
     told: list[tuple[int, int]] = []
     tasks = [Task(str(k), work.squared, (k,)) for k in range(7)]
     assert results(tasks, place, lambda done, total: told.append((done, total))) == [k**2 for k in range(7)]
@@ -90,14 +90,14 @@ def test_what_fails_has_its_sentence_and_the_rest_is_done(tmp_path: Path) -> Non
 
 
 def test_what_takes_too_long_is_stopped_and_the_next_begins() -> None:
-    found = by_key(run_tasks([Task(name, work.hung) for name in "abc"], Place(1, limit_s=1.0)))
+    found = by_key(run_tasks([Task(name, work.hung) for name in "abc"], WorkerSlot(1, limit_s=1.0)))
     assert {outcome.failure for outcome in found.values()} == {"not done within 1 s, and stopped"}
     assert len(found) == 3
 
 
 def test_a_process_works_on_many_tasks_and_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sgms_mhe.support.processes._TASKS_PER_CHILD", 3)
-    numbers = results([Task(str(k), work.process) for k in range(6)], Place(1))
+    numbers = results([Task(str(k), work.process) for k in range(6)], WorkerSlot(1))
     assert numbers[0] == numbers[1] == numbers[2] != numbers[3] == numbers[5]
     assert os.getpid() not in numbers
 
@@ -108,7 +108,7 @@ def test_processes_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(8)))
 
     def seen(name: str, jobs: int) -> Any:
-        return results([Task(str(k), work.environment, (name,)) for k in range(jobs)], Place(jobs))[0]
+        return results([Task(str(k), work.environment, (name,)) for k in range(jobs)], WorkerSlot(jobs))[0]
 
     assert seen(VARIABLE, 2) == "4"
     assert seen("OMP_NUM_THREADS", 2) == "1"
@@ -118,7 +118,7 @@ def test_processes_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_whoever_stops_asking_ends_the_work() -> None:
     tasks = [Task("first", work.process), *(Task(str(k), work.hung) for k in range(5))]
-    outcomes = run_tasks(tasks, Place(1))
+    outcomes = run_tasks(tasks, WorkerSlot(1))
     process = next(outcomes).value
     assert alive(process)
     outcomes.close()  # type: ignore[attr-defined]
@@ -207,7 +207,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_doubles_nothing(cluster
     tasks = [Task(name, work.files, (str(tmp_path), name, 0.3)) for name in names]
     tasks += [Task("broken", work.broken), Task("crashed", work.crashed)]
     found: list[Outcome] = []
-    for outcome in run_kept(tasks, tmp_path / "kept", Place(scheduler=cluster.address)):
+    for outcome in run_kept(tasks, tmp_path / "kept", WorkerSlot(scheduler=cluster.address)):
         found.append(outcome)
         if len(found) == 3:
             first.kill()  # with a task in its hands, and results that were not fetched perhaps
@@ -217,7 +217,7 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_doubles_nothing(cluster
     assert failed["crashed"] == "the process that worked on it was killed by SIGSEGV, 2 times"
     assert {path.name for path in (tmp_path / "kept").iterdir()} == set(names)
     assert all((tmp_path / "kept" / name / "name.txt").read_text() == name for name in names)
-    (hung,) = run_tasks([Task("hung", work.hung)], Place(scheduler=cluster.address, limit_s=1.0))
+    (hung,) = run_tasks([Task("hung", work.hung)], WorkerSlot(scheduler=cluster.address, limit_s=1.0))
     assert hung.failure == "not done within 1 s, and stopped"
 
 
@@ -225,14 +225,14 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_doubles_nothing(cluster
 def test_a_cluster_without_workers_is_refused(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sgms_mhe.support.processes.FIRST_WORKER_S", 1.0)
     with pytest.raises(InputError, match=r"workers of = 'tcp://.*': one at least within 1 s"):
-        list(run_tasks([Task("a", work.process)], Place(scheduler=cluster.address)))
+        list(run_tasks([Task("a", work.process)], WorkerSlot(scheduler=cluster.address)))
 
 
 @ignored_by_dask
 def test_a_scheduler_that_does_not_answer_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match="scheduler: address = 'nonsense': that of a Dask scheduler that answers"):
-        list(run_tasks([Task("a", work.process)], Place(scheduler="nonsense")))
+        list(run_tasks([Task("a", work.process)], WorkerSlot(scheduler="nonsense")))
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"'distributed': not installed, .* needs it: pip install 'sgms-mhe\[dask\]'"):
-        list(run_tasks([Task("a", work.process)], Place(scheduler="tcp://127.0.0.1:1")))
+        list(run_tasks([Task("a", work.process)], WorkerSlot(scheduler="tcp://127.0.0.1:1")))

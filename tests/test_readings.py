@@ -11,14 +11,14 @@ import pytest
 
 from sgms_bench.records import simulate_record
 from sgms_bench.studies.cases import counted_updates
-from sgms_bench.studies.faults import FAULTS, Fault, Trial
+from sgms_bench.studies.faults import FAULTS, Fault, FaultTrial
 from sgms_bench.studies.readings import readings_row
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.reference import Integrator, Record, estimate_reference
+from sgms_mhe.reference import NodeRecord, ReferenceIntegrator, estimate_reference
 from sgms_mhe.reference.readings import Gaussian, Scaling, fold, take_reading
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.support.errors import InputError
@@ -45,7 +45,7 @@ def machine_with(**changes: Any) -> Machine:
 def test_readings_per_update(sampling: dict[str, Any], readings: int) -> None:
     machine = machine_with(sampling=sampling)
     assert machine.sampling.readings_per_update == readings
-    record = Record(build_model(machine), quiet(machine, 3), Integrator(build_model(machine)))
+    record = NodeRecord(build_model(machine), quiet(machine, 3), ReferenceIntegrator(build_model(machine)))
     assert record.inner_y.shape == (3, readings - 1)
 
 
@@ -67,7 +67,7 @@ def quiet(machine: Machine, updates: int) -> Signals:
 
 def test_readings_stand_at_equal_distances() -> None:
     machine = machine_with(sampling={"measurement_rate": 500.0})
-    record = Record(build_model(machine), quiet(machine, 2), Integrator(build_model(machine)))
+    record = NodeRecord(build_model(machine), quiet(machine, 2), ReferenceIntegrator(build_model(machine)))
     np.testing.assert_array_equal(record.inner_y, [[20, 40, 60, 80], [120, 140, 160, 180]])
     np.testing.assert_array_equal(record.y, [0, 100, 200])
 
@@ -220,8 +220,8 @@ def test_emitted_readings_are_those_of_the_reference(changes: dict[str, Any], pr
 
 
 @lru_cache
-def trial(variant: str) -> Trial:
-    return Trial(variant, axes=3)
+def trial(variant: str) -> FaultTrial:
+    return FaultTrial(variant, axes=3)
 
 
 @pytest.mark.parametrize("variant", ["mhe double", "mhe single", "ekf single"])

@@ -14,12 +14,19 @@ from scipy.optimize import lsq_linear
 from reference_cases import friction_at_samples, linear_model, moving, simulate, variant, with_integrator
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
-from sgms_mhe.reference import Integrator, Record, Status, estimate_model, estimate_reference, run_mhe
+from sgms_mhe.reference import (
+    NodeRecord,
+    ReferenceIntegrator,
+    UpdateStatus,
+    estimate_model,
+    estimate_reference,
+    run_mhe,
+)
 from sgms_mhe.reference.ekf import into_bounds
 from sgms_mhe.reference.least_squares import solve, solve_bounded
-from sgms_mhe.reference.mhe import Kept, dense_problem, renew
+from sgms_mhe.reference.mhe import StoredIntervals, dense_problem, renew
 from sgms_mhe.reference.readings import Gaussian
-from sgms_mhe.reference.window import Scales, Window, integrate, linearise
+from sgms_mhe.reference.window import NoiseFactors, Window, integrate, linearise
 from sgms_mhe.signals.chain import Signals
 
 Array = NDArray[np.float64]
@@ -34,14 +41,14 @@ def linear_record(model: Model, updates: int = 40) -> Signals:
     """Noisy friction of the linear model at its nodes."""
     rng = np.random.default_rng(11)
     motion = moving(np.sin(0.37 * np.arange(5 * updates + 1)) + 0.4, rate=100.0)
-    nodes = simulate(Integrator(model), motion, THETA)
+    nodes = simulate(ReferenceIntegrator(model), motion, THETA)
     clean = friction_at_samples(model, motion, nodes, THETA)
     return dataclasses.replace(motion, friction=clean + 0.5 * rng.standard_normal(len(motion)))
 
 
 def kalman_filter(model: Model, signals: Signals, first: int = 0) -> tuple[Array, Array, Array]:
     """Textbook filter over (x, theta) from the affine maps themselves; estimates, covariances, per node."""
-    record = Record(model, signals, Integrator(model))
+    record = NodeRecord(model, signals, ReferenceIntegrator(model))
     n_x, n = model.n_x, model.n_x + model.n_p
     weights = record.weights
 
@@ -86,9 +93,9 @@ def test_mhe_is_the_kalman_filter_on_a_linear_model(horizon: int, gaps: bool) ->
     np.testing.assert_allclose(result.extra["theta"], means[1:, 3:], rtol=0.0, atol=1e-10 * scale)
     std = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))[1:, 3:]
     np.testing.assert_allclose(result.extra["theta_std"], std, rtol=1e-9)
-    np.testing.assert_array_equal(result.status & Status.FILLING, np.arange(1, 41) < horizon)
+    np.testing.assert_array_equal(result.status & UpdateStatus.FILLING, np.arange(1, 41) < horizon)
     missing = np.isin(5 * np.arange(1, 41), [35, 40, 45, 100, 130]) if gaps else np.zeros(40, dtype=bool)
-    np.testing.assert_array_equal(result.status & Status.MISSING != 0, missing)
+    np.testing.assert_array_equal(result.status & UpdateStatus.MISSING != 0, missing)
 
 
 def test_kept_linearisations_are_exact_on_a_linear_model() -> None:
@@ -101,18 +108,20 @@ def test_kept_linearisations_are_exact_on_a_linear_model() -> None:
         np.testing.assert_allclose(other.extra["theta"], every.extra["theta"], rtol=0.0, atol=1e-10)
 
 
-def kept_at(record: Record, x: Array, theta: Array) -> Kept:
-    return Kept.of(x, theta, integrate(record, 0, x, theta))
+def kept_at(record: NodeRecord, x: Array, theta: Array) -> StoredIntervals:
+    return StoredIntervals.of(x, theta, integrate(record, 0, x, theta))
 
 
-def slow_record(model: Model) -> tuple[Record, Array]:
+def slow_record(model: Model) -> tuple[NodeRecord, Array]:
     """A motion through which all elements stick, so that an end moves as far as the start; nodes of six intervals."""
     motion = moving(2e-5 * np.sin(2.0 * np.pi * 4.0 * np.arange(601) / 10000.0))
-    record = Record(model, motion, Integrator(model))
+    record = NodeRecord(model, motion, ReferenceIntegrator(model))
     return record, simulate(record.integrator, motion, np.ones(4))[:6]
 
 
-def assert_renewed(renewed: Kept, kept: Kept, fresh: Kept, interval: int | None) -> None:
+def assert_renewed(
+    renewed: StoredIntervals, kept: StoredIntervals, fresh: StoredIntervals, interval: int | None
+) -> None:
     """One interval is that of `fresh`; all others, or all if it is None, are untouched."""
     is_new = np.arange(6) == interval
     for ours, before, new in zip(arrays(renewed), arrays(kept), arrays(fresh), strict=True):
@@ -120,7 +129,7 @@ def assert_renewed(renewed: Kept, kept: Kept, fresh: Kept, interval: int | None)
         np.testing.assert_array_equal(ours[~is_new], before[~is_new])
 
 
-def arrays(kept: Kept) -> list[Array]:
+def arrays(kept: StoredIntervals) -> list[Array]:
     return [kept.x, kept.theta, *kept.intervals[:3], *kept.intervals.inner]
 
 
@@ -183,7 +192,7 @@ def test_ekf_is_the_kalman_filter_on_a_linear_model() -> None:
     np.testing.assert_allclose(
         result.extra["theta_std"], np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))[1:, 3:], rtol=1e-10
     )
-    assert not np.any(result.status & Status.FILLING)
+    assert not np.any(result.status & UpdateStatus.FILLING)
 
 
 def test_smoother_ends_where_the_kalman_filter_ends() -> None:
@@ -200,13 +209,13 @@ def test_a_window_over_everything_is_the_smoother() -> None:
     # The nonlinear friction model: the smoother's solution is stationary for the dense problem of one long window.
     model = build_model(axis("rk4", horizon=25, **noise()))
     motion = moving(2e-3 * np.sin(2.0 * np.pi * 4.0 * np.arange(2501) / 10000.0))
-    nodes = simulate(Integrator(model), motion, np.array([1.2, 0.8, 1.1, 0.95]))
+    nodes = simulate(ReferenceIntegrator(model), motion, np.array([1.2, 0.8, 1.1, 0.95]))
     friction = friction_at_samples(model, motion, nodes, np.array([1.2, 0.8, 1.1, 0.95]))
     signals = dataclasses.replace(
         motion, friction=friction + 0.1 * np.random.default_rng(4).standard_normal(len(friction))
     )
     smoothed = estimate_model(model, signals, "smoother")
-    record = Record(model, signals, Integrator(model))
+    record = NodeRecord(model, signals, ReferenceIntegrator(model))
     theta = smoothed.extra["theta"][0]
     x = np.vstack([smoothed.extra["x_first"], smoothed.extra["x"]])
     window = Window(
@@ -216,7 +225,7 @@ def test_a_window_over_everything_is_the_smoother() -> None:
         intervals=record.integrator.intervals(record.plan, 0, x[:-1], theta),
         outputs=record.integrator.outputs(x, record.w, theta),
     )
-    J, r = dense_problem(record, window, Gaussian(*record.weights.prior), Scales.of(record))
+    J, r = dense_problem(record, window, Gaussian(*record.weights.prior), NoiseFactors.of(record))
     gradient = J.T @ r / (np.linalg.norm(J, axis=0) * np.linalg.norm(r))
     assert np.abs(gradient).max() < 1e-8
     std = np.sqrt(np.diag(np.linalg.inv(J.T @ J))[-4:])
@@ -254,16 +263,16 @@ def test_bounded_window_is_optimal() -> None:
     bounds = {"stiffness": [0.95, 1.02]}
     model = linear_model(horizon=6, bounds=bounds, **noise())
     signals = linear_record(model)
-    record = Record(model, signals, Integrator(model))
+    record = NodeRecord(model, signals, ReferenceIntegrator(model))
     result = run_mhe(record)
     theta = result.extra["theta"]
     assert theta.min() >= 0.95 and theta.max() <= 1.02
     at_bound = np.any((theta == 0.95) | (theta == 1.02), axis=1)
     assert at_bound.sum() > 20
-    np.testing.assert_array_equal(result.status & Status.BOUND != 0, at_bound)
+    np.testing.assert_array_equal(result.status & UpdateStatus.BOUND != 0, at_bound)
     # The last window that starts from the prior, solved by another method. The model is linear: any point will do.
     window = linearise(record, 0, np.zeros((6, 3)), np.ones(3))
-    J, r = dense_problem(record, window, Gaussian(*record.weights.prior), Scales.of(record))
+    J, r = dense_problem(record, window, Gaussian(*record.weights.prior), NoiseFactors.of(record))
     lower, upper = np.full(J.shape[1], -np.inf), np.full(J.shape[1], np.inf)
     lower[-3:], upper[-3:] = -0.05, 0.02
     other = lsq_linear(J, -r, (lower, upper), method="bvls", tol=1e-14).x
@@ -297,7 +306,7 @@ def axis(scheme: str = "flow", **estimator: Any) -> Machine:
 def record_of(machine: Machine, velocity: Array, theta: Array, seed: int = 0) -> Signals:
     model = build_model(machine)
     motion = moving(velocity)
-    friction = friction_at_samples(model, motion, simulate(Integrator(model), motion, theta), theta)
+    friction = friction_at_samples(model, motion, simulate(ReferenceIntegrator(model), motion, theta), theta)
     return dataclasses.replace(
         motion, friction=friction + 0.05 * np.random.default_rng(seed).standard_normal(len(friction))
     )
@@ -333,13 +342,13 @@ def test_statuses(update: str) -> None:
     valid = signals.valid.copy()
     valid[300] = False
     result = estimate_reference(machine, dataclasses.replace(signals, valid=valid))
-    assert [Status(int(s)) & ~Status.BOUND for s in result.status] == [
-        Status.FILLING,
-        Status.FILLING | Status.HOLD,
-        Status.MISSING,
-        Status.SPEED,
-        Status(0),
-        Status(0),
+    assert [UpdateStatus(int(s)) & ~UpdateStatus.BOUND for s in result.status] == [
+        UpdateStatus.FILLING,
+        UpdateStatus.FILLING | UpdateStatus.HOLD,
+        UpdateStatus.MISSING,
+        UpdateStatus.SPEED,
+        UpdateStatus(0),
+        UpdateStatus(0),
     ]
 
 
@@ -353,7 +362,7 @@ def test_parameters_do_not_drift_at_standstill() -> None:
     np.testing.assert_allclose(still, np.tile(still[0], (len(still), 1)), rtol=1e-12)
     std = result.std[56:]
     np.testing.assert_allclose(std, np.tile(std[0], (len(std), 1)), rtol=1e-9)
-    assert np.all(result.status[50:] == Status.HOLD | Status.MISSING)
+    assert np.all(result.status[50:] == UpdateStatus.HOLD | UpdateStatus.MISSING)
 
 
 @pytest.mark.parametrize(("horizon", "interval"), [(1, 1), (4, 4), (20, 20), (24, 20)])
@@ -381,7 +390,7 @@ def test_drift_enters_in_batches(horizon: int, interval: int, restart: int, reli
     valid = np.arange(len(velocity)) <= 100 * measured
     result = estimate_reference(machine, dataclasses.replace(signals, velocity=velocity, valid=valid))
     assert np.flatnonzero(result.status == -2).tolist() == ([restart - 1] if restart else [])
-    np.testing.assert_array_equal(result.status[measured:] & Status.HOLD == 0, moves[measured:])
+    np.testing.assert_array_equal(result.status[measured:] & UpdateStatus.HOLD == 0, moves[measured:])
     # From the first window without a measurement on, its deviations of theta are those of the arrival cost.
     variance = np.square(result.extra["theta_std"])
     growths = 0
@@ -417,7 +426,7 @@ def test_a_solution_that_is_not_finite_keeps_the_last_good_estimate(kind: str) -
     assert result.status[12] == -2
     np.testing.assert_array_equal(result.parameters[12], result.parameters[11])
     np.testing.assert_array_equal(result.extra["x"][12], result.extra["x"][11])
-    filling = [bool(s & Status.FILLING) for s in result.status[13:20]]
+    filling = [bool(s & UpdateStatus.FILLING) for s in result.status[13:20]]
     assert filling == ([True] * 3 + [False] * 4 if kind == "mhe" else [False] * 7)
     assert np.all(np.isfinite(result.friction_N)) and np.all(result.status[13:] >= 0)
 
@@ -428,18 +437,18 @@ def test_fixed_arrival_cost_is_centred_on_the_last_estimate() -> None:
     )
     model = build_model(machine)
     signals = record_of(machine, sweep(0.1), np.array([1.1, 0.9, 1.0, 1.0]))
-    record = Record(model, signals, Integrator(model))
+    record = NodeRecord(model, signals, ReferenceIntegrator(model))
     result = run_mhe(record)
     # Window 3 (nodes 0 .. 3) from the prior: its node 1 and theta are the centre of window 4.
     x, theta = np.zeros((1, 4)), np.ones(4)
     for node in range(1, 4):
         window = linearise(record, 0, x, theta)
-        d = solve(*dense_problem(record, window, Gaussian(*record.weights.prior), Scales.of(record)))
+        d = solve(*dense_problem(record, window, Gaussian(*record.weights.prior), NoiseFactors.of(record)))
         x, theta = window.x + d[:-4].reshape(-1, 4), theta + d[-4:]
         np.testing.assert_allclose(result.extra["x"][node - 1], x[-1], atol=1e-12)
     centre = np.concatenate([x[1], theta])
     arrival = Gaussian(centre, np.diag(np.repeat([0.1, 0.05], 4) ** 2))
-    d = solve(*dense_problem(record, linearise(record, 1, x[1:], theta), arrival, Scales.of(record)))
+    d = solve(*dense_problem(record, linearise(record, 1, x[1:], theta), arrival, NoiseFactors.of(record)))
     np.testing.assert_allclose(result.extra["theta"][3], theta + d[-4:], atol=1e-12)
 
 

@@ -15,7 +15,7 @@ from reference_cases import arrays, moving, simulate, variant, with_integrator
 from sgms_mhe.machine import Smoothing
 from sgms_mhe.model import build_model
 from sgms_mhe.reference.flow import Flow, gate_ratio, relaxation, window
-from sgms_mhe.reference.integrator import Integrator
+from sgms_mhe.reference.integrator import ReferenceIntegrator
 
 SMOOTHINGS = [(0.9, 35.0), (0.9, 10.0), (0.8, 100.0), (0.95, 300.0)]
 
@@ -123,7 +123,7 @@ def test_flow_agrees_with_converged_rk4(peak: float) -> None:
     theta = np.array([1.0, 1.1, 0.9, 1.05, 1.02, 0.97, 1.01])
     results = []
     for settings in ({"scheme": "flow"}, {"scheme": "rk4", "substeps": 1000, "displacement": 0.0015}):
-        integrator = Integrator(build_model(with_integrator(machine, **settings)))
+        integrator = ReferenceIntegrator(build_model(with_integrator(machine, **settings)))
         plan = integrator.plan(moving(velocity))
         x = np.random.default_rng(0).uniform(-1.1, 1.1, (len(plan.path), 4))
         results.append(arrays(integrator.intervals(plan, 0, x, theta)))
@@ -133,7 +133,7 @@ def test_flow_agrees_with_converged_rk4(peak: float) -> None:
 
 
 def test_flow_is_used_for_elements_alone_and_above_the_gate_alone() -> None:
-    integrator = Integrator(build_model(with_integrator(scheme="flow")))
+    integrator = ReferenceIntegrator(build_model(with_integrator(scheme="flow")))
     velocity = np.repeat([0.0, 0.359e-3, 0.361e-3, 1.0, -0.5], 100)
     plan = integrator.plan(moving(np.concatenate([[0.0], velocity])))
     expected = np.repeat([1, 1, 0, 0, 0], 100)
@@ -142,6 +142,6 @@ def test_flow_is_used_for_elements_alone_and_above_the_gate_alone() -> None:
 
 
 def test_flow_stays_right_beyond_every_speed() -> None:
-    integrator = Integrator(build_model(with_integrator(scheme="flow")))
+    integrator = ReferenceIntegrator(build_model(with_integrator(scheme="flow")))
     x = simulate(integrator, moving(np.full(201, 30.0)), np.ones(4))
     np.testing.assert_allclose(x[1:], TABLE.r_star, rtol=1e-12)

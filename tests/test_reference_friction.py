@@ -15,7 +15,7 @@ from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.machine import Machine, Smoothing
 from sgms_mhe.model import build_model
 from sgms_mhe.reference.flow import window
-from sgms_mhe.reference.integrator import Integrator
+from sgms_mhe.reference.integrator import ReferenceIntegrator
 
 PAPER = Smoothing.model_validate({"zeta": 0.9, "lambda": 35.0, "gamma": 35.0})
 
@@ -35,8 +35,8 @@ def elements(n_z: int, **friction: Any) -> Machine:
 
 
 @lru_cache
-def flow_integrator() -> Integrator:
-    return Integrator(build_model(with_integrator(scheme="flow")))
+def flow_integrator() -> ReferenceIntegrator:
+    return ReferenceIntegrator(build_model(with_integrator(scheme="flow")))
 
 
 def test_window_ends() -> None:
@@ -60,7 +60,7 @@ def test_window_is_even_and_within_zero_and_one(r: float) -> None:
 def test_steady_sliding_lands_on_the_stribeck_curve(n_z: int, speed: float) -> None:
     machine = elements(n_z)
     model = build_model(machine)
-    integrator = Integrator(model)
+    integrator = ReferenceIntegrator(model)
     theta = np.ones(model.n_p)
     # Far enough for the softest element to slip.
     samples = 100 * int(1 + 12.0 * 4.0 / (1e5 * 0.8 ** (n_z - 1)) / abs(speed) / 0.01)
@@ -76,7 +76,7 @@ def test_presliding_loops_close(n_z: int) -> None:
     # Non-local memory: an inner excursion that returns to where it left leaves no trace on the outer branch. The
     # smoothing is sharp here, because an element that retraces its last tenth before slip does so a little lower.
     model = build_model(elements(n_z, stribeck_ratio=0.0, smoothing={"zeta": 0.99, "lambda": 350.0, "gamma": 350.0}))
-    integrator = Integrator(model)
+    integrator = ReferenceIntegrator(model)
     theta = np.ones(model.n_p)
 
     def travel(turns: list[float]) -> np.ndarray:
@@ -104,7 +104,7 @@ def test_one_element_that_slips_always_is_lugre() -> None:
     # zeta -> 0 opens the window everywhere (eta = 1); for motion in one direction from rest the gate is open too.
     machine = elements(1, smoothing={"zeta": 1e-12, "lambda": 1.0, "gamma": 1e3}, stribeck_ratio=0.5)
     model = build_model(machine)
-    integrator = Integrator(model)
+    integrator = ReferenceIntegrator(model)
     speeds = np.concatenate([[0.0], np.repeat([2e-3, 1e-3, 5e-3], 100)])
     theta = np.ones(model.n_p)
     x0 = np.array([0.2])
@@ -142,7 +142,7 @@ def test_node_state_scalings_are_the_same_model() -> None:
     for state_as in ("force", "deflection"):
         noise = variant().estimator.noise.model_dump() | {"state_as": state_as}
         model = build_model(with_integrator(variant(estimator={"noise": noise}), scheme="rk4"))
-        x = simulate(Integrator(model), moving(velocity), theta)[-1]
+        x = simulate(ReferenceIntegrator(model), moving(velocity), theta)[-1]
         ends.append(np.array(model.function("deflection")(model.function("from_node")(x, theta), theta)))
     np.testing.assert_allclose(*ends, rtol=1e-12)
 

@@ -16,7 +16,7 @@ from sgms_mhe.configuration import override_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.reference import compiled_loops as module
-from sgms_mhe.reference.integrator import Integrator
+from sgms_mhe.reference.integrator import ReferenceIntegrator
 from sgms_mhe.reference.plan import Plan
 from sgms_mhe.signals.chain import Signals, signal_array
 from sgms_mhe.support.errors import BuildError
@@ -35,7 +35,7 @@ def test_order_of_convergence() -> None:
     ends = []
     for factor in (1, 2, 4, 64):
         chosen = with_integrator(machine, scheme="rk4", substeps=100 * factor, displacement=10.0)
-        ends.append(simulate(Integrator(build_model(chosen)), signals, np.ones(4), np.full(4, 0.1))[-1])
+        ends.append(simulate(ReferenceIntegrator(build_model(chosen)), signals, np.ones(4), np.full(4, 0.1))[-1])
     errors = [np.abs(end - ends[-1]).max() for end in ends[:-1]]
     for coarse, fine in pairwise(errors):
         assert math.log2(coarse / fine) == pytest.approx(4, abs=0.35)
@@ -47,7 +47,7 @@ def test_sensitivities_are_differences(scheme: str, state_as: str) -> None:
     machine = variant(estimator={"parameters": ALL, "bounds": {}})
     noise = machine.estimator.noise.model_dump() | {"state_as": state_as}
     machine = with_integrator(variant(estimator={"parameters": ALL, "bounds": {}, "noise": noise}), scheme=scheme)
-    integrator = Integrator(build_model(machine))
+    integrator = ReferenceIntegrator(build_model(machine))
     velocity = 3e-3 * np.sin(2.0 * np.pi * 30.0 * np.arange(401) / 10000.0) + 4e-4
     plan = integrator.plan(moving(velocity))
     x = np.random.default_rng(5).uniform(-0.95, 0.95, (4, 4))
@@ -75,7 +75,7 @@ def test_python_and_compiled_loops_agree(scheme: str) -> None:
     model = build_model(with_integrator(machine, scheme=scheme))
     velocity = 4e-3 * np.sin(2.0 * np.pi * 30.0 * np.arange(201) / 10000.0)
     x = np.random.default_rng(2).uniform(-1.1, 1.1, (2, 4))
-    compiled, plain = Integrator(model), Integrator(model, compiled=False)
+    compiled, plain = ReferenceIntegrator(model), ReferenceIntegrator(model, compiled=False)
     plan = compiled.plan(moving(velocity))
     for a, b in zip(
         arrays(compiled.intervals(plan, 0, x, THETA)), arrays(plain.intervals(plan, 0, x, THETA)), strict=True
@@ -88,7 +88,7 @@ def test_python_and_compiled_loops_agree(scheme: str) -> None:
 
 def test_coupled_states_make_one_block() -> None:
     model = linear_model()
-    compiled, plain = Integrator(model), Integrator(model, compiled=False)
+    compiled, plain = ReferenceIntegrator(model), ReferenceIntegrator(model, compiled=False)
     assert [block.states for block in compiled.blocks] == [(0, 2), (1,)]
     plan = compiled.plan(moving(np.sin(np.arange(41.0)), rate=100.0))
     x, theta = np.random.default_rng(2).standard_normal((8, 3)), np.array([1.3, 0.8, 0.9])
@@ -104,7 +104,7 @@ def test_without_a_compiler_python_takes_over(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(module, "shared_library", refuse)
     assert shared_library is not module.shared_library
-    integrator = Integrator(build_model(with_integrator(scheme="rk4")))
+    integrator = ReferenceIntegrator(build_model(with_integrator(scheme="rk4")))
     assert integrator.intervals(integrator.plan(moving(np.zeros(101))), 0, np.ones((1, 4)), np.ones(4)).x1.shape == (
         1,
         4,
@@ -112,7 +112,7 @@ def test_without_a_compiler_python_takes_over(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_substeps_follow_the_displacement() -> None:
-    integrator = Integrator(build_model(with_integrator(scheme="rk4")))
+    integrator = ReferenceIntegrator(build_model(with_integrator(scheme="rk4")))
     speeds = np.array([0.0, 1e-3, -0.02, 0.3, 1.0, 7.0])
     plan = integrator.plan(moving(np.concatenate([[0.0], np.repeat(speeds, 100)])))
     rho = np.array([120e3, 25e3, 7.1e3, 7.9e3]) / (4.0 * np.array([0.067, 0.056, 0.047, 0.83]))
@@ -124,12 +124,14 @@ def test_substeps_follow_the_displacement() -> None:
 
 
 def test_a_rate_over_time_adds_to_the_substeps() -> None:
-    integrator = Integrator(linear_model())
+    integrator = ReferenceIntegrator(linear_model())
     plan = integrator.plan(moving(np.full(6, 0.5), rate=100.0))
     # (|v| 4/m + 3/s) 0.01 s / 0.5
     assert set(plan.substeps.ravel().tolist()) == {math.ceil((0.5 * 4.0 + 3.0) * 0.01 / 0.5)}
     states = tuple(dataclasses.replace(state, rate_per_second=300.0) for state in integrator.model.states)
-    plan = Integrator(dataclasses.replace(integrator.model, states=states)).plan(moving(np.full(6, 0.5), rate=100.0))
+    plan = ReferenceIntegrator(dataclasses.replace(integrator.model, states=states)).plan(
+        moving(np.full(6, 0.5), rate=100.0)
+    )
     assert set(plan.substeps.ravel().tolist()) == {math.ceil((0.5 * 4.0 + 300.0) * 0.01 / 0.5)}
 
 
@@ -138,10 +140,10 @@ def test_merged_samples_keep_the_displacement() -> None:
     ends = []
     for settings in ({"substeps": 5}, {"substeps": 100}):
         machine = with_integrator(scheme="rk4", displacement=0.002, **settings)
-        ends.append(simulate(Integrator(build_model(machine)), signals, np.ones(4))[-1])
+        ends.append(simulate(ReferenceIntegrator(build_model(machine)), signals, np.ones(4))[-1])
     np.testing.assert_allclose(*ends, atol=1e-9)
     uneven = dataclasses.replace(signals, velocity=signals.velocity + 1e-4 * np.cos(np.pi * np.arange(101)))
-    merged = Integrator(build_model(with_integrator(scheme="rk4", substeps=5))).plan(uneven)
+    merged = ReferenceIntegrator(build_model(with_integrator(scheme="rk4", substeps=5))).plan(uneven)
     assert merged.steps == 5
     middle = 0.5 * (merged.start + merged.end)
     np.testing.assert_allclose(middle[:, 1].sum() * merged.h, uneven.velocity[1:].sum() * 1e-4, rtol=1e-12)
@@ -159,13 +161,13 @@ def merging(machine: Machine | None = None, scheme: str = "flow") -> Machine:
     return with_integrator(machine or variant(sampling=settings), scheme=scheme, substeps=50 // MERGED)
 
 
-def one_step(**tables: dict[str, Any]) -> Integrator:
+def one_step(**tables: dict[str, Any]) -> ReferenceIntegrator:
     """Every interval one step of five samples, so that each step can be judged by itself."""
     machine = variant(**{"sampling": {"update_rate": 2000.0}} | tables)
-    return Integrator(build_model(with_integrator(machine, scheme="flow", substeps=1)))
+    return ReferenceIntegrator(build_model(with_integrator(machine, scheme="flow", substeps=1)))
 
 
-def is_near(integrator: Integrator, plan: Plan, x: Array) -> BoolArray:
+def is_near(integrator: ReferenceIntegrator, plan: Plan, x: Array) -> BoolArray:
     """Which elements of one-step intervals slide through (n, n_x)."""
     displacement, level = plan.slide[:, :1], np.where(plan.slide[:, 1:2] > 0.0, plan.slide[:, 1:2], np.nan)
     return np.asarray(np.abs(np.sign(displacement) * x / level - integrator.flow.r_star) < 0.004)
@@ -179,7 +181,7 @@ def reversing(peak: float, frequency: float, steps: int) -> Signals:
 @pytest.mark.parametrize("scheme", ["rk4", "flow"])
 def test_python_and_compiled_loops_agree_on_merged_samples(scheme: str) -> None:
     model = build_model(with_integrator(variant(estimator={"parameters": ALL[:2]}), scheme=scheme, substeps=20))
-    compiled, plain = Integrator(model), Integrator(model, compiled=False)
+    compiled, plain = ReferenceIntegrator(model), ReferenceIntegrator(model, compiled=False)
     signals = moving(2e-3 * np.sin(2.0 * np.pi * 15.0 * np.arange(801) / 10000.0) + 1e-3)
     plan, theta = compiled.plan(signals), THETA[:5]
     assert (plan.steps, plan.stairs) == (20, MERGED)
@@ -195,7 +197,7 @@ def test_steps_below_the_gate_go_with_speed() -> None:
     longest, gate, h = 0.003, 0.36e-3, 1e-4
     machine = with_integrator(variant(), scheme="flow", slow_displacement=longest)
     velocity = gate * np.array([0.0, 1e-3, 0.19, 0.21, 0.5, 0.9, 0.999, 1.001, 30.0])
-    plan = Integrator(build_model(machine)).plan(moving(np.concatenate([[7.0], np.tile(velocity, 100)])))
+    plan = ReferenceIntegrator(build_model(machine)).plan(moving(np.concatenate([[7.0], np.tile(velocity, 100)])))
     taken = plan.substeps[: len(velocity)]
     rho = np.array([120e3, 25e3, 7.1e3, 7.9e3]) / (4.0 * np.array([0.067, 0.056, 0.047, 0.83]))
     most = np.maximum(1.0, np.ceil(gate * h * rho / longest))
@@ -233,7 +235,7 @@ def test_merged_samples_take_lines_and_stairs() -> None:
 
 def test_merged_runge_kutta_steps_follow_the_lines() -> None:
     machine = with_integrator(variant(sampling={"update_rate": 2000.0}), scheme="rk4", substeps=1)
-    integrator = Integrator(build_model(machine))
+    integrator = ReferenceIntegrator(build_model(machine))
     plan = integrator.plan(moving(np.concatenate([[0.0], np.repeat([0.0, -0.02, 0.3, 7.0], MERGED)])))
     rho = np.array([120e3, 25e3, 7.1e3, 7.9e3]) / (4.0 * np.array([0.067, 0.056, 0.047, 0.83]))
     speed = np.array([0.0, 0.02, 0.3, 1.0])  # max_velocity bounds the counts
@@ -316,7 +318,7 @@ def test_sensitivities_of_merged_steps_are_differences() -> None:
 
 @pytest.mark.parametrize("scheme", ["flow", "rk4"])
 def test_elastic_motion_keeps_its_displacement(scheme: str) -> None:
-    integrator = Integrator(build_model(merging(scheme=scheme)))
+    integrator = ReferenceIntegrator(build_model(merging(scheme=scheme)))
     velocity = 2e-5 * np.random.default_rng(4).standard_normal(1001)
     signals = moving(velocity)
     x = simulate(integrator, signals, np.ones(4))
@@ -341,7 +343,7 @@ def test_elastic_motion_keeps_its_displacement(scheme: str) -> None:
 def test_merged_samples_of_a_model_with_an_effect(effect: dict[str, Any], free: list[str], slides: bool) -> None:
     changes = {"effects": [effect], "estimator": {"parameters": ["stiffness", *free]}}
     model = build_model(override_machine(merging(), changes))
-    compiled, plain = Integrator(model), Integrator(model, compiled=False)
+    compiled, plain = ReferenceIntegrator(model), ReferenceIntegrator(model, compiled=False)
     assert any(block.slides for block in compiled.blocks) is slides
     signals = moving(4e-3 * np.sin(2.0 * np.pi * 20.0 * np.arange(501) / 10000.0 + 1.0))
     theta = 1.0 + 0.05 * np.sin(np.arange(model.n_p))
@@ -377,7 +379,7 @@ def test_merged_samples_keep_the_timing_of_the_force(name: str) -> None:
     for substeps in (100, 20):
         machine = with_integrator(scheme="flow", substeps=substeps)
         model = build_model(override_machine(machine, {"effects": [{"name": name, **parameters}]}))
-        integrator, theta = Integrator(model), np.ones(model.n_p)
+        integrator, theta = ReferenceIntegrator(model), np.ones(model.n_p)
         x = simulate(integrator, signals, theta)
         outputs.append(integrator.outputs(x, signal_array(signals, 1e-4)[::100], theta).y[5:])
     # Signals a quarter of a sample early or late would be 1 % of the amplitude.
@@ -385,6 +387,6 @@ def test_merged_samples_keep_the_timing_of_the_force(name: str) -> None:
 
 
 def test_an_incomplete_interval_does_not_count() -> None:
-    integrator = Integrator(build_model(with_integrator(scheme="rk4")))
+    integrator = ReferenceIntegrator(build_model(with_integrator(scheme="rk4")))
     for samples, intervals in ((0, 0), (1, 0), (100, 0), (101, 1), (200, 1), (201, 2)):
         assert len(integrator.plan(moving(np.zeros(max(samples, 2)))).path if samples > 1 else ()) == intervals

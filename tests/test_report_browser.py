@@ -15,7 +15,7 @@ from selenium.webdriver.support.ui import WebDriverWait
 import diagnosis_cases as cases
 from browser import HIGH, WIDE, Browser, Mode
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.evaluation.watching import Course
+from sgms_mhe.evaluation.watching import RunSummary
 from sgms_mhe.model import build_model
 from sgms_mhe.report import (
     FleetCourse,
@@ -377,14 +377,14 @@ def test_nothing_is_drawn_outside_of_a_drawing(browser: Browser, fleet: Path, wi
 # --- the page over a run --------------------------------------------------------------------------------------------
 
 
-def course(updates: int) -> Course:
+def course(updates: int) -> RunSummary:
     """A run with a stretch in doubt, samples missing and an update that was refused, where it is long enough."""
     machine = load_machine("etel_xy")
     model, k = build_model(machine), np.arange(updates)
     status = np.select([k % 500 == 400, (k % 500 > 300) & (k % 500 < 380), k % 500 == 250, k < 20], [-2, 64, 2, 1], 0)
     wave, n_p = np.sin(k / 30.0), len(model.parameters)
     nominal = np.array([p.nominal for p in model.parameters])
-    run = Course(machine, model)
+    run = RunSummary(machine, model)
     run.add(
         Estimates(
             time_s=0.01 * (k + 1),

@@ -12,7 +12,7 @@ from cli_cases import done, refused
 from sgms_bench.diagnosis import small
 from sgms_bench.diagnosis.draws import OFF_SIZE, VISIBLE, Draw, machine_of, sized_draw
 from sgms_bench.diagnosis.running import kept_result, read_result
-from sgms_bench.diagnosis.scoring import Found
+from sgms_bench.diagnosis.scoring import ScoredDiagnosis
 from sgms_bench.diagnosis.small import LAWS, Cell, cells, covered_shares, run_small
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.machine import Machine
@@ -58,7 +58,7 @@ def test_results_are_kept_and_said(machine: Machine, tmp_path: Path, monkeypatch
     ]
     asked: list[int] = []
 
-    def run_cell(_: Machine, seed: int, cell: Cell) -> tuple[Draw, Found] | None:
+    def run_cell(_: Machine, seed: int, cell: Cell) -> tuple[Draw, ScoredDiagnosis] | None:
         asked.append(cell.index)
         if cell.index == 2:
             return None
@@ -66,7 +66,7 @@ def test_results_are_kept_and_said(machine: Machine, tmp_path: Path, monkeypatch
         assert draw is not None
         force = draw.hidden[0].parameters["force_N"]
         said = (("constant_offset", {"force_N": 1.02 * force}, {"force_N": 0.005 * abs(force)}),)
-        return draw, Found("explained", said if cell.index == 0 else (("viscous", {}, {}),))
+        return draw, ScoredDiagnosis("explained", said if cell.index == 0 else (("viscous", {}, {}),))
 
     monkeypatch.setattr(small, "cells", lambda *_: chosen)
     monkeypatch.setattr(small, "run_cell", run_cell)
@@ -93,7 +93,7 @@ def test_a_result_is_read_as_it_was_kept(machine: Machine, tmp_path: Path) -> No
     draw = sized_draw(machine, 3, 7, "constant_offset", 0.03, "sgms")
     assert draw is not None
     force = draw.hidden[0].parameters["force_N"]
-    said = Found("explained", (("constant_offset", {"force_N": force}, {"force_N": math.nan}),))
+    said = ScoredDiagnosis("explained", (("constant_offset", {"force_N": force}, {"force_N": math.nan}),))
     for name, content in kept_result(draw, said).items():
         (tmp_path / name).write_bytes(content)
         json.loads(content)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
-from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Structure, extended_machine, nominal_values
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ModelStructure, extended_machine, nominal_values
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES
 from sgms_mhe.model.building import plain_force
@@ -78,7 +78,7 @@ def test_a_curve_of_the_catalogue_is_itself() -> None:
 def over_speed(name: str) -> bool:
     """Whether an effect is a plain force that reads the velocity and nothing else."""
     axis = machine()
-    extended = extended_machine(Structure(axis, ((name, nominal_values(axis, CandidateEffect(name, {}))),)))
+    extended = extended_machine(ModelStructure(axis, ((name, nominal_values(axis, CandidateEffect(name, {}))),)))
     plain = plain_force(extended, extended.effects[-1].label)
     if plain is None:
         return False

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from sgms_mhe.api.starting import Known, start_text
+from sgms_mhe.api.starting import AxisNumbers, start_text
 from sgms_mhe.cli import cli
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.emission.package import emit_package
@@ -45,12 +45,12 @@ def test_what_is_written_can_be_generated(words: list[str], tmp_path: Path) -> N
 
 
 def test_assumed_is_what_nobody_gave(tmp_path: Path) -> None:
-    def assumed(known: Known) -> list[str]:
+    def assumed(known: AxisNumbers) -> list[str]:
         lines = start_text(known, tmp_path / "a.toml")[0].splitlines()
         return [line.split(" = ")[0] for line in lines if "; assumed" in line]
 
-    nothing = Known("a", "linear", 12.0, 8000.0)
-    everything = Known("a", "linear", 12.0, 8000.0, coulomb=4.0, viscous=20.0, break_away=1e-4)
+    nothing = AxisNumbers("a", "linear", 12.0, 8000.0)
+    everything = AxisNumbers("a", "linear", 12.0, 8000.0, coulomb=4.0, viscous=20.0, break_away=1e-4)
     always = ["fraction", "stribeck_ratio", "stribeck_velocity", "measurement"]
     assert assumed(nothing) == ["coulomb", "viscous", "stiffness", *always]
     assert assumed(everything) == always

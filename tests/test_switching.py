@@ -25,7 +25,7 @@ from sgms_mhe.model.switching import check_switching
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.reference import Integrator, estimate_reference
+from sgms_mhe.reference import ReferenceIntegrator, estimate_reference
 from sgms_mhe.signals.chain import chain_delay, signals_from_log
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
@@ -81,7 +81,7 @@ def strokes(samples: int, peak: float, seed: int = 0) -> Array:
 
 @pytest.mark.parametrize("peak", [2e-3, 0.05, 1.0])
 def test_an_interval_is_a_clip_per_sample(peak: float) -> None:
-    integrator = Integrator(build_model(switching()))
+    integrator = ReferenceIntegrator(build_model(switching()))
     v = strokes(1000, peak)
     plan, chi = integrator.plan(moving(v)), np.array([0.3, -0.2, 1.3, -1.3])
     for k in range(10):
@@ -96,7 +96,7 @@ def test_an_interval_is_a_clip_per_sample(peak: float) -> None:
 def test_many_clips_are_one(speed: float, substeps: int) -> None:
     """Whatever the displacement, in one direction at one level: the closed form, and with it the derivatives."""
     settings = switching(friction={"stribeck_ratio": 0.0}, sampling={"integrator": {"substeps": substeps}})
-    integrator = Integrator(build_model(settings))
+    integrator = ReferenceIntegrator(build_model(settings))
     x = np.random.default_rng(3).uniform(-1.0, 0.95, (1, 4))
     for direction in (1.0, -1.0):
         plan = integrator.plan(moving(np.full(101, direction * speed)))
@@ -112,7 +112,7 @@ def test_many_clips_are_one(speed: float, substeps: int) -> None:
 @pytest.mark.parametrize("changes", [{}, five(), entries("dwell_dependence")], ids=["samples", "merged", "upstream"])
 def test_derivatives_are_differences_where_nothing_switches(changes: dict[str, Any], state_as: str) -> None:
     settings = switching(**merge_tables(changes, {"estimator": {"parameters": ALL, "noise": {"state_as": state_as}}}))
-    integrator = Integrator(build_model(settings))
+    integrator = ReferenceIntegrator(build_model(settings))
     n_x = integrator.model.n_x
     x = np.random.default_rng(5).uniform(-0.9, 0.9, (8, n_x)) * np.where(np.arange(n_x) < 4, 1.0, 0.3)
     plan = integrator.plan(moving(strokes(800, 4e-3)))
@@ -142,7 +142,7 @@ def test_derivatives_are_differences_where_nothing_switches(changes: dict[str, A
 )
 def test_python_and_compiled_loops_agree(changes: dict[str, Any]) -> None:
     model = build_model(switching(**changes))
-    compiled, plain = Integrator(model), Integrator(model, compiled=False)
+    compiled, plain = ReferenceIntegrator(model), ReferenceIntegrator(model, compiled=False)
     x = np.random.default_rng(2).uniform(-0.9, 0.9, (3, model.n_x))
     plan = compiled.plan(moving(strokes(300, 6e-3)))
     theta = np.linspace(0.9, 1.1, model.n_p)
@@ -156,7 +156,7 @@ def test_python_and_compiled_loops_agree(changes: dict[str, Any]) -> None:
 def test_a_step_of_merged_samples_follows_its_line(beta: float, tolerance: float) -> None:
     """Against the line in a thousand clips: displacement and reversals are exact, the level is that of the ends."""
     settings = switching(friction={"stribeck_ratio": beta}, **five())
-    integrator = Integrator(build_model(settings))
+    integrator = ReferenceIntegrator(build_model(settings))
     v = 3e-3 * np.sin(2.0 * np.pi * np.cumsum(np.linspace(5.0, 50.0, 2001)) / RATE)  # up to 1 m/s^2
     plan, turned = integrator.plan(moving(v)), 0
     mean = v[1:].reshape(-1, 5).mean(axis=1)

@@ -22,7 +22,7 @@ from sgms_bench.motions import simulated_log
 from sgms_bench.target import firmware
 from sgms_bench.target.firmware import LOOPS, build_program, double_arithmetic
 from sgms_bench.target.stacks import LIBRARY_FRAME, call_paths
-from sgms_bench.target.trial import Trial, compare_with_host, identical_updates, run_trial, single_precision
+from sgms_bench.target.trial import TargetTrial, compare_with_host, identical_updates, run_trial, single_precision
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
@@ -57,7 +57,7 @@ def small_log(small: Machine) -> Log:
 
 
 @pytest.fixture(scope="module", params=CORES)
-def small_trial(request: pytest.FixtureRequest, small: Machine, small_log: Log) -> Trial:
+def small_trial(request: pytest.FixtureRequest, small: Machine, small_log: Log) -> TargetTrial:
     return run_trial(small, small_log, request.param)
 
 
@@ -113,7 +113,7 @@ def test_other_packages_repeat_the_host(variant: str, small: Machine) -> None:
     assert trial.double_arithmetic == ()
 
 
-def test_the_small_trial_repeats_the_host(small_trial: Trial, small_log: Log) -> None:
+def test_the_small_trial_repeats_the_host(small_trial: TargetTrial, small_log: Log) -> None:
     host = compare_with_host(small_trial, small_log)
     assert host.identical and host.agrees
     assert host.identical_updates == len(small_trial.estimates) == 60
@@ -141,7 +141,7 @@ def test_identical_updates_sees_every_column(small: Machine, small_log: Log) -> 
 # --- instructions ------------------------------------------------------------------------------------------------
 
 
-def test_counter_is_calibrated(small_trial: Trial) -> None:
+def test_counter_is_calibrated(small_trial: TargetTrial) -> None:
     """Loops of known length are counted to the instruction."""
     assert small_trial.calibration == tuple((2 + 2 * n, 2 + 2 * n) for n in LOOPS)
 
@@ -153,7 +153,7 @@ def test_clock_that_does_not_count_instructions_is_refused(small: Machine, small
         run_trial(small, small_log, wrong)
 
 
-def test_counts_are_those_of_the_work(small_trial: Trial) -> None:
+def test_counts_are_those_of_the_work(small_trial: TargetTrial) -> None:
     M = small_trial.machine.sampling.samples_per_update
     assert small_trial.sample.shape == small_trial.tick.shape == (60, M)
     np.testing.assert_array_equal(
@@ -192,7 +192,7 @@ def test_controller_keeps_its_budget() -> None:
 # --- memory ------------------------------------------------------------------------------------------------------
 
 
-def test_memory_is_measured(small_trial: Trial, small: Machine, tmp_path: Path) -> None:
+def test_memory_is_measured(small_trial: TargetTrial, small: Machine, tmp_path: Path) -> None:
     memory = small_trial.memory
     assert memory.axis == CompiledEstimator(small).memory_bytes  # no pointer in it: as large as on the host
     assert memory.flash == memory.package + memory.helpers
@@ -368,7 +368,7 @@ def test_command_prints_json(small_file: Path) -> None:
 
 @pytest.mark.needs_arm
 def test_command_says_so_where_the_host_disagrees(small_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def off(trial: Trial, log: Log, **settings: Any) -> Any:
+    def off(trial: TargetTrial, log: Log, **settings: Any) -> Any:
         friction = trial.estimates.friction_N + 1.0
         return compare_with_host(replace(trial, estimates=replace(trial.estimates, friction_N=friction)), log)
 

@@ -17,7 +17,7 @@ from sgms_bench.verification.fuzzing import SANITIZERS, Sanitizer, fuzz_machines
 from sgms_bench.verification.gaps import GAPS, Gap
 from sgms_bench.verification.limits import STATED, check_limits, stated_operations
 from sgms_bench.verification.machines import random_package
-from sgms_bench.verification.outcome import Outcome
+from sgms_bench.verification.outcome import CheckOutcome
 from sgms_bench.verification.specimens import SPECIMENS, specimen, specimens
 from sgms_bench.verification.syntax import syntax_tree
 from sgms_mhe.configuration import override_machine
@@ -233,8 +233,8 @@ def test_stated_operations_are_read(package: Package) -> None:
 
 
 def test_table_and_exit_code(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    good, absent = Outcome("good", "7 things"), Outcome("absent", "", skipped="tool absent: none")
-    bad = Outcome("bad", "9 things", ("the third",))
+    good, absent = CheckOutcome("good", "7 things"), CheckOutcome("absent", "", skipped="tool absent: none")
+    bad = CheckOutcome("bad", "9 things", ("the third",))
     monkeypatch.setattr(command, "CHECKS", {"a": lambda *_: [good, absent], "b": lambda *_: [bad]})
     assert command.main(["--only", "a"]) == 0
     printed = capsys.readouterr().out

@@ -29,9 +29,9 @@ from scipy.io import savemat
 from cli_cases import SCRIPT, done, files, on_terminal, refused, run
 from log_dialects import DIALECTS, machine, trace
 from sgms_mhe.api.estimation import estimate
-from sgms_mhe.api.watching import Followed, Replay, Source, Streamed, Watch
+from sgms_mhe.api.watching import Followed, Replay, SampleSource, Streamed, Watch
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.evaluation.watching import TREND_POINTS, Course, Trend, flags_of
+from sgms_mhe.evaluation.watching import TREND_POINTS, RunSummary, Trend, flags_of
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.logfiles.following import FollowedText
 from sgms_mhe.logfiles.reading import TEXTS, read_log
@@ -316,7 +316,7 @@ def test_nothing_depends_on_the_pieces(at: list[int]) -> None:
         wanted = estimate(machine(), Path(folder) / "whole.csv")
     watch = Watch(machine())
     same(chained([watch.take(log, judged=False) for log in followed(pieces(content, at), machine())]), wanted)
-    whole = Course(machine(), estimator().model)
+    whole = RunSummary(machine(), estimator().model)
     whole.samples, whole.missing = len(holed()), int(np.isnan(holed().position_m + holed().force_N).sum())
     whole.add(wanted)
     assert json.dumps(watch.course.summary()) == json.dumps(whole.summary())
@@ -326,7 +326,7 @@ def test_nothing_depends_on_the_pieces(at: list[int]) -> None:
 
 def test_a_course_says_what_the_estimates_say() -> None:
     wanted = estimator().estimate_log(holed())
-    course = Course(machine(), estimator().model)
+    course = RunSummary(machine(), estimator().model)
     course.add(wanted)
     found = course.summary()
     taken = (wanted.status >= 0) & (wanted.status & 2 == 0)
@@ -353,7 +353,7 @@ def test_stretches_with_a_fault_that_are_near_are_one(size: int) -> None:
     status[[10, 11, 30, 120, 121]] = 64
     status[20:25] = 2
     status[150] = -2
-    course = Course(machine(), estimator().model)
+    course = RunSummary(machine(), estimator().model)
     for k in range(0, len(wanted), size):
         part = {name: a[k : k + size] if isinstance(a, np.ndarray) else a for name, a in vars(wanted).items()}
         course.add(Estimates(**{**part, "status": status[k : k + size]}))
@@ -401,7 +401,7 @@ class Scripted:
             self._happenings.pop(0)()
 
 
-def taken(source: Source) -> int:
+def taken(source: SampleSource) -> int:
     """Samples that a source gives until it ends."""
     return sum(len(piece) for piece in source.pieces(lambda: False) if piece is not None)
 

@@ -48,7 +48,7 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class EstimatorOutcome:
     """One estimator on one record."""
 
     name: str
@@ -99,32 +99,32 @@ def record_of(machine: Machine, run: SimulatedRun, stiffness: Sequence[float]) -
     return Record(run, signals, nodes, behind.force[nodes], np.array(theta))
 
 
-def run_estimator(name: str, machine: Machine, record: Record) -> Outcome:
+def run_estimator(name: str, machine: Machine, record: Record) -> EstimatorOutcome:
     """Run the emitted C of a machine over a record."""
     estimator = CompiledEstimator(machine)
     return time_estimator(name, machine, lambda: estimator.estimate(record.signals))
 
 
-def friction_rms(outcome: Outcome, record: Record) -> float:
+def friction_rms(outcome: EstimatorOutcome, record: Record) -> float:
     """RMS of estimated minus true friction, the first updates left out [N]."""
     error = outcome.estimates.friction_N - record.friction
     return float(np.sqrt(np.mean(error[SKIPPED_UPDATES:] ** 2)))
 
 
-def smoothness(outcome: Outcome) -> Array:
+def smoothness(outcome: EstimatorOutcome) -> Array:
     """Mean absolute change per update of each parameter, over its nominal value (n_p)."""
     return np.asarray(np.mean(np.abs(np.diff(outcome.theta[SKIPPED_UPDATES:], axis=0)), axis=0))
 
 
-def coverage(outcome: Outcome, record: Record) -> Array:
+def coverage(outcome: EstimatorOutcome, record: Record) -> Array:
     """Part of the updates at which the truth lies within two standard deviations (n_p)."""
     inside = np.abs(outcome.theta - record.theta) <= 2.0 * outcome.std
     return np.asarray(inside[SKIPPED_UPDATES:].mean(axis=0))
 
 
-def time_estimator(name: str, machine: Machine, run: Callable[[], Estimates]) -> Outcome:
+def time_estimator(name: str, machine: Machine, run: Callable[[], Estimates]) -> EstimatorOutcome:
     """Run an estimator of the stiffness and take its time per update."""
     start = time.perf_counter()
     estimates = run()
     seconds = (time.perf_counter() - start) / max(1, len(estimates))
-    return Outcome(name, estimates, np.array(machine.friction.stiffness), seconds)
+    return EstimatorOutcome(name, estimates, np.array(machine.friction.stiffness), seconds)

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from sgms_bench.benchmark.results import Benchmark, Peer, Sweep, Variant
+from sgms_bench.benchmark.results import Benchmark, BenchVariant, Peer, Sweep
 
 WIDTH_IN = 9.0
 # Apart for the colour-blind, and by marker in print without colour.
@@ -31,7 +31,7 @@ def benchmark_figures(benchmark: Benchmark, machine: str) -> dict[str, Figure]:
 
 def work_precision_figure(benchmark: Benchmark, machine: str) -> Figure:
     """Error of the end state and of its sensitivities over the work of an update; peers without their solution."""
-    entries: list[tuple[str, str, Variant | Peer]] = []
+    entries: list[tuple[str, str, BenchVariant | Peer]] = []
     for variant in benchmark.integrators or benchmark.variants:
         scheme = variant.integrator.split()[0]
         entries.append((scheme, scheme if variant.precision == "double" else f"{scheme}, {variant.precision}", variant))

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Recording:
+class SampledMotion:
     """A simulated log of U updates, windows of it, and what a converged integration makes of their intervals.
 
     Attributes:
@@ -39,7 +39,7 @@ class Recording:
     exact: tuple[Linearised, ...]
 
 
-def emitted_errors(machine: Machine, package: Package, recording: Recording) -> tuple[float | None, float | None]:
+def emitted_errors(machine: Machine, package: Package, recording: SampledMotion) -> tuple[float | None, float | None]:
     """Largest errors of the emitted state and of its derivatives over all intervals of the windows."""
     sampling = machine.sampling
     samples = sampling.samples_per_update

@@ -52,7 +52,7 @@ class Windows:
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class PeerEvaluation:
     """F and J of n windows.
 
     Attributes:
@@ -218,7 +218,7 @@ class PeerExport:
         parts = (windows.x, theta, w, windows.w_node, windows.y)
         return np.hstack([part.reshape(count, -1) for part in parts]).tobytes()
 
-    def evaluation(self, windows: Windows, results: bytes) -> Evaluation:
+    def evaluation(self, windows: Windows, results: bytes) -> PeerEvaluation:
         """Return the output of the program for these windows."""
         n_x, n_p, intervals = self._model.n_x, self._model.n_p, self.intervals
         count, nodes = len(windows.x), intervals + 1
@@ -231,7 +231,7 @@ class PeerExport:
             by_theta = jacobian[:, :, nodes * n_x :]
             defects = by_x[:, : intervals * n_x].reshape(count, intervals, n_x, nodes, n_x)
             k, j = np.arange(intervals), np.arange(nodes)
-            return Evaluation(
+            return PeerEvaluation(
                 x1=x1,
                 A=-defects[:, k, :, k].transpose(1, 0, 2, 3),
                 B=-by_theta[:, : intervals * n_x].reshape(count, intervals, n_x, n_p),
@@ -247,7 +247,7 @@ class PeerExport:
             _dense(pattern, part.reshape(count, n, pattern.nnz()))
             for pattern, part, n in zip(patterns, np.split(rest, edges[:-1], axis=1), copies, strict=True)
         )
-        return Evaluation(x1, a, b, residual, c[:, :, 0], d[:, :, 0])
+        return PeerEvaluation(x1, a, b, residual, c[:, :, 0], d[:, :, 0])
 
 
 def _as(*pairs: tuple[ca.SX, ca.DM]) -> list[ca.SX]:

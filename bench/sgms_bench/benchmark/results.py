@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Variant:
+class BenchVariant:
     """One variant of the emitted estimator on one motion.
 
     Attributes:
@@ -59,7 +59,7 @@ class Peer:
 
 
 @dataclass(frozen=True)
-class Point:
+class BenchPoint:
     """Cost at one size: time [us] and instructions of an update of a full window."""
 
     size: int
@@ -82,7 +82,7 @@ class Sweep:
 
     over: str
     precision: str
-    points: tuple[Point, ...]
+    points: tuple[BenchPoint, ...]
     unit: str
     exponent: float
     marginal_exponent: float
@@ -100,10 +100,10 @@ class Benchmark:
         sweeps: cost over horizon and elements.
     """
 
-    variants: tuple[Variant, ...]
+    variants: tuple[BenchVariant, ...]
     peers: tuple[Peer, ...] = ()
-    motions: tuple[Variant | Peer, ...] = ()
-    integrators: tuple[Variant, ...] = ()
+    motions: tuple[BenchVariant | Peer, ...] = ()
+    integrators: tuple[BenchVariant, ...] = ()
     sweeps: tuple[Sweep, ...] = ()
 
     @property

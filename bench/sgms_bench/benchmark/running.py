@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_bench.benchmark.harness import build_harness, fastest_runs, instructions_of
-from sgms_bench.benchmark.integration_errors import Recording, emitted_errors, largest_magnitude
+from sgms_bench.benchmark.integration_errors import SampledMotion, emitted_errors, largest_magnitude
 from sgms_bench.benchmark.peers import KINDS, Kind, PeerExport, Windows
-from sgms_bench.benchmark.results import Benchmark, Peer, Point, Sweep, Variant
+from sgms_bench.benchmark.results import Benchmark, BenchPoint, BenchVariant, Peer, Sweep
 from sgms_bench.motions import SWEEP_PERIOD, swing, there_and_back, timed_motion
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.emission.package import Package, emit_package
@@ -31,7 +31,7 @@ from sgms_mhe.model import build_model
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory
-from sgms_mhe.reference import Integrator
+from sgms_mhe.reference import ReferenceIntegrator
 from sgms_mhe.signals.chain import signal_array, signals_from_log
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS
@@ -117,7 +117,7 @@ def run_benchmark(
     sampling = machine.sampling
     bench = Bench(machine, flags)
 
-    def recorded(name: str, updates: int = updates) -> Recording:
+    def recorded(name: str, updates: int = updates) -> SampledMotion:
         return bench.record(timed_motion(machine, name, updates))
 
     motion = recorded(trajectory)
@@ -202,7 +202,7 @@ class Bench:
         self.machine = machine
         self.flags = flags
 
-    def record(self, trajectory: Trajectory) -> Recording:
+    def record(self, trajectory: Trajectory) -> SampledMotion:
         """Simulate a motion, and integrate the intervals of some windows of it to convergence."""
         machine, sampling = self.machine, self.machine.sampling
         samples = sampling.samples_per_update
@@ -212,8 +212,8 @@ class Bench:
         if _is_smooth(machine):
             converged |= CONVERGED
         model = build_model(machine)
-        own = Integrator(model)
-        fine = Integrator(build_model(override_machine(machine, {"sampling": {"integrator": converged}})))
+        own = ReferenceIntegrator(model)
+        fine = ReferenceIntegrator(build_model(override_machine(machine, {"sampling": {"integrator": converged}})))
         own_plan, fine_plan = own.plan(signals), fine.plan(signals)
         updates = len(own_plan.path)
         theta, x = np.ones(model.n_p), np.zeros((updates + 1, model.n_x))
@@ -226,7 +226,7 @@ class Bench:
         at_nodes = [slice(k * samples, (k + intervals) * samples + 1, samples) for k in firsts]
         nodes = np.array([x[k : k + intervals + 1] for k in firsts])
         exact = [fine.intervals(fine_plan, k, start[:-1], theta) for k, start in zip(firsts, nodes, strict=True)]
-        return Recording(
+        return SampledMotion(
             name=trajectory.name,
             log=log,
             signals=signals,
@@ -241,14 +241,14 @@ class Bench:
             exact=tuple(exact),
         )
 
-    def variant(self, name: str, machine: Machine, relinearise: str, recording: Recording) -> Variant:
+    def variant(self, name: str, machine: Machine, relinearise: str, recording: SampledMotion) -> BenchVariant:
         """Time, count and check one variant on a motion."""
         package = emit_package(machine, selftest=False)
         times, instructions = self._update_cost(machine, package, recording.log)
         errors = emitted_errors(machine, package, recording)
         integrator = machine.sampling.integrator
         step = integrator.slow_displacement if integrator.scheme == "flow" else integrator.displacement
-        return Variant(
+        return BenchVariant(
             name=name,
             precision=machine.code.precision,
             relinearise=relinearise,
@@ -262,7 +262,7 @@ class Bench:
             trajectory=recording.name,
         )
 
-    def peer(self, kind: Kind, steps: int, recording: Recording) -> Peer:
+    def peer(self, kind: Kind, steps: int, recording: SampledMotion) -> Peer:
         """Time, count and check one peer on the windows of a motion."""
         windows, exact = recording.windows, recording.exact
         export = PeerExport(self.machine, kind, windows.w.shape[1], steps, self.flags)
@@ -303,7 +303,7 @@ class Bench:
                 simulate_axis(variant, swing(variant, filling + SWEEP_UPDATES), _PRESCRIBED, truth=False).log,
             )
             points.append(
-                Point(
+                BenchPoint(
                     size,
                     float(times[-SWEEP_UPDATES:].sum(axis=1).mean()),
                     None if instructions is None else float(instructions[-SWEEP_UPDATES:].mean()),

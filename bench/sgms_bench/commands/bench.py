@@ -23,7 +23,7 @@ from sgms_mhe.commands.common import (
 )
 
 if TYPE_CHECKING:
-    from sgms_bench.benchmark.results import Benchmark, Peer, Variant
+    from sgms_bench.benchmark.results import Benchmark, BenchVariant, Peer
 
 UPDATES, QUICK_UPDATES = 500, 100
 
@@ -93,13 +93,13 @@ def command(
 
 
 def _text(benchmark: Benchmark, machine: str, flags: str) -> str:
-    from sgms_mhe.support.tables import Table
+    from sgms_mhe.support.tables import CsvTable
 
     rows = [_row(variant, benchmark.peer) for variant in benchmark.variants]
     rows += [_row(peer, benchmark.peer) for peer in benchmark.peers]
     trajectory = benchmark.variants[0].trajectory
     tables = [
-        Table(
+        CsvTable(
             f"{machine}, motion {trajectory}, compiled with {flags}",
             COLUMNS,
             rows,
@@ -114,11 +114,11 @@ def _text(benchmark: Benchmark, machine: str, flags: str) -> str:
     if benchmark.motions:
         rows = [{"motion": entry.trajectory} | _row(entry, None) for entry in benchmark.motions]
         columns = {"motion": ""} | {name: form for name, form in COLUMNS.items() if "ratio" not in name}
-        tables.append(Table("other motions", columns, rows))
+        tables.append(CsvTable("other motions", columns, rows))
     if benchmark.integrators:
         rows = [_row(variant, benchmark.peer) for variant in benchmark.integrators]
         tables.append(
-            Table(f"other integrators, {benchmark.integrators[0].precision}, motion {trajectory}", COLUMNS, rows)
+            CsvTable(f"other integrators, {benchmark.integrators[0].precision}, motion {trajectory}", COLUMNS, rows)
         )
     for sweep in benchmark.sweeps:
         rows = [
@@ -130,7 +130,7 @@ def _text(benchmark: Benchmark, machine: str, flags: str) -> str:
             f"without the constant part ^{sweep.marginal_exponent:.2f}"
         )
         columns = {sweep.over: "d", "update us": ".1f", "instructions": ".0f"}
-        tables.append(Table(f"cost over {sweep.over}, {sweep.precision}", columns, rows, (note,)))
+        tables.append(CsvTable(f"cost over {sweep.over}, {sweep.precision}", columns, rows, (note,)))
     return "\n\n".join(map(str, tables))
 
 
@@ -148,7 +148,7 @@ COLUMNS = {
 }
 
 
-def _row(entry: Variant | Peer, peer: Peer | None) -> dict[str, Any]:
+def _row(entry: BenchVariant | Peer, peer: Peer | None) -> dict[str, Any]:
     """Cells of a variant or a peer, and how many times as much `peer` takes."""
     row = {
         "": entry.name,

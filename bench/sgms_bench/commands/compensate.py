@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from sgms_mhe.commands.common import (
-    Number,
+    NumberType,
     check_output_folder,
     example,
     json_option,
@@ -38,7 +38,7 @@ from sgms_mhe.commands.common import (
 )
 @click.option(
     "--duration",
-    type=Number(1e-3, 3600.0),
+    type=NumberType(1e-3, 3600.0),
     metavar="S",
     default=12.0,
     show_default=True,
@@ -46,7 +46,7 @@ from sgms_mhe.commands.common import (
 )
 @click.option(
     "--window",
-    type=Number(1e-3, 1e9),
+    type=NumberType(1e-3, 1e9),
     metavar="NM",
     default=50.0,
     show_default=True,

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from sgms_bench.target.trial import HostComparison, Trial
+    from sgms_bench.target.trial import HostComparison, TargetTrial
 
 
 @click.command(
@@ -99,7 +99,7 @@ def command(
         click.get_current_context().exit(1)
 
 
-def _calls(trial: Trial) -> dict[str, NDArray[np.int64]]:
+def _calls(trial: TargetTrial) -> dict[str, NDArray[np.int64]]:
     """Instructions by what a user reads of them."""
     return {
         "update": trial.update,
@@ -111,7 +111,7 @@ def _calls(trial: Trial) -> dict[str, NDArray[np.int64]]:
     }
 
 
-def _content(trial: Trial, host: HostComparison) -> dict[str, Any]:
+def _content(trial: TargetTrial, host: HostComparison) -> dict[str, Any]:
     memory = trial.memory
     return {
         "machine": trial.machine.name,
@@ -140,7 +140,7 @@ def _content(trial: Trial, host: HostComparison) -> dict[str, Any]:
     }
 
 
-def _text(trial: Trial, host: HostComparison, flags: tuple[str, ...] | list[str]) -> str:
+def _text(trial: TargetTrial, host: HostComparison, flags: tuple[str, ...] | list[str]) -> str:
     memory = trial.memory
     meaning = {"update": "update", "sample": "sample, of an update", "tick": "tick, alone"}
     rows = [

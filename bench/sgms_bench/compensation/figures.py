@@ -18,8 +18,8 @@ from sgms_bench.compensation.tracking import (
     STATIC,
     TRUE,
     AxisRun,
-    Comparison,
     Scenario,
+    TrackingComparison,
     contour_error,
     rests,
     reversals,
@@ -42,7 +42,7 @@ SETTLING_S = 0.08
 FORMATS = ("png", "svg")
 
 
-def write_figures(comparison: Comparison, out_dir: Path) -> tuple[Path, ...]:
+def write_figures(comparison: TrackingComparison, out_dir: Path) -> tuple[Path, ...]:
     """Draw what the comparison's scenarios allow, and write each figure as PNG and SVG; returns the files."""
     drawn = {"reversal": reversal_figure(comparison), "parameters": parameter_figure(comparison)}
     if "circle" in comparison.scenarios:
@@ -57,7 +57,7 @@ def write_figures(comparison: Comparison, out_dir: Path) -> tuple[Path, ...]:
     return tuple(written)
 
 
-def reversal_figure(comparison: Comparison) -> Figure:
+def reversal_figure(comparison: TrackingComparison) -> Figure:
     """Tracking error, and friction against what is fed forward, around the reversal after the middle of each run."""
     names = list(comparison.scenarios)
     figure = Figure(figsize=(0.8 + 3.3 * len(names), 5.4), layout="constrained")
@@ -80,7 +80,7 @@ def reversal_figure(comparison: Comparison) -> Figure:
     return figure
 
 
-def circle_figure(comparison: Comparison) -> Figure:
+def circle_figure(comparison: TrackingComparison) -> Figure:
     """Contour error of the last lap over the angle, magnified: a ring without error is round."""
     shown = {method: _last_lap(*comparison.runs["circle", method]) for method in METHODS}
     largest = 1e9 * max(float(np.abs(error).max()) for _, error in shown.values())
@@ -107,7 +107,7 @@ def circle_figure(comparison: Comparison) -> Figure:
     return figure
 
 
-def settling_figure(comparison: Comparison) -> Figure:
+def settling_figure(comparison: TrackingComparison) -> Figure:
     """Size of the error after the end of a move: median over all moves, and the largest."""
     figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     axis = figure.subplots()
@@ -130,7 +130,7 @@ def settling_figure(comparison: Comparison) -> Figure:
     return figure
 
 
-def parameter_figure(comparison: Comparison) -> Figure:
+def parameter_figure(comparison: TrackingComparison) -> Figure:
     """Draw the estimates of the estimators in the loop, and the truth."""
     scenario = comparison.scenarios[list(comparison.scenarios)[-1]]
     runs = {method: comparison.runs[scenario.name, method][0] for method in (EKF, MHE)}

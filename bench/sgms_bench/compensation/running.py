@@ -28,10 +28,10 @@ from sgms_bench.compensation.tracking import (
     STATIC,
     TRUE,
     AxisRun,
-    Comparison,
     Measures,
     Scenario,
-    Truth,
+    TrackingComparison,
+    TrackingTruth,
     measure,
     measure_contour,
 )
@@ -42,7 +42,7 @@ from sgms_mhe.plant.simulation import linear_drift, simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory, circle, make_trajectory
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import write_text
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.tables import CsvTable
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -56,15 +56,15 @@ STATIC_SMOOTHING: Final = 10.0
 """Of static feed-forward's sign, over v_s: of 0, 1, 3 and 10 the one that serves it best."""
 
 
-def truth_of(machine: Machine, off: float = OFF, drift: float = DRIFT) -> Truth:
+def truth_of(machine: Machine, off: float = OFF, drift: float = DRIFT) -> TrackingTruth:
     """Levels and damping too high and rising, stiffness too low and falling."""
     signs = {"coulomb": 1.0, "viscous": 1.0, "stiffness": -1.0}
     if machine.friction.viscous == 0.0:
         del signs["viscous"]
-    return Truth({k: 1.0 + s * off for k, s in signs.items()}, {k: s * drift for k, s in signs.items()})
+    return TrackingTruth({k: 1.0 + s * off for k, s in signs.items()}, {k: s * drift for k, s in signs.items()})
 
 
-def make_scenario(machine: Machine, name: str, duration_s: float, truth: Truth) -> Scenario:
+def make_scenario(machine: Machine, name: str, duration_s: float, truth: TrackingTruth) -> Scenario:
     """A scenario of whole periods that together last at least `duration_s`.
 
     Raises:
@@ -99,7 +99,7 @@ def run_axis(
     machine: Machine,
     estimator: LoopedEstimator,
     trajectory: Trajectory,
-    truth: Truth,
+    truth: TrackingTruth,
     method: str,
     *,
     config: AxisConfig,
@@ -163,7 +163,7 @@ def compare_compensations(
     set_point: bool = True,
     out_dir: Path | None = None,
     progress: Progress | None = None,
-) -> Comparison:
+) -> TrackingComparison:
     """Run every scenario with every compensation.
 
     Args:
@@ -203,7 +203,7 @@ def compare_compensations(
         measures[f"{name}, contour", method] = measure_contour(*axes_run)
     nominal = {p.column: p.nominal for p in estimators[MHE].model.parameters}
     table = _table(machine, measures, truth, window_m, set_point)
-    comparison = Comparison(table, runs, measures, scenarios, nominal, machine.plant.units)
+    comparison = TrackingComparison(table, runs, measures, scenarios, nominal, machine.plant.units)
     return comparison if out_dir is None else _written(comparison, out_dir)
 
 
@@ -212,8 +212,12 @@ ERRORS: Final = ("RMS", "peak", "worst")
 
 
 def _table(
-    machine: Machine, measures: Mapping[tuple[str, str], Measures], truth: Truth, window_m: float, set_point: bool
-) -> Table:
+    machine: Machine,
+    measures: Mapping[tuple[str, str], Measures],
+    truth: TrackingTruth,
+    window_m: float,
+    set_point: bool,
+) -> CsvTable:
     nano = f"n{machine.plant.units.position}"
     formats = {"trajectory": "", "compensation": ""} | dict.fromkeys((f"{name} [{nano}]" for name in ERRORS), ".1f")
     formats |= {"of none": ".1%", "of static": ".1%", "settling [ms]": ".1f", "longest [ms]": ".1f"}
@@ -240,10 +244,10 @@ def _table(
         f"loop: answers {1e6 * actuation_delay(machine):.0f} us after a sample, [compensation] delay "
         f"{1e6 * machine.compensation.delay:.0f} us; set-point ahead {'known' if set_point else 'not known'}",
     )
-    return Table(f"{machine.name}: friction compensation in closed loop", formats, rows, notes)
+    return CsvTable(f"{machine.name}: friction compensation in closed loop", formats, rows, notes)
 
 
-def _written(comparison: Comparison, out_dir: Path) -> Comparison:
+def _written(comparison: TrackingComparison, out_dir: Path) -> TrackingComparison:
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:

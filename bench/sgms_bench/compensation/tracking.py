@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Units
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.signals.estimates import Estimates
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.tables import CsvTable
 
 Array = NDArray[np.float64]
 
@@ -28,15 +28,15 @@ METHODS: Final = (NONE, STATIC, EKF, MHE, TRUE)
 
 
 @dataclass(frozen=True)
-class Truth:
+class TrackingTruth:
     """True over nominal parameters: at the start, and by which part of that they change until the end of the run."""
 
     scale: Mapping[str, float]
     drift: Mapping[str, float]
 
-    def mirror(self) -> Truth:
+    def mirror(self) -> TrackingTruth:
         """Off, and drifting, the other way round."""
-        return Truth({k: 2.0 - v for k, v in self.scale.items()}, {k: -v for k, v in self.drift.items()})
+        return TrackingTruth({k: 2.0 - v for k, v in self.scale.items()}, {k: -v for k, v in self.drift.items()})
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Scenario:
     """A motion of one axis, or of two: their trajectories and what is true of each."""
 
     name: str
-    axes: tuple[tuple[Trajectory, Truth], ...]
+    axes: tuple[tuple[Trajectory, TrackingTruth], ...]
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Measures:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class TrackingComparison:
     """Everything that was run.
 
     Attributes:
@@ -99,7 +99,7 @@ class Comparison:
         figures: files written.
     """
 
-    table: Table
+    table: CsvTable
     runs: Mapping[tuple[str, str], tuple[AxisRun, ...]]
     measures: Mapping[tuple[str, str], Measures]
     scenarios: Mapping[str, Scenario]

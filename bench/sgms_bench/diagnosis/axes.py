@@ -19,7 +19,7 @@ OTHER_LAW: Final = 0.35
 
 
 @dataclass(frozen=True)
-class Axis:
+class DrawnAxis:
     """An axis of the benchmark.
 
     Attributes:
@@ -38,14 +38,14 @@ class Axis:
         return self.obeys == "maxwell_slip"
 
 
-def draw_axis(random: Generator, machine: Machine) -> Axis:
+def draw_axis(random: Generator, machine: Machine) -> DrawnAxis:
     """Any of them; a machine that turns stays one that turns."""
     turns, other, obeys = random.uniform(), random.uniform(), random.choice(["sgms", "maxwell_slip"])
     kind: Kind = "rotary" if turns < ROTARY else machine.plant.kind
-    return Axis(kind, bool(other < OTHER_LAW), "sgms" if obeys == "sgms" else "maxwell_slip")
+    return DrawnAxis(kind, bool(other < OTHER_LAW), "sgms" if obeys == "sgms" else "maxwell_slip")
 
 
-def machine_file(machine: Machine, axis: Axis) -> Machine:
+def machine_file(machine: Machine, axis: DrawnAxis) -> Machine:
     """The file of that axis: turned round, metres are radians and kilograms are kg m^2 of the same number.
 
     Of the machine given where an effect of its own does not stand with the other law.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from sgms_bench.diagnosis.axes import Axis, PlantLaw, draw_axis, machine_file
+from sgms_bench.diagnosis.axes import DrawnAxis, PlantLaw, draw_axis, machine_file
 from sgms_bench.diagnosis.causes import Hidden, Values, draw_size, peak_force, prescribed_signals, sized_cause
 from sgms_bench.diagnosis.faults import FAULTS
 from sgms_bench.diagnosis.motions import STYLES, WEAK_STYLES, draw_motion
@@ -73,7 +73,7 @@ class Draw:
 
     index: int
     kind: str
-    axis: Axis
+    axis: DrawnAxis
     hidden: tuple[Hidden, ...]
     machine_changes: Mapping[str, Any]
     style: str
@@ -103,7 +103,7 @@ class Draw:
     def from_json(cls, content: Mapping[str, Any]) -> Draw:
         """The draw of `to_json`."""
         hidden = tuple(Hidden(**h) for h in content["hidden"])
-        return cls(**{**content, "axis": Axis(**content["axis"]), "hidden": hidden})
+        return cls(**{**content, "axis": DrawnAxis(**content["axis"]), "hidden": hidden})
 
 
 def make_draw(machine: Machine, seed: int, index: int) -> Draw:

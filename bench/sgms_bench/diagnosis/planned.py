@@ -21,7 +21,7 @@ from sgms_bench.diagnosis.axes import LAWS, PlantLaw
 from sgms_bench.diagnosis.causes import Hidden, prescribed_signals, sized_cause
 from sgms_bench.diagnosis.draws import something_to_act_on
 from sgms_bench.diagnosis.running import LIMIT_S, RESULT, RESULTS, Progress, plain_json
-from sgms_bench.diagnosis.scoring import Found, Share
+from sgms_bench.diagnosis.scoring import ScoredDiagnosis, Share
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.diagnosis.plan import make_plan
@@ -32,8 +32,8 @@ from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.support.files import write_text
 from sgms_mhe.support.kept import run_kept
-from sgms_mhe.support.processes import Place, Task
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.processes import Task, WorkerSlot
+from sgms_mhe.support.tables import CsvTable
 
 RMS: Final = 0.05
 """Of the force of what is hidden, over the Coulomb level; a diagnosis calls 0.02 a good fit."""
@@ -42,7 +42,7 @@ PEAKS: Final = (0.1, 0.8)
 
 
 @dataclass(frozen=True)
-class Experiment:
+class PlannedExperiment:
     """One cause of a pair hidden, on an axis of one law.
 
     Attributes:
@@ -61,13 +61,13 @@ class Experiment:
         return f"{self.hidden}-or-{self.other}-{self.obeys}"
 
 
-def experiments(machine: Machine) -> list[Experiment]:
+def experiments(machine: Machine) -> list[PlannedExperiment]:
     """Both causes of every pair that the catalogue says is confused, on both laws."""
     pairs = [pair for pair in combinations(cause_names(machine.plant.kind), 2) if separating_moves(*pair)]
-    return [Experiment(a, b, law) for pair in pairs for a, b in (pair, pair[::-1]) for law in LAWS]
+    return [PlannedExperiment(a, b, law) for pair in pairs for a, b in (pair, pair[::-1]) for law in LAWS]
 
 
-def run_experiment(machine: Machine, experiment: Experiment) -> Found | None:
+def run_experiment(machine: Machine, experiment: PlannedExperiment) -> ScoredDiagnosis | None:
     """Run the planned move on the axis and diagnose its log; None where the cause has not that size on it."""
     changes = something_to_act_on(machine, (experiment.hidden,))
     if changes:
@@ -87,7 +87,7 @@ def run_experiment(machine: Machine, experiment: Experiment) -> Found | None:
     )
     started = time.monotonic()
     found = diagnose(machine, run.log)
-    return Found.of(found, float("nan"), time.monotonic() - started)
+    return ScoredDiagnosis.of(found, float("nan"), time.monotonic() - started)
 
 
 def _hidden(machine: Machine, motion: Trajectory, name: str, seed: int) -> Hidden | None:
@@ -103,7 +103,7 @@ def _hidden(machine: Machine, motion: Trajectory, name: str, seed: int) -> Hidde
     return found
 
 
-def verdict_on(experiment: Experiment, found: Found | None) -> str:
+def verdict_on(experiment: PlannedExperiment, found: ScoredDiagnosis | None) -> str:
     """`right`, `ambiguous` with the right name, `wrong`, `nothing` named, `unexplained`; `no log`: none was had."""
     if found is None:
         return "no log"
@@ -114,7 +114,7 @@ def verdict_on(experiment: Experiment, found: Found | None) -> str:
     return "nothing" if found.verdict == "adequate" else found.verdict
 
 
-def run_planned(machine: Machine, out: str | Path, *, jobs: int = 2, progress: Progress | None = None) -> Table:
+def run_planned(machine: Machine, out: str | Path, *, jobs: int = 2, progress: Progress | None = None) -> CsvTable:
     """Run every experiment; results are kept in the folder as they come, and a table of them at the end.
 
     Args:
@@ -126,8 +126,8 @@ def run_planned(machine: Machine, out: str | Path, *, jobs: int = 2, progress: P
     folder, chosen = Path(out), experiments(machine)
     keys = {f"{experiment.key}-{machine.digest[:12]}": experiment for experiment in chosen}
     tasks = [Task(key, _kept, (machine, experiment)) for key, experiment in keys.items()]
-    said: dict[Experiment, tuple[str, str]] = {}
-    for outcome in run_kept(tasks, folder / RESULTS, Place(jobs if jobs > 1 else 0, limit_s=LIMIT_S)):
+    said: dict[PlannedExperiment, tuple[str, str]] = {}
+    for outcome in run_kept(tasks, folder / RESULTS, WorkerSlot(jobs if jobs > 1 else 0, limit_s=LIMIT_S)):
         experiment = keys[outcome.task.key]
         said[experiment] = ("failed", outcome.failure) if outcome.failure else _read(experiment, outcome.value)
         if progress is not None:
@@ -137,19 +137,21 @@ def run_planned(machine: Machine, out: str | Path, *, jobs: int = 2, progress: P
     return table
 
 
-def _kept(machine: Machine, experiment: Experiment) -> dict[str, bytes]:
+def _kept(machine: Machine, experiment: PlannedExperiment) -> dict[str, bytes]:
     found = run_experiment(machine, experiment)
     return {RESULT: json.dumps(plain_json(None if found is None else found.to_json())).encode()}
 
 
-def _read(experiment: Experiment, place: Path) -> tuple[str, str]:
+def _read(experiment: PlannedExperiment, place: Path) -> tuple[str, str]:
     content: Any = json.loads((place / RESULT).read_bytes())
-    found = None if content is None else Found.from_json(content)
+    found = None if content is None else ScoredDiagnosis.from_json(content)
     names = () if found is None else (*found.names, *(f"or {name}" for name, _ in found.rivals))
     return verdict_on(experiment, found), ", ".join(names)
 
 
-def _table(machine: Machine, chosen: Sequence[Experiment], said: dict[Experiment, tuple[str, str]]) -> Table:
+def _table(
+    machine: Machine, chosen: Sequence[PlannedExperiment], said: dict[PlannedExperiment, tuple[str, str]]
+) -> CsvTable:
     had = [experiment for experiment in chosen if said[experiment][0] != "no log"]
     right = Share(sum(said[experiment][0] == "right" for experiment in had), len(had))
     low, high = right.interval
@@ -158,7 +160,7 @@ def _table(machine: Machine, chosen: Sequence[Experiment], said: dict[Experiment
         for e in chosen
         if said[e][0] != "right"
     ]
-    return Table(
+    return CsvTable(
         f"The move that tells two causes apart, on {machine.name}: one of them hidden, RMS {RMS:.0%} of f_C",
         dict.fromkeys(("hidden", "or", "law", "outcome", "named"), ""),
         rows,

@@ -11,7 +11,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from sgms_bench.diagnosis.draws import Draw, machine_of, make_draw, simulate_draw
-from sgms_bench.diagnosis.scoring import Found, Summary, confusion_table, summarise, summary_json, summary_text
+from sgms_bench.diagnosis.scoring import (
+    ScoredDiagnosis,
+    Summary,
+    confusion_table,
+    summarise,
+    summary_json,
+    summary_text,
+)
 from sgms_mhe import diagnosis
 from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.logfiles.plausibility import check_plausible
@@ -20,7 +27,7 @@ from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import ImplausibleError, InputError
 from sgms_mhe.support.files import write_text
 from sgms_mhe.support.kept import run_kept
-from sgms_mhe.support.processes import Outcome, Place, Task
+from sgms_mhe.support.processes import Outcome, Task, WorkerSlot
 
 Diagnose = Callable[[Machine, Log], Diagnosis]
 Progress = Callable[[int, int], None]
@@ -62,8 +69,8 @@ def run_diagnosis_benchmark(
     folder = Path(out)
     keys = {_key(machine, seed, index): index for index in range(draws)}
     tasks = [Task(key, _kept_draw, (machine, seed, index, diagnose)) for key, index in keys.items()]
-    place = Place(jobs if jobs > 1 else 0, limit_s=LIMIT_S)
-    done: dict[int, tuple[Draw, Found]] = {}
+    place = WorkerSlot(jobs if jobs > 1 else 0, limit_s=LIMIT_S)
+    done: dict[int, tuple[Draw, ScoredDiagnosis]] = {}
     if progress is not None:
         progress(0, draws)
     for outcome in run_kept(tasks, folder / RESULTS, place):
@@ -80,41 +87,43 @@ def run_diagnosis_benchmark(
     return summary
 
 
-def run_draw(machine: Machine, seed: int, index: int, diagnose: Diagnose = diagnosis.diagnose) -> tuple[Draw, Found]:
+def run_draw(
+    machine: Machine, seed: int, index: int, diagnose: Diagnose = diagnosis.diagnose
+) -> tuple[Draw, ScoredDiagnosis]:
     """One log: drawn, simulated, read, diagnosed."""
     draw = make_draw(machine, seed, index)
     return draw, diagnose_draw(machine, draw, diagnose)
 
 
-def diagnose_draw(machine: Machine, draw: Draw, diagnose: Diagnose = diagnosis.diagnose) -> Found:
+def diagnose_draw(machine: Machine, draw: Draw, diagnose: Diagnose = diagnosis.diagnose) -> ScoredDiagnosis:
     """Return the diagnosis of the draw's log. An error in it is a result too."""
     log, noise = simulate_draw(machine, draw)
     file, started = machine_of(machine, draw), time.monotonic()
     try:
         check_plausible(log, file)
     except ImplausibleError as error:
-        return Found("unexplained", seconds=time.monotonic() - started, refused=str(error))
+        return ScoredDiagnosis("unexplained", seconds=time.monotonic() - started, refused=str(error))
     except InputError:  # of a log in which nothing changes there is nothing to say
-        return Found("unexplained", seconds=time.monotonic() - started)
+        return ScoredDiagnosis("unexplained", seconds=time.monotonic() - started)
     try:
-        return Found.of(diagnose(file, log), noise, time.monotonic() - started)
+        return ScoredDiagnosis.of(diagnose(file, log), noise, time.monotonic() - started)
     except Exception as error:
-        return Found("", seconds=time.monotonic() - started, error=f"{type(error).__name__}: {error}")
+        return ScoredDiagnosis("", seconds=time.monotonic() - started, error=f"{type(error).__name__}: {error}")
 
 
 def _kept_draw(machine: Machine, seed: int, index: int, diagnose: Diagnose) -> dict[str, bytes]:
     return kept_result(*run_draw(machine, seed, index, diagnose))
 
 
-def kept_result(draw: Draw, found: Found) -> dict[str, bytes]:
+def kept_result(draw: Draw, found: ScoredDiagnosis) -> dict[str, bytes]:
     """The file of a log's result."""
     return {RESULT: json.dumps(plain_json({"draw": draw.to_json(), "found": found.to_json()})).encode()}
 
 
-def read_result(folder: Path) -> tuple[Draw, Found]:
+def read_result(folder: Path) -> tuple[Draw, ScoredDiagnosis]:
     """Return the result that `kept_result` wrote."""
     content = json.loads((folder / RESULT).read_bytes())
-    return Draw.from_json(_back(content["draw"])), Found.from_json(content["found"])
+    return Draw.from_json(_back(content["draw"])), ScoredDiagnosis.from_json(content["found"])
 
 
 def _key(machine: Machine, seed: int, index: int) -> str:
@@ -128,10 +137,10 @@ def digest_of(machine: Machine, seed: int) -> str:
     return hashlib.sha256(whole.encode()).hexdigest()[:_DIGITS]
 
 
-def _score(outcome: Outcome, machine: Machine, seed: int, index: int) -> tuple[Draw, Found]:
+def _score(outcome: Outcome, machine: Machine, seed: int, index: int) -> tuple[Draw, ScoredDiagnosis]:
     """A draw with what was found; a diagnosis that took its process with it is an error of its own."""
     if outcome.failure:
-        return make_draw(machine, seed, index), Found("", seconds=outcome.seconds, error=outcome.failure)
+        return make_draw(machine, seed, index), ScoredDiagnosis("", seconds=outcome.seconds, error=outcome.failure)
     return read_result(outcome.value)
 
 

@@ -24,7 +24,7 @@ WITHIN: Final = 0.1
 
 
 @dataclass(frozen=True)
-class Found:
+class ScoredDiagnosis:
     """Scored part of a diagnosis.
 
     `causes`: (name, parameters, std); `rivals`: (name, instead of which cause); `law`: of friction, as told; `noise_N`:
@@ -48,7 +48,7 @@ class Found:
     error: str = ""
 
     @classmethod
-    def of(cls, diagnosis: Diagnosis, noise_N: float, seconds: float) -> Found:
+    def of(cls, diagnosis: Diagnosis, noise_N: float, seconds: float) -> ScoredDiagnosis:
         """The part of a diagnosis that is scored."""
         return cls(
             verdict=diagnosis.verdict,
@@ -70,7 +70,7 @@ class Found:
         return content
 
     @classmethod
-    def from_json(cls, content: Mapping[str, Any]) -> Found:
+    def from_json(cls, content: Mapping[str, Any]) -> ScoredDiagnosis:
         """Return the record of a `to_json`."""
         causes = tuple((name, values, std) for name, values, std in content["causes"])
         rivals = tuple((name, instead) for name, instead in content["rivals"])
@@ -84,7 +84,7 @@ class Found:
         return tuple(dict.fromkeys(name for name, _, _ in self.causes if name not in self.doubted))
 
 
-def outcome(draw: Draw, found: Found) -> str:
+def outcome(draw: Draw, found: ScoredDiagnosis) -> str:
     """How a log came out.
 
     named: exactly the hidden causes. ambiguous: not more than that, and every hidden cause is among the causes or
@@ -127,7 +127,7 @@ def outcome(draw: Draw, found: Found) -> str:
     return "misnamed"
 
 
-def is_confidently_wrong(draw: Draw, found: Found) -> bool:
+def is_confidently_wrong(draw: Draw, found: ScoredDiagnosis) -> bool:
     """Return True if a cause that is not there explains all, or one that the log cannot decide.
 
     Or nothing to be wrong with a log that no axis has left.
@@ -249,7 +249,7 @@ class Summary:
     worst_parameters: tuple[tuple[str, float, int], ...]
 
 
-def summarise(machine: Machine, results: Iterable[tuple[Draw, Found]]) -> Summary:
+def summarise(machine: Machine, results: Iterable[tuple[Draw, ScoredDiagnosis]]) -> Summary:
     """Score all results."""
     rows = [(draw, found, outcome(draw, found)) for draw, found in results]
     told = [
@@ -302,7 +302,7 @@ class ParameterError:
     std: float
 
 
-def parameter_errors(machine: Machine, draw: Draw, found: Found) -> list[ParameterError]:
+def parameter_errors(machine: Machine, draw: Draw, found: ScoredDiagnosis) -> list[ParameterError]:
     """Errors of sizes, periods and time constants; places (phases, instants) have no scale to be relative to."""
     errors = []
     for hidden in draw.hidden:
@@ -352,7 +352,7 @@ def _number(value: float | None) -> float:
 # --- confusion --------------------------------------------------------------------------------------------------
 
 
-def _pairs(draw: Draw, found: Found) -> list[tuple[str, str]]:
+def _pairs(draw: Draw, found: ScoredDiagnosis) -> list[tuple[str, str]]:
     """(truth, what it was called): what is right goes with itself, the rest with what is left."""
     rows = list(draw.truth) or [": ".join((draw.kind, *(hidden.name for hidden in draw.hidden)))]
     if found.error:
@@ -387,7 +387,7 @@ def confusion_table(confusion: Mapping[tuple[str, str], int]) -> tuple[list[str]
 # --- smallest sizes ---------------------------------------------------------------------------------------------
 
 
-def _thresholds(rows: Sequence[tuple[Draw, Found, str]]) -> list[Threshold]:
+def _thresholds(rows: Sequence[tuple[Draw, ScoredDiagnosis, str]]) -> list[Threshold]:
     found: dict[str, list[tuple[float, bool]]] = {}
     for draw, said, how in rows:
         if draw.kind in ("single", "base") and how != "error":

@@ -23,13 +23,13 @@ from sgms_bench.diagnosis.running import (
     plain_json,
     read_result,
 )
-from sgms_bench.diagnosis.scoring import FOUND, SIGMAS, Found, Share, outcome, parameter_errors
+from sgms_bench.diagnosis.scoring import FOUND, SIGMAS, ScoredDiagnosis, Share, outcome, parameter_errors
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import CAUSE_NAMES
 from sgms_mhe.support.files import write_text
 from sgms_mhe.support.kept import run_kept
-from sgms_mhe.support.processes import Place, Task
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.processes import Task, WorkerSlot
+from sgms_mhe.support.tables import CsvTable
 
 WRONG: Final = ("misnamed", "extra")
 
@@ -60,7 +60,7 @@ def cells(sizes: Sequence[float], draws: int) -> list[Cell]:
     return [Cell(index, *turn[index % len(turn)]) for index in range(draws)]
 
 
-def run_cell(machine: Machine, seed: int, cell: Cell) -> tuple[Draw, Found] | None:
+def run_cell(machine: Machine, seed: int, cell: Cell) -> tuple[Draw, ScoredDiagnosis] | None:
     """Hide the cause, diagnose the log; None where no log shows a cause of that size."""
     draw = sized_draw(machine, seed, cell.index, cell.name, cell.size, cell.obeys)
     return None if draw is None else (draw, diagnose_draw(machine, draw))
@@ -75,7 +75,7 @@ def run_small(
     seed: int = 1,
     jobs: int = 2,
     progress: Progress | None = None,
-) -> tuple[Table, Table]:
+) -> tuple[CsvTable, CsvTable]:
     """Run every cell; results are kept in the folder as they come. Tables of what was found, and of intervals.
 
     Args:
@@ -91,8 +91,8 @@ def run_small(
     digest = digest_of(machine, seed)
     keys = {f"{cell.name}-{cell.size:g}-{cell.obeys}-{cell.index}-{digest}": cell for cell in chosen}
     tasks = [Task(key, _kept, (machine, seed, cell)) for key, cell in keys.items()]
-    said: list[tuple[Cell, tuple[Draw, Found] | None, str]] = []
-    for result in run_kept(tasks, folder / RESULTS, Place(jobs if jobs > 1 else 0, limit_s=LIMIT_S)):
+    said: list[tuple[Cell, tuple[Draw, ScoredDiagnosis] | None, str]] = []
+    for result in run_kept(tasks, folder / RESULTS, WorkerSlot(jobs if jobs > 1 else 0, limit_s=LIMIT_S)):
         said.append((keys[result.task.key], None if result.failure else _read(result.value), result.failure))
         if progress is not None:
             progress(len(said), len(keys))
@@ -103,7 +103,7 @@ def run_small(
     return tables
 
 
-def covered_shares(machine: Machine, results: Iterable[tuple[Draw, Found]]) -> list[Covered]:
+def covered_shares(machine: Machine, results: Iterable[tuple[Draw, ScoredDiagnosis]]) -> list[Covered]:
     """How often each number of a cause that was found is inside its stated interval, the least covered first."""
     errors: dict[str, list[float]] = {}
     for draw, found in results:
@@ -123,11 +123,13 @@ def _kept(machine: Machine, seed: int, cell: Cell) -> dict[str, bytes]:
     return {RESULT: json.dumps(plain_json(None)).encode()} if result is None else kept_result(*result)
 
 
-def _read(folder: Path) -> tuple[Draw, Found] | None:
+def _read(folder: Path) -> tuple[Draw, ScoredDiagnosis] | None:
     return None if json.loads((folder / RESULT).read_bytes()) is None else read_result(folder)
 
 
-def _found(machine: Machine, sizes: Sequence[float], logs: Sequence[tuple[Cell, Draw, Found]], failed: int) -> Table:
+def _found(
+    machine: Machine, sizes: Sequence[float], logs: Sequence[tuple[Cell, Draw, ScoredDiagnosis]], failed: int
+) -> CsvTable:
     how = {cell: outcome(draw, found) for cell, draw, found in logs}
     columns = {f"{size:.3g} {law}": (size, law) for law in LAWS for size in sizes}
     rows: list[dict[str, str]] = []
@@ -148,7 +150,7 @@ def _found(machine: Machine, sizes: Sequence[float], logs: Sequence[tuple[Cell, 
     whole = {"cause": "all"}
     for column, (size, law) in columns.items():
         whole[column] = _cell([h for cell, h in how.items() if (cell.size, cell.obeys) == (size, law)])
-    return Table(
+    return CsvTable(
         f"One cause hidden in a log of {machine.name}: found of logs, sizes over f_C, by law of the axis",
         dict.fromkeys(("cause", *columns, "called"), ""),
         [*rows, whole],
@@ -166,11 +168,11 @@ def _cell(said: Sequence[str]) -> str:
     return f"{sum(h in FOUND for h in said)}/{len(said)}" + (f" !{wrong}" if wrong else "")
 
 
-def _intervals(machine: Machine, logs: Iterable[tuple[Draw, Found]]) -> Table:
+def _intervals(machine: Machine, logs: Iterable[tuple[Draw, ScoredDiagnosis]]) -> CsvTable:
     rows = covered_shares(machine, logs)
     total = Share(sum(r.share.hits for r in rows), sum(r.share.total for r in rows))
     low, high = total.interval
-    return Table(
+    return CsvTable(
         "Numbers inside their stated 95 % intervals, of causes that were found",
         {"number": "", "inside": "d", "of": "d", "RMS error / std": ".2f", "largest": ".1f"},
         [

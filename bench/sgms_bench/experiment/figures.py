@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sgms_bench.records import Outcome, Record
+from sgms_bench.records import EstimatorOutcome, Record
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -98,7 +98,7 @@ def signals_figure(record: Record) -> Figure:
     return figure
 
 
-def friction_figure(record: Record, mhe: Outcome, ekf: Outcome) -> Figure:
+def friction_figure(record: Record, mhe: EstimatorOutcome, ekf: EstimatorOutcome) -> Figure:
     """Friction measured, true and estimated; two seconds of it closer; the errors."""
     figure = Figure(figsize=(7.2, 7.0), layout="constrained")
     whole, near, errors = figure.subplots(3, 1, height_ratios=(1.0, 1.25, 1.0))
@@ -136,7 +136,7 @@ def friction_figure(record: Record, mhe: Outcome, ekf: Outcome) -> Figure:
     return figure
 
 
-def stiffness_figure(record: Record, mhe: Outcome, ekf: Outcome, title: str) -> Figure:
+def stiffness_figure(record: Record, mhe: EstimatorOutcome, ekf: EstimatorOutcome, title: str) -> Figure:
     """Stiffness over its nominal value with +-2 sigma, MHE and EKF, and the truth."""
     count = len(record.theta)
     figure = Figure(figsize=(7.2, 1.2 + 1.55 * count), layout="constrained")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sgms_bench.experiment.figures import friction_figure, hysteresis_figure, signals_figure, stiffness_figure
 from sgms_bench.records import (
     DURATION_S,
-    Outcome,
+    EstimatorOutcome,
     Record,
     coverage,
     friction_rms,
@@ -34,7 +34,7 @@ from sgms_mhe.reference import estimate_reference, estimate_smoother
 from sgms_mhe.signals.estimates import write_estimates
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import write_text
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.tables import CsvTable
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -76,9 +76,9 @@ def papers(weights: Mapping[str, Any]) -> dict[str, Any]:
 class Experiment:
     """Results of the experiment: tables (their text is str()), outcomes by estimator, figures written."""
 
-    tables: tuple[Table, ...]
+    tables: tuple[CsvTable, ...]
     record: Record
-    outcomes: dict[str, Outcome]
+    outcomes: dict[str, EstimatorOutcome]
     figures: tuple[Path, ...]
 
     def __str__(self) -> str:
@@ -117,13 +117,13 @@ def run_experiment(
     record = simulate_record(machine, TRUE_STIFFNESS, duration_s=duration_s)
     step()
     mhe, ekf = (override_machine(machine, {"estimator": {"kind": kind}}) for kind in ("mhe", "ekf"))
-    runs: dict[str, Callable[[], Outcome]] = {
+    runs: dict[str, Callable[[], EstimatorOutcome]] = {
         "MHE, C": lambda: run_estimator("MHE, C", mhe, record),
         "EKF, C": lambda: run_estimator("EKF, C", ekf, record),
         "MHE, reference": lambda: _reference("MHE, reference", mhe, record),
         "batch smoother": lambda: _smoother("batch smoother", mhe, record),
     }
-    outcomes: dict[str, Outcome] = {}
+    outcomes: dict[str, EstimatorOutcome] = {}
     for name, run in runs.items():
         outcomes[name] = run()
         step()
@@ -156,7 +156,11 @@ def run_experiment(
 
 
 def _drawn(
-    machine: Machine, record: Record, outcomes: Mapping[str, Outcome], paper: Mapping[str, Outcome], out_dir: Path
+    machine: Machine,
+    record: Record,
+    outcomes: Mapping[str, EstimatorOutcome],
+    paper: Mapping[str, EstimatorOutcome],
+    out_dir: Path,
 ) -> tuple[Path, ...]:
     """Draw the paper's figures into a folder; returns the files."""
     default, filtered = outcomes["MHE, C"], outcomes["EKF, C"]
@@ -173,15 +177,15 @@ def _drawn(
     return names
 
 
-def _reference(name: str, machine: Machine, record: Record) -> Outcome:
+def _reference(name: str, machine: Machine, record: Record) -> EstimatorOutcome:
     return time_estimator(name, machine, lambda: estimate_reference(machine, record.signals, "mhe"))
 
 
-def _smoother(name: str, machine: Machine, record: Record) -> Outcome:
+def _smoother(name: str, machine: Machine, record: Record) -> EstimatorOutcome:
     return time_estimator(name, machine, lambda: estimate_smoother(machine, record.signals))
 
 
-def _table(title: str, outcomes: Sequence[Outcome], record: Record, notes: tuple[str, ...]) -> Table:
+def _table(title: str, outcomes: Sequence[EstimatorOutcome], record: Record, notes: tuple[str, ...]) -> CsvTable:
     count, error = len(record.theta), f"friction RMS [{record.run.log.units.force}]"
     formats = {"estimator": "", error: ".4f", "coverage": ".0%", "time [us]": ".0f"}
     formats |= {f"error {k + 1}": "+.1f" for k in range(count)}
@@ -199,10 +203,10 @@ def _table(title: str, outcomes: Sequence[Outcome], record: Record, notes: tuple
         row |= {f"change {k + 1}": float(100.0 * value) for k, value in enumerate(smoothness(outcome))}
         rows.append(row)
     legend = "error k: of stiffness_k at the end [%]; change k: its mean absolute change per update [%]"
-    return Table(title, formats, rows, (legend, *notes))
+    return CsvTable(title, formats, rows, (legend, *notes))
 
 
-def _finding(paper: dict[str, Outcome]) -> tuple[str, ...]:
+def _finding(paper: dict[str, EstimatorOutcome]) -> tuple[str, ...]:
     ratio = smoothness(paper["EKF, C"]) / smoothness(paper["MHE, C"])
     listed = ", ".join(f"{value:.1f}" for value in ratio)
     return (

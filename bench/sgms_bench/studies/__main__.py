@@ -27,10 +27,10 @@ from sgms_bench.studies.relinearise import relinearise_study
 from sgms_bench.studies.scaling import scaling_study
 from sgms_bench.studies.speed import speed_study
 from sgms_mhe.support.parallel import workers
-from sgms_mhe.support.processes import Place
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.processes import WorkerSlot
+from sgms_mhe.support.tables import CsvTable
 
-Study = Callable[[int, int, Place], Table]
+Study = Callable[[int, int, WorkerSlot], CsvTable]
 
 STUDIES: Final[Mapping[str, tuple[Study, int, int]]] = {
     "coverage": (coverage_study, 900, 400),
@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--scheduler", help="address of a Dask cluster that does the work")
     chosen = parser.parse_args(arguments)
     study, runs, updates = STUDIES[chosen.name]
-    place = Place(chosen.jobs, chosen.scheduler)
+    place = WorkerSlot(chosen.jobs, chosen.scheduler)
     sys.stdout.write(f"{study(chosen.runs or runs, chosen.updates or updates, place)}\n")
     return 0
 

@@ -15,10 +15,10 @@ from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.trajectories import make_trajectory
-from sgms_mhe.reference import Integrator
+from sgms_mhe.reference import ReferenceIntegrator
 from sgms_mhe.signals.chain import Signals, signal_array
-from sgms_mhe.support.processes import HERE, Place, Task, results
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.processes import HERE, Task, WorkerSlot, results
+from sgms_mhe.support.tables import CsvTable
 
 Array = NDArray[np.float64]
 Kind = Literal["mhe", "ekf"]
@@ -71,7 +71,7 @@ def statistics_machine(machine: Machine, **noise: Any) -> Machine:
 def draw(machine: Machine, runs: int, updates: int, *, first_run: int = 0) -> Drawn:
     """Draw x_{k+1} = f(x_k, theta) + w with x_0, theta and w from the machine's weights, along the paper's motion."""
     model = build_model(machine)
-    integrator = Integrator(model)
+    integrator = ReferenceIntegrator(model)
     rate, samples = machine.sampling.rate, machine.sampling.samples_per_update
     motion = make_trajectory("paper", rate).repeat(MOTION_START_S + updates / machine.sampling.update_rate + 1.0)
     part = slice(int(MOTION_START_S * rate), int(MOTION_START_S * rate) + updates * samples + 1)
@@ -122,7 +122,7 @@ def _part(noise: Mapping[str, Any], kind: Kind, runs: int, updates: int) -> tupl
     return normalised_errors(override_machine(machine, {"estimator": {"kind": kind}}), drawn, updates)
 
 
-def coverage_study(runs: int, updates: int, place: Place = HERE) -> Table:
+def coverage_study(runs: int, updates: int, place: WorkerSlot = HERE) -> CsvTable:
     """+-2 sigma coverage on the estimator's own noise model: default weights, then wider priors."""
     default = load_machine("etel_xy")
     # The filter's bounds are the MHE's at a twentieth of the time: enough to see what a wider prior does.
@@ -145,7 +145,7 @@ def coverage_study(runs: int, updates: int, place: Place = HERE) -> Table:
     elements = range(1, len(default.friction.stiffness) + 1)
     formats = {"weights": "", "estimator": "", "runs": "d"} | {f"cover {k}": ".1%" for k in elements}
     formats |= {f"bias {k}": "+.2f" for k in elements} | {f"sigma {k}": ".3f" for k in elements}
-    return Table(
+    return CsvTable(
         f"coverage of +-2 sigma on the estimator's own noise model, after {updates} updates",
         formats,
         rows,

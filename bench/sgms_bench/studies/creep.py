@@ -17,7 +17,7 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.chain import Signals, signals_from_log
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.tables import CsvTable
 
 Array = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ def follow(formulation: Formulation, signals: Signals) -> Array:
     return np.asarray(CompiledEstimator(machine).estimate(signals).parameters / np.array(machine.friction.stiffness))
 
 
-def creep_study(updates: int, compared: int = 4000) -> Table:
+def creep_study(updates: int, compared: int = 4000) -> CsvTable:
     """Stiffness over time: what creeps within `compared` updates, and that the default does not in `updates`."""
     rows = []
     for noise in (1.6, 0.1):
@@ -78,7 +78,7 @@ def creep_study(updates: int, compared: int = 4000) -> Table:
         rows += [_creep_row(f"{name}, long", noise, theta[:last], first, last) for first, last in pairwise(edges)]
     formats = {"formulation": "", "noise [N]": ".1f", "updates": ""}
     formats |= {f"mean {k + 1}": ".3f" for k in range(4)} | {f"spread {k + 1}": ".3f" for k in range(4)}
-    return Table(
+    return CsvTable(
         f"stiffness over nominal, true {', '.join(f'{t:g}' for t in CREEP_TRUTH)}",
         formats,
         rows,

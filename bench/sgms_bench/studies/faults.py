@@ -19,8 +19,8 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.status import FLAGS
-from sgms_mhe.support.processes import HERE, Place, Task, results
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.processes import HERE, Task, WorkerSlot, results
+from sgms_mhe.support.tables import CsvTable
 
 Array = NDArray[np.float64]
 Inject = Callable[[Array, Array, slice, np.random.Generator], None]
@@ -181,7 +181,7 @@ VARIANTS: Final[Mapping[str, Mapping[str, Any]]] = {
 
 
 @dataclass(frozen=True)
-class Outcome:
+class FaultOutcome:
     """Effect of one fault on one estimator.
 
     Attributes:
@@ -246,7 +246,7 @@ class _Good:
     doubted: float
 
 
-class Trial:
+class FaultTrial:
     """One estimator over good logs, to be tried on faulty ones.
 
     Args:
@@ -275,7 +275,7 @@ class Trial:
         """Share of the updates of good logs that say DOUBT."""
         return float(np.mean([good.doubted for good in self._good]))
 
-    def run(self, fault: Fault, seed: int) -> Outcome:
+    def run(self, fault: Fault, seed: int) -> FaultOutcome:
         """One injection."""
         rng = np.random.default_rng([seed, 7])
         axis, start_s = seed % len(self._good), float(rng.uniform(*START_S))
@@ -295,7 +295,7 @@ class Trial:
         said = said[said >= np.searchsorted(time, start_s)]
         moved = np.abs(found.parameters - good.estimates.parameters[seen]) / self._nominal
         off = time[(np.abs(found.friction_N - good.friction[seen]) > good.normal) & (time > back)]
-        return Outcome(
+        return FaultOutcome(
             sigmas=float(sigmas[time > back + 1.0].max()),
             deviation=float(moved[time >= start_s].max()),
             recovery_s=float(off[-1] - back) if len(off) else 0.0,
@@ -305,12 +305,12 @@ class Trial:
 
 
 @cache
-def _trial(variant: str) -> Trial:
+def _trial(variant: str) -> FaultTrial:
     """An estimator over the good logs, made once per process."""
-    return Trial(variant)
+    return FaultTrial(variant)
 
 
-def _part(index: int, seeds: range) -> list[tuple[str, Outcome]]:
+def _part(index: int, seeds: range) -> list[tuple[str, FaultOutcome]]:
     """Injections of a fault, for every variant."""
     return [(name, _trial(name).run(TRIED[index], seed)) for name in VARIANTS for seed in seeds]
 
@@ -319,18 +319,18 @@ def _run_doubts(variant: str) -> float:
     return _trial(variant).doubted_when_clean()
 
 
-def faults_study(runs: int, place: Place = HERE) -> Table:
+def faults_study(runs: int, place: WorkerSlot = HERE) -> CsvTable:
     """The worst of `runs` injections of every class, for MHE and EKF in double and single precision."""
     blocks = [range(first, min(first + BLOCK, runs)) for first in range(0, runs, BLOCK)]
     parts = list(product(range(len(TRIED)), blocks))
     tasks = [Task(f"{TRIED[index].name}-{index}-{seeds.start}", _part, (index, seeds)) for index, seeds in parts]
-    found: list[list[tuple[str, Outcome]]] = [[] for _ in TRIED]
+    found: list[list[tuple[str, FaultOutcome]]] = [[] for _ in TRIED]
     for (index, _), outcomes in zip(parts, results(tasks, place, done_of("faults")), strict=True):
         found[index] += outcomes
     doubted = results([Task(name, _run_doubts, (name,)) for name in VARIANTS], place)
     rows = [_row(fault, outcomes) for fault, outcomes in zip(TRIED, found, strict=True)]
     clean = ", ".join(f"{name} {share:.2%}" for name, share in zip(VARIANTS, doubted, strict=True))
-    return Table(
+    return CsvTable(
         f"The worst of {runs} injections of each fault, for each of {', '.join(VARIANTS)}",
         {
             "fault": "",
@@ -360,7 +360,7 @@ def faults_study(runs: int, place: Place = HERE) -> Table:
     )
 
 
-def _row(fault: Fault, found: Sequence[tuple[str, Outcome]]) -> dict[str, Any]:
+def _row(fault: Fault, found: Sequence[tuple[str, FaultOutcome]]) -> dict[str, Any]:
     outcomes = [outcome for _, outcome in found]
     mattered = [outcome for outcome in outcomes if outcome.matters]
     name, worst = max(found, key=lambda pair: pair[1].sigmas)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sgms_bench.studies.cases import done_of
 from sgms_mhe.configuration import make_machine
 from sgms_mhe.identification.elements import NO_RISE, Stribeck, run_elements
-from sgms_mhe.identification.fits import Quantity
+from sgms_mhe.identification.fits import NumberEstimate
 from sgms_mhe.identification.identify import Explored, Wanted, explore
 from sgms_mhe.identification.terms import sampling_terms
 from sgms_mhe.machine import Machine
@@ -23,8 +23,8 @@ from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Motion, Trajectory
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.processes import HERE, Place, Task, results
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.processes import HERE, Task, WorkerSlot, results
+from sgms_mhe.support.tables import CsvTable
 
 Array = NDArray[np.float64]
 Law = Literal["sgms", "switching"]
@@ -38,7 +38,7 @@ STARTED_AGAIN: Final = 8
 
 
 @dataclass(frozen=True)
-class Axis:
+class StudyAxis:
     """A drawn truth and its log."""
 
     machine: Machine
@@ -46,7 +46,7 @@ class Axis:
     mass_given: bool
 
 
-def draw_axis(seed: int, seconds: float = 25.0) -> Axis:
+def draw_axis(seed: int, seconds: float = 25.0) -> StudyAxis:
     """An axis of 1 to 6 elements, either law, 0.1 to 500 kg, 500 Hz to 10 kHz, and what it logs of a test."""
     random = np.random.default_rng([12, seed])
     rate = float(random.choice(RATES))
@@ -80,7 +80,7 @@ def draw_axis(seed: int, seconds: float = 25.0) -> Axis:
     noise = coulomb * _between(random, 0.005, 0.05)
     config = AxisConfig(encoder_resolution_m=1e-9, force_noise_N=noise, seed=seed)
     log = simulate_axis(machine, motion, config, truth=False).log
-    return Axis(machine, log, bool(random.random() < 0.5))
+    return StudyAxis(machine, log, bool(random.random() < 0.5))
 
 
 def _between(random: Generator, low: float, high: float) -> float:
@@ -119,7 +119,7 @@ def _motion(random: Generator, rate: float, distances: Array, fastest: float, se
     return path.trajectory("identification")
 
 
-def true_residual(axis: Axis, explored: Explored) -> Array:
+def true_residual(axis: StudyAxis, explored: Explored) -> Array:
     """Measured minus true friction on the held-out rows [N]: what the best of models leaves."""
     friction, view = axis.machine.friction, explored.final.view
     levels = np.array(friction.fraction) * friction.coulomb
@@ -138,7 +138,7 @@ def true_residual(axis: Axis, explored: Explored) -> Array:
     return np.asarray(residual[rows.rows_held_out()])
 
 
-def score_axis(axis: Axis, explored: Explored) -> dict[str, tuple[float, Quantity]]:
+def score_axis(axis: StudyAxis, explored: Explored) -> dict[str, tuple[float, NumberEstimate]]:
     """Truth and finding of every number that has a truth: those of elements where their count is right."""
     friction, settled = axis.machine.friction, explored.final
     truth: dict[str, float] = {"coulomb": friction.coulomb, "viscous": friction.viscous}
@@ -153,7 +153,7 @@ def score_axis(axis: Axis, explored: Explored) -> dict[str, tuple[float, Quantit
     return {name: pair for name, pair in found.items() if pair[1].std > 1e-12 * abs(pair[1].value)}
 
 
-def identification_study(axes: int, seconds: float = 25.0, first: int = 0, place: Place = HERE) -> Table:
+def identification_study(axes: int, seconds: float = 25.0, first: int = 0, place: WorkerSlot = HERE) -> CsvTable:
     """Random axes from nothing: law, elements, held-out residual over that of the truth, coverage, another start."""
     tasks = [Task(str(seed), identified_axis, (seed, seconds)) for seed in range(first, first + axes)]
     return _table(results(tasks, place, done_of("axes")))
@@ -193,14 +193,14 @@ def identified_axis(seed: int, seconds: float) -> dict[str, Any]:
     }
 
 
-def _apart(first: dict[str, Quantity], second: dict[str, Quantity]) -> float:
+def _apart(first: dict[str, NumberEstimate], second: dict[str, NumberEstimate]) -> float:
     """Largest difference of two sets of numbers over its standard deviation; inf where they are not the same ones."""
     if set(first) != set(second):
         return math.inf
     return max(abs(first[n].value - second[n].value) / max(first[n].std, 1e-9 * abs(first[n].value)) for n in first)
 
 
-def _table(rows: list[dict[str, Any]]) -> Table:
+def _table(rows: list[dict[str, Any]]) -> CsvTable:
     inside = [abs(error) <= 2.0 for row in rows for error in row["hits"].values()]
     ratios = np.array([row["ratio"] for row in rows if "ratio" in row])
     right = sum(row["found"] == f"{row['law']} {row['elements']}" for row in rows)
@@ -209,7 +209,7 @@ def _table(rows: list[dict[str, Any]]) -> Table:
     formats |= {"ratio": ".3f", "inside": "", "again": ".2g"}
     share = float(np.mean(ratios <= 1.2)) if len(ratios) else math.nan
     covered = float(np.mean(inside)) if inside else math.nan
-    return Table(
+    return CsvTable(
         "axes drawn at random, identified from their logs alone",
         formats,
         rows,

@@ -22,8 +22,8 @@ from sgms_bench.studies.cases import (
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.reference import estimate_smoother
-from sgms_mhe.support.processes import HERE, Place, Task, results
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.processes import HERE, Task, WorkerSlot, results
+from sgms_mhe.support.tables import CsvTable
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ CASES: Final[tuple[Case, ...]] = (
 
 
 @dataclass(frozen=True)
-class Comparison:
+class EstimatorRatio:
     """Friction RMS of one configuration [N], per seed; the smoother's only of the first ones."""
 
     case: Case
@@ -72,7 +72,7 @@ class Comparison:
         return rms(self.mhe) / rms(self.ekf)
 
 
-def compare_case(case: Case, seeds: Sequence[int], duration_s: float = 6.0, smoothed: int = 0) -> Comparison:
+def compare_case(case: Case, seeds: Sequence[int], duration_s: float = 6.0, smoothed: int = 0) -> EstimatorRatio:
     """MHE and EKF with equal weights on the same simulated axes; the batch smoother on the first `smoothed` of them."""
     whole = override_machine(load_machine("etel_xy"), {"estimator": {"relinearise": "all"}})
     machine = override_machine(whole, case.changes)
@@ -86,7 +86,7 @@ def compare_case(case: Case, seeds: Sequence[int], duration_s: float = 6.0, smoo
             errors[kind].append(friction_error(estimator.estimate(record.signals), record))
         if index < smoothed:
             errors["smoother"].append(friction_error(estimate_smoother(machine, record.signals), record))
-    return Comparison(case, *(np.array(errors[kind]) for kind in ("mhe", "ekf", "smoother")))
+    return EstimatorRatio(case, *(np.array(errors[kind]) for kind in ("mhe", "ekf", "smoother")))
 
 
 def _part(index: int, first: int, last: int, duration_s: float, smoothed: int) -> tuple[Array, Array, Array]:
@@ -95,7 +95,7 @@ def _part(index: int, first: int, last: int, duration_s: float, smoothed: int) -
     return found.mhe, found.ekf, found.smoother
 
 
-def monte_carlo_study(seeds: int, duration_s: float = 6.0, smoothed: int = 3, place: Place = HERE) -> Table:
+def monte_carlo_study(seeds: int, duration_s: float = 6.0, smoothed: int = 3, place: WorkerSlot = HERE) -> CsvTable:
     """Friction RMS of MHE, EKF and batch smoother over random axes, every configuration."""
     starts = range(0, seeds, SEEDS_PER_TASK)
     tasks = [
@@ -107,7 +107,7 @@ def monte_carlo_study(seeds: int, duration_s: float = 6.0, smoothed: int = 3, pl
     rows = []
     for index, case in enumerate(CASES):
         own = parts[index * len(starts) : (index + 1) * len(starts)]
-        result = Comparison(case, *(np.concatenate([part[k] for part in own]) for k in range(3)))
+        result = EstimatorRatio(case, *(np.concatenate([part[k] for part in own]) for k in range(3)))
         ratio = result.mhe / result.ekf
         rows.append(
             {
@@ -121,7 +121,7 @@ def monte_carlo_study(seeds: int, duration_s: float = 6.0, smoothed: int = 3, pl
             }
         )
     formats = {"configuration": "", "MHE [N]": ".4f", "EKF [N]": ".4f", "MHE/EKF": ".3f", "median": ".3f"}
-    return Table(
+    return CsvTable(
         f"friction RMS against truth, {seeds} seeds of {duration_s:g} s, equal weights",
         formats | {"worst": ".3f", "MHE/smoother": ".2f"},
         rows,

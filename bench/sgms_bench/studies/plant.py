@@ -20,8 +20,8 @@ from sgms_bench.studies.cases import (
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
-from sgms_mhe.support.processes import HERE, Place, Task, results
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.processes import HERE, Task, WorkerSlot, results
+from sgms_mhe.support.tables import CsvTable
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def _part(index: int, seeds: range, duration_s: float) -> list[tuple[Array, Arra
     return found
 
 
-def plant_study(seeds: int, duration_s: float = 20.0, place: Place = HERE) -> Table:
+def plant_study(seeds: int, duration_s: float = 20.0, place: WorkerSlot = HERE) -> CsvTable:
     """Coverage on the closed-loop plant, and what moves it."""
     starts = range(0, seeds, SEEDS_PER_TASK)
     tasks = [
@@ -86,7 +86,7 @@ def plant_study(seeds: int, duration_s: float = 20.0, place: Place = HERE) -> Ta
         row |= {f"rms z {k + 1}": float(value) for k, value in enumerate(np.sqrt(np.mean(np.square(z), axis=0)))}
         rows.append(row)
     formats = {"configuration": "", "estimator": ""} | {f"cover {k + 1}": ".0%" for k in range(4)}
-    return Table(
+    return CsvTable(
         f"coverage of +-2 sigma on the closed-loop axis, {seeds} seeds of {duration_s:g} s, second half of each run",
         formats | {f"rms z {k + 1}": ".2f" for k in range(4)},
         rows,

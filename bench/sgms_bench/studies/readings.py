@@ -14,8 +14,8 @@ from sgms_bench.studies.cases import counted_updates, done_of, friction_error
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.plant.axis_config import AxisConfig
-from sgms_mhe.support.processes import HERE, Place, Task, results
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.processes import HERE, Task, WorkerSlot, results
+from sgms_mhe.support.tables import CsvTable
 
 Array = NDArray[np.float64]
 
@@ -64,11 +64,11 @@ def _part(rate: float, seeds: int, duration_s: float) -> dict[str, Any]:
     return readings_row(rate, _records(seeds, duration_s))
 
 
-def readings_study(seeds: int, duration_s: float = 20.0, place: Place = HERE) -> Table:
+def readings_study(seeds: int, duration_s: float = 20.0, place: WorkerSlot = HERE) -> CsvTable:
     """Estimate errors by `measurement_rate`."""
     tasks = [Task(f"{rate:g}", _part, (rate, seeds, duration_s)) for rate in RATES]
     errors = {f"{seconds:g} s": ".3f" for seconds in AFTER_S}
-    return Table(
+    return CsvTable(
         f"Largest relative error of a stiffness, by measurement_rate; {seeds} seeds of {duration_s:g} s",
         {"readings per second": ".0f"} | errors | {"covered": ".3f", "friction, mN": ".1f"},
         results(tasks, place, done_of("rates")),

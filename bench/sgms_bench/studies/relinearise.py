@@ -23,8 +23,8 @@ from sgms_bench.studies.cases import (
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.signals.estimates import Estimates
-from sgms_mhe.support.processes import HERE, Place, Task, results
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.processes import HERE, Task, WorkerSlot, results
+from sgms_mhe.support.tables import CsvTable
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ RELINEARISE_CASES: Final[tuple[Case, ...]] = (
 
 
 @dataclass(frozen=True)
-class Kept:
+class RelinearisationCost:
     """Error from stored linearisations.
 
     Attributes:
@@ -65,11 +65,11 @@ class Kept:
     away: Array
 
 
-def relinearise_errors(case: Case, seeds: Sequence[int], duration_s: float) -> dict[str, Kept]:
+def relinearise_errors(case: Case, seeds: Sequence[int], duration_s: float) -> dict[str, RelinearisationCost]:
     """Of the ways to relinearise, `all` first."""
     machine = override_machine(load_machine("etel_xy"), case.changes)
     records = [simulate_case(machine, case, seed, duration_s) for seed in seeds]
-    kept: dict[str, Kept] = {}
+    kept: dict[str, RelinearisationCost] = {}
     of_all: list[Estimates] = []
     for relinearise in RELINEARISE:
         estimator = CompiledEstimator(override_machine(machine, {"estimator": {"relinearise": relinearise}}))
@@ -83,15 +83,15 @@ def relinearise_errors(case: Case, seeds: Sequence[int], duration_s: float) -> d
             apart = (estimate.parameters - by_all.parameters)[late] / by_all.std[late]
             errors.append([friction_error(estimate, record), *np.sqrt(np.mean(wrong**2, axis=0))])
             away.append(np.sqrt(np.mean(apart**2, axis=0)))
-        kept[relinearise] = Kept(*(np.sqrt(np.mean(np.square(rows), axis=0)) for rows in (errors, away)))
+        kept[relinearise] = RelinearisationCost(*(np.sqrt(np.mean(np.square(rows), axis=0)) for rows in (errors, away)))
     return kept
 
 
-def _part(index: int, seeds: int, duration_s: float) -> dict[str, Kept]:
+def _part(index: int, seeds: int, duration_s: float) -> dict[str, RelinearisationCost]:
     return relinearise_errors(RELINEARISE_CASES[index], range(seeds), duration_s)
 
 
-def relinearise_study(seeds: int, duration_s: float = 8.0, place: Place = HERE) -> Table:
+def relinearise_study(seeds: int, duration_s: float = 8.0, place: WorkerSlot = HERE) -> CsvTable:
     """Estimate errors with linearisations that are kept over those with all intervals linearised anew."""
     rows: list[dict[str, Any]] = []
     tasks = [Task(str(index), _part, (index, seeds, duration_s)) for index in range(len(RELINEARISE_CASES))]
@@ -102,7 +102,7 @@ def relinearise_study(seeds: int, duration_s: float = 8.0, place: Place = HERE) 
             row |= {f"p {k + 1}": float(ratio[k + 1]) if k + 1 < len(ratio) else None for k in range(5)}
             rows.append(row | {"worst": float(ratio.max()), "away": float(kept[relinearise].away.max())})
     formats = {"weights": "", "relinearise": "", "friction": ".3f"} | {f"p {k + 1}": ".3f" for k in range(5)}
-    return Table(
+    return CsvTable(
         f"RMS errors against truth over those of relinearise = all, {seeds} seeds of {duration_s:g} s",
         formats | {"worst": ".3f", "away": ".3f"},
         rows,

@@ -17,8 +17,8 @@ from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.signals.logs import write_log
 from sgms_mhe.support.parallel import workers
-from sgms_mhe.support.processes import Place, Task, results
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.processes import Task, WorkerSlot, results
+from sgms_mhe.support.tables import CsvTable
 
 JOBS: Final = (1, 2, 4, 8)
 EMPTY: Final = 200
@@ -37,7 +37,7 @@ def _diagnose(log: str) -> str:
     return diagnose(machine, read_log(log, machine)).verdict
 
 
-def scaling_study(logs: int) -> Table:
+def scaling_study(logs: int) -> CsvTable:
     """Time of `estimate` and `diagnose` per log in 1 to 8 processes, of tasks that do nothing and of ones that wait.
 
     Work is faster only as far as there are cores; waiting needs none, and so says how many processes the engine itself
@@ -57,11 +57,11 @@ def scaling_study(logs: int) -> Table:
             "estimate": [Task(path, _estimate, (path,)) for path in paths],
             "diagnose": [Task(path, _diagnose, (path,)) for path in paths],
         }
-        results(work["estimate"][:1] + work["diagnose"][:1], Place(1))  # what is compiled once for all is compiled
+        results(work["estimate"][:1] + work["diagnose"][:1], WorkerSlot(1))  # what is compiled once for all is compiled
         rows: list[dict[str, Any]] = []
         for name, tasks in work.items():
             rows += _rows(name, tasks)
-    return Table(
+    return CsvTable(
         f"time of {logs} logs of {LOG_S:g} s at {machine.sampling.rate:g} Hz, and of {EMPTY} tasks that do nothing or "
         f"wait {WAIT_S:g} s",
         {"work": "", "processes": "d", "s": ".2f", "ms per task": ".1f", "faster than 1": ".2f"},
@@ -74,7 +74,7 @@ def _rows(name: str, tasks: list[Task]) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for jobs in JOBS:
         started = time.monotonic()
-        results(tasks, Place(jobs))
+        results(tasks, WorkerSlot(jobs))
         seconds = time.monotonic() - started
         first = rows[0]["s"] if rows else seconds
         cost = {"s": seconds, "ms per task": 1e3 * seconds / len(tasks), "faster than 1": first / seconds}

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.signals.chain import Signals
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.tables import CsvTable
 
 Array = NDArray[np.float64]
 
 
-def speed_study(samples: int) -> Table:
+def speed_study(samples: int) -> CsvTable:
     """Force error of the emitted integrators over moves to growing speed, against a converged solution."""
     machine = load_machine("etel_xy")
     shape = np.concatenate([np.linspace(0.0, 1.0, samples), np.ones(samples), np.linspace(1.0, 0.0, samples)])
@@ -41,7 +41,7 @@ def speed_study(samples: int) -> Table:
         errors = [float(np.abs(f - c).max()) for f, c in zip(force, forces["converged"], strict=True)]
         if name != "converged":
             rows.append({"integrator": name} | dict(zip(columns, errors, strict=True)))
-    return Table(
+    return CsvTable(
         "largest force error [N] over a move there and back, etel_xy",
         {"integrator": ""} | dict.fromkeys(columns, ".1e"),
         rows,

@@ -42,7 +42,7 @@ _SAMPLE: Final = np.dtype([("position", "<i8"), ("force", "<f4"), ("unused", "<f
 
 
 @dataclass(frozen=True)
-class Memory:
+class TargetMemory:
     """Memory of the package on the target, in bytes.
 
     Attributes:
@@ -73,7 +73,7 @@ class Memory:
 
 
 @dataclass(frozen=True)
-class Trial:
+class TargetTrial:
     """One run of a package on a target: u updates of M samples.
 
     Attributes:
@@ -98,7 +98,7 @@ class Trial:
     prepare: Counts
     estimate: Counts
     calibration: tuple[tuple[int, int], ...]
-    memory: Memory
+    memory: TargetMemory
     double_arithmetic: tuple[str, ...]
 
     @property
@@ -124,7 +124,7 @@ def run_trial(
     package: Package | None = None,
     flags: Sequence[str] = TARGET_FLAGS,
     progress: Progress | None = None,
-) -> Trial:
+) -> TargetTrial:
     """Run a machine's package on an emulated target over position and force of a log.
 
     Args:
@@ -191,7 +191,9 @@ def _estimate_type(model: Model) -> np.dtype[Any]:
     )
 
 
-def _trial(target: Target, machine: Machine, model: Model, program: Program, content: bytes, times: Array) -> Trial:
+def _trial(
+    target: Target, machine: Machine, model: Model, program: Program, content: bytes, times: Array
+) -> TargetTrial:
     """Take the results apart; their layout stands in `trial.c`."""
     M, updates, estimate = machine.sampling.samples_per_update, len(times), _estimate_type(model)
     row = np.dtype(
@@ -224,7 +226,7 @@ def _trial(target: Target, machine: Machine, model: Model, program: Program, con
         if found != instructions:
             raise BuildError(f"{target.emulator[0]}: its clock counts {found} instructions where {instructions} ran")
     samples = counted(rows["samples"])
-    return Trial(
+    return TargetTrial(
         target=target,
         machine=machine,
         estimates=_estimates(model, rows["two_tasks"], times),
@@ -235,7 +237,7 @@ def _trial(target: Target, machine: Machine, model: Model, program: Program, con
         prepare=counted(rows["prepare"]),
         estimate=counted(rows["estimate"]),
         calibration=calibration,
-        memory=Memory(
+        memory=TargetMemory(
             package=program.package,
             helpers=program.helpers,
             axis=int(words[0]),
@@ -287,7 +289,7 @@ class HostComparison:
         return self.comparison.agrees
 
 
-def compare_with_host(trial: Trial, log: Log, *, package: Package | None = None) -> HostComparison:
+def compare_with_host(trial: TargetTrial, log: Log, *, package: Package | None = None) -> HostComparison:
     """Run the package on this host over the same log and compare with what the target made of it.
 
     Raises:

@@ -17,12 +17,12 @@ from sgms_bench.verification.constructs import check_constructs
 from sgms_bench.verification.coverage import check_coverage
 from sgms_bench.verification.fuzzing import SANITIZERS, fuzz_machines
 from sgms_bench.verification.limits import check_limits
-from sgms_bench.verification.outcome import Outcome
+from sgms_bench.verification.outcome import CheckOutcome
 from sgms_bench.verification.specimens import specimen, specimens
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.paths import machines_dir
-from sgms_mhe.support.tables import Table
+from sgms_mhe.support.tables import CsvTable
 
 Progress = Callable[[str], None]
 
@@ -30,13 +30,13 @@ ON_TARGETS: Final = ("merged_auto", "switching", "groups")
 """Specimens whose bits the emulated processors repeat; in double precision they take their time."""
 
 
-def _fuzz(chosen: argparse.Namespace, progress: Progress) -> list[Outcome]:
+def _fuzz(chosen: argparse.Namespace, progress: Progress) -> list[CheckOutcome]:
     seeds = range(chosen.seed, chosen.seed + chosen.machines)
     calls = int(chosen.calls) // len(SANITIZERS)
     return [fuzz_machines(of, seeds, calls, chosen.keep / name, progress) for name, of in SANITIZERS.items()]
 
 
-def _bits(_: argparse.Namespace, progress: Progress) -> list[Outcome]:
+def _bits(_: argparse.Namespace, progress: Progress) -> list[CheckOutcome]:
     on_host = same_bits([*_machine_files(), *specimens()], list(host_builds()), progress)
     on_targets = same_bits([specimen(name) for name in ON_TARGETS], list(target_builds()), progress)
     return on_host + on_targets
@@ -47,7 +47,7 @@ def _machine_files() -> list[Machine]:
     return [load_machine(path.stem) for path in sorted(machines_dir().glob("*.toml"))]
 
 
-CHECKS: Final[Mapping[str, Callable[[argparse.Namespace, Progress], list[Outcome]]]] = {
+CHECKS: Final[Mapping[str, Callable[[argparse.Namespace, Progress], list[CheckOutcome]]]] = {
     "constructs": lambda _, progress: check_constructs(list(specimens()), progress),
     "coverage": lambda _, progress: [check_coverage(list(specimens()), progress)],
     "limits": lambda _, progress: check_limits(list(specimens()), progress),
@@ -57,7 +57,7 @@ CHECKS: Final[Mapping[str, Callable[[argparse.Namespace, Progress], list[Outcome
 """Groups of checks by name."""
 
 
-def table(outcomes: Sequence[Outcome]) -> Table:
+def table(outcomes: Sequence[CheckOutcome]) -> CsvTable:
     """Check, tried, failed."""
     rows = [
         {
@@ -67,7 +67,7 @@ def table(outcomes: Sequence[Outcome]) -> Table:
         }
         for o in outcomes
     ]
-    return Table("verification of emitted C", {"check": "", "tried": "", "failed": ""}, rows)
+    return CsvTable("verification of emitted C", {"check": "", "tried": "", "failed": ""}, rows)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from sgms_bench import C_DIR
-from sgms_bench.verification.outcome import AbsentError, Outcome, definitions, require, run
+from sgms_bench.verification.outcome import AbsentError, CheckOutcome, definitions, require, run
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.host.targets import TARGETS, Target, emulate, link_program
@@ -70,7 +70,9 @@ def target_builds(levels: Sequence[str] = LEVELS) -> Iterator[Build]:
         yield from (Build(f"{target.prefix}gcc", (level,), target) for level in levels)
 
 
-def same_bits(machines: Sequence[Machine], builds: Sequence[Build], progress: Callable[[str], None]) -> list[Outcome]:
+def same_bits(
+    machines: Sequence[Machine], builds: Sequence[Build], progress: Callable[[str], None]
+) -> list[CheckOutcome]:
     """Exercise packages in both precisions and compare what comes out of every build with that of gcc -O2 here.
 
     One outcome per processor; of a processor whose tools are absent, one that says so.
@@ -81,10 +83,10 @@ def same_bits(machines: Sequence[Machine], builds: Sequence[Build], progress: Ca
         try:
             require(*{build.compiler for build in own}, *{b.target.emulator[0] for b in own if b.target})
         except AbsentError as absent:
-            outcomes.append(Outcome(check, "", skipped=str(absent)))
+            outcomes.append(CheckOutcome(check, "", skipped=str(absent)))
             continue
         failures = [failure for machine in machines for failure in _compare(machine, own)]
-        outcomes.append(Outcome(check, f"{2 * len(machines)} packages, {len(own)} builds each", tuple(failures)))
+        outcomes.append(CheckOutcome(check, f"{2 * len(machines)} packages, {len(own)} builds each", tuple(failures)))
         progress(f"{check}: {len(failures)} failures")
     return outcomes
 

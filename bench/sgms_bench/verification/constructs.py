@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final
 
-from sgms_bench.verification.outcome import AbsentError, Outcome, require
+from sgms_bench.verification.outcome import AbsentError, CheckOutcome, require
 from sgms_bench.verification.syntax import (
     Node,
     bare,
@@ -35,7 +35,7 @@ LOOPS: Final[Mapping[tuple[str, str], str]] = {
 """Loops that do not count up to a bound which stands before they start, and why they end: (function, kind)."""
 
 
-def check_constructs(machines: Sequence[Machine], progress: Callable[[str], None]) -> list[Outcome]:
+def check_constructs(machines: Sequence[Machine], progress: Callable[[str], None]) -> list[CheckOutcome]:
     """Check that packages have no function pointers, recursion, jumps, writable objects, unbounded loops."""
     checks = {
         "no function pointers, no recursion": pointers_and_recursion,
@@ -45,7 +45,7 @@ def check_constructs(machines: Sequence[Machine], progress: Callable[[str], None
     try:
         require("clang")
     except AbsentError as absent:
-        return [Outcome(check, "", skipped=str(absent)) for check in checks]
+        return [CheckOutcome(check, "", skipped=str(absent)) for check in checks]
     tried, failures = dict.fromkeys(checks, 0), {check: dict[str, None]() for check in checks}
     for machine in machines:
         package = emit_package(machine, selftest=False)
@@ -56,7 +56,8 @@ def check_constructs(machines: Sequence[Machine], progress: Callable[[str], None
             failures[check] |= {f"{machine.name}: {text}": None for text in found}
         progress(f"syntax trees: {machine.name}")
     return [
-        Outcome(check, f"{tried[check]} places of {len(machines)} packages", tuple(failures[check])) for check in checks
+        CheckOutcome(check, f"{tried[check]} places of {len(machines)} packages", tuple(failures[check]))
+        for check in checks
     ]
 
 

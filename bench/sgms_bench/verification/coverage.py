@@ -16,7 +16,7 @@ import numpy as np
 
 from sgms_bench import C_DIR
 from sgms_bench.verification.gaps import GAPS, Gap
-from sgms_bench.verification.outcome import AbsentError, Outcome, definitions, require, run
+from sgms_bench.verification.outcome import AbsentError, CheckOutcome, definitions, require, run
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.errors import BuildError
@@ -27,7 +27,7 @@ INLINED: Final = "__attribute__((always_inline)) inline"
 
 
 @dataclass(frozen=True)
-class Place:
+class SourceLine:
     """A line of emitted C as packages have it in common.
 
     Attributes:
@@ -47,7 +47,7 @@ class Place:
 class Coverage:
     """Of one package: how often every line was executed, and its branches taken."""
 
-    counts: Mapping[Place, tuple[int, ...]]
+    counts: Mapping[SourceLine, tuple[int, ...]]
 
     @property
     def lines(self) -> tuple[int, int]:
@@ -61,13 +61,13 @@ class Coverage:
         return taken, sum(place.branches for place in self.counts)
 
 
-def check_coverage(machines: Sequence[Machine], progress: Callable[[str], None]) -> Outcome:
+def check_coverage(machines: Sequence[Machine], progress: Callable[[str], None]) -> CheckOutcome:
     """Check that every line and branch of packages is reached: in each, in another, or not for a reason."""
     check = "coverage: every line and branch, or a reason"
     try:
         require("gcc", "gcov")
     except AbsentError as absent:
-        return Outcome(check, "", skipped=str(absent))
+        return CheckOutcome(check, "", skipped=str(absent))
     found = []
     for machine in machines:
         found.append(measure(emit_package(machine)))
@@ -82,19 +82,19 @@ def check_coverage(machines: Sequence[Machine], progress: Callable[[str], None])
         f"{lines[0]} of {lines[1]} lines, {branches[0]} of {branches[1]} branches of {len(found)} packages; "
         f"{len(left)} lines in none of them, for {len(GAPS)} reasons"
     )
-    return Outcome(check, tried, tuple(failures))
+    return CheckOutcome(check, tried, tuple(failures))
 
 
-def find_gaps(found: Sequence[Coverage]) -> list[Place]:
+def find_gaps(found: Sequence[Coverage]) -> list[SourceLine]:
     """Lines that no package executes, or of which a branch is taken in none."""
-    most: dict[Place, tuple[int, ...]] = {}
+    most: dict[SourceLine, tuple[int, ...]] = {}
     for coverage in found:
         for place, counts in coverage.counts.items():
             most[place] = tuple(map(max, most.get(place, counts), counts))
     return [place for place, counts in most.items() if 0 in counts]
 
 
-def reason_of(place: Place) -> Gap | None:
+def reason_of(place: SourceLine) -> Gap | None:
     """The entry of the list that explains it."""
     return next((gap for gap in GAPS if gap.explains(place.function, place.code)), None)
 
@@ -141,12 +141,12 @@ def _succeed(command: Sequence[str | Path], folder: Path | None = None) -> None:
 
 
 def _coverage(content: Mapping[str, Any], folder: Path, name: str) -> Coverage:
-    counts: dict[Place, tuple[int, ...]] = {}
+    counts: dict[SourceLine, tuple[int, ...]] = {}
     seen = Counter[tuple[str, str]]()
     for line, text in _lines(content, folder):
         function = line.get("function_name", "")
         own = (line["count"], *(branch["count"] for branch in line["branches"]))
-        place = Place(_common(function, name), _common(text, name), seen[function, text], len(own) - 1)
+        place = SourceLine(_common(function, name), _common(text, name), seen[function, text], len(own) - 1)
         seen[function, text] += 1
         counts[place] = tuple(map(max, counts.get(place, own), own))  # groups of blocks have the same function
     return Coverage(counts)

@@ -14,7 +14,7 @@ from typing import Final
 
 from sgms_bench import C_DIR
 from sgms_bench.verification.machines import random_package
-from sgms_bench.verification.outcome import AbsentError, Outcome, Run, definitions, require, run
+from sgms_bench.verification.outcome import AbsentError, CheckOutcome, Run, definitions, require, run
 from sgms_mhe.emission.package import Package, write_package
 
 Progress = Callable[[str], None]
@@ -80,7 +80,7 @@ SANITIZERS: Final[Mapping[str, Sanitizer]] = MappingProxyType(
 
 def fuzz_machines(
     sanitizer: Sanitizer, seeds: Sequence[int], calls: int, keep: Path, progress: Progress = lambda _: None
-) -> Outcome:
+) -> CheckOutcome:
     """Make calls of the packages of random machines.
 
     A call of one machine may take a thousand times that of another. So each machine gets as much work, as its package
@@ -105,8 +105,8 @@ def fuzz_machines(
             failures += [f"machine of seed {seed}: {failure}"] if failure else []
             progress(f"{sanitizer.title}: machine {seed}, {done} calls, {len(failures)} failures")
     except AbsentError as absent:
-        return Outcome(sanitizer.title, "", skipped=str(absent))
-    return Outcome(sanitizer.title, f"{done} calls of {len(seeds)} machines", tuple(failures))
+        return CheckOutcome(sanitizer.title, "", skipped=str(absent))
+    return CheckOutcome(sanitizer.title, f"{done} calls of {len(seeds)} machines", tuple(failures))
 
 
 def _check_tools(sanitizer: Sanitizer) -> None:

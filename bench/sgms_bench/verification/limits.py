@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from sgms_bench.motions import simulated_log
-from sgms_bench.target.trial import Trial, run_trial, single_precision
-from sgms_bench.verification.outcome import AbsentError, Outcome, require
+from sgms_bench.target.trial import TargetTrial, run_trial, single_precision
+from sgms_bench.verification.outcome import AbsentError, CheckOutcome, require
 from sgms_mhe.emission.package import Package, emit_package
 from sgms_mhe.host.targets import TARGETS, Target
 from sgms_mhe.machine import Machine
@@ -26,7 +26,7 @@ def stated_operations(package: Package) -> Mapping[str, int]:
     return {call: int(count) for call, count in found}
 
 
-def check_limits(machines: Sequence[Machine], progress: Callable[[str], None]) -> list[Outcome]:
+def check_limits(machines: Sequence[Machine], progress: Callable[[str], None]) -> list[CheckOutcome]:
     """Check that no call takes more stack than its deepest path, or more work than stated; per target."""
     outcomes = []
     for target in TARGETS.values():
@@ -34,10 +34,10 @@ def check_limits(machines: Sequence[Machine], progress: Callable[[str], None]) -
         try:
             require(f"{target.prefix}gcc", target.emulator[0])
         except AbsentError as absent:
-            outcomes.append(Outcome(check, "", skipped=str(absent)))
+            outcomes.append(CheckOutcome(check, "", skipped=str(absent)))
             continue
         failures = [f"{m.name}: {text}" for m in machines for text in _beyond(single_precision(m), target)]
-        outcomes.append(Outcome(check, f"{len(machines)} packages, {UPDATES} updates each", tuple(failures)))
+        outcomes.append(CheckOutcome(check, f"{len(machines)} packages, {UPDATES} updates each", tuple(failures)))
         progress(f"{check}: {len(failures)} failures")
     return outcomes
 
@@ -57,6 +57,6 @@ def _beyond(machine: Machine, target: Target) -> list[str]:
     return found
 
 
-def _most_instructions(trial: Trial, call: str) -> int:
+def _most_instructions(trial: TargetTrial, call: str) -> int:
     counts = {"sample": trial.sample, "tick": trial.tick, "prepare": trial.prepare, "feedback": trial.feedback}
     return int(counts[call].max())

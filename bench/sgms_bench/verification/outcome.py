@@ -13,7 +13,7 @@ from sgms_mhe.host.compiled import replay_definitions
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CheckOutcome:
     """Outcome of one check.
 
     Attributes:

@@ -27,7 +27,7 @@ _ASSUMED: Final = "assumed"
 
 
 @dataclass(frozen=True)
-class Known:
+class AxisNumbers:
     """Prior knowledge of an axis, before any measurement.
 
     Attributes:
@@ -51,7 +51,7 @@ class Known:
     max_velocity: float = 1.0
 
 
-def start_text(known: Known, path: Path) -> tuple[str, Machine]:
+def start_text(known: AxisNumbers, path: Path) -> tuple[str, Machine]:
     """The machine file, every number with its unit and where it comes from, and the machine that it describes.
 
     What is unknown stands at a usual value and is marked as assumed: friction of 1 % of the weight (of an axis that

@@ -14,7 +14,7 @@ from typing import BinaryIO, Final, Protocol
 import numpy as np
 
 from sgms_mhe.api.inputs import Note, recorded_log
-from sgms_mhe.evaluation.watching import Course
+from sgms_mhe.evaluation.watching import RunSummary
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.logfiles.following import FollowedText
 from sgms_mhe.logfiles.plausibility import check_plausible
@@ -46,7 +46,7 @@ LEAST_STRETCH_S: Final = 5.0
 """Of the last stretch, where there were others."""
 
 
-class Clock(Protocol):
+class ReplayClock(Protocol):
     """Time as it passes."""
 
     def now(self) -> float:
@@ -68,7 +68,7 @@ class HostClock:
         time.sleep(min(seconds, POLL_S))
 
 
-class Source(ABC):
+class SampleSource(ABC):
     """Where samples come from.
 
     Attributes:
@@ -92,7 +92,7 @@ class Source(ABC):
         """
 
 
-class Replay(Source):
+class Replay(SampleSource):
     """A log that is whole, of any format, read and checked as by every other command.
 
     Args:
@@ -106,7 +106,9 @@ class Replay(Source):
         InputError: as `read_log`.
     """
 
-    def __init__(self, path: Path, machine: Machine, speed: float, clock: Clock, note: Note | None = None) -> None:
+    def __init__(
+        self, path: Path, machine: Machine, speed: float, clock: ReplayClock, note: Note | None = None
+    ) -> None:
         super().__init__()
         log = recorded_log(path, machine, note=note)
         self._log = log
@@ -143,10 +145,10 @@ def _has_own(log: Log) -> bool:
     return any(column is not None for column in (log.velocity_m_s, log.acceleration_m_s2, log.friction_N))
 
 
-class _Growing(Source):
+class _Growing(SampleSource):
     """A text that comes in pieces: how it is read, and when nobody waits for more of it."""
 
-    def __init__(self, path: Path, machine: Machine, idle_s: float, clock: Clock) -> None:
+    def __init__(self, path: Path, machine: Machine, idle_s: float, clock: ReplayClock) -> None:
         super().__init__()
         self._text, self._clock = FollowedText(path, machine), clock
         self._idle_s = idle_s
@@ -191,7 +193,7 @@ class Followed(_Growing):
         InputError: the file cannot be read, or is none that grows line by line.
     """
 
-    def __init__(self, path: Path, machine: Machine, idle_s: float, clock: Clock) -> None:
+    def __init__(self, path: Path, machine: Machine, idle_s: float, clock: ReplayClock) -> None:
         if path.suffix.lower() in READERS:
             allowed = f"a text, which grows line by line ({', '.join(TEXTS)}); without --follow it is replayed"
             raise InputError(path, "--follow", path.name, allowed)
@@ -250,7 +252,7 @@ class Streamed(_Growing):
         clock: by which that is measured.
     """
 
-    def __init__(self, stream: BinaryIO, path: Path, machine: Machine, idle_s: float, clock: Clock) -> None:
+    def __init__(self, stream: BinaryIO, path: Path, machine: Machine, idle_s: float, clock: ReplayClock) -> None:
         super().__init__(path, machine, idle_s, clock)
         self._stream = stream
 
@@ -282,7 +284,7 @@ class Watch:
     def __init__(self, machine: Machine) -> None:
         estimator = CompiledEstimator(machine)
         self._machine, self._running = machine, estimator.running()
-        self.course = Course(machine, estimator.model)
+        self.course = RunSummary(machine, estimator.model)
         self.doubts: list[str] = []
         self._stretch: list[Log] = []
         self._chain: Chain | None = None

@@ -73,7 +73,7 @@ trace_option = click.option(
 )
 
 
-class Number(click.FloatRange):
+class NumberType(click.FloatRange):
     """A finite number within a stated range, its ends included."""
 
     def __init__(self, low: float, high: float) -> None:
@@ -100,7 +100,7 @@ def out_option(meaning: str, *, metavar: str = "FILE", required: bool = True) ->
 
 def part_options(meaning: str) -> Callable[[F], F]:
     """The options --from and --to, in seconds since the log's first sample."""
-    seconds = Number(0.0, LONGEST_RECORD)
+    seconds = NumberType(0.0, LONGEST_RECORD)
     start = click.option("--from", "start_s", type=seconds, metavar="S", default=0.0, help=meaning)
     end = click.option("--to", "end_s", type=seconds, metavar="S", default=LONGEST_RECORD, help="And until here [s].")
     return lambda function: start(end(function))

@@ -11,7 +11,7 @@ import click
 
 from sgms_mhe.commands.common import (
     LONGEST_RECORD,
-    Number,
+    NumberType,
     check_output_folder,
     example,
     json_option,
@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 @part_options("Use the log from here on [s since its start] as a log of its own, whose time starts here.")
 @click.option(
     "--held-out",
-    type=(Number(0.0, LONGEST_RECORD), Number(0.0, LONGEST_RECORD)),
+    type=(NumberType(0.0, LONGEST_RECORD), NumberType(0.0, LONGEST_RECORD)),
     multiple=True,
     metavar="FROM TO",
     help="Seconds since the start that the fit behind the gain does not see; default: a third of the record.",

@@ -140,9 +140,9 @@ def _text(content: dict[str, Any]) -> str:
 
 def _table(rows: list[dict[str, str]]) -> str:
     """Rows of text below their names."""
-    from sgms_mhe.support.tables import Table
+    from sgms_mhe.support.tables import CsvTable
 
-    lines = str(Table("", dict.fromkeys(rows[0], ""), rows)).splitlines()[1:]
+    lines = str(CsvTable("", dict.fromkeys(rows[0], ""), rows)).splitlines()[1:]
     return "\n".join(line.removeprefix("  ") for line in lines)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from sgms_mhe.commands.common import (
-    Number,
+    NumberType,
     check_output_folder,
     example,
     json_option,
@@ -37,7 +37,7 @@ LONGEST_S = 1e6
 @click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster that does the work in place of this host.")
 @click.option(
     "--time-limit",
-    type=Number(1.0, LONGEST_S),
+    type=NumberType(1.0, LONGEST_S),
     metavar="S",
     default=1800.0,
     show_default=True,
@@ -68,9 +68,9 @@ def command(
 
     from sgms_mhe.api.fleet import run_fleet
     from sgms_mhe.api.fleet.writing import results_json, write_fleet
-    from sgms_mhe.support.processes import Place
+    from sgms_mhe.support.processes import WorkerSlot
 
-    place = Place(jobs or workers(), scheduler, time_limit)
+    place = WorkerSlot(jobs or workers(), scheduler, time_limit)
     with steps_bar() as progress:
         fleet = run_fleet(verb, table, folder, place, progress)
     page = write_fleet(fleet, folder)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from sgms_mhe.commands.common import (
-    Number,
+    NumberType,
     check_output_file,
     example,
     json_option,
@@ -50,11 +50,11 @@ def _elements(ctx: click.Context, param: click.Parameter, text: str) -> int | No
 @log_options
 @out_option("The machine file to write; its stem is the machine's name.", metavar="MACHINE.toml")
 @click.option(
-    "--mass", type=Number(1e-9, HEAVIEST), metavar="KG", help="Moved mass; default: the one that the motion shows."
+    "--mass", type=NumberType(1e-9, HEAVIEST), metavar="KG", help="Moved mass; default: the one that the motion shows."
 )
 @click.option(
     "--inertia",
-    type=Number(1e-12, HEAVIEST),
+    type=NumberType(1e-12, HEAVIEST),
     metavar="KG_M2",
     help="The same of an axis that turns; its logs say it does.",
 )

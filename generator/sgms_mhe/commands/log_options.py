@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from sgms_mhe.commands.common import Number
+from sgms_mhe.commands.common import NumberType
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,14 +43,14 @@ _OPTIONS = (
     click.option(
         "--rate",
         "log_rate",
-        type=Number(1e-3, 1e7),
+        type=NumberType(1e-3, 1e7),
         metavar="HZ",
         help="Samples per second, where no column says the time.",
     ),
     click.option(
         "--wrap",
         "log_wrap",
-        type=Number(1e-15, 1e15),
+        type=NumberType(1e-15, 1e15),
         metavar="PERIOD",
         help="Position starts over after so much, in its recorded unit.",
     ),
@@ -65,7 +65,7 @@ _OPTIONS = (
     click.option(
         "--force-scale",
         "log_scale",
-        type=Number(-1e15, 1e15),
+        type=NumberType(-1e15, 1e15),
         metavar="N",
         help="Force [N], or torque [N m], per recorded unit.",
     ),

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from sgms_mhe.commands.common import (
-    Number,
+    NumberType,
     check_output_file,
     example,
     json_option,
@@ -36,7 +36,7 @@ from sgms_mhe.commands.log_options import load_for_log, log_options
 @log_options
 @out_option("CSV to write: time_s, friction_measured_N, friction_N (of a rotary axis _Nm) at every sample.")
 @part_options("Compare from here on [s since the log's start]; the model runs through the whole log.")
-@click.option("--lowpass", type=Number(1e-3, 1e7), metavar="HZ", help="In place of the machine's velocity_cutoff.")
+@click.option("--lowpass", type=NumberType(1e-3, 1e7), metavar="HZ", help="In place of the machine's velocity_cutoff.")
 @click.option(
     "--decimate",
     "factor",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, Literal
 import click
 
 from sgms_mhe.commands.common import (
-    Number,
+    NumberType,
     check_output_file,
     example,
     machine_argument,
@@ -61,7 +61,10 @@ def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
     help="Reference motion by name, or a CSV file of one, as plan writes it.",
 )
 @click.option(
-    "--duration", type=Number(1e-3, 86400.0), metavar="S", help="Repeat or cut the motion to this long; default once."
+    "--duration",
+    type=NumberType(1e-3, 86400.0),
+    metavar="S",
+    help="Repeat or cut the motion to this long; default once.",
 )
 @click.option("--seed", type=click.IntRange(0), metavar="N", default=0, show_default=True, help="Seed of the noise.")
 @click.option(
@@ -70,10 +73,15 @@ def _scales(ctx: click.Context, param: click.Parameter, texts: tuple[str, ...]) 
     help="Friction law of the plant; maxwell_slip switches instead of smoothing; default: the machine file's.",
 )
 @click.option(
-    "--force-noise", type=Number(0.0, 1e6), metavar="N", default=0.1, show_default=True, help="1 sigma [N, N m]."
+    "--force-noise", type=NumberType(0.0, 1e6), metavar="N", default=0.1, show_default=True, help="1 sigma [N, N m]."
 )
 @click.option(
-    "--encoder-resolution", type=Number(0.0, 1.0), metavar="M", default=1e-9, show_default=True, help="Step [m, rad]."
+    "--encoder-resolution",
+    type=NumberType(0.0, 1.0),
+    metavar="M",
+    default=1e-9,
+    show_default=True,
+    help="Step [m, rad].",
 )
 @click.option(
     "--scale",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sgms_mhe.commands.common import (
-    Number,
+    NumberType,
     check_output_file,
     example,
     moved_mass,
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 LARGEST = 1e9
 """Of any number that is asked for."""
 
-_positive = Number(1e-12, LARGEST)
+_positive = NumberType(1e-12, LARGEST)
 
 
 @click.command(
@@ -66,7 +66,7 @@ def command(
     """
     check_output_file(out, (".toml",))
 
-    from sgms_mhe.api.starting import Known, start_text
+    from sgms_mhe.api.starting import AxisNumbers, start_text
     from sgms_mhe.support.files import write_text
 
     if out.exists() and not force:
@@ -86,7 +86,7 @@ def command(
         rate = table.get("rate")
         if rate is None:
             rate = _ask("--rate", "Samples per second [Hz]")
-        known = Known(out.stem, kind, moved, rate, coulomb, viscous, break_away, max_velocity)
+        known = AxisNumbers(out.stem, kind, moved, rate, coulomb, viscous, break_away, max_velocity)
         write_text(out, start_text(known, out)[0])
     show(f"machine file: {out}\nnext: sgms-mhe check {out}", out)
 

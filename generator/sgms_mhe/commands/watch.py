@@ -14,7 +14,7 @@ import click
 
 from sgms_mhe.commands.common import (
     LONGEST_RECORD,
-    Number,
+    NumberType,
     check_output_file,
     example,
     is_quiet,
@@ -32,8 +32,8 @@ from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.errors import InputError
 
 if TYPE_CHECKING:
-    from sgms_mhe.api.watching import Clock, Source, Watch
-    from sgms_mhe.commands.watch_views import GrowingEstimates, Page, View
+    from sgms_mhe.api.watching import ReplayClock, SampleSource, Watch
+    from sgms_mhe.commands.watch_views import GrowingEstimates, Page, WatchView
     from sgms_mhe.machine import Machine
 
 TOGETHER_S: Final = 1.0
@@ -42,7 +42,7 @@ SHOWN: Final = 10
 """Stretches with a fault that the text lists."""
 
 
-class Speed(Number):
+class Speed(NumberType):
     """A number, or `max`."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -101,11 +101,13 @@ class Interrupt:
     show_default=True,
     help="Of a replay, times real time; max: as fast as it goes.",
 )
-@click.option("--idle", "idle_s", type=Number(0.1, 1e6), metavar="S", help="End after so long without a new line [s].")
+@click.option(
+    "--idle", "idle_s", type=NumberType(0.1, 1e6), metavar="S", help="End after so long without a new line [s]."
+)
 @click.option(
     "--every",
     "every_s",
-    type=Number(1e-3, LONGEST_RECORD),
+    type=NumberType(1e-3, LONGEST_RECORD),
     metavar="S",
     default=5.0,
     show_default=True,
@@ -170,7 +172,9 @@ def command(
     _leave(ctx, interrupt, watch, error, name)
 
 
-def _source(log: Path, machine: Machine, idle_s: float, speed: float, clock: Clock, *, follow: bool) -> Source:
+def _source(
+    log: Path, machine: Machine, idle_s: float, speed: float, clock: ReplayClock, *, follow: bool
+) -> SampleSource:
     """Where the samples come from. Raises InputError for what cannot be read, or followed."""
     from sgms_mhe.api import watching
 
@@ -184,10 +188,10 @@ def _source(log: Path, machine: Machine, idle_s: float, speed: float, clock: Clo
 
 
 def _run(
-    source: Source,
+    source: SampleSource,
     watch: Watch,
     interrupt: Interrupt,
-    seen: View,
+    seen: WatchView,
     page: Page | None,
     rows: GrowingEstimates | None,
     *,

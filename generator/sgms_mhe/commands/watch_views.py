@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from sgms_mhe.commands.common import is_stream, note
-from sgms_mhe.evaluation.watching import Course, flags_of, status_words
+from sgms_mhe.evaluation.watching import RunSummary, flags_of, status_words
 from sgms_mhe.report import Watched, write_watch_page
 from sgms_mhe.report.units import force, plain, quantity, use_units
 from sgms_mhe.report.watch import interval_text, seconds
@@ -41,7 +41,7 @@ WIDE: Final = 90
 """Columns of a terminal that has room for the trends of parameters."""
 
 
-class View(Protocol):
+class WatchView(Protocol):
     """Shows a run."""
 
     def __enter__(self) -> Self:
@@ -52,7 +52,7 @@ class View(Protocol):
     ) -> None:
         """Leave nothing behind that is half done."""
 
-    def show(self, course: Course) -> None:
+    def show(self, course: RunSummary) -> None:
         """Show it as it is now; called often."""
 
 
@@ -67,18 +67,18 @@ class Nothing:
     ) -> None:
         pass
 
-    def show(self, course: Course) -> None:
+    def show(self, course: RunSummary) -> None:
         """Nothing."""
 
 
-class Lines(Nothing):
+class WatchLines(Nothing):
     """A line on stderr every so many seconds of the log."""
 
     def __init__(self, every_s: float) -> None:
         self._every_s = every_s
         self._due = -np.inf
 
-    def show(self, course: Course) -> None:
+    def show(self, course: RunSummary) -> None:
         """A line, where one is due."""
         last = course.latest
         if last is None or last.time_s[0] < self._due:
@@ -115,7 +115,7 @@ class Picture:
     ) -> None:
         self._live.__exit__(kind, error, trace)
 
-    def show(self, course: Course) -> None:
+    def show(self, course: RunSummary) -> None:
         """A new picture, where one is due."""
         if course.latest is None or self._now() < self._due:
             return
@@ -123,7 +123,7 @@ class Picture:
         with use_units(course.machine.plant.units):
             self._live.update(self._drawn(course, course.latest), refresh=True)
 
-    def _drawn(self, course: Course, last: Estimates) -> Panel:
+    def _drawn(self, course: RunSummary, last: Estimates) -> Panel:
         flags = flags_of(int(last.status[0]))
         colour = {"refused": "red", "doubt": "red", "good": "green"}.get(flags[0], "yellow")
         recent, points, n_p = course.recent, course.trend.points, len(course.names)
@@ -180,13 +180,13 @@ class Page:
         self._path, self._source, self._now = path, source, now
         self._due = -np.inf
 
-    def show(self, course: Course, remarks: tuple[str, ...]) -> None:
+    def show(self, course: RunSummary, remarks: tuple[str, ...]) -> None:
         """A new page, where one is due."""
         if course.latest is not None and self._now() >= self._due:
             write_watch_page(self._path, Watched(course, self._source, "", remarks))
             self._due = self._now() + PAGE_S
 
-    def end(self, course: Course, ended: str, remarks: tuple[str, ...]) -> None:
+    def end(self, course: RunSummary, ended: str, remarks: tuple[str, ...]) -> None:
         """The page that stays."""
         write_watch_page(self._path, Watched(course, self._source, ended, remarks))
 
@@ -245,8 +245,8 @@ class GrowingEstimates:
         return self._path.open("ab", buffering=0), len(header)
 
 
-def view(source: str, every_s: float, now: Callable[[], float], *, quiet: bool) -> View:
+def view(source: str, every_s: float, now: Callable[[], float], *, quiet: bool) -> WatchView:
     """How a run is shown: a picture on a terminal, else lines; nothing where nothing is to be said."""
     if quiet:
         return Nothing()
-    return Picture(source, now) if sys.stderr.isatty() else Lines(every_s)
+    return Picture(source, now) if sys.stderr.isatty() else WatchLines(every_s)

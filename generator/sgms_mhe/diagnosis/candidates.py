@@ -20,7 +20,7 @@ from sgms_mhe.diagnosis.fits import Fit, Subject
 from sgms_mhe.diagnosis.harmonics import search_harmonic
 from sgms_mhe.diagnosis.maps import search_periodic
 from sgms_mhe.diagnosis.models import CompiledFit
-from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Group
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, energy, propose
 from sgms_mhe.model.effects import (
     BASE_CAUSES,
@@ -171,7 +171,7 @@ def _slope(
     """Force per unit of a size (m, 1) [N], from the compiled model at a trial; None where it is not finite."""
     effects = (*fit.effects, CandidateEffect(definition.name, trial))
     _, jacobian = model.run(subject.recording, subject.start(model, effects, fit))
-    index = model.index(Group.candidate(definition.name, len(fit.effects)), size)
+    index = model.index(ParameterGroup.candidate(definition.name, len(fit.effects)), size)
     if jacobian is None or not np.all(np.isfinite(jacobian[:, index])):
         return None
     return np.asarray(jacobian[:, [index]] / model.columns[index].scale)
@@ -338,7 +338,7 @@ def stiffness_start(subject: Subject, effects: Sequence[CandidateEffect], materi
     for cause in BASE_CAUSES.values():
         if not cause.start_factors:
             continue
-        common = np.array([c.group == Group.base(cause.name) for c in model.columns])
+        common = np.array([c.group == ParameterGroup.base(cause.name) for c in model.columns])
         starts = {factor: np.where(common, factor * theta, theta) for factor in cause.start_factors}
         runs = run_parallel([partial(model.run, recording, at, derivatives=False) for at in starts.values()])
         left = {

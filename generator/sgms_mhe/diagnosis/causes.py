@@ -17,7 +17,7 @@ from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.final_fit import FinalFit, split_rms
 from sgms_mhe.diagnosis.fits import ITERATIONS, Fit, _report_name, report_values
 from sgms_mhe.diagnosis.models import FitError
-from sgms_mhe.diagnosis.parametrisation import Group, drop_effect, drop_group, machine_groups, smooth_law
+from sgms_mhe.diagnosis.parametrisation import ParameterGroup, drop_effect, drop_group, machine_groups, smooth_law
 from sgms_mhe.diagnosis.result import BaseParameter, Cause, Rms
 from sgms_mhe.diagnosis.rivals import Rejected, Selection
 from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations
@@ -59,7 +59,7 @@ FOLLOWS: Final = 0.5
 less it was right for a model without them."""
 
 
-def measure_causes(final: FinalFit, selection: Selection, blind: Fit) -> dict[Group, Cause]:
+def measure_causes(final: FinalFit, selection: Selection, blind: Fit) -> dict[ParameterGroup, Cause]:
     """Causes of a selection, with parameters of all data and gains of a fit `blind` to the held-out blocks."""
     recording, fit = final.recording, selection.fit
     deviations = standard_deviations(covariance(final.subject, fit, final.other), fit)
@@ -140,7 +140,7 @@ def _sizes(cause: Cause) -> dict[str, float]:
     return {key: definition.parameter(key).none for key in known if definition.parameter(key).is_size}
 
 
-def _file_values(fit: Fit, group: Group) -> dict[str, float]:
+def _file_values(fit: Fit, group: ParameterGroup) -> dict[str, float]:
     """Return the machine file's numbers of a group; none for an effect under test."""
     return {
         _report_name(group, c.name): c.si(c.machine_theta)
@@ -190,7 +190,7 @@ def extended_machine(
     friction = {**law_changes(machine, smooth_law(final.subject.machine, fit.effects)), **friction}
     effects: list[dict[str, Any]] = []
     for effect in machine.effects:
-        group = Group.own(effect.name, effect.label)
+        group = ParameterGroup.own(effect.name, effect.label)
         effects.append(
             {"name": effect.name, **(fit.values(group) if group in selection.refitted else effect.parameters)}
         )
@@ -256,7 +256,13 @@ def confirm_causes(final: FinalFit, selection: Selection, *, constant: bool = Fa
 
 
 def _doubt(
-    final: FinalFit, fit: Fit, group: Group, causes: Mapping[Group, Cause], *, constant: bool, complete: bool
+    final: FinalFit,
+    fit: Fit,
+    group: ParameterGroup,
+    causes: Mapping[ParameterGroup, Cause],
+    *,
+    constant: bool,
+    complete: bool,
 ) -> str | None:
     """Return the rule by which a cause does not hold, None if it does; `complete`: its fit leaves next to nothing."""
     cause, small = causes[group], small_force(final.subject.machine)
@@ -296,7 +302,7 @@ def _period(cause: Cause) -> tuple[str, float, float] | None:
     return sine.coordinate, cause.parameters[sine.period], SIGMAS * cause.std[sine.period]
 
 
-def _is_imitation(final: FinalFit, fit: Fit, group: Group, cause: Cause) -> bool:
+def _is_imitation(final: FinalFit, fit: Fit, group: ParameterGroup, cause: Cause) -> bool:
     """Return True if a wrong number may be the error of elements that stand for switching ones.
 
     Beside an effect that stands with no such elements no record says that an axis does not switch.
@@ -398,7 +404,7 @@ def restore_undetermined(final: FinalFit, found: Confirmed) -> Confirmed:
     return Confirmed(selection, blind, _strongest_first(measure_causes(final, selection, blind)))
 
 
-def _find_undetermined(final: FinalFit, found: Confirmed) -> list[Group]:
+def _find_undetermined(final: FinalFit, found: Confirmed) -> list[ParameterGroup]:
     """Wrong numbers of the machine that are none once the ones are as in its file that the record does not determine.
 
     Together they may make up for what something else gets wrong.
@@ -410,18 +416,18 @@ def _find_undetermined(final: FinalFit, found: Confirmed) -> list[Group]:
     return [group for group in own if group.cause not in known]
 
 
-def _strongest_first(causes: Mapping[Group, Cause]) -> tuple[Cause, ...]:
+def _strongest_first(causes: Mapping[ParameterGroup, Cause]) -> tuple[Cause, ...]:
     return tuple(sorted(causes.values(), key=lambda cause: -cause.gain_N))
 
 
-def _without(final: FinalFit, selection: Selection, group: Group) -> Selection:
+def _without(final: FinalFit, selection: Selection, group: ParameterGroup) -> Selection:
     """The selection without one of its causes, the others fitted again."""
     refitted = drop_group(selection.refitted, group)
     fit = final.fit(drop_effect(selection.fit.effects, group), refitted=refitted, warm=selection.fit)
     return _remove_name(replace(selection, fit=fit, refitted=refitted), selection, group)
 
 
-def _unname(final: FinalFit, selection: Selection, group: Group) -> Selection:
+def _unname(final: FinalFit, selection: Selection, group: ParameterGroup) -> Selection:
     """The same where more is left than is known: a number of the machine stays refitted, but is no cause.
 
     Held at the file's it would pass its error on to the other causes, which then would seem to change.
@@ -431,7 +437,7 @@ def _unname(final: FinalFit, selection: Selection, group: Group) -> Selection:
     return _remove_name(replace(selection, unnamed=(*selection.unnamed, group)), selection, group)
 
 
-def _remove_name(selection: Selection, before: Selection, group: Group) -> Selection:
+def _remove_name(selection: Selection, before: Selection, group: ParameterGroup) -> Selection:
     """Return the causes of a selection that had one more, `group`, `before`."""
     left = [g for g in before.causes if g != group]
     return replace(
@@ -442,7 +448,7 @@ def _remove_name(selection: Selection, before: Selection, group: Group) -> Selec
     )
 
 
-def _inconstancy(final: FinalFit, selection: Selection, group: Group) -> float:
+def _inconstancy(final: FinalFit, selection: Selection, group: ParameterGroup) -> float:
     """Return the relative change of a cause's size over the record."""
     fit = selection.fit
     refitted = drop_group(selection.refitted, group)
@@ -451,7 +457,7 @@ def _inconstancy(final: FinalFit, selection: Selection, group: Group) -> float:
     return inconstancy(final.recording, without.residual - fit.residual, fit.residual, inertial=inertial)
 
 
-def _is_consequence(final: FinalFit, selection: Selection, group: Group) -> bool:
+def _is_consequence(final: FinalFit, selection: Selection, group: ParameterGroup) -> bool:
     """Return True if a number of the machine is wrong only beside the effects: right for a model without them."""
     if group.is_candidate or not selection.fit.effects:
         return False

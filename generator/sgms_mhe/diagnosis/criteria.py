@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.fits import Fit, Subject
-from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Group
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.machine import DiagnosisTable, Machine
 from sgms_mhe.model.effects import EFFECT_NAMES, Measure, cause, effect_definition, effect_names
@@ -197,7 +197,7 @@ class Ranked:
 
     gain: float
     proposal: Proposal
-    group: Group | None = None
+    group: ParameterGroup | None = None
 
 
 def make_effect(proposal: Proposal) -> CandidateEffect:

@@ -14,7 +14,7 @@ from sgms_mhe.diagnosis.candidates import edge_rows
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.laws import ALIGNMENTS, Laws
 from sgms_mhe.diagnosis.models import FitError
-from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Group, drop_effect, drop_group
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup, drop_effect, drop_group
 from sgms_mhe.diagnosis.result import RivalFit
 from sgms_mhe.diagnosis.rivals import Selection
 from sgms_mhe.model.effects import effect_definition
@@ -106,7 +106,7 @@ class FinalFit:
         self,
         effects: Sequence[CandidateEffect],
         *,
-        refitted: Sequence[Group] | None = None,
+        refitted: Sequence[ParameterGroup] | None = None,
         warm: Fit | None = None,
         rows: Mask | None = None,
         fixed: frozenset[str] = frozenset(),

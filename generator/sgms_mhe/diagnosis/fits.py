@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.models import CompiledFit, FitError, LeastSquares, Prior, find_at_bounds, make_model
-from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Column, Group, smooth_law
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, JacobianColumn, ParameterGroup, smooth_law
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition, reported_name
 from sgms_mhe.recordings.evidence import cross_loss
@@ -63,9 +63,9 @@ class Fit:
     rows: Array
 
     @property
-    def candidate_groups(self) -> tuple[Group, ...]:
+    def candidate_groups(self) -> tuple[ParameterGroup, ...]:
         """Groups of the effects under test."""
-        return tuple(Group.candidate(effect.name, i) for i, effect in enumerate(self.effects))
+        return tuple(ParameterGroup.candidate(effect.name, i) for i, effect in enumerate(self.effects))
 
     @property
     def rms(self) -> float:
@@ -77,7 +77,7 @@ class Fit:
         """RMS by cross-validation [N]."""
         return math.sqrt(max(0.0, float(self.cross.sum() / self.rows.sum())))
 
-    def theta_without(self, groups: Collection[Group]) -> Array:
+    def theta_without(self, groups: Collection[ParameterGroup]) -> Array:
         """The same numbers (n_p), the sizes of these effects set to none."""
         theta = self.theta.copy()
         for i, column in enumerate(self.model.columns):
@@ -85,7 +85,7 @@ class Fit:
                 theta[i] = column.theta(column.none)
         return theta
 
-    def values(self, group: Group) -> dict[str, float]:
+    def values(self, group: ParameterGroup) -> dict[str, float]:
         """SI values of a group's parameters."""
         return {
             c.name: c.si(t) for c, t in zip(self.model.columns, self.theta.tolist(), strict=True) if c.group == group
@@ -179,7 +179,7 @@ class Subject:
 
     def start(self, model: CompiledFit, effects: Sequence[CandidateEffect], warm: Fit | None = None) -> Array:
         """Theta (n_p) to start from: the machine's, a warm fit's where it has them, the proposals' otherwise."""
-        known: dict[tuple[Group, str], float] = {}
+        known: dict[tuple[ParameterGroup, str], float] = {}
         if warm is not None:
             known = {
                 (c.group, c.name): c.si(t)
@@ -187,7 +187,7 @@ class Subject:
                 if not c.group.is_candidate
             }
         wanted = {
-            (Group.candidate(effect.name, i), key): value
+            (ParameterGroup.candidate(effect.name, i), key): value
             for i, effect in enumerate(effects)
             for key, value in effect.parameters.items()
         }
@@ -216,7 +216,7 @@ def fit_model(
     subject: Subject,
     effects: Sequence[CandidateEffect],
     *,
-    refitted: Sequence[Group] | None = None,
+    refitted: Sequence[ParameterGroup] | None = None,
     warm: Fit | None = None,
     rows: Mask | None = None,
     fixed: frozenset[str] = frozenset(),
@@ -256,12 +256,12 @@ def fit_model(
 class _Wanted:
     """Freedom and data of a fit; as the arguments of `fit_model`."""
 
-    refitted: Sequence[Group] | None
+    refitted: Sequence[ParameterGroup] | None
     rows: Mask | None
     fixed: frozenset[str]
     iterations: int
 
-    def frees(self, column: Column) -> bool:
+    def frees(self, column: JacobianColumn) -> bool:
         """Return True if a column is fitted."""
         if column.group.is_candidate:
             return not column.frozen
@@ -309,7 +309,7 @@ def _fit_here(subject: Subject, effects: Sequence[CandidateEffect], warm: Fit | 
                 {
                     c.name: c.si(t)
                     for c, t in zip(columns, found.theta, strict=True)
-                    if c.group == Group.candidate(e.name, i)
+                    if c.group == ParameterGroup.candidate(e.name, i)
                 },
             )
             for i, e in enumerate(effects)
@@ -342,13 +342,13 @@ def _prior(subject: Subject, model: CompiledFit, free: Mask) -> Prior:
     return Prior(information, np.where(own, information, 0.0), centre[free])
 
 
-def report_values(fit: Fit, group: Group) -> dict[str, float]:
+def report_values(fit: Fit, group: ParameterGroup) -> dict[str, float]:
     """A group's numbers as a report states them, with units at the ends of their names."""
     values = {_report_name(group, name): value for name, value in fit.values(group).items()}
     return effect_definition(group.cause).tidy(values) if group.is_candidate else values
 
 
-def _report_name(group: Group, column: str) -> str:
+def _report_name(group: ParameterGroup, column: str) -> str:
     return reported_name(column) if group.kind == "base" else column
 
 
@@ -356,7 +356,7 @@ def try_fit(
     subject: Subject,
     effects: Sequence[CandidateEffect],
     *,
-    refitted: Sequence[Group] | None = None,
+    refitted: Sequence[ParameterGroup] | None = None,
     warm: Fit | None = None,
 ) -> Fit | None:
     """A fit, or None where the model is not finite from its start on."""

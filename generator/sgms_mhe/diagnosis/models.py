@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.parametrisation import (
     CandidateEffect,
-    Column,
     Force,
-    Group,
-    Structure,
+    JacobianColumn,
+    ModelStructure,
+    ParameterGroup,
     base_column,
     bounds,
     delay_column,
@@ -87,7 +87,7 @@ class CompiledFit:
     """
 
     code: CompiledModel
-    columns: tuple[Column, ...]
+    columns: tuple[JacobianColumn, ...]
     delayed: bool = False
     forces: tuple[Force, ...] = ()
 
@@ -96,7 +96,7 @@ class CompiledFit:
         """The symbolic model that was compiled."""
         return self.code.model
 
-    def index(self, group: Group, name: str) -> int:
+    def index(self, group: ParameterGroup, name: str) -> int:
         """Place of a group's parameter among the columns."""
         return next(i for i, c in enumerate(self.columns) if c.group == group and c.name == name)
 
@@ -265,22 +265,23 @@ def make_model(machine: Machine, effects: Sequence[CandidateEffect]) -> Compiled
     prompt = _drop_delays(machine)
     late = [i for i, effect in enumerate(effects) if effect_definition(effect.name).delays]
     others = [i for i in range(len(keys)) if i not in late]
-    alone = {i: Structure(prompt, (keys[i],)) for i in others}
+    alone = {i: ModelStructure(prompt, (keys[i],)) for i in others}
     # In the order of their names: what order effects were found in must neither cost another compilation nor change a
     # digit.
     plain = sorted((others[k] for k in find_plain_forces(prompt, list(alone.values()))), key=lambda i: keys[i])
     places = sorted((i for i in others if i not in plain), key=lambda i: keys[i])
-    compiled = compile_structure(Structure(prompt, tuple(keys[i] for i in places)))
+    compiled = compile_structure(ModelStructure(prompt, tuple(keys[i] for i in places)))
     if places != list(range(len(places))):
         compiled = compiled.ordered(places)
     delays = [
-        delay_column(machine, effects[i].name, Group.candidate(effects[i].name, i), dict(keys[i][1])) for i in late
+        delay_column(machine, effects[i].name, ParameterGroup.candidate(effects[i].name, i), dict(keys[i][1]))
+        for i in late
     ]
     delays += [
         delay_column(
             machine,
             effect.name,
-            Group.own(effect.name, effect.label),
+            ParameterGroup.own(effect.name, effect.label),
             effect_definition(effect.name).entries(effect.parameters),
         )
         for effect in machine.effects
@@ -288,7 +289,7 @@ def make_model(machine: Machine, effects: Sequence[CandidateEffect]) -> Compiled
     ]
     forces = {i: force for i in plain if (force := make_force(alone[i])) is not None}
     beside = [
-        effect_column(Group.candidate(effects[i].name, i), free.column.partition(".")[2], free)
+        effect_column(ParameterGroup.candidate(effects[i].name, i), free.column.partition(".")[2], free)
         for i, force in forces.items()
         for free in force.parameters
     ]
@@ -314,14 +315,14 @@ class _Waiting:
 
     def __init__(self) -> None:
         self._guard = threading.Lock()
-        self._locks: dict[Structure, threading.Lock] = {}
+        self._locks: dict[ModelStructure, threading.Lock] = {}
 
-    def of(self, structure: Structure) -> threading.Lock:
+    def of(self, structure: ModelStructure) -> threading.Lock:
         """Return the lock to hold while asking for it."""
         with self._guard:
             return self._locks.setdefault(structure, threading.Lock())
 
-    def done(self, structure: Structure) -> None:
+    def done(self, structure: ModelStructure) -> None:
         """It is compiled, and whoever asks from now on finds it."""
         with self._guard:
             self._locks.pop(structure, None)
@@ -330,7 +331,7 @@ class _Waiting:
 _waiting = _Waiting()
 
 
-def compile_structure(structure: Structure) -> CompiledFit:
+def compile_structure(structure: ModelStructure) -> CompiledFit:
     """The compiled model of a structure, emitted and loaded once, by whichever threads it is asked for."""
     with _waiting.of(structure):
         compiled = compile_once(structure)
@@ -339,7 +340,7 @@ def compile_structure(structure: Structure) -> CompiledFit:
 
 
 @lru_cache(maxsize=MODELS_CACHED)
-def compile_once(structure: Structure) -> CompiledFit:
+def compile_once(structure: ModelStructure) -> CompiledFit:
     """Return the cached value of `compile_structure`, for one thread at a time."""
     machine = structure.machine
     with SYMBOLIC:
@@ -349,7 +350,7 @@ def compile_once(structure: Structure) -> CompiledFit:
     code = CompiledModel(extended, package, model)
     own, zero = len(machine.effects), typical_sizes(machine)
     groups = {
-        e.label: Group.own(e.name, e.label) if i < own else Group.candidate(e.name, i - own)
+        e.label: ParameterGroup.own(e.name, e.label) if i < own else ParameterGroup.candidate(e.name, i - own)
         for i, e in enumerate(extended.effects)
     }
     columns = []
@@ -380,7 +381,7 @@ class Prior:
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class ModelPoint:
     """A model at theta (n_p): residual (m) [N], slopes d(model)/d(theta) (m, n_p), cost (inf: not finite there)."""
 
     theta: Array
@@ -407,7 +408,7 @@ class LeastSquares:
     free: Mask
     prior: Prior
 
-    def at(self, theta: Array) -> Point:
+    def at(self, theta: Array) -> ModelPoint:
         """The model at theta (n_p)."""
         recording, free, prior = self.recording, self.free, self.prior
         scale = max(_largest(recording.friction), recording.machine.friction.coulomb)
@@ -415,20 +416,20 @@ class LeastSquares:
         y, jacobian = self.model.run(recording, theta)
         residual = recording.friction - y
         if not _largest(residual) < largest:
-            return Point(theta, residual, np.empty((0, 0)), math.inf)
+            return ModelPoint(theta, residual, np.empty((0, 0)), math.inf)
         seen = residual[self.seen]
         cost = float(seen @ seen) + float(prior.binding @ (theta[free] - prior.centre) ** 2)
         # A state that its steps are too long for shows in its derivatives first.
         if jacobian is None or not math.isfinite(cost) or not _largest(jacobian) < largest:
-            return Point(theta, residual, np.empty((0, 0)), math.inf)
-        return Point(theta, residual, jacobian, cost)
+            return ModelPoint(theta, residual, np.empty((0, 0)), math.inf)
+        return ModelPoint(theta, residual, jacobian, cost)
 
     @property
     def count(self) -> int:
         """Residual rows."""
         return int(self.seen.sum())
 
-    def descend(self, theta: Array, iterations: int, enough: float) -> Point:
+    def descend(self, theta: Array, iterations: int, enough: float) -> ModelPoint:
         """Minimise from theta (n_p), see `minimise`.
 
         Raises:
@@ -445,13 +446,13 @@ class LeastSquares:
         if not free.any():
             return here
 
-        def box(here: Point) -> Box:
+        def box(here: ModelPoint) -> Box:
             present = here.theta[free]
             return np.maximum(-limit, lower - present), np.minimum(limit, upper - present)
 
         return minimise(self, here, box, iterations, enough)
 
-    def quadratic(self, here: Point) -> Quadratic:
+    def quadratic(self, here: ModelPoint) -> Quadratic:
         """Return the quadratic model of the cost about a point, in what is free."""
         free, prior = self.free, self.prior
         X = here.jacobian.compress(self.seen, axis=0).compress(free, axis=1)  # a third of what masks take
@@ -459,7 +460,7 @@ class LeastSquares:
         g = X.T @ here.residual[self.seen] - prior.binding * (here.theta[free] - prior.centre)
         return Quadratic(H, g, prior.binding, np.diag(H) + prior.information)
 
-    def after(self, here: Point, step: Array) -> Point:
+    def after(self, here: ModelPoint, step: Array) -> ModelPoint:
         """Return the model after a step of what is free."""
         return self.at(self._move(here.theta, step))
 
@@ -488,7 +489,7 @@ def _largest(values: Array) -> float:
     return max(float(values.max()), -float(values.min()))
 
 
-def find_at_bounds(columns: Sequence[Column], at: Point, seen: Mask, recording: Recording) -> Mask:
+def find_at_bounds(columns: Sequence[JacobianColumn], at: ModelPoint, seen: Mask, recording: Recording) -> Mask:
     """Parameters at a bound that the rows seen (m) push them against (n_p)."""
     descent = at.jacobian[seen].T @ at.residual[seen]
     lower, upper = bounds(columns, recording)

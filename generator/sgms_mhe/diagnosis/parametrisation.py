@@ -59,7 +59,7 @@ class CandidateEffect:
 
 
 @dataclass(frozen=True)
-class Group:
+class ParameterGroup:
     """Parameters that are wrong, or there, together: what a cause is made of.
 
     Attributes:
@@ -100,30 +100,30 @@ class Group:
         return self.label or self.cause
 
 
-def machine_groups(machine: Machine) -> tuple[Group, ...]:
+def machine_groups(machine: Machine) -> tuple[ParameterGroup, ...]:
     """All groups of the machine's own numbers: those of the base model, then its effects."""
     return (
         *(
-            Group.base(name)
+            ParameterGroup.base(name)
             for name, cause in BASE_CAUSES.items()
             if machine.friction.n_z > 1 or not any(number.shares for number in cause.numbers)
         ),
-        *(Group.own(effect.name, effect.label) for effect in machine.effects),
+        *(ParameterGroup.own(effect.name, effect.label) for effect in machine.effects),
     )
 
 
-def drop_effect(effects: tuple[CandidateEffect, ...], group: Group) -> tuple[CandidateEffect, ...]:
+def drop_effect(effects: tuple[CandidateEffect, ...], group: ParameterGroup) -> tuple[CandidateEffect, ...]:
     """The effects under test but the one of a group; all of them where it is none."""
     return tuple(effect for i, effect in enumerate(effects) if not (group.is_candidate and i == group.index))
 
 
-def drop_group(groups: tuple[Group, ...], group: Group) -> tuple[Group, ...]:
+def drop_group(groups: tuple[ParameterGroup, ...], group: ParameterGroup) -> tuple[ParameterGroup, ...]:
     """The groups but one; all of them where it is not among them."""
     return tuple(other for other in groups if other != group)
 
 
 @dataclass(frozen=True)
-class Column:
+class JacobianColumn:
     """One free parameter of the compiled model.
 
     Attributes:
@@ -141,7 +141,7 @@ class Column:
         times: name of the size of its group that it is multiplied with.
     """
 
-    group: Group
+    group: ParameterGroup
     name: str
     nominal: float
     scale: float
@@ -167,7 +167,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Structure:
+class ModelStructure:
     """Inputs of a compiled model; the machine by its content."""
 
     machine: Machine = field(compare=False, hash=False)
@@ -178,7 +178,7 @@ class Structure:
         object.__setattr__(self, "digest", self.machine.digest)
 
 
-def extended_machine(structure: Structure) -> Machine:
+def extended_machine(structure: ModelStructure) -> Machine:
     """The machine of a structure with its effects, all its numbers to be estimated."""
     machine = structure.machine
     return _free_everything(machine, structure.effects, typical_sizes(machine))
@@ -291,7 +291,7 @@ class Force:
 
 
 @lru_cache(maxsize=FORCES_CACHED)
-def make_force(structure: Structure) -> Force | None:
+def make_force(structure: ModelStructure) -> Force | None:
     """The last effect of a structure, if it is a plain force."""
     with SYMBOLIC:
         machine = extended_machine(structure)
@@ -305,12 +305,12 @@ def make_force(structure: Structure) -> Force | None:
 
 
 @lru_cache(maxsize=FORCES_CACHED)
-def _load_is_read(structure: Structure) -> bool:
+def _load_is_read(structure: ModelStructure) -> bool:
     with SYMBOLIC:
         return load_is_read(extended_machine(structure))
 
 
-def find_plain_forces(machine: Machine, structures: Sequence[Structure]) -> tuple[int, ...]:
+def find_plain_forces(machine: Machine, structures: Sequence[ModelStructure]) -> tuple[int, ...]:
     """Return the effects under test, each a structure with the machine, that may stand beside a compiled model.
 
     None where one of them, or of the machine's, changes what forces read or what becomes of them.
@@ -321,7 +321,7 @@ def find_plain_forces(machine: Machine, structures: Sequence[Structure]) -> tupl
         return ()
     forces = [make_force(structure) for structure in structures]
     compiled = tuple(s.effects[0] for s, force in zip(structures, forces, strict=True) if force is None)
-    loaded = _load_is_read(Structure(machine, tuple(sorted(compiled))))
+    loaded = _load_is_read(ModelStructure(machine, tuple(sorted(compiled))))
     return tuple(i for i, force in enumerate(forces) if force is not None and not (force.loads and loaded))
 
 
@@ -332,7 +332,7 @@ def smooth_law(machine: Machine, effects: Sequence[CandidateEffect]) -> Machine:
     return override_machine(machine, {"friction": {"law": "sgms", "smoothing": SHARP_SMOOTHING}})
 
 
-def delay_column(machine: Machine, name: str, group: Group, nominal: Mapping[str, float]) -> Column:
+def delay_column(machine: Machine, name: str, group: ParameterGroup, nominal: Mapping[str, float]) -> JacobianColumn:
     """The column of an effect that delays all of the force."""
     definition = effect_definition(name)
     parameter = definition.parameter(definition.delays)
@@ -343,10 +343,10 @@ def delay_column(machine: Machine, name: str, group: Group, nominal: Mapping[str
     return effect_column(group, parameter.name, free)
 
 
-def effect_column(group: Group, parameter: str, free: FreeParameter) -> Column:
+def effect_column(group: ParameterGroup, parameter: str, free: FreeParameter) -> JacobianColumn:
     """Return the column of an effect's parameter."""
     known = effect_definition(group.cause).parameter(parameter)
-    return Column(
+    return JacobianColumn(
         group=group,
         name=parameter,
         nominal=free.nominal,
@@ -365,11 +365,11 @@ def effect_column(group: Group, parameter: str, free: FreeParameter) -> Column:
     )
 
 
-def base_column(free: FreeParameter, zero: Mapping[str, float]) -> Column:
+def base_column(free: FreeParameter, zero: Mapping[str, float]) -> JacobianColumn:
     """Return the column of a number of the base model; `zero`: names of those that the machine file states as 0."""
     cause, number = next((c, n) for c in BASE_CAUSES.values() for n in c.numbers if n.name == free.name)
-    return Column(
-        group=Group.base(cause.name),
+    return JacobianColumn(
+        group=ParameterGroup.base(cause.name),
         name=free.column,
         nominal=free.nominal,
         scale=free.scale,
@@ -380,7 +380,7 @@ def base_column(free: FreeParameter, zero: Mapping[str, float]) -> Column:
     )
 
 
-def step_limit(column: Column, theta: float, recording: Recording) -> float:
+def step_limit(column: JacobianColumn, theta: float, recording: Recording) -> float:
     """Largest change of theta in one step, beyond which derivatives do not hold."""
     if not column.group.is_candidate or column.step is None:
         return MACHINE_STEP * max(1.0, abs(theta))
@@ -388,7 +388,7 @@ def step_limit(column: Column, theta: float, recording: Recording) -> float:
     return column.step(column.si(theta), scale, recording.extents) / scale
 
 
-def bounds(columns: Sequence[Column], recording: Recording) -> tuple[Array, Array]:
+def bounds(columns: Sequence[JacobianColumn], recording: Recording) -> tuple[Array, Array]:
     """Bounds of theta: those of the definitions, and nothing that the record cannot tell from something simpler."""
     lower, upper = np.array([c.lower for c in columns]), np.array([c.upper for c in columns])
     for i, column in enumerate(columns):

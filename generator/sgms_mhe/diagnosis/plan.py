@@ -19,7 +19,7 @@ from sgms_mhe.support.names import did_you_mean
 
 
 @dataclass(frozen=True)
-class Plan:
+class MotionPlan:
     """A trajectory and what it is for."""
 
     trajectory: Trajectory
@@ -120,7 +120,7 @@ _MAKERS: Final[Mapping[Move, Callable[[Motion, _Axis], None]]] = {
 }
 
 
-def make_plan(machine: Machine, separate: tuple[str, str] | None = None) -> Plan:
+def make_plan(machine: Machine, separate: tuple[str, str] | None = None) -> MotionPlan:
     """A trajectory for a machine: everything, or what two causes need and what tells them apart.
 
     Raises:
@@ -150,10 +150,10 @@ def make_plan(machine: Machine, separate: tuple[str, str] | None = None) -> Plan
     if separate is not None:
         said = separating_moves(*separate)[:1] or dict.fromkeys(cause(name).excitation.text for name in separate)
         reason = f"{' or '.join(separate)}: {'; '.join(said)}"
-    return Plan(path.trajectory(f"{machine.name}_plan"), reason, tuple(MOVES[move] for move in moves))
+    return MotionPlan(path.trajectory(f"{machine.name}_plan"), reason, tuple(MOVES[move] for move in moves))
 
 
-def write_plan(path: str | Path, plan: Plan, units: Units) -> None:
+def write_plan(path: str | Path, plan: MotionPlan, units: Units) -> None:
     """Write the trajectory as CSV: time_s, position_m (position_rad of a rotary axis)."""
     trajectory = plan.trajectory
     table = np.column_stack((trajectory.time_s, trajectory.position_m))

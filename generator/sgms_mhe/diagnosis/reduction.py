@@ -14,7 +14,7 @@ from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import Criteria, make_effect, small_force
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model, prior_information, try_fit
 from sgms_mhe.diagnosis.maps import ENTRY_GAIN
-from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Group, drop_effect, drop_group, machine_groups
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup, drop_effect, drop_group, machine_groups
 from sgms_mhe.model.effects import cause, effect_definition
 from sgms_mhe.model.effects.search import Harmonic, Periodic
 from sgms_mhe.recordings.evidence import cross_loss, find_nuisance, gain_force
@@ -22,7 +22,7 @@ from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
-Groups = tuple[Group, ...]
+Groups = tuple[ParameterGroup, ...]
 
 
 def join_map(subject: Subject, fit: Fit, criteria: Criteria) -> Fit:
@@ -70,7 +70,7 @@ def reduce_orders(effect: CandidateEffect) -> CandidateEffect:
 
 
 def prune_effects(
-    subject: Subject, fit: Fit, criteria: Criteria, *, refitted: Sequence[Group] | None = None, least: int = 0
+    subject: Subject, fit: Fit, criteria: Criteria, *, refitted: Sequence[ParameterGroup] | None = None, least: int = 0
 ) -> Fit:
     """The fit without effects that the others have made superfluous; `least` effects stay.
 
@@ -151,7 +151,7 @@ def keep_necessary(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Grou
     )
 
 
-def shorten_lists(subject: Subject, fit: Fit, criteria: Criteria, refitted: Sequence[Group]) -> Fit:
+def shorten_lists(subject: Subject, fit: Fit, criteria: Criteria, refitted: Sequence[ParameterGroup]) -> Fit:
     """The fit without entries of lists that gain nothing on unseen folds, to first order; one entry stays.
 
     What is left of a map is stated over its shortest period.
@@ -178,7 +178,7 @@ def shorten_lists(subject: Subject, fit: Fit, criteria: Criteria, refitted: Sequ
     return fit
 
 
-def _entries(fit: Fit, group: Group) -> dict[int, tuple[str, ...]]:
+def _entries(fit: Fit, group: ParameterGroup) -> dict[int, tuple[str, ...]]:
     """Names of an effect's numbers by the entry of its lists that they are of; empty where it has none."""
     lists = [p for p in effect_definition(group.cause).parameters if p.array]
     values = fit.effects[group.index].parameters
@@ -186,7 +186,7 @@ def _entries(fit: Fit, group: Group) -> dict[int, tuple[str, ...]]:
     return {i: tuple(p.entry(i) for p in lists) for i in range(1, count + 1)}
 
 
-def _cross_without(subject: Subject, fit: Fit, group: Group, dropped: Sequence[int]) -> Array:
+def _cross_without(subject: Subject, fit: Fit, group: ParameterGroup, dropped: Sequence[int]) -> Array:
     """Losses (blocks) by cross-validation where some entries of an effect's lists are none."""
     entries = _entries(fit, group)
     names = {name for i in dropped for name in entries[i]}

@@ -132,7 +132,7 @@ class BaseParameter:
 
 
 @dataclass(frozen=True)
-class Structure:
+class ResidualStructure:
     """Dependence of the residual on one coordinate.
 
     Attributes:
@@ -246,8 +246,8 @@ class Diagnosis:
     gain_interval_N: tuple[float, float]
     base: tuple[BaseParameter, ...]
     scores: tuple[Score, ...]
-    structure_before: tuple[Structure, ...]
-    structure_after: tuple[Structure, ...]
+    structure_before: tuple[ResidualStructure, ...]
+    structure_after: tuple[ResidualStructure, ...]
     traces: Traces
     extended: Machine | None
     extended_toml: str | None

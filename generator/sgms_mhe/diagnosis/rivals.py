@@ -24,7 +24,7 @@ from sgms_mhe.diagnosis.criteria import (
     rank_proposals,
 )
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model, try_fit
-from sgms_mhe.diagnosis.parametrisation import CandidateEffect, Group, drop_effect, drop_group, machine_groups
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup, drop_effect, drop_group, machine_groups
 from sgms_mhe.diagnosis.proposals import Proposal
 from sgms_mhe.diagnosis.result import Score
 from sgms_mhe.diagnosis.uncertainty import explains_noise
@@ -54,7 +54,7 @@ something is clearly better."""
 class Rival:
     """A candidate that fits as well as a cause: `fit` has its `group` in the cause's place."""
 
-    group: Group
+    group: ParameterGroup
     instead_of: str
     fit: Fit
     excess_N: float
@@ -84,7 +84,7 @@ class Contest:
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
+class _RivalPlace:
     """A cause's place among the others.
 
     Attributes:
@@ -97,11 +97,11 @@ class _Place:
         ranked: candidates for it, the most promising first.
     """
 
-    group: Group
+    group: ParameterGroup
     fit: Fit
     without: Fit
     effects: tuple[CandidateEffect, ...]
-    refitted: tuple[Group, ...]
+    refitted: tuple[ParameterGroup, ...]
     gain: float
     ranked: tuple[Ranked, ...]
 
@@ -112,18 +112,23 @@ class _Place:
 
 
 @dataclass(frozen=True, eq=False)
-class _Judged:
+class _JudgedRival:
     """A candidate in a cause's place; `fit` where it was tried."""
 
     name: str
     judgement: Judgement
     excess: float
-    group: Group | None = None
+    group: ParameterGroup | None = None
     fit: Fit | None = None
 
 
 def find_rivals(
-    subject: Subject, fit: Fit, refitted: tuple[Group, ...], seen: Collection[str], criteria: Criteria, number: int
+    subject: Subject,
+    fit: Fit,
+    refitted: tuple[ParameterGroup, ...],
+    seen: Collection[str],
+    criteria: Criteria,
+    number: int,
 ) -> Contest:
     """Put every other candidate in the place of each cause of a fit.
 
@@ -151,11 +156,11 @@ def find_rivals(
 def _place(
     subject: Subject,
     fit: Fit,
-    refitted: tuple[Group, ...],
-    group: Group,
+    refitted: tuple[ParameterGroup, ...],
+    group: ParameterGroup,
     seen: Collection[str],
     criteria: Criteria,
-) -> _Place | None:
+) -> _RivalPlace | None:
     """The place of a cause and who might take it; None where it explains nothing."""
     effects, base = drop_effect(fit.effects, group), drop_group(refitted, group)
     without = fit_model(subject, effects, refitted=base, warm=fit)
@@ -164,12 +169,12 @@ def _place(
         return None
     found = (*_effects(subject, without, group.cause, seen, criteria), *_machine_numbers(subject, without, refitted))
     ranked = tuple(sorted(found, key=lambda r: -r.gain))
-    return _Place(group, fit, without, effects, base, gain, ranked)
+    return _RivalPlace(group, fit, without, effects, base, gain, ranked)
 
 
 def _contest(
-    subject: Subject, place: _Place, criteria: Criteria, comparing: Callable[[Sequence[str]], None]
-) -> Iterator[_Judged]:
+    subject: Subject, place: _RivalPlace, criteria: Criteria, comparing: Callable[[Sequence[str]], None]
+) -> Iterator[_JudgedRival]:
     """Judge all candidates for a place, the most promising first; `comparing` is told which are tried."""
     ranked = place.ranked
     kept = drop_duplicates(ranked, SAME_FORCE)[: criteria.table.refits]
@@ -184,10 +189,10 @@ def _contest(
         name = _name(candidate)
         if candidate not in tried:
             left = math.sqrt(max(0.0, place.gain**2 - max(candidate.gain, 0.0) ** 2))
-            yield _Judged(name, "untried", left)
+            yield _JudgedRival(name, "untried", left)
         elif (trial := next(trials)) is not None:
             judgement, excess = _judge(subject, place, name, trial, criteria)
-            yield _Judged(name, judgement, excess, candidate.group, trial)
+            yield _JudgedRival(name, judgement, excess, candidate.group, trial)
 
 
 def _promising(named: str, other: str) -> float:
@@ -200,7 +205,7 @@ def _name(candidate: Ranked) -> str:
     return candidate.group.cause if candidate.group else candidate.proposal.name
 
 
-def _trial(subject: Subject, place: _Place, candidate: Ranked) -> Fit | None:
+def _trial(subject: Subject, place: _RivalPlace, candidate: Ranked) -> Fit | None:
     """The fit with a candidate in the place; None where it is no model of the record."""
     effects = place.effects if candidate.group else (*place.effects, make_effect(candidate.proposal))
     base = (*place.refitted, candidate.group) if candidate.group else place.refitted
@@ -221,7 +226,7 @@ def _effects(
     return rank_proposals(subject, without, [p for p in search(subject, without, names, free) if p.feasible])
 
 
-def _machine_numbers(subject: Subject, without: Fit, refitted: tuple[Group, ...]) -> list[Ranked]:
+def _machine_numbers(subject: Subject, without: Fit, refitted: tuple[ParameterGroup, ...]) -> list[Ranked]:
     """The machine's own numbers that are not refitted yet, in a cause's place."""
     recording = subject.recording
     jacobian = without.jacobian[recording.used]
@@ -237,7 +242,7 @@ def _machine_numbers(subject: Subject, without: Fit, refitted: tuple[Group, ...]
     return found
 
 
-def _judge(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Criteria) -> tuple[Judgement, float]:
+def _judge(subject: Subject, place: _RivalPlace, name: str, trial: Fit, criteria: Criteria) -> tuple[Judgement, float]:
     """A refitted candidate against the cause whose place it took, and the RMS that it leaves more [N]."""
     judgement, excess = _compare(subject, place, name, trial, criteria)
     log_decision(
@@ -259,7 +264,9 @@ def _judge(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Cri
     return judgement, excess
 
 
-def _compare(subject: Subject, place: _Place, name: str, trial: Fit, criteria: Criteria) -> tuple[Judgement, float]:
+def _compare(
+    subject: Subject, place: _RivalPlace, name: str, trial: Fit, criteria: Criteria
+) -> tuple[Judgement, float]:
     """The same by what both leave."""
     material = criteria.material
     has_same_clock = criteria.has_same_clock(place.cause, name)
@@ -301,7 +308,7 @@ def _is_clear(t: float, excess: float, criteria: Criteria) -> bool:
     return t < -EQUAL_T and excess < -BETTER * criteria.material
 
 
-def cause_significance(subject: Subject, fit: Fit, group: Group) -> float:
+def cause_significance(subject: Subject, fit: Fit, group: ParameterGroup) -> float:
     """Score test of a group's parameters at a fit (Wald form)."""
     recording, columns = subject.recording, fit.model.columns
     inside = np.array([c.group == group for c in columns]) & fit.free
@@ -336,17 +343,17 @@ class Selection:
     """
 
     fit: Fit
-    refitted: tuple[Group, ...]
+    refitted: tuple[ParameterGroup, ...]
     scores: tuple[Score, ...]
     rivals: tuple[Rival, ...]
     rejected: Mapping[str, Rejected]
-    p_values: Mapping[Group, float]
+    p_values: Mapping[ParameterGroup, float]
     free: Fit
-    unnamed: tuple[Group, ...] = ()
+    unnamed: tuple[ParameterGroup, ...] = ()
     inconstant: tuple[str, ...] = ()
 
     @property
-    def causes(self) -> tuple[Group, ...]:
+    def causes(self) -> tuple[ParameterGroup, ...]:
         """Groups that are named: the machine's own, then effects under test."""
         own = tuple(group for group in self.refitted if group not in self.unnamed)
         return own + self.fit.candidate_groups

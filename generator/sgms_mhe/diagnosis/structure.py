@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.signal import welch
 
-from sgms_mhe.diagnosis.result import Structure
+from sgms_mhe.diagnosis.result import ResidualStructure
 from sgms_mhe.recordings.recording import Recording
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ LINE_POWER: Final = 3.0
 """Power of a spectrum's bin that counts as structure [median power]: above the scatter of the bins."""
 
 
-def structure_map(recording: Recording, residual: Array) -> tuple[Structure, ...]:
+def structure_map(recording: Recording, residual: Array) -> tuple[ResidualStructure, ...]:
     """All maps of a residual (m) on the used rows."""
     used = recording.used
     found = [
@@ -56,12 +56,12 @@ def _way_after_reversal(recording: Recording) -> Array:
     return np.asarray(np.log10(np.maximum(path - start, 1e-8)))
 
 
-def _binned(recording: Recording, residual: Array, coordinate: str, series: Array) -> Structure:
+def _binned(recording: Recording, residual: Array, coordinate: str, series: Array) -> ResidualStructure:
     used = recording.used
     x, e, block = series[used], residual[used], recording.block[used]
     edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, MAP_BINS + 1)))
     if len(edges) < 3:
-        return Structure(coordinate, 0.0, 1.0, math.nan, np.empty(0), np.empty(0))
+        return ResidualStructure(coordinate, 0.0, 1.0, math.nan, np.empty(0), np.empty(0))
     index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
     bins = len(edges) - 1
     count = np.bincount(index, minlength=bins)
@@ -78,10 +78,10 @@ def _binned(recording: Recording, residual: Array, coordinate: str, series: Arra
     centres = np.bincount(index, weights=x, minlength=bins) / np.maximum(count, 1)
     peak = float(centres[int(np.argmax(np.abs(mean)))])
     p = float(stats.f.sf(statistic / max(1, degrees), max(1, degrees), max(2, recording.blocks - 1)))
-    return Structure(coordinate, math.sqrt(max(0.0, power)), p, peak, centres, mean)
+    return ResidualStructure(coordinate, math.sqrt(max(0.0, power)), p, peak, centres, mean)
 
 
-def _spectrum(recording: Recording, residual: Array) -> Structure:
+def _spectrum(recording: Recording, residual: Array) -> ResidualStructure:
     length = int(min(len(residual), max(256, 2.0 * recording.rate)))
     frequency, power = welch(residual, fs=recording.rate, nperseg=length)
     width = float(frequency[1] - frequency[0])
@@ -93,4 +93,6 @@ def _spectrum(recording: Recording, residual: Array) -> Structure:
     ratio = float(power[peak] / max(typical, 1e-300))
     p = min(1.0, len(power) * float(stats.chi2.sf(2.0 * segments * 0.7 * ratio, 1.4 * segments)))
     excess = float(np.sum(np.maximum(0.0, power - LINE_POWER * typical))) * width
-    return Structure("frequency", math.sqrt(excess), p, float(frequency[peak]), frequency, np.sqrt(power * width))
+    return ResidualStructure(
+        "frequency", math.sqrt(excess), p, float(frequency[peak]), frequency, np.sqrt(power * width)
+    )

@@ -27,7 +27,7 @@ from sgms_mhe.diagnosis.final_fit import FinalFit, RecordResidual, fit_rivals, m
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.laws import list_compilations, make_laws
 from sgms_mhe.diagnosis.models import FitError
-from sgms_mhe.diagnosis.parametrisation import TIMING_MOST, Group
+from sgms_mhe.diagnosis.parametrisation import TIMING_MOST, ParameterGroup
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
 from sgms_mhe.diagnosis.selection import Searched, drop_effects, search_causes, select_causes
 from sgms_mhe.diagnosis.structure import force_over_speed, structure_map
@@ -263,7 +263,9 @@ def _leaves_curve(final: FinalFit, fit: Fit) -> bool:
     return curve > max(CURVE_GAIN * material, CURVE_SHARE * beyond)
 
 
-def _allowed_excess(machine: Machine, floor: float, causes: Sequence[Group] = (), before: float = 0.0) -> float:
+def _allowed_excess(
+    machine: Machine, floor: float, causes: Sequence[ParameterGroup] = (), before: float = 0.0
+) -> float:
     """RMS beyond noise [N] that a complete explanation may leave; `before`: without its causes.
 
     A wrong number beside effects may stand for a part of what they leave: then that is no more than what is small.

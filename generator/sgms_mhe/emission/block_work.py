@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 
-from sgms_mhe.emission.compensation import FARTHEST_MOVE, Compensation
-from sgms_mhe.emission.element_law import RK4, Flow
+from sgms_mhe.emission.compensation import FARTHEST_MOVE, FeedForward
+from sgms_mhe.emission.element_law import RK4, EmittedFlow
 from sgms_mhe.emission.groups import GroupView
 from sgms_mhe.emission.operations import EXP, EXP2, LOG, operations_of
 from sgms_mhe.emission.schedule import Costs
@@ -40,8 +40,8 @@ class Ingredients:
     sizes: Sizes
     variant: Variant
     schedule: Costs
-    flow: Flow | None
-    compensation: Compensation
+    flow: EmittedFlow | None
+    compensation: FeedForward
     reach: tuple[int, ...]
     signals: int
     terms: int

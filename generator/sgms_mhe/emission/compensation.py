@@ -49,7 +49,7 @@ class Ahead:
 
 
 @dataclass(frozen=True)
-class Compensation:
+class FeedForward:
     """Force that an axis feeds forward, and the conditions for it.
 
     Attributes:
@@ -82,14 +82,14 @@ class Compensation:
     ahead: Ahead | None
 
 
-def compensation_of(machine: Machine) -> Compensation:
+def compensation_of(machine: Machine) -> FeedForward:
     """Return the machine file's compensation in the form of the emitted code."""
     compensation, rate = machine.compensation, machine.sampling.rate
     lag, h = chain_delay(machine), machine.sampling.step
     # At constant acceleration the filtered velocity is that of lag + h/2 ago (a difference is the velocity of half a
     # sample ago). The mean velocity since, the displacement beyond the filtered position over the lag, is later by:
     later = 0.5 * (lag + h)
-    return Compensation(
+    return FeedForward(
         moves=2 if compensation.delay else 1,
         lag=lag,
         delay=compensation.delay,

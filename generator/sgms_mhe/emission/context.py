@@ -12,8 +12,8 @@ from sgms_mhe import __version__
 from sgms_mhe.emission.block_work import Ingredients
 from sgms_mhe.emission.c_source import CPrinter, Function, FunctionPrinter, Output, entries, scalar
 from sgms_mhe.emission.clock import Clock, clock_of
-from sgms_mhe.emission.compensation import Compensation, compensation_of
-from sgms_mhe.emission.element_law import RK4, ElementLaw, Flow, Stage, element_law, flow_of
+from sgms_mhe.emission.compensation import FeedForward, compensation_of
+from sgms_mhe.emission.element_law import RK4, ElementLaw, EmittedFlow, Stage, element_law, flow_of
 from sgms_mhe.emission.groups import GroupView, group_views
 from sgms_mhe.emission.operations import operations_of
 from sgms_mhe.emission.schedule import Costs, schedule_of
@@ -125,7 +125,7 @@ class SignalView:
 
 
 @dataclass(frozen=True)
-class Weights:
+class EmittedWeights:
     """Weights of the least squares, and limits of what is a solution.
 
     Attributes:
@@ -217,14 +217,14 @@ class PackageView:
     sizes: Sizes
     schedule: Costs
     signals: SignalView
-    weights: Weights
+    weights: EmittedWeights
     couplings: Couplings
     model: ModelView
     groups: tuple[GroupView, ...]
     rk4: tuple[Stage, ...]
     law: ElementLaw | None
-    flow: Flow | None
-    compensation: Compensation
+    flow: EmittedFlow | None
+    compensation: FeedForward
     statuses: tuple[Status, ...]
     vectors: Vectors | None
     work: Work
@@ -339,11 +339,11 @@ def _names_read(expression: ca.SX, model: Model) -> tuple[str, ...]:
     return tuple(name for name, does in zip(SIGNAL_NAMES, depends, strict=True) if does)
 
 
-def _weights(model: Model, variant: Variant) -> Weights:
+def _weights(model: Model, variant: Variant) -> EmittedWeights:
     machine = model.machine
     noise, largest = machine.estimator.noise, 1e30 if variant.single else 1e300
     smoothing = machine.friction.smoothing
-    return Weights(
+    return EmittedWeights(
         measurement=noise.measurement,
         readings=ReadingRule(),
         prior_sd=noise.parameter,

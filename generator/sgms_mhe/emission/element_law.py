@@ -74,7 +74,7 @@ LEVEL_CHANGE = 0.0175
 
 
 @dataclass(frozen=True)
-class Flow:
+class EmittedFlow:
     """Constants of the displacement flow of one machine.
 
     Attributes:
@@ -98,7 +98,7 @@ class Flow:
     d_phi: tuple[float, ...]
 
 
-def flow_of(machine: Machine) -> Flow:
+def flow_of(machine: Machine) -> EmittedFlow:
     """Constants of a machine whose elements follow the flow.
 
     Raises:
@@ -109,7 +109,7 @@ def flow_of(machine: Machine) -> Flow:
     table = flow_table(smoothing.zeta, smoothing.lambda_, precision, str(machine.source))
     exponent, relaxation = (60.0, 64.0) if precision == "single" else (600.0, 640.0)
     orders = range(2, 9)
-    return Flow(
+    return EmittedFlow(
         zeta=smoothing.zeta,
         lambda_=smoothing.lambda_,
         table=table,

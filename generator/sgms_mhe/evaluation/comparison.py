@@ -53,7 +53,7 @@ TOLERANCES: Final = {
 
 
 @dataclass(frozen=True)
-class Quantity:
+class ComparedQuantity:
     """One column of the estimates on both sides.
 
     Attributes:
@@ -93,7 +93,7 @@ class Comparison:
     machine: str
     precision: str
     updates: int
-    quantities: tuple[Quantity, ...]
+    quantities: tuple[ComparedQuantity, ...]
     status_mismatches: int
     status_undecided: int
     bounds_active: tuple[int, int]
@@ -206,12 +206,12 @@ def _bounds(estimates: Estimates) -> int:
 
 def _quantity(
     name: str, generated: Array, reference: Array, unit: Array | float, tolerance: float, counts: NDArray[np.bool_]
-) -> Quantity:
+) -> ComparedQuantity:
     difference = np.abs(generated - reference)[counts]
     unit = np.broadcast_to(unit, len(reference))[counts]
     # Where there is nothing to relate to (a friction that is zero throughout), only equality agrees.
     relative = np.divide(difference, unit, out=np.where(difference == 0.0, 0.0, np.inf), where=unit > 0.0)
-    return Quantity(
+    return ComparedQuantity(
         name=name,
         difference=_largest(difference),
         relative=_largest(relative),

@@ -120,7 +120,7 @@ def tune(machine: Machine, log: Log, report: Progress = lambda _: None) -> Tuned
     Raises:
         InputError: the log has too few updates in motion.
     """
-    search = _Search(machine, signals_from_log(log, machine), log.source or "log", report)
+    search = _WeightSearch(machine, signals_from_log(log, machine), log.source or "log", report)
     start = best = search.trial({})
     for _ in range(ROUNDS):
         before = best
@@ -140,7 +140,7 @@ def tune(machine: Machine, log: Log, report: Progress = lambda _: None) -> Tuned
     return Tuned(machine, start, best, horizon, search.trials_by_weight(), tuple(kept))
 
 
-class _Search:
+class _WeightSearch:
     """Trials on one log, each made once."""
 
     def __init__(self, machine: Machine, signals: Signals, source: str, report: Progress) -> None:

@@ -102,7 +102,7 @@ class Episode:
     updates: int
 
 
-class Course:
+class RunSummary:
     """Summary of a run.
 
     Args:

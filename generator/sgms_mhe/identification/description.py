@@ -9,10 +9,10 @@ from typing import Final
 
 import numpy as np
 
-from sgms_mhe.identification.final_fit import CERTAIN, FinalFit
-from sgms_mhe.identification.fits import AxisFit, Quantity, View
+from sgms_mhe.identification.final_fit import CERTAIN, FinalIdentification
+from sgms_mhe.identification.fits import AxisFit, NumberEstimate, RecordView
 from sgms_mhe.identification.result import Number
-from sgms_mhe.identification.search import Found
+from sgms_mhe.identification.search import ChosenModel
 from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING
 from sgms_mhe.machine import Units
 from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition
@@ -38,7 +38,7 @@ CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
 """Numbers by the cause whose excitation says what a motion must hold to show them."""
 
 
-def check_slides(view: View, fit: AxisFit, shown: Collection[str], source: str) -> None:
+def check_slides(view: RecordView, fit: AxisFit, shown: Collection[str], source: str) -> None:
     """Refuse records that stay below break-away: no level is seen in them, and any would do.
 
     An element that never breaks away is a spring over the travel. So a spring counts as one, unless the motion is such
@@ -94,7 +94,7 @@ def list_unexcited(measured: Mapping[Measure, float]) -> tuple[str, ...]:
     )
 
 
-def law_numbers(final: FinalFit, unseen: Sequence[str]) -> tuple[Number, ...]:
+def law_numbers(final: FinalIdentification, unseen: Sequence[str]) -> tuple[Number, ...]:
     """Numbers of [friction] and of the effects, in the file's order; `unseen`: see `list_unexcited`."""
     found, count = final.numbers, len(final.fit.levels)
     numbers = [_number(name, found[name]) for name in ("coulomb",)]
@@ -119,7 +119,7 @@ def _stem(name: str) -> str:
     return stem if index.isdecimal() else name
 
 
-def effect_numbers(final: FinalFit) -> tuple[Number, ...]:
+def effect_numbers(final: FinalIdentification) -> tuple[Number, ...]:
     """Numbers of the effects that stand beside the elements, their names before those of their parameters."""
     numbers = []
     for term in final.fit.terms:
@@ -140,11 +140,11 @@ def effect_numbers(final: FinalFit) -> tuple[Number, ...]:
                 ]
             )
             std = math.sqrt(max(0.0, float(slope @ cov @ slope)))
-            numbers.append(_number(f"{term.name}.{key}", Quantity(float(value), std)))
+            numbers.append(_number(f"{term.name}.{key}", NumberEstimate(float(value), std)))
     return tuple(numbers)
 
 
-def _number(name: str, quantity: Quantity) -> Number:
+def _number(name: str, quantity: NumberEstimate) -> Number:
     if quantity.std <= ROUNDING * abs(quantity.value):  # the share of an only element
         return Number(name, quantity.value, math.nan, True)
     known = quantity.relative <= KNOWN
@@ -155,7 +155,9 @@ def _to(count: int) -> range:
     return range(1, count + 1)
 
 
-def mass_number(final: FinalFit, given: float | None, adopted: float, units: Units) -> tuple[Number, tuple[str, ...]]:
+def mass_number(
+    final: FinalIdentification, given: float | None, adopted: float, units: Units
+) -> tuple[Number, tuple[str, ...]]:
     """The mass, or inertia, that is written, and what is to be said of it."""
     seen, inert, unit = final.mass, units.inert, units.mass
     if given is None:
@@ -177,7 +179,9 @@ def mass_number(final: FinalFit, given: float | None, adopted: float, units: Uni
     return Number("mass", adopted, seen.std, True, f"of the motion; {given:g} was given"), (sentence,)
 
 
-def list_limits(numbers: Sequence[Number], found: Found, final: FinalFit, view: View, units: Units) -> list[str]:
+def list_limits(
+    numbers: Sequence[Number], found: ChosenModel, final: FinalIdentification, view: RecordView, units: Units
+) -> list[str]:
     """Return the open questions of the records, with the move that would answer each."""
     length = units.position
     said = []
@@ -210,7 +214,7 @@ def list_limits(numbers: Sequence[Number], found: Found, final: FinalFit, view: 
     return said
 
 
-def _late(final: FinalFit, view: View, units: Units) -> list[str]:
+def _late(final: FinalIdentification, view: RecordView, units: Units) -> list[str]:
     """Return the sentence on force and position that are apart in time: no number holds it, and no machine either."""
     fit, place = final.fit, final.fit.place(LATE)
     late, std = float(fit.coefficient(LATE)[0]), math.sqrt(float(final.cov[place.start, place.start]))

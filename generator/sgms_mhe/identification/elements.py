@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import make_machine
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.host.packages import SYMBOLIC, cached_package
-from sgms_mhe.identification.records import Motion
+from sgms_mhe.identification.records import ElementMotion
 from sgms_mhe.model import build_model
 from sgms_mhe.support.parallel import run_parallel
 
@@ -67,7 +67,9 @@ class ElementRun:
     jacobian: Array
 
 
-def run_element(motion: Motion, law: Law, distance: float, rise: Stribeck, *, jacobian: bool = True) -> ElementRun:
+def run_element(
+    motion: ElementMotion, law: Law, distance: float, rise: Stribeck, *, jacobian: bool = True
+) -> ElementRun:
     """An element that breaks away after `distance` [m], relaxed at first, along a motion.
 
     It runs in a unit of length in which that is DISTANCE, and of time in which a sample is 1 / RATE: one compiled
@@ -90,7 +92,7 @@ def run_element(motion: Motion, law: Law, distance: float, rise: Stribeck, *, ja
 
 
 def run_elements(
-    motions: Sequence[Motion], law: Law, distances: Array, rise: Stribeck, *, jacobian: bool = True
+    motions: Sequence[ElementMotion], law: Law, distances: Array, rise: Stribeck, *, jacobian: bool = True
 ) -> list[ElementRun]:
     """Elements of these distances (k) along all logs, their rows behind one another."""
 

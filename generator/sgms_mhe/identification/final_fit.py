@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.identification.fits import AxisFit, Quantity, Shape, View, covariance, fit_axis, quantities
+from sgms_mhe.identification.fits import AxisFit, NumberEstimate, RecordView, Shape, covariance, fit_axis, quantities
 from sgms_mhe.identification.search import Progress, Views, fit_aligned, is_better, search_rise_speed
 from sgms_mhe.identification.terms import LAW_AND_SAMPLING, Term
 from sgms_mhe.recordings.recording import Recording
@@ -36,7 +36,7 @@ FINAL_ITERATIONS: Final = 8
 
 
 @dataclass(frozen=True, eq=False)
-class FinalFit:
+class FinalIdentification:
     """Reported fit.
 
     Attributes:
@@ -50,10 +50,10 @@ class FinalFit:
 
     fit: AxisFit
     cov: Array
-    numbers: dict[str, Quantity]
-    mass: Quantity | None
+    numbers: dict[str, NumberEstimate]
+    mass: NumberEstimate | None
     held_out_rms: float
-    view: View
+    view: RecordView
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def make_final_fit(
     companions: Sequence[Term],
     wanted: Known,
     report: Progress,
-) -> FinalFit:
+) -> FinalIdentification:
     """Choose what stands beside the elements and fit all of it at the full rate.
 
     Args:
@@ -111,7 +111,7 @@ def make_final_fit(
     held_out = rows.rows_held_out()
     judge = fit_axis(views.fine, fit.terms, fit.shape, rows.used & ~held_out, iterations=2)
     held_out_rms = float(np.sqrt(np.mean(judge.residual[held_out] ** 2)))
-    return FinalFit(fit, cov, numbers, mass, held_out_rms, views.fine)
+    return FinalIdentification(fit, cov, numbers, mass, held_out_rms, views.fine)
 
 
 def _drop_traces(views: Views, fit: AxisFit) -> AxisFit:
@@ -160,13 +160,13 @@ def _test_rise(views: Views, fit: AxisFit) -> AxisFit:
     return fit if is_better(fit, level) else level
 
 
-def _mass(rows: Recording, extra: Quantity) -> Quantity | None:
+def _mass(rows: Recording, extra: NumberEstimate) -> NumberEstimate | None:
     total = rows.machine.plant.moved + extra.value
-    mass = Quantity(total, math.hypot(extra.std, MASS_SURE * total))
+    mass = NumberEstimate(total, math.hypot(extra.std, MASS_SURE * total))
     return mass if mass.value > 0.0 and mass.relative <= MASS_SEEN else None
 
 
-def _find_unseen(fit: AxisFit, cov: Array, numbers: dict[str, Quantity], given_mass: float | None) -> set[str]:
+def _find_unseen(fit: AxisFit, cov: Array, numbers: dict[str, NumberEstimate], given_mass: float | None) -> set[str]:
     """Terms whose numbers the records do not show, and the mass where the one given will do."""
     viscous, mass = numbers["viscous"], numbers["mass"]
     dropped = set() if viscous.value > SHOWN * viscous.std else {"viscous"}

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.identification.elements import NO_RISE, Law, Stribeck, least_distance, run_elements
-from sgms_mhe.identification.records import Motion
+from sgms_mhe.identification.records import ElementMotion
 from sgms_mhe.identification.terms import Term
 from sgms_mhe.recordings.evidence import UNSEEN_ERROR, cross_loss, noise_floor, robust_covariance
 from sgms_mhe.recordings.least_squares import Box, Quadratic, minimise, solve_nonnegative
@@ -41,7 +41,7 @@ STRIBECK: Final = (1e-4, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class RecordView:
     """The records at one rate: coarse for choices, fine for the numbers that are reported.
 
     Attributes:
@@ -52,7 +52,7 @@ class View:
     """
 
     rows: Recording
-    motions: tuple[Motion, ...]
+    motions: tuple[ElementMotion, ...]
     noise: float
     limits: tuple[float, float]
 
@@ -130,7 +130,7 @@ class AxisFit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Point:
+class _AxisPoint:
     shape: Shape
     levels: Array
     coefficients: Array
@@ -141,15 +141,15 @@ class _Point:
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
-    view: View
+class _AxisProblem:
+    view: RecordView
     terms: tuple[Term, ...]
     seen: Mask
     columns: Array
     positive: Mask
     information: Array
 
-    def at(self, shape: Shape) -> _Point:
+    def at(self, shape: Shape) -> _AxisPoint:
         """The model at a shape, its linear part solved for on the rows seen."""
         rise = shape.rise or NO_RISE
         runs = run_elements(self.view.motions, shape.law, shape.distances, rise)
@@ -165,14 +165,14 @@ class _Problem:
             nonlinear += [np.sum([b[k] * run.jacobian[:, j] for k, run in enumerate(runs)], axis=0) for j in (1, 2)]
         seen = residual[self.seen]
         cost = float(seen @ seen + information @ b**2)
-        return _Point(shape, b[:count], b[count:], residual, np.column_stack(nonlinear), linear, cost)
+        return _AxisPoint(shape, b[:count], b[count:], residual, np.column_stack(nonlinear), linear, cost)
 
     @property
     def count(self) -> int:
         """Residual rows."""
         return int(self.seen.sum())
 
-    def quadratic(self, here: _Point) -> Quadratic:
+    def quadratic(self, here: _AxisPoint) -> Quadratic:
         """Return the quadratic model of the cost in log D, beta, log v_s, the linear part solved for."""
         N = here.nonlinear.compress(self.seen, axis=0)
         fixed = np.concatenate((here.levels, np.where(self.positive, here.coefficients, 1.0))) == 0.0
@@ -183,7 +183,7 @@ class _Problem:
         H = projected.T @ projected
         return Quadratic(H, projected.T @ here.residual[self.seen], np.zeros(len(H)), np.diag(H))
 
-    def box(self, here: _Point) -> Box:
+    def box(self, here: _AxisPoint) -> Box:
         """Return the least and largest change of log D, beta, log v_s: no longer a step, and within the limits."""
         shape, view = here.shape, self.view
         low, high = _distances(shape.law, shape.rise, view)
@@ -197,7 +197,7 @@ class _Problem:
             longest = np.append(longest, (LONGEST * (1.0 + ratio), LONGEST))
         return np.minimum(0.0, np.maximum(lower, -longest)), np.maximum(0.0, np.minimum(upper, longest))
 
-    def after(self, here: _Point, step: Array) -> _Point:
+    def after(self, here: _AxisPoint, step: Array) -> _AxisPoint:
         """Return the model after a step of log D, beta, log v_s."""
         shape, count = here.shape, len(here.shape.distances)
         rise = shape.rise
@@ -207,7 +207,7 @@ class _Problem:
 
 
 def fit_axis(
-    view: View, terms: Sequence[Term], start: Shape, seen: Mask | None = None, iterations: int = ITERATIONS
+    view: RecordView, terms: Sequence[Term], start: Shape, seen: Mask | None = None, iterations: int = ITERATIONS
 ) -> AxisFit:
     """Fit elements and terms to records from a shape on.
 
@@ -219,7 +219,7 @@ def fit_axis(
         iterations: at most.
     """
     deviation = np.concatenate([np.full(t.columns.shape[1], t.deviation) for t in terms])
-    problem = _Problem(
+    problem = _AxisProblem(
         view,
         tuple(terms),
         view.rows.used if seen is None else seen,
@@ -231,7 +231,7 @@ def fit_axis(
     return _finish(problem, minimise(problem, here, problem.box, iterations, ENOUGH * problem.count, TRIES))
 
 
-def _finish(problem: _Problem, point: _Point) -> AxisFit:
+def _finish(problem: _AxisProblem, point: _AxisPoint) -> AxisFit:
     rows, count = problem.view.rows, len(point.levels)
     extra = point.nonlinear.shape[1] - count
     jacobian = np.column_stack(
@@ -255,7 +255,7 @@ def _finish(problem: _Problem, point: _Point) -> AxisFit:
     )
 
 
-def _within(shape: Shape, view: View) -> Shape:
+def _within(shape: Shape, view: RecordView) -> Shape:
     """The shape within what the records can tell, distances in order."""
     rise = shape.rise
     if rise is not None:
@@ -264,7 +264,7 @@ def _within(shape: Shape, view: View) -> Shape:
     return Shape(shape.law, np.sort(np.clip(shape.distances, *_distances(shape.law, rise, view))), rise)
 
 
-def _distances(law: Law, rise: Stribeck | None, view: View) -> tuple[float, float]:
+def _distances(law: Law, rise: Stribeck | None, view: RecordView) -> tuple[float, float]:
     """Smallest and largest break-away distance [m] that a fit follows."""
     low, high = view.limits
     low = max(
@@ -274,13 +274,13 @@ def _distances(law: Law, rise: Stribeck | None, view: View) -> tuple[float, floa
     return low, max(low, high * WIDER)
 
 
-def _speeds(view: View) -> tuple[float, float]:
+def _speeds(view: RecordView) -> tuple[float, float]:
     """Smallest and largest Stribeck velocity [m/s] that a fit follows."""
     slow, fast = STRIBECK
     return slow * view.rows.extents.speed, fast * view.rows.extents.speed
 
 
-def covariance(view: View, fit: AxisFit) -> Array:
+def covariance(view: RecordView, fit: AxisFit) -> Array:
     """Covariance (p, p) of log D (k), levels (k), beta and log v_s where there is a rise, and the coefficients.
 
     Noise and what the model gets wrong (`robust_covariance`): its RMS beyond the noise floor, or UNSEEN_ERROR of that,
@@ -302,7 +302,7 @@ def covariance(view: View, fit: AxisFit) -> Array:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class NumberEstimate:
     """A number and its standard deviation."""
 
     value: float
@@ -314,7 +314,7 @@ class Quantity:
         return self.std / abs(self.value) if self.value != 0.0 else math.inf
 
 
-def quantities(fit: AxisFit, cov: Array) -> dict[str, Quantity]:
+def quantities(fit: AxisFit, cov: Array) -> dict[str, NumberEstimate]:
     """The friction law's numbers with their deviations, named as in a machine file.
 
     `coulomb`, `viscous`, `stribeck_ratio`, `stribeck_velocity`, `stiffness_k`, `fraction_k`; what the fit does not have
@@ -322,10 +322,10 @@ def quantities(fit: AxisFit, cov: Array) -> dict[str, Quantity]:
     """
     count, level = len(fit.levels), fit.coulomb
     p = len(cov)
-    found: dict[str, Quantity] = {}
+    found: dict[str, NumberEstimate] = {}
 
     def add(name: str, value: float, gradient: Array) -> None:
-        found[name] = Quantity(value, math.sqrt(max(0.0, float(gradient @ cov @ gradient))))
+        found[name] = NumberEstimate(value, math.sqrt(max(0.0, float(gradient @ cov @ gradient))))
 
     total = np.zeros(p)
     total[count : 2 * count] = 1.0
@@ -339,7 +339,7 @@ def quantities(fit: AxisFit, cov: Array) -> dict[str, Quantity]:
             share[count + k] += 1.0 / level
             add(f"fraction_{k + 1}", own / level, share)
         else:
-            found[f"fraction_{k + 1}"] = Quantity(math.nan, math.nan)
+            found[f"fraction_{k + 1}"] = NumberEstimate(math.nan, math.nan)
     rise = fit.shape.rise
     if rise is not None:
         for place, name, value, unit in (

@@ -20,12 +20,12 @@ from sgms_mhe.identification.description import (
     list_unexcited,
     mass_number,
 )
-from sgms_mhe.identification.final_fit import FinalFit, Known, make_final_fit
-from sgms_mhe.identification.fits import View
+from sgms_mhe.identification.final_fit import FinalIdentification, Known, make_final_fit
+from sgms_mhe.identification.fits import RecordView
 from sgms_mhe.identification.records import Records, drop_start, make_records, sort_logs
 from sgms_mhe.identification.result import Identification, Number
 from sgms_mhe.identification.sampling import common_rate, rough_mass, unknown_axis
-from sgms_mhe.identification.search import MOST_ELEMENTS, Found, Progress, Views, search
+from sgms_mhe.identification.search import MOST_ELEMENTS, ChosenModel, Progress, Views, search
 from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid, find_spectrum
 from sgms_mhe.identification.terms import Term, companion_terms, mass_term, sampling_terms, viscous_term
 from sgms_mhe.identification.writing import check_toml, machine_content, machine_toml
@@ -87,8 +87,8 @@ class Explored:
 
     records: Records
     views: Views
-    found: Found
-    final: FinalFit
+    found: ChosenModel
+    final: FinalIdentification
     measured: Mapping[Measure, float]
 
 
@@ -114,7 +114,7 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
     base, companions = _base_terms(rows), companion_terms(rows)
     noise, grid = noise_floor(rows, rows.friction), distance_grid(records, wanted.per_decade)
     limits = float(grid[0]), float(grid[-1])
-    views = Views(View(rows, records.coarse, noise, limits), View(rows, records.fine, noise, limits))
+    views = Views(RecordView(rows, records.coarse, noise, limits), RecordView(rows, records.fine, noise, limits))
     found = search(views, (*base, *companions), spectrum, wanted.elements, report)
     if not found.fit.coulomb > 0.0:
         raise frictionless_error(records.names[0])
@@ -215,7 +215,7 @@ def _check_dissipates(records: Records) -> None:
         )
 
 
-def _measure(records: Records, found: Found) -> Mapping[Measure, float]:
+def _measure(records: Records, found: ChosenModel) -> Mapping[Measure, float]:
     """Return the excitation of the motion, on the scale of the friction found."""
     fit = found.fit
     content = {

@@ -30,7 +30,7 @@ PATH_RATE: Final = 16000.0
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class ElementMotion:
     """Motion of the elements in one log: displacements at some rate, and the way of a force to decimated samples.
 
     Attributes:
@@ -77,8 +77,8 @@ class Records:
     machine: Machine
     names: tuple[str, ...]
     rows: Recording
-    coarse: tuple[Motion, ...]
-    fine: tuple[Motion, ...]
+    coarse: tuple[ElementMotion, ...]
+    fine: tuple[ElementMotion, ...]
     resolution: float
     warnings: tuple[str, ...]
 
@@ -150,9 +150,9 @@ def _join(recordings: Sequence[Recording]) -> Recording:
     )
 
 
-def filter_motion(recording: Recording) -> Motion:
+def filter_motion(recording: Recording) -> ElementMotion:
     """The motion behind the filters at the rate of the rows: means of velocities keep displacements exact."""
-    return Motion(
+    return ElementMotion(
         machine=recording.machine,
         rate=recording.rate,
         velocity=np.ascontiguousarray(recording.velocity),
@@ -163,7 +163,7 @@ def filter_motion(recording: Recording) -> Motion:
     )
 
 
-def _encoder_motion(recording: Recording, log: Log, resolution: float) -> Motion:
+def _encoder_motion(recording: Recording, log: Log, resolution: float) -> ElementMotion:
     """The axis's own way, also between the samples; of a log that brings its velocity, that."""
     rate = recording.machine.sampling.rate
     bypassed = log.velocity_m_s is not None
@@ -172,7 +172,7 @@ def _encoder_motion(recording: Recording, log: Log, resolution: float) -> Motion
         velocity = recording.signals.velocity
     else:
         velocity = displacements(smooth_path(bridge_gaps(readings(log).position_m), resolution), steps) * (rate * steps)
-    return Motion(
+    return ElementMotion(
         machine=recording.machine,
         rate=rate * steps,
         velocity=np.ascontiguousarray(velocity),

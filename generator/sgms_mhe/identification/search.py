@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.identification.elements import NO_RISE, Law, Stribeck, run_elements
-from sgms_mhe.identification.fits import AxisFit, Shape, View, fit_axis
+from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis
 from sgms_mhe.identification.records import Records, filter_motion
 from sgms_mhe.identification.spectrum import Spectrum, cluster, distance_grid, find_spectrum
 from sgms_mhe.identification.terms import Term, companion_terms, mass_term, sampling_terms, viscous_term
@@ -57,12 +57,12 @@ LEAST_SHARE: Final = 1e-3
 class Views:
     """The records at the rate of the rows, and at the logs' own."""
 
-    coarse: View
-    fine: View
+    coarse: RecordView
+    fine: RecordView
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class ChosenModel:
     """Chosen model.
 
     Attributes:
@@ -92,7 +92,7 @@ def fit_aligned(views: Views, terms: Sequence[Term], start: Shape, rounds: int =
     return anchor
 
 
-def _align(views: Views, anchor: AxisFit) -> View:
+def _align(views: Views, anchor: AxisFit) -> RecordView:
     """The coarse view whose friction leaves the residual of the fine one at a fit."""
     rows, shape = views.coarse.rows, anchor.shape
     rise = shape.rise or NO_RISE
@@ -101,7 +101,9 @@ def _align(views: Views, anchor: AxisFit) -> View:
     return replace(views.coarse, rows=replace(rows, friction=rows.friction - change))
 
 
-def search(views: Views, terms: Sequence[Term], spectrum: Spectrum, elements: int | None, report: Progress) -> Found:
+def search(
+    views: Views, terms: Sequence[Term], spectrum: Spectrum, elements: int | None, report: Progress
+) -> ChosenModel:
     """The law and the elements that the records show.
 
     Args:
@@ -146,7 +148,7 @@ def search(views: Views, terms: Sequence[Term], spectrum: Spectrum, elements: in
         break_away_m=chosen.shape.distances.tolist(),
         levels_N=chosen.levels.tolist(),
     )
-    return Found(chosen, rival, decided, counts)
+    return ChosenModel(chosen, rival, decided, counts)
 
 
 def _search_count(
@@ -278,7 +280,7 @@ def element_numbers(recording: Recording, noise: float) -> dict[str, float]:
     spectrum = find_spectrum(records, terms, noise, grid)
     if not len(spectrum.distances):
         return {}
-    view = View(recording, records.coarse, noise, (float(grid[0]), float(grid[-1])))
+    view = RecordView(recording, records.coarse, noise, (float(grid[0]), float(grid[-1])))
     start = Shape("switching", split_distances(spectrum, friction.n_z), spectrum.rise)
     found = fit_axis(view, terms, start, iterations=CHOICE_ITERATIONS)
     if not found.coulomb > 0.0:  # the spectrum had a trace of a level, the fit at this rate has no use for it

@@ -28,7 +28,7 @@ from sgms_mhe.logfiles.dialect import (
 )
 from sgms_mhe.logfiles.encoding import Decoder, check_text
 from sgms_mhe.logfiles.quantities import Turns, si_piece, turns_of
-from sgms_mhe.logfiles.reading import Reading, fields_of_log, log_of
+from sgms_mhe.logfiles.reading import LogContent, fields_of_log, log_of
 from sgms_mhe.logfiles.sources import choose_sources
 from sgms_mhe.logfiles.table import Array, Table
 from sgms_mhe.logfiles.text import Cells, read_plainly
@@ -223,7 +223,7 @@ class _Rows:
             allowed = "even time; uneven time is interpolated over a whole log: replay it without --follow"
             raise InputError(path, "[log] resample", True, allowed)
         self._step = timing.step
-        self.first = log_of(Reading(path, self._table, kind, self._sources, timing, None, columns), machine)
+        self.first = log_of(LogContent(path, self._table, kind, self._sources, timing, None, columns), machine)
         told.time, told.samples = columns["time_s"][-1:], len(self.first)
         self._told = told
 

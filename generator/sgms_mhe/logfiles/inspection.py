@@ -10,7 +10,7 @@ import numpy as np
 
 from sgms_mhe.logfiles.names import split_name
 from sgms_mhe.logfiles.plausibility import check_plausible
-from sgms_mhe.logfiles.reading import Reading, log_of, read_table, understand_table
+from sgms_mhe.logfiles.reading import LogContent, log_of, read_table, understand_table
 from sgms_mhe.logfiles.sources import find_missing
 from sgms_mhe.logfiles.table import Column, Table
 from sgms_mhe.machine import LogMapping, Machine
@@ -31,7 +31,7 @@ class Inspection:
         notes: what they would not refuse.
     """
 
-    reading: Reading
+    reading: LogContent
     problems: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -151,7 +151,7 @@ def inspect_log(path: Path, machine: Machine | None, mapping: LogMapping | None)
         return Unread(path, table, missing, (str(error),))
 
 
-def inspect_reading(reading: Reading, machine: Machine | None) -> Inspection:
+def inspect_reading(reading: LogContent, machine: Machine | None) -> Inspection:
     """Judge a reading as the commands would, going on where they stop."""
     problems: list[str] = []
     log: Log | None = None

@@ -48,7 +48,7 @@ TEXTS: Final = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".prn", ".log")
 
 
 @dataclass(frozen=True)
-class Reading:
+class LogContent:
     """Content of a file, not yet judged.
 
     Attributes:
@@ -84,7 +84,7 @@ def read_log(path: str | Path, machine: Machine | None = None) -> Log:
 
 def understand(
     path: str | Path, machine: Machine | None = None, mapping: LogMapping | None = None, note: Note | None = None
-) -> Reading:
+) -> LogContent:
     """Read a file as far as it can be understood.
 
     Args:
@@ -106,7 +106,7 @@ def understand_table(
     machine: Machine | None = None,
     mapping: LogMapping | None = None,
     note: Note | None = None,
-) -> Reading:
+) -> LogContent:
     """Understand a table that was read from `path`, or that messages call so; arguments and errors as `understand`."""
     mapping = _mapping(machine, mapping)
     notes: list[str] = []
@@ -132,7 +132,7 @@ def understand_table(
         resampling = resample(path, columns, timing, rate)
         columns = dict(resampling.columns)
         say(resampling.note)
-    return Reading(path, table, kind, sources, timing, resampling, columns, tuple(notes))
+    return LogContent(path, table, kind, sources, timing, resampling, columns, tuple(notes))
 
 
 def _drop_repeats(columns: dict[str, Array], table: Table, say: Note) -> tuple[dict[str, Array], Table]:
@@ -170,7 +170,7 @@ def _complete(kind: Kind, columns: dict[str, Array], say: Note) -> dict[str, Arr
     return columns
 
 
-def log_of(reading: Reading, machine: Machine | None = None) -> Log:
+def log_of(reading: LogContent, machine: Machine | None = None) -> Log:
     """The log. Raises InputError for one of another kind of axis than the machine's, uneven time, and another rate."""
     if machine is not None:
         check_kind(reading.path, reading.kind, [source.quantity.column for source in reading.sources], machine)

@@ -7,7 +7,7 @@ from typing import Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from sgms_mhe.machine.fields import NonNegatives, Positives, Table, quantity, refusal, text
+from sgms_mhe.machine.fields import MachineTable, NonNegatives, Positives, quantity, refusal, text
 from sgms_mhe.machine.units import OF_KIND, Kind, Units
 
 BASE_PARAMETERS: Final = ("stiffness", "fraction", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity")
@@ -16,7 +16,7 @@ BASE_PARAMETERS: Final = ("stiffness", "fraction", "coulomb", "viscous", "stribe
 SUM_TOLERANCE: Final = 1e-6
 
 
-class Plant(Table):
+class Plant(MachineTable):
     """Moved mass or inertia."""
 
     kind: Kind = text("what the axis does: moves along, or turns", "linear or rotary", "linear")
@@ -59,7 +59,7 @@ def plant_content(kind: Kind, moved: float) -> dict[str, Any]:
 _OTHER: Final[dict[Kind, Kind]] = {"linear": "rotary", "rotary": "linear"}
 
 
-class Smoothing(Table):
+class Smoothing(MachineTable):
     """Smoothing of the slip switches, equation (3); lambda (1 - zeta) = 3.5 leaves 1e-3 of the level."""
 
     zeta: float = quantity("deflection ratio at which slip sets in", "1", 0.9, gt=0, lt=1)
@@ -67,7 +67,7 @@ class Smoothing(Table):
     gamma: float = quantity("sharpness of the direction gate", "1", 35.0, gt=0, le=1e3)
 
 
-class Friction(Table):
+class Friction(MachineTable):
     """Law and parameters of friction, one entry per Maxwell-slip element in the arrays."""
 
     law: Literal["sgms", "switching"] = text(

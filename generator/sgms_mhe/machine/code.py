@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from sgms_mhe.machine.fields import Table, quantity, text
+from sgms_mhe.machine.fields import MachineTable, quantity, text
 
 
-class Compensation(Table):
+class Compensation(MachineTable):
     """The friction that tick feeds forward to the drive."""
 
     delay: float = quantity("from a sample until the force that answers it acts, mean", "s", 0.0, ge=0, le=0.1)
@@ -30,7 +30,7 @@ class Compensation(Table):
     enabled: bool = text("on from init on; otherwise the compensate call turns it on", "true or false", True)
 
 
-class Code(Table):
+class Code(MachineTable):
     """The emitted C."""
 
     precision: Literal["double", "single"] = text("floating-point type", "double or single", "double")

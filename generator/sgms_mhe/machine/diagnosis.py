@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from sgms_mhe.machine.fields import Table, quantity
+from sgms_mhe.machine.fields import MachineTable, quantity
 
 
-class DiagnosisTable(Table):
+class DiagnosisTable(MachineTable):
     """Choices of a diagnosis. They change neither the emitted C nor the digest of a machine."""
 
     unknown: ClassVar[str] = "unknown key, or a threshold that is a constant of the diagnosis since 0.2"

@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from sgms_mhe.machine.axis import BASE_PARAMETERS
-from sgms_mhe.machine.fields import Names, Pair, Table, listing, quantity, refusal, text
+from sgms_mhe.machine.fields import MachineTable, Names, Pair, listing, quantity, refusal, text
 
 
-class Noise(Table):
+class Noise(MachineTable):
     """Weights of the estimator, all one standard deviation."""
 
     measurement: float = quantity("sigma_y, friction measurement", "N, N m", 0.5, gt=0, le=1e6)
@@ -28,7 +28,7 @@ class Noise(Table):
     )
 
 
-class ArrivalCost(Table):
+class ArrivalCost(MachineTable):
     """Summary of what lies before the horizon."""
 
     update: Literal["riccati", "fixed"] = text("update of the arrival cost", "riccati or fixed", "riccati")
@@ -50,7 +50,7 @@ def _flatten(data: Any) -> Any:
     return flat
 
 
-class Estimator(Table):
+class Estimator(MachineTable):
     """The observer."""
 
     kind: Literal["mhe", "ekf"] = text("estimator", "mhe or ekf", "mhe")

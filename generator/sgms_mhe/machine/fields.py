@@ -33,7 +33,7 @@ def listing(names: Iterable[str]) -> str:
     return ", ".join(names)
 
 
-class Table(BaseModel):
+class MachineTable(BaseModel):
     """A TOML table: unknown keys, coerced types and non-finite numbers are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)

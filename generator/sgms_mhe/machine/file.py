@@ -15,7 +15,7 @@ from sgms_mhe.machine.axis import Friction, Plant
 from sgms_mhe.machine.code import Code, Compensation
 from sgms_mhe.machine.diagnosis import DiagnosisTable
 from sgms_mhe.machine.estimator import Estimator
-from sgms_mhe.machine.fields import Table, refusal, text
+from sgms_mhe.machine.fields import MachineTable, refusal, text
 from sgms_mhe.machine.log_mapping import LogMapping
 from sgms_mhe.machine.sampling import Integrator, Sampling
 
@@ -41,7 +41,7 @@ RESERVED_NAMES: Final = re.compile(
 """Machine names whose files or symbols would take the place of others, also where file names ignore case."""
 
 
-class Effect(Table):
+class Effect(MachineTable):
     """One entry of [[effects]]: a name and that effect's parameters; units stand in the parameters' names."""
 
     model_config = ConfigDict(extra="allow")
@@ -55,7 +55,7 @@ class Effect(Table):
         return dict(self.__pydantic_extra__)
 
 
-class Tables(Table):
+class Tables(MachineTable):
     """A machine file's content: every table of it, each sound by itself."""
 
     name: str = text(

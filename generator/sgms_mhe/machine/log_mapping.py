@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from sgms_mhe.machine.fields import Table, listing, quantity, refusal, text
+from sgms_mhe.machine.fields import MachineTable, listing, quantity, refusal, text
 from sgms_mhe.machine.log_units import BY_COLUMN, COUNTS, QUANTITIES, Quantity, normal_unit
 from sgms_mhe.machine.units import Kind
 from sgms_mhe.support.errors import InputError
@@ -16,7 +16,7 @@ SEPARATORS: Final = (",", ";", "\t", "|", " ")
 """What stands between the fields of a text; the space for any number of spaces and tabs."""
 
 
-class _Spare(Table):
+class _Spare(MachineTable):
     """A table that is written back without those of its later keys that say nothing, so that digests stay."""
 
     @model_serializer(mode="wrap")

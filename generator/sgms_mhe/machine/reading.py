@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from sgms_mhe.machine.fields import Table, listing
+from sgms_mhe.machine.fields import MachineTable, listing
 from sgms_mhe.machine.file import Tables
 from sgms_mhe.machine.log_mapping import LogMapping
 from sgms_mhe.machine.sampling import CHOSEN_BY_LAW
@@ -263,7 +263,7 @@ def _input_error(error: ValidationError, layers: Sequence[Layer], table: Sequenc
             known.append("extends")
         close = difflib.get_close_matches(str(loc[-1]), known, n=1)
         hint = f" (did you mean {close[0]}?)" if close else ""
-        said = holder.unknown if holder is not None and issubclass(holder, Table) else Table.unknown
+        said = holder.unknown if holder is not None and issubclass(holder, MachineTable) else MachineTable.unknown
         allowed = f"{said}{hint}; allowed: {listing(known)}"
     elif detail["type"] == "model_type" or (detail["type"] == "dict_type"):
         allowed = f"a table; {described}"

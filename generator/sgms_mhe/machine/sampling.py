@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from sgms_mhe.machine.fields import Table, listing, quantity, refusal
+from sgms_mhe.machine.fields import MachineTable, listing, quantity, refusal
 
 DISPLACEMENT: Final = {"rk4": 0.03, "flow": 0.1, "clip": 0.1}
 """Default largest move per substep in deflection scales (`flow`, `clip`: for the blocks that they leave to rk4).
@@ -42,7 +42,7 @@ REMOVED_KEYS: Final[Mapping[str, str]] = MappingProxyType(
 """What takes the place of keys and schemes that earlier versions had; docs/rejected.md has the reasons."""
 
 
-class Integrator(Table):
+class Integrator(MachineTable):
     """How one shooting interval is integrated."""
 
     scheme: Literal["rk4", "flow", "clip"] = Field(
@@ -81,7 +81,7 @@ class Integrator(Table):
         return data
 
 
-class Sampling(Table):
+class Sampling(MachineTable):
     """Rates, the velocity filter, the stated maximum speed."""
 
     rate: float = quantity("sample rate of position and force", "Hz", 10000.0, gt=0, le=1e7)

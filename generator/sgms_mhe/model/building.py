@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.axis import SIGNAL_NAMES, StateSpec, SymbolicAxis
 from sgms_mhe.model.effects import EFFECT_NAMES, EffectDefinition, Stage, effect_definition
-from sgms_mhe.model.friction import LEAST_REST, FrictionSymbols, Smoothing, add_friction, declare_elements
+from sgms_mhe.model.friction import LEAST_REST, FrictionSymbols, SmoothLaw, add_friction, declare_elements
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.model.switching import check_switching
 from sgms_mhe.support.errors import InputError
@@ -279,10 +279,10 @@ def _prompt_drive(effects: Sequence[_Effect], axis: SymbolicAxis) -> ca.SX:
     return prompt
 
 
-def _smoothing(machine: Machine) -> Smoothing | None:
+def _smoothing(machine: Machine) -> SmoothLaw | None:
     """How elements go over from sticking to sliding; None: they switch."""
     soft = machine.friction.smoothing
-    return None if soft is None else Smoothing(soft.zeta, soft.lambda_, soft.gamma)
+    return None if soft is None else SmoothLaw(soft.zeta, soft.lambda_, soft.gamma)
 
 
 def _bare_axis(machine: Machine) -> SymbolicAxis:

@@ -30,7 +30,7 @@ class FrictionSymbols:
 
 
 @dataclass(frozen=True)
-class Smoothing:
+class SmoothLaw:
     """The tolerances of equation (3): zeta, lambda, gamma."""
 
     zeta: float
@@ -65,7 +65,7 @@ def whole_shares(fraction: Sequence[float], nominal: Sequence[float]) -> tuple[l
     return [(rest if i == largest else value) / total for i, value in enumerate(fraction)], total
 
 
-def window(r: ca.SX, smoothing: Smoothing) -> ca.SX:
+def window(r: ca.SX, smoothing: SmoothLaw) -> ca.SX:
     """etaA of equation (3), the window in the relative deflection r that starts slip near |r| = zeta.
 
     The two hyperbolic tangents act on opposite signs of r. Where they do not overlap within double precision
@@ -114,7 +114,7 @@ def declare_elements(
     axis.rest_level = 1.0 + symbols.stribeck_ratio
 
 
-def add_friction(axis: SymbolicAxis, symbols: FrictionSymbols, smoothing: Smoothing | None) -> Elements:
+def add_friction(axis: SymbolicAxis, symbols: FrictionSymbols, smoothing: SmoothLaw | None) -> Elements:
     """Give the declared elements their rates, and add their forces and the viscous force to the axis.
 
     Without smoothing they switch: an element moves with the axis, and slips where the axis pushes it on at its level.

@@ -8,9 +8,9 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model, build_model
 from sgms_mhe.reference.ekf import run_ekf
 from sgms_mhe.reference.flow import gate_ratio
-from sgms_mhe.reference.integrator import Integrator
+from sgms_mhe.reference.integrator import ReferenceIntegrator
 from sgms_mhe.reference.mhe import run_mhe
-from sgms_mhe.reference.problem import Progress, Record, Start, Status, Weights
+from sgms_mhe.reference.problem import NodeRecord, Progress, Start, UpdateStatus, Weights
 from sgms_mhe.reference.smoother import run_smoother
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.signals.estimates import Estimates
@@ -24,7 +24,7 @@ def estimate_model(
     model: Model, signals: Signals, kind: Kind, *, progress: Progress | None = None, compiled: bool = True
 ) -> Estimates:
     """Run one of the reference solvers on a symbolic model; `compiled=False` does without a C compiler."""
-    record = Record(model, signals, Integrator(model, compiled=compiled))
+    record = NodeRecord(model, signals, ReferenceIntegrator(model, compiled=compiled))
     return _SOLVERS[kind](record, progress)
 
 
@@ -41,12 +41,12 @@ def estimate_smoother(machine: Machine, signals: Signals, *, progress: Progress 
 
 
 __all__ = [
-    "Integrator",
     "Kind",
+    "NodeRecord",
     "Progress",
-    "Record",
+    "ReferenceIntegrator",
     "Start",
-    "Status",
+    "UpdateStatus",
     "Weights",
     "estimate_model",
     "estimate_reference",

@@ -16,7 +16,7 @@ from sgms_mhe.reference.flow import Flow, gate_ratio, window
 
 
 @dataclass(frozen=True)
-class Block:
+class IntegratedBlock:
     """States that depend on no state outside the block; blocks may share states that read none of the others.
 
     `saturates`: its first state is an element that obeys the law of equation (1), and the others set its level by
@@ -61,7 +61,7 @@ class Blocks:
         return Flow.of(self.model.machine.friction.smoothed)
 
     @cached_property
-    def all(self) -> tuple[Block, ...]:
+    def all(self) -> tuple[IntegratedBlock, ...]:
         """Every state with all it depends on, directly or not; the largest such sets, in the order of first states."""
         model = self.model
         sparsity = ca.jacobian(model.rhs, model.chi).sparsity()
@@ -70,10 +70,10 @@ class Blocks:
         closures = [set(breadth_first_order(graph, i, return_predecessors=False).tolist()) for i in range(model.n_x)]
         largest = {tuple(sorted(own)) for own in closures if not any(own < other for other in closures)}
 
-        def block(states: tuple[int, ...]) -> Block:
+        def block(states: tuple[int, ...]) -> IntegratedBlock:
             saturates = self.reaches_flow and self._obeys_law(states)
             switches = model.machine.friction.switches and model.states[states[0]].element is not None
-            return Block(
+            return IntegratedBlock(
                 states=states,
                 rate_per_metre=max(model.states[i].rate_per_metre for i in states),
                 rate_per_second=max(model.states[i].rate_per_second for i in states),

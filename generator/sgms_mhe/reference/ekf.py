@@ -6,20 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.reference.least_squares import solve_bounded
-from sgms_mhe.reference.problem import NOT_FINITE, Progress, Record, Status, estimates
-from sgms_mhe.reference.readings import Gaussian, Reading, Scaling
+from sgms_mhe.reference.problem import NOT_FINITE, NodeRecord, Progress, UpdateStatus, estimates
+from sgms_mhe.reference.readings import Gaussian, MeasurementResult, Scaling
 from sgms_mhe.reference.window import linearise, take_interval
 from sgms_mhe.signals.estimates import Estimates
 
 Array = NDArray[np.float64]
 
 
-def run_ekf(record: Record, progress: Progress | None = None) -> Estimates:
+def run_ekf(record: NodeRecord, progress: Progress | None = None) -> Estimates:
     """Update with the measurements inside of an interval, predict through it, update with the one at its end."""
     weights, model = record.weights, record.model
     n_x, n_p, updates = model.n_x, model.n_p, record.updates
     belief, prior = record.first, weights.prior[1]
-    scaling, newest = record.scaling, Reading.none()
+    scaling, newest = record.scaling, MeasurementResult.none()
     std = weights.parameter
     results = np.empty((updates, n_x)), np.empty((updates, n_p)), np.empty((updates, n_p))
     statuses, readings = np.empty(updates, dtype=np.int64), []
@@ -34,11 +34,11 @@ def run_ekf(record: Record, progress: Progress | None = None) -> Estimates:
             std = np.sqrt(np.diag(belief.covariance)[n_x:])
             if np.any((belief.mean[n_x:] < weights.lower) | (belief.mean[n_x:] > weights.upper)):
                 belief = Gaussian(into_bounds(*belief, weights.lower, weights.upper), belief.covariance)
-                status |= Status.BOUND
-            status |= Status.DOUBT if scaling.doubts else 0
+                status |= UpdateStatus.BOUND
+            status |= UpdateStatus.DOUBT if scaling.doubts else 0
         else:
             status, belief = NOT_FINITE, Gaussian(belief.mean, prior)
-            scaling, newest = Scaling(weights.self_scaling), Reading.none()
+            scaling, newest = Scaling(weights.self_scaling), MeasurementResult.none()
         for store, value in zip(results, (belief.mean[:n_x], belief.mean[n_x:], std), strict=True):
             store[node - 1] = value
         statuses[node - 1] = status
@@ -48,7 +48,7 @@ def run_ekf(record: Record, progress: Progress | None = None) -> Estimates:
     return estimates(record, *results, statuses, readings)
 
 
-def is_sound(record: Record, belief: Gaussian) -> bool:
+def is_sound(record: NodeRecord, belief: Gaussian) -> bool:
     """Return True if a belief of (x, theta) is finite and one that an axis can have."""
     mean, P = belief
     is_finite = bool(np.all(np.isfinite(mean)) and np.all(np.isfinite(P)) and np.all(np.diag(P) > 0.0))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.model import Model
-from sgms_mhe.reference.blocks import Block, Blocks
+from sgms_mhe.reference.blocks import Blocks, IntegratedBlock
 from sgms_mhe.reference.compiled_loops import CompiledLoops
 from sgms_mhe.reference.flow import Flow
 from sgms_mhe.reference.linearised import Linearised, Outputs
@@ -24,7 +24,7 @@ from sgms_mhe.support.errors import BuildError
 Array = NDArray[np.float64]
 
 
-class Integrator:
+class ReferenceIntegrator:
     """The integrator of one model. `compiled=False` runs it in Python."""
 
     def __init__(self, model: Model, *, compiled: bool = True) -> None:
@@ -34,7 +34,7 @@ class Integrator:
         self._loops = _loops(self._blocks, compiled)
 
     @property
-    def blocks(self) -> tuple[Block, ...]:
+    def blocks(self) -> tuple[IntegratedBlock, ...]:
         """The blocks of states that are integrated apart from each other."""
         return self._blocks.all
 

@@ -10,15 +10,24 @@ from scipy.linalg import solve_triangular
 
 from sgms_mhe.reference.least_squares import solve_bounded, triangular_factor
 from sgms_mhe.reference.linearised import Linearised, Outputs
-from sgms_mhe.reference.problem import NOT_FINITE, Progress, Record, Status, estimates
-from sgms_mhe.reference.readings import Gaussian, Reading, Scaling, fold
-from sgms_mhe.reference.window import Scales, Taken, Window, integrate, linearise, predict, take_interval, window_of
+from sgms_mhe.reference.problem import NOT_FINITE, NodeRecord, Progress, UpdateStatus, estimates
+from sgms_mhe.reference.readings import Gaussian, MeasurementResult, Scaling, fold
+from sgms_mhe.reference.window import (
+    NoiseFactors,
+    Taken,
+    Window,
+    integrate,
+    linearise,
+    predict,
+    take_interval,
+    window_of,
+)
 from sgms_mhe.signals.estimates import Estimates
 
 Array = NDArray[np.float64]
 
 
-class Kept(NamedTuple):
+class StoredIntervals(NamedTuple):
     """Affine maps of n intervals, oldest first, each as it was made.
 
     Attributes:
@@ -32,7 +41,7 @@ class Kept(NamedTuple):
     intervals: Linearised
 
     @classmethod
-    def of(cls, x: Array, theta: Array, intervals: Linearised) -> Kept:
+    def of(cls, x: Array, theta: Array, intervals: Linearised) -> StoredIntervals:
         """Intervals from the nodes x (n, n_x), all linearised there and at theta (n_p)."""
         return cls(x, np.tile(theta, (len(x), 1)), intervals)
 
@@ -46,40 +55,40 @@ class Kept(NamedTuple):
         y = y + np.einsum("krj,kj->kr", C, x - self.x) + np.einsum("krj,kj->kr", D, theta - self.theta)
         return Linearised(x1 + self.moves(x, theta), A, B, Outputs(y, C, D))
 
-    def renew(self, k: int, fresh: Kept) -> Kept:
+    def renew(self, k: int, fresh: StoredIntervals) -> StoredIntervals:
         """With interval k as it is in `fresh`, which is that interval alone."""
         return self.part(0, k).append(fresh).append(self.part(k + 1, len(self.x)))
 
-    def append(self, newest: Kept) -> Kept:
+    def append(self, newest: StoredIntervals) -> StoredIntervals:
         """With further intervals at the newer end."""
         x, theta = np.concatenate([self.x, newest.x]), np.concatenate([self.theta, newest.theta])
-        return Kept(x, theta, Linearised.join_parts([self.intervals, newest.intervals]))
+        return StoredIntervals(x, theta, Linearised.join_parts([self.intervals, newest.intervals]))
 
-    def part(self, first: int, last: int) -> Kept:
+    def part(self, first: int, last: int) -> StoredIntervals:
         """Intervals first to last - 1."""
         which = slice(first, last)
-        return Kept(self.x[which], self.theta[which], self.intervals.part(which))
+        return StoredIntervals(self.x[which], self.theta[which], self.intervals.part(which))
 
 
 def _image(A: Array, B: Array, dx: Array, dtheta: Array) -> Array:
     return np.asarray(np.einsum("kij,kj->ki", A, dx) + np.einsum("kij,kj->ki", B, dtheta))
 
 
-def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
+def run_mhe(record: NodeRecord, progress: Progress | None = None) -> Estimates:
     """One Gauss-Newton iteration per update, window by window."""
     weights, model = record.weights, record.model
     n_x, n_p, updates = model.n_x, model.n_p, record.updates
     is_riccati = model.machine.estimator.arrival_cost.update == "riccati"
 
     relinearise = model.machine.estimator.relinearise
-    kept: Kept | None = None
+    kept: StoredIntervals | None = None
     # Since theta last drifted: shifts of the window, and those of them whose interval had moved.
     shifts = owed = 0
     prior, arrival = Gaussian(*weights.prior), record.first
     x, theta = arrival.mean[None, :n_x], arrival.mean[n_x:]
     std = weights.parameter
     active = np.zeros(n_p, dtype=np.bool_)
-    scaling, newest, scales = record.scaling, Reading.none(), Scales.of(record)
+    scaling, newest, scales = record.scaling, MeasurementResult.none(), NoiseFactors.of(record)
     results = np.empty((updates, n_x)), np.empty((updates, n_p)), np.empty((updates, n_p))
     statuses, readings = np.empty(updates, dtype=np.int64), []
     for node in range(1, updates + 1):
@@ -90,11 +99,11 @@ def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
         else:
             if relinearise == "auto" and kept is not None:
                 kept = renew(record, first, kept, x[:-1], theta)
-            fresh = Kept.of(x[-1:], theta, integrate(record, node - 1, x[-1:], theta))
+            fresh = StoredIntervals.of(x[-1:], theta, integrate(record, node - 1, x[-1:], theta))
             kept = fresh if kept is None else kept.append(fresh)
             window = window_of(record, first, x, theta, kept.at(x, theta))
         is_full = len(x) == weights.horizon
-        status = record.status(node) | (0 if is_full else Status.FILLING)
+        status = record.status(node) | (0 if is_full else UpdateStatus.FILLING)
         try:
             taken = take_newest(record, window, arrival, scaling, scales)
             solution = None if taken is None else _solve(record, window, arrival, scales, active)
@@ -104,13 +113,13 @@ def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
             # Keep the last good estimate and start again from it with the prior's covariance.
             status = NOT_FINITE
             x, arrival = x[-1:], Gaussian(np.concatenate([x[-1], theta]), prior.covariance)
-            kept, scaling, newest = None, Scaling(weights.self_scaling), Reading.none()
+            kept, scaling, newest = None, Scaling(weights.self_scaling), MeasurementResult.none()
             scales.end[node] = np.inf  # the measurement that came with it is not to be trusted
             shifts = owed = 0
         else:
             x, theta, std, active = solution
             newest = taken.newest(newest)
-            status |= (Status.BOUND if active.any() else 0) | (Status.DOUBT if scaling.doubts else 0)
+            status |= (UpdateStatus.BOUND if active.any() else 0) | (UpdateStatus.DOUBT if scaling.doubts else 0)
             if is_full:
                 x, kept = x[1:], kept and kept.part(1, len(kept.x))
                 if is_riccati:
@@ -131,7 +140,7 @@ def run_mhe(record: Record, progress: Progress | None = None) -> Estimates:
     return estimates(record, *results, statuses, readings)
 
 
-def renew(record: Record, first: int, kept: Kept, x: Array, theta: Array) -> Kept:
+def renew(record: NodeRecord, first: int, kept: StoredIntervals, x: Array, theta: Array) -> StoredIntervals:
     """Linearise the interval anew at (x, theta) whose end has moved most, if that is too far.
 
     Of n intervals, at the nodes x (n, n_x) where they start.
@@ -141,10 +150,10 @@ def renew(record: Record, first: int, kept: Kept, x: Array, theta: Array) -> Kep
         return kept
     k = int(np.argmax(moved))
     start = x[k : k + 1]
-    return kept.renew(k, Kept.of(start, theta, integrate(record, first + k, start, theta)))
+    return kept.renew(k, StoredIntervals.of(start, theta, integrate(record, first + k, start, theta)))
 
 
-def dense_problem(record: Record, window: Window, arrival: Gaussian, scales: Scales) -> tuple[Array, Array]:
+def dense_problem(record: NodeRecord, window: Window, arrival: Gaussian, scales: NoiseFactors) -> tuple[Array, Array]:
     """Jacobian J and residual r of the window, so that the step d of (x_0, ..., x_n, theta) minimises |J d + r|^2.
 
     Rows: arrival cost, then per node its measurement (if valid) and per interval the valid measurements inside of it
@@ -186,7 +195,9 @@ def dense_problem(record: Record, window: Window, arrival: Gaussian, scales: Sca
     return np.vstack(jacobians), np.concatenate(residuals)
 
 
-def take_newest(record: Record, window: Window, arrival: Gaussian, scaling: Scaling, scales: Scales) -> Taken | None:
+def take_newest(
+    record: NodeRecord, window: Window, arrival: Gaussian, scaling: Scaling, scales: NoiseFactors
+) -> Taken | None:
     """Measurements of the newest interval, each predicted from all before it; None where that is not finite.
 
     What they are to count goes to `scales`.
@@ -206,7 +217,7 @@ def take_newest(record: Record, window: Window, arrival: Gaussian, scaling: Scal
 
 
 def _solve(
-    record: Record, window: Window, arrival: Gaussian, scales: Scales, active: NDArray[np.bool_]
+    record: NodeRecord, window: Window, arrival: Gaussian, scales: NoiseFactors, active: NDArray[np.bool_]
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]] | None:
     """(x, theta, std of theta, bounds active) of one update; None where it is not finite."""
     weights = record.weights
@@ -236,7 +247,7 @@ def _solve(
     return x, theta, std, is_active
 
 
-def arrival_update(record: Record, arrival: Gaussian, window: Window, scales: Scales, owed: int) -> Gaussian:
+def arrival_update(record: NodeRecord, arrival: Gaussian, window: Window, scales: NoiseFactors, owed: int) -> Gaussian:
     """Kalman update and prediction of (x, theta) over the interval that leaves, linearised as the window was.
 
     Covariance form: measurements of the oldest node and inside of its interval (Joseph), prediction with state noise,

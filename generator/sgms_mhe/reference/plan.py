@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import Sampling
-from sgms_mhe.reference.blocks import Block, Blocks
+from sgms_mhe.reference.blocks import Blocks, IntegratedBlock
 from sgms_mhe.signals.chain import Signals, signal_array
 
 Array = NDArray[np.float64]
@@ -153,14 +153,14 @@ class Planner:
         """Speed up to which elements that follow the flow take Runge-Kutta steps [m/s]."""
         return self._blocks.gate_ratio * self._blocks.model.machine.friction.stribeck_velocity
 
-    def _slow_substeps(self, block: Block, speed: Array | float, h: Array | float) -> Array:
+    def _slow_substeps(self, block: IntegratedBlock, speed: Array | float, h: Array | float) -> Array:
         """RK4 substeps, not rounded, of an element that follows the flow, for a move at some speed over h."""
         settings = self._sampling.integrator
         longest = settings.slow_displacement * min(1.0, WIDE_LAMBDA * self._over_lambda)
         moved = np.asarray(speed) * h * block.rate_per_metre / longest
         return np.asarray(moved + h * block.rate_per_second / settings.displacement)
 
-    def _runge_kutta_substeps(self, block: Block, speed: Array, h: Array | float, least: int) -> Counts:
+    def _runge_kutta_substeps(self, block: IntegratedBlock, speed: Array, h: Array | float, least: int) -> Counts:
         settings, limit = self._sampling.integrator, self._sampling.max_velocity
 
         def count_substeps(v: Array) -> Counts:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.model import Model
-from sgms_mhe.reference.integrator import Integrator
+from sgms_mhe.reference.integrator import ReferenceIntegrator
 from sgms_mhe.reference.plan import Plan, inner_readings
-from sgms_mhe.reference.readings import Gaussian, Reading, Scaling
+from sgms_mhe.reference.readings import Gaussian, MeasurementResult, Scaling
 from sgms_mhe.signals.chain import Signals, signal_array
 from sgms_mhe.signals.estimates import Estimates
 
@@ -28,7 +28,7 @@ REFUSED = -1
 NOT_FINITE = -2
 
 
-class Status(IntFlag):
+class UpdateStatus(IntFlag):
     """Status of an update; 0 is good."""
 
     FILLING = 1
@@ -127,7 +127,7 @@ class Start:
     slow: float = 1.0
 
 
-class Record:
+class NodeRecord:
     """A record as the estimators see it: plan of its intervals, signals and measurements.
 
     Measurements y, valid: at the nodes 0 .. updates; inner_y, inner_valid (updates, R - 1): inside of the intervals.
@@ -137,7 +137,7 @@ class Record:
         self,
         model: Model,
         signals: Signals,
-        integrator: Integrator,
+        integrator: ReferenceIntegrator,
         *,
         weights: Weights | None = None,
         start: Start | None = None,
@@ -180,21 +180,21 @@ class Record:
 
     def status(self, node: int) -> int:
         """Return the status of the update at a node, from the newest interval and measurement."""
-        status = 0 if self.valid[node] else int(Status.MISSING)
+        status = 0 if self.valid[node] else int(UpdateStatus.MISSING)
         if not self.moves(node - 1):
-            status |= Status.HOLD
+            status |= UpdateStatus.HOLD
         if self.plan.fastest[node - 1] > self.weights.max_velocity:
-            status |= Status.SPEED
+            status |= UpdateStatus.SPEED
         return int(status)
 
 
 def estimates(
-    record: Record,
+    record: NodeRecord,
     x: Array,
     theta: Array,
     std: Array,
     status: NDArray[np.int64],
-    readings: Sequence[Reading] | None = None,
+    readings: Sequence[MeasurementResult] | None = None,
 ) -> Estimates:
     """Results of all updates: x (u, n_x), theta, std in scaled units (u, n_p); the newest reading of each, if known."""
     model, u = record.model, record.updates

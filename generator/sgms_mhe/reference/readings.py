@@ -29,7 +29,7 @@ class Gaussian(NamedTuple):
     covariance: Array
 
 
-class Reading(NamedTuple):
+class MeasurementResult(NamedTuple):
     """Result of a measurement.
 
     Attributes:
@@ -43,7 +43,7 @@ class Reading(NamedTuple):
     scale: float
 
     @classmethod
-    def none(cls) -> Reading:
+    def none(cls) -> MeasurementResult:
         """Before the first one."""
         return cls(0.0, 0.0, 1.0)
 
@@ -73,14 +73,16 @@ class Scaling:
 
 def take_reading(
     belief: Gaussian, C: Array, innovation: float, sigma: float, scaling: Scaling
-) -> tuple[Gaussian, Reading]:
+) -> tuple[Gaussian, MeasurementResult]:
     """Fold a scalar measurement, C (n,) its sensitivity, with the noise that its innovation asks for."""
     spread = float(C @ belief.covariance @ C)
     predicted = spread + sigma**2
     test_ratio = innovation**2 / predicted
     # The variance of the measurement at which the innovation's is `variance_factor` times the predicted one.
     variance = sigma**2 + (scaling.variance_factor(test_ratio) - 1.0) * predicted
-    return fold(belief, C, innovation, variance), Reading(innovation, test_ratio, float(np.sqrt(variance)) / sigma)
+    return fold(belief, C, innovation, variance), MeasurementResult(
+        innovation, test_ratio, float(np.sqrt(variance)) / sigma
+    )
 
 
 def fold(belief: Gaussian, C: Array, innovation: float, variance: float) -> Gaussian:

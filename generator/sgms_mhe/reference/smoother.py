@@ -14,7 +14,7 @@ from scipy.sparse import csc_matrix, csr_matrix, diags, vstack
 from scipy.sparse.linalg import splu
 
 from sgms_mhe.reference.least_squares import solve_bounded
-from sgms_mhe.reference.problem import Progress, Record, Status, estimates
+from sgms_mhe.reference.problem import NodeRecord, Progress, UpdateStatus, estimates
 from sgms_mhe.signals.estimates import Estimates
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ LARGEST_DAMPING = 1e12
 
 
 @dataclass(frozen=True)
-class _Problem:
+class _SmootherProblem:
     """Cost, Jacobian by the states and by theta, residual, at one point."""
 
     cost: float
@@ -39,7 +39,7 @@ class _Problem:
     r: Array
 
 
-def run_smoother(record: Record, progress: Progress | None = None) -> Estimates:
+def run_smoother(record: NodeRecord, progress: Progress | None = None) -> Estimates:
     """Smooth a record; every row of the result holds the same parameters and the state at its own node."""
     weights, model = record.weights, record.model
     n_x, updates = model.n_x, record.updates
@@ -78,14 +78,14 @@ def run_smoother(record: Record, progress: Progress | None = None) -> Estimates:
     _, _, information = _condense(problem, 0.0)
     std = np.sqrt(np.diag(np.linalg.inv(information)))
     status = np.array([record.status(node) for node in range(1, updates + 1)], dtype=np.int64)
-    status |= int(Status.BOUND) if is_active.any() else 0
+    status |= int(UpdateStatus.BOUND) if is_active.any() else 0
     rows = (updates, 1)
     result = estimates(record, x[1:].reshape(updates, n_x), np.tile(theta, rows), np.tile(std, rows), status)
     # The state at sample 0 has no row: the first update is at node 1.
     return replace(result, extra={**result.extra, "x_first": x[0]})
 
 
-def _is_stationary(problem: _Problem, is_active: NDArray[np.bool_]) -> bool:
+def _is_stationary(problem: _SmootherProblem, is_active: NDArray[np.bool_]) -> bool:
     length = float(np.sqrt(problem.cost))
     columns = np.sqrt(np.asarray(problem.J_x.multiply(problem.J_x).sum(axis=0)).ravel())
     by_states = np.abs(problem.J_x.T @ problem.r) / np.maximum(columns * length, 1e-300)
@@ -93,14 +93,14 @@ def _is_stationary(problem: _Problem, is_active: NDArray[np.bool_]) -> bool:
     return bool(max(by_states.max(), np.max(by_theta[~is_active], initial=0.0)) < GRADIENT_TOLERANCE)
 
 
-def _simulate(record: Record, theta: Array) -> Array:
+def _simulate(record: NodeRecord, theta: Array) -> Array:
     x = np.zeros((record.updates + 1, record.model.n_x))
     for k in range(record.updates):
         x[k + 1] = record.integrator.intervals(record.plan, k, x[k : k + 1], theta).x1[0]
     return x
 
 
-def _linearise(record: Record, x: Array, theta: Array) -> _Problem:
+def _linearise(record: NodeRecord, x: Array, theta: Array) -> _SmootherProblem:
     weights = record.weights
     n_x, n_p, nodes = record.model.n_x, record.model.n_p, record.updates + 1
     valid = np.flatnonzero(record.valid)
@@ -117,7 +117,7 @@ def _linearise(record: Record, x: Array, theta: Array) -> _Problem:
             ]
         )
     if not np.all(np.isfinite(r)):
-        return _Problem(np.inf, csc_matrix((0, 0)), np.empty((0, n_p)), r)
+        return _SmootherProblem(np.inf, csc_matrix((0, 0)), np.empty((0, n_p)), r)
     width = nodes * n_x
     first = csc_matrix((1.0 / weights.initial_state, (np.arange(n_x), np.arange(n_x))), shape=(n_x, width))
     measured = _block_diagonal(outputs.C[:, None, :] / weights.sigma_y, width)[valid]
@@ -136,7 +136,7 @@ def _linearise(record: Record, x: Array, theta: Array) -> _Problem:
             -(intervals.B / weights.sigma_x[:, None]).reshape(-1, n_p),
         ]
     )
-    return _Problem(float(r @ r), J_x, J_t, r)
+    return _SmootherProblem(float(r @ r), J_x, J_t, r)
 
 
 def _block_diagonal(blocks: Array, width: int) -> csr_matrix:
@@ -147,7 +147,7 @@ def _block_diagonal(blocks: Array, width: int) -> csr_matrix:
     return csr_matrix((blocks.ravel(), at), shape=(n * rows, width))
 
 
-def _condense(problem: _Problem, damping: float) -> tuple[Array, Array, Array]:
+def _condense(problem: _SmootherProblem, damping: float) -> tuple[Array, Array, Array]:
     """States as a function of theta's step, dx = d0 + D dtheta, and theta's information without the states."""
     normal = (problem.J_x.T @ problem.J_x).tocsc()
     if damping > 0.0:
@@ -160,7 +160,9 @@ def _condense(problem: _Problem, damping: float) -> tuple[Array, Array, Array]:
     return d0, D, 0.5 * (information + information.T)
 
 
-def _step(record: Record, problem: _Problem, theta: Array, damping: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _step(
+    record: NodeRecord, problem: _SmootherProblem, theta: Array, damping: float
+) -> tuple[Array, Array, NDArray[np.bool_]]:
     weights = record.weights
     d0, D, information = _condense(problem, damping)
     gradient = problem.J_t.T @ (problem.J_x @ d0 + problem.r)

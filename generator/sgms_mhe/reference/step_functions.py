@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from sgms_mhe.reference.blocks import Block, Blocks
+from sgms_mhe.reference.blocks import Blocks, IntegratedBlock
 
 # Of classical Runge-Kutta: stages k_i = f(y + h a_i k_(i-1)) at c_i h, y1 = y + h sum_i b_i k_i; rows are (c, a, b).
 TABLEAU = ((0.0, 0.0, 1 / 6), (1 / 2, 1 / 2, 1 / 3), (1 / 2, 1 / 2, 1 / 3), (1.0, 1.0, 1 / 6))
@@ -31,7 +31,7 @@ def step_functions(blocks: Blocks) -> dict[str, ca.Function]:
     return functions
 
 
-def _flow_drive(blocks: Blocks, name: str, block: Block) -> ca.Function:
+def _flow_drive(blocks: Blocks, name: str, block: IntegratedBlock) -> ca.Function:
     """Inputs of a jump: (u, w, theta, h) to level, xi, u1 and their Jacobians in (u, theta).
 
     u (m - 1) are the states that set the level. With signals constant over h, du/dt = a + b u has the solution
@@ -46,7 +46,7 @@ def _flow_drive(blocks: Blocks, name: str, block: Block) -> ca.Function:
     return ca.Function(name, [u, model.w, model.theta, h], [level, xi, ca.densify(end), *jacobians])
 
 
-def _clip_drive(blocks: Blocks, name: str, block: Block) -> ca.Function:
+def _clip_drive(blocks: Blocks, name: str, block: IntegratedBlock) -> ca.Function:
     """Inputs of a switching element: (u, w, w at the end, theta, h) to level, move, u1, Jacobians in (u, theta).
 
     The displacement is that of the signals w over h; the level that of the signals at the end, and of u1.
@@ -61,7 +61,7 @@ def _clip_drive(blocks: Blocks, name: str, block: Block) -> ca.Function:
     return ca.Function(name, [u, model.w, last, model.theta, h], [level, move, ca.densify(end), *jacobians])
 
 
-def _closed_forms(blocks: Blocks, block: Block, h: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+def _closed_forms(blocks: Blocks, block: IntegratedBlock, h: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """The states u of a block beside its element, their ends u1 over h, and the level at u1."""
     model, others = blocks.model, list(block.states[1:])
     if not others:
@@ -76,7 +76,7 @@ def _closed_forms(blocks: Blocks, block: Block, h: ca.SX) -> tuple[ca.SX, ca.SX,
     return u, end, ca.substitute(model.level, u, end)
 
 
-def _step(blocks: Blocks, name: str, block: Block) -> ca.Function:
+def _step(blocks: Blocks, name: str, block: IntegratedBlock) -> ca.Function:
     """One Runge-Kutta substep of a block: (chi, w at start, w at end, theta, h) to chi1 and its Jacobians."""
     model, states = blocks.model, list(block.states)
     chi = ca.vertcat(*(model.chi[i] for i in states))

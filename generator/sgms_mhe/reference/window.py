@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.reference.linearised import Linearised, Outputs
-from sgms_mhe.reference.problem import Record
-from sgms_mhe.reference.readings import Gaussian, Reading, Scaling, take_reading
+from sgms_mhe.reference.problem import NodeRecord
+from sgms_mhe.reference.readings import Gaussian, MeasurementResult, Scaling, take_reading
 
 Array = NDArray[np.float64]
 
@@ -39,18 +39,18 @@ class Window:
         return Window(first, self.x[ends], self.theta, intervals, self.outputs.part(ends))
 
 
-def linearise(record: Record, first: int, x: Array, theta: Array) -> Window:
+def linearise(record: NodeRecord, first: int, x: Array, theta: Array) -> Window:
     """Integrate from every node of x; the newest node starts where the newest interval leads."""
     return window_of(record, first, x, theta, integrate(record, first, x, theta))
 
 
-def integrate(record: Record, first: int, x: Array, theta: Array) -> Linearised:
+def integrate(record: NodeRecord, first: int, x: Array, theta: Array) -> Linearised:
     """Intervals from the nodes x, the first of them from node `first`."""
     with np.errstate(all="ignore"):
         return record.integrator.intervals(record.plan, first, x, theta)
 
 
-def window_of(record: Record, first: int, x: Array, theta: Array, intervals: Linearised) -> Window:
+def window_of(record: NodeRecord, first: int, x: Array, theta: Array, intervals: Linearised) -> Window:
     """The problem about (x, theta) and the end of the newest interval, outputs linearised there."""
     with np.errstate(all="ignore"):
         nodes = np.vstack([x, intervals.x1[-1:]])
@@ -58,7 +58,7 @@ def window_of(record: Record, first: int, x: Array, theta: Array, intervals: Lin
     return Window(first, nodes, theta, intervals, outputs)
 
 
-class Scales(NamedTuple):
+class NoiseFactors(NamedTuple):
     """Factors on the stated standard deviation that measurements are taken with.
 
     Attributes:
@@ -70,7 +70,7 @@ class Scales(NamedTuple):
     inner: Array
 
     @classmethod
-    def of(cls, record: Record) -> Scales:
+    def of(cls, record: NodeRecord) -> NoiseFactors:
         """As stated, before any measurement was looked at."""
         return cls(np.ones(record.updates + 1), np.ones(record.inner_y.shape))
 
@@ -86,16 +86,16 @@ class Taken(NamedTuple):
     """
 
     belief: Gaussian
-    readings: tuple[Reading, ...]
+    readings: tuple[MeasurementResult, ...]
     inner_scales: Array
     end_scale: float
 
-    def newest(self, before: Reading) -> Reading:
+    def newest(self, before: MeasurementResult) -> MeasurementResult:
         """The last of them; `before` where there is none."""
         return self.readings[-1] if self.readings else before
 
 
-def take_interval(record: Record, window: Window, belief: Gaussian, scaling: Scaling, *, drift: int = 0) -> Taken:
+def take_interval(record: NodeRecord, window: Window, belief: Gaussian, scaling: Scaling, *, drift: int = 0) -> Taken:
     """Fold the measurements of a window of one interval into a belief of its start; predict over it in between.
 
     theta drifts for `drift` intervals.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from sgms_mhe import __version__
-from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, Structure, Traces
+from sgms_mhe.diagnosis import Alternative, Cause, Diagnosis, ResidualStructure, Traces
 from sgms_mhe.diagnosis.criteria import material_force
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
@@ -298,7 +298,7 @@ def _cause(c: Cause, rivals: Sequence[Alternative]) -> dict[str, Any]:
     }
 
 
-def _depends(s: Structure, d: Diagnosis) -> bool:
+def _depends(s: ResidualStructure, d: Diagnosis) -> bool:
     """Return True if the residual depends on a coordinate: not by chance, and by an amount that matters."""
     return s.p_value < SIGNIFICANT and s.rms_N >= material_force(d.machine, d.noise_floor_N)
 
@@ -316,7 +316,7 @@ def _left(d: Diagnosis) -> str:
 def _says(key: str, d: Diagnosis) -> str:
     """How much of the residual depends on a coordinate, before and after."""
 
-    def amount(structures: Sequence[Structure]) -> str:
+    def amount(structures: Sequence[ResidualStructure]) -> str:
         found = next((s for s in structures if s.coordinate == key), None)
         return "" if found is None or not _depends(found, d) else force(found.rms_N)
 

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from sgms_mhe import __version__
 from sgms_mhe.machine import OF_KIND, Kind
 from sgms_mhe.report.courses import Mark, drawn
-from sgms_mhe.report.units import Reading, quantity, split_name, use_units
+from sgms_mhe.report.units import PrintedValue, quantity, split_name, use_units
 from sgms_mhe.report.words import base_words, capital, relative_change
 
 SHOWN_OPEN: Final = 8
@@ -118,7 +118,7 @@ class FleetCourse:
             words = split_name(own)[0]
         return f"{label.replace('_', ' ')}: {words}" if label else capital(base_words(own))
 
-    def written(self, value: float, std: float = float("nan")) -> Reading:
+    def written(self, value: float, std: float = float("nan")) -> PrintedValue:
         """A value of it with its unit."""
         with use_units(OF_KIND[self.kind]):
             return quantity(self.name.rpartition(".")[2], value, std)

@@ -54,7 +54,7 @@ def force_suffix() -> str:
 
 
 @dataclass(frozen=True)
-class Reading:
+class PrintedValue:
     """A quantity ready to print: `value`, `spread` (half of its 95 % interval, empty where unknown) and `unit`."""
 
     value: str
@@ -75,29 +75,29 @@ def split_name(name: str) -> tuple[str, str]:
     return stem.replace("_", " "), unit or ("%" if is_ratio(name) else "")
 
 
-def quantity(name: str, value: float, std: float = math.nan) -> Reading:
+def quantity(name: str, value: float, std: float = math.nan) -> PrintedValue:
     """A parameter's value with its 95 % interval, in the unit that its name ends in."""
     _, unit = split_name(name)
     return reading(value, unit, std)
 
 
-def reading(value: float, unit: str, std: float = math.nan) -> Reading:
+def reading(value: float, unit: str, std: float = math.nan) -> PrintedValue:
     """A value in SI (a ratio in units of one) with its 95 % interval."""
     if not math.isfinite(value):
-        return Reading("–", "", "")
+        return PrintedValue("–", "", "")
     factor, shown = scaled_unit(value if value != 0.0 else COVERAGE * std, unit)
     number, spread = value / factor, COVERAGE * std / factor
     if not math.isfinite(spread) or spread <= 0.0:
-        return Reading(plain(number), "", shown)
+        return PrintedValue(plain(number), "", shown)
     # Two digits of the spread, but no more than six of the value.
     least = min(spread, abs(number) or spread)
     decimals = 1 - math.floor(math.log10(spread))
     if number != 0.0:
         decimals = min(decimals, 5 - math.floor(math.log10(abs(number))))
     if spread > 1e4 * least:
-        return Reading(plain(number), plain(spread, 2), shown)
+        return PrintedValue(plain(number), plain(spread, 2), shown)
     decimals = max(0, decimals)
-    return Reading(_fixed_point(number, decimals), _fixed_point(spread, decimals), shown)
+    return PrintedValue(_fixed_point(number, decimals), _fixed_point(spread, decimals), shown)
 
 
 def scaled_unit(value: float, unit: str) -> tuple[float, str]:

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe import __version__
-from sgms_mhe.evaluation.watching import WORDS, Course, flags_of, status_words
+from sgms_mhe.evaluation.watching import WORDS, RunSummary, flags_of, status_words
 from sgms_mhe.report.plots import line, uniform
 from sgms_mhe.report.series import runs
-from sgms_mhe.report.units import COVERAGE, Reading, axis_units, force, plain, quantity, scaled_unit, split_name
+from sgms_mhe.report.units import COVERAGE, PrintedValue, axis_units, force, plain, quantity, scaled_unit, split_name
 from sgms_mhe.report.words import base_words, capital, relative_change
 
 Array = NDArray[np.float64]
@@ -40,13 +40,13 @@ class Watched:
         remarks: sentences on the log.
     """
 
-    course: Course
+    course: RunSummary
     source: str
     ended: str
     remarks: tuple[str, ...] = ()
 
 
-def interval_text(name: str, value: float, std: float) -> Reading:
+def interval_text(name: str, value: float, std: float) -> PrintedValue:
     """A parameter's value with its two standard deviations."""
     return quantity(name, value, 2.0 * std / COVERAGE)
 
@@ -106,7 +106,7 @@ def watch_content(watched: Watched) -> dict[str, Any]:
     }
 
 
-def watch_plots(course: Course) -> dict[str, Any]:
+def watch_plots(course: RunSummary) -> dict[str, Any]:
     """Return the data of the page's plots, by their names."""
     unit = axis_units().force
     recent = _spread(course.recent)
@@ -170,7 +170,7 @@ def _badge(watched: Watched, status: int) -> dict[str, str]:
     return {"name": name, "style": style, "sign": _SIGNS[style]}
 
 
-def _tiles(course: Course, found: dict[str, Any]) -> list[dict[str, str]]:
+def _tiles(course: RunSummary, found: dict[str, Any]) -> list[dict[str, str]]:
     last, greatest = course.latest, found["greatest_test_ratio"]
     if last is None:
         return []
@@ -200,7 +200,7 @@ def _tiles(course: Course, found: dict[str, Any]) -> list[dict[str, str]]:
     ]
 
 
-def _parameters(course: Course) -> list[dict[str, str]]:
+def _parameters(course: RunSummary) -> list[dict[str, str]]:
     last = course.latest
     if last is None:
         return []

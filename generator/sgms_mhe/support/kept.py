@@ -14,13 +14,13 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.processes import Outcome, Place, Task, run_tasks
+from sgms_mhe.support.processes import Outcome, Task, WorkerSlot, run_tasks
 
 Files = Mapping[str, bytes]
 """Content by file name."""
 
 
-def run_kept(tasks: Sequence[Task], folder: Path, place: Place) -> Iterator[Outcome]:
+def run_kept(tasks: Sequence[Task], folder: Path, place: WorkerSlot) -> Iterator[Outcome]:
     """Outcome of every task, once: those that the folder holds first, then the others as they come.
 
     Args:

@@ -68,7 +68,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Place:
+class WorkerSlot:
     """Where tasks run.
 
     Attributes:
@@ -82,11 +82,11 @@ class Place:
     limit_s: float | None = None
 
 
-HERE: Final = Place()
+HERE: Final = WorkerSlot()
 """In this process."""
 
 
-def run_tasks(tasks: Sequence[Task], place: Place) -> Iterator[Outcome]:
+def run_tasks(tasks: Sequence[Task], place: WorkerSlot) -> Iterator[Outcome]:
     """Outcome of every task, once, as they come.
 
     Whoever stops asking stops the rest: tasks under way are ended, those that wait are not begun.
@@ -105,7 +105,7 @@ def run_tasks(tasks: Sequence[Task], place: Place) -> Iterator[Outcome]:
         yield from _on_host(tasks, place)
 
 
-def results(tasks: Sequence[Task], place: Place, told: Callable[[int, int], object] | None = None) -> list[Any]:
+def results(tasks: Sequence[Task], place: WorkerSlot, told: Callable[[int, int], object] | None = None) -> list[Any]:
     """Values of all tasks, in their order; for work of which no part may be missing.
 
     Args:
@@ -277,7 +277,7 @@ def _environment(at_a_time: int) -> dict[str, str]:
 # --- this host --------------------------------------------------------------------------------------------------
 
 
-def _on_host(tasks: Sequence[Task], place: Place) -> Iterator[Outcome]:
+def _on_host(tasks: Sequence[Task], place: WorkerSlot) -> Iterator[Outcome]:
     count = min(place.jobs, len(tasks))
     crew = Crew(_environment(count), place.limit_s)
     with ThreadPoolExecutor(count) as pool:

@@ -8,7 +8,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Table:
+class CsvTable:
     """Rows of named values under a title.
 
     Attributes:

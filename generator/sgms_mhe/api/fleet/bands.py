@@ -23,7 +23,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from sgms_mhe.api.fleet.table import Row
-from sgms_mhe.api.fleet.work import Number, Result
+from sgms_mhe.api.fleet.work import FleetNumber, Result
 
 LEVEL: Final = 0.99
 """Share of the logs of an unchanged axis that lie within a band."""
@@ -50,11 +50,11 @@ class Band:
 
 
 @dataclass(frozen=True)
-class Point:
+class BandPoint:
     """A number in one log: in band or not; `band` None: there is too little to compare it with."""
 
     row: Row
-    number: Number
+    number: FleetNumber
     band: Band | None
 
     @property
@@ -67,7 +67,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Trend:
+class NumberTrend:
     """A steady move: its change over `days`, with standard deviation, from a straight line through `count` logs."""
 
     change: float
@@ -77,16 +77,16 @@ class Trend:
 
 
 @dataclass(frozen=True)
-class Course:
+class NumberSeries:
     """A number of an axis over its logs, the earliest first; those without a date last, in the table's order."""
 
     machine: str
     axis: str
     name: str
-    points: tuple[Point, ...]
+    points: tuple[BandPoint, ...]
 
     @property
-    def trend(self) -> Trend | None:
+    def trend(self) -> NumberTrend | None:
         """How steadily it moves; None: it does not, or there are too few dated logs to say."""
         dated = [(p.row.date.timestamp(), p.number) for p in self.points if p.row.date is not None]
         times = np.array([time for time, _ in dated])
@@ -102,18 +102,20 @@ class Course:
         span = float(days[-1])
         change, std = slope * span, scatter * span / math.sqrt(float(centred @ centred))
         sure = abs(change) > float(student.ppf(0.5 + 0.5 * LEVEL, len(days) - 2)) * std
-        return Trend(change, std, span, len(days)) if sure and abs(change) > 2.0 * INTERVAL * stated else None
+        return NumberTrend(change, std, span, len(days)) if sure and abs(change) > 2.0 * INTERVAL * stated else None
 
 
-def courses(results: Sequence[tuple[Row, Result]]) -> tuple[Course, ...]:
+def courses(results: Sequence[tuple[Row, Result]]) -> tuple[NumberSeries, ...]:
     """Every number of every axis, in the table's order of axes."""
-    numbers: dict[tuple[str, str, str], list[tuple[Row, Number]]] = {}
+    numbers: dict[tuple[str, str, str], list[tuple[Row, FleetNumber]]] = {}
     for row, result in results:
         for number in result.numbers:
             numbers.setdefault((_compared_with(row), row.axis, number.name), []).append((row, number))
     ordered = {key: sorted(found, key=lambda pair: _when(pair[0])) for key, found in numbers.items()}
     return tuple(
-        Course(*key, tuple(Point(row, number, _band(key, k, ordered)) for k, (row, number) in enumerate(found)))
+        NumberSeries(
+            *key, tuple(BandPoint(row, number, _band(key, k, ordered)) for k, (row, number) in enumerate(found))
+        )
         for key, found in ordered.items()
     )
 
@@ -128,7 +130,7 @@ def _when(row: Row) -> tuple[bool, datetime | int]:
 
 
 def _band(
-    key: tuple[str, str, str], index: int, ordered: Mapping[tuple[str, str, str], Sequence[tuple[Row, Number]]]
+    key: tuple[str, str, str], index: int, ordered: Mapping[tuple[str, str, str], Sequence[tuple[Row, FleetNumber]]]
 ) -> Band | None:
     found = ordered[key]
     if found[index][0].date is not None:
@@ -148,7 +150,7 @@ def _band(
     return _interval(others, centre, _TO_DEVIATION * float(np.median(np.abs(values - centre))), "fleet")
 
 
-def _interval(numbers: Sequence[Number], centre: float, spread: float, origin: Literal["own", "fleet"]) -> Band:
+def _interval(numbers: Sequence[FleetNumber], centre: float, spread: float, origin: Literal["own", "fleet"]) -> Band:
     count = len(numbers)
     stated = _rms([number.std for number in numbers])
     quantile = float(student.ppf(0.5 + 0.5 * LEVEL, count - 1))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from sgms_mhe import __version__
-from sgms_mhe.api.fleet.bands import Course, courses
+from sgms_mhe.api.fleet.bands import NumberSeries, courses
 from sgms_mhe.api.fleet.table import Row, Verb, read_table
 from sgms_mhe.api.fleet.work import RESULT, Result, work
 from sgms_mhe.api.inputs import load
@@ -21,7 +21,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_names
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.kept import run_kept
-from sgms_mhe.support.processes import Outcome, Place, Task
+from sgms_mhe.support.processes import Outcome, Task, WorkerSlot
 
 ROWS: Final = "rows"
 """Folder of the rows' results, in that of the fleet."""
@@ -56,7 +56,7 @@ class Fleet:
     table: Path
     verb: Verb
     rows: tuple[Done, ...]
-    courses: tuple[Course, ...]
+    courses: tuple[NumberSeries, ...]
 
     @property
     def failures(self) -> tuple[Done, ...]:
@@ -64,7 +64,7 @@ class Fleet:
         return tuple(done for done in self.rows if done.failure)
 
 
-def run_fleet(verb: Verb, table: str | Path, out: str | Path, place: Place, told: Told | None = None) -> Fleet:
+def run_fleet(verb: Verb, table: str | Path, out: str | Path, place: WorkerSlot, told: Told | None = None) -> Fleet:
     """Diagnose, estimate or identify every row of a table.
 
     A row whose machine, log and version have a result in `out` is not done again.

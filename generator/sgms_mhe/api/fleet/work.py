@@ -31,7 +31,7 @@ _USUAL: Final = frozenset({"hold", "filling"})
 
 
 @dataclass(frozen=True)
-class Number:
+class FleetNumber:
     """A number that a log determines: one standard deviation, and the machine file's value (NaN where it has none).
 
     The name is that of a linear axis, an effect's label before its parameter: `coulomb`, `force_ripple.amplitude_N`.
@@ -60,14 +60,14 @@ class Result:
     summary: str
     kind: Kind
     machine: str
-    numbers: tuple[Number, ...]
+    numbers: tuple[FleetNumber, ...]
     notes: tuple[str, ...]
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Result:
         """Out of a result's file."""
         numbers = tuple(
-            Number(n["name"], n["value"], n["std"], math.nan if n["nominal"] is None else n["nominal"])
+            FleetNumber(n["name"], n["value"], n["std"], math.nan if n["nominal"] is None else n["nominal"])
             for n in content["numbers"]
         )
         return cls(**{**content, "numbers": numbers, "notes": tuple(content["notes"])})
@@ -106,9 +106,9 @@ def _diagnose(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Res
     _write_json(folder / "diagnosis.json", found.to_json())
     attempt_report(found, folder, notes.append)
     effects = [cause for cause in found.causes if cause.name not in BASE_CAUSES and found.identifies(cause)]
-    numbers = [Number(b.name, b.refitted, b.std, b.nominal) for b in found.base]
+    numbers = [FleetNumber(b.name, b.refitted, b.std, b.nominal) for b in found.base]
     numbers += [
-        Number(f"{cause.label}.{name}", value, cause.std.get(name, math.nan), math.nan)
+        FleetNumber(f"{cause.label}.{name}", value, cause.std.get(name, math.nan), math.nan)
         for cause in effects
         for name, value in cause.parameters.items()
     ]
@@ -127,7 +127,7 @@ def _estimate(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Res
     write_estimates(folder / "estimates.csv", estimates)
     nominal = (parameter.nominal for parameter in build_model(machine).parameters)
     columns = (estimates.parameter_names, estimates.parameters[-1], estimates.std[-1], nominal)
-    numbers = [Number(name, float(v), float(s), float(n)) for name, v, s, n in zip(*columns, strict=True)]
+    numbers = [FleetNumber(name, float(v), float(s), float(n)) for name, v, s, n in zip(*columns, strict=True)]
     verdict, summary = _course(machine, estimates)
     return Result(verdict, summary, machine.plant.kind, machine.name, _finite_numbers(numbers), tuple(notes))
 
@@ -158,7 +158,7 @@ def _identify(row: Row, machine: Machine | None, folder: Path, notes: list[str])
         f"{found.noise_floor_N:.3g} {unit}",
         found.machine.plant.kind,
         name,
-        _finite_numbers(Number(n.name, n.value, n.std, math.nan) for n in found.numbers if n.determined),
+        _finite_numbers(FleetNumber(n.name, n.value, n.std, math.nan) for n in found.numbers if n.determined),
         (*found.limits, *found.warnings),
     )
 
@@ -169,5 +169,5 @@ def machine_name(axis: str) -> str:
     return plain if plain[0].isalpha() else f"axis_{plain}"
 
 
-def _finite_numbers(numbers: Iterable[Number]) -> tuple[Number, ...]:
+def _finite_numbers(numbers: Iterable[FleetNumber]) -> tuple[FleetNumber, ...]:
     return tuple(n for n in numbers if math.isfinite(n.value) and math.isfinite(n.std) and n.std > 0.0)

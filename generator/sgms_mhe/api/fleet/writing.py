@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from sgms_mhe import __version__
-from sgms_mhe.api.fleet.bands import Course, Point
+from sgms_mhe.api.fleet.bands import BandPoint, NumberSeries
 from sgms_mhe.api.fleet.running import Done, Fleet
-from sgms_mhe.api.fleet.work import Number, Result, json_text
+from sgms_mhe.api.fleet.work import FleetNumber, Result, json_text
 from sgms_mhe.machine import OF_KIND, Kind
 from sgms_mhe.model.effects import reported_name
 from sgms_mhe.report import FleetCourse, FleetLog, FleetPoint, FleetTrend, write_fleet_report
@@ -59,14 +59,14 @@ def results_json(fleet: Fleet, folder: Path) -> dict[str, Any]:
     }
 
 
-def _numbers(done: Done, bands: Mapping[tuple[int, str], Point]) -> list[dict[str, Any]]:
+def _numbers(done: Done, bands: Mapping[tuple[int, str], BandPoint]) -> list[dict[str, Any]]:
     if done.result is None:
         return []
     kind = done.result.kind
     return [_number(kind, number, bands[done.row.number, number.name]) for number in done.result.numbers]
 
 
-def _number(kind: Kind, number: Number, point: Point) -> dict[str, Any]:
+def _number(kind: Kind, number: FleetNumber, point: BandPoint) -> dict[str, Any]:
     band = point.band and {
         "low": point.band.low,
         "high": point.band.high,
@@ -101,7 +101,7 @@ def results_csv(fleet: Fleet, folder: Path) -> str:
     return text.getvalue()
 
 
-def _bands(fleet: Fleet) -> dict[tuple[int, str], Point]:
+def _bands(fleet: Fleet) -> dict[tuple[int, str], BandPoint]:
     return {(point.row.number, course.name): point for course in fleet.courses for point in course.points}
 
 
@@ -146,13 +146,13 @@ def _log(done: Done, folder: Path) -> FleetLog:
     )
 
 
-def _newest(course: Course, fleet: Fleet) -> Result:
+def _newest(course: NumberSeries, fleet: Fleet) -> Result:
     """Result of the newest log of a course."""
     number = course.points[-1].row.number
     return next(done.result for done in fleet.rows if done.row.number == number and done.result is not None)
 
 
-def _course(course: Course, fleet: Fleet) -> FleetCourse:
+def _course(course: NumberSeries, fleet: Fleet) -> FleetCourse:
     done = {d.row.number: d for d in fleet.rows}
     last = _newest(course, fleet)
     points = tuple(

@@ -25,7 +25,7 @@ _NOTHING: Final = 1e-9  # change of a quantity of size one that rounding makes
 
 
 @dataclass(frozen=True)
-class Fault:
+class DefinitionFault:
     """One thing that is wrong with a definition: where in it, the value found, what is allowed."""
 
     where: str
@@ -33,31 +33,31 @@ class Fault:
     allowed: str
 
 
-def faults_of(definition: EffectDefinition, causes: Container[str]) -> Iterator[Fault]:
+def faults_of(definition: EffectDefinition, causes: Container[str]) -> Iterator[DefinitionFault]:
     """Everything that is wrong with a definition; `causes`: names that it may refer to."""
     if not _NAME.fullmatch(definition.name):
-        yield Fault("name", definition.name, "a name of lower-case words joined by underscores")
+        yield DefinitionFault("name", definition.name, "a name of lower-case words joined by underscores")
     if definition.stage not in STAGES:
-        yield Fault("stage", definition.stage, f"one of {', '.join(STAGES)}")
+        yield DefinitionFault("stage", definition.stage, f"one of {', '.join(STAGES)}")
     if not definition.kinds or not set(definition.kinds) <= set(OF_KIND):
-        yield Fault("kinds", definition.kinds, f"at least one of {', '.join(OF_KIND)}")
+        yield DefinitionFault("kinds", definition.kinds, f"at least one of {', '.join(OF_KIND)}")
     if definition.loads and (definition.stage != "force" or definition.states):
-        yield Fault("loads", definition.loads, "False but for a force without states of its own")
+        yield DefinitionFault("loads", definition.loads, "False but for a force without states of its own")
     if not definition.moves or not set(definition.moves) <= set(MOVES):
-        yield Fault("moves", definition.moves, f"at least one of {', '.join(MOVES)}")
+        yield DefinitionFault("moves", definition.moves, f"at least one of {', '.join(MOVES)}")
     yield from _references(definition, causes)
     names = [parameter.name for parameter in definition.parameters]
     if not names or len(set(names)) < len(names):
-        yield Fault("parameters", names, "at least one, each name once")
+        yield DefinitionFault("parameters", names, "at least one, each name once")
     for parameter in definition.parameters:
         yield from _parameter(parameter)
     if not any(parameter.is_size and parameter.default == parameter.none for parameter in definition.parameters):
-        yield Fault("parameters", names, "a size whose default is `none`: an effect is nothing by default")
+        yield DefinitionFault("parameters", names, "a size whose default is `none`: an effect is nothing by default")
     yield from _search(definition)
     yield from _contribution(definition)
 
 
-def _references(definition: EffectDefinition, causes: Container[str]) -> Iterator[Fault]:
+def _references(definition: EffectDefinition, causes: Container[str]) -> Iterator[DefinitionFault]:
     """Check the references to other causes, and the needed excitation."""
     for where, others in (
         ("confused_with", tuple(definition.confused_with)),
@@ -66,30 +66,30 @@ def _references(definition: EffectDefinition, causes: Container[str]) -> Iterato
     ):
         for other in others:
             if other == definition.name or other not in causes:
-                yield Fault(where, other, "another cause of the catalogue")
+                yield DefinitionFault(where, other, "another cause of the catalogue")
     names = [parameter.name for parameter in definition.parameters]
     for need in definition.excitation.needs:
         if need.measure not in MEASURES:
-            yield Fault("excitation", need.measure, f"one of {', '.join(MEASURES)}")
+            yield DefinitionFault("excitation", need.measure, f"one of {', '.join(MEASURES)}")
         if need.times is not None and need.times not in names:
-            yield Fault("excitation", need.times, f"one of {', '.join(names)}")
+            yield DefinitionFault("excitation", need.times, f"one of {', '.join(names)}")
 
 
-def _parameter(parameter: EffectParameter) -> Iterator[Fault]:
+def _parameter(parameter: EffectParameter) -> Iterator[DefinitionFault]:
     where = f"parameters.{parameter.name}"
     if not _NAME.fullmatch(parameter.name) or parameter.name == "name":
-        yield Fault("parameters", parameter.name, "a name of words joined by underscores, other than `name`")
+        yield DefinitionFault("parameters", parameter.name, "a name of words joined by underscores, other than `name`")
     elif suffix_of(parameter.name) not in CATALOGUE_ENDS and not is_pure_number(parameter.name):
         units, pure = ", ".join(CATALOGUE_ENDS), " or ".join(PURE_NUMBERS)
         allowed = f"a name that ends in its unit ({units}); of a pure number in {pure}"
-        yield Fault("parameters", parameter.name, allowed)
+        yield DefinitionFault("parameters", parameter.name, allowed)
     if not (math.isfinite(parameter.default) and parameter.lower <= parameter.default <= parameter.upper):
-        yield Fault(f"{where}.default", parameter.default, parameter.allowed)
+        yield DefinitionFault(f"{where}.default", parameter.default, parameter.allowed)
     if not (math.isfinite(parameter.scale) and parameter.scale > 0.0):
-        yield Fault(f"{where}.scale", parameter.scale, "a positive number")
+        yield DefinitionFault(f"{where}.scale", parameter.scale, "a positive number")
 
 
-def _search(definition: EffectDefinition) -> Iterator[Fault]:
+def _search(definition: EffectDefinition) -> Iterator[DefinitionFault]:
     """Names that the search refers to."""
     own = {parameter.name: parameter for parameter in definition.parameters}
     sizes: tuple[str | None, ...] = ()
@@ -109,13 +109,13 @@ def _search(definition: EffectDefinition) -> Iterator[Fault]:
             pass
     for name in sizes:
         if name is not None and not (name in own and own[name].is_proportional):
-            yield Fault("search", name, "a size that the force is proportional to")
+            yield DefinitionFault("search", name, "a size that the force is proportional to")
     for name in others:
         if name is not None and name not in own:
-            yield Fault("search", name, f"one of {', '.join(own)}")
+            yield DefinitionFault("search", name, f"one of {', '.join(own)}")
 
 
-def _contribution(definition: EffectDefinition) -> Iterator[Fault]:
+def _contribution(definition: EffectDefinition) -> Iterator[DefinitionFault]:
     """Check the contribution to an axis: its states, and that it is nothing by default."""
     axis = SymbolicAxis(1.0, 1.0, step=1e-4, gate_per_velocity=3.5e4)
     axis.scope = definition.name
@@ -125,17 +125,17 @@ def _contribution(definition: EffectDefinition) -> Iterator[Fault]:
     try:
         definition.contribute(axis, symbols, nominal)
     except Exception as error:  # whatever the code of others raises must not end the program
-        yield Fault("contribute", None, f"a contribution to an axis; {type(error).__name__}: {error}")
+        yield DefinitionFault("contribute", None, f"a contribution to an axis; {type(error).__name__}: {error}")
         return
     states = tuple(state.spec.name.removeprefix(f"{definition.name}_") for state in axis.states)
     if states != definition.states:
-        yield Fault("states", definition.states, f"the states that it contributes, {states}")
+        yield DefinitionFault("states", definition.states, f"the states that it contributes, {states}")
     if any(state.rate is None for state in axis.states):
-        yield Fault("contribute", None, "a rate for every state")
+        yield DefinitionFault("contribute", None, "a rate for every state")
         return
     changed = _largest_change(axis, before, symbols, nominal)
     if not changed <= _NOTHING:
-        yield Fault("contribute", None, "nothing where all parameters have their defaults")
+        yield DefinitionFault("contribute", None, "nothing where all parameters have their defaults")
 
 
 def _quantities(axis: SymbolicAxis) -> ca.SX:
