@@ -223,11 +223,15 @@ def float_options() -> list[tuple[str, str, int]]:
     return found
 
 
+NO_NUMBERS = ("nan", "-nan", "inf", "-inf", "1e308", "-1", "1e400", "one")
+
+
 @pytest.mark.parametrize(("name", "option", "count"), float_options())
-@pytest.mark.parametrize("value", ["nan", "-nan", "inf", "-inf", "1e308", "-1", "1e400", "one"])
+@pytest.mark.parametrize("value", NO_NUMBERS)
 def test_numbers_out_of_range_are_refused(name: str, option: str, count: int, value: str) -> None:
-    files = ["etel_xy", "log.csv", "--out", "x.csv"]
-    message = refused(name, *files, option, *[value] * count)
+    if (option, value) == ("--force-scale", "-1"):
+        value = "1e300"  # a force that counts the other way is a legal scale
+    message = refused(name, "etel_xy", "log.csv", option, *[value] * count)
     assert f"Invalid value for '{option}'" in message
     assert "is not in the range" in message or "is not a valid float" in message
 

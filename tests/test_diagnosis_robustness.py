@@ -318,9 +318,8 @@ def test_command_on_a_record_without_motion(quick: Machine, tmp_path: Path) -> N
 
 MEASURE = """
 import resource, sys
-from sgms_mhe.diagnosis.fitting import fit_model
+from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.recordings.recording import prepare
-from sgms_mhe.diagnosis.subject import Subject
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.configuration import load_machine
 machine = load_machine(sys.argv[1])

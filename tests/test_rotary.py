@@ -209,9 +209,9 @@ def test_the_package_speaks_of_angles_and_torques(precision: str, tmp_path: Path
 
 
 def code_of(text: str) -> list[str]:
-    """Code without comments and the unit of the smallest step."""
+    """Tokens of the code, without comments and the unit of the smallest step: where lines wrap is the name's length."""
     bare = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL).replace(".prad", ".pm")
-    return [line.strip() for line in bare.splitlines() if line.strip()]
+    return re.findall(r"\w+|\S", bare)
 
 
 @pytest.mark.slow

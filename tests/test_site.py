@@ -179,7 +179,7 @@ def keys(schema: Any) -> Iterator[str]:
 def test_every_key_of_the_schema_is_in_the_reference(site: Path) -> None:
     page = (site / "reference" / "machine.html").read_text(encoding="utf-8")
     found = set(keys(json.loads(run("schema").stdout)))
-    assert found >= {"extends", "law", "horizon", "counts_per", "lambda", "most_left", "tick_budget"}
+    assert found >= {"extends", "law", "horizon", "counts_per", "lambda", "unexplained", "tick_budget"}
     assert {key for key in found if f"<code>{key}</code>" not in page} == set()
 
 

@@ -15,6 +15,7 @@ from package_variants import EFFECTS
 from reference_cases import arrays, moving, variant
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import diagnose
+from sgms_mhe.diagnosis.parametrisation import SHARP_SMOOTHING
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine, merge_tables
@@ -302,7 +303,7 @@ def test_an_effect_that_cannot_switch_is_found_on_an_axis_that_does() -> None:
     assert found.law == "switching"
     # The file that has the gap has elements that slip almost at once: it stands with no others.
     assert found.extended is not None and not found.extended.friction.switches
-    assert found.extended.friction.smoothed.zeta == settings.diagnosis.sharp_zeta
+    assert found.extended.friction.smoothed.zeta == SHARP_SMOOTHING["zeta"]
 
 
 def test_the_error_of_the_smoothing_is_gone() -> None:
