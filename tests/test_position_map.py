@@ -19,7 +19,7 @@ from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, maps
 from sgms_mhe.diagnosis.alignment import decimate
 from sgms_mhe.diagnosis.candidates import search
-from sgms_mhe.diagnosis.criteria import ProgressReport, make_criteria
+from sgms_mhe.diagnosis.criteria import ProgressReport, make_criteria, make_effect
 from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.diagnosis.proposals import Residual
@@ -292,7 +292,7 @@ def test_a_measured_motor_s_cogging_is_mapped_as_well_as_by_its_ten_strongest_ha
     subject = replace(Subject.of(machine, recording), noise=NOISE)
     base, used, held = fit_model(subject, ()), recording.used, recording.rows_held_out()
     (found,) = search(subject, base, ["position_map"], find_nuisance(base.jacobian[used][:, base.interior]))
-    fit = fit_model(subject, (found.extra,), warm=base, rows=used & ~held)
+    fit = fit_model(subject, (make_effect(found),), warm=base, rows=used & ~held)
     left = float(np.sqrt(np.mean(fit.residual[held] ** 2)))
 
     def harmonics(orders: Sequence[int]) -> Array:

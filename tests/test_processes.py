@@ -130,8 +130,8 @@ def test_children_end_with_the_process_that_started_them(tmp_path: Path) -> None
 import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})
 import process_tasks as work
 from dask_cluster import Cluster
-from sgms_mhe.support.processes import Place, Task, run_tasks
-outcomes = run_tasks([Task("a", work.process), Task("b", work.hung)], Place(1))
+from sgms_mhe.support.processes import Task, WorkerSlot, run_tasks
+outcomes = run_tasks([Task("a", work.process), Task("b", work.hung)], WorkerSlot(1))
 print(next(outcomes).value, flush=True)
 next(outcomes)
 """
