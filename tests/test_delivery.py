@@ -205,7 +205,7 @@ def test_cmake_builds_installs_and_is_found(precision: str, require_tool: Tool, 
     assert [path.name for path in (prefix / "include").iterdir()] == ["etel_xy.h"]
     consumers = {
         "folder": f"add_subdirectory({folder} etel_xy)",
-        "installed": "find_package(etel_xy 0.1.0 REQUIRED CONFIG)",
+        "installed": "find_package(etel_xy 0.2.0 REQUIRED CONFIG)",
     }
     for title, found in consumers.items():
         source = tmp_path / title

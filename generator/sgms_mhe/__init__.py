@@ -6,7 +6,7 @@ imported when it is first asked for.
 
 from importlib import import_module as _import_module
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = ["diagnose", "estimate", "generate", "identify", "load", "predict", "read_log", "simulate"]
 
