@@ -102,9 +102,9 @@ long sgms_replay_run(
         machine_real friction;
         int updated;
         if (mode == SGMS_REPLAY_TICK) {
-            const int before = self->started ? (int)self->step : -1;
+            const int before = self->interval.started ? (int)self->interval.step : -1;
             friction = CALL(tick)(self, CALL(POSITION_FROM)(series->position[k]), (machine_real)series->force[k]);
-            updated = before >= 0 && self->step == 0 && self->merged_count == 0;
+            updated = before >= 0 && self->interval.step == 0 && self->input.count == 0;
         } else {
             friction = one_sample(self, series, k);
             updated = CALL(due)(self);

@@ -2,15 +2,14 @@
  *
  * Everything leaves the chain with the delay the acceleration cannot avoid (two low-passes and one
  * sample), so that u - m a carries no transient that is not friction. Single precision takes the
- * position as an integer number of picometres: a float resolves no more than 20 nm at 0.3 m, and
- * the velocity is made of differences. */
+ * position as an integer number of picometres: a float resolves 20 nm at 0.3 m, too little for a
+ * velocity. */
 #ifndef SGMS_FILTER_H
 #define SGMS_FILTER_H
 
 #include "sgms_math.h"
 
-/* Second-order low-pass, y = (b0 + b1/z + b2/z^2) / (1 + a1/z + a2/z^2) u; state holds 2 numbers.
- */
+/* Second-order low-pass, y = (b0 + b1/z + b2/z^2) / (1 + a1/z + a2/z^2) u; two numbers of state. */
 typedef struct {
     sgms_real b0, b1, b2, a1, a2;
 } sgms_lowpass;
@@ -24,14 +23,14 @@ static inline sgms_real sgms_lowpass_step(
     return output;
 }
 
-/* Add to the state that of a constant input which has been there forever. */
+/* Add to the state that of a constant input that has always been there. */
 static inline void sgms_lowpass_rest(const sgms_lowpass *filter, sgms_real *state, sgms_real input)
 {
     state[1] += (filter->b2 - filter->a2) * input;
     state[0] += (SGMS_R(1.0) - filter->b0) * input;
 }
 
-/* A reading at or beyond these is none, whatever its bits say: it counts as missing, as NaN. */
+/* A signal at or beyond these counts as missing, as NaN does. */
 #define SGMS_FARTHEST SGMS_R(4e6)       /* m */
 #define SGMS_LARGEST_SIGNAL SGMS_R(1e9) /* N, m/s, m/s^2 */
 
@@ -42,8 +41,7 @@ static inline int sgms_is_reading(sgms_real x)
 
 #if SGMS_SINGLE
 typedef int64_t sgms_position; /* pm */
-/* What moves in a sample mostly fits 32 bits, which a small processor converts in one instruction.
- */
+/* A move of one sample mostly fits 32 bits, which a small processor converts in one instruction. */
 static inline sgms_real sgms_metres(sgms_position p)
 {
     const sgms_real picometres = p >= INT32_MIN && p <= INT32_MAX ? (sgms_real)(int32_t)p
@@ -101,26 +99,24 @@ enum {
     SGMS_FILTER_COUNTS = 3
 };
 
-/* What of the chain is asked for beside velocity and friction, a sum. The rest is left out, and is
- * zero. */
+/* Signals to compute besides velocity and friction, a sum; the others are zero. */
 enum { SGMS_POSITION = 1, SGMS_FORCE = 2, SGMS_ACCELERATION = 4 };
 
-/* A chain, always the same. */
+/* Constants of a chain. */
 typedef struct {
     sgms_lowpass lowpass;
     sgms_real rate; /* Hz */
     int32_t settle; /* samples that a disturbance of the filters lasts */
-    int wanted;     /* what is asked for */
+    int wanted;     /* signals to compute */
 } sgms_chain;
 
 /* Memory of the chain. Plain arrays, which the public header of a package declares without this. */
 typedef struct {
     sgms_position *position; /* [2] last position, last raw difference */
     sgms_real *lowpass;      /* [SGMS_FILTER_STATES] */
-    sgms_real *last; /* [SGMS_FILTER_LAST] last force, last filtered velocity, force and position
-                        one sample ago */
+    sgms_real *last; /* [SGMS_FILTER_LAST] last force, filtered velocity; force, position before */
     int32_t *counts; /* [SGMS_FILTER_COUNTS] channels seen (1 force, 2 position), length of the gap,
-                        samples since friction was spoilt */
+                        samples since friction was invalid */
     sgms_real mass;  /* kg, that moves */
 } sgms_filter_memory;
 
@@ -189,8 +185,7 @@ static inline sgms_aligned sgms_filter_step(
     m->last[0] = force;
 
     /* The filters are linear, so the difference of two filtered velocities is the filtered second
-     * difference of the position, which is exact: at 1 m/s the other order costs single precision
-     * 0.03 N. */
+     * difference of the position, which is exact; in the other order floats err by 0.03 N. */
     velocity = sgms_lowpass_step(filter, f, sgms_metres(m->position[1]) * rate);
     acceleration = sgms_metres_between(m->position[1], earlier) * rate * rate;
     out.velocity = sgms_lowpass_step(filter, f + 2, m->last[1]);
@@ -199,7 +194,7 @@ static inline sgms_aligned sgms_filter_step(
             filter, f + 6, sgms_lowpass_step(filter, f + 4, acceleration));
         out.force = sgms_lowpass_step(filter, f + 10, sgms_lowpass_step(filter, f + 8, m->last[2]));
         out.friction = out.force - m->mass * out.acceleration;
-    } else { /* linear again: what is not asked for apart goes through one pair of filters */
+    } else { /* linear again: one pair of filters serves both */
         const sgms_real friction = m->last[2] - m->mass * acceleration;
         out.friction = sgms_lowpass_step(filter, f + 6, sgms_lowpass_step(filter, f + 4, friction));
     }

@@ -236,28 +236,28 @@ static int are_sane(const machine_real *theta)
  * an init, whatever was before. */
 static void check_recovery(machine *axis)
 {
-    const int is_kept = are_sane(axis->good_theta);
+    const int is_kept = are_sane(axis->estimate.theta);
     machine *const twin = memory_of(0x5a);
     machine_estimate last;
     CALL(init)(twin);
-    CALL(compensate)(twin, axis->compensate);
+    CALL(compensate)(twin, axis->compensation.on);
     twin->settings = axis->settings;
-    twin->moved = axis->moved;
-    memcpy(twin->held, axis->held, sizeof twin->held);
-    memcpy(twin->good_state, axis->good_state, sizeof twin->good_state);
-    memcpy(twin->good_theta, axis->good_theta, sizeof twin->good_theta);
-    memcpy(twin->good_root, axis->good_root, sizeof twin->good_root);
-    twin->good_ratio = axis->good_ratio;
-    twin->friction = axis->friction;
-    twin->friction_measured = axis->friction_measured;
+    twin->chain.moved = axis->chain.moved;
+    memcpy(twin->estimate.held, axis->estimate.held, sizeof twin->estimate.held);
+    memcpy(twin->estimate.state, axis->estimate.state, sizeof twin->estimate.state);
+    memcpy(twin->estimate.theta, axis->estimate.theta, sizeof twin->estimate.theta);
+    memcpy(twin->estimate.root, axis->estimate.root, sizeof twin->estimate.root);
+    twin->estimate.ratio = axis->estimate.ratio;
+    twin->estimate.friction = axis->estimate.friction;
+    twin->estimate.friction_measured = axis->estimate.friction_measured;
 #if HAS_TIME
-    twin->elapsed = axis->elapsed;
+    twin->input.elapsed = axis->input.elapsed;
 #endif
     if (is_kept) {
         CALL(reset)(axis);
         CALL(reset)(twin);
     } else {
-        const int on = axis->compensate;
+        const int on = axis->compensation.on;
         CALL(init)(axis);
         CALL(init)(twin);
         CALL(compensate)(axis, on);

@@ -53,7 +53,7 @@ void check_estimate(const machine *axis)
         hold(is_number(e.deflection[i]), "a deflection that is no number");
     }
     for (int i = 0; i < PARAMETERS; i++) {
-        const machine_real theta = axis->good_theta[i];
+        const machine_real theta = axis->estimate.theta[i];
         hold(is_number(e.parameter[i]), "a parameter that is no number");
         hold(is_number(e.deviation[i]) && e.deviation[i] >= (machine_real)0, "a sigma that is none");
 #if BOUNDED
@@ -68,14 +68,14 @@ void check_fields(const machine *axis)
 {
     const machine_real share = CALL(share)(axis);
     hold(share >= (machine_real)0 && share <= (machine_real)1, "a share beyond 0 and 1");
-    hold(axis->filling >= 0 && axis->filling < CONSTANT(SLOTS), "a slot that is none");
-    hold(axis->step >= 0 && axis->step <= STEPS, "a step that is none");
-    hold(CALL(due)(axis) == (axis->step == STEPS), "due, and the interval not complete");
-    hold(axis->merged_count >= 0 && axis->merged_count < MERGED, "samples of a step that are none");
-    hold(axis->version % 2 == 0, "an estimate half written");
+    hold(axis->interval.filling >= 0 && axis->interval.filling < CONSTANT(SLOTS), "a slot that is none");
+    hold(axis->interval.step >= 0 && axis->interval.step <= STEPS, "a step that is none");
+    hold(CALL(due)(axis) == (axis->interval.step == STEPS), "due, and the interval not complete");
+    hold(axis->input.count >= 0 && axis->input.count < MERGED, "samples of a step that are none");
+    hold(axis->calls.version % 2 == 0, "an estimate half written");
 #if WINDOW
-    hold(axis->complete >= 0 && axis->complete < CONSTANT(SLOTS), "intervals that are none");
-    hold(axis->cursor >= 0, "units that are none");
+    hold(axis->sweep.complete >= 0 && axis->sweep.complete < CONSTANT(SLOTS), "intervals that are none");
+    hold(axis->sweep.cursor >= 0, "units that are none");
 #endif
 }
 

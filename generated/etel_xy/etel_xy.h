@@ -70,7 +70,7 @@ typedef double etel_xy_position;
 #define ETEL_XY_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_MACHINE "9b508e6ff92b" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_check() */
-#define ETEL_XY_HEADER 0x1fed3695u
+#define ETEL_XY_HEADER 0x85f24732u
 #define ETEL_XY_SAVED_FORMAT 1u /* of etel_xy_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SAVED_MACHINE_0 0x9b508e6fu
 #define ETEL_XY_SAVED_MACHINE_1 0xf92bu
@@ -197,76 +197,79 @@ typedef struct {
  * addresses. */
 typedef struct {
     etel_xy_settings_t settings;
-    etel_xy_real moved; /* kg */
-    uint8_t held[ETEL_XY_PARAMETERS];
-    /* signal chain */
-    double chain_position[2]; /* m */
-    etel_xy_real chain_lowpass[16];
-    etel_xy_real chain_last[4];
-    int32_t chain_counts[3];
-    /* position, velocity, acceleration, force, time of what they tell of; zero what the model does
-     * not read */
-    etel_xy_real signal[ETEL_XY_SIGNALS];
-    etel_xy_real merged[ETEL_XY_SIGNALS];
-    int32_t merged_count;
-    /* slots of the window are used in turn, `filling` is the interval under way */
-    int32_t filling, step, started, lost, too_fast, status;
-    /* which call is under way; odd while the last good estimate is written */
-    volatile uint32_t phase, version;
+    struct { /* signal chain, of sample() and tick() */
+        etel_xy_real moved; /* kg, of set_mass() */
+        double position[2]; /* m */
+        etel_xy_real lowpass[16], last[4];
+        int32_t counts[3];
+    } chain;
+    /* of samples: position, velocity, acceleration, force, time; zero where no model reads it */
+    struct {
+        etel_xy_real signal[ETEL_XY_SIGNALS]; /* of the newest one */
+        etel_xy_real merged[ETEL_XY_SIGNALS]; /* means of those of the next step */
+        int32_t count; /* of those merged so far */
+    } input;
+    struct { /* intervals as samples come; `filling` is the one under way, slots are used in turn */
+        int32_t filling, step, started, lost, too_fast, is_valid;
+        etel_xy_real friction; /* N, measured at its end, where that is valid */
+        etel_xy_real blocks[ETEL_XY_BLOCKS_SIZE]; /* of its integration */
+        etel_xy_real path[ETEL_XY_SLOTS]; /* m, of each interval */
+    } interval;
+    struct { /* which call is under way; version: odd while feedback() writes the estimate */
+        volatile uint32_t phase, version;
+    } calls;
     etel_xy_parameters parameters; /* of the last estimate */
-    etel_xy_real newest[ETEL_XY_BLOCKS_SIZE]; /* blocks of the interval under way */
-    etel_xy_real path[ETEL_XY_SLOTS]; /* m, of each interval */
-    /* compensation */
-    etel_xy_real lag_state[6], lag; /* m, the newest position beyond the chain's */
-    etel_xy_real ahead[2]; /* set-point's velocity and acceleration as the force acts */
-    etel_xy_real gain; /* share that is on */
-    int32_t compensate, ahead_given, through_chain;
-    /* series and nodes of the window */
-    etel_xy_real term[ETEL_XY_SERIES_SIZE];
-    /* state at the start of each interval, linearisation point and estimate */
-    etel_xy_real node[ETEL_XY_SLOTS * ETEL_XY_STATES];
-    etel_xy_real node_signal[ETEL_XY_SLOTS * ETEL_XY_SIGNALS];
-    etel_xy_real node_friction[ETEL_XY_SLOTS];
-    /* 1/(N), that its reading is taken with; 0: there is none */
-    etel_xy_real node_weight[ETEL_XY_SLOTS];
-    etel_xy_real last_friction; /* measured at the end of the interval under way */
-    uint8_t last_valid;
-    /* readings one after the other: means of their test ratios, and the newest one */
-    etel_xy_real ratio_fast, ratio_slow;
-    etel_xy_reading reading, good_reading;
-    /* readings inside of intervals; of the newest one those that have come, and those that are
-     * folded */
-    volatile int32_t arrived;
-    int32_t folded;
-    etel_xy_real inner_weight[ETEL_XY_SLOTS * ETEL_XY_INNER]; /* as node_weight */
-    etel_xy_real inner_friction[ETEL_XY_SLOTS * ETEL_XY_INNER];
-    etel_xy_real inner_signal[ETEL_XY_SLOTS * ETEL_XY_INNER * ETEL_XY_INNER_SIGNALS];
-    /* of the newest interval, on one side, and the one before */
-    etel_xy_real inner_rows[2 * ETEL_XY_INNER * (ETEL_XY_UNKNOWNS + 1)];
-    etel_xy_real inner[ETEL_XY_SLOTS * ETEL_XY_INNER_SIZE];
-    int32_t side;
-    /* integration of older intervals */
-    /* the one that is linearised anew: how far it had moved */
-    etel_xy_real chosen[ETEL_XY_BLOCKS_SIZE], chosen_moved;
-    int32_t chosen_slot; /* -1: none */
-    /* of each interval, where it was linearised, over the state noise */
-    etel_xy_real end[ETEL_XY_SLOTS * ETEL_XY_STATES];
-    /* least squares over (x, theta) */
-    etel_xy_real factor[ETEL_XY_FACTOR_SIZE];
-    /* the sweep's factor at the start of each interval; the oldest one's is the arrival cost */
-    etel_xy_real start[ETEL_XY_SLOTS * ETEL_XY_TRIANGLE_SIZE];
-    int32_t sweep; /* older intervals to condense again; -1: the factor stands as it is */
-    /* for the back-substitution */
-    etel_xy_real kept[ETEL_XY_SLOTS * ETEL_XY_STATES * ETEL_XY_KEPT_WIDTH];
-    int32_t complete, cursor; /* older intervals; units of the work done */
-    /* defects, as they were linearised */
-    etel_xy_real rows[ETEL_XY_SLOTS * ETEL_XY_STATES * ETEL_XY_DEFECT_WIDTH];
-    /* of the window since the parameters' drift entered; those of them with motion */
-    int32_t shifts, pending_drift;
-    /* last good estimate */
-    etel_xy_real good_state[ETEL_XY_STATES], good_theta[ETEL_XY_PARAMETERS],
-        good_root[ETEL_XY_ROOT_SIZE], good_ratio;
-    etel_xy_real friction, friction_measured;
+    struct { /* force fed forward, of sample(), insert(), tick() */
+        etel_xy_real lag_state[6], lag; /* m, the newest position beyond the chain's */
+        etel_xy_real ahead[2]; /* set-point's velocity and acceleration as the force acts */
+        etel_xy_real gain; /* share that is on */
+        int32_t on, ahead_given, through_chain;
+    } compensation;
+    struct { /* of feedback(): means of the measurements' test ratios, and the newest one */
+        etel_xy_real ratio_fast, ratio_slow;
+        etel_xy_reading newest;
+    } innovations;
+    struct { /* last good one: feedback() writes it, estimate() and save() read it */
+        etel_xy_real state[ETEL_XY_STATES], theta[ETEL_XY_PARAMETERS];
+        etel_xy_real root[ETEL_XY_ROOT_SIZE], ratio;
+        etel_xy_real friction, friction_measured;
+        etel_xy_reading reading;
+        int32_t status;
+        uint8_t held[ETEL_XY_PARAMETERS]; /* by hold(), set_parameter() */
+    } estimate;
+    struct { /* what the samples of each interval say */
+        etel_xy_real term[ETEL_XY_SERIES_SIZE];
+        etel_xy_real node[ETEL_XY_SLOTS * ETEL_XY_STATES]; /* state at its start */
+        etel_xy_real signal[ETEL_XY_SLOTS * ETEL_XY_SIGNALS];
+        etel_xy_real friction[ETEL_XY_SLOTS];
+        etel_xy_real weight[ETEL_XY_SLOTS]; /* 1/(N) of its measurement; 0: none */
+    } window;
+    struct { /* measurements inside of intervals; of the newest one's, how many came, are folded */
+        volatile int32_t arrived;
+        int32_t folded, side;
+        etel_xy_real weight[ETEL_XY_SLOTS * ETEL_XY_INNER]; /* as in the window */
+        etel_xy_real friction[ETEL_XY_SLOTS * ETEL_XY_INNER];
+        etel_xy_real signal[ETEL_XY_SLOTS * ETEL_XY_INNER * ETEL_XY_INNER_SIGNALS];
+        /* of the newest interval, on one side, and the one before */
+        etel_xy_real rows[2 * ETEL_XY_INNER * (ETEL_XY_UNKNOWNS + 1)];
+        etel_xy_real kept[ETEL_XY_SLOTS * ETEL_XY_INNER_SIZE];
+    } inner;
+    struct { /* older intervals as they were linearised, of prepare() */
+        etel_xy_real blocks[ETEL_XY_BLOCKS_SIZE], moved; /* of the one that is linearised anew */
+        int32_t slot; /* its slot; -1: none */
+        etel_xy_real end[ETEL_XY_SLOTS * ETEL_XY_STATES]; /* over the state noise */
+        etel_xy_real rows[ETEL_XY_SLOTS * ETEL_XY_STATES * ETEL_XY_DEFECT_WIDTH]; /* defects */
+    } linearisation;
+    struct { /* least squares over (x, theta), of prepare() and feedback() */
+        etel_xy_real factor[ETEL_XY_FACTOR_SIZE];
+        /* by interval; oldest: arrival cost */
+        etel_xy_real start[ETEL_XY_SLOTS * ETEL_XY_TRIANGLE_SIZE];
+        int32_t back; /* older intervals to condense again; -1: the factor stands as it is */
+        /* for the back-substitution */
+        etel_xy_real kept[ETEL_XY_SLOTS * ETEL_XY_STATES * ETEL_XY_KEPT_WIDTH];
+        int32_t complete, cursor; /* older intervals; units of the work done */
+        int32_t shifts, pending_drift; /* since the parameters' drift entered; with motion */
+    } sweep;
 } etel_xy_t;
 
 /* A position from metres; NaN, infinite and beyond 4e6 m is none, and counts as missing. */

@@ -5,22 +5,20 @@
  *   sgms_exp      x <= 709 (88)       5e-16 relative     2e-7 relative
  *   exp2_core     |x| <= 1000 (120)   8e-13 relative     3e-7 relative
  *   sgms_tanh     |x| <= 1e16 (1e8)   3e-15 absolute     8e-7 absolute
- *   sgms_sin/cos  |x| <= 1e6 (1e3)    2e-15 absolute     3e-7 absolute, growing with |x| beyond;
- * never outside +-1 sgms_log      x > 0, normal       4e-16 (1 + |log|)  3e-7 (1 + |log|) sgms_sqrt
- * x > 0, normal       3e-16 relative     2e-7 relative sgms_inverse_sqrt                 6e-16
- * relative     3e-7 relative
+ *   sgms_sin/cos  |x| <= 1e6 (1e3)    2e-15 absolute     3e-7 absolute; beyond, still within +-1
+ *   sgms_log      x > 0, normal       4e-16 (1 + |log|)  3e-7 (1 + |log|)
+ *   sgms_sqrt     x > 0, normal       3e-16 relative     2e-7 relative
+ *   inverse_sqrt                      6e-16 relative     3e-7 relative
  *
- * The range of single stands in brackets where it is another one. exp is 0 below -700 (-86) and
- * stays at exp(709) (exp(88)) beyond; the clamp of tanh cancels beyond its range; sqrt is 0 where x
- * is not above 0, NaN included.
- */
+ * Ranges of single precision stand in brackets. exp is 0 below -700 (-86) and stays at exp(709)
+ * (exp(88)) beyond; the clamp of tanh cancels beyond its range; sqrt is 0 where x is not above 0,
+ * NaN included. */
 #ifndef SGMS_MATH_H
 #define SGMS_MATH_H
 
 #include "sgms_real.h"
 
-/* The bits of a number, and back. A union says the same, but compilers vectorise only the copy; it
- * is expanded in place. */
+/* The bits of a number, and back: a copy, which compilers vectorise, where they know it. */
 #if defined(__GNUC__)
 static inline sgms_integer sgms_bits(sgms_real x)
 {
@@ -80,8 +78,7 @@ static inline sgms_real sgms_from_bits(sgms_integer bits)
 #define SGMS_ROUNDING 1e-13
 #endif
 
-/* Compilers that have it know one instruction for it, where the bits take a way through integer
- * registers. */
+/* The built-in function is one instruction; the bits go through integer registers. */
 static inline sgms_real sgms_fabs(sgms_real x)
 {
 #if defined(__GNUC__) && SGMS_SINGLE
@@ -98,8 +95,7 @@ static inline sgms_real sgms_square(sgms_real x)
     return x * x;
 }
 
-/* -1, 0 or 1: the sign bit of x on the bits of 1, where x is not zero. Integer compares vectorise,
- * real ones do not. */
+/* -1, 0 or 1, by integer comparisons, which vectorise. */
 static inline sgms_real sgms_sign(sgms_real x)
 {
     const sgms_integer bits = sgms_bits(x);
@@ -194,8 +190,7 @@ static inline sgms_real sgms_drop_tiny(sgms_real x)
     return (x + SGMS_R(1e-20)) - SGMS_R(1e-20);
 }
 
-/* exp(x) for |x| within the normal range of the result; minimax polynomials on |f| <= ln(2)/2,
- * 2e-16 and 2e-9. */
+/* exp(x), result in the normal range; minimax polynomials on |f| <= ln(2)/2, 2e-16 and 2e-9. */
 static inline sgms_real sgms_exp_core(sgms_real x)
 {
     const sgms_real shifted = x * SGMS_R(1.44269504088896340736) + SGMS_ROUND_MAGIC;
@@ -229,8 +224,7 @@ static inline sgms_real sgms_exp_core(sgms_real x)
                        ((sgms_unsigned)sgms_bits(shifted) << SGMS_MANTISSA_BITS)));
 }
 
-/* 2^x for results within the normal range: for the inner loops, two operations and an order shorter
- * than exp. */
+/* 2^x, result in the normal range; for inner loops, shorter than exp. */
 static inline sgms_real sgms_exp2_core(sgms_real x)
 {
     const sgms_real shifted = x + SGMS_ROUND_MAGIC;

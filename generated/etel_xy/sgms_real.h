@@ -1,9 +1,7 @@
-/* The number type of one package, and the version of the runtime that emitted files were written
- * for.
+/* The number type of one package, and the version of this runtime.
  *
  * The runtime is a set of headers with static functions only: two packages of different precision
- * can be linked into one binary, each with a runtime of its own. SGMS_SINGLE is 0 or 1 and comes
- * from the package's config header. */
+ * can be linked into one binary. SGMS_SINGLE is 0 or 1, from the package's config header. */
 #ifndef SGMS_REAL_H
 #define SGMS_REAL_H
 
@@ -11,11 +9,10 @@
 
 #define SGMS_RUNTIME_VERSION 3
 
-/* The code reads bits, adds and subtracts numbers to round, and asks whether numbers are finite:
- * arithmetic that compilers may rearrange gives other results, and none of it says so. Not every
- * compiler tells of each single flag (clang tells of -ffast-math and -ffinite-math-only alone), so
- * -fassociative-math, -freciprocal-math and -funsafe-math-optimizations are not to be given either.
- * Contraction (-ffp-contract) is fine. */
+/* The code reads bits, adds and subtracts numbers to round, and checks that numbers are finite: it
+ * is wrong where compilers may rearrange arithmetic. Clang reports -ffast-math and
+ * -ffinite-math-only alone; do not use -fassociative-math, -freciprocal-math and
+ * -funsafe-math-optimizations either. Contraction (-ffp-contract) is fine. */
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__) ||           \
     defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) ||                               \
     defined(__NO_SIGNED_ZEROS__) || defined(_M_FP_FAST)
@@ -38,9 +35,8 @@ typedef uint64_t sgms_unsigned;
 #define SGMS_R(x) x
 #endif
 
-/* Stands between what a task writes and the word that tells another task of it: the compiler moves
- * no access to memory across. Where tasks run on different cores, or with a compiler that is not
- * one of these, define it as a barrier. */
+/* Between the data that a task writes and the word that announces them: the compiler moves no
+ * access to memory across. For tasks on two cores, or another compiler, define it as a barrier. */
 #if !defined(SGMS_FENCE) && defined(__GNUC__)
 #define SGMS_FENCE() __asm__ volatile("" ::: "memory")
 #elif !defined(SGMS_FENCE)
@@ -54,16 +50,14 @@ typedef uint64_t sgms_unsigned;
 #define SGMS_VECTORS 0
 #endif
 
-/* Before a loop over the lanes of one vector: gcc would unroll so short a loop before it looks for
- * vectors. */
+/* Before a loop over the lanes of one vector, which gcc would unroll instead of vectorise. */
 #if defined(__GNUC__) && !defined(__clang__)
 #define SGMS_LANES _Pragma("GCC unroll 1")
 #else
 #define SGMS_LANES
 #endif
 
-/* Before a loop of few turns whose number its caller knows: straight code, also where the compiler
- * is asked for small code. */
+/* Before a short loop whose length its caller knows: straight code, also at -Os. */
 #if defined(__GNUC__) && !defined(__clang__) && !SGMS_VECTORS
 #define SGMS_UNROLL _Pragma("GCC unroll 16")
 #else
@@ -79,16 +73,14 @@ typedef uint64_t sgms_unsigned;
 #define SGMS_RESTRICT restrict
 #endif
 
-/* A function that becomes part of its caller: its constants fold, and it may stand in a loop that
- * vectorises. */
+/* A function that becomes part of its caller: constants fold, loops around it vectorise. */
 #if defined(__GNUC__)
 #define SGMS_INLINE __attribute__((always_inline)) inline
 #else
 #define SGMS_INLINE inline
 #endif
 
-/* A function that is called now and then: it is made small, and those that it calls do not become
- * part of it. */
+/* A function that is called rarely: small, with nothing inlined into it. */
 #if defined(__GNUC__)
 #define SGMS_COLD __attribute__((cold))
 #else

@@ -25,7 +25,7 @@ static void copy(sgms_real *to, const sgms_real *from, int count)
 /* A slot `back` intervals before the one that is filling; -1 is the next one. */
 static int slot_before(const etel_xy_controller_t *self, int back)
 {
-    const int slot = (int)self->filling - back;
+    const int slot = (int)self->interval.filling - back;
     return slot < 0 ? slot + SLOTS : (slot < SLOTS ? slot : slot - SLOTS);
 }
 
@@ -88,7 +88,7 @@ static void pack_root(const sgms_real *square, sgms_real *root)
 /* One over the standard deviation that a parameter starts with. */
 static sgms_real inverse_prior(const etel_xy_controller_t *self, int p)
 {
-    return 1.0f / (self->held[p] ? HELD_SD : self->settings.parameter);
+    return 1.0f / (self->estimate.held[p] ? HELD_SD : self->settings.parameter);
 }
 
 /* The root of the prior: independent parameters, those that are held known. */
@@ -106,7 +106,7 @@ static void prior_root(const etel_xy_controller_t *self, sgms_real *root)
 static sgms_real growth_of(
     const etel_xy_controller_t *self, int p, sgms_real wanted, sgms_real variance)
 {
-    const sgms_real most = self->held[p] ? 0.0f : self->settings.parameter;
+    const sgms_real most = self->estimate.held[p] ? 0.0f : self->settings.parameter;
     return sgms_sqrt(sgms_fmin(wanted, sgms_fmax(0.0f, most * most - variance)));
 }
 
@@ -143,57 +143,58 @@ static void set_root(sgms_real *factor, const sgms_real *root, const sgms_real *
 static void start_interval(etel_xy_controller_t *self)
 {
     parameter_terms(&self->parameters);
-    start_blocks(&self->parameters, self->node + self->filling * STATES, self->newest);
-    self->step = 0;
-    self->merged_count = 0;
-    fill(self->merged, 0.0f, SIGNALS);
-    fill(self->merged_slope, 0.0f, SIGNALS);
-    self->path[self->filling] = 0.0f;
-    self->too_fast = 0;
-    self->cursor = 0;
-    self->arrived = 0;
-    self->folded = 0;
-    self->chosen_slot = -1;
-    self->chosen_moved = 1.0f;
+    start_blocks(&self->parameters, self->window.node + self->interval.filling * STATES,
+        self->interval.blocks);
+    self->interval.step = 0;
+    self->input.count = 0;
+    fill(self->input.merged, 0.0f, SIGNALS);
+    fill(self->input.slope, 0.0f, SIGNALS);
+    self->interval.path[self->interval.filling] = 0.0f;
+    self->interval.too_fast = 0;
+    self->sweep.cursor = 0;
+    self->inner.arrived = 0;
+    self->inner.folded = 0;
+    self->linearisation.slot = -1;
+    self->linearisation.moved = 1.0f;
 }
 
 /* Window of no interval yet; the node where the next sample stands has mean x. What is known of
  * theta: NULL is the prior. */
 static void start_window(etel_xy_controller_t *self, const sgms_real *x, const sgms_real *root)
 {
-    self->filling = 0;
-    self->started = 0;
-    self->ratio_fast = 1.0f;
-    self->ratio_slow = 1.0f;
-    self->reading.innovation = 0.0f;
-    self->reading.test_ratio = 0.0f;
-    self->reading.noise_scale = 1.0f;
-    self->side = 0;
-    copy(self->node, x, STATES);
-    self->complete = 0;
-    self->shifts = 0;
-    self->pending_drift = 0;
-    set_factor(self, self->factor, inverse_initial_state, x);
+    self->interval.filling = 0;
+    self->interval.started = 0;
+    self->innovations.ratio_fast = 1.0f;
+    self->innovations.ratio_slow = 1.0f;
+    self->innovations.newest.innovation = 0.0f;
+    self->innovations.newest.test_ratio = 0.0f;
+    self->innovations.newest.noise_scale = 1.0f;
+    self->inner.side = 0;
+    copy(self->window.node, x, STATES);
+    self->sweep.complete = 0;
+    self->sweep.shifts = 0;
+    self->sweep.pending_drift = 0;
+    set_factor(self, self->sweep.factor, inverse_initial_state, x);
     if (root != NULL) {
-        set_root(self->factor, root, self->parameters.theta);
+        set_root(self->sweep.factor, root, self->parameters.theta);
     }
-    self->sweep = 0;
-    keep_factor(self->start, self->factor);
+    self->sweep.back = 0;
+    keep_factor(self->sweep.start, self->sweep.factor);
     start_interval(self);
 }
 
 static void start_signals(etel_xy_controller_t *self)
 {
-    self->chain_position[0] = 0;
-    self->chain_position[1] = 0;
-    fill(self->chain_lowpass, 0.0f, SGMS_FILTER_STATES);
-    fill(self->chain_last, 0.0f, SGMS_FILTER_LAST);
+    self->chain.position[0] = 0;
+    self->chain.position[1] = 0;
+    fill(self->chain.lowpass, 0.0f, SGMS_FILTER_STATES);
+    fill(self->chain.last, 0.0f, SGMS_FILTER_LAST);
     for (int i = 0; i < SGMS_FILTER_COUNTS; i++) {
-        self->chain_counts[i] = 0;
+        self->chain.counts[i] = 0;
     }
-    fill(self->signal, 0.0f, SIGNALS);
-    self->lost = 0;
-    self->status = ETEL_XY_CONTROLLER_FILLING;
+    fill(self->input.signal, 0.0f, SIGNALS);
+    self->interval.lost = 0;
+    self->estimate.status = ETEL_XY_CONTROLLER_FILLING;
     start_compensation(self);
 }
 
@@ -201,41 +202,42 @@ static void start_signals(etel_xy_controller_t *self)
 static void start_fresh(etel_xy_controller_t *self)
 {
     const sgms_real zero[STATES] = { 0.0f };
-    self->phase = IDLE;
-    self->version = 0;
+    self->calls.phase = IDLE;
+    self->calls.version = 0;
     start_signals(self);
-    self->compensate = 1;
+    self->compensation.on = 1;
     fill(self->parameters.theta, 1.0f, PARAMETERS);
-    fill(self->term, 0.0f, ETEL_XY_CONTROLLER_SERIES_SIZE);
-    fill(self->node, 0.0f, SLOTS * STATES);
-    fill(self->path, 0.0f, SLOTS);
+    fill(self->window.term, 0.0f, ETEL_XY_CONTROLLER_SERIES_SIZE);
+    fill(self->window.node, 0.0f, SLOTS * STATES);
+    fill(self->interval.path, 0.0f, SLOTS);
     for (int p = 0; p < PARAMETERS; p++) {
-        self->held[p] = 0;
+        self->estimate.held[p] = 0;
     }
     start_window(self, zero, NULL);
-    copy(self->good_state, zero, STATES);
-    copy(self->good_theta, self->parameters.theta, PARAMETERS);
-    prior_root(self, self->good_root);
-    self->good_ratio = 1.0f;
-    self->friction = 0.0f;
-    self->friction_measured = 0.0f;
-    self->good_reading = self->reading;
+    copy(self->estimate.state, zero, STATES);
+    copy(self->estimate.theta, self->parameters.theta, PARAMETERS);
+    prior_root(self, self->estimate.root);
+    self->estimate.ratio = 1.0f;
+    self->estimate.friction = 0.0f;
+    self->estimate.friction_measured = 0.0f;
+    self->estimate.reading = self->innovations.newest;
 }
 
 void etel_xy_controller_init(etel_xy_controller_t *self)
 {
     etel_xy_controller_settings(&self->settings);
-    self->moved = MASS;
+    self->chain.moved = MASS;
     start_fresh(self);
 }
 
 void etel_xy_controller_reset(etel_xy_controller_t *self)
 {
     const sgms_real zero[STATES] = { 0.0f };
-    self->phase = self->phase == PREPARING || self->phase == VOIDED ? VOIDED : IDLE;
+    self->calls.phase =
+        self->calls.phase == PREPARING || self->calls.phase == VOIDED ? VOIDED : IDLE;
     SGMS_FENCE();
     start_signals(self);
-    copy(self->parameters.theta, self->good_theta, PARAMETERS);
+    copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
     start_window(self, zero, NULL);
 }
 
@@ -243,7 +245,7 @@ void etel_xy_controller_reset(etel_xy_controller_t *self)
 static sgms_real output_at(
     const etel_xy_controller_t *self, const sgms_real *x, const sgms_real *theta)
 {
-    const model_point at = { x, self->signal, theta };
+    const model_point at = { x, self->input.signal, theta };
     sgms_real c[STATES], d[PARAMETERS];
     return output_force(&at, c, d);
 }
@@ -302,24 +304,25 @@ static sgms_real weigh_row(etel_xy_controller_t *self, const sgms_real *row)
     for (int i = 0; i < FACTOR_ROWS; i++) {
         sgms_real left = row[i];
         for (int j = 0; j < i; j++) {
-            left -= self->factor[j * FACTOR_WIDTH + i] * solved[j];
+            left -= self->sweep.factor[j * FACTOR_WIDTH + i] * solved[j];
         }
-        solved[i] = left / self->factor[i * (FACTOR_WIDTH + 1)];
+        solved[i] = left / self->sweep.factor[i * (FACTOR_WIDTH + 1)];
         predicted += solved[i] * solved[i];
-        innovation -= solved[i] * self->factor[i * FACTOR_WIDTH + FACTOR_ROWS];
+        innovation -= solved[i] * self->sweep.factor[i * FACTOR_WIDTH + FACTOR_ROWS];
     }
     ratio = innovation * innovation / predicted;
     counted = sgms_fmin(ratio, RATIO_MOST);
-    self->ratio_fast += RATIO_FAST * (counted - self->ratio_fast);
-    self->ratio_slow += RATIO_SLOW * (counted - self->ratio_slow);
-    self->reading.innovation = innovation;
-    self->reading.test_ratio = ratio;
+    self->innovations.ratio_fast += RATIO_FAST * (counted - self->innovations.ratio_fast);
+    self->innovations.ratio_slow += RATIO_SLOW * (counted - self->innovations.ratio_slow);
+    self->innovations.newest.innovation = innovation;
+    self->innovations.newest.test_ratio = ratio;
     {
-        const sgms_real wild = ratio * (1.0f / RATIO_FREE) * sgms_fmax(1.0f, self->ratio_fast);
-        const sgms_real need =
-            sgms_fmax(sgms_fmax(1.0f, wild), sgms_fmax(self->ratio_fast, self->ratio_slow));
+        const sgms_real wild =
+            ratio * (1.0f / RATIO_FREE) * sgms_fmax(1.0f, self->innovations.ratio_fast);
+        const sgms_real need = sgms_fmax(sgms_fmax(1.0f, wild),
+            sgms_fmax(self->innovations.ratio_fast, self->innovations.ratio_slow));
         const sgms_real sd = sgms_sqrt(stated * stated + (need - 1.0f) * predicted);
-        self->reading.noise_scale = sd / stated;
+        self->innovations.newest.noise_scale = sd / stated;
         return 1.0f / sd;
     }
 }
@@ -339,13 +342,13 @@ static void fold_row(sgms_real *factor, sgms_real weight, sgms_real *row)
  * is none. */
 static void start_row(const etel_xy_controller_t *self, int slot, sgms_real *row)
 {
-    const model_point at =
-        { self->node + slot * STATES, self->node_signal + slot * SIGNALS, self->parameters.theta };
+    const model_point at = { self->window.node + slot * STATES,
+        self->window.signal + slot * SIGNALS, self->parameters.theta };
     fill(row, 0.0f, FACTOR_WIDTH);
-    if (self->node_weight[slot] > 0.0f) {
-        node_row(&at, self->node_friction[slot], row);
+    if (self->window.weight[slot] > 0.0f) {
+        node_row(&at, self->window.friction[slot], row);
         for (int i = 0; i < FACTOR_WIDTH; i++) {
-            row[i] *= self->node_weight[slot];
+            row[i] *= self->window.weight[slot];
         }
     }
 }
@@ -353,34 +356,35 @@ static void start_row(const etel_xy_controller_t *self, int slot, sgms_real *row
 /* A reading inside the newest interval: its row waits for the older ones to be condensed. */
 static void take_inner(etel_xy_controller_t *self, int measured, sgms_real friction)
 {
-    const int j = (int)self->step / SPACING - 1, at = (int)self->filling * INNER + j;
+    const int j = (int)self->interval.step / SPACING - 1,
+        at = (int)self->interval.filling * INNER + j;
     sgms_real *const row =
-        self->inner_rows + (int)self->side * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
-    self->inner_weight[at] = measured ? 1.0f : 0.0f;
-    self->inner_friction[at] = friction;
-    self->inner_signal[at * INNER_SIGNALS + 0] = self->signal[W_VELOCITY];
+        self->inner.rows + (int)self->inner.side * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
+    self->inner.weight[at] = measured ? 1.0f : 0.0f;
+    self->inner.friction[at] = friction;
+    self->inner.signal[at * INNER_SIGNALS + 0] = self->input.signal[W_VELOCITY];
     if (measured) {
-        const sgms_real *const start = self->node + self->filling * STATES;
+        const sgms_real *const start = self->window.node + self->interval.filling * STATES;
         interval_map map;
-        blocks_end(&self->parameters, self->newest, start, &map);
-        inner_row(self, &map, start, self->signal, friction, row);
+        blocks_end(&self->parameters, self->interval.blocks, start, &map);
+        inner_row(self, &map, start, self->input.signal, friction, row);
     } else {
         fill(row, 0.0f, FACTOR_WIDTH);
     }
     SGMS_FENCE(); /* for another task that prepares */
-    self->arrived = j + 1;
+    self->inner.arrived = j + 1;
 }
 
 /* Fold the next reading inside the newest interval, weighed by what all before it predicts; the
  * sweep has reached it. */
 static void fold_next(etel_xy_controller_t *self)
 {
-    const int j = (int)self->folded++, at = (int)self->filling * INNER + j;
+    const int j = (int)self->inner.folded++, at = (int)self->interval.filling * INNER + j;
     sgms_real *const row =
-        self->inner_rows + (int)self->side * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
-    if (self->inner_weight[at] > 0.0f) {
-        self->inner_weight[at] = weigh_row(self, row);
-        fold_row(self->factor, self->inner_weight[at], row);
+        self->inner.rows + (int)self->inner.side * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
+    if (self->inner.weight[at] > 0.0f) {
+        self->inner.weight[at] = weigh_row(self, row);
+        fold_row(self->sweep.factor, self->inner.weight[at], row);
     }
 }
 
@@ -388,7 +392,7 @@ static void fold_next(etel_xy_controller_t *self)
  * inside, in the rows after it. The factor is over its start. They are used up. */
 static void fold_rows(etel_xy_controller_t *self, int slot, sgms_real *rows)
 {
-    sgms_real *const factor = self->factor;
+    sgms_real *const factor = self->sweep.factor;
     sgms_real reflector[9] = { 0.0f }; /* some compilers take the reach for longer than it is */
     start_row(self, slot, rows);
     for (int c = 0; c < FACTOR_ROWS; c++) {
@@ -403,10 +407,10 @@ static void renew_inner(etel_xy_controller_t *self, int at, const interval_map *
     const sgms_real *start, sgms_real *row)
 {
     sgms_real w[SIGNALS] = { 0.0f };
-    w[W_VELOCITY] = self->inner_signal[at * INNER_SIGNALS + 0];
-    inner_row(self, map, start, w, self->inner_friction[at], row);
+    w[W_VELOCITY] = self->inner.signal[at * INNER_SIGNALS + 0];
+    inner_row(self, map, start, w, self->inner.friction[at], row);
     for (int i = 0; i < FACTOR_WIDTH; i++) {
-        row[i] = self->inner_weight[at] > 0.0f ? row[i] * self->inner_weight[at] : 0.0f;
+        row[i] = self->inner.weight[at] > 0.0f ? row[i] * self->inner.weight[at] : 0.0f;
     }
 }
 
@@ -414,7 +418,7 @@ static void renew_inner(etel_xy_controller_t *self, int at, const interval_map *
 static void keep_inner(etel_xy_controller_t *self, int slot, sgms_real *rows)
 {
     sgms_real reflector[INNER];
-    sgms_real *kept = self->inner + slot * INNER_SIZE;
+    sgms_real *kept = self->inner.kept + slot * INNER_SIZE;
     sgms_qr(rows, INNER, FACTOR_WIDTH, FACTOR_WIDTH, FACTOR_ROWS, reflector);
     for (int i = 0; i < INNER_ROWS; i++) {
         copy(kept, rows + i * (FACTOR_WIDTH + 1), FACTOR_WIDTH - i);
@@ -426,7 +430,7 @@ static void keep_inner(etel_xy_controller_t *self, int slot, sgms_real *rows)
 static void fold_interval(etel_xy_controller_t *self, int slot)
 {
     sgms_real rows[9 * FACTOR_WIDTH];
-    const sgms_real *kept = self->inner + slot * INNER_SIZE;
+    const sgms_real *kept = self->inner.kept + slot * INNER_SIZE;
     for (int i = 0; i < INNER_ROWS; i++) {
         fill(rows + (i + 1) * FACTOR_WIDTH, 0.0f, i);
         copy(rows + (i + 1) * FACTOR_WIDTH + i, kept, FACTOR_WIDTH - i);
@@ -538,23 +542,26 @@ static void fold_start(etel_xy_controller_t *self, int slot)
 {
     sgms_real row[FACTOR_WIDTH];
     start_row(self, slot, row);
-    sgms_qr_add_row(self->factor, FACTOR_ROWS, row);
+    sgms_qr_add_row(self->sweep.factor, FACTOR_ROWS, row);
 }
 
 /* Condense an interval whose readings, but for that at its end, are folded in. */
 static void sweep_interval(etel_xy_controller_t *self, int back, const sgms_real *rows)
 {
     const int slot = slot_before(self, back);
-    condense(&self->settings, self->factor, rows, self->kept + slot * STATES * KEPT_WIDTH);
-    keep_factor(self->start + slot_before(self, back - 1) * TRIANGLE_SIZE, self->factor);
+    condense(
+        &self->settings, self->sweep.factor, rows, self->sweep.kept + slot * STATES * KEPT_WIDTH);
+    keep_factor(
+        self->sweep.start + slot_before(self, back - 1) * TRIANGLE_SIZE, self->sweep.factor);
 }
 
 /* Keep an interval's linearisation. */
 static void keep_rows(etel_xy_controller_t *self, int slot, const interval_map *map)
 {
-    defect_rows(self, self->node + slot * STATES, map, self->rows + slot * STATES * DEFECT_WIDTH);
+    defect_rows(self, self->window.node + slot * STATES, map,
+        self->linearisation.rows + slot * STATES * DEFECT_WIDTH);
     for (int i = 0; i < STATES; i++) {
-        self->end[slot * STATES + i] = map->x[i] / self->settings.state[i];
+        self->linearisation.end[slot * STATES + i] = map->x[i] / self->settings.state[i];
     }
 }
 
@@ -562,11 +569,11 @@ static void keep_rows(etel_xy_controller_t *self, int slot, const interval_map *
  * the largest of them over how far it may, squared. */
 static sgms_real moved_most(const etel_xy_controller_t *self, int slot)
 {
-    const sgms_real *x = self->node + slot * STATES;
+    const sgms_real *x = self->window.node + slot * STATES;
     sgms_real most = 0.0f;
     for (int i = 0; i < STATES; i++) {
-        const sgms_real *row = self->rows + (slot * STATES + i) * DEFECT_WIDTH;
-        sgms_real moved = row[DEFECT_WIDTH - 1] - self->end[slot * STATES + i];
+        const sgms_real *row = self->linearisation.rows + (slot * STATES + i) * DEFECT_WIDTH;
+        sgms_real moved = row[DEFECT_WIDTH - 1] - self->linearisation.end[slot * STATES + i];
         for (int k = 0; k < coupled[i]; k++) {
             moved -= row[k] * x[couples[i][k]];
         }
@@ -582,9 +589,9 @@ static sgms_real moved_most(const etel_xy_controller_t *self, int slot)
 static void choose_interval(etel_xy_controller_t *self, int slot)
 {
     const sgms_real moved = moved_most(self, slot);
-    if (moved > self->chosen_moved) {
-        self->chosen_moved = moved;
-        self->chosen_slot = slot;
+    if (moved > self->linearisation.moved) {
+        self->linearisation.moved = moved;
+        self->linearisation.slot = slot;
     }
 }
 
@@ -592,57 +599,61 @@ static void choose_interval(etel_xy_controller_t *self, int slot)
 static void expand_node(etel_xy_controller_t *self, int back)
 {
     const int slot = slot_before(self, back);
-    const sgms_real *successor = self->node + slot_before(self, back - 1) * STATES;
-    const sgms_real *rows = self->kept + slot * STATES * KEPT_WIDTH;
-    expand(rows, KEPT_WIDTH, STATES, successor, self->parameters.theta, self->node + slot * STATES);
+    const sgms_real *successor = self->window.node + slot_before(self, back - 1) * STATES;
+    const sgms_real *rows = self->sweep.kept + slot * STATES * KEPT_WIDTH;
+    expand(rows, KEPT_WIDTH, STATES, successor, self->parameters.theta,
+        self->window.node + slot * STATES);
     choose_interval(self, slot);
 }
 
 /* All older nodes are known: begin the sweep at the oldest one for which something has changed. */
 static void start_sweep(etel_xy_controller_t *self)
 {
-    const int is_growing = self->settings.drift > 0.0f && self->shifts >= DRIFT_INTERVAL;
+    const int is_growing = self->settings.drift > 0.0f && self->sweep.shifts >= DRIFT_INTERVAL;
     sgms_real *start;
-    if (self->complete > 0) {
-        keep_inner(self, slot_before(self, 1), self->inner_rows +
-            (1 - (int)self->side) * INNER * FACTOR_WIDTH);
+    if (self->sweep.complete > 0) {
+        keep_inner(self, slot_before(self, 1), self->inner.rows +
+            (1 - (int)self->inner.side) * INNER * FACTOR_WIDTH);
     }
-    if (self->chosen_slot >= 0) {
-        const int32_t ago = self->filling - self->chosen_slot, back = ago < 0 ? ago + SLOTS : ago;
-        self->sweep = back > self->sweep ? back : self->sweep;
+    if (self->linearisation.slot >= 0) {
+        const int32_t ago = self->interval.filling - self->linearisation.slot,
+            back = ago < 0 ? ago + SLOTS : ago;
+        self->sweep.back = back > self->sweep.back ? back : self->sweep.back;
     }
-    self->sweep = is_growing ? self->complete : self->sweep;
-    if (self->sweep < 0) {
+    self->sweep.back = is_growing ? self->sweep.complete : self->sweep.back;
+    if (self->sweep.back < 0) {
         return;
     }
-    start = self->start + slot_before(self, (int)self->sweep) * TRIANGLE_SIZE;
-    restore_factor(self->factor, start);
+    start = self->sweep.start + slot_before(self, (int)self->sweep.back) * TRIANGLE_SIZE;
+    restore_factor(self->sweep.factor, start);
     if (is_growing) {
-        add_drift(self, self->factor, (int)self->pending_drift);
-        keep_factor(start, self->factor);
-        self->shifts = 0;
-        self->pending_drift = 0;
+        add_drift(self, self->sweep.factor, (int)self->sweep.pending_drift);
+        keep_factor(start, self->sweep.factor);
+        self->sweep.shifts = 0;
+        self->sweep.pending_drift = 0;
     }
-    if (self->sweep == 0) {
-        fold_start(self, (int)self->filling);
+    if (self->sweep.back == 0) {
+        fold_start(self, (int)self->interval.filling);
     }
 }
 
 /* One step of the interval that is linearised anew. */
 static void linearise_step(etel_xy_controller_t *self, int step)
 {
-    const int slot = (int)self->chosen_slot;
-    const sgms_real *const start = self->node + slot * STATES;
+    const int slot = (int)self->linearisation.slot;
+    const sgms_real *const start = self->window.node + slot * STATES;
     if (step == 0) {
-        start_blocks(&self->parameters, start, self->chosen);
+        start_blocks(&self->parameters, start, self->linearisation.blocks);
     }
-    integrate_blocks(self->term + step * NODES * TERMS * SERIES_STRIDE + slot, self->chosen);
+    integrate_blocks(self->window.term + step * NODES * TERMS * SERIES_STRIDE + slot,
+        self->linearisation.blocks);
     if ((step + 1) % SPACING == 0) {
         interval_map map;
         /* free until the next update */
-        sgms_real *const rows = self->inner_rows + (1 - (int)self->side) * INNER * FACTOR_WIDTH;
+        sgms_real *const rows =
+            self->inner.rows + (1 - (int)self->inner.side) * INNER * FACTOR_WIDTH;
         const int j = (step + 1) / SPACING - 1;
-        blocks_end(&self->parameters, self->chosen, start, &map);
+        blocks_end(&self->parameters, self->linearisation.blocks, start, &map);
         if (j < INNER) {
             renew_inner(self, slot * INNER + j, &map, start, rows + j * FACTOR_WIDTH);
         } else {
@@ -657,9 +668,9 @@ static void linearise_step(etel_xy_controller_t *self, int step)
 static void condense_node(etel_xy_controller_t *self, int back)
 {
     const int slot = slot_before(self, back);
-    sweep_interval(self, back, self->rows + slot * STATES * DEFECT_WIDTH);
+    sweep_interval(self, back, self->linearisation.rows + slot * STATES * DEFECT_WIDTH);
     if (back == 1) {
-        fold_start(self, (int)self->filling);
+        fold_start(self, (int)self->interval.filling);
     }
 }
 
@@ -673,11 +684,11 @@ typedef struct {
 
 static workload workload_of(const etel_xy_controller_t *self)
 {
-    const int nodes = (int)self->complete;
+    const int nodes = (int)self->sweep.complete;
     const workload of = {
         nodes,
-        self->chosen_slot >= 0 ? STEPS : 0,
-        self->sweep > 0 ? (int)self->sweep : 0 };
+        self->linearisation.slot >= 0 ? STEPS : 0,
+        self->sweep.back > 0 ? (int)self->sweep.back : 0 };
     return of;
 }
 
@@ -685,12 +696,12 @@ static workload workload_of(const etel_xy_controller_t *self)
 static int next_cost(const etel_xy_controller_t *self)
 {
     const workload of = workload_of(self);
-    const int at = (int)self->cursor - of.nodes, swept = at - of.steps - 1;
+    const int at = (int)self->sweep.cursor - of.nodes, swept = at - of.steps - 1;
     if (at < 0) {
         return EXPAND_COST;
     }
     if (swept >= 2 * of.condensed) {
-        return self->folded < self->arrived ? FOLD_COST : 0;
+        return self->inner.folded < self->inner.arrived ? FOLD_COST : 0;
     }
     if (at > 0 && swept < 0) {
         return STEP_COST;
@@ -702,14 +713,14 @@ static int next_cost(const etel_xy_controller_t *self)
 static void work(etel_xy_controller_t *self)
 {
     const workload of = workload_of(self);
-    const int at = (int)self->cursor - of.nodes, swept = at - of.steps - 1,
+    const int at = (int)self->sweep.cursor - of.nodes, swept = at - of.steps - 1,
         back = of.condensed - swept / 2;
     if (swept >= 2 * of.condensed) {
         fold_next(self);
         return;
     }
     if (at < 0) {
-        expand_node(self, (int)self->cursor + 1);
+        expand_node(self, (int)self->sweep.cursor + 1);
     } else if (at == 0) {
         start_sweep(self);
     } else if (swept < 0) {
@@ -719,37 +730,37 @@ static void work(etel_xy_controller_t *self)
     } else {
         condense_node(self, back);
     }
-    self->cursor++;
+    self->sweep.cursor++;
 }
 
 void etel_xy_controller_prepare(etel_xy_controller_t *self)
 {
     /* before the first sample there is no first node */
-    if (self->phase != IDLE || !self->started) {
+    if (self->calls.phase != IDLE || !self->interval.started) {
         return;
     }
-    self->phase = PREPARING;
+    self->calls.phase = PREPARING;
     SGMS_FENCE();
-    while (self->phase == PREPARING && next_cost(self) > 0) {
+    while (self->calls.phase == PREPARING && next_cost(self) > 0) {
         work(self);
     }
     SGMS_FENCE();
-    self->phase = self->phase == PREPARING ? IDLE : SPOILT;
+    self->calls.phase = self->calls.phase == PREPARING ? IDLE : SPOILT;
 }
 
 int etel_xy_controller_due(const etel_xy_controller_t *self)
 {
-    return self->step == STEPS;
+    return self->interval.step == STEPS;
 }
 
 /* Parameters from the triangular factor, within their bounds. Returns the number of active
  * bounds. */
 static int solve_theta(const etel_xy_controller_t *self, sgms_real *theta)
 {
-    const sgms_real *triangle = self->factor + STATES * FACTOR_WIDTH + STATES;
+    const sgms_real *triangle = self->sweep.factor + STATES * FACTOR_WIDTH + STATES;
     sgms_real right[PARAMETERS];
     for (int i = 0; i < PARAMETERS; i++) {
-        right[i] = self->factor[(STATES + i) * FACTOR_WIDTH + FACTOR_ROWS];
+        right[i] = self->sweep.factor[(STATES + i) * FACTOR_WIDTH + FACTOR_ROWS];
     }
     {
         const sgms_box box = { triangle, PARAMETERS, FACTOR_WIDTH, right, self->settings.lower,
@@ -784,27 +795,27 @@ static int is_plausible(const sgms_real *x)
 static int start_again(etel_xy_controller_t *self, int status)
 {
     sgms_real w[SIGNALS];
-    copy(w, self->signal, SIGNALS);
-    copy(self->parameters.theta, self->good_theta, PARAMETERS);
-    start_window(self, self->good_state, NULL);
-    copy(self->node_signal, w, SIGNALS);
-    self->node_weight[0] = 0.0f;
-    self->node_friction[0] = 0.0f;
-    self->started = 1;
-    self->good_reading = self->reading;
-    self->status = status;
+    copy(w, self->input.signal, SIGNALS);
+    copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
+    start_window(self, self->estimate.state, NULL);
+    copy(self->window.signal, w, SIGNALS);
+    self->window.weight[0] = 0.0f;
+    self->window.friction[0] = 0.0f;
+    self->interval.started = 1;
+    self->estimate.reading = self->innovations.newest;
+    self->estimate.status = status;
     return status;
 }
 
 /* Condense the newest interval: the factor is over its end x and theta. */
 static void take_newest(etel_xy_controller_t *self, sgms_real *x)
 {
-    const int slot = (int)self->filling;
-    const sgms_real *start = self->node + slot * STATES;
+    const int slot = (int)self->interval.filling;
+    const sgms_real *start = self->window.node + slot * STATES;
     interval_map map;
-    blocks_end(&self->parameters, self->newest, start, &map);
+    blocks_end(&self->parameters, self->interval.blocks, start, &map);
     keep_rows(self, slot, &map);
-    sweep_interval(self, 0, self->rows + slot * STATES * DEFECT_WIDTH);
+    sweep_interval(self, 0, self->linearisation.rows + slot * STATES * DEFECT_WIDTH);
     copy(x, map.x, STATES);
 }
 
@@ -814,17 +825,17 @@ static int shift_window(etel_xy_controller_t *self, int *status)
 {
     /* where the interval stands that leaves a full window */
     const int next = slot_before(self, -1);
-    const int is_full = self->complete == HORIZON - 1;
+    const int is_full = self->sweep.complete == HORIZON - 1;
     if (is_full) {
-        self->shifts++;
-        self->pending_drift += self->path[next] >= HOLD_PATH;
+        self->sweep.shifts++;
+        self->sweep.pending_drift += self->interval.path[next] >= HOLD_PATH;
     }
     if (!is_full) {
-        self->complete++;
+        self->sweep.complete++;
         *status += ETEL_XY_CONTROLLER_FILLING;
     }
-    self->sweep = -1;
-    self->side = 1 - self->side;
+    self->sweep.back = -1;
+    self->inner.side = 1 - self->inner.side;
     return next;
 }
 
@@ -838,17 +849,17 @@ static int update(etel_xy_controller_t *self)
         work(self);
     }
     take_newest(self, x);
-    if (self->last_valid) {
-        const model_point at = { x, self->signal, self->parameters.theta };
+    if (self->interval.is_valid) {
+        const model_point at = { x, self->input.signal, self->parameters.theta };
         sgms_real row[FACTOR_WIDTH];
-        node_row(&at, self->last_friction, row);
+        node_row(&at, self->interval.friction, row);
         weight = weigh_row(self, row);
-        fold_row(self->factor, weight, row);
+        fold_row(self->sweep.factor, weight, row);
     }
     status += solve_theta(self, theta) > 0 ? ETEL_XY_CONTROLLER_BOUND : 0;
-    expand(self->factor, FACTOR_WIDTH, 0, x, theta, x);
-    sgms_variances(
-        self->factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH, variance, scratch);
+    expand(self->sweep.factor, FACTOR_WIDTH, 0, x, theta, x);
+    sgms_variances(self->sweep.factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH,
+        variance, scratch);
     if (!is_plausible(x) || !all_finite(theta, PARAMETERS) || !all_finite(variance, PARAMETERS)) {
         return start_again(self, ETEL_XY_CONTROLLER_NUMERIC);
     }
@@ -857,39 +868,39 @@ static int update(etel_xy_controller_t *self)
         return start_again(self, ETEL_XY_CONTROLLER_NUMERIC);
     }
     copy(self->parameters.theta, theta, PARAMETERS);
-    self->version++;
+    self->calls.version++;
     SGMS_FENCE();
-    copy(self->good_state, x, STATES);
-    copy(self->good_theta, theta, PARAMETERS);
-    keep_root(self->factor, self->good_root);
-    self->good_ratio = self->ratio_slow;
-    self->friction = friction;
-    self->friction_measured = self->last_friction;
-    self->good_reading = self->reading;
+    copy(self->estimate.state, x, STATES);
+    copy(self->estimate.theta, theta, PARAMETERS);
+    keep_root(self->sweep.factor, self->estimate.root);
+    self->estimate.ratio = self->innovations.ratio_slow;
+    self->estimate.friction = friction;
+    self->estimate.friction_measured = self->interval.friction;
+    self->estimate.reading = self->innovations.newest;
 
-    status += self->last_valid ? 0 : ETEL_XY_CONTROLLER_MISSING;
-    status += self->path[self->filling] < HOLD_PATH ? ETEL_XY_CONTROLLER_HOLD : 0;
-    status += self->too_fast ? ETEL_XY_CONTROLLER_SPEED : 0;
-    status += self->ratio_fast > DOUBTED_FAST || self->ratio_slow > DOUBTED_SLOW
-        ? ETEL_XY_CONTROLLER_DOUBT : 0;
-    status += self->lost ? ETEL_XY_CONTROLLER_OVERRUN : 0;
-    self->lost = 0;
+    status += self->interval.is_valid ? 0 : ETEL_XY_CONTROLLER_MISSING;
+    status += self->interval.path[self->interval.filling] < HOLD_PATH ? ETEL_XY_CONTROLLER_HOLD : 0;
+    status += self->interval.too_fast ? ETEL_XY_CONTROLLER_SPEED : 0;
+    status += self->innovations.ratio_fast > DOUBTED_FAST ||
+        self->innovations.ratio_slow > DOUBTED_SLOW ? ETEL_XY_CONTROLLER_DOUBT : 0;
+    status += self->interval.lost ? ETEL_XY_CONTROLLER_OVERRUN : 0;
+    self->interval.lost = 0;
     next = shift_window(self, &status);
-    self->status = status;
+    self->estimate.status = status;
     SGMS_FENCE();
-    self->version++;
-    self->filling = next;
-    copy(self->node + next * STATES, x, STATES);
-    copy(self->node_signal + next * SIGNALS, self->signal, SIGNALS);
-    self->node_friction[next] = self->last_friction;
-    self->node_weight[next] = weight;
+    self->calls.version++;
+    self->interval.filling = next;
+    copy(self->window.node + next * STATES, x, STATES);
+    copy(self->window.signal + next * SIGNALS, self->input.signal, SIGNALS);
+    self->window.friction[next] = self->interval.friction;
+    self->window.weight[next] = weight;
     start_interval(self);
     return status;
 }
 
 int etel_xy_controller_feedback(etel_xy_controller_t *self)
 {
-    const uint32_t phase = self->phase;
+    const uint32_t phase = self->calls.phase;
     int status;
     if (!etel_xy_controller_due(self)) {
         return ETEL_XY_CONTROLLER_EARLY;
@@ -897,11 +908,11 @@ int etel_xy_controller_feedback(etel_xy_controller_t *self)
     if (phase != IDLE && phase != SPOILT) {
         return ETEL_XY_CONTROLLER_OVERLAP;
     }
-    self->phase = FEEDING;
+    self->calls.phase = FEEDING;
     SGMS_FENCE();
     status = phase == SPOILT ? start_again(self, ETEL_XY_CONTROLLER_OVERLAP) : update(self);
     SGMS_FENCE();
-    self->phase = IDLE;
+    self->calls.phase = IDLE;
     return status;
 }
 
@@ -909,27 +920,29 @@ int etel_xy_controller_feedback(etel_xy_controller_t *self)
  * tau slope, tau from -1 to 1. */
 static void take_step(etel_xy_controller_t *self, const sgms_real *mean, const sgms_real *slope)
 {
-    sgms_real *term = self->term + self->step * NODES * TERMS * SERIES_STRIDE + self->filling;
+    sgms_real *term = self->window.term + self->interval.step * NODES * TERMS * SERIES_STRIDE +
+        self->interval.filling;
     for (int node = 0; node < NODES; node++) {
         sgms_real w[SIGNALS] = { 0.0f };
         w[W_VELOCITY] = mean[W_VELOCITY] + (sgms_real)(node - 1) * slope[W_VELOCITY];
         sample_terms(w, term + node * TERMS * SERIES_STRIDE, SERIES_STRIDE);
     }
-    integrate_blocks(term, self->newest);
-    self->step++;
+    integrate_blocks(term, self->interval.blocks);
+    self->interval.step++;
 }
 
 /* Take the newest signals into the line through merged samples; its last one completes a step. */
 static SGMS_INLINE void extend_series(etel_xy_controller_t *self)
 {
-    self->merged[W_VELOCITY] += 0.2f * self->signal[W_VELOCITY];
-    self->merged_slope[W_VELOCITY] += slope_weight[self->merged_count] * self->signal[W_VELOCITY];
-    self->merged_count++;
-    if (self->merged_count == MERGED) {
-        take_step(self, self->merged, self->merged_slope);
-        self->merged_count = 0;
-        fill(self->merged, 0.0f, SIGNALS);
-        fill(self->merged_slope, 0.0f, SIGNALS);
+    self->input.merged[W_VELOCITY] += 0.2f * self->input.signal[W_VELOCITY];
+    self->input.slope[W_VELOCITY] += slope_weight[self->input.count] *
+        self->input.signal[W_VELOCITY];
+    self->input.count++;
+    if (self->input.count == MERGED) {
+        take_step(self, self->input.merged, self->input.slope);
+        self->input.count = 0;
+        fill(self->input.merged, 0.0f, SIGNALS);
+        fill(self->input.slope, 0.0f, SIGNALS);
     }
 }
 
@@ -941,7 +954,7 @@ static SGMS_INLINE int take_signals(
         sgms_is_reading(signals->velocity) && sgms_fabs(signals->position) < SGMS_FARTHEST &&
                      sgms_is_reading(signals->acceleration) && sgms_is_reading(signals->force);
     if (good) { /* those that the model reads */
-        self->signal[W_VELOCITY] = signals->velocity;
+        self->input.signal[W_VELOCITY] = signals->velocity;
     }
     return good;
 }
@@ -949,12 +962,13 @@ static SGMS_INLINE int take_signals(
 /* The first sample is the first node. */
 static void start_series(etel_xy_controller_t *self, int measured, sgms_real friction)
 {
-    self->started = 1;
-    copy(self->node_signal + self->filling * SIGNALS, self->signal, SIGNALS);
-    self->node_weight[self->filling] = measured ? 1.0f / self->settings.measurement : 0.0f;
-    self->node_friction[self->filling] = measured ? friction : 0.0f;
-    self->last_valid = 0;
-    self->last_friction = 0.0f;
+    self->interval.started = 1;
+    copy(self->window.signal + self->interval.filling * SIGNALS, self->input.signal, SIGNALS);
+    self->window.weight[self->interval.filling] =
+        measured ? 1.0f / self->settings.measurement : 0.0f;
+    self->window.friction[self->interval.filling] = measured ? friction : 0.0f;
+    self->interval.is_valid = 0;
+    self->interval.friction = 0.0f;
 }
 
 /* Take the signals of one sample in. */
@@ -963,23 +977,24 @@ static SGMS_INLINE void take_sample(
 {
     const int good = take_signals(self, signals);
     const int measured = good && signals->valid && sgms_is_reading(signals->friction);
-    if (!self->started) {
+    if (!self->interval.started) {
         start_series(self, measured, signals->friction);
         return;
     }
-    if (self->step == STEPS) {
-        self->lost = 1;
+    if (self->interval.step == STEPS) {
+        self->interval.lost = 1;
         return;
     }
-    self->path[self->filling] += sgms_fabs(self->signal[W_VELOCITY]) * SAMPLE_TIME;
-    if (sgms_fabs(self->signal[W_VELOCITY]) > MAX_VELOCITY) {
-        self->too_fast = 1;
+    self->interval.path[self->interval.filling] += sgms_fabs(self->input.signal[W_VELOCITY]) *
+        SAMPLE_TIME;
+    if (sgms_fabs(self->input.signal[W_VELOCITY]) > MAX_VELOCITY) {
+        self->interval.too_fast = 1;
     }
     extend_series(self);
-    if (self->step == STEPS) {
-        self->last_valid = (uint8_t)measured;
-        self->last_friction = measured ? signals->friction : self->last_friction;
-    } else if (self->merged_count == 0 && self->step % SPACING == 0) {
+    if (self->interval.step == STEPS) {
+        self->interval.is_valid = measured;
+        self->interval.friction = measured ? signals->friction : self->interval.friction;
+    } else if (self->input.count == 0 && self->interval.step % SPACING == 0) {
         take_inner(self, measured, signals->friction);
     }
 }
@@ -987,8 +1002,8 @@ static SGMS_INLINE void take_sample(
 etel_xy_controller_real etel_xy_controller_insert(
     etel_xy_controller_t *self, const etel_xy_controller_signals *signals)
 {
-    self->through_chain = 0;
-    self->lag = 0.0f;
+    self->compensation.through_chain = 0;
+    self->compensation.lag = 0.0f;
     take_sample(self, signals);
     follow_compensation(self);
     return fed_forward(self);
@@ -999,15 +1014,15 @@ static void take_reading(
     etel_xy_controller_t *self, etel_xy_controller_position position, etel_xy_controller_real force)
 {
     const sgms_filter_memory memory = {
-        self->chain_position, self->chain_lowpass, self->chain_last, self->chain_counts,
-            self->moved };
+        self->chain.position, self->chain.lowpass, self->chain.last, self->chain.counts,
+            self->chain.moved };
     const sgms_aligned aligned = sgms_filter_step(&chain, &memory, position.pm, force);
     const etel_xy_controller_signals signals = {
         aligned.position, aligned.velocity, aligned.acceleration, aligned.force, aligned.friction,
             aligned.valid,
         0.0 };
-    follow_lag(self, sgms_metres(self->chain_position[1]));
-    self->through_chain = 1;
+    follow_lag(self, sgms_metres(self->chain.position[1]));
+    self->compensation.through_chain = 1;
     take_sample(self, &signals);
     follow_compensation(self);
 }
@@ -1028,7 +1043,7 @@ etel_xy_controller_real etel_xy_controller_tick(
         return fed_forward(self);
     }
     /* otherwise another task prepares, or this sample took a step */
-    if (self->phase == IDLE && self->merged_count > 0) {
+    if (self->calls.phase == IDLE && self->input.count > 0) {
         for (int left = COST_PER_SAMPLE, cost = next_cost(self); cost > 0 && cost <= left;
             cost = next_cost(self)) {
             work(self);
@@ -1042,45 +1057,45 @@ void etel_xy_controller_ahead(etel_xy_controller_t *self, etel_xy_controller_rea
     etel_xy_controller_real acceleration)
 {
     if (sgms_is_reading(velocity) && sgms_is_reading(acceleration)) {
-        self->ahead[0] = velocity;
-        self->ahead[1] = acceleration;
-        self->ahead_given = 2; /* for the sample that comes; it counts down */
+        self->compensation.ahead[0] = velocity;
+        self->compensation.ahead[1] = acceleration;
+        self->compensation.ahead_given = 2; /* for the sample that comes; it counts down */
     }
 }
 
 void etel_xy_controller_compensate(etel_xy_controller_t *self, int on)
 {
-    self->compensate = on != 0;
+    self->compensation.on = on != 0;
 }
 
 etel_xy_controller_real etel_xy_controller_share(const etel_xy_controller_t *self)
 {
-    return self->gain;
+    return self->compensation.gain;
 }
 
 void etel_xy_controller_estimate(
     const etel_xy_controller_t *self, etel_xy_controller_estimate_t *estimate)
 {
-    const model_point at = { self->good_state, self->signal, self->good_theta };
+    const model_point at = { self->estimate.state, self->input.signal, self->estimate.theta };
     sgms_real root[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], scratch[PARAMETERS];
     for (int attempt = 0; attempt < 3; attempt++) {
-        const uint32_t version = self->version;
+        const uint32_t version = self->calls.version;
         SGMS_FENCE();
-        estimate->friction = self->friction;
-        estimate->friction_measured = self->friction_measured;
+        estimate->friction = self->estimate.friction;
+        estimate->friction_measured = self->estimate.friction_measured;
         deflections(&at, estimate->deflection);
-        parameters_si(self->good_theta, estimate->parameter);
-        unpack_root(self->good_root, root);
+        parameters_si(self->estimate.theta, estimate->parameter);
+        unpack_root(self->estimate.root, root);
         sgms_variances(root, PARAMETERS, ROOT_WIDTH, variance, scratch);
         for (int p = 0; p < PARAMETERS; p++) {
             estimate->deviation[p] = sgms_sqrt(variance[p]) * parameter_unit[p];
         }
-        estimate->innovation = self->good_reading.innovation;
-        estimate->test_ratio = self->good_reading.test_ratio;
-        estimate->noise_scale = self->good_reading.noise_scale;
-        estimate->status = (int)self->status;
+        estimate->innovation = self->estimate.reading.innovation;
+        estimate->test_ratio = self->estimate.reading.test_ratio;
+        estimate->noise_scale = self->estimate.reading.noise_scale;
+        estimate->status = (int)self->estimate.status;
         SGMS_FENCE();
-        if (version % 2 == 0 && version == self->version) {
+        if (version % 2 == 0 && version == self->calls.version) {
             return;
         }
     }
@@ -1216,8 +1231,8 @@ SGMS_COLD int etel_xy_controller_set_mass(etel_xy_controller_t *self, etel_xy_co
     if (!(moved >= MASS / MASS_RANGE && moved <= MASS * MASS_RANGE)) {
         return ETEL_XY_CONTROLLER_REFUSED;
     }
-    self->moved = moved;
-    self->chain_counts[2] = 0; /* in the filters there is friction by the one before */
+    self->chain.moved = moved;
+    self->chain.counts[2] = 0; /* in the filters there is friction by the one before */
     return ETEL_XY_CONTROLLER_OK;
 }
 
@@ -1226,32 +1241,33 @@ SGMS_COLD int etel_xy_controller_set_mass(etel_xy_controller_t *self, etel_xy_co
 static SGMS_COLD void start_with(
     etel_xy_controller_t *self, int p, sgms_real theta, const sgms_real *square)
 {
-    const int started = self->started;
-    const sgms_real *const node = self->node + self->filling * STATES;
+    const int started = self->interval.started;
+    const sgms_real *const node = self->window.node + self->interval.filling * STATES;
     sgms_real w[SIGNALS], x[STATES];
-    self->phase = self->phase == PREPARING || self->phase == VOIDED ? VOIDED : IDLE;
+    self->calls.phase =
+        self->calls.phase == PREPARING || self->calls.phase == VOIDED ? VOIDED : IDLE;
     SGMS_FENCE();
-    copy(w, self->signal, SIGNALS);
+    copy(w, self->input.signal, SIGNALS);
     copy(x, node, STATES);
     if (started) {
         sgms_real end[STATES];
-        blocks_states(&self->parameters, self->newest, end);
-        copy(x, is_plausible(end) ? end : self->good_state, STATES);
+        blocks_states(&self->parameters, self->interval.blocks, end);
+        copy(x, is_plausible(end) ? end : self->estimate.state, STATES);
     }
-    copy(self->parameters.theta, self->good_theta, PARAMETERS);
+    copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
     self->parameters.theta[p] = theta;
-    self->version++;
+    self->calls.version++;
     SGMS_FENCE();
-    self->good_theta[p] = theta;
-    pack_root(square, self->good_root);
-    self->status = ETEL_XY_CONTROLLER_FILLING;
+    self->estimate.theta[p] = theta;
+    pack_root(square, self->estimate.root);
+    self->estimate.status = ETEL_XY_CONTROLLER_FILLING;
     SGMS_FENCE();
-    self->version++;
-    start_window(self, x, self->good_root);
-    copy(self->node_signal, w, SIGNALS);
-    self->node_weight[0] = 0.0f;
-    self->node_friction[0] = 0.0f;
-    self->started = started;
+    self->calls.version++;
+    start_window(self, x, self->estimate.root);
+    copy(self->window.signal, w, SIGNALS);
+    self->window.weight[0] = 0.0f;
+    self->window.friction[0] = 0.0f;
+    self->interval.started = started;
 }
 
 /* Let theta[p] be known this well, apart from the others, of which nothing is lost. */
@@ -1259,7 +1275,7 @@ static SGMS_COLD void set_theta(
     etel_xy_controller_t *self, int p, sgms_real theta, sgms_real inverse_sd)
 {
     sgms_real square[PARAMETERS * ROOT_WIDTH], scratch[PARAMETERS];
-    unpack_root(self->good_root, square);
+    unpack_root(self->estimate.root, square);
     /* With its column in front, the rows below the first are what is known of the others whatever
      * it is. */
     for (int i = 0; i < PARAMETERS; i++) {
@@ -1290,8 +1306,8 @@ SGMS_COLD int etel_xy_controller_hold(etel_xy_controller_t *self, int parameter,
     if (parameter < 0 || parameter >= PARAMETERS) {
         return ETEL_XY_CONTROLLER_REFUSED;
     }
-    self->held[parameter] = (uint8_t)(on != 0);
-    set_theta(self, parameter, self->good_theta[parameter], inverse_prior(self, parameter));
+    self->estimate.held[parameter] = (uint8_t)(on != 0);
+    set_theta(self, parameter, self->estimate.theta[parameter], inverse_prior(self, parameter));
     return ETEL_XY_CONTROLLER_OK;
 }
 
@@ -1318,12 +1334,12 @@ SGMS_COLD int etel_xy_controller_set_parameter(etel_xy_controller_t *self, int p
         }
         theta = sgms_fmin(sgms_fmax(theta, lower), upper);
     }
-    copy(whole, self->good_theta, PARAMETERS);
+    copy(whole, self->estimate.theta, PARAMETERS);
     whole[parameter] = theta;
     if (!is_model(whole)) {
         return ETEL_XY_CONTROLLER_REFUSED;
     }
-    self->held[parameter] = (uint8_t)(sd == 0.0f);
+    self->estimate.held[parameter] = (uint8_t)(sd == 0.0f);
     set_theta(self, parameter, theta, sd == 0.0f ? inverse_prior(self, parameter) : 1.0f / sd);
     return ETEL_XY_CONTROLLER_OK;
 }
@@ -1335,13 +1351,13 @@ SGMS_COLD int etel_xy_controller_save(
     saved->machine[0] = ETEL_XY_CONTROLLER_SAVED_MACHINE_0;
     saved->machine[1] = ETEL_XY_CONTROLLER_SAVED_MACHINE_1;
     for (int attempt = 0; attempt < 3; attempt++) {
-        const uint32_t version = self->version;
+        const uint32_t version = self->calls.version;
         SGMS_FENCE();
-        copy(saved->theta, self->good_theta, PARAMETERS);
-        copy(saved->root, self->good_root, ETEL_XY_CONTROLLER_ROOT_SIZE);
-        saved->ratio = self->good_ratio;
+        copy(saved->theta, self->estimate.theta, PARAMETERS);
+        copy(saved->root, self->estimate.root, ETEL_XY_CONTROLLER_ROOT_SIZE);
+        saved->ratio = self->estimate.ratio;
         SGMS_FENCE();
-        if (version % 2 == 0 && version == self->version) {
+        if (version % 2 == 0 && version == self->calls.version) {
             saved->checksum = checksum_of(saved);
             return ETEL_XY_CONTROLLER_OK;
         }
@@ -1383,10 +1399,10 @@ SGMS_COLD int etel_xy_controller_load(
     }
     sgms_qr_grow(square, PARAMETERS, PARAMETERS, growth, scratch);
     copy(self->parameters.theta, saved->theta, PARAMETERS);
-    copy(self->good_theta, saved->theta, PARAMETERS);
-    pack_root(square, self->good_root);
-    start_window(self, zero, self->good_root);
-    self->ratio_slow = saved->ratio;
-    self->good_ratio = saved->ratio;
+    copy(self->estimate.theta, saved->theta, PARAMETERS);
+    pack_root(square, self->estimate.root);
+    start_window(self, zero, self->estimate.root);
+    self->innovations.ratio_slow = saved->ratio;
+    self->estimate.ratio = saved->ratio;
     return ETEL_XY_CONTROLLER_OK;
 }

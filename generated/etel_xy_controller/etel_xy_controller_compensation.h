@@ -138,11 +138,11 @@ static void element_ahead(
  * position costs digits. */
 static void follow_lag(etel_xy_controller_t *self, sgms_real d)
 {
-    sgms_real *const s = self->lag_state;
+    sgms_real *const s = self->compensation.lag_state;
     const sgms_lowpass *const f = &chain.lowpass;
     const sgms_real once =
         (1.0f - f->b0) * d + (f->b2 - f->a2) * s[2] - f->a1 * s[0] - f->a2 * s[1];
-    self->lag = d + s[3];
+    self->compensation.lag = d + s[3];
     s[1] = s[0];
     s[0] = once;
     s[2] = d;
@@ -152,29 +152,31 @@ static void follow_lag(etel_xy_controller_t *self, sgms_real d)
 /* Nothing fed forward, nothing moved. */
 static void start_compensation(etel_xy_controller_t *self)
 {
-    fill(self->lag_state, 0.0f, 6);
-    fill(self->ahead, 0.0f, 2);
-    self->lag = 0.0f;
-    self->gain = 0.0f;
-    self->ahead_given = 0;
-    self->through_chain = 0;
+    fill(self->compensation.lag_state, 0.0f, 6);
+    fill(self->compensation.ahead, 0.0f, 2);
+    self->compensation.lag = 0.0f;
+    self->compensation.gain = 0.0f;
+    self->compensation.ahead_given = 0;
+    self->compensation.through_chain = 0;
 }
 
 static course course_ahead(const etel_xy_controller_t *self)
 {
     course c;
-    const sgms_real behind = self->through_chain ? LAG_TIME : 0.0f;
-    const sgms_real measured = self->signal[W_VELOCITY];
-    const sgms_real mean = self->through_chain ? self->lag * OVER_LAG_TIME : measured;
+    const sgms_real behind = self->compensation.through_chain ? LAG_TIME : 0.0f;
+    const sgms_real measured = self->input.signal[W_VELOCITY];
+    const sgms_real mean =
+        self->compensation.through_chain ? self->compensation.lag * OVER_LAG_TIME : measured;
     /* samples that no step has taken in */
-    const sgms_real pending = (sgms_real)self->merged_count * SAMPLE_TIME;
+    const sgms_real pending = (sgms_real)self->input.count * SAMPLE_TIME;
     c.duration[0] = pending + behind;
-    c.distance[0] = self->merged[W_VELOCITY] * STEP_TIME + self->lag;
+    c.distance[0] = self->input.merged[W_VELOCITY] * STEP_TIME + self->compensation.lag;
     c.velocity[0] = c.duration[0] > 0.0f ? c.distance[0] / c.duration[0] : 0.0f;
     /* Without a set-point: the line through the filtered velocity and the mean one since. */
     c.direction[0] =
         sgms_fabs(c.velocity[0]) > AHEAD_GATE ? sgms_copy_sign(1.0f, c.velocity[0]) : 0.0f;
-    c.end = self->ahead_given ? self->ahead[0] : measured + (mean - measured) * AT_END;
+    c.end = self->compensation.ahead_given ? self->compensation.ahead[0]
+        : measured + (mean - measured) * AT_END;
     return c;
 }
 
@@ -184,10 +186,10 @@ static sgms_real friction_ahead(const etel_xy_controller_t *self)
     const course c = course_ahead(self);
     sgms_real term[MOVES * TERMS], w[SIGNALS], x[STATES], friction;
     const model_point at = { x, w, self->parameters.theta };
-    w[W_POSITION] = self->signal[W_POSITION];
-    w[W_ACCELERATION] = self->ahead_given ? self->ahead[1] : 0.0f;
-    w[W_FORCE] = self->signal[W_FORCE];
-    w[W_TIME] = self->signal[W_TIME];
+    w[W_POSITION] = self->input.signal[W_POSITION];
+    w[W_ACCELERATION] = self->compensation.ahead_given ? self->compensation.ahead[1] : 0.0f;
+    w[W_FORCE] = self->input.signal[W_FORCE];
+    w[W_TIME] = self->input.signal[W_TIME];
     for (int move = 0; move < MOVES; move++) {
         w[W_POSITION] += c.distance[move];
         w[W_VELOCITY] = c.velocity[move];
@@ -197,7 +199,7 @@ static sgms_real friction_ahead(const etel_xy_controller_t *self)
     w[W_VELOCITY] = c.end;
     {
         sgms_real chi[ELEMENT_BLOCKS * ELEMENT_STATES];
-        element_ahead(&c, term, self->newest + ELEMENT_PLACE, chi);
+        element_ahead(&c, term, self->interval.blocks + ELEMENT_PLACE, chi);
         SGMS_UNROLL
         for (int block = 0; block < ELEMENT_BLOCKS; block++) {
             SGMS_UNROLL
@@ -208,37 +210,37 @@ static sgms_real friction_ahead(const etel_xy_controller_t *self)
         }
     }
     friction = feed_forward_force(&at);
-    return sgms_is_finite(friction) ? friction : self->friction;
+    return sgms_is_finite(friction) ? friction : self->estimate.friction;
 }
 
 /* Whether the friction ahead is not to be relied on: the state was lost, or is carried along a
  * motion that nobody saw or that no axis makes. */
 static int is_unsound(const etel_xy_controller_t *self, sgms_real speed)
 {
-    return self->status < 0 || (self->status & ETEL_XY_CONTROLLER_OVERRUN) || self->lost ||
-        self->chain_counts[1] > SETTLE ||
+    return self->estimate.status < 0 || (self->estimate.status & ETEL_XY_CONTROLLER_OVERRUN) ||
+        self->interval.lost || self->chain.counts[1] > SETTLE ||
            speed > 2.0f * MAX_VELOCITY;
 }
 
 /* Once per sample: ramp. */
 static void follow_compensation(etel_xy_controller_t *self)
 {
-    const sgms_real speed =
-        sgms_fmax(sgms_fabs(self->signal[W_VELOCITY]), sgms_fabs(self->lag) * OVER_LAG_TIME);
-    const int on = self->compensate && !is_unsound(self, speed);
-    self->ahead_given -= self->ahead_given > 0;
-    self->gain =
-        on ? sgms_fmin(self->gain + GAIN_STEP, 1.0f) : sgms_fmax(self->gain - GAIN_STEP, 0.0f);
+    const sgms_real speed = sgms_fmax(sgms_fabs(self->input.signal[W_VELOCITY]),
+        sgms_fabs(self->compensation.lag) * OVER_LAG_TIME);
+    const int on = self->compensation.on && !is_unsound(self, speed);
+    self->compensation.ahead_given -= self->compensation.ahead_given > 0;
+    self->compensation.gain = on ? sgms_fmin(self->compensation.gain + GAIN_STEP, 1.0f)
+        : sgms_fmax(self->compensation.gain - GAIN_STEP, 0.0f);
 }
 
 /* The force to feed forward now. */
 static sgms_real fed_forward(etel_xy_controller_t *self)
 {
     sgms_real force;
-    if (!self->compensate && !(self->gain > 0.0f)) { /* nobody wants to know */
+    if (!self->compensation.on && !(self->compensation.gain > 0.0f)) { /* nobody wants to know */
         return 0.0f;
     }
-    force = self->gain * friction_ahead(self);
+    force = self->compensation.gain * friction_ahead(self);
     force = sgms_fmin(sgms_fmax(force, -LIMIT), LIMIT);
     return force;
 }

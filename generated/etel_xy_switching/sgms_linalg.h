@@ -1,6 +1,5 @@
 /* Small dense least squares in square-root form. Matrices are row-major; nothing forms J'J, so
- * single precision works.
- */
+ * single precision works. */
 #ifndef SGMS_LINALG_H
 #define SGMS_LINALG_H
 
@@ -13,8 +12,7 @@
 #define SGMS_FROM(c) (c)
 #endif
 
-/* A sum of squares below it has lost digits, and what it would reflect would not keep its length:
- * it counts as zero. */
+/* A sum of squares below this has lost digits and counts as zero. */
 #if SGMS_SINGLE
 #define SGMS_LEAST_SQUARE 1e-30f
 #else
@@ -72,8 +70,7 @@ static SGMS_INLINE void sgms_reflect(
 }
 
 /* Householder reflections that make the first `columns` columns of the rows x width matrix a upper
- * triangular, from row 0 on; rows lie `stride` numbers apart. Entries below the diagonal of these
- * columns are set to zero. v: `rows` numbers. */
+ * triangular; rows lie `stride` numbers apart. v: `rows` numbers. */
 static inline void sgms_qr(
     sgms_real *SGMS_RESTRICT a, int rows, int stride, int width, int columns,
     sgms_real *SGMS_RESTRICT v)
@@ -144,8 +141,7 @@ static SGMS_INLINE void sgms_qr_grow(
     }
 }
 
-/* Solve the upper triangular system in the n x width matrix r (its first n columns) with right side
- * b into x. */
+/* Solve r x = b, r upper triangular in the first n columns of an n x width matrix. */
 static inline void sgms_back_substitute(
     const sgms_real *r, int n, int width, const sgms_real *b, sgms_real *x)
 {
@@ -180,8 +176,7 @@ static inline void sgms_variances(
     }
 }
 
-/* A least-squares problem in a box: minimise |r x - b| over lower <= x <= upper; r is n x width,
- * upper triangular. */
+/* Minimise |r x - b| over lower <= x <= upper; r is n x width, upper triangular. */
 typedef struct {
     const sgms_real *r;
     int n, width;
@@ -269,8 +264,7 @@ static inline int sgms_box_least_squares(
             active++;
             continue;
         }
-        /* Optimal over the free variables: release the bound that pushes hardest the wrong way, if
-         * one does. */
+        /* Optimal over the free variables: release the bound with the largest wrong gradient. */
         {
             int worst = -1;
             sgms_real strongest = SGMS_R(0.0);
@@ -287,8 +281,7 @@ static inline int sgms_box_least_squares(
                     gradient += r[i * width + j] * work[i];
                     size += sgms_fabs(r[i * width + j] * work[i]);
                 }
-                /* A gradient within rounding of zero does not release a bound: it would be pinned
-                 * again. */
+                /* a gradient within rounding of zero releases none */
                 if ((sgms_real)pinned[j] * gradient > SGMS_ROUNDING * size &&
                     sgms_fabs(gradient) > strongest) {
                     worst = j;

@@ -7,5 +7,5 @@
 /* As if so many samples had passed since init. */
 void probe_set_clock(void *self, int64_t samples)
 {
-    ((JOIN(SGMS_MACHINE, t) *)self)->elapsed = samples;
+    ((JOIN(SGMS_MACHINE, t) *)self)->input.elapsed = samples;
 }

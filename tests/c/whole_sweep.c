@@ -8,12 +8,12 @@ typedef JOIN(SGMS_MACHINE, t) machine;
 /* Older intervals that were condensed again; -1: none, and the factor was left as it was. */
 int probe_sweep(const void *self)
 {
-    return (int)((const machine *)self)->sweep;
+    return (int)((const machine *)self)->sweep.back;
 }
 
 /* Have all older intervals condensed by the next prepare. */
 void probe_forget_sweep(void *self)
 {
     machine *const axis = self;
-    axis->sweep = axis->complete;
+    axis->sweep.back = axis->sweep.complete;
 }

@@ -26,7 +26,9 @@ _OPERATIONS: Final[Mapping[type[ast.operator], Callable[[int, int], int]]] = {
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
 }
-_STRUCT: Final = re.compile(r"typedef struct \{(.*?)\} (\w+);", re.DOTALL)
+_STRUCT: Final = re.compile(r"^typedef struct \{(.*?)^\} (\w+);", re.DOTALL | re.MULTILINE)
+_GROUP: Final = re.compile(r"struct \{([^{}]*)\} (\w+);")
+"""Members of a structure that are one of their own."""
 _CONSTANT: Final = re.compile(
     r"(?:^#define (?=\w+ )|^ +(?=\w+ = )|enum \{ )(\w+)(?: = | )([\w +*()-]+?)(?:,|\n| \})", re.MULTILINE
 )
@@ -129,10 +131,11 @@ def _count(dimensions: str, constants: Mapping[str, int]) -> int:
 
 def _struct(body: str, types: Mapping[str, _Type], constants: Mapping[str, int]) -> _Type:
     """A structure, its members one after the other at multiples of their alignment."""
+    groups = {f"struct.{name}": _struct(members, types, constants) for members, name in _GROUP.findall(body)}
     size, alignment = 0, 1
-    for declaration in filter(None, (part.strip() for part in body.split(";"))):
+    for declaration in filter(None, (part.strip() for part in _GROUP.sub(r"struct.\2 \2;", body).split(";"))):
         kind, _, members = declaration.removeprefix("volatile ").partition(" ")
-        own = types[kind]
+        own = groups[kind] if kind in groups else types[kind]
         alignment = max(alignment, own.alignment)
         for member in members.split(","):
             size = -(-size // own.alignment) * own.alignment + own.size * _count(member, constants)

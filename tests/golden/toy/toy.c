@@ -24,7 +24,7 @@ static void copy(sgms_real *to, const sgms_real *from, int count)
 /* A slot `back` intervals before the one that is filling; -1 is the next one. */
 static int slot_before(const toy_t *self, int back)
 {
-    const int slot = (int)self->filling - back;
+    const int slot = (int)self->interval.filling - back;
     return slot < 0 ? slot + SLOTS : (slot < SLOTS ? slot : slot - SLOTS);
 }
 
@@ -61,7 +61,7 @@ static void pack_root(const sgms_real *square, sgms_real *root)
 /* One over the standard deviation that a parameter starts with. */
 static sgms_real inverse_prior(const toy_t *self, int p)
 {
-    return 1.0 / (self->held[p] ? HELD_SD : self->settings.parameter);
+    return 1.0 / (self->estimate.held[p] ? HELD_SD : self->settings.parameter);
 }
 
 /* The root of the prior: independent parameters, those that are held known. */
@@ -78,7 +78,7 @@ static void prior_root(const toy_t *self, sgms_real *root)
  * and not at all where it is held. */
 static sgms_real growth_of(const toy_t *self, int p, sgms_real wanted, sgms_real variance)
 {
-    const sgms_real most = self->held[p] ? 0.0 : self->settings.parameter;
+    const sgms_real most = self->estimate.held[p] ? 0.0 : self->settings.parameter;
     return sgms_sqrt(sgms_fmin(wanted, sgms_fmax(0.0, most * most - variance)));
 }
 
@@ -115,49 +115,50 @@ static void set_root(sgms_real *factor, const sgms_real *root, const sgms_real *
 static void start_interval(toy_t *self)
 {
     parameter_terms(&self->parameters);
-    start_blocks(&self->parameters, self->node + self->filling * STATES, self->newest);
-    self->step = 0;
-    self->merged_count = 0;
-    fill(self->merged, 0.0, SIGNALS);
-    self->path[self->filling] = 0.0;
-    self->too_fast = 0;
-    self->cursor = 0;
+    start_blocks(&self->parameters, self->window.node + self->interval.filling * STATES,
+        self->interval.blocks);
+    self->interval.step = 0;
+    self->input.count = 0;
+    fill(self->input.merged, 0.0, SIGNALS);
+    self->interval.path[self->interval.filling] = 0.0;
+    self->interval.too_fast = 0;
+    self->sweep.cursor = 0;
 }
 
 /* Window of no interval yet; the node where the next sample stands has mean x. What is known of
  * theta: NULL is the prior. */
 static void start_window(toy_t *self, const sgms_real *x, const sgms_real *root)
 {
-    self->filling = 0;
-    self->started = 0;
-    self->ratio_fast = 1.0;
-    self->ratio_slow = 1.0;
-    self->reading.innovation = 0.0;
-    self->reading.test_ratio = 0.0;
-    self->reading.noise_scale = 1.0;
-    copy(self->node, x, STATES);
-    self->complete = 0;
-    self->shifts = 0;
-    self->pending_drift = 0;
-    set_factor(self, self->arrival, inverse_initial_state, x);
+    self->interval.filling = 0;
+    self->interval.started = 0;
+    self->innovations.ratio_fast = 1.0;
+    self->innovations.ratio_slow = 1.0;
+    self->innovations.newest.innovation = 0.0;
+    self->innovations.newest.test_ratio = 0.0;
+    self->innovations.newest.noise_scale = 1.0;
+    copy(self->window.node, x, STATES);
+    self->sweep.complete = 0;
+    self->sweep.shifts = 0;
+    self->sweep.pending_drift = 0;
+    set_factor(self, self->sweep.arrival, inverse_initial_state, x);
     if (root != NULL) {
-        set_root(self->arrival, root, self->parameters.theta);
+        set_root(self->sweep.arrival, root, self->parameters.theta);
     }
     start_interval(self);
 }
 
 static void start_signals(toy_t *self)
 {
-    self->chain_position[0] = 0;
-    self->chain_position[1] = 0;
-    fill(self->chain_lowpass, 0.0, SGMS_FILTER_STATES);
-    fill(self->chain_last, 0.0, SGMS_FILTER_LAST);
+    self->chain.position[0] = 0;
+    self->chain.position[1] = 0;
+    fill(self->chain.lowpass, 0.0, SGMS_FILTER_STATES);
+    fill(self->chain.last, 0.0, SGMS_FILTER_LAST);
     for (int i = 0; i < SGMS_FILTER_COUNTS; i++) {
-        self->chain_counts[i] = 0;
+        self->chain.counts[i] = 0;
     }
-    fill(self->signal, 0.0, SIGNALS);
-    self->lost = 0;
-    self->status = TOY_FILLING;
+    fill(self->input.signal, 0.0, SIGNALS);
+    self->interval.lost = 0;
+    self->estimate.status = TOY_FILLING;
     start_compensation(self);
 }
 
@@ -165,48 +166,49 @@ static void start_signals(toy_t *self)
 static void start_fresh(toy_t *self)
 {
     const sgms_real zero[STATES] = { 0.0 };
-    self->phase = IDLE;
-    self->version = 0;
+    self->calls.phase = IDLE;
+    self->calls.version = 0;
     start_signals(self);
-    self->compensate = 1;
+    self->compensation.on = 1;
     fill(self->parameters.theta, 1.0, PARAMETERS);
-    fill(self->term, 0.0, TOY_SERIES_SIZE);
-    fill(self->node, 0.0, SLOTS * STATES);
-    fill(self->path, 0.0, SLOTS);
+    fill(self->window.term, 0.0, TOY_SERIES_SIZE);
+    fill(self->window.node, 0.0, SLOTS * STATES);
+    fill(self->interval.path, 0.0, SLOTS);
     for (int p = 0; p < PARAMETERS; p++) {
-        self->held[p] = 0;
+        self->estimate.held[p] = 0;
     }
     start_window(self, zero, NULL);
-    copy(self->good_state, zero, STATES);
-    copy(self->good_theta, self->parameters.theta, PARAMETERS);
-    prior_root(self, self->good_root);
-    self->good_ratio = 1.0;
-    self->friction = 0.0;
-    self->friction_measured = 0.0;
-    self->good_reading = self->reading;
+    copy(self->estimate.state, zero, STATES);
+    copy(self->estimate.theta, self->parameters.theta, PARAMETERS);
+    prior_root(self, self->estimate.root);
+    self->estimate.ratio = 1.0;
+    self->estimate.friction = 0.0;
+    self->estimate.friction_measured = 0.0;
+    self->estimate.reading = self->innovations.newest;
 }
 
 void toy_init(toy_t *self)
 {
     toy_settings(&self->settings);
-    self->moved = MASS;
+    self->chain.moved = MASS;
     start_fresh(self);
 }
 
 void toy_reset(toy_t *self)
 {
     const sgms_real zero[STATES] = { 0.0 };
-    self->phase = self->phase == PREPARING || self->phase == VOIDED ? VOIDED : IDLE;
+    self->calls.phase =
+        self->calls.phase == PREPARING || self->calls.phase == VOIDED ? VOIDED : IDLE;
     SGMS_FENCE();
     start_signals(self);
-    copy(self->parameters.theta, self->good_theta, PARAMETERS);
+    copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
     start_window(self, zero, NULL);
 }
 
 /* Friction force [N] at state x and the newest signals. */
 static sgms_real output_at(const toy_t *self, const sgms_real *x, const sgms_real *theta)
 {
-    const model_point at = { x, self->signal, theta };
+    const model_point at = { x, self->input.signal, theta };
     sgms_real c[STATES], d[PARAMETERS];
     return output_force(&at, c, d);
 }
@@ -237,24 +239,25 @@ static sgms_real weigh_row(toy_t *self, const sgms_real *row)
     for (int i = 0; i < FACTOR_ROWS; i++) {
         sgms_real left = row[i];
         for (int j = 0; j < i; j++) {
-            left -= self->factor[j * FACTOR_WIDTH + i] * solved[j];
+            left -= self->sweep.factor[j * FACTOR_WIDTH + i] * solved[j];
         }
-        solved[i] = left / self->factor[i * (FACTOR_WIDTH + 1)];
+        solved[i] = left / self->sweep.factor[i * (FACTOR_WIDTH + 1)];
         predicted += solved[i] * solved[i];
-        innovation -= solved[i] * self->factor[i * FACTOR_WIDTH + FACTOR_ROWS];
+        innovation -= solved[i] * self->sweep.factor[i * FACTOR_WIDTH + FACTOR_ROWS];
     }
     ratio = innovation * innovation / predicted;
     counted = sgms_fmin(ratio, RATIO_MOST);
-    self->ratio_fast += RATIO_FAST * (counted - self->ratio_fast);
-    self->ratio_slow += RATIO_SLOW * (counted - self->ratio_slow);
-    self->reading.innovation = innovation;
-    self->reading.test_ratio = ratio;
+    self->innovations.ratio_fast += RATIO_FAST * (counted - self->innovations.ratio_fast);
+    self->innovations.ratio_slow += RATIO_SLOW * (counted - self->innovations.ratio_slow);
+    self->innovations.newest.innovation = innovation;
+    self->innovations.newest.test_ratio = ratio;
     {
-        const sgms_real wild = ratio * (1.0 / RATIO_FREE) * sgms_fmax(1.0, self->ratio_fast);
-        const sgms_real need =
-            sgms_fmax(sgms_fmax(1.0, wild), sgms_fmax(self->ratio_fast, self->ratio_slow));
+        const sgms_real wild =
+            ratio * (1.0 / RATIO_FREE) * sgms_fmax(1.0, self->innovations.ratio_fast);
+        const sgms_real need = sgms_fmax(sgms_fmax(1.0, wild),
+            sgms_fmax(self->innovations.ratio_fast, self->innovations.ratio_slow));
         const sgms_real sd = sgms_sqrt(stated * stated + (need - 1.0) * predicted);
-        self->reading.noise_scale = sd / stated;
+        self->innovations.newest.noise_scale = sd / stated;
         return 1.0 / sd;
     }
 }
@@ -274,13 +277,13 @@ static void fold_row(sgms_real *factor, sgms_real weight, sgms_real *row)
  * is none. */
 static void start_row(const toy_t *self, int slot, sgms_real *row)
 {
-    const model_point at =
-        { self->node + slot * STATES, self->node_signal + slot * SIGNALS, self->parameters.theta };
+    const model_point at = { self->window.node + slot * STATES,
+        self->window.signal + slot * SIGNALS, self->parameters.theta };
     fill(row, 0.0, FACTOR_WIDTH);
-    if (self->node_weight[slot] > 0.0) {
-        node_row(&at, self->node_friction[slot], row);
+    if (self->window.weight[slot] > 0.0) {
+        node_row(&at, self->window.friction[slot], row);
         for (int i = 0; i < FACTOR_WIDTH; i++) {
-            row[i] *= self->node_weight[slot];
+            row[i] *= self->window.weight[slot];
         }
     }
 }
@@ -379,16 +382,17 @@ static void fold_start(toy_t *self, int slot)
 {
     sgms_real row[FACTOR_WIDTH];
     start_row(self, slot, row);
-    sgms_qr_add_row(self->factor, FACTOR_ROWS, row);
+    sgms_qr_add_row(self->sweep.factor, FACTOR_ROWS, row);
 }
 
 /* Condense an interval whose readings, but for that at its end, are folded in. */
 static void sweep_interval(toy_t *self, int back, const sgms_real *rows)
 {
     const int slot = slot_before(self, back);
-    condense(&self->settings, self->factor, rows, self->kept + slot * STATES * KEPT_WIDTH);
+    condense(
+        &self->settings, self->sweep.factor, rows, self->sweep.kept + slot * STATES * KEPT_WIDTH);
     if (back == HORIZON - 1) { /* the first of a full window is the arrival-cost update */
-        copy(self->arrival, self->factor, FACTOR_ROWS * FACTOR_WIDTH);
+        copy(self->sweep.arrival, self->sweep.factor, FACTOR_ROWS * FACTOR_WIDTH);
     }
 }
 
@@ -396,30 +400,32 @@ static void sweep_interval(toy_t *self, int back, const sgms_real *rows)
 static void expand_node(toy_t *self, int back)
 {
     const int slot = slot_before(self, back);
-    const sgms_real *successor = self->node + slot_before(self, back - 1) * STATES;
-    const sgms_real *rows = self->kept + slot * STATES * KEPT_WIDTH;
-    expand(rows, KEPT_WIDTH, STATES, successor, self->parameters.theta, self->node + slot * STATES);
+    const sgms_real *successor = self->window.node + slot_before(self, back - 1) * STATES;
+    const sgms_real *rows = self->sweep.kept + slot * STATES * KEPT_WIDTH;
+    expand(rows, KEPT_WIDTH, STATES, successor, self->parameters.theta,
+        self->window.node + slot * STATES);
 }
 
 /* All older nodes are known: begin the sweep at the oldest, and the integration. */
 static void start_sweep(toy_t *self)
 {
-    if (self->settings.drift > 0.0 && self->shifts >= DRIFT_INTERVAL) {
-        add_drift(self, self->arrival, (int)self->pending_drift);
-        self->shifts = 0;
-        self->pending_drift = 0;
+    if (self->settings.drift > 0.0 && self->sweep.shifts >= DRIFT_INTERVAL) {
+        add_drift(self, self->sweep.arrival, (int)self->sweep.pending_drift);
+        self->sweep.shifts = 0;
+        self->sweep.pending_drift = 0;
     }
-    copy(self->factor, self->arrival, FACTOR_ROWS * FACTOR_WIDTH);
-    if (self->complete == 0) {
-        fold_start(self, (int)self->filling);
+    copy(self->sweep.factor, self->sweep.arrival, FACTOR_ROWS * FACTOR_WIDTH);
+    if (self->sweep.complete == 0) {
+        fold_start(self, (int)self->interval.filling);
     }
-    start_lanes(SLOTS, &self->parameters, self->node, self->lane);
+    start_lanes(SLOTS, &self->parameters, self->window.node, self->linearisation.lane);
 }
 
 /* One step of all older intervals side by side. */
 static void linearise_step(toy_t *self, int step)
 {
-    integrate_lanes(SLOTS, self->term + step * NODES * TERMS * SERIES_STRIDE, self->lane);
+    integrate_lanes(
+        SLOTS, self->window.term + step * NODES * TERMS * SERIES_STRIDE, self->linearisation.lane);
 }
 
 /* Condense the interval `back` before the newest. After the last one, the newest's own readings can
@@ -427,14 +433,14 @@ static void linearise_step(toy_t *self, int step)
 static void condense_node(toy_t *self, int back)
 {
     const int slot = slot_before(self, back);
-    const sgms_real *start = self->node + slot * STATES;
+    const sgms_real *start = self->window.node + slot * STATES;
     sgms_real rows[STATES * DEFECT_WIDTH];
     interval_map map;
-    lane_end(&self->parameters, self->lane, slot, start, &map);
+    lane_end(&self->parameters, self->linearisation.lane, slot, start, &map);
     defect_rows(self, start, &map, rows);
     sweep_interval(self, back, rows);
     if (back == 1) {
-        fold_start(self, (int)self->filling);
+        fold_start(self, (int)self->interval.filling);
     }
 }
 
@@ -447,7 +453,7 @@ typedef struct {
 
 static workload workload_of(const toy_t *self)
 {
-    const int nodes = (int)self->complete;
+    const int nodes = (int)self->sweep.complete;
     const workload of = { nodes, nodes > 0 ? STEPS : 0, nodes };
     return of;
 }
@@ -456,7 +462,7 @@ static workload workload_of(const toy_t *self)
 static int next_cost(const toy_t *self)
 {
     const workload of = workload_of(self);
-    const int at = (int)self->cursor - of.nodes, swept = at - of.steps - 1;
+    const int at = (int)self->sweep.cursor - of.nodes, swept = at - of.steps - 1;
     if (at < 0) {
         return EXPAND_COST;
     }
@@ -473,10 +479,10 @@ static int next_cost(const toy_t *self)
 static void work(toy_t *self)
 {
     const workload of = workload_of(self);
-    const int at = (int)self->cursor - of.nodes, swept = at - of.steps - 1,
+    const int at = (int)self->sweep.cursor - of.nodes, swept = at - of.steps - 1,
         back = of.condensed - swept / 2;
     if (at < 0) {
-        expand_node(self, (int)self->cursor + 1);
+        expand_node(self, (int)self->sweep.cursor + 1);
     } else if (at == 0) {
         start_sweep(self);
     } else if (swept < 0) {
@@ -486,37 +492,37 @@ static void work(toy_t *self)
     } else {
         condense_node(self, back);
     }
-    self->cursor++;
+    self->sweep.cursor++;
 }
 
 void toy_prepare(toy_t *self)
 {
     /* before the first sample there is no first node */
-    if (self->phase != IDLE || !self->started) {
+    if (self->calls.phase != IDLE || !self->interval.started) {
         return;
     }
-    self->phase = PREPARING;
+    self->calls.phase = PREPARING;
     SGMS_FENCE();
-    while (self->phase == PREPARING && next_cost(self) > 0) {
+    while (self->calls.phase == PREPARING && next_cost(self) > 0) {
         work(self);
     }
     SGMS_FENCE();
-    self->phase = self->phase == PREPARING ? IDLE : SPOILT;
+    self->calls.phase = self->calls.phase == PREPARING ? IDLE : SPOILT;
 }
 
 int toy_due(const toy_t *self)
 {
-    return self->step == STEPS;
+    return self->interval.step == STEPS;
 }
 
 /* Parameters from the triangular factor, within their bounds. Returns the number of active
  * bounds. */
 static int solve_theta(const toy_t *self, sgms_real *theta)
 {
-    const sgms_real *triangle = self->factor + STATES * FACTOR_WIDTH + STATES;
+    const sgms_real *triangle = self->sweep.factor + STATES * FACTOR_WIDTH + STATES;
     sgms_real right[PARAMETERS];
     for (int i = 0; i < PARAMETERS; i++) {
-        right[i] = self->factor[(STATES + i) * FACTOR_WIDTH + FACTOR_ROWS];
+        right[i] = self->sweep.factor[(STATES + i) * FACTOR_WIDTH + FACTOR_ROWS];
     }
     {
         const sgms_box box = { triangle, PARAMETERS, FACTOR_WIDTH, right, self->settings.lower,
@@ -551,25 +557,25 @@ static int is_plausible(const sgms_real *x)
 static int start_again(toy_t *self, int status)
 {
     sgms_real w[SIGNALS];
-    copy(w, self->signal, SIGNALS);
-    copy(self->parameters.theta, self->good_theta, PARAMETERS);
-    start_window(self, self->good_state, NULL);
-    copy(self->node_signal, w, SIGNALS);
-    self->node_weight[0] = 0.0;
-    self->node_friction[0] = 0.0;
-    self->started = 1;
-    self->good_reading = self->reading;
-    self->status = status;
+    copy(w, self->input.signal, SIGNALS);
+    copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
+    start_window(self, self->estimate.state, NULL);
+    copy(self->window.signal, w, SIGNALS);
+    self->window.weight[0] = 0.0;
+    self->window.friction[0] = 0.0;
+    self->interval.started = 1;
+    self->estimate.reading = self->innovations.newest;
+    self->estimate.status = status;
     return status;
 }
 
 /* Condense the newest interval: the factor is over its end x and theta. */
 static void take_newest(toy_t *self, sgms_real *x)
 {
-    const int slot = (int)self->filling;
-    const sgms_real *start = self->node + slot * STATES;
+    const int slot = (int)self->interval.filling;
+    const sgms_real *start = self->window.node + slot * STATES;
     interval_map map;
-    blocks_end(&self->parameters, self->newest, start, &map);
+    blocks_end(&self->parameters, self->interval.blocks, start, &map);
     {
         sgms_real rows[STATES * DEFECT_WIDTH];
         defect_rows(self, start, &map, rows);
@@ -584,13 +590,13 @@ static int shift_window(toy_t *self, int *status)
 {
     /* where the interval stands that leaves a full window */
     const int next = slot_before(self, -1);
-    const int is_full = self->complete == HORIZON - 1;
+    const int is_full = self->sweep.complete == HORIZON - 1;
     if (is_full) {
-        self->shifts++;
-        self->pending_drift += self->path[next] >= HOLD_PATH;
+        self->sweep.shifts++;
+        self->sweep.pending_drift += self->interval.path[next] >= HOLD_PATH;
     }
     if (!is_full) {
-        self->complete++;
+        self->sweep.complete++;
         *status += TOY_FILLING;
     }
     return next;
@@ -606,17 +612,17 @@ static int update(toy_t *self)
         work(self);
     }
     take_newest(self, x);
-    if (self->last_valid) {
-        const model_point at = { x, self->signal, self->parameters.theta };
+    if (self->interval.is_valid) {
+        const model_point at = { x, self->input.signal, self->parameters.theta };
         sgms_real row[FACTOR_WIDTH];
-        node_row(&at, self->last_friction, row);
+        node_row(&at, self->interval.friction, row);
         weight = weigh_row(self, row);
-        fold_row(self->factor, weight, row);
+        fold_row(self->sweep.factor, weight, row);
     }
     status += solve_theta(self, theta) > 0 ? TOY_BOUND : 0;
-    expand(self->factor, FACTOR_WIDTH, 0, x, theta, x);
-    sgms_variances(
-        self->factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH, variance, scratch);
+    expand(self->sweep.factor, FACTOR_WIDTH, 0, x, theta, x);
+    sgms_variances(self->sweep.factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH,
+        variance, scratch);
     if (!is_plausible(x) || !all_finite(theta, PARAMETERS) || !all_finite(variance, PARAMETERS)) {
         return start_again(self, TOY_NUMERIC);
     }
@@ -625,38 +631,39 @@ static int update(toy_t *self)
         return start_again(self, TOY_NUMERIC);
     }
     copy(self->parameters.theta, theta, PARAMETERS);
-    self->version++;
+    self->calls.version++;
     SGMS_FENCE();
-    copy(self->good_state, x, STATES);
-    copy(self->good_theta, theta, PARAMETERS);
-    keep_root(self->factor, self->good_root);
-    self->good_ratio = self->ratio_slow;
-    self->friction = friction;
-    self->friction_measured = self->last_friction;
-    self->good_reading = self->reading;
+    copy(self->estimate.state, x, STATES);
+    copy(self->estimate.theta, theta, PARAMETERS);
+    keep_root(self->sweep.factor, self->estimate.root);
+    self->estimate.ratio = self->innovations.ratio_slow;
+    self->estimate.friction = friction;
+    self->estimate.friction_measured = self->interval.friction;
+    self->estimate.reading = self->innovations.newest;
 
-    status += self->last_valid ? 0 : TOY_MISSING;
-    status += self->path[self->filling] < HOLD_PATH ? TOY_HOLD : 0;
-    status += self->too_fast ? TOY_SPEED : 0;
-    status += self->ratio_fast > DOUBTED_FAST || self->ratio_slow > DOUBTED_SLOW ? TOY_DOUBT : 0;
-    status += self->lost ? TOY_OVERRUN : 0;
-    self->lost = 0;
+    status += self->interval.is_valid ? 0 : TOY_MISSING;
+    status += self->interval.path[self->interval.filling] < HOLD_PATH ? TOY_HOLD : 0;
+    status += self->interval.too_fast ? TOY_SPEED : 0;
+    status += self->innovations.ratio_fast > DOUBTED_FAST ||
+        self->innovations.ratio_slow > DOUBTED_SLOW ? TOY_DOUBT : 0;
+    status += self->interval.lost ? TOY_OVERRUN : 0;
+    self->interval.lost = 0;
     next = shift_window(self, &status);
-    self->status = status;
+    self->estimate.status = status;
     SGMS_FENCE();
-    self->version++;
-    self->filling = next;
-    copy(self->node + next * STATES, x, STATES);
-    copy(self->node_signal + next * SIGNALS, self->signal, SIGNALS);
-    self->node_friction[next] = self->last_friction;
-    self->node_weight[next] = weight;
+    self->calls.version++;
+    self->interval.filling = next;
+    copy(self->window.node + next * STATES, x, STATES);
+    copy(self->window.signal + next * SIGNALS, self->input.signal, SIGNALS);
+    self->window.friction[next] = self->interval.friction;
+    self->window.weight[next] = weight;
     start_interval(self);
     return status;
 }
 
 int toy_feedback(toy_t *self)
 {
-    const uint32_t phase = self->phase;
+    const uint32_t phase = self->calls.phase;
     int status;
     if (!toy_due(self)) {
         return TOY_EARLY;
@@ -664,26 +671,27 @@ int toy_feedback(toy_t *self)
     if (phase != IDLE && phase != SPOILT) {
         return TOY_OVERLAP;
     }
-    self->phase = FEEDING;
+    self->calls.phase = FEEDING;
     SGMS_FENCE();
     status = phase == SPOILT ? start_again(self, TOY_OVERLAP) : update(self);
     SGMS_FENCE();
-    self->phase = IDLE;
+    self->calls.phase = IDLE;
     return status;
 }
 
 /* One step of the series: store its terms, move the newest interval. */
 static void take_step(toy_t *self, const sgms_real *w)
 {
-    sgms_real *term = self->term + self->step * NODES * TERMS * SERIES_STRIDE + self->filling;
+    sgms_real *term = self->window.term + self->interval.step * NODES * TERMS * SERIES_STRIDE +
+        self->interval.filling;
     sample_terms(w, term, SERIES_STRIDE);
-    integrate_blocks(term, self->newest);
-    self->step++;
+    integrate_blocks(term, self->interval.blocks);
+    self->interval.step++;
 }
 
 static SGMS_INLINE void extend_series(toy_t *self)
 {
-    take_step(self, self->signal);
+    take_step(self, self->input.signal);
 }
 
 /* Keep the newest signals, and say whether they were readings: otherwise the last ones hold. */
@@ -693,7 +701,7 @@ static SGMS_INLINE int take_signals(toy_t *self, const toy_signals *signals)
         sgms_is_reading(signals->velocity) && sgms_fabs(signals->position) < SGMS_FARTHEST &&
                      sgms_is_reading(signals->acceleration) && sgms_is_reading(signals->force);
     if (good) { /* those that the model reads */
-        self->signal[W_VELOCITY] = signals->velocity;
+        self->input.signal[W_VELOCITY] = signals->velocity;
     }
     return good;
 }
@@ -701,12 +709,12 @@ static SGMS_INLINE int take_signals(toy_t *self, const toy_signals *signals)
 /* The first sample is the first node. */
 static void start_series(toy_t *self, int measured, sgms_real friction)
 {
-    self->started = 1;
-    copy(self->node_signal + self->filling * SIGNALS, self->signal, SIGNALS);
-    self->node_weight[self->filling] = measured ? 1.0 / self->settings.measurement : 0.0;
-    self->node_friction[self->filling] = measured ? friction : 0.0;
-    self->last_valid = 0;
-    self->last_friction = 0.0;
+    self->interval.started = 1;
+    copy(self->window.signal + self->interval.filling * SIGNALS, self->input.signal, SIGNALS);
+    self->window.weight[self->interval.filling] = measured ? 1.0 / self->settings.measurement : 0.0;
+    self->window.friction[self->interval.filling] = measured ? friction : 0.0;
+    self->interval.is_valid = 0;
+    self->interval.friction = 0.0;
 }
 
 /* Take the signals of one sample in. */
@@ -714,29 +722,30 @@ static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
 {
     const int good = take_signals(self, signals);
     const int measured = good && signals->valid && sgms_is_reading(signals->friction);
-    if (!self->started) {
+    if (!self->interval.started) {
         start_series(self, measured, signals->friction);
         return;
     }
-    if (self->step == STEPS) {
-        self->lost = 1;
+    if (self->interval.step == STEPS) {
+        self->interval.lost = 1;
         return;
     }
-    self->path[self->filling] += sgms_fabs(self->signal[W_VELOCITY]) * SAMPLE_TIME;
-    if (sgms_fabs(self->signal[W_VELOCITY]) > MAX_VELOCITY) {
-        self->too_fast = 1;
+    self->interval.path[self->interval.filling] += sgms_fabs(self->input.signal[W_VELOCITY]) *
+        SAMPLE_TIME;
+    if (sgms_fabs(self->input.signal[W_VELOCITY]) > MAX_VELOCITY) {
+        self->interval.too_fast = 1;
     }
     extend_series(self);
-    if (self->step == STEPS) {
-        self->last_valid = (uint8_t)measured;
-        self->last_friction = measured ? signals->friction : self->last_friction;
+    if (self->interval.step == STEPS) {
+        self->interval.is_valid = measured;
+        self->interval.friction = measured ? signals->friction : self->interval.friction;
     }
 }
 
 toy_real toy_insert(toy_t *self, const toy_signals *signals)
 {
-    self->through_chain = 0;
-    self->lag = 0.0;
+    self->compensation.through_chain = 0;
+    self->compensation.lag = 0.0;
     take_sample(self, signals);
     follow_compensation(self);
     return fed_forward(self);
@@ -746,15 +755,15 @@ toy_real toy_insert(toy_t *self, const toy_signals *signals)
 static void take_reading(toy_t *self, toy_position position, toy_real force)
 {
     const sgms_filter_memory memory = {
-        self->chain_position, self->chain_lowpass, self->chain_last, self->chain_counts,
-            self->moved };
+        self->chain.position, self->chain.lowpass, self->chain.last, self->chain.counts,
+            self->chain.moved };
     const sgms_aligned aligned = sgms_filter_step(&chain, &memory, position, force);
     const toy_signals signals = {
         aligned.position, aligned.velocity, aligned.acceleration, aligned.force, aligned.friction,
             aligned.valid,
         0.0 };
-    follow_lag(self, sgms_metres(self->chain_position[1]));
-    self->through_chain = 1;
+    follow_lag(self, sgms_metres(self->chain.position[1]));
+    self->compensation.through_chain = 1;
     take_sample(self, &signals);
     follow_compensation(self);
 }
@@ -772,7 +781,7 @@ toy_real toy_tick(toy_t *self, toy_position position, toy_real force)
         (void)toy_feedback(self);
         return fed_forward(self);
     }
-    if (self->phase == IDLE) { /* otherwise another task prepares */
+    if (self->calls.phase == IDLE) { /* otherwise another task prepares */
         for (int left = COST_PER_SAMPLE, cost = next_cost(self); cost > 0 && cost <= left;
             cost = next_cost(self)) {
             work(self);
@@ -785,44 +794,44 @@ toy_real toy_tick(toy_t *self, toy_position position, toy_real force)
 void toy_ahead(toy_t *self, toy_real velocity, toy_real acceleration)
 {
     if (sgms_is_reading(velocity) && sgms_is_reading(acceleration)) {
-        self->ahead[0] = velocity;
-        self->ahead[1] = acceleration;
-        self->ahead_given = 2; /* for the sample that comes; it counts down */
+        self->compensation.ahead[0] = velocity;
+        self->compensation.ahead[1] = acceleration;
+        self->compensation.ahead_given = 2; /* for the sample that comes; it counts down */
     }
 }
 
 void toy_compensate(toy_t *self, int on)
 {
-    self->compensate = on != 0;
+    self->compensation.on = on != 0;
 }
 
 toy_real toy_share(const toy_t *self)
 {
-    return self->gain;
+    return self->compensation.gain;
 }
 
 void toy_estimate(const toy_t *self, toy_estimate_t *estimate)
 {
-    const model_point at = { self->good_state, self->signal, self->good_theta };
+    const model_point at = { self->estimate.state, self->input.signal, self->estimate.theta };
     sgms_real root[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], scratch[PARAMETERS];
     for (int attempt = 0; attempt < 3; attempt++) {
-        const uint32_t version = self->version;
+        const uint32_t version = self->calls.version;
         SGMS_FENCE();
-        estimate->friction = self->friction;
-        estimate->friction_measured = self->friction_measured;
+        estimate->friction = self->estimate.friction;
+        estimate->friction_measured = self->estimate.friction_measured;
         deflections(&at, estimate->deflection);
-        parameters_si(self->good_theta, estimate->parameter);
-        unpack_root(self->good_root, root);
+        parameters_si(self->estimate.theta, estimate->parameter);
+        unpack_root(self->estimate.root, root);
         sgms_variances(root, PARAMETERS, ROOT_WIDTH, variance, scratch);
         for (int p = 0; p < PARAMETERS; p++) {
             estimate->deviation[p] = sgms_sqrt(variance[p]) * parameter_unit[p];
         }
-        estimate->innovation = self->good_reading.innovation;
-        estimate->test_ratio = self->good_reading.test_ratio;
-        estimate->noise_scale = self->good_reading.noise_scale;
-        estimate->status = (int)self->status;
+        estimate->innovation = self->estimate.reading.innovation;
+        estimate->test_ratio = self->estimate.reading.test_ratio;
+        estimate->noise_scale = self->estimate.reading.noise_scale;
+        estimate->status = (int)self->estimate.status;
         SGMS_FENCE();
-        if (version % 2 == 0 && version == self->version) {
+        if (version % 2 == 0 && version == self->calls.version) {
             return;
         }
     }
@@ -956,8 +965,8 @@ SGMS_COLD int toy_set_mass(toy_t *self, toy_real moved)
     if (!(moved >= MASS / MASS_RANGE && moved <= MASS * MASS_RANGE)) {
         return TOY_REFUSED;
     }
-    self->moved = moved;
-    self->chain_counts[2] = 0; /* in the filters there is friction by the one before */
+    self->chain.moved = moved;
+    self->chain.counts[2] = 0; /* in the filters there is friction by the one before */
     return TOY_OK;
 }
 
@@ -965,39 +974,40 @@ SGMS_COLD int toy_set_mass(toy_t *self, toy_real moved)
  * parameters; the states go on. */
 static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms_real *square)
 {
-    const int started = self->started;
-    const sgms_real *const node = self->node + self->filling * STATES;
+    const int started = self->interval.started;
+    const sgms_real *const node = self->window.node + self->interval.filling * STATES;
     sgms_real w[SIGNALS], x[STATES];
-    self->phase = self->phase == PREPARING || self->phase == VOIDED ? VOIDED : IDLE;
+    self->calls.phase =
+        self->calls.phase == PREPARING || self->calls.phase == VOIDED ? VOIDED : IDLE;
     SGMS_FENCE();
-    copy(w, self->signal, SIGNALS);
+    copy(w, self->input.signal, SIGNALS);
     copy(x, node, STATES);
     if (started) {
         sgms_real end[STATES];
-        blocks_states(&self->parameters, self->newest, end);
-        copy(x, is_plausible(end) ? end : self->good_state, STATES);
+        blocks_states(&self->parameters, self->interval.blocks, end);
+        copy(x, is_plausible(end) ? end : self->estimate.state, STATES);
     }
-    copy(self->parameters.theta, self->good_theta, PARAMETERS);
+    copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
     self->parameters.theta[p] = theta;
-    self->version++;
+    self->calls.version++;
     SGMS_FENCE();
-    self->good_theta[p] = theta;
-    pack_root(square, self->good_root);
-    self->status = TOY_FILLING;
+    self->estimate.theta[p] = theta;
+    pack_root(square, self->estimate.root);
+    self->estimate.status = TOY_FILLING;
     SGMS_FENCE();
-    self->version++;
-    start_window(self, x, self->good_root);
-    copy(self->node_signal, w, SIGNALS);
-    self->node_weight[0] = 0.0;
-    self->node_friction[0] = 0.0;
-    self->started = started;
+    self->calls.version++;
+    start_window(self, x, self->estimate.root);
+    copy(self->window.signal, w, SIGNALS);
+    self->window.weight[0] = 0.0;
+    self->window.friction[0] = 0.0;
+    self->interval.started = started;
 }
 
 /* Let theta[p] be known this well, apart from the others, of which nothing is lost. */
 static SGMS_COLD void set_theta(toy_t *self, int p, sgms_real theta, sgms_real inverse_sd)
 {
     sgms_real square[PARAMETERS * ROOT_WIDTH], scratch[PARAMETERS];
-    unpack_root(self->good_root, square);
+    unpack_root(self->estimate.root, square);
     /* With its column in front, the rows below the first are what is known of the others whatever
      * it is. */
     for (int i = 0; i < PARAMETERS; i++) {
@@ -1028,8 +1038,8 @@ SGMS_COLD int toy_hold(toy_t *self, int parameter, int on)
     if (parameter < 0 || parameter >= PARAMETERS) {
         return TOY_REFUSED;
     }
-    self->held[parameter] = (uint8_t)(on != 0);
-    set_theta(self, parameter, self->good_theta[parameter], inverse_prior(self, parameter));
+    self->estimate.held[parameter] = (uint8_t)(on != 0);
+    set_theta(self, parameter, self->estimate.theta[parameter], inverse_prior(self, parameter));
     return TOY_OK;
 }
 
@@ -1055,12 +1065,12 @@ SGMS_COLD int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_
         }
         theta = sgms_fmin(sgms_fmax(theta, lower), upper);
     }
-    copy(whole, self->good_theta, PARAMETERS);
+    copy(whole, self->estimate.theta, PARAMETERS);
     whole[parameter] = theta;
     if (!is_model(whole)) {
         return TOY_REFUSED;
     }
-    self->held[parameter] = (uint8_t)(sd == 0.0);
+    self->estimate.held[parameter] = (uint8_t)(sd == 0.0);
     set_theta(self, parameter, theta, sd == 0.0 ? inverse_prior(self, parameter) : 1.0 / sd);
     return TOY_OK;
 }
@@ -1071,13 +1081,13 @@ SGMS_COLD int toy_save(const toy_t *self, toy_saved_t *saved)
     saved->machine[0] = TOY_SAVED_MACHINE_0;
     saved->machine[1] = TOY_SAVED_MACHINE_1;
     for (int attempt = 0; attempt < 3; attempt++) {
-        const uint32_t version = self->version;
+        const uint32_t version = self->calls.version;
         SGMS_FENCE();
-        copy(saved->theta, self->good_theta, PARAMETERS);
-        copy(saved->root, self->good_root, TOY_ROOT_SIZE);
-        saved->ratio = self->good_ratio;
+        copy(saved->theta, self->estimate.theta, PARAMETERS);
+        copy(saved->root, self->estimate.root, TOY_ROOT_SIZE);
+        saved->ratio = self->estimate.ratio;
         SGMS_FENCE();
-        if (version % 2 == 0 && version == self->version) {
+        if (version % 2 == 0 && version == self->calls.version) {
             saved->checksum = checksum_of(saved);
             return TOY_OK;
         }
@@ -1116,10 +1126,10 @@ SGMS_COLD int toy_load(toy_t *self, const toy_saved_t *saved)
     }
     sgms_qr_grow(square, PARAMETERS, PARAMETERS, growth, scratch);
     copy(self->parameters.theta, saved->theta, PARAMETERS);
-    copy(self->good_theta, saved->theta, PARAMETERS);
-    pack_root(square, self->good_root);
-    start_window(self, zero, self->good_root);
-    self->ratio_slow = saved->ratio;
-    self->good_ratio = saved->ratio;
+    copy(self->estimate.theta, saved->theta, PARAMETERS);
+    pack_root(square, self->estimate.root);
+    start_window(self, zero, self->estimate.root);
+    self->innovations.ratio_slow = saved->ratio;
+    self->estimate.ratio = saved->ratio;
     return TOY_OK;
 }

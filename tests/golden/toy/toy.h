@@ -69,7 +69,7 @@ typedef double toy_position;
 
 #define TOY_VERSION "0.2.0" /* of the generator */
 #define TOY_MACHINE "ddc7efac656b" /* digest of the machine file */
-#define TOY_HEADER 0xc3e85427u /* digest of all that this header declares, for toy_check() */
+#define TOY_HEADER 0x6dc67e5cu /* digest of all that this header declares, for toy_check() */
 #define TOY_SAVED_FORMAT 1u /* of toy_saved_t, and the digest of the machine file again */
 #define TOY_SAVED_MACHINE_0 0xddc7efacu
 #define TOY_SAVED_MACHINE_1 0x656bu
@@ -190,55 +190,63 @@ typedef struct {
  * addresses. */
 typedef struct {
     toy_settings_t settings;
-    toy_real moved; /* kg */
-    uint8_t held[TOY_PARAMETERS];
-    /* signal chain */
-    double chain_position[2]; /* m */
-    toy_real chain_lowpass[16];
-    toy_real chain_last[4];
-    int32_t chain_counts[3];
-    /* position, velocity, acceleration, force, time of what they tell of; zero what the model does
-     * not read */
-    toy_real signal[TOY_SIGNALS];
-    toy_real merged[TOY_SIGNALS];
-    int32_t merged_count;
-    /* slots of the window are used in turn, `filling` is the interval under way */
-    int32_t filling, step, started, lost, too_fast, status;
-    /* which call is under way; odd while the last good estimate is written */
-    volatile uint32_t phase, version;
+    struct { /* signal chain, of sample() and tick() */
+        toy_real moved; /* kg, of set_mass() */
+        double position[2]; /* m */
+        toy_real lowpass[16], last[4];
+        int32_t counts[3];
+    } chain;
+    /* of samples: position, velocity, acceleration, force, time; zero where no model reads it */
+    struct {
+        toy_real signal[TOY_SIGNALS]; /* of the newest one */
+        toy_real merged[TOY_SIGNALS]; /* means of those of the next step */
+        int32_t count; /* of those merged so far */
+    } input;
+    struct { /* intervals as samples come; `filling` is the one under way, slots are used in turn */
+        int32_t filling, step, started, lost, too_fast, is_valid;
+        toy_real friction; /* N, measured at its end, where that is valid */
+        toy_real blocks[TOY_BLOCKS_SIZE]; /* of its integration */
+        toy_real path[TOY_SLOTS]; /* m, of each interval */
+    } interval;
+    struct { /* which call is under way; version: odd while feedback() writes the estimate */
+        volatile uint32_t phase, version;
+    } calls;
     toy_parameters parameters; /* of the last estimate */
-    toy_real newest[TOY_BLOCKS_SIZE]; /* blocks of the interval under way */
-    toy_real path[TOY_SLOTS]; /* m, of each interval */
-    /* compensation */
-    toy_real lag_state[6], lag; /* m, the newest position beyond the chain's */
-    toy_real ahead[2]; /* set-point's velocity and acceleration as the force acts */
-    toy_real gain; /* share that is on */
-    int32_t compensate, ahead_given, through_chain;
-    /* series and nodes of the window */
-    toy_real term[TOY_SERIES_SIZE];
-    /* state at the start of each interval, linearisation point and estimate */
-    toy_real node[TOY_SLOTS * TOY_STATES];
-    toy_real node_signal[TOY_SLOTS * TOY_SIGNALS];
-    toy_real node_friction[TOY_SLOTS];
-    toy_real node_weight[TOY_SLOTS]; /* 1/(N), that its reading is taken with; 0: there is none */
-    toy_real last_friction; /* measured at the end of the interval under way */
-    uint8_t last_valid;
-    /* readings one after the other: means of their test ratios, and the newest one */
-    toy_real ratio_fast, ratio_slow;
-    toy_reading reading, good_reading;
-    /* integration of older intervals */
-    toy_real lane[TOY_LANES_SIZE];
-    /* least squares over (x, theta) */
-    toy_real factor[TOY_FACTOR_SIZE];
-    toy_real arrival[TOY_FACTOR_SIZE]; /* before the oldest node of the window */
-    toy_real kept[TOY_SLOTS * TOY_STATES * TOY_KEPT_WIDTH]; /* for the back-substitution */
-    int32_t complete, cursor; /* older intervals; units of the work done */
-    /* of the window since the parameters' drift entered; those of them with motion */
-    int32_t shifts, pending_drift;
-    /* last good estimate */
-    toy_real good_state[TOY_STATES], good_theta[TOY_PARAMETERS], good_root[TOY_ROOT_SIZE],
-        good_ratio;
-    toy_real friction, friction_measured;
+    struct { /* force fed forward, of sample(), insert(), tick() */
+        toy_real lag_state[6], lag; /* m, the newest position beyond the chain's */
+        toy_real ahead[2]; /* set-point's velocity and acceleration as the force acts */
+        toy_real gain; /* share that is on */
+        int32_t on, ahead_given, through_chain;
+    } compensation;
+    struct { /* of feedback(): means of the measurements' test ratios, and the newest one */
+        toy_real ratio_fast, ratio_slow;
+        toy_reading newest;
+    } innovations;
+    struct { /* last good one: feedback() writes it, estimate() and save() read it */
+        toy_real state[TOY_STATES], theta[TOY_PARAMETERS];
+        toy_real root[TOY_ROOT_SIZE], ratio;
+        toy_real friction, friction_measured;
+        toy_reading reading;
+        int32_t status;
+        uint8_t held[TOY_PARAMETERS]; /* by hold(), set_parameter() */
+    } estimate;
+    struct { /* what the samples of each interval say */
+        toy_real term[TOY_SERIES_SIZE];
+        toy_real node[TOY_SLOTS * TOY_STATES]; /* state at its start */
+        toy_real signal[TOY_SLOTS * TOY_SIGNALS];
+        toy_real friction[TOY_SLOTS];
+        toy_real weight[TOY_SLOTS]; /* 1/(N) of its measurement; 0: none */
+    } window;
+    struct { /* older intervals as they were linearised, of prepare() */
+        toy_real lane[TOY_LANES_SIZE];
+    } linearisation;
+    struct { /* least squares over (x, theta), of prepare() and feedback() */
+        toy_real factor[TOY_FACTOR_SIZE];
+        toy_real arrival[TOY_FACTOR_SIZE]; /* before the oldest node of the window */
+        toy_real kept[TOY_SLOTS * TOY_STATES * TOY_KEPT_WIDTH]; /* for the back-substitution */
+        int32_t complete, cursor; /* older intervals; units of the work done */
+        int32_t shifts, pending_drift; /* since the parameters' drift entered; with motion */
+    } sweep;
 } toy_t;
 
 /* A position from metres; NaN, infinite and beyond 4e6 m is none, and counts as missing. */

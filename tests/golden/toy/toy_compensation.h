@@ -111,10 +111,10 @@ static void element_ahead(
  * position costs digits. */
 static void follow_lag(toy_t *self, sgms_real d)
 {
-    sgms_real *const s = self->lag_state;
+    sgms_real *const s = self->compensation.lag_state;
     const sgms_lowpass *const f = &chain.lowpass;
     const sgms_real once = (1.0 - f->b0) * d + (f->b2 - f->a2) * s[2] - f->a1 * s[0] - f->a2 * s[1];
-    self->lag = d + s[3];
+    self->compensation.lag = d + s[3];
     s[1] = s[0];
     s[0] = once;
     s[2] = d;
@@ -124,25 +124,27 @@ static void follow_lag(toy_t *self, sgms_real d)
 /* Nothing fed forward, nothing moved. */
 static void start_compensation(toy_t *self)
 {
-    fill(self->lag_state, 0.0, 6);
-    fill(self->ahead, 0.0, 2);
-    self->lag = 0.0;
-    self->gain = 0.0;
-    self->ahead_given = 0;
-    self->through_chain = 0;
+    fill(self->compensation.lag_state, 0.0, 6);
+    fill(self->compensation.ahead, 0.0, 2);
+    self->compensation.lag = 0.0;
+    self->compensation.gain = 0.0;
+    self->compensation.ahead_given = 0;
+    self->compensation.through_chain = 0;
 }
 
 static course course_ahead(const toy_t *self)
 {
     course c;
-    const sgms_real behind = self->through_chain ? LAG_TIME : 0.0;
-    const sgms_real measured = self->signal[W_VELOCITY];
-    const sgms_real mean = self->through_chain ? self->lag * OVER_LAG_TIME : measured;
+    const sgms_real behind = self->compensation.through_chain ? LAG_TIME : 0.0;
+    const sgms_real measured = self->input.signal[W_VELOCITY];
+    const sgms_real mean =
+        self->compensation.through_chain ? self->compensation.lag * OVER_LAG_TIME : measured;
     c.duration[0] = behind;
-    c.distance[0] = self->lag;
+    c.distance[0] = self->compensation.lag;
     c.velocity[0] = mean;
     /* Without a set-point: the line through the filtered velocity and the mean one since. */
-    c.end = self->ahead_given ? self->ahead[0] : measured + (mean - measured) * AT_END;
+    c.end = self->compensation.ahead_given ? self->compensation.ahead[0]
+        : measured + (mean - measured) * AT_END;
     return c;
 }
 
@@ -152,10 +154,10 @@ static sgms_real friction_ahead(const toy_t *self)
     const course c = course_ahead(self);
     sgms_real term[MOVES * TERMS], w[SIGNALS], x[STATES], friction;
     const model_point at = { x, w, self->parameters.theta };
-    w[W_POSITION] = self->signal[W_POSITION];
-    w[W_ACCELERATION] = self->ahead_given ? self->ahead[1] : 0.0;
-    w[W_FORCE] = self->signal[W_FORCE];
-    w[W_TIME] = self->signal[W_TIME];
+    w[W_POSITION] = self->input.signal[W_POSITION];
+    w[W_ACCELERATION] = self->compensation.ahead_given ? self->compensation.ahead[1] : 0.0;
+    w[W_FORCE] = self->input.signal[W_FORCE];
+    w[W_TIME] = self->input.signal[W_TIME];
     for (int move = 0; move < MOVES; move++) {
         w[W_POSITION] += c.distance[move];
         w[W_VELOCITY] = c.velocity[move];
@@ -165,7 +167,7 @@ static sgms_real friction_ahead(const toy_t *self)
     w[W_VELOCITY] = c.end;
     {
         sgms_real chi[ELEMENT_BLOCKS * ELEMENT_STATES];
-        element_ahead(&c, term, self->newest + ELEMENT_PLACE, chi);
+        element_ahead(&c, term, self->interval.blocks + ELEMENT_PLACE, chi);
         SGMS_UNROLL
         for (int block = 0; block < ELEMENT_BLOCKS; block++) {
             SGMS_UNROLL
@@ -176,37 +178,37 @@ static sgms_real friction_ahead(const toy_t *self)
         }
     }
     friction = feed_forward_force(&at);
-    return sgms_is_finite(friction) ? friction : self->friction;
+    return sgms_is_finite(friction) ? friction : self->estimate.friction;
 }
 
 /* Whether the friction ahead is not to be relied on: the state was lost, or is carried along a
  * motion that nobody saw or that no axis makes. */
 static int is_unsound(const toy_t *self, sgms_real speed)
 {
-    return self->status < 0 || (self->status & TOY_OVERRUN) || self->lost ||
-        self->chain_counts[1] > SETTLE ||
+    return self->estimate.status < 0 || (self->estimate.status & TOY_OVERRUN) ||
+        self->interval.lost || self->chain.counts[1] > SETTLE ||
            speed > 2.0 * MAX_VELOCITY;
 }
 
 /* Once per sample: ramp. */
 static void follow_compensation(toy_t *self)
 {
-    const sgms_real speed =
-        sgms_fmax(sgms_fabs(self->signal[W_VELOCITY]), sgms_fabs(self->lag) * OVER_LAG_TIME);
-    const int on = self->compensate && !is_unsound(self, speed);
-    self->ahead_given -= self->ahead_given > 0;
-    self->gain =
-        on ? sgms_fmin(self->gain + GAIN_STEP, 1.0) : sgms_fmax(self->gain - GAIN_STEP, 0.0);
+    const sgms_real speed = sgms_fmax(sgms_fabs(self->input.signal[W_VELOCITY]),
+        sgms_fabs(self->compensation.lag) * OVER_LAG_TIME);
+    const int on = self->compensation.on && !is_unsound(self, speed);
+    self->compensation.ahead_given -= self->compensation.ahead_given > 0;
+    self->compensation.gain = on ? sgms_fmin(self->compensation.gain + GAIN_STEP, 1.0)
+        : sgms_fmax(self->compensation.gain - GAIN_STEP, 0.0);
 }
 
 /* The force to feed forward now. */
 static sgms_real fed_forward(toy_t *self)
 {
     sgms_real force;
-    if (!self->compensate && !(self->gain > 0.0)) { /* nobody wants to know */
+    if (!self->compensation.on && !(self->compensation.gain > 0.0)) { /* nobody wants to know */
         return 0.0;
     }
-    force = self->gain * friction_ahead(self);
+    force = self->compensation.gain * friction_ahead(self);
     return force;
 }
 
