@@ -4,16 +4,16 @@
  *
  * One interval: samples come in and the newest interval is integrated as they do. Meanwhile
  * (prepare) the older nodes of the last solution are found, the one that has moved most since its
- * linearisation is linearised anew, and their nodes condensed, oldest first, from the first one on
- * for which something has changed. The newest interval and its measurement close the sweep and give
- * the estimate (feedback). */
+ * linearisation is linearised anew, and their nodes condensed, oldest first, from the first changed
+ * one on. The newest interval and its measurement close the sweep and give the estimate
+ * (feedback). */
 #include "etel_xy.h"
 
 #include "etel_xy_compensation.h"
 
-/* Which call is under way, for other tasks to see. VOIDED: a prepare that a reset came into;
- * SPOILT: it is over, and what it left is worth nothing. */
-enum { IDLE, PREPARING, FEEDING, VOIDED, SPOILT };
+/* The call under way, for other tasks. ABORTED: a prepare that a reset interrupted; INVALID: it is
+ * over, its work lost. */
+enum { IDLE, PREPARING, FEEDING, ABORTED, INVALID };
 
 static void copy(sgms_real *to, const sgms_real *from, int count)
 {
@@ -55,8 +55,8 @@ static void restore_factor(sgms_real *factor, const sgms_real *kept)
     copy(factor + 7 * (FACTOR_WIDTH + 1), kept + 42, FACTOR_WIDTH - 7);
 }
 
-/* What is known of theta alone, the lower right triangle of a factor: its inverse is the square
- * root of their covariance. Row by row in the axis's memory, in square where it is worked on. */
+/* The root of theta, lower right triangle of a factor: its inverse is the square root of the
+ * covariance. Packed row by row in the axis's memory, square in calculations. */
 static void keep_root(const sgms_real *factor, sgms_real *root)
 {
     for (int i = STATES; i < FACTOR_ROWS; i++) {
@@ -101,8 +101,7 @@ static void prior_root(const etel_xy_t *self, sgms_real *root)
     }
 }
 
-/* By how much, one standard deviation, a parameter's variance may grow: never beyond the prior's,
- * and not at all where it is held. */
+/* Growth of a parameter (1 sigma): its variance stays within the prior's; none where it is held. */
 static sgms_real growth_of(const etel_xy_t *self, int p, sgms_real wanted, sgms_real variance)
 {
     const sgms_real most = self->estimate.held[p] ? 0.0 : self->settings.parameter;
@@ -125,7 +124,7 @@ static void set_factor(
     }
 }
 
-/* Give it what is known of theta by a root. */
+/* Set the factor's rows of theta by a root. */
 static void set_root(sgms_real *factor, const sgms_real *root, const sgms_real *theta)
 {
     for (int i = 0; i < PARAMETERS; i++) {
@@ -156,8 +155,7 @@ static void start_interval(etel_xy_t *self)
     self->linearisation.moved = 1.0;
 }
 
-/* Window of no interval yet; the node where the next sample stands has mean x. What is known of
- * theta: NULL is the prior. */
+/* Empty window; the node of the next sample has mean x. Root of theta: NULL is the prior's. */
 static void start_window(etel_xy_t *self, const sgms_real *x, const sgms_real *root)
 {
     self->interval.filling = 0;
@@ -196,7 +194,7 @@ static void start_signals(etel_xy_t *self)
     start_compensation(self);
 }
 
-/* Nothing known but the settings and what is moved. */
+/* Nothing known but settings and moved mass. */
 static void start_fresh(etel_xy_t *self)
 {
     const sgms_real zero[STATES] = { 0.0 };
@@ -232,7 +230,7 @@ void etel_xy_reset(etel_xy_t *self)
 {
     const sgms_real zero[STATES] = { 0.0 };
     self->calls.phase =
-        self->calls.phase == PREPARING || self->calls.phase == VOIDED ? VOIDED : IDLE;
+        self->calls.phase == PREPARING || self->calls.phase == ABORTED ? ABORTED : IDLE;
     SGMS_FENCE();
     start_signals(self);
     copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
@@ -247,8 +245,8 @@ static sgms_real output_at(const etel_xy_t *self, const sgms_real *x, const sgms
     return output_force(&at, c, d);
 }
 
-/* What a reading says of (x, theta) at a node, as a row of the least squares: its sensitivities,
- * and to the right what they have to give. `at` is where its output is linearised. */
+/* Row of the least squares of a measurement at a node: sensitivities to (x, theta), right side.
+ * `at`: point of the linearisation. */
 static void node_row(const model_point *at, sgms_real measured, sgms_real *row)
 {
     sgms_real right = measured - output_force(at, row, row + STATES);
@@ -261,8 +259,7 @@ static void node_row(const model_point *at, sgms_real measured, sgms_real *row)
     row[FACTOR_ROWS] = right;
 }
 
-/* The same of a reading inside an interval, over the node `start` of its start; `map` leads to
- * it. */
+/* The same of a measurement inside an interval, over its first node `start`; `map` leads there. */
 static void inner_row(
     const etel_xy_t *self, const interval_map *map, const sgms_real *start, const sgms_real *w,
     sgms_real measured, sgms_real *row)
@@ -289,9 +286,9 @@ static void inner_row(
     row[FACTOR_ROWS] = right;
 }
 
-/* Predict a reading from the factor, which knows all before it. Returns the inverse of the standard
- * deviation that it is to be taken with: more than the stated one while readings contradict what is
- * predicted of them (docs/weights.md). */
+/* Predict a measurement from the factor of all before it. Returns the inverse of the standard
+ * deviation to take it with: above the stated one while measurements contradict predictions
+ * (docs/weights.md). */
 static sgms_real weigh_row(etel_xy_t *self, const sgms_real *row)
 {
     /* R' u = row: u'u is the variance of the prediction, u'b the prediction */
@@ -324,7 +321,7 @@ static sgms_real weigh_row(etel_xy_t *self, const sgms_real *row)
     }
 }
 
-/* Fold a reading into the factor with this weight. The row comes out weighed. */
+/* Fold a measurement into the factor with this weight. The row comes out weighed. */
 static void fold_row(sgms_real *factor, sgms_real weight, sgms_real *row)
 {
     sgms_real used[FACTOR_WIDTH];
@@ -335,8 +332,7 @@ static void fold_row(sgms_real *factor, sgms_real weight, sgms_real *row)
     sgms_qr_add_row(factor, FACTOR_ROWS, used);
 }
 
-/* What the reading at the start of an interval says, with the weight that it got: zeros where there
- * is none. */
+/* Weighed row of the measurement at the start of an interval; zeros where there is none. */
 static void start_row(const etel_xy_t *self, int slot, sgms_real *row)
 {
     const model_point at = { self->window.node + slot * STATES,
@@ -350,7 +346,7 @@ static void start_row(const etel_xy_t *self, int slot, sgms_real *row)
     }
 }
 
-/* A reading inside the newest interval: its row waits for the older ones to be condensed. */
+/* A measurement inside the newest interval: its row waits until the older ones are condensed. */
 static void take_inner(etel_xy_t *self, int measured, sgms_real friction)
 {
     const int j = (int)self->interval.step / SPACING - 1,
@@ -372,8 +368,7 @@ static void take_inner(etel_xy_t *self, int measured, sgms_real friction)
     self->inner.arrived = j + 1;
 }
 
-/* Fold the next reading inside the newest interval, weighed by what all before it predicts; the
- * sweep has reached it. */
+/* Fold the next measurement inside the newest interval; the sweep has reached it. */
 static void fold_next(etel_xy_t *self)
 {
     const int j = (int)self->inner.folded++, at = (int)self->interval.filling * INNER + j;
@@ -385,7 +380,7 @@ static void fold_next(etel_xy_t *self)
     }
 }
 
-/* Fold the readings of an older interval at once: that at its start, if there is one, and those
+/* Fold the measurements of an older interval at once: that at its start, if there is one, and those
  * inside, in the rows after it. The factor is over its start. They are used up. */
 static void fold_rows(etel_xy_t *self, int slot, sgms_real *rows)
 {
@@ -399,7 +394,7 @@ static void fold_rows(etel_xy_t *self, int slot, sgms_real *rows)
     }
 }
 
-/* The row of a reading inside an older interval, linearised anew and weighed as it was. */
+/* Row of a measurement inside an older interval, linearised anew, with its old weight. */
 static void renew_inner(
     etel_xy_t *self, int at, const interval_map *map, const sgms_real *start, sgms_real *row)
 {
@@ -411,7 +406,8 @@ static void renew_inner(
     }
 }
 
-/* Keep the rows of an interval's readings as the triangle that says the same. They are used up. */
+/* Store the rows of an interval's measurements as a triangle of the same information. Uses them
+ * up. */
 static void keep_inner(etel_xy_t *self, int slot, sgms_real *rows)
 {
     sgms_real reflector[INNER];
@@ -423,7 +419,7 @@ static void keep_inner(etel_xy_t *self, int slot, sgms_real *rows)
     }
 }
 
-/* Fold the readings of an older interval, but for that at its end. */
+/* Fold the measurements of an older interval, but for that at its end. */
 static void fold_interval(etel_xy_t *self, int slot)
 {
     sgms_real rows[9 * FACTOR_WIDTH];
@@ -534,7 +530,7 @@ static void expand(const sgms_real *rows, int width, int next_states, const sgms
     sgms_back_substitute(rows, STATES, width, right, x);
 }
 
-/* Fold the reading at the start of an interval. */
+/* Fold the measurement at the start of an interval. */
 static void fold_start(etel_xy_t *self, int slot)
 {
     sgms_real row[FACTOR_WIDTH];
@@ -542,7 +538,7 @@ static void fold_start(etel_xy_t *self, int slot)
     sgms_qr_add_row(self->sweep.factor, FACTOR_ROWS, row);
 }
 
-/* Condense an interval whose readings, but for that at its end, are folded in. */
+/* Condense an interval whose measurements, but for that at its end, are folded in. */
 static void sweep_interval(etel_xy_t *self, int back, const sgms_real *rows)
 {
     const int slot = slot_before(self, back);
@@ -552,7 +548,7 @@ static void sweep_interval(etel_xy_t *self, int back, const sgms_real *rows)
         self->sweep.start + slot_before(self, back - 1) * TRIANGLE_SIZE, self->sweep.factor);
 }
 
-/* Keep an interval's linearisation. */
+/* Store an interval's linearisation. */
 static void keep_rows(etel_xy_t *self, int slot, const interval_map *map)
 {
     defect_rows(self, self->window.node + slot * STATES, map,
@@ -660,8 +656,7 @@ static void linearise_step(etel_xy_t *self, int step)
     }
 }
 
-/* Condense the interval `back` before the newest. After the last one, the newest's own readings can
- * be folded. */
+/* Condense the interval `back` before the newest; the last one opens the newest's own. */
 static void condense_node(etel_xy_t *self, int back)
 {
     const int slot = slot_before(self, back);
@@ -673,8 +668,8 @@ static void condense_node(etel_xy_t *self, int back)
 
 /* Units of the work that does not need the newest sample, in their order: nodes of the last
  * solution to expand, the start of the sweep, steps of the intervals to linearise anew; of each
- * older interval its readings to fold, its node to condense; then readings of the newest one as
- * they come. */
+ * older interval its measurements to fold, its node to condense; then the newest one's
+ * measurements. */
 typedef struct {
     int nodes, steps, condensed;
 } workload;
@@ -689,7 +684,7 @@ static workload workload_of(const etel_xy_t *self)
     return of;
 }
 
-/* What the next unit costs, in multiplications or so; 0 when all is done. */
+/* Cost of the next unit, in multiplications or so; 0 when all is done. */
 static int next_cost(const etel_xy_t *self)
 {
     const workload of = workload_of(self);
@@ -742,7 +737,7 @@ void etel_xy_prepare(etel_xy_t *self)
         work(self);
     }
     SGMS_FENCE();
-    self->calls.phase = self->calls.phase == PREPARING ? IDLE : SPOILT;
+    self->calls.phase = self->calls.phase == PREPARING ? IDLE : INVALID;
 }
 
 int etel_xy_due(const etel_xy_t *self)
@@ -777,7 +772,7 @@ static int all_finite(const sgms_real *values, int count)
     return sum == 0.0;
 }
 
-/* Whether a state is a number, and one that an axis can have. */
+/* True if a state is a number, and one that an axis can have. */
 static int is_plausible(const sgms_real *x)
 {
     int count = 0;
@@ -840,7 +835,7 @@ static int shift_window(etel_xy_t *self, int *status)
 static int update(etel_xy_t *self)
 {
     sgms_real x[STATES], theta[PARAMETERS], variance[PARAMETERS], scratch[PARAMETERS];
-    sgms_real friction, weight = 0.0; /* of the newest reading; none: 0 */
+    sgms_real friction, weight = 0.0; /* of the newest measurement; 0: none */
     int status = 0, next = 0;
     while (next_cost(self) > 0) {
         work(self);
@@ -902,12 +897,12 @@ int etel_xy_feedback(etel_xy_t *self)
     if (!etel_xy_due(self)) {
         return ETEL_XY_EARLY;
     }
-    if (phase != IDLE && phase != SPOILT) {
+    if (phase != IDLE && phase != INVALID) {
         return ETEL_XY_OVERLAP;
     }
     self->calls.phase = FEEDING;
     SGMS_FENCE();
-    status = phase == SPOILT ? start_again(self, ETEL_XY_OVERLAP) : update(self);
+    status = phase == INVALID ? start_again(self, ETEL_XY_OVERLAP) : update(self);
     SGMS_FENCE();
     self->calls.phase = IDLE;
     return status;
@@ -928,7 +923,7 @@ static SGMS_INLINE void extend_series(etel_xy_t *self)
     take_step(self, self->input.signal);
 }
 
-/* Keep the newest signals, and say whether they were readings: otherwise the last ones hold. */
+/* Take the newest signals in; false where one is no number: the last ones hold. */
 static SGMS_INLINE int take_signals(etel_xy_t *self, const etel_xy_signals *signals)
 {
     const int good =
@@ -1104,7 +1099,7 @@ const char *etel_xy_status_text(int status)
         return "faster than max_velocity";
     }
     if (status & ETEL_XY_DOUBT) {
-        return "the readings contradict the model: they count less";
+        return "measurements contradict the model: they count less";
     }
     if (status & ETEL_XY_MISSING) {
         return "the newest measurement was left out";
@@ -1118,8 +1113,7 @@ const char *etel_xy_status_text(int status)
     return (status & ETEL_XY_FILLING) ? "the window is filling" : "good";
 }
 
-/* A checksum of what was saved, all that stands behind it (CRC-32): any single bit, and any burst
- * of 32, changes it. */
+/* CRC-32 of the saved data behind it: any single bit, and any burst of 32, changes it. */
 static SGMS_COLD uint32_t checksum_of(const etel_xy_saved_t *saved)
 {
     const unsigned char *const bytes = (const unsigned char *)saved;
@@ -1133,7 +1127,7 @@ static SGMS_COLD uint32_t checksum_of(const etel_xy_saved_t *saved)
     return ~sum;
 }
 
-/* Whether parameters are within their bounds; one that is not a number is not. */
+/* True if parameters are within their bounds; a NaN is not. */
 static SGMS_COLD int within_bounds(const etel_xy_t *self, const sgms_real *theta)
 {
     int within = 0;
@@ -1143,7 +1137,7 @@ static SGMS_COLD int within_bounds(const etel_xy_t *self, const sgms_real *theta
     return within == PARAMETERS;
 }
 
-/* Whether the model is one of numbers at these parameters: at a level of zero it is not. */
+/* True if the model has finite terms at these parameters: at a level of zero it has not. */
 static SGMS_COLD int is_model(const sgms_real *theta)
 {
     etel_xy_parameters at;
@@ -1152,7 +1146,7 @@ static SGMS_COLD int is_model(const sgms_real *theta)
     return all_finite(at.q, 4) && all_finite(at.d_q, 4 * PARAMETERS);
 }
 
-/* Whether a number is above zero, and its square and inverse are numbers. */
+/* True if a number is above zero, its square and inverse finite. */
 static SGMS_COLD int is_size(sgms_real value)
 {
     return value >= LEAST_SIZE && value <= 1.0 / LEAST_SIZE;
@@ -1166,7 +1160,7 @@ static SGMS_COLD int are_valid(const etel_xy_settings_t *settings)
     for (int i = 0; i < STATES; i++) {
         good = good && is_size(settings->state[i]);
     }
-    /* nominal values have to be within, and lower ones below upper ones: an axis starts there */
+    /* nominal values, with which an axis starts, are within */
     for (int p = 0; p < PARAMETERS; p++) {
         good = good && settings->lower[p] <= 1.0 && settings->upper[p] >= 1.0;
         good = good && settings->lower[p] * 0.0 == 0.0 && settings->upper[p] * 0.0 == 0.0;
@@ -1202,19 +1196,19 @@ SGMS_COLD int etel_xy_set_mass(etel_xy_t *self, etel_xy_real moved)
         return ETEL_XY_REFUSED;
     }
     self->chain.moved = moved;
-    self->chain.counts[2] = 0; /* in the filters there is friction by the one before */
+    self->chain.counts[2] = 0; /* the filters hold friction by the old one */
     return ETEL_XY_OK;
 }
 
-/* Start the window anew at the newest signals, with theta[p] and what `square` knows of the
- * parameters; the states go on. */
+/* Start the window anew at the newest signals, with theta[p] and root `square`; the states go
+ * on. */
 static SGMS_COLD void start_with(etel_xy_t *self, int p, sgms_real theta, const sgms_real *square)
 {
     const int started = self->interval.started;
     const sgms_real *const node = self->window.node + self->interval.filling * STATES;
     sgms_real w[SIGNALS], x[STATES];
     self->calls.phase =
-        self->calls.phase == PREPARING || self->calls.phase == VOIDED ? VOIDED : IDLE;
+        self->calls.phase == PREPARING || self->calls.phase == ABORTED ? ABORTED : IDLE;
     SGMS_FENCE();
     copy(w, self->input.signal, SIGNALS);
     copy(x, node, STATES);
@@ -1239,13 +1233,12 @@ static SGMS_COLD void start_with(etel_xy_t *self, int p, sgms_real theta, const 
     self->interval.started = started;
 }
 
-/* Let theta[p] be known this well, apart from the others, of which nothing is lost. */
+/* Set theta[p] with its own deviation; the others keep their information. */
 static SGMS_COLD void set_theta(etel_xy_t *self, int p, sgms_real theta, sgms_real inverse_sd)
 {
     sgms_real square[PARAMETERS * ROOT_WIDTH], scratch[PARAMETERS];
     unpack_root(self->estimate.root, square);
-    /* With its column in front, the rows below the first are what is known of the others whatever
-     * it is. */
+    /* with its column in front, the rows below the first are the root of the others */
     for (int i = 0; i < PARAMETERS; i++) {
         sgms_real *const row = square + i * ROOT_WIDTH;
         const sgms_real moved = row[p];
@@ -1333,7 +1326,7 @@ SGMS_COLD int etel_xy_save(const etel_xy_t *self, etel_xy_saved_t *saved)
     return ETEL_XY_OVERLAP;
 }
 
-/* Whether what was saved is of this machine, whole, and what an axis can have learned. */
+/* True if saved data are of this machine, undamaged and within the bounds. */
 static SGMS_COLD int is_whole(
     const etel_xy_t *self, const etel_xy_saved_t *saved, const sgms_real *variance)
 {

@@ -23,35 +23,34 @@
  *                 etel_xy_feedback() right after it; etel_xy_prepare() in a slower task, between
  *                 one feedback and the next.
  *
- * Tasks that share an axis. C99 has no atomics; this is what the caller guarantees, and what the
- * axis watches over:
+ * Tasks that share an axis. C99 has no atomics; this is what the caller guarantees and the axis
+ * checks:
  *
  * - One task calls etel_xy_sample(), etel_xy_feedback() and their like, or etel_xy_tick(). That one
  *   or one other calls etel_xy_prepare().
  * - sample() may interrupt prepare() anywhere. feedback() may not: it then returns OVERLAP and
  *   changes nothing; it is to be called again once prepare() has returned, and samples that come
- *   until then are lost (OVERRUN). What prepare() had not begun feedback() does itself.
+ *   until then are lost (OVERRUN). feedback() does itself what prepare() has left.
  * - prepare() inside of prepare() or feedback() returns at once.
  * - etel_xy_init(), init_with(), load() and etel_xy_reset(), hold(), set_parameter() are called
  *   while no other call is under way. One of the last three inside of prepare() is noticed: the
  *   next feedback() returns OVERLAP and starts the window from the last good estimate.
  * - etel_xy_set_mass() is called by the task that calls sample(), or while that is not under way.
  * - etel_xy_estimate() and etel_xy_save() may be called by any task: numbers of one update, or
- *   OVERLAP where feedback() came between three times.
- * - On one core, where a task or an interrupt stops another one, that is all. Calls tell of each
- *   other by aligned words of 32 bits (`phase`, `version`, `arrived`, volatile), which are read and
- *   written in one piece and in the order of the program: SGMS_FENCE() (sgms_real.h) tells gcc and
- *   clang to keep it; for another compiler define it as what it needs.
+ *   OVERLAP where feedback() interrupted three times.
+ * - On one core, where a task or an interrupt stops another one, that is all. Calls see each other
+ *   by aligned words of 32 bits (`phase`, `version`, `arrived`, volatile), which are read and
+ *   written in one piece and in the order of the program: SGMS_FENCE() (sgms_real.h) makes gcc and
+ *   clang keep it; define it for another compiler.
  * - On two cores these words are no lock. Define SGMS_FENCE() as a memory barrier, and see to it
  *   that neither of prepare() and feedback() begins while the other is beginning: start prepare()
  *   by a semaphore that is given after feedback() has returned, and feedback() after prepare() has
  *   begun.
  *
- * When sensors fail: a reading that is missing or not finite is left out (MISSING). One that
- * contradicts what is predicted of it counts less, as long as it does, and the status says DOUBT;
- * parameters that have been learned stay, and their deviations say how sure they are. What is fed
- * forward is never beyond 48.96 N. What is wrong from the first sample on (a sign, a gain, a unit)
- * cannot be told here.
+ * When sensors fail: a measurement that is missing or not finite is left out (MISSING).
+ * Measurements that contradict their predictions count less, with status DOUBT; learned parameters
+ * stay, and their deviations say how accurate they are. The force fed forward is never beyond 48.96
+ * N. A fault from the first sample on (a sign, a gain, a unit) is not recognised here.
  */
 #ifndef ETEL_XY_H
 #define ETEL_XY_H
@@ -90,7 +89,7 @@ enum {
     ETEL_XY_BOUND = 8,    /* a parameter is at its bound */
     ETEL_XY_SPEED = 16,   /* faster than max_velocity, 1.0 m/s */
     ETEL_XY_OVERRUN = 32, /* samples were lost: feedback was not called in time */
-    /* the readings contradict the model beyond their stated noise: they count less */
+    /* measurements contradict the model beyond their stated noise: they count less */
     ETEL_XY_DOUBT = 64,
     ETEL_XY_EARLY = -1,   /* feedback before the interval was complete */
     /* the solution was not finite or absurd: the window starts anew from the last good estimate */
@@ -104,7 +103,7 @@ enum {
     ETEL_XY_REFUSED = -5
 };
 
-/* Signals of one sample for etel_xy_insert(), where the controller has its own chain. */
+/* Signals of one sample for etel_xy_insert(), from the controller's own chain. */
 typedef struct {
     etel_xy_real position;     /* m */
     etel_xy_real velocity;     /* m/s, mean over the sample period that ends now */
@@ -116,21 +115,20 @@ typedef struct {
     etel_xy_real delay;
 } etel_xy_signals;
 
-/* What the observer knows after an update. */
+/* Estimate of an update. */
 typedef struct {
     etel_xy_real friction;                    /* N, at the last update */
     etel_xy_real friction_measured;           /* N */
     etel_xy_real deflection[ETEL_XY_ELEMENTS];   /* m */
     etel_xy_real parameter[ETEL_XY_PARAMETERS];    /* SI units */
     etel_xy_real deviation[ETEL_XY_PARAMETERS];    /* 1 sigma, SI units */
-    etel_xy_real innovation;                  /* N, the newest reading minus its prediction */
+    etel_xy_real innovation;                  /* N, the newest measurement minus its prediction */
     etel_xy_real test_ratio;                  /* its square over the variance predicted for it */
-    /* factor on the stated standard deviation that it was taken with, >= 1 */
-    etel_xy_real noise_scale;
+    etel_xy_real noise_scale;                 /* factor on its stated standard deviation, >= 1 */
     int status;
 } etel_xy_estimate_t;
 
-/* What became of a reading; as above. */
+/* Result of a measurement; as above. */
 typedef struct {
     etel_xy_real innovation, test_ratio, noise_scale;
 } etel_xy_reading;
@@ -143,22 +141,20 @@ enum {
     ETEL_XY_FACTOR_SIZE = 8 * 9,                 /* triangular factor with right side */
     ETEL_XY_SERIES_SIZE = 100 * 2 * 20,          /* nodes, sample terms, intervals */
     ETEL_XY_BLOCKS_SIZE = 4 * 4,                 /* blocks side by side, with sensitivities */
-    /* upper triangle of what is known of the parameters alone */
-    ETEL_XY_ROOT_SIZE = 10,
-    /* row that gives a node back: its state, the next one's, theta, right side */
+    ETEL_XY_ROOT_SIZE = 10,                      /* upper triangle, root of the parameters */
+    /* row of a node: its state, the next one's, theta, right side */
     ETEL_XY_KEPT_WIDTH = 13,
     ETEL_XY_DEFECT_WIDTH = 6,                    /* row of a defect: states, theta, right side */
     ETEL_XY_TRIANGLE_SIZE = 44,                  /* upper triangle of a factor */
-    /* readings inside an interval, besides that at its end */
+    /* measurements inside an interval, besides that at its end */
     ETEL_XY_INNER = 9,
-    ETEL_XY_INNER_SIZE = 44,                     /* rows that say what they all say */
+    ETEL_XY_INNER_SIZE = 44,                     /* rows of the same information */
     ETEL_XY_INNER_SIGNALS = 1,                   /* signals kept of each: velocity */
 };
 
-/* Weights and bounds, as [estimator.noise] and [estimator.bounds] of the machine file have them;
- * etel_xy_settings() gives those. */
+/* Weights and bounds, of [estimator.noise] and [estimator.bounds] in the machine file. */
 typedef struct {
-    etel_xy_real measurement;   /* N, 1 sigma of a reading; above zero; 0.1 */
+    etel_xy_real measurement;   /* N, 1 sigma of a measurement; above zero; 0.1 */
     /* 1 sigma per update, of elements as a fraction of nu_i f_C; above zero; 0.01 */
     etel_xy_real state[ETEL_XY_STATES];
     /* 1 sigma of a parameter before any data, over nominal; above zero; 0.4 */
@@ -171,16 +167,15 @@ typedef struct {
     etel_xy_real lower[ETEL_XY_PARAMETERS], upper[ETEL_XY_PARAMETERS];
 } etel_xy_settings_t;
 
-/* What was learned, to be kept where it outlives the power: etel_xy_save(), etel_xy_load(). As many
- * bytes on every processor, none of them padding; the numbers lie as the processor has them. */
+/* Learned parameters for etel_xy_save() and etel_xy_load(), to be stored across power cycles. The
+ * same size on every processor, without padding, in its byte order. */
 typedef struct {
     uint32_t checksum;   /* over all that follows */
     uint32_t format;     /* ETEL_XY_SAVED_FORMAT */
     uint32_t machine[2]; /* digest of the machine file */
     etel_xy_real theta[ETEL_XY_PARAMETERS];   /* over nominal */
-    /* upper triangle whose inverse is the square root of their covariance */
-    etel_xy_real root[ETEL_XY_ROOT_SIZE];
-    etel_xy_real ratio; /* slow mean of the readings' test ratios */
+    etel_xy_real root[ETEL_XY_ROOT_SIZE]; /* inverse: square root of their covariance */
+    etel_xy_real ratio; /* slow mean of test ratios */
 } etel_xy_saved_t;
 
 /* The scaled parameters, and what depends on them alone. */
@@ -237,7 +232,7 @@ typedef struct {
         int32_t status;
         uint8_t held[ETEL_XY_PARAMETERS]; /* by hold(), set_parameter() */
     } estimate;
-    struct { /* what the samples of each interval say */
+    struct { /* samples and node of each interval */
         etel_xy_real term[ETEL_XY_SERIES_SIZE];
         etel_xy_real node[ETEL_XY_SLOTS * ETEL_XY_STATES]; /* state at its start */
         etel_xy_real signal[ETEL_XY_SLOTS * ETEL_XY_SIGNALS];
@@ -287,17 +282,15 @@ static inline etel_xy_position etel_xy_position_from_counts(
     return per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
 }
 
-/* Whether the application was compiled against the header that this package was:
- * etel_xy_check(sizeof(etel_xy_t), ETEL_XY_HEADER) is ETEL_XY_OK, or ETEL_XY_MISMATCH: another
- * machine file, another generator, another layout of the memory. To be called before
- * etel_xy_init(); it touches no axis. */
+/* Check that application and package have the same header: etel_xy_check(sizeof(etel_xy_t),
+ * ETEL_XY_HEADER) returns ETEL_XY_OK, or ETEL_XY_MISMATCH for another machine file, generator or
+ * memory layout. Call it before etel_xy_init(). */
 int etel_xy_check(size_t size, uint32_t header);
 
-/* Self-test (etel_xy_selftest.c): the motion that comes with the package, and what the reference
- * solver estimates from it. 0 where this processor and compiler come to the same; otherwise the
- * number of the first update that differs, or one more than there are where save() and load() do
- * not give back what was learned. selftest() takes sizeof(etel_xy_t) of stack, selftest_with() the
- * memory of an axis, which is to be set up anew with etel_xy_init(). */
+/* Self-test (etel_xy_selftest.c) along a motion with the estimates of the reference solver. Returns
+ * 0 where this processor and compiler agree; otherwise the number of the first update that differs,
+ * or one more than there are where save() and load() lose something. selftest() takes
+ * sizeof(etel_xy_t) of stack; selftest_with() the memory of an axis, to be set up anew after it. */
 int etel_xy_selftest(void);
 int etel_xy_selftest_with(etel_xy_t *axis);
 
@@ -312,37 +305,35 @@ void etel_xy_settings(etel_xy_settings_t *settings);
 int etel_xy_init_with(etel_xy_t *self, const etel_xy_settings_t *settings);
 
 /* The mass that moves from now on [kg], payload included; etel_xy_init() sets the machine file's,
- * 20.0. For 28 samples, while the filters hold friction by the one before, readings count as
- * missing. Readings of etel_xy_insert() bring friction by the caller's own. REFUSED, and nothing
- * changes, beyond 20 times the machine file's or below a 20th of it: that is another axis or
- * another unit.
+ * 20.0. For 28 samples, while the filters hold friction by the old one, measurements count as
+ * missing; etel_xy_insert() brings friction by the caller's own. REFUSED, and nothing changes,
+ * beyond 20 times the machine file's or below a 20th of it: that is another axis or another unit.
  */
 int etel_xy_set_mass(etel_xy_t *self, etel_xy_real mass);
 
 /* Hold a parameter where it is, or let it go; by its number, from 0, in the order of the estimate.
- * A held one counts as known to 1e-6 of nominal; one that is let go is as uncertain as before any
- * data. What is known of the others stays, and the window starts anew. init() and load() hold none.
- * REFUSED: there is no such parameter. */
+ * A held one counts as known to 1e-6 of nominal; a released one is as uncertain as before any data.
+ * The others stay, and the window starts anew. init() and load() hold none. REFUSED: no such
+ * parameter. */
 int etel_xy_hold(etel_xy_t *self, int parameter, int on);
 
-/* What the application knows of a parameter, from an identification or a test: value and one
- * standard deviation [SI], from which it goes on learning; deviation 0 holds it there. Replaces
- * what was learned of it; what is known of the others stays, and the window starts anew. REFUSED,
- * and nothing changes: there is no such parameter, a number is none, is beyond its bounds, leaves
- * no model (a level of zero), or a deviation above zero is below 1e-6 of nominal. */
+/* Set a parameter from an identification or a test: value and standard deviation [SI], from which
+ * learning goes on; deviation 0 holds it. The others stay, and the window starts anew. REFUSED, and
+ * nothing changes: no such parameter, NaN, a value beyond its bounds or without a model (a level of
+ * zero), a deviation above zero but below 1e-6 of nominal. */
 int etel_xy_set_parameter(
     etel_xy_t *self, int parameter, etel_xy_real value, etel_xy_real deviation);
 
-/* Write down what was learned: parameters, how sure they are, how well they predict. By any task,
- * as etel_xy_estimate(). Returns OK, or OVERLAP where feedback() came between three times; what was
- * written is then refused by load(). */
+/* Write the learned parameters, their covariance and test ratio. By any task, as
+ * etel_xy_estimate(). Returns OK, or OVERLAP where feedback() interrupted three times; load() then
+ * refuses the data. */
 int etel_xy_save(const etel_xy_t *self, etel_xy_saved_t *saved);
 
-/* Start with what was saved, after etel_xy_init() or init_with(): an empty window, the saved
- * parameters. Friction changes while nothing is measured: their variances grow by that of
- * settings.pause, but not beyond those before any data. Parameters that were held are to be held
- * again; settings and mass stay. REFUSED: damaged, of another machine file or layout, no numbers,
- * or parameters beyond their bounds. The axis is then as fresh as after init_with(). */
+/* Start with saved parameters, after etel_xy_init() or init_with(), and an empty window. Friction
+ * changes while nothing is measured: variances grow by that of settings.pause, up to those before
+ * any data. Hold parameters again that were held; settings and mass stay. REFUSED: damaged, of
+ * another machine file or layout, not finite, or beyond the bounds; the axis is then as fresh as
+ * after init_with(). */
 int etel_xy_load(etel_xy_t *self, const etel_xy_saved_t *saved);
 
 /* Start the signals and the window anew, with the parameters learned so far as the prior mean. */
@@ -376,8 +367,7 @@ etel_xy_real etel_xy_sample(etel_xy_t *self, etel_xy_position position, etel_xy_
  * * acceleration, stays the controller's own feed-forward. */
 void etel_xy_ahead(etel_xy_t *self, etel_xy_real velocity, etel_xy_real acceleration);
 
-/* Turn the force that tick() and sample() return on or off, along the ramp. Estimation goes on
- * either way. After init() it is on. */
+/* Turn the force of tick() and sample() on or off, along the ramp; after init() it is on. */
 void etel_xy_compensate(etel_xy_t *self, int on);
 
 /* How much of it is on at the moment, 0 to 1. */
@@ -388,11 +378,10 @@ etel_xy_real etel_xy_share(const etel_xy_t *self);
  * is not made up for, so compensation wants one without. */
 etel_xy_real etel_xy_insert(etel_xy_t *self, const etel_xy_signals *signals);
 
-/* Whether an interval is complete and waits for feedback(). */
+/* True if an interval is complete and waits for feedback(). */
 int etel_xy_due(const etel_xy_t *self);
 
-/* All of the update that does not need the newest sample: the older nodes of the last solution, the
- * linearisation, the eliminations. */
+/* The part of an update that needs no newest sample: older nodes, linearisation, elimination. */
 void etel_xy_prepare(etel_xy_t *self);
 
 /* Take in the newest interval and its measurement, solve, shift. Returns the status. */

@@ -140,7 +140,7 @@ typedef struct {
     sgms_real d_q[ELEMENT_STATES * ELEMENT_Q];
 } element_rhs;
 
-/* What the law needs of the signals. */
+/* The law's inputs, from the signals. */
 typedef struct {
     sgms_real speed; /* |v| */
     sgms_real gate;  /* exponent of the gate over twice the relative deflection */

@@ -133,9 +133,8 @@ static void element_ahead(
     }
 }
 
-/* What the position has moved beyond the chain's position, from its differences d: q - LP(LP(q one
- * sample ago)). The filters pass a constant, so 1 - LP acts on differences, and no absolute
- * position costs digits. */
+/* Displacement beyond the chain's position, q - LP(LP(q one sample ago)), from differences d: the
+ * filters pass a constant, and an absolute position would cost digits. */
 static void follow_lag(etel_xy_controller_t *self, sgms_real d)
 {
     sgms_real *const s = self->compensation.lag_state;
@@ -167,7 +166,7 @@ static course course_ahead(const etel_xy_controller_t *self)
     const sgms_real measured = self->input.signal[W_VELOCITY];
     const sgms_real mean =
         self->compensation.through_chain ? self->compensation.lag * OVER_LAG_TIME : measured;
-    /* samples that no step has taken in */
+    /* of samples in no step yet */
     const sgms_real pending = (sgms_real)self->input.count * SAMPLE_TIME;
     c.duration[0] = pending + behind;
     c.distance[0] = self->input.merged[W_VELOCITY] * STEP_TIME + self->compensation.lag;
@@ -213,8 +212,7 @@ static sgms_real friction_ahead(const etel_xy_controller_t *self)
     return sgms_is_finite(friction) ? friction : self->estimate.friction;
 }
 
-/* Whether the friction ahead is not to be relied on: the state was lost, or is carried along a
- * motion that nobody saw or that no axis makes. */
+/* True if the friction ahead is unreliable: state lost, position missing or impossibly fast. */
 static int is_unsound(const etel_xy_controller_t *self, sgms_real speed)
 {
     return self->estimate.status < 0 || (self->estimate.status & ETEL_XY_CONTROLLER_OVERRUN) ||

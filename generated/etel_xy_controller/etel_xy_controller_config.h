@@ -61,10 +61,10 @@ enum {
     /* of theta's triangle in square, with a column for sums */
     ROOT_WIDTH = PARAMETERS + 1,
     TRIANGLE_SIZE = ETEL_XY_CONTROLLER_TRIANGLE_SIZE, /* numbers of its upper triangle */
-    /* readings inside an interval, besides that at its end */
+    /* measurements inside an interval, besides that at its end */
     INNER = ETEL_XY_CONTROLLER_INNER,
-    SPACING = 2,                                 /* steps from one reading to the next */
-    INNER_ROWS = 8,                              /* rows that say what they all say */
+    SPACING = 2,                                 /* steps from one measurement to the next */
+    INNER_ROWS = 8,                              /* rows of the same information */
     /* numbers of these rows, without the zeros of a triangle */
     INNER_SIZE = ETEL_XY_CONTROLLER_INNER_SIZE,
     INNER_SIGNALS = ETEL_XY_CONTROLLER_INNER_SIGNALS, /* signals that the output reads: velocity */
@@ -83,8 +83,7 @@ enum { VECTOR = 4 };
 enum { VECTOR = 1 };
 #endif
 
-/* Multiplications of a unit of the work: a node expanded, a step, a node condensed, a reading
- * folded; of those in one sample. */
+/* Multiplications of a unit of work, and of all units in one sample. */
 enum {
     STEP_COST = 1992,
     COST_PER_SAMPLE = 1992,
@@ -103,16 +102,16 @@ enum {
 #define MAX_VELOCITY 1.0f                    /* m/s */
 /* m; an interval that moves less says nothing of the parameters */
 #define HOLD_PATH 2.2333333e-07f
-#define MEASUREMENT_SD 0.1f                  /* N, stated of a reading */
+#define MEASUREMENT_SD 0.1f                  /* N, stated of a measurement */
 /* Of test ratios: squared innovations over their predicted variance. */
 #define RATIO_FAST 0.1f                      /* weight of the newest one in their fast mean */
 #define RATIO_SLOW 0.003f                    /* and in their slow mean */
 #define RATIO_MOST 1000.0f                   /* one counts no more in the means */
-#define RATIO_FREE 9.0f                      /* beyond it a reading counts less at once */
-/* means beyond which the readings contradict the model */
+#define RATIO_FREE 9.0f                      /* beyond it a measurement counts less at once */
+/* means beyond which measurements contradict the model */
 #define DOUBTED_FAST 5.0f
 #define DOUBTED_SLOW 2.0f                    /*  */
-/* What etel_xy_controller_settings() gives. */
+/* Values of etel_xy_controller_settings(). */
 #define PRIOR_SD 0.4f                        /* of theta */
 #define PAUSE_SD 0.1f                        /* of theta, over a power cycle */
 #define DRIFT_SD 0.002f                      /* of theta, per update */
@@ -126,8 +125,7 @@ static const sgms_real upper_bound[PARAMETERS] = {5.0f, 5.0f, 5.0f, 5.0f};
 #define LEAST_SIZE 1e-12f
 /* A parameter that is held: as well known as that, over nominal. */
 #define HELD_SD 1e-06f
-/* What is moved, beyond so many times the machine file's or its inverse: another machine, or
- * another unit. */
+/* Moved mass over the machine file's, or its inverse, at most: beyond, it is another unit. */
 #define MASS_RANGE 20.0f
 
 /* States that each state depends on over an interval, itself included, and how many. */

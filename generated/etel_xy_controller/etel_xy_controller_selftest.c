@@ -20,7 +20,7 @@ static int is_near(sgms_real found, sgms_real expected, sgms_real size)
     return sgms_fabs(found - expected) <= SELFTEST_TOLERANCE * sgms_fabs(size);
 }
 
-/* What the axis has learned comes back from what it saves, and not from a byte that has changed. */
+/* load() brings back what save() wrote, and refuses it with a byte changed. */
 static int keeps_what_was_learned(etel_xy_controller_t *axis)
 {
     etel_xy_controller_saved_t saved;

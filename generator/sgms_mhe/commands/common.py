@@ -69,7 +69,7 @@ trace_option = click.option(
     "--trace",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Folder for what every rule decided, and on which numbers: one JSON file per stage.",
+    help="Folder for all decisions with their numbers: one JSON file per stage.",
 )
 
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    short_help="What the simulation gets wrong along LOG, and why.",
+    short_help="Find errors of the simulation along LOG, and causes.",
     epilog=example("diagnose etel_xy log.csv --out diagnosis", "diagnose etel_xy log.csv --unseen another.csv"),
 )
 @machine_argument
@@ -75,10 +75,10 @@ def command(
     trace: Path | None,
     as_json: bool,
 ) -> None:
-    """Say what the simulation of MACHINE gets wrong along LOG, name the cause, and measure what naming it gains.
+    """Find errors of MACHINE's simulation along LOG, name the cause, and measure the gain of its effect.
 
     Writes report.html with its figures, diagnosis.json and, where a cause is named, the extended machine file. The
-    verdict is explained, adequate (nothing is missing), ambiguous (the record cannot tell causes apart; the report has
+    verdict is explained, adequate (nothing is missing), ambiguous (the record cannot distinguish causes; the report has
     the move that does) or unexplained (structure is left that no known effect accounts for; nothing is invented).
 
     Exit code 1: unexplained; so is a log whose force or position has another sign, scale or unit, which is said.

@@ -20,15 +20,15 @@ COLUMNS: Final = 100
 
 
 @click.command(
-    short_help="What an axis may have beyond friction.", epilog=example("effects", "effects backlash", "effects --json")
+    short_help="Effects of an axis beyond friction.", epilog=example("effects", "effects backlash", "effects --json")
 )
 @click.argument("name", required=False, shell_complete=effects_begun)
 @json_option
 def command(name: str | None, as_json: bool) -> None:
     """List the effects that an axis may have, or say everything about the one called NAME.
 
-    Of one: its parameters, what a log must hold to show it, the causes that look alike with the move that tells each
-    apart, and the entry of a machine file, ready to be pasted.
+    Of one: its parameters, what a log must hold to show it, the causes that look alike with the move that distinguishes
+    each, and the entry of a machine file, ready to be pasted.
     """
     from sgms_mhe.model.effects import effect_definition, effect_names
 

@@ -56,8 +56,8 @@ def command(
     """Diagnose, estimate or identify every row of TABLE, a CSV of machines and logs.
 
     Columns: machine, log (relative to TABLE); optional name, axis, date, mass. Writes results.csv, results.json and
-    fleet.html: parameters of every axis over time, which axis left its band and why, failures on top. What is done is
-    kept as it comes; a second run does what is missing or has changed.
+    fleet.html: parameters of every axis over time, which axis left its band and why, failures on top. Results are
+    stored as they come; a second run does missing and changed rows.
 
     Exit code 1: some rows failed, the rest is done.
     """

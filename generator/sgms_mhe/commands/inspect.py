@@ -23,7 +23,7 @@ SHOWN = 12
 
 
 @click.command(
-    short_help="Show what is understood of LOG.",
+    short_help="Show how LOG is read.",
     epilog=example("inspect axis.csv", "inspect DATA_EMPS.mat --machine emps"),
 )
 @log_argument
@@ -32,7 +32,7 @@ SHOWN = 12
 @json_option
 @click.pass_context
 def command(ctx: click.Context, log: Path, table: dict[str, Any], machine: str | None, as_json: bool) -> None:
-    """Show what is understood of LOG: dialect, columns, units, rate, jitter, missing samples, range.
+    """Show how LOG is read: dialect, columns, units, rate, jitter, missing samples, range.
 
     Exit code 1 where the commands that read logs would refuse this one; the reason is printed.
     """

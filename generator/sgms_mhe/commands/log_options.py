@@ -38,7 +38,7 @@ _OPTIONS = (
         "log_file",
         type=click.Path(path_type=Path),
         metavar="FILE.toml",
-        help="File with a table [log]: which column is what, and in what unit.",
+        help="File with a table [log]: columns and units.",
     ),
     click.option(
         "--rate",

@@ -18,7 +18,7 @@ from sgms_mhe.commands.common import (
 
 
 @click.command(
-    short_help="The trajectory that tells two causes apart.",
+    short_help="Find the trajectory that distinguishes two causes.",
     epilog=example("plan etel_xy --out plan.csv", "plan etel_xy --separate constant_offset asymmetric_coulomb"),
 )
 @machine_argument

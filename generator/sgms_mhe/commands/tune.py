@@ -35,14 +35,14 @@ if TYPE_CHECKING:
 @log_argument
 @log_options
 @out_option("A machine file that extends MACHINE by the weights.", metavar="MACHINE.toml", required=False)
-@click.option("--plot", type=click.Path(path_type=Path), metavar="PNG", help="Draw what every weight was worth.")
+@click.option("--plot", type=click.Path(path_type=Path), metavar="PNG", help="Draw the gain of every weight.")
 @json_option
 def command(machine: str, log: Path, table: dict[str, Any], out: Path | None, plot: Path | None, as_json: bool) -> None:
     """Find the noise weights and the horizon under which LOG is likeliest.
 
     The innovations are then as large as the estimator says they are: the mean test ratio is near 1. Weights that the
-    log cannot tell from the file's stay as they are. What the estimator shall be allowed to believe at its start
-    (parameter, initial_state) is the user's to say, and not touched.
+    log cannot distinguish from the file's stay as they are. Standard deviations at the start
+    (parameter, initial_state) are the user's and stay.
     """
     resolved = load_for_log(machine, table)
     if out is not None:

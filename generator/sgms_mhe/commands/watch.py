@@ -92,7 +92,7 @@ class Interrupt:
 @machine_argument
 @log_argument
 @log_options
-@click.option("--follow", is_flag=True, help="LOG grows: go on with what is written to it.")
+@click.option("--follow", is_flag=True, help="LOG grows: go on with its new rows.")
 @click.option(
     "--speed",
     type=Speed(1e-3, 1e6),
@@ -130,7 +130,7 @@ def command(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Run MACHINE's estimator along LOG as it is written, or as it was, and show what it says.
+    """Run MACHINE's estimator along LOG as it is written, or as it was, and show its estimates.
 
     Shown are friction, parameters with their bounds, test ratio and status; at the end, after Ctrl-C too, a summary.
     LOG is a log that is replayed; with --follow a text that grows; - for standard input, or a pipe. The numbers are

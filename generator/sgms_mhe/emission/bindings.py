@@ -163,7 +163,7 @@ def _outputs(view: PackageView) -> Iterator[_Row]:
     stated = "status of the last update: 0, a sum of positive flags, or negative: refused"
     yield "status", "Integer", "output", "", stated, "now->status"
     doubt = f"now->status > 0 && (now->status & {view.package.NAME}_DOUBT) != 0"
-    yield "doubt", "Boolean", "output", "", "the readings contradict the model beyond their stated noise", doubt
+    yield "doubt", "Boolean", "output", "", "measurements contradict the model beyond their stated noise", doubt
 
 
 def _estimated_variables(view: PackageView) -> Iterator[_Row]:

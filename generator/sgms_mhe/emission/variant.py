@@ -122,7 +122,7 @@ def statuses_of(machine: Machine, variant: Variant) -> tuple[Status, ...]:
             "Give the slow task more time: it has to be done once in an interval. The force ramps to zero meanwhile.",
         ),
         "doubt": (
-            "the readings contradict the model beyond their stated noise"
+            "measurements contradict the model beyond their stated noise"
             + (": they count less" if variant.self_scaling else ""),
             "Where it lasts: record a log and ask `sgms-mhe diagnose`; something on the axis is not in its model.",
         ),

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 WORDS: Final[Mapping[str, str]] = {
     REFUSED: "refused: the last good estimate is kept",
-    "doubt": "DOUBT: readings contradict the model",
+    "doubt": "DOUBT: measurements contradict the model",
     "overrun": "samples were lost",
     "missing": "no valid reading",
     "speed": "faster than max_velocity",

@@ -10,9 +10,9 @@
 
 #include "toy_compensation.h"
 
-/* Which call is under way, for other tasks to see. VOIDED: a prepare that a reset came into;
- * SPOILT: it is over, and what it left is worth nothing. */
-enum { IDLE, PREPARING, FEEDING, VOIDED, SPOILT };
+/* The call under way, for other tasks. ABORTED: a prepare that a reset interrupted; INVALID: it is
+ * over, its work lost. */
+enum { IDLE, PREPARING, FEEDING, ABORTED, INVALID };
 
 static void copy(sgms_real *to, const sgms_real *from, int count)
 {
@@ -28,8 +28,8 @@ static int slot_before(const toy_t *self, int back)
     return slot < 0 ? slot + SLOTS : (slot < SLOTS ? slot : slot - SLOTS);
 }
 
-/* What is known of theta alone, the lower right triangle of a factor: its inverse is the square
- * root of their covariance. Row by row in the axis's memory, in square where it is worked on. */
+/* The root of theta, lower right triangle of a factor: its inverse is the square root of the
+ * covariance. Packed row by row in the axis's memory, square in calculations. */
 static void keep_root(const sgms_real *factor, sgms_real *root)
 {
     for (int i = STATES; i < FACTOR_ROWS; i++) {
@@ -74,8 +74,7 @@ static void prior_root(const toy_t *self, sgms_real *root)
     }
 }
 
-/* By how much, one standard deviation, a parameter's variance may grow: never beyond the prior's,
- * and not at all where it is held. */
+/* Growth of a parameter (1 sigma): its variance stays within the prior's; none where it is held. */
 static sgms_real growth_of(const toy_t *self, int p, sgms_real wanted, sgms_real variance)
 {
     const sgms_real most = self->estimate.held[p] ? 0.0 : self->settings.parameter;
@@ -98,7 +97,7 @@ static void set_factor(
     }
 }
 
-/* Give it what is known of theta by a root. */
+/* Set the factor's rows of theta by a root. */
 static void set_root(sgms_real *factor, const sgms_real *root, const sgms_real *theta)
 {
     for (int i = 0; i < PARAMETERS; i++) {
@@ -125,8 +124,7 @@ static void start_interval(toy_t *self)
     self->sweep.cursor = 0;
 }
 
-/* Window of no interval yet; the node where the next sample stands has mean x. What is known of
- * theta: NULL is the prior. */
+/* Empty window; the node of the next sample has mean x. Root of theta: NULL is the prior's. */
 static void start_window(toy_t *self, const sgms_real *x, const sgms_real *root)
 {
     self->interval.filling = 0;
@@ -162,7 +160,7 @@ static void start_signals(toy_t *self)
     start_compensation(self);
 }
 
-/* Nothing known but the settings and what is moved. */
+/* Nothing known but settings and moved mass. */
 static void start_fresh(toy_t *self)
 {
     const sgms_real zero[STATES] = { 0.0 };
@@ -198,7 +196,7 @@ void toy_reset(toy_t *self)
 {
     const sgms_real zero[STATES] = { 0.0 };
     self->calls.phase =
-        self->calls.phase == PREPARING || self->calls.phase == VOIDED ? VOIDED : IDLE;
+        self->calls.phase == PREPARING || self->calls.phase == ABORTED ? ABORTED : IDLE;
     SGMS_FENCE();
     start_signals(self);
     copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
@@ -213,8 +211,8 @@ static sgms_real output_at(const toy_t *self, const sgms_real *x, const sgms_rea
     return output_force(&at, c, d);
 }
 
-/* What a reading says of (x, theta) at a node, as a row of the least squares: its sensitivities,
- * and to the right what they have to give. `at` is where its output is linearised. */
+/* Row of the least squares of a measurement at a node: sensitivities to (x, theta), right side.
+ * `at`: point of the linearisation. */
 static void node_row(const model_point *at, sgms_real measured, sgms_real *row)
 {
     sgms_real right = measured - output_force(at, row, row + STATES);
@@ -227,9 +225,9 @@ static void node_row(const model_point *at, sgms_real measured, sgms_real *row)
     row[FACTOR_ROWS] = right;
 }
 
-/* Predict a reading from the factor, which knows all before it. Returns the inverse of the standard
- * deviation that it is to be taken with: more than the stated one while readings contradict what is
- * predicted of them (docs/weights.md). */
+/* Predict a measurement from the factor of all before it. Returns the inverse of the standard
+ * deviation to take it with: above the stated one while measurements contradict predictions
+ * (docs/weights.md). */
 static sgms_real weigh_row(toy_t *self, const sgms_real *row)
 {
     /* R' u = row: u'u is the variance of the prediction, u'b the prediction */
@@ -262,7 +260,7 @@ static sgms_real weigh_row(toy_t *self, const sgms_real *row)
     }
 }
 
-/* Fold a reading into the factor with this weight. The row comes out weighed. */
+/* Fold a measurement into the factor with this weight. The row comes out weighed. */
 static void fold_row(sgms_real *factor, sgms_real weight, sgms_real *row)
 {
     sgms_real used[FACTOR_WIDTH];
@@ -273,8 +271,7 @@ static void fold_row(sgms_real *factor, sgms_real weight, sgms_real *row)
     sgms_qr_add_row(factor, FACTOR_ROWS, used);
 }
 
-/* What the reading at the start of an interval says, with the weight that it got: zeros where there
- * is none. */
+/* Weighed row of the measurement at the start of an interval; zeros where there is none. */
 static void start_row(const toy_t *self, int slot, sgms_real *row)
 {
     const model_point at = { self->window.node + slot * STATES,
@@ -377,7 +374,7 @@ static void expand(const sgms_real *rows, int width, int next_states, const sgms
     sgms_back_substitute(rows, STATES, width, right, x);
 }
 
-/* Fold the reading at the start of an interval. */
+/* Fold the measurement at the start of an interval. */
 static void fold_start(toy_t *self, int slot)
 {
     sgms_real row[FACTOR_WIDTH];
@@ -385,7 +382,7 @@ static void fold_start(toy_t *self, int slot)
     sgms_qr_add_row(self->sweep.factor, FACTOR_ROWS, row);
 }
 
-/* Condense an interval whose readings, but for that at its end, are folded in. */
+/* Condense an interval whose measurements, but for that at its end, are folded in. */
 static void sweep_interval(toy_t *self, int back, const sgms_real *rows)
 {
     const int slot = slot_before(self, back);
@@ -428,8 +425,7 @@ static void linearise_step(toy_t *self, int step)
         SLOTS, self->window.term + step * NODES * TERMS * SERIES_STRIDE, self->linearisation.lane);
 }
 
-/* Condense the interval `back` before the newest. After the last one, the newest's own readings can
- * be folded. */
+/* Condense the interval `back` before the newest; the last one opens the newest's own. */
 static void condense_node(toy_t *self, int back)
 {
     const int slot = slot_before(self, back);
@@ -446,7 +442,7 @@ static void condense_node(toy_t *self, int back)
 
 /* Units of the work that does not need the newest sample, in their order: nodes of the last
  * solution to expand, the start of the sweep, steps of the intervals to linearise anew; of each
- * older interval its readings to fold, its node to condense. */
+ * older interval its measurements to fold, its node to condense. */
 typedef struct {
     int nodes, steps, condensed;
 } workload;
@@ -458,7 +454,7 @@ static workload workload_of(const toy_t *self)
     return of;
 }
 
-/* What the next unit costs, in multiplications or so; 0 when all is done. */
+/* Cost of the next unit, in multiplications or so; 0 when all is done. */
 static int next_cost(const toy_t *self)
 {
     const workload of = workload_of(self);
@@ -507,7 +503,7 @@ void toy_prepare(toy_t *self)
         work(self);
     }
     SGMS_FENCE();
-    self->calls.phase = self->calls.phase == PREPARING ? IDLE : SPOILT;
+    self->calls.phase = self->calls.phase == PREPARING ? IDLE : INVALID;
 }
 
 int toy_due(const toy_t *self)
@@ -542,7 +538,7 @@ static int all_finite(const sgms_real *values, int count)
     return sum == 0.0;
 }
 
-/* Whether a state is a number, and one that an axis can have. */
+/* True if a state is a number, and one that an axis can have. */
 static int is_plausible(const sgms_real *x)
 {
     int count = 0;
@@ -606,7 +602,7 @@ static int shift_window(toy_t *self, int *status)
 static int update(toy_t *self)
 {
     sgms_real x[STATES], theta[PARAMETERS], variance[PARAMETERS], scratch[PARAMETERS];
-    sgms_real friction, weight = 0.0; /* of the newest reading; none: 0 */
+    sgms_real friction, weight = 0.0; /* of the newest measurement; 0: none */
     int status = 0, next = 0;
     while (next_cost(self) > 0) {
         work(self);
@@ -668,12 +664,12 @@ int toy_feedback(toy_t *self)
     if (!toy_due(self)) {
         return TOY_EARLY;
     }
-    if (phase != IDLE && phase != SPOILT) {
+    if (phase != IDLE && phase != INVALID) {
         return TOY_OVERLAP;
     }
     self->calls.phase = FEEDING;
     SGMS_FENCE();
-    status = phase == SPOILT ? start_again(self, TOY_OVERLAP) : update(self);
+    status = phase == INVALID ? start_again(self, TOY_OVERLAP) : update(self);
     SGMS_FENCE();
     self->calls.phase = IDLE;
     return status;
@@ -694,7 +690,7 @@ static SGMS_INLINE void extend_series(toy_t *self)
     take_step(self, self->input.signal);
 }
 
-/* Keep the newest signals, and say whether they were readings: otherwise the last ones hold. */
+/* Take the newest signals in; false where one is no number: the last ones hold. */
 static SGMS_INLINE int take_signals(toy_t *self, const toy_signals *signals)
 {
     const int good =
@@ -868,7 +864,7 @@ const char *toy_status_text(int status)
         return "faster than max_velocity";
     }
     if (status & TOY_DOUBT) {
-        return "the readings contradict the model: they count less";
+        return "measurements contradict the model: they count less";
     }
     if (status & TOY_MISSING) {
         return "the newest measurement was left out";
@@ -882,8 +878,7 @@ const char *toy_status_text(int status)
     return (status & TOY_FILLING) ? "the window is filling" : "good";
 }
 
-/* A checksum of what was saved, all that stands behind it (CRC-32): any single bit, and any burst
- * of 32, changes it. */
+/* CRC-32 of the saved data behind it: any single bit, and any burst of 32, changes it. */
 static SGMS_COLD uint32_t checksum_of(const toy_saved_t *saved)
 {
     const unsigned char *const bytes = (const unsigned char *)saved;
@@ -897,7 +892,7 @@ static SGMS_COLD uint32_t checksum_of(const toy_saved_t *saved)
     return ~sum;
 }
 
-/* Whether parameters are within their bounds; one that is not a number is not. */
+/* True if parameters are within their bounds; a NaN is not. */
 static SGMS_COLD int within_bounds(const toy_t *self, const sgms_real *theta)
 {
     int within = 0;
@@ -907,7 +902,7 @@ static SGMS_COLD int within_bounds(const toy_t *self, const sgms_real *theta)
     return within == PARAMETERS;
 }
 
-/* Whether the model is one of numbers at these parameters: at a level of zero it is not. */
+/* True if the model has finite terms at these parameters: at a level of zero it has not. */
 static SGMS_COLD int is_model(const sgms_real *theta)
 {
     toy_parameters at;
@@ -916,7 +911,7 @@ static SGMS_COLD int is_model(const sgms_real *theta)
     return all_finite(at.q, 1) && all_finite(at.d_q, 1 * PARAMETERS);
 }
 
-/* Whether a number is above zero, and its square and inverse are numbers. */
+/* True if a number is above zero, its square and inverse finite. */
 static SGMS_COLD int is_size(sgms_real value)
 {
     return value >= LEAST_SIZE && value <= 1.0 / LEAST_SIZE;
@@ -930,7 +925,7 @@ static SGMS_COLD int are_valid(const toy_settings_t *settings)
     for (int i = 0; i < STATES; i++) {
         good = good && is_size(settings->state[i]);
     }
-    /* nominal values have to be within, and lower ones below upper ones: an axis starts there */
+    /* nominal values, with which an axis starts, are within */
     for (int p = 0; p < PARAMETERS; p++) {
         good = good && settings->lower[p] <= 1.0 && settings->upper[p] >= 1.0;
         good = good && settings->lower[p] * 0.0 == 0.0 && settings->upper[p] * 0.0 == 0.0;
@@ -966,19 +961,19 @@ SGMS_COLD int toy_set_mass(toy_t *self, toy_real moved)
         return TOY_REFUSED;
     }
     self->chain.moved = moved;
-    self->chain.counts[2] = 0; /* in the filters there is friction by the one before */
+    self->chain.counts[2] = 0; /* the filters hold friction by the old one */
     return TOY_OK;
 }
 
-/* Start the window anew at the newest signals, with theta[p] and what `square` knows of the
- * parameters; the states go on. */
+/* Start the window anew at the newest signals, with theta[p] and root `square`; the states go
+ * on. */
 static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms_real *square)
 {
     const int started = self->interval.started;
     const sgms_real *const node = self->window.node + self->interval.filling * STATES;
     sgms_real w[SIGNALS], x[STATES];
     self->calls.phase =
-        self->calls.phase == PREPARING || self->calls.phase == VOIDED ? VOIDED : IDLE;
+        self->calls.phase == PREPARING || self->calls.phase == ABORTED ? ABORTED : IDLE;
     SGMS_FENCE();
     copy(w, self->input.signal, SIGNALS);
     copy(x, node, STATES);
@@ -1003,13 +998,12 @@ static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms
     self->interval.started = started;
 }
 
-/* Let theta[p] be known this well, apart from the others, of which nothing is lost. */
+/* Set theta[p] with its own deviation; the others keep their information. */
 static SGMS_COLD void set_theta(toy_t *self, int p, sgms_real theta, sgms_real inverse_sd)
 {
     sgms_real square[PARAMETERS * ROOT_WIDTH], scratch[PARAMETERS];
     unpack_root(self->estimate.root, square);
-    /* With its column in front, the rows below the first are what is known of the others whatever
-     * it is. */
+    /* with its column in front, the rows below the first are the root of the others */
     for (int i = 0; i < PARAMETERS; i++) {
         sgms_real *const row = square + i * ROOT_WIDTH;
         const sgms_real moved = row[p];
@@ -1096,7 +1090,7 @@ SGMS_COLD int toy_save(const toy_t *self, toy_saved_t *saved)
     return TOY_OVERLAP;
 }
 
-/* Whether what was saved is of this machine, whole, and what an axis can have learned. */
+/* True if saved data are of this machine, undamaged and within the bounds. */
 static SGMS_COLD int is_whole(
     const toy_t *self, const toy_saved_t *saved, const sgms_real *variance)
 {

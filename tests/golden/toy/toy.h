@@ -23,35 +23,35 @@
  *                 right after it; toy_prepare() in a slower task, between one feedback and the
  *                 next.
  *
- * Tasks that share an axis. C99 has no atomics; this is what the caller guarantees, and what the
- * axis watches over:
+ * Tasks that share an axis. C99 has no atomics; this is what the caller guarantees and the axis
+ * checks:
  *
  * - One task calls toy_sample(), toy_feedback() and their like, or toy_tick(). That one or one
  *   other calls toy_prepare().
  * - sample() may interrupt prepare() anywhere. feedback() may not: it then returns OVERLAP and
  *   changes nothing; it is to be called again once prepare() has returned, and samples that come
- *   until then are lost (OVERRUN). What prepare() had not begun feedback() does itself.
+ *   until then are lost (OVERRUN). feedback() does itself what prepare() has left.
  * - prepare() inside of prepare() or feedback() returns at once.
  * - toy_init(), init_with(), load() and toy_reset(), hold(), set_parameter() are called while no
  *   other call is under way. One of the last three inside of prepare() is noticed: the next
  *   feedback() returns OVERLAP and starts the window from the last good estimate.
  * - toy_set_mass() is called by the task that calls sample(), or while that is not under way.
  * - toy_estimate() and toy_save() may be called by any task: numbers of one update, or OVERLAP
- *   where feedback() came between three times.
- * - On one core, where a task or an interrupt stops another one, that is all. Calls tell of each
- *   other by aligned words of 32 bits (`phase`, `version`, `arrived`, volatile), which are read and
- *   written in one piece and in the order of the program: SGMS_FENCE() (sgms_real.h) tells gcc and
- *   clang to keep it; for another compiler define it as what it needs.
+ *   where feedback() interrupted three times.
+ * - On one core, where a task or an interrupt stops another one, that is all. Calls see each other
+ *   by aligned words of 32 bits (`phase`, `version`, `arrived`, volatile), which are read and
+ *   written in one piece and in the order of the program: SGMS_FENCE() (sgms_real.h) makes gcc and
+ *   clang keep it; define it for another compiler.
  * - On two cores these words are no lock. Define SGMS_FENCE() as a memory barrier, and see to it
  *   that neither of prepare() and feedback() begins while the other is beginning: start prepare()
  *   by a semaphore that is given after feedback() has returned, and feedback() after prepare() has
  *   begun.
  *
- * When sensors fail: a reading that is missing or not finite is left out (MISSING). One that
- * contradicts what is predicted of it counts less, as long as it does, and the status says DOUBT;
- * parameters that have been learned stay, and their deviations say how sure they are. What is fed
- * forward has no limit: [compensation] limit. What is wrong from the first sample on (a sign, a
- * gain, a unit) cannot be told here.
+ * When sensors fail: a measurement that is missing or not finite is left out (MISSING).
+ * Measurements that contradict their predictions count less, with status DOUBT; learned parameters
+ * stay, and their deviations say how accurate they are. The force fed forward has no limit:
+ * [compensation] limit. A fault from the first sample on (a sign, a gain, a unit) is not recognised
+ * here.
  */
 #ifndef TOY_H
 #define TOY_H
@@ -89,7 +89,7 @@ enum {
     TOY_BOUND = 8,    /* a parameter is at its bound */
     TOY_SPEED = 16,   /* faster than max_velocity, 0.5 m/s */
     TOY_OVERRUN = 32, /* samples were lost: feedback was not called in time */
-    /* the readings contradict the model beyond their stated noise: they count less */
+    /* measurements contradict the model beyond their stated noise: they count less */
     TOY_DOUBT = 64,
     TOY_EARLY = -1,   /* feedback before the interval was complete */
     /* the solution was not finite or absurd: the window starts anew from the last good estimate */
@@ -102,7 +102,7 @@ enum {
     TOY_REFUSED = -5
 };
 
-/* Signals of one sample for toy_insert(), where the controller has its own chain. */
+/* Signals of one sample for toy_insert(), from the controller's own chain. */
 typedef struct {
     toy_real position;     /* m */
     toy_real velocity;     /* m/s, mean over the sample period that ends now */
@@ -114,21 +114,20 @@ typedef struct {
     toy_real delay;
 } toy_signals;
 
-/* What the observer knows after an update. */
+/* Estimate of an update. */
 typedef struct {
     toy_real friction;                    /* N, at the last update */
     toy_real friction_measured;           /* N */
     toy_real deflection[TOY_ELEMENTS];   /* m */
     toy_real parameter[TOY_PARAMETERS];    /* SI units */
     toy_real deviation[TOY_PARAMETERS];    /* 1 sigma, SI units */
-    toy_real innovation;                  /* N, the newest reading minus its prediction */
+    toy_real innovation;                  /* N, the newest measurement minus its prediction */
     toy_real test_ratio;                  /* its square over the variance predicted for it */
-    /* factor on the stated standard deviation that it was taken with, >= 1 */
-    toy_real noise_scale;
+    toy_real noise_scale;                 /* factor on its stated standard deviation, >= 1 */
     int status;
 } toy_estimate_t;
 
-/* What became of a reading; as above. */
+/* Result of a measurement; as above. */
 typedef struct {
     toy_real innovation, test_ratio, noise_scale;
 } toy_reading;
@@ -142,17 +141,15 @@ enum {
     TOY_SERIES_SIZE = 5 * 2 * 4,                 /* nodes, sample terms, intervals */
     TOY_BLOCKS_SIZE = 7 * 4,                     /* blocks side by side, with sensitivities */
     TOY_LANES_SIZE = 7 * 4,                      /* the same of all intervals */
-    /* upper triangle of what is known of the parameters alone */
-    TOY_ROOT_SIZE = 3,
-    /* row that gives a node back: its state, the next one's, theta, right side */
+    TOY_ROOT_SIZE = 3,                           /* upper triangle, root of the parameters */
+    /* row of a node: its state, the next one's, theta, right side */
     TOY_KEPT_WIDTH = 5,
     TOY_DEFECT_WIDTH = 4,                        /* row of a defect: states, theta, right side */
 };
 
-/* Weights and bounds, as [estimator.noise] and [estimator.bounds] of the machine file have them;
- * toy_settings() gives those. */
+/* Weights and bounds, of [estimator.noise] and [estimator.bounds] in the machine file. */
 typedef struct {
-    toy_real measurement;   /* N, 1 sigma of a reading; above zero; 0.2 */
+    toy_real measurement;   /* N, 1 sigma of a measurement; above zero; 0.2 */
     /* 1 sigma per update, of elements as a fraction of nu_i f_C; above zero; 0.05 */
     toy_real state[TOY_STATES];
     /* 1 sigma of a parameter before any data, over nominal; above zero; 0.2 */
@@ -164,16 +161,15 @@ typedef struct {
     toy_real lower[TOY_PARAMETERS], upper[TOY_PARAMETERS];
 } toy_settings_t;
 
-/* What was learned, to be kept where it outlives the power: toy_save(), toy_load(). As many bytes
- * on every processor, none of them padding; the numbers lie as the processor has them. */
+/* Learned parameters for toy_save() and toy_load(), to be stored across power cycles. The same size
+ * on every processor, without padding, in its byte order. */
 typedef struct {
     uint32_t checksum;   /* over all that follows */
     uint32_t format;     /* TOY_SAVED_FORMAT */
     uint32_t machine[2]; /* digest of the machine file */
     toy_real theta[TOY_PARAMETERS];   /* over nominal */
-    /* upper triangle whose inverse is the square root of their covariance */
-    toy_real root[TOY_ROOT_SIZE];
-    toy_real ratio; /* slow mean of the readings' test ratios */
+    toy_real root[TOY_ROOT_SIZE]; /* inverse: square root of their covariance */
+    toy_real ratio; /* slow mean of test ratios */
 } toy_saved_t;
 
 /* The scaled parameters, and what depends on them alone. */
@@ -230,7 +226,7 @@ typedef struct {
         int32_t status;
         uint8_t held[TOY_PARAMETERS]; /* by hold(), set_parameter() */
     } estimate;
-    struct { /* what the samples of each interval say */
+    struct { /* samples and node of each interval */
         toy_real term[TOY_SERIES_SIZE];
         toy_real node[TOY_SLOTS * TOY_STATES]; /* state at its start */
         toy_real signal[TOY_SLOTS * TOY_SIGNALS];
@@ -263,16 +259,15 @@ static inline toy_position toy_position_from_counts(int64_t counts, int32_t per,
     return per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
 }
 
-/* Whether the application was compiled against the header that this package was:
- * toy_check(sizeof(toy_t), TOY_HEADER) is TOY_OK, or TOY_MISMATCH: another machine file, another
- * generator, another layout of the memory. To be called before toy_init(); it touches no axis. */
+/* Check that application and package have the same header: toy_check(sizeof(toy_t), TOY_HEADER)
+ * returns TOY_OK, or TOY_MISMATCH for another machine file, generator or memory layout. Call it
+ * before toy_init(). */
 int toy_check(size_t size, uint32_t header);
 
-/* Self-test (toy_selftest.c): the motion that comes with the package, and what the reference solver
- * estimates from it. 0 where this processor and compiler come to the same; otherwise the number of
- * the first update that differs, or one more than there are where save() and load() do not give
- * back what was learned. selftest() takes sizeof(toy_t) of stack, selftest_with() the memory of an
- * axis, which is to be set up anew with toy_init(). */
+/* Self-test (toy_selftest.c) along a motion with the estimates of the reference solver. Returns 0
+ * where this processor and compiler agree; otherwise the number of the first update that differs,
+ * or one more than there are where save() and load() lose something. selftest() takes sizeof(toy_t)
+ * of stack; selftest_with() the memory of an axis, to be set up anew after it. */
 int toy_selftest(void);
 int toy_selftest_with(toy_t *axis);
 
@@ -287,35 +282,33 @@ void toy_settings(toy_settings_t *settings);
 int toy_init_with(toy_t *self, const toy_settings_t *settings);
 
 /* The mass that moves from now on [kg], payload included; toy_init() sets the machine file's, 2.0.
- * For 7 samples, while the filters hold friction by the one before, readings count as missing.
- * Readings of toy_insert() bring friction by the caller's own. REFUSED, and nothing changes, beyond
- * 20 times the machine file's or below a 20th of it: that is another axis or another unit.
+ * For 7 samples, while the filters hold friction by the old one, measurements count as missing;
+ * toy_insert() brings friction by the caller's own. REFUSED, and nothing changes, beyond 20 times
+ * the machine file's or below a 20th of it: that is another axis or another unit.
  */
 int toy_set_mass(toy_t *self, toy_real mass);
 
 /* Hold a parameter where it is, or let it go; by its number, from 0, in the order of the estimate.
- * A held one counts as known to 1e-6 of nominal; one that is let go is as uncertain as before any
- * data. What is known of the others stays, and the window starts anew. init() and load() hold none.
- * REFUSED: there is no such parameter. */
+ * A held one counts as known to 1e-6 of nominal; a released one is as uncertain as before any data.
+ * The others stay, and the window starts anew. init() and load() hold none. REFUSED: no such
+ * parameter. */
 int toy_hold(toy_t *self, int parameter, int on);
 
-/* What the application knows of a parameter, from an identification or a test: value and one
- * standard deviation [SI], from which it goes on learning; deviation 0 holds it there. Replaces
- * what was learned of it; what is known of the others stays, and the window starts anew. REFUSED,
- * and nothing changes: there is no such parameter, a number is none, is beyond its bounds, leaves
- * no model (a level of zero), or a deviation above zero is below 1e-6 of nominal. */
+/* Set a parameter from an identification or a test: value and standard deviation [SI], from which
+ * learning goes on; deviation 0 holds it. The others stay, and the window starts anew. REFUSED, and
+ * nothing changes: no such parameter, NaN, a value beyond its bounds or without a model (a level of
+ * zero), a deviation above zero but below 1e-6 of nominal. */
 int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_real deviation);
 
-/* Write down what was learned: parameters, how sure they are, how well they predict. By any task,
- * as toy_estimate(). Returns OK, or OVERLAP where feedback() came between three times; what was
- * written is then refused by load(). */
+/* Write the learned parameters, their covariance and test ratio. By any task, as toy_estimate().
+ * Returns OK, or OVERLAP where feedback() interrupted three times; load() then refuses the data. */
 int toy_save(const toy_t *self, toy_saved_t *saved);
 
-/* Start with what was saved, after toy_init() or init_with(): an empty window, the saved
- * parameters. Friction changes while nothing is measured: their variances grow by that of
- * settings.pause, but not beyond those before any data. Parameters that were held are to be held
- * again; settings and mass stay. REFUSED: damaged, of another machine file or layout, no numbers,
- * or parameters beyond their bounds. The axis is then as fresh as after init_with(). */
+/* Start with saved parameters, after toy_init() or init_with(), and an empty window. Friction
+ * changes while nothing is measured: variances grow by that of settings.pause, up to those before
+ * any data. Hold parameters again that were held; settings and mass stay. REFUSED: damaged, of
+ * another machine file or layout, not finite, or beyond the bounds; the axis is then as fresh as
+ * after init_with(). */
 int toy_load(toy_t *self, const toy_saved_t *saved);
 
 /* Start the signals and the window anew, with the parameters learned so far as the prior mean. */
@@ -349,8 +342,7 @@ toy_real toy_sample(toy_t *self, toy_position position, toy_real force);
  * * acceleration, stays the controller's own feed-forward. */
 void toy_ahead(toy_t *self, toy_real velocity, toy_real acceleration);
 
-/* Turn the force that tick() and sample() return on or off, along the ramp. Estimation goes on
- * either way. After init() it is on. */
+/* Turn the force of tick() and sample() on or off, along the ramp; after init() it is on. */
 void toy_compensate(toy_t *self, int on);
 
 /* How much of it is on at the moment, 0 to 1. */
@@ -361,11 +353,10 @@ toy_real toy_share(const toy_t *self);
  * is not made up for, so compensation wants one without. */
 toy_real toy_insert(toy_t *self, const toy_signals *signals);
 
-/* Whether an interval is complete and waits for feedback(). */
+/* True if an interval is complete and waits for feedback(). */
 int toy_due(const toy_t *self);
 
-/* All of the update that does not need the newest sample: the older nodes of the last solution, the
- * linearisation, the eliminations. */
+/* The part of an update that needs no newest sample: older nodes, linearisation, elimination. */
 void toy_prepare(toy_t *self);
 
 /* Take in the newest interval and its measurement, solve, shift. Returns the status. */

@@ -106,9 +106,8 @@ static void element_ahead(
     }
 }
 
-/* What the position has moved beyond the chain's position, from its differences d: q - LP(LP(q one
- * sample ago)). The filters pass a constant, so 1 - LP acts on differences, and no absolute
- * position costs digits. */
+/* Displacement beyond the chain's position, q - LP(LP(q one sample ago)), from differences d: the
+ * filters pass a constant, and an absolute position would cost digits. */
 static void follow_lag(toy_t *self, sgms_real d)
 {
     sgms_real *const s = self->compensation.lag_state;
@@ -181,8 +180,7 @@ static sgms_real friction_ahead(const toy_t *self)
     return sgms_is_finite(friction) ? friction : self->estimate.friction;
 }
 
-/* Whether the friction ahead is not to be relied on: the state was lost, or is carried along a
- * motion that nobody saw or that no axis makes. */
+/* True if the friction ahead is unreliable: state lost, position missing or impossibly fast. */
 static int is_unsound(const toy_t *self, sgms_real speed)
 {
     return self->estimate.status < 0 || (self->estimate.status & TOY_OVERRUN) ||

@@ -78,8 +78,7 @@ enum { VECTOR = 2 };
 enum { VECTOR = 1 };
 #endif
 
-/* Multiplications of a unit of the work: a node expanded, a step, a node condensed; of those in one
- * sample. */
+/* Multiplications of a unit of work, and of all units in one sample. */
 enum {
     STEP_COST = 180,
     COST_PER_SAMPLE = 360,
@@ -96,16 +95,16 @@ enum {
 #define MAX_VELOCITY 0.5                     /* m/s */
 /* m; an interval that moves less says nothing of the parameters */
 #define HOLD_PATH 2.9999999999999997e-05
-#define MEASUREMENT_SD 0.2                   /* N, stated of a reading */
+#define MEASUREMENT_SD 0.2                   /* N, stated of a measurement */
 /* Of test ratios: squared innovations over their predicted variance. */
 #define RATIO_FAST 0.1                       /* weight of the newest one in their fast mean */
 #define RATIO_SLOW 0.003                     /* and in their slow mean */
 #define RATIO_MOST 1000.0                    /* one counts no more in the means */
-#define RATIO_FREE 9.0                       /* beyond it a reading counts less at once */
-/* means beyond which the readings contradict the model */
+#define RATIO_FREE 9.0                       /* beyond it a measurement counts less at once */
+/* means beyond which measurements contradict the model */
 #define DOUBTED_FAST 5.0
 #define DOUBTED_SLOW 2.0                     /*  */
-/* What toy_settings() gives. */
+/* Values of toy_settings(). */
 #define PRIOR_SD 0.2                         /* of theta */
 #define PAUSE_SD 0.05                        /* of theta, over a power cycle */
 #define DRIFT_SD 0.001                       /* of theta, per update */
@@ -119,8 +118,7 @@ static const sgms_real upper_bound[PARAMETERS] = {2.0, 1e+300};
 #define LEAST_SIZE 1e-60
 /* A parameter that is held: as well known as that, over nominal. */
 #define HELD_SD 1e-06
-/* What is moved, beyond so many times the machine file's or its inverse: another machine, or
- * another unit. */
+/* Moved mass over the machine file's, or its inverse, at most: beyond, it is another unit. */
 #define MASS_RANGE 20.0
 
 /* States that each state depends on over an interval, itself included, and how many. */
