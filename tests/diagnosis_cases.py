@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis import (
     Alternative,
     BaseParameter,
@@ -21,6 +20,7 @@ from sgms_mhe.diagnosis import (
     Score,
     Traces,
 )
+from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.machine import Machine
 
 Array = NDArray[np.float64]
@@ -89,12 +89,7 @@ def explained(machine: Machine, **changes: Any) -> Diagnosis:
     std = {"amplitude_N": 0.006, "pitch_m": 2.1e-5, "phase_rad": 0.011}
     before, after = shown.residual_before[shown.held_out], shown.residual_after[shown.held_out]
     rms = Rms(0.581, 0.112, float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2))))
-    entry = machine.plant.units.keyed({"name": "force_ripple", **values})
-    extended = override_machine(machine, {"name": f"{machine.name}_force_ripple", "effects": [entry]})
-    toml = (
-        f'# Found by sgms-mhe diagnose in axis.csv.\nextends = "{machine.name}"\nname = "{extended.name}"\n\n'
-        '[[effects]]\nname = "force_ripple"\namplitude_N = 0.797   # +- 0.012\npitch_m = 0.032003\nphase_rad = 0.598\n'
-    )
+    extended, tables = extend_machine(machine, ["force_ripple"], {}, [{"name": "force_ripple", **values}])
     nan = math.nan
     scores = (
         Score("force_ripple", 1, 1e-34, 0.561, 0.562, values, "named"),
@@ -136,7 +131,7 @@ def explained(machine: Machine, **changes: Any) -> Diagnosis:
         structure_after=structure(shown, shown.residual_after, False),
         traces=shown,
         extended=extended,
-        extended_toml=toml,
+        changes=tables,
         law="sgms",
         excited=True,
         warnings=("120 of 6000 samples are missing; they and 50 samples after each gap are left out",),
@@ -172,7 +167,7 @@ def adequate(machine: Machine, **changes: Any) -> Diagnosis:
         structure_after=structure(shown, shown.residual_after, False),
         traces=shown,
         extended=None,
-        extended_toml=None,
+        changes=None,
         warnings=(),
         **changes,
     )

@@ -16,7 +16,7 @@ from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
 from sgms_mhe.diagnosis.alignment import align, decimate
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import material_force
-from sgms_mhe.diagnosis.extension import extend_machine
+from sgms_mhe.diagnosis.extension import extend_machine, extension_toml
 from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.models import compile_once
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, ParameterGroup
@@ -288,11 +288,15 @@ def test_a_number_that_is_0_is_not_the_scale_of_its_estimate(
     )
     machine = load_machine(base)
     friction = {"viscous": 0.0, "stribeck_ratio": 0.0}
-    extended, text = extend_machine(machine, ["viscous"], friction, [spring | effect])
+    extended, changes = extend_machine(machine, ["viscous"], friction, [spring | effect])
     assert extended.estimator.parameters == left
-    path = tmp_path / "extended.toml"
-    path.write_text(text)
-    assert load_machine(path).digest == extended.digest
+    path = tmp_path / "results" / "extended.toml"
+    path.parent.mkdir()
+    for alone in (False, True):
+        text = extension_toml(machine, extended, changes, path.parent, alone)
+        assert ("extends = " in text) is not alone
+        path.write_text(text)
+        assert load_machine(path).digest == extended.digest
     build_model(extended)
 
 

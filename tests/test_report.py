@@ -181,9 +181,10 @@ def test_explained_says_cause_numbers_and_file(machine: Machine, tmp_path: Path)
     assert "0.548 to 0.577 N" in words
     assert "120 of 6000 samples are missing" in words
     assert "etel_xy_force_ripple.toml" in page.addresses
-    assert diagnosis.extended_toml is not None
-    assert " ".join(diagnosis.extended_toml.split()) in words
-    assert (tmp_path / "etel_xy_force_ripple.toml").read_text() == diagnosis.extended_toml
+    toml = diagnosis.extended_file(tmp_path)
+    assert toml is not None
+    assert " ".join(toml.split()) in words
+    assert (tmp_path / "etel_xy_force_ripple.toml").read_text() == toml
 
 
 def test_ambiguous_shows_the_rival_and_the_next_step(machine: Machine, tmp_path: Path) -> None:
@@ -321,6 +322,25 @@ def test_a_report_that_fails_costs_no_verdict(
     assert caplog.records[0].exc_info is not None
     assert json.loads((tmp_path / "out" / "diagnosis.json").read_text())["verdict"] == "explained"
     assert json.loads(done(*arguments, "--json").stdout)["verdict"] == "explained"
+
+
+@pytest.mark.parametrize("standalone", [False, True])
+def test_an_extended_machine_stands_alone_if_asked(
+    standalone: bool, machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file and its text on the page, through the command."""
+    found = cases.explained(machine)
+    monkeypatch.setattr("sgms_mhe.diagnosis.diagnose", lambda *_, **__: found)
+    monkeypatch.setattr("sgms_mhe.logfiles.plausibility.check_plausible", lambda *_: None)
+    time = np.arange(20_000) / 1e4
+    log = np.column_stack((time, 0.01 * np.sin(9.0 * time), 5.0 * np.cos(9.0 * time)))
+    np.savetxt(tmp_path / "log.csv", log, delimiter=",", header="time_s,position_m,force_N", comments="")
+    done("diagnose", "etel_xy", tmp_path / "log.csv", "--out", tmp_path, *["--standalone"][: int(standalone)])
+    toml = (tmp_path / "etel_xy_force_ripple.toml").read_text()
+    assert ("extends" not in toml) is standalone
+    assert found.extended is not None
+    assert load_machine(tmp_path / "etel_xy_force_ripple.toml").digest == found.extended.digest
+    assert " ".join(toml.split()) in read(tmp_path / "report.html").words
 
 
 def test_a_choice_is_told_once_whatever_its_sentence(machine: Machine, tmp_path: Path) -> None:

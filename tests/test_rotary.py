@@ -226,10 +226,10 @@ def test_a_diagnosis_finds_the_same_and_says_it_in_its_own_units(tmp_path: Path)
     assert "residual_rms_Nm" in content
     extended = found[1].extended
     assert extended is not None
-    assert "amplitude_Nm = " in (found[1].extended_toml or "")
+    assert "amplitude_Nm = " in (found[1].extended_file() or "")
     write_report(found[1], tmp_path)
     (tmp_path / "diagnosis.json").write_text(json.dumps(content))
-    (tmp_path / "again.toml").write_text(found[1].extended_toml or "")
+    (tmp_path / "again.toml").write_text(found[1].extended_file() or "")
     assert load_machine(tmp_path / "again.toml").effects == extended.effects
     page = re.sub(r"<script.*?</script>|<style.*?</style>", "", (tmp_path / "report.html").read_text(), flags=re.DOTALL)
     words = re.sub(r"<[^>]*>", " ", page).replace("\N{NO-BREAK SPACE}", " ")

@@ -91,7 +91,7 @@ plt.show()
 # C99 without a library, ready for a controller; its README has the ten lines that call it.
 
 # %%
-if found.extended_toml is not None:
-    Path("extended.toml").write_text(found.extended_toml, encoding="utf-8")
+if found.extended is not None:
+    Path("extended.toml").write_text(found.extended_file(), encoding="utf-8")
 package = sgms_mhe.generate(extended, "package")
 print(f"{len(package.files)} files in package/")

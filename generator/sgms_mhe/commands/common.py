@@ -72,6 +72,12 @@ trace_option = click.option(
     help="Folder for all decisions with their numbers: one JSON file per stage.",
 )
 
+standalone_option = click.option(
+    "--standalone",
+    is_flag=True,
+    help="Write every table into the new machine file; otherwise it extends MACHINE by the path to its file.",
+)
+
 
 class NumberType(click.FloatRange):
     """A finite number within a stated range, its ends included."""

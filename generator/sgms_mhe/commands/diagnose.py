@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ from sgms_mhe.commands.common import (
     part_options,
     recorded_log,
     show,
+    standalone_option,
     steps_bar,
     trace_option,
 )
@@ -61,6 +63,7 @@ if TYPE_CHECKING:
     metavar="FROM TO",
     help="Seconds since the start that the fit behind the gain does not see; default: a third of the record.",
 )
+@standalone_option
 @trace_option
 @json_option
 def command(
@@ -72,6 +75,7 @@ def command(
     start_s: float,
     end_s: float,
     held_out: tuple[tuple[float, float], ...],
+    standalone: bool,
     trace: Path | None,
     as_json: bool,
 ) -> None:
@@ -103,6 +107,7 @@ def command(
     another = recorded_log(unseen, resolved) if unseen else None
     with trace_decisions(trace), steps_bar() as progress:
         found = diagnose(resolved, recorded, progress=progress, held_out_s=held_out or None)
+    found = replace(found, standalone=standalone)
     write_diagnosis(found, folder)
     gain, refused = None, None
     if another is not None and found.extended is not None:

@@ -18,6 +18,7 @@ from sgms_mhe.commands.common import (
     out_option,
     recorded_log,
     show,
+    standalone_option,
     table_text,
 )
 from sgms_mhe.commands.log_options import load_for_log, log_options
@@ -35,9 +36,18 @@ if TYPE_CHECKING:
 @log_argument
 @log_options
 @out_option("A machine file that extends MACHINE by the weights.", metavar="MACHINE.toml", required=False)
+@standalone_option
 @click.option("--plot", type=click.Path(path_type=Path), metavar="PNG", help="Draw the gain of every weight.")
 @json_option
-def command(machine: str, log: Path, table: dict[str, Any], out: Path | None, plot: Path | None, as_json: bool) -> None:
+def command(
+    machine: str,
+    log: Path,
+    table: dict[str, Any],
+    out: Path | None,
+    standalone: bool,
+    plot: Path | None,
+    as_json: bool,
+) -> None:
     """Find the noise weights and the horizon under which LOG is likeliest.
 
     The innovations are then as large as the estimator says they are: the mean test ratio is near 1. Weights that the
@@ -57,7 +67,7 @@ def command(machine: str, log: Path, table: dict[str, Any], out: Path | None, pl
 
     tuned = tune(resolved, recorded_log(log, resolved), note)
     if out is not None:
-        write_text(out, _toml(tuned, out.stem, log.name))
+        write_text(out, _toml(tuned, out, log.name, standalone))
     if plot is not None:
         save_figure(plot, trade_off_figure(tuned))
     outputs = [path for path in (out, plot) if path is not None]
@@ -102,16 +112,19 @@ def _text(tuned: Tuned, outputs: list[Path]) -> str:
     return "\n".join(lines)
 
 
-def _toml(tuned: Tuned, name: str, log: str) -> str:
-    """A machine file with the weights alone."""
-    from sgms_mhe.machine.writing import toml_extends, toml_line, toml_table
+def _toml(tuned: Tuned, path: Path, log: str, alone: bool) -> str:
+    """Return a machine file with the weights alone, or with every table."""
+    from sgms_mhe.configuration import override_machine
+    from sgms_mhe.machine.writing import toml_extends, toml_line, toml_machine, toml_table
 
-    lines = [
+    head = [
         f"# Weights by sgms-mhe tune over {log}.",
         f"# Mean test ratio {tuned.best.ratio:.3g}, before {tuned.start.ratio:.3g}.",
-        toml_extends(tuned.machine),
-        toml_line("name", name),
     ]
+    if alone:
+        changed = override_machine(tuned.machine, {"name": path.stem, **tuned.changes()})
+        return "\n".join([*head, *toml_machine(changed.content)]) + "\n"
+    lines = [*head, toml_extends(tuned.machine, path.parent), toml_line("name", path.stem)]
     estimator = tuned.changes().get("estimator", {})
     if "horizon" in estimator:
         lines += toml_table("[estimator]", {"horizon": estimator["horizon"]})

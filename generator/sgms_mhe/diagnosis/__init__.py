@@ -14,6 +14,7 @@ from sgms_mhe.diagnosis.result import (
     Score,
     Traces,
     write_diagnosis,
+    write_extended,
     write_refusal,
 )
 from sgms_mhe.diagnosis.verdict import diagnose
@@ -31,5 +32,6 @@ __all__ = [
     "Traces",
     "diagnose",
     "write_diagnosis",
+    "write_extended",
     "write_refusal",
 ]

@@ -166,8 +166,8 @@ def base_parameters(final: FinalFit, fit: Fit) -> tuple[BaseParameter, ...]:
 
 def extended_machine(
     machine: Machine, final: FinalFit, selection: Selection, causes: Sequence[Cause]
-) -> tuple[Machine, str]:
-    """The machine with its wrong numbers corrected and the effects added, and its file."""
+) -> tuple[Machine, dict[str, Any]]:
+    """Return the machine with its wrong numbers corrected and the effects added, and the tables that this changes."""
     fit = selection.fit
     friction: dict[str, Any] = {}
     for group in selection.refitted:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.machine import Estimator, Machine
-from sgms_mhe.machine.writing import toml_extends, toml_line, toml_table
+from sgms_mhe.machine.writing import is_file_of, toml_extends, toml_line, toml_machine, toml_table
 from sgms_mhe.model.effects import effect_definition
 
 NAME_LENGTH = 48
@@ -18,8 +19,8 @@ def extend_machine(
     names: Sequence[str],
     friction: Mapping[str, Any],
     effects: Sequence[Mapping[str, Any]] | None,
-) -> tuple[Machine, str]:
-    """The machine with numbers corrected and effects added, and its file.
+) -> tuple[Machine, dict[str, Any]]:
+    """Return the machine with numbers corrected and effects added, and the tables that this changes.
 
     A number that the record says is 0 is no scale for its own estimate: what the base estimates, and the extended
     machine cannot, is left out of its `estimator.parameters` (where nothing is left, the default takes the place).
@@ -31,7 +32,7 @@ def extend_machine(
         effects: all entries of [[effects]]; None where they stay as they are.
 
     Returns:
-        The machine, and TOML that `extends` the base.
+        The machine, and the changes as content of a machine file that `extends` the base.
     """
     name = machine.name
     for cause in names:
@@ -52,7 +53,7 @@ def extend_machine(
     if estimated != machine.estimator.parameters:
         changes["estimator"] = {"parameters": [units.named(name) for name in estimated or Estimator().parameters]}
     extended = override_machine(machine, changes)
-    return extended, _toml(machine, changes)
+    return extended, changes
 
 
 def _within(effect: Mapping[str, Any]) -> dict[str, Any]:
@@ -77,10 +78,23 @@ def _estimable(machine: Machine, changes: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _toml(machine: Machine, changes: Mapping[str, Any]) -> str:
+def extension_toml(machine: Machine, extended: Machine, changes: Mapping[str, Any], folder: Path, alone: bool) -> str:
+    """Return the file of an extended machine.
+
+    Args:
+        machine: the base.
+        extended: the machine with the changes.
+        changes: as `extend_machine` gives them.
+        folder: in which the file is to lie.
+        alone: True for a file with every table; otherwise it has the changes alone and extends the file of the base.
+            A base without a file leaves no choice.
+    """
+    head = f"# Written by sgms-mhe diagnose over {machine.source.name or machine.name}."
+    if alone or not is_file_of(machine):
+        return "\n".join([head, *toml_machine(extended.content)]) + "\n"
     lines = [
-        f"# Written by sgms-mhe diagnose over {machine.source.name or machine.name}.",
-        toml_extends(machine),
+        head,
+        toml_extends(machine, folder),
         *(toml_line(key, changes[key]) for key in ("name", "description")),
     ]
     if "friction" in changes:

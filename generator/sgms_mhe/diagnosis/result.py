@@ -12,6 +12,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.diagnosis.extension import extension_toml
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.files import write_text
 from sgms_mhe.support.json_values import finite
@@ -224,6 +225,7 @@ class Diagnosis:
         structure: of the residual before and after.
         traces: decimated signals.
         extended: the extended machine, None where nothing is named.
+        changes: tables of its file that differ from the base's, as content of a machine file.
         law: of friction that fits the record, as in the machine file.
         excited: whether the axis moved.
         warnings: what the user should know about the record (gaps, saturation, too fast, too short).
@@ -232,6 +234,7 @@ class Diagnosis:
         undecided: sentences on what no record of this motion can decide.
         encoder_noise_N: RMS of the force that the encoder's noise makes of the acceleration where most of what is left
             is that, and not explained; else 0.
+        standalone: whether the extended machine's file has every table; otherwise it extends the base.
     """
 
     machine: Machine
@@ -250,7 +253,7 @@ class Diagnosis:
     structure_after: tuple[ResidualStructure, ...]
     traces: Traces
     extended: Machine | None
-    extended_toml: str | None
+    changes: Mapping[str, Any] | None
     law: str
     excited: bool
     warnings: tuple[str, ...]
@@ -258,6 +261,7 @@ class Diagnosis:
     rival_fits: tuple[RivalFit, ...] = ()
     undecided: tuple[str, ...] = ()
     encoder_noise_N: float = 0.0
+    standalone: bool = False
 
     def identifies(self, cause: Cause) -> bool:
         """Return True if the record determines a cause's numbers, and no rival fits as well."""
@@ -320,6 +324,12 @@ class Diagnosis:
         """File name of the extended machine."""
         return None if self.extended is None else f"{self.extended.name}.toml"
 
+    def extended_file(self, folder: str | Path = ".") -> str | None:
+        """Return the extended machine's file as it is to lie in a folder: the path to the base leads from there."""
+        if self.extended is None or self.changes is None:
+            return None
+        return extension_toml(self.machine, self.extended, self.changes, Path(folder), self.standalone)
+
     def to_json(self) -> dict[str, Any]:
         """Content of diagnosis.json (docs/files.md); what is not finite becomes null."""
         rms = self.rms
@@ -380,10 +390,16 @@ def write_diagnosis(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
     """Write diagnosis.json and, where a cause is named, the extended machine file; return the folder."""
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
-    if diagnosis.extended_toml is not None and diagnosis.extended_name is not None:
-        write_text(folder / diagnosis.extended_name, diagnosis.extended_toml)
+    write_extended(diagnosis, folder)
     write_text(folder / "diagnosis.json", json.dumps(diagnosis.to_json(), indent=2) + "\n")
     return folder
+
+
+def write_extended(diagnosis: Diagnosis, folder: Path) -> None:
+    """Write the extended machine where a cause is named."""
+    toml = diagnosis.extended_file(folder)
+    if toml is not None:
+        write_text(folder / f"{diagnosis.extended_name}", toml)
 
 
 def write_refusal(sentence: str, machine: Machine, out_dir: str | Path) -> dict[str, Any]:

@@ -289,7 +289,7 @@ def _diagnosis(machine: Machine, log: Log, final: FinalFit, judged: _Judged, lef
     extended_left = final.residual_of(selection.fit)
     rms_before, held_before = split_rms(nominal, record)
     rms_after, held_after = split_rms(unseen, record)
-    extended, toml = extended_machine(machine, final, selection, causes) if named else (None, None)
+    extended, changes = extended_machine(machine, final, selection, causes) if named else (None, None)
     held = record.held_out
     alternatives = list_alternatives(selection, machine.plant.units)
     rivals = [alternative for alternative in alternatives if alternative.rival]
@@ -314,7 +314,7 @@ def _diagnosis(machine: Machine, log: Log, final: FinalFit, judged: _Judged, lef
         structure_after=structure_map(record, extended_left.residual if named else start.residual),
         traces=_traces(record, nominal, start, extended_left if named else nominal, unseen),
         extended=extended,
-        extended_toml=toml,
+        changes=changes,
         law=final.subject.machine.friction.law,
         excited=True,
         warnings=(
@@ -415,7 +415,7 @@ def _report_standstill(machine: Machine, log: Log, recording: Recording, nominal
         structure_after=maps,
         traces=_traces(recording, *4 * (RecordResidual.of(nominal),)),
         extended=None,
-        extended_toml=None,
+        changes=None,
         law=machine.friction.law,
         excited=False,
         warnings=(*recording.warnings, "no excitation: the axis hardly moves"),

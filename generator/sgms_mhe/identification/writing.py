@@ -15,7 +15,7 @@ from sgms_mhe.identification.description import STAND_IN
 from sgms_mhe.identification.elements import Law
 from sgms_mhe.identification.result import Number, interval, round_number
 from sgms_mhe.machine import Machine, Units, plant_content
-from sgms_mhe.machine.writing import toml_line, toml_table
+from sgms_mhe.machine.writing import notes_of_table, toml_line, toml_table, toml_tables
 
 COLUMNS: Final = 100
 ELEMENTS: Final = ("stiffness_", "fraction_")
@@ -90,11 +90,11 @@ def machine_toml(units: Units, content: Mapping[str, Any], numbers: Sequence[Num
     lines += [toml_line(key, content[key]) for key in ("name", "description")]
     for table in ("plant", "friction", "sampling", "estimator", "compensation", "code", "diagnosis", "log"):
         if table in content:
-            lines += _table(table, content[table], notes)
+            lines += toml_tables(table, content[table], notes)
         if table == "friction":
             lines += _elements(units, numbers)
     for effect in content.get("effects", ()):
-        lines += toml_table("[[effects]]", effect, notes=_within(notes, effect["name"]))
+        lines += toml_table("[[effects]]", effect, notes=notes_of_table(notes, effect["name"]))
     return "\n".join(lines) + "\n"
 
 
@@ -104,25 +104,6 @@ def check_toml(toml: str, content: Mapping[str, Any], path: Path) -> Machine:
     if read != json.loads(json.dumps(content)):
         raise ValueError("a machine file that does not say what it should")
     return make_machine(read, path)
-
-
-def _table(name: str, table: Mapping[str, Any], notes: Mapping[str, str]) -> list[str]:
-    plain = {key: entry for key, entry in table.items() if not isinstance(entry, Mapping) or _inline(name)}
-    lines = toml_table(f"[{name}]", plain, notes=_within(notes, name)) if plain else []
-    for key, entry in table.items():
-        if key not in plain and entry:
-            lines += _table(f"{name}.{key}", entry, notes)
-    return lines
-
-
-def _within(notes: Mapping[str, str], table: str) -> dict[str, str]:
-    """Return the comments of a table by its own keys."""
-    return {key.removeprefix(f"{table}."): note for key, note in notes.items() if key.startswith(f"{table}.")}
-
-
-def _inline(name: str) -> bool:
-    """Return True if tables within this one stand on one line."""
-    return name != "estimator"
 
 
 def _notes(units: Units, numbers: Sequence[Number]) -> dict[str, str]:

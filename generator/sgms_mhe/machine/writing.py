@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 
 from sgms_mhe.machine.resolved import Machine
@@ -58,13 +60,58 @@ def toml_table(
     ]
 
 
-def toml_extends(machine: Machine) -> str:
-    """The line by which a file extends a machine: by name where everybody finds it, otherwise by path."""
-    source = machine.source
-    if not source.name:
-        base = machine.name
-    elif source.resolve().parent == machines_dir().resolve():
-        base = source.stem
-    else:
-        base = source.resolve().as_posix()
-    return toml_line("extends", base)
+def toml_tables(name: str, table: Mapping[str, Any], notes: Mapping[str, str] = NO_NOTES) -> list[str]:
+    """Return the lines of a table of a machine file and of the tables below it.
+
+    Args:
+        name: dotted, without brackets.
+        table: values by key.
+        notes: comments beside values, by dotted key.
+    """
+    plain = {key: entry for key, entry in table.items() if not isinstance(entry, Mapping) or _has_inline_tables(name)}
+    lines = toml_table(f"[{name}]", plain, notes=notes_of_table(notes, name)) if plain else []
+    for key, entry in table.items():
+        if key not in plain and entry:
+            lines += toml_tables(f"{name}.{key}", entry, notes)
+    return lines
+
+
+def notes_of_table(notes: Mapping[str, str], table: str) -> dict[str, str]:
+    """Return the comments of a table by its own keys."""
+    return {key.removeprefix(f"{table}."): note for key, note in notes.items() if key.startswith(f"{table}.")}
+
+
+def _has_inline_tables(name: str) -> bool:
+    """Return True if tables within this one stand on one line."""
+    return name != "estimator"
+
+
+def toml_machine(content: Mapping[str, Any]) -> list[str]:
+    """Return the lines of a whole machine file that extends no other."""
+    lines = [toml_line(key, entry) for key, entry in content.items() if not isinstance(entry, Mapping | list | tuple)]
+    for key, entry in content.items():
+        if isinstance(entry, Mapping):
+            lines += toml_tables(key, entry)
+        elif isinstance(entry, list | tuple):
+            lines += [line for table in entry for line in toml_table(f"[[{key}]]", table)]
+    return lines
+
+
+def is_file_of(machine: Machine) -> bool:
+    """Return True if the machine stands in a file that another one can extend."""
+    return machine.source.is_file()
+
+
+def toml_extends(machine: Machine, folder: Path) -> str:
+    """Return the line by which a file in `folder` extends a machine.
+
+    By name where every installation finds it; otherwise by the path from the folder: both can be moved together.
+    """
+    source = machine.source.resolve()
+    if source.parent == machines_dir().resolve():
+        return toml_line("extends", source.stem)
+    try:
+        base = Path(os.path.relpath(source, folder.resolve()))
+    except ValueError:  # on another drive, to which no relative path leads
+        base = source
+    return toml_line("extends", base.as_posix())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Final
 
 from sgms_mhe import __version__
@@ -51,6 +52,7 @@ _SAYS: Final = {
 
 def page(
     diagnosis: Diagnosis,
+    folder: Path,
     views: Sequence[View],
     in_place: Sequence[InPlace],
     gain: EstimatorGain | None,
@@ -108,7 +110,7 @@ def page(
         else {
             "file": d.extended_name,
             "name": d.extended.name,
-            "toml": d.extended_toml or "",
+            "toml": d.extended_file(folder) or "",
             "holds": "It has the causes that are listed, not what may stand in their place." if rivals else "",
         },
         "base": [

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import jinja2
 from markupsafe import Markup
 
-from sgms_mhe.diagnosis import Diagnosis
+from sgms_mhe.diagnosis import Diagnosis, write_extended
 from sgms_mhe.evaluation.plots import save_figure
 from sgms_mhe.machine import Machine
 from sgms_mhe.report import content, figures
@@ -115,12 +115,11 @@ def _written(diagnosis: Diagnosis, folder: Path, estimator: EstimatorGain | None
     for k, (name, draw) in enumerate(drawings.items()):
         tell(name, 0.1 + 0.7 * k / len(drawings))
         save_figure(folder / name, draw())
-    if diagnosis.extended_toml is not None and diagnosis.extended_name is not None:
-        write_text(folder / diagnosis.extended_name, diagnosis.extended_toml)
+    write_extended(diagnosis, folder)
     tell("report.html", 0.8)
     path = folder / "report.html"
     # Last: where it is, everything that it links to is.
-    page = content.page(diagnosis, shown, rivals, estimator, list(drawings))
+    page = content.page(diagnosis, folder, shown, rivals, estimator, list(drawings))
     write_text(path, _html("report.html.jinja", page, plots(diagnosis, shown, rivals)))
     tell("report.html", 1.0)
     return path
