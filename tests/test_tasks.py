@@ -76,6 +76,25 @@ def test_third_task_sees_numbers_of_one_update(interrupted: Any) -> None:
     assert refused < 0.1 * came_in
 
 
+@pytest.mark.skipif(os.uname().machine != "x86_64", reason="the trap flag is x86-64's")
+@pytest.mark.parametrize("kind", ["auto", "ekf"])
+def test_estimate_is_of_one_update_after_every_instruction(
+    kind: str, require_tool: Callable[[str], str], tmp_path: Path
+) -> None:
+    """Before a call or after it, in every bit: also where there is no solution and the window starts anew."""
+    package = emit_package(machine(estimator={"horizon": 6, **ESTIMATORS[kind]}), selftest=False)
+    folder = written(package, tmp_path)
+    program = tmp_path / "program"
+    compile_c = [require_tool("gcc"), "-std=gnu99", "-O2", f"-I{folder}", *replay_definitions("etel_xy")]
+    run(compile_c, PROBES / "single_steps.c", folder / "etel_xy.c", "-o", program)
+    numeric, filling = -2, 1
+    for call, status in (("feedback", None), ("numeric", numeric), ("reset", filling), ("hold", filling)):
+        came_in, refused, wrong, before, after = map(int, run(program, call).split())
+        assert came_in > 100 and wrong == 0, call
+        assert before >= 0 and (after == status if status else after >= 0), call
+        assert (refused > 0) == (call != "reset"), call  # while it is written
+
+
 # --- at the same time ----------------------------------------------------------------------------------------------
 
 SIDE_BY_SIDE = 60

@@ -797,8 +797,12 @@ static int start_again(etel_xy_controller_t *self, int status)
     self->window.weight[0] = 0.0f;
     self->window.friction[0] = 0.0f;
     self->interval.started = 1;
+    self->calls.version++;
+    SGMS_FENCE();
     self->estimate.reading = self->innovations.newest;
     self->estimate.status = status;
+    SGMS_FENCE();
+    self->calls.version++;
     return status;
 }
 

@@ -796,8 +796,12 @@ static int start_again(etel_xy_switching_t *self, int status)
     self->window.weight[0] = 0.0;
     self->window.friction[0] = 0.0;
     self->interval.started = 1;
+    self->calls.version++;
+    SGMS_FENCE();
     self->estimate.reading = self->innovations.newest;
     self->estimate.status = status;
+    SGMS_FENCE();
+    self->calls.version++;
     return status;
 }
 
