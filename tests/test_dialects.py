@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from log_dialects import COUNTS_PER_METRE, DIALECTS, DIGITS, machine, trace
+from log_dialects import machine, trace
+from sgms_bench.logs.dialects import COUNTS_PER_METRE, DIALECTS, DIGITS
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.logfiles.plausibility import check_plausible

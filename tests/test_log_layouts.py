@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.io import savemat
 
 from cli_cases import run
+from sgms_bench.logs.layouts import Channel, control_desk, events, long_rows, scope
 from sgms_mhe.api.inputs import read_log
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -30,48 +31,7 @@ def motion(seed: int, rate: float, seconds: float = 3.0) -> Log:
     return Log(time, position, force, rate)
 
 
-def digits(values: Sequence[float], mark: str = ".") -> list[str]:
-    return [f"{value:.12g}".replace(".", mark) for value in values]
-
-
 # --- scope exports ------------------------------------------------------------------------------------------------
-
-
-def scope(
-    path: Path,
-    channels: Sequence[tuple[str, str, Array, Array]],
-    *,
-    paired: bool,
-    separator: str = "\t",
-    mark: str = ".",
-    keys: Sequence[tuple[str, Sequence[str]]] = (),
-) -> Path:
-    """An export; channels are (name, unit, times [ms], values)."""
-    steps = digits([float(at[1] - at[0]) for _, _, at, _ in channels], mark)
-    stated = [
-        ("Name", [name for name, *_ in channels]),
-        ("SymbolComment", [""] * len(channels)),
-        ("Data-Type", ["REAL64"] * len(channels)),
-        ("SampleTime[ms]", steps),
-        ("Port", ["501"] * len(channels)),
-        *keys,
-        ("Unit", [unit for _, unit, *_ in channels]),
-    ]
-    lines = [["Name", "project"], ["Start of export", "132959733843760000", "Monday, 2 May 2022", "15:56:24.376"]]
-    lines += [["End of export", "132959733853750000", "Monday, 2 May 2022", "15:56:28.376"], [], []]
-    for key, values in stated:
-        lines.append([part for value in values for part in (key, value)] if paired else [key, *values])
-    lines.append([])
-    columns = [column for _, _, at, values in channels for column in (digits(at, mark), digits(values, mark))]
-    if not paired:
-        columns = [columns[0], *columns[1::2]]
-    for k in range(max(map(len, columns))):
-        row = [column[k] if k < len(column) else "" for column in columns]
-        while len(columns) > 2 and not row[-1] and k % 2:  # some writers leave the last separators out
-            row.pop()
-        lines.append(row)
-    path.write_bytes("".join(separator.join(line) + "\r\n" for line in lines).encode("utf-8"))
-    return path
 
 
 @pytest.mark.parametrize("paired", [True, False])
@@ -141,21 +101,8 @@ def test_a_file_without_a_header_may_say_so(tmp_path: Path) -> None:
 # --- long format --------------------------------------------------------------------------------------------------
 
 
-def events(path: Path, rows: Sequence[Sequence[str]], header: str = "", separator: str = ",") -> Path:
-    lines = [separator.join(row) for row in rows]
-    path.write_text("\n".join([*([header] if header else []), *lines, ""]))
-    return path
-
-
-def long_rows(
-    log: Log, names: tuple[str, str], order: Callable[[str, str, str], list[str]], later: float = 0.0
-) -> list[list[str]]:
-    """A line each for position and force, whose times may be `later`."""
-    rows = []
-    for t, x, f in zip(log.time_s, log.position_m, log.force_N, strict=True):
-        rows.append(order(f"{t:.6f}", names[0], f"{x:.12g}"))
-        rows.append(order(f"{t + later:.6f}", names[1], f"{f:.12g}"))
-    return rows
+def pair(log: Log, names: tuple[str, str]) -> list[tuple[str, Array]]:
+    return list(zip(names, (log.position_m, log.force_N), strict=True))
 
 
 @pytest.mark.parametrize(
@@ -173,7 +120,7 @@ def test_long_format_is_pivoted_and_said(
     header: str, order: Callable[[str, str, str], list[str]], separator: str, names: tuple[str, str], tmp_path: Path
 ) -> None:
     log, notes = motion(5, 400.0), list[str]()
-    path = events(tmp_path / "log.csv", long_rows(log, names, order), header, separator)
+    path = events(tmp_path / "log.csv", long_rows(log.time_s, pair(log, names), order), header, separator)
     table = {} if "[" in names[0] else {"position_m": names[0], "force_N": names[1]}
     found = read_log(path, table=table, note=notes.append)
     assert found.rate == pytest.approx(400.0)
@@ -184,7 +131,7 @@ def test_long_format_is_pivoted_and_said(
 
 def test_long_format_takes_each_variable_at_its_own_times(tmp_path: Path) -> None:
     log = motion(6, 500.0)
-    rows = long_rows(log, ("x [m]", "F [N]"), lambda t, n, v: [t, n, v], later=0.0007)
+    rows = long_rows(log.time_s, pair(log, ("x [m]", "F [N]")), later=0.0007)
     notes: list[str] = []
     found = read_log(events(tmp_path / "log.csv", rows, "time [s],id,value"), note=notes.append)
     assert found.position_m == pytest.approx(log.position_m, abs=1e-10)
@@ -222,7 +169,7 @@ def test_a_column_of_modes_makes_no_long_format(tmp_path: Path) -> None:
 
 def test_inspect_lists_the_variables_of_a_long_format(tmp_path: Path) -> None:
     log = motion(9, 200.0)
-    rows = long_rows(log, ("lever", "weight"), lambda t, n, v: [t, n, v])
+    rows = long_rows(log.time_s, pair(log, ("lever", "weight")))
     result = run("inspect", events(tmp_path / "log.csv", rows, "t [s],pv,value"), "--json")
     content: dict[str, Any] = json.loads(result.stdout)
     assert result.exit_code == 1 and content["missing"] == ["position_m", "force_N"]
@@ -234,17 +181,14 @@ def test_inspect_lists_the_variables_of_a_long_format(tmp_path: Path) -> None:
 # --- struct arrays of MAT files ---------------------------------------------------------------------------------
 
 
-def control_desk(rasters: Sequence[Log], labels: tuple[str, str], units: tuple[str, str]) -> dict[str, Any]:
-    """X with the times of each raster, Y with position and force, whose XIndex says of which they are."""
-    fast, slow = rasters[0], rasters[-1]
-    x = np.zeros((1, len(rasters)), dtype=[("Name", object), ("Data", object)])
-    for k, log in enumerate(rasters):
-        x[0, k] = (f"raster {k}", log.time_s.reshape(1, -1))
-    y = np.zeros((1, 3), dtype=[("Name", object), ("Unit", object), ("Data", object), ("XIndex", object)])
-    y[0, 0] = ("Model Root/mode", "", np.ones((1, len(fast))), 1)
-    y[0, 1] = (labels[0], units[0], 1e3 * fast.position_m.reshape(1, -1), 1)
-    y[0, 2] = (labels[1], units[1], slow.force_N.reshape(1, -1), len(rasters))
-    return {"X": x, "Y": y, "Description": {"General": {"DateTime": "today"}}}
+def rasters(logs: Sequence[Log], labels: tuple[str, str], units: tuple[str, str]) -> dict[str, Any]:
+    """Position in thousandths in the first raster, force in the last."""
+    fast, slow = logs[0], logs[-1]
+    position = Channel(labels[0], units[0], 1e3 * fast.position_m)
+    force = Channel(labels[1], units[1], slow.force_N)
+    if len(logs) == 1:
+        return control_desk([(fast.time_s, [position, force])])
+    return control_desk([(fast.time_s, [position]), (slow.time_s, [force])])
 
 
 @pytest.mark.parametrize("nested", [True, False])
@@ -254,7 +198,7 @@ def test_channels_of_struct_arrays_are_read(
     nested: bool, compressed: bool, labels: tuple[str, str], tmp_path: Path
 ) -> None:
     log = motion(10, 1000.0)
-    content = control_desk([log], labels, ("mm", "N"))
+    content = rasters([log], labels, ("mm", "N"))
     savemat(tmp_path / "rec.mat", {"rec_001": content} if nested else content, do_compression=compressed)
     found = read_log(tmp_path / "rec.mat")
     assert found.rate == pytest.approx(1000.0)
@@ -263,7 +207,7 @@ def test_channels_of_struct_arrays_are_read(
 
 def test_members_of_struct_arrays_have_a_path(tmp_path: Path) -> None:
     log = motion(11, 500.0)
-    savemat(tmp_path / "rec.mat", {"rec": control_desk([log], ("lever", "weight"), ("", ""))})
+    savemat(tmp_path / "rec.mat", {"rec": rasters([log], ("lever", "weight"), ("", ""))})
     listed = json.loads(run("inspect", tmp_path / "rec.mat", "--json").stdout)
     assert {"rec.X.Data", "rec.Y(1).Data", "rec.Y(2).Data", "rec.Y(3).Data"} <= {c["from"] for c in listed["columns"]}
     for position, force in (("rec.Y(2).Data", "rec.Y(3).Data"), ("lever", "weight")):
@@ -274,7 +218,7 @@ def test_members_of_struct_arrays_have_a_path(tmp_path: Path) -> None:
 def test_rasters_have_clocks_of_their_own(tmp_path: Path) -> None:
     fast, slow = motion(12, 1000.0), motion(12, 200.0)
     slow = Log(slow.time_s, slow.position_m, 50.0 * slow.position_m, slow.rate)
-    savemat(tmp_path / "rec.mat", {"rec": control_desk([fast, slow], ("ActPos", "Force"), ("mm", "N"))})
+    savemat(tmp_path / "rec.mat", {"rec": rasters([fast, slow], ("ActPos", "Force"), ("mm", "N"))})
     found = read_log(tmp_path / "rec.mat")
     inside = fast.time_s <= slow.time_s[-1]
     assert found.position_m == pytest.approx(fast.position_m)
@@ -295,7 +239,7 @@ def test_simulink_s_scope_is_read(shape: tuple[int, ...], tmp_path: Path) -> Non
 
 
 def test_a_damaged_struct_array_is_refused_and_never_trips(tmp_path: Path) -> None:
-    savemat(tmp_path / "rec.mat", {"rec": control_desk([motion(14, 100.0)], ("ActPos", "Force"), ("mm", "N"))})
+    savemat(tmp_path / "rec.mat", {"rec": rasters([motion(14, 100.0)], ("ActPos", "Force"), ("mm", "N"))})
     whole = (tmp_path / "rec.mat").read_bytes()
     rng = np.random.default_rng(1)
     for _ in range(300):

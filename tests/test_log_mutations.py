@@ -22,12 +22,13 @@ import pytest
 from scipy.io import savemat
 
 from cli_cases import run
-from log_dialects import DIALECTS, Dialect, trace
+from log_dialects import trace
+from sgms_bench.logs.dialects import DIALECTS, Dialect
+from sgms_bench.logs.layouts import Channel, control_desk, events, long_rows, scope
 from sgms_mhe.logfiles.reading import read_log
 from sgms_mhe.machine.writing import toml_table
 from sgms_mhe.signals.logs import Log
 from test_dialects import library_absent
-from test_log_layouts import control_desk, events, long_rows, scope
 
 Rng = np.random.Generator
 LONGEST_S: Final = 20.0
@@ -41,11 +42,12 @@ def scope_export(path: Path, log: Log, *, paired: bool) -> None:
 
 
 def long_text(path: Path, log: Log) -> None:
-    events(path, long_rows(log, ("x [m]", "F [N]"), lambda t, n, v: [t, n, v]), "t [s],name,value")
+    events(path, long_rows(log.time_s, [("x [m]", log.position_m), ("F [N]", log.force_N)]), "t [s],name,value")
 
 
 def struct_array(path: Path, log: Log) -> None:
-    savemat(path, {"rec": control_desk([log, log], ("ActPos", "Force"), ("mm", "N"))})
+    position, force = Channel("ActPos", "mm", 1e3 * log.position_m), Channel("Force", "N", log.force_N)
+    savemat(path, {"rec": control_desk([(log.time_s, [position]), (log.time_s, [force])])})
 
 
 FORMS: Final[dict[str, Dialect]] = DIALECTS | {

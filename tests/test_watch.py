@@ -27,7 +27,8 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from cli_cases import SCRIPT, done, files, on_terminal, refused, run
-from log_dialects import DIALECTS, machine, trace
+from log_dialects import machine, trace
+from sgms_bench.logs.dialects import DIALECTS
 from sgms_mhe.api.estimation import estimate
 from sgms_mhe.api.watching import Followed, Replay, SampleSource, Streamed, Watch
 from sgms_mhe.configuration import override_machine
