@@ -199,6 +199,14 @@ def test_any_period_is_found(period: float, seed: int, tmp_path: Path) -> None:
     assert np.diff(found.position_m) == pytest.approx(np.diff(log.position_m), abs=1e-9)
 
 
+def test_a_gap_does_not_slow_the_grid(tmp_path: Path) -> None:
+    log = rotor(14, rate=500.0)
+    holes = {name: np.delete(values, np.arange(1000, 1100)) for name, values in own(log).items()}
+    found = read_log(write(tmp_path / "log.csv", **holes), table={"resample": True})
+    assert found.rate == pytest.approx(500.0, rel=1e-9) and len(found) == len(log)
+    assert np.count_nonzero(np.isnan(found.position_m)) == pytest.approx(100, abs=2)
+
+
 def test_jumps_that_are_no_period_are_taken(tmp_path: Path) -> None:
     log = rotor(9)
     position = log.position_m.copy()

@@ -24,7 +24,7 @@ class Timing:
         samples: how many there are.
         start: of the first [s].
         duration: from first to last [s].
-        rate: mean samples per second [Hz].
+        rate: mean samples per second, gaps left out [Hz].
         step: the usual time between two, their median [s].
         shortest: the shortest one [s]; `longest` the longest.
         jitter: standard deviation of the steps, gaps left out, over `step`.
@@ -54,18 +54,18 @@ def measure_time(path: Path, time: Array, row: Callable[[int], str]) -> Timing:
     check_rising(path, time, row)
     steps = np.diff(time)
     usual = float(np.median(steps))
-    within = steps[steps <= GAP * usual]
+    within, gaps = steps[steps <= GAP * usual], steps[steps > GAP * usual]
     duration = float(time[-1] - time[0])
     return Timing(
         len(time),
         float(time[0]),
         duration,
-        (len(time) - 1) / duration,
+        len(within) / (duration - float(gaps.sum())),
         usual,
         float(steps.min()),
         float(steps.max()),
         float(np.std(within) / usual),
-        int(np.count_nonzero(steps > GAP * usual)),
+        len(gaps),
     )
 
 
