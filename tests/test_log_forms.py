@@ -207,6 +207,17 @@ def test_a_gap_does_not_slow_the_grid(tmp_path: Path) -> None:
     assert np.count_nonzero(np.isnan(found.position_m)) == pytest.approx(100, abs=2)
 
 
+@pytest.mark.parametrize("period", [0.442, 7.31, 0.0997])
+def test_the_digits_of_a_period_are_those_of_the_jumps(period: float, tmp_path: Path) -> None:
+    log = rotor(2, rate=400.0, travel=1.2 * period)  # steps so long that a rounder number lies among them
+    step = period / 2e4
+    wrapped = np.round(np.mod(log.position_m, period) / step) * step
+    path = write(tmp_path / "log.csv", **{**own(log), "position_rad": wrapped})
+    with pytest.raises(InputError) as caught:
+        read_log(path)
+    assert float(caught.value.allowed.partition("wrap = ")[2].partition(" ")[0]) == pytest.approx(period, rel=1e-9)
+
+
 def test_jumps_that_are_no_period_are_taken(tmp_path: Path) -> None:
     log = rotor(9)
     position = log.position_m.copy()

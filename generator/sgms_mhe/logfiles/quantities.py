@@ -182,14 +182,16 @@ def _check_jumps(path: Path, source: Source, values: Array, row: Callable[[int],
     if not count or sizes[jumps].min() < extent - 2.0 * rest or not sizes[jumps].min() > _MANY * rest > 0.0:
         return
     # What it moved on meanwhile is what it did before and after.
-    beside = (steps[np.maximum(jumps - 1, 0)] + steps[np.minimum(jumps + 1, len(steps) - 1)]) / 2.0
+    before, after = steps[np.maximum(jumps - 1, 0)], steps[np.minimum(jumps + 1, len(steps) - 1)]
+    beside = (before + after) / 2.0
     beside[np.abs(beside) > rest] = 0.0
     periods = np.abs(steps[jumps] - beside)
     usual = (*PERIODS, *((source.counts_per,) if source.counts_per else ()))
     listed = next((p for p in usual if abs(float(np.median(periods)) - p) <= rest), None)
     if count < 2 and (listed is None or sizes[jumps[0]] <= _ONE * rest):
         return  # an encoder that jumped
-    period = listed if listed is not None else _round_number(float(np.median(periods)), rest / 4.0)
+    off = float(np.median(np.abs(before - after)) + np.ptp(periods))
+    period = listed if listed is not None else _round_number(float(np.median(periods)), min(off, rest / 4.0))
     first, column = int(jumps[0]), source.quantity.column
     seen = f"jumps by {steps[first]:.6g}" + (f", {count} such jumps" if count > 1 else "")
     line = f'{column} = {{ variable = "{source.column}", unit = "{source.unit}", wrap = {period:.10g} }}'
