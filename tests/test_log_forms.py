@@ -61,6 +61,8 @@ def own(log: Log, *names: str) -> dict[str, Array]:
         ("Lageistwert [mm]", "position"),
         ("Istposition [mm]", "position"),
         ("Axes.A1.ActPos", "position"),
+        ("run.pos.act", "position"),
+        ("rec/axis:torque.act [Nm]", "force"),
         ("Current Position [um]", "position"),
         ("Axis 1 Position Feedback [rad]", "position"),
         ("Zeit [ms]", "time"),
@@ -84,7 +86,7 @@ def test_names_of_drives_are_known(name: str, role: Any) -> None:
     "name",
     "Lagesollwert [mm]|Position demand value [mm]|pos.set|x_cmd|Target position|Schleppabstand [mm]|pos_err [mm]|"
     "Following error actual value [mm]|error.position|Reference.angle|Max torque|Torque limit|Torque set|q_ref|"
-    "Solldrehmoment|Positionsabweichung|Software position limit".split("|"),
+    "Solldrehmoment|Positionsabweichung|Software position limit|run.pos.set|axis.set.pos".split("|"),
 )
 def test_set_points_and_errors_are_no_measurements(name: str) -> None:
     assert not any(is_usual(name, role) for role in ("position", "force", "velocity"))  # type: ignore[arg-type]
@@ -199,14 +201,6 @@ def test_any_period_is_found(period: float, seed: int, tmp_path: Path) -> None:
     assert np.diff(found.position_m) == pytest.approx(np.diff(log.position_m), abs=1e-9)
 
 
-def test_a_gap_does_not_slow_the_grid(tmp_path: Path) -> None:
-    log = rotor(14, rate=500.0)
-    holes = {name: np.delete(values, np.arange(1000, 1100)) for name, values in own(log).items()}
-    found = read_log(write(tmp_path / "log.csv", **holes), table={"resample": True})
-    assert found.rate == pytest.approx(500.0, rel=1e-9) and len(found) == len(log)
-    assert np.count_nonzero(np.isnan(found.position_m)) == pytest.approx(100, abs=2)
-
-
 @pytest.mark.parametrize("period", [0.442, 7.31, 0.0997])
 def test_the_digits_of_a_period_are_those_of_the_jumps(period: float, tmp_path: Path) -> None:
     log = rotor(2, rate=400.0, travel=1.2 * period)  # steps so long that a rounder number lies among them
@@ -216,6 +210,14 @@ def test_the_digits_of_a_period_are_those_of_the_jumps(period: float, tmp_path: 
     with pytest.raises(InputError) as caught:
         read_log(path)
     assert float(caught.value.allowed.partition("wrap = ")[2].partition(" ")[0]) == pytest.approx(period, rel=1e-9)
+
+
+def test_a_gap_does_not_slow_the_grid(tmp_path: Path) -> None:
+    log = rotor(14, rate=500.0)
+    holes = {name: np.delete(values, np.arange(1000, 1100)) for name, values in own(log).items()}
+    found = read_log(write(tmp_path / "log.csv", **holes), table={"resample": True})
+    assert found.rate == pytest.approx(500.0, rel=1e-9) and len(found) == len(log)
+    assert np.count_nonzero(np.isnan(found.position_m)) == pytest.approx(100, abs=2)
 
 
 def test_jumps_that_are_no_period_are_taken(tmp_path: Path) -> None:

@@ -58,8 +58,9 @@ def plain_name(name: str) -> str:
 
 
 def is_usual(header: str, role: Role) -> bool:
-    """Return True for a usual name of a measured quantity, whole or the last part of a path."""
+    """Return True for a usual name of a measured quantity, whole or the end of a path."""
     name = split_name(header)[0]
     if role not in _PATTERNS or _WANTED.search(name):
         return False
-    return any(_PATTERNS[role].fullmatch(plain_name(n)) for n in (name, re.split(r"[.:/]", name)[-1]))
+    ends = (name[mark.end() :] for mark in re.finditer(r"[.:/]", name))
+    return any(_PATTERNS[role].fullmatch(plain_name(end)) for end in (name, *ends))
