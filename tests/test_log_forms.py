@@ -220,6 +220,19 @@ def test_a_gap_does_not_slow_the_grid(tmp_path: Path) -> None:
     assert np.count_nonzero(np.isnan(found.position_m)) == pytest.approx(100, abs=2)
 
 
+@pytest.mark.parametrize("group", ["run", "run/axis 1"])
+def test_a_log_s_own_names_may_stand_in_groups(group: str, tmp_path: Path) -> None:
+    h5py, log = pytest.importorskip("h5py"), rotor(15)
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        for name, values in {**own(log, "time_s", "position_rad"), "friction_Nm": log.friction_N}.items():
+            file[f"{group}/{name}"] = values
+    assert read_log(tmp_path / "log.h5").force_N == pytest.approx(log.friction_N)
+    with h5py.File(tmp_path / "log.h5", "a") as file:
+        file["other/position_rad"] = log.position_m
+    with pytest.raises(InputError, match="one column"):
+        read_log(tmp_path / "log.h5")
+
+
 def test_jumps_that_are_no_period_are_taken(tmp_path: Path) -> None:
     log = rotor(9)
     position = log.position_m.copy()

@@ -5,6 +5,7 @@ A name alone is never enough: `position` without a unit is refused with the line
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -111,12 +112,18 @@ def _stated_unit(column: Column, quantity: Quantity) -> str:
     return "N m" if unit in ("nm", "NM") and quantity.unit == "N m" else unit  # no torque is in nanometres
 
 
+def _is_own(column: Column, quantity: Quantity) -> bool:
+    """Return True for the log's own name of a quantity, alone or behind the path of a group or struct."""
+    return re.split(r"[.:/]", column.header)[-1] == quantity.column
+
+
 def _candidates(table: Table, quantity: Quantity, bare: LogColumn | None, *, by_name: bool) -> list[Column]:
     """Columns that are this quantity by the log's own name, or else `by_name`, a usual one with one of its units.
 
     `bare`: what [log] says of it without naming it; where that makes SI values, the unit need not be the file's.
     """
     own = [column for column in table.columns if column.header == quantity.column]
+    own = own or [column for column in table.columns if _is_own(column, quantity)]
     if own or not by_name:
         return own
     named = [column for column in table.columns if is_usual(column.header, quantity.role)]
@@ -145,7 +152,7 @@ def _kinds(table: Table, mapping: LogMapping | None, *, sure: bool) -> list[Kind
         kind
         for kind, quantities in QUANTITIES.items()
         if any(
-            not sure or column.header == quantity.column or _stated_unit(column, quantity) in quantity.units
+            not sure or _is_own(column, quantity) or _stated_unit(column, quantity) in quantity.units
             for quantity in quantities
             if quantity.role in ("position", "force", "velocity")
             for column in _candidates(table, quantity, stated.get(quantity.column), by_name=True)
@@ -166,7 +173,7 @@ def _source(path: Path, table: Table, quantity: Quantity, mapped: LogColumn | No
     if column is None:
         found = _candidates(table, quantity, bare, by_name=by_name)
         if named is not None:  # what [log] names is not there: only a log of this package's own takes its place
-            found = [candidate for candidate in found if candidate.header == quantity.column]
+            found = [candidate for candidate in found if _is_own(candidate, quantity)]
         if len(found) > 1:
             names = ", ".join(candidate.name for candidate in found)
             allowed = f"one column; [log] of the machine file says which: {_line(quantity, found[0].name)}"
@@ -246,7 +253,7 @@ def _own(path: Path, quantity: Quantity, column: Column, stamped: bool) -> Sourc
     """The source of a column that no [log] maps."""
     if stamped and quantity.role == "time":
         return Source(quantity, column.name, quantity.unit, "time stamps")
-    if column.header == quantity.column:
+    if _is_own(column, quantity):
         beside = normal_unit(column.unit)
         if beside not in ("", "-", quantity.unit):
             line = _line(quantity, column.name, beside if beside in quantity.allowed else quantity.unit)
