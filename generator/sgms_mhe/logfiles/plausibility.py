@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.logfiles.newton import force_balance, since_reversal
+from sgms_mhe.logfiles.newton import ForceBalance, force_balance, since_reversal
 from sgms_mhe.machine import QUANTITIES, Kind, Machine
 from sgms_mhe.signals.chain import readings
 from sgms_mhe.signals.logs import Log
@@ -52,8 +52,10 @@ _SMALL: Final[Mapping[Kind, tuple[str, ...]]] = {"linear": ("mm", "um", "nm"), "
 """Units that people leave out, the usual one first."""
 
 
-def check_plausible(log: Log, machine: Machine | None) -> None:
+def check_plausible(log: Log, machine: Machine | None, *, has_mass: bool = True) -> None:
     """Refuse a log that this machine's axis, or without one no axis, can have left.
+
+    `has_mass`: whether the machine's mass is known; one that was found in the log itself says nothing of its force.
 
     Raises:
         InputError: a column that never changes, or is time or another column.
@@ -66,15 +68,16 @@ def check_plausible(log: Log, machine: Machine | None) -> None:
     log = readings(log)
     _check_constant(log)
     _check_copies(log)
-    if machine is not None:
-        _check_speed(log, machine)
     motion = _motion(log, samples)
+    if machine is not None:
+        _check_speed(log, machine, _balance(log, machine, motion))
     _check_derivatives(log, samples)
     if len(motion) == 0 or (log.friction_N is not None and np.array_equal(log.force_N, log.friction_N, equal_nan=True)):
         return  # a friction that stands for the force says nothing of what moves the axis
-    _check_balance(log, machine, motion)
-    if machine is not None:
-        _check_force(log, machine, motion)
+    known = machine if has_mass else None
+    _check_balance(log, known, motion)
+    if known is not None:
+        _check_force(log, known, motion)
 
 
 def _units(log: Log, name: str) -> Mapping[str, tuple[float, float]]:
@@ -136,8 +139,11 @@ def _slope(x: Array, y: Array) -> float | None:
     return slope if float(np.max(np.abs(y - slope * x))) <= STRAIGHT * float(np.ptp(y)) else None
 
 
-def _check_speed(log: Log, machine: Machine) -> None:
-    """Refuse a motion that is too fast for the axis."""
+def _check_speed(log: Log, machine: Machine, balance: ForceBalance) -> None:
+    """Refuse a motion that is too fast for the axis.
+
+    Columns that are swapped have friction that drives the motion: where it does not, the unit is wrong.
+    """
     samples, highest, units = machine.sampling.samples_per_update, machine.sampling.max_velocity, machine.plant.units
     position, force = units.named("position_m"), units.named("force_N")
     fastest = _fastest(log.position_m, samples, log.rate)
@@ -145,13 +151,16 @@ def _check_speed(log: Log, machine: Machine) -> None:
         return
     seen = f"beyond {fastest:.3g} {units.velocity} in a twentieth of the record"
     known = f"sampling.max_velocity of {machine.name} is {highest:g} {units.velocity}"
-    if _fastest(log.force_N, samples, log.rate) <= TOO_FAST * highest:
+    is_friction = balance.dissipates > 0 or (balance.dissipates == 0 and balance.inertia > 0.0)
+    if not is_friction and _fastest(log.force_N, samples, log.rate) <= TOO_FAST * highest:
         remedy = f'swapped with {force}? Then [log] has {position} = "{force}" and {force} = "{position}"'
     else:
-        # Millimetres and degrees are what people have; the others where only they are slow enough.
-        usual = _SMALL[machine.plant.kind]
-        known_units = _units(log, "position_m")
-        unit = next((unit for unit in usual if fastest * known_units[unit][0] <= highest), usual[0])
+        # Millimetres and degrees are what people have; the others where only they make the axis slow enough, or its
+        # mass the machine's.
+        usual, ratio = _SMALL[machine.plant.kind], balance.inertia / machine.plant.moved
+        factors = {unit: _units(log, "position_m")[unit][0] for unit in usual}
+        slow = [unit for unit in usual if fastest * factors[unit] <= highest] or [usual[0]]
+        unit = next((unit for unit in slow if 1 / NEAR <= ratio / factors[unit] <= NEAR), slow[0])
         remedy = f'another column or unit? [log] has {position} = {{ variable = "...", unit = "{unit}" }}'
     raise _implausible(log, f"column {position}", seen, f"a position in {units.metres}; {known}; {remedy}")
 
@@ -242,13 +251,19 @@ def _unit_near(log: Log, name: str, ratio: float) -> str:
     return "" if found is None else f'unit = "{found}"'
 
 
-def _check_balance(log: Log, machine: Machine | None, motion: _Motion) -> None:
-    """Refuse a force of the other sign, or whose ratio to the acceleration is no mass of this axis."""
-    travel = float(np.ptp(motion.position))
-    distance = _TRAVEL * travel
+def _balance(log: Log, machine: Machine | None, motion: _Motion) -> ForceBalance:
+    """Return the regression of the force on the motion; of no motion it tells nothing."""
+    if len(motion) == 0:
+        return ForceBalance(0.0, 0)
+    distance = _TRAVEL * float(np.ptp(motion.position))
     if machine is not None:
         distance = max(distance, _breakaway(machine))
-    balance = force_balance(motion.position, motion.velocity, motion.acceleration, motion.force, distance)
+    return force_balance(motion.position, motion.velocity, motion.acceleration, motion.force, distance)
+
+
+def _check_balance(log: Log, machine: Machine | None, motion: _Motion) -> None:
+    """Refuse a force of the other sign, or whose ratio to the acceleration is no mass of this axis."""
+    balance = _balance(log, machine, motion)
     units = log.units
     position, force = units.named("position_m"), units.named("force_N")
     share = f"{balance.inertia:.3g} {units.force} per {units.acceleration}"

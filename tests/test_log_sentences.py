@@ -1,0 +1,34 @@
+"""Sentences about logs that drawn ones found false, each with the axis that shows it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sgms_bench.logs.cases import draw_truth
+from sgms_bench.logs.faults import one_way_truth, relay_truth
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.identification import Wanted, identify
+from sgms_mhe.logfiles.plausibility import check_plausible
+from sgms_mhe.machine import Machine
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import ImplausibleError, InputError
+
+
+def drawn_machine(seed: int, folder: Path) -> tuple[Machine, Log]:
+    truth = draw_truth(np.random.default_rng(seed))
+    path = folder / "drawn.toml"
+    path.write_text(truth.axis.machine_file(truth.log.rate, truth.fastest))
+    return load_machine(path), replace(truth.log, velocity_m_s=None, friction_N=None)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 4, 5])
+def test_a_wrong_unit_is_not_called_swapped_columns(seed: int, tmp_path: Path) -> None:
+    machine, log = drawn_machine(seed, tmp_path)
+    small = "mm" if log.kind == "linear" else "mrad"
+    with pytest.raises(ImplausibleError) as caught:
+        check_plausible(replace(log, position_m=1e3 * log.position_m), machine)
+    assert f'unit = "{small}"' in str(caught.value) and "swapped" not in str(caught.value)
