@@ -32,3 +32,12 @@ def test_a_wrong_unit_is_not_called_swapped_columns(seed: int, tmp_path: Path) -
     with pytest.raises(ImplausibleError) as caught:
         check_plausible(replace(log, position_m=1e3 * log.position_m), machine)
     assert f'unit = "{small}"' in str(caught.value) and "swapped" not in str(caught.value)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 4, 5])
+def test_a_mass_from_the_log_itself_judges_no_force(seed: int, tmp_path: Path) -> None:
+    machine, log = drawn_machine(seed, tmp_path)
+    weak = replace(log, force_N=log.force_N / 500.0)
+    with pytest.raises(InputError, match=r"(scale|unit) = "):
+        check_plausible(weak, machine)
+    check_plausible(weak, machine, has_mass=False)

@@ -165,7 +165,7 @@ def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
     mass = rough_mass(machine, logs) if wanted.mass is None else wanted.mass
     machine = unknown_axis(logs, wanted.name, mass, wanted.like)
     for log in logs:
-        check_plausible(log, machine)
+        check_plausible(log, machine, has_mass=wanted.mass is not None)
     records = make_records(machine, logs)
     _check_dissipates(records)
     return records
