@@ -41,3 +41,10 @@ def test_a_mass_from_the_log_itself_judges_no_force(seed: int, tmp_path: Path) -
     with pytest.raises(InputError, match=r"(scale|unit) = "):
         check_plausible(weak, machine)
     check_plausible(weak, machine, has_mass=False)
+
+
+def test_a_motion_one_way_is_refused_where_no_element_has_a_level() -> None:
+    """All levels are 0 on the way of the search; their distances were merged by weights of 0."""
+    log = one_way_truth(np.random.default_rng(5)).log
+    with pytest.raises(InputError, match="a log that shows dry friction"):
+        identify([replace(log, velocity_m_s=None, friction_N=None)], Wanted("one_way"))

@@ -44,6 +44,8 @@ FOLLOWED: Final = 2
 """Starts that are followed to their minimum, of those that a few iterations have been spent on."""
 NEXT: Final = 0.3
 """Break-away distance of an element below all others, over the smallest of theirs."""
+LEAST_WEIGHT: Final = 1e-100
+"""Level [N] that an element counts with where all levels are 0, and their distances are merged alike."""
 RISE: Final = 0.1
 """Stribeck ratio that a fit starts from where the spectrum shows none."""
 SMALL_RISE: Final = 0.02
@@ -254,7 +256,8 @@ def _change_count(near: AxisFit, count: int) -> list[Array]:
         ends = NEXT * distances[0], distances[-1] / NEXT
         between = np.sqrt(distances[1:] * distances[:-1])
         return [np.sort(np.append(distances, one)) for one in (ends[0], *between.tolist(), ends[1])]
-    merged = cluster(Spectrum(distances, np.maximum(near.levels, 1e-9 * near.coulomb), None), count)
+    weights = np.maximum(near.levels, max(1e-9 * near.coulomb, LEAST_WEIGHT))
+    merged = cluster(Spectrum(distances, weights, None), count)
     return [merged[0]]
 
 
