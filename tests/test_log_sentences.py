@@ -48,3 +48,12 @@ def test_a_motion_one_way_is_refused_where_no_element_has_a_level() -> None:
     log = one_way_truth(np.random.default_rng(5)).log
     with pytest.raises(InputError, match="a log that shows dry friction"):
         identify([replace(log, velocity_m_s=None, friction_N=None)], Wanted("one_way"))
+
+
+def test_a_motion_that_was_there_is_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a rotor that slides both ways a level that is not determined lacks no sliding in both directions."""
+    log = relay_truth(np.random.default_rng(2)).log
+    monkeypatch.setattr("sgms_mhe.identification.description.KNOWN", 1e-6)  # nothing is determined
+    found = identify([replace(log, velocity_m_s=None, friction_N=None)], Wanted("relay"))
+    said = next(limit for limit in found.limits if limit.startswith("coulomb"))
+    assert "though the motion has sliding in both directions" in said

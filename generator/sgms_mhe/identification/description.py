@@ -180,9 +180,17 @@ def mass_number(
 
 
 def list_limits(
-    numbers: Sequence[Number], found: ChosenModel, final: FinalIdentification, view: RecordView, units: Units
+    numbers: Sequence[Number],
+    found: ChosenModel,
+    final: FinalIdentification,
+    view: RecordView,
+    units: Units,
+    unexcited: Sequence[str],
 ) -> list[str]:
-    """Return the open questions of the records, with the move that would answer each."""
+    """Return the open questions of the records, with the move that would answer each.
+
+    `unexcited`: numbers that the motion cannot show (`list_unexcited`).
+    """
     length = units.position
     said = []
     if not found.decided:
@@ -192,7 +200,7 @@ def list_limits(
         )
     unknown = {number.name for number in numbers if not number.determined}
     said += [
-        f"{name}: not determined. {_needed(name)}"
+        f"{name}: not determined{_reason(name, CONTROLLED[name][0] in unexcited)}"
         for name in ("coulomb", "viscous", "stribeck")
         if unknown & set(CONTROLLED[name])
     ]
@@ -226,6 +234,15 @@ def _late(final: FinalIdentification, view: RecordView, units: Units) -> list[st
         f"the {units.push} comes {1e3 * abs(late):.2g} ms {which} the motion that it makes: {size:.2g} {units.force} "
         "rms the file has not; sgms-mhe diagnose tells a delay from a lag"
     ]
+
+
+def _reason(name: str, is_unexcited: bool) -> str:
+    """Return the motion that would show a cause; where the logs have it, that it was not enough."""
+    if is_unexcited:
+        return f". {_needed(name)}"
+    return (
+        f", though the motion has {cause(name).excitation.text}: noise, or other forces, hide it. More of that motion"
+    )
 
 
 def _needed(name: str) -> str:

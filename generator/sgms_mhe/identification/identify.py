@@ -253,8 +253,9 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     adopted = given if given is not None and (seen is None or "mass" not in final.numbers) else seen
     mass_kg = adopted if isinstance(adopted, float) else adopted.value if adopted is not None else math.nan
     mass, said = mass_number(final, given, mass_kg, units)
-    numbers: tuple[Number, ...] = (mass, *law_numbers(final, list_unexcited(explored.measured)))
-    limits = [*said, *list_limits(numbers, found, final, views.fine, units)]
+    unexcited = list_unexcited(explored.measured)
+    numbers: tuple[Number, ...] = (mass, *law_numbers(final, unexcited))
+    limits = [*said, *list_limits(numbers, found, final, views.fine, units, unexcited)]
     law = fit.shape.law
     path = Path(f"{wanted.name}.toml")
     report("weights")
