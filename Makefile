@@ -24,7 +24,7 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := all
 .PHONY: all help venv generate check-generated compile experiment figures docs notebooks picture test test-slow check lint lint-ruff lint-format \
-        lint-types lint-c format studies faults benchmark benchmark-diagnosis target verify release-check wheel lock clean \
+        lint-types lint-c format studies faults benchmark benchmark-diagnosis benchmark-logs target verify release-check wheel lock clean \
         distclean
 
 # Said before anything is done, of a call that names no target.
@@ -125,6 +125,9 @@ verify: $(STAMP) ## random calls, bits, coverage, limits, constructs of emitted 
 
 benchmark-diagnosis: $(STAMP) ## plant every effect in simulated logs; how many are found, missed, invented
 	$(RUN) bench-diagnosis machines/$(MACHINE).toml --out $(BUILD)/benchmark-diagnosis
+
+benchmark-logs: $(STAMP) ## drawn logs in every format with every fault: read right, refused rightly, or wrong; minutes
+	$(BIN)/python -m sgms_bench.logs $(if $(DRAWS),--draws $(DRAWS))
 
 # --- documents -------------------------------------------------------------------------------------------------------
 
