@@ -157,6 +157,16 @@ def test_long_format_with_stamps_and_a_stated_column(tmp_path: Path) -> None:
         read_log(path, table={"channel": "topic", **units})
 
 
+def test_a_short_row_of_a_long_format_is_refused(tmp_path: Path) -> None:
+    log = motion(17, 200.0)
+    path = events(tmp_path / "log.csv", long_rows(log.time_s, pair(log, ("x [m]", "F [N]"))), "t [s],signal,value")
+    lines = path.read_text().splitlines()
+    lines[-2] = lines[-2].partition(",")[0]
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match=r"line \d+\) = .1 fields"):
+        read_log(path)
+
+
 def test_a_column_of_modes_makes_no_long_format(tmp_path: Path) -> None:
     log = motion(8, 100.0)
     rows = [

@@ -76,7 +76,8 @@ def _time(table: Table, numeric: Sequence[int]) -> int | None:
 
 
 def _pivot(table: Table, dialect: Dialect, channel: int, time: int, value: int) -> Table:
-    words = [fields_of(line, dialect.separator)[channel] for _, line in dialect.rows]
+    # A row that is too short has no name; it is refused when values are read.
+    words = ["".join(fields_of(line, dialect.separator)[channel : channel + 1]) for _, line in dialect.rows]
     places: dict[str, list[int]] = {}
     for k, word in enumerate(words):
         places.setdefault(word, []).append(k)
