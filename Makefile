@@ -119,9 +119,9 @@ benchmark: $(STAMP) ## time, instructions and errors of MACHINE's variants besid
 target: $(STAMP) ## MACHINE on an emulated Cortex-M7: instructions, flash, RAM; needs arm-none-eabi-gcc and qemu-system-arm
 	$(RUN) target machines/$(MACHINE).toml
 
-verify: $(STAMP) ## random calls, bits, coverage, limits, constructs of emitted C: one table; CALLS=1e8 FUZZED=100 takes hours
+verify: $(STAMP) ## random calls, bits, coverage, limits, constructs of emitted C, mutated logs: one table; CALLS=1e8 FUZZED=100 takes hours
 	$(BIN)/python -m sgms_bench.verification --keep $(BUILD)/verify $(if $(CALLS),--calls $(CALLS)) \
-	    $(if $(FUZZED),--machines $(FUZZED)) $(if $(ONLY),--only $(ONLY))
+	    $(if $(FUZZED),--machines $(FUZZED)) $(if $(LOGS),--logs $(LOGS)) $(if $(ONLY),--only $(ONLY))
 
 benchmark-diagnosis: $(STAMP) ## plant every effect in simulated logs; how many are found, missed, invented
 	$(RUN) bench-diagnosis machines/$(MACHINE).toml --out $(BUILD)/benchmark-diagnosis

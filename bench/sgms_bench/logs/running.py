@@ -29,8 +29,8 @@ Came = Literal["right", "wrong", "false", "traceback"]
 INERTIA_NEAR: Final = 0.05
 COULOMB_NEAR: Final = 0.1
 """Relative errors up to which an identified number is right."""
-NOISY: Final = 3.0
-"""Residual of the true machine over the recorded force noise, up to which a prediction is right."""
+WELL_PREDICTED: Final = 0.2
+"""Residual of the true machine over the force's standard deviation, up to which a prediction is right."""
 
 
 @dataclass(frozen=True)
@@ -235,7 +235,7 @@ class Trial:
         truth = self.recorder.truth
         rms = next(value for key, value in content.items() if key.startswith("residual_rms"))
         whole = float(np.std(truth.log.force_N))
-        if rms > 0.2 * whole:
+        if rms > WELL_PREDICTED * whole:
             raise WrongError("wrong", f"predict: {rms:.3g} of {whole:.3g} is left of the true machine")
 
 

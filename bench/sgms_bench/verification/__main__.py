@@ -1,7 +1,8 @@
-"""Table of the properties of emitted C: check, tried, failed.
+"""Table of properties that are tried: check, tried, failed.
 
 Random calls under sanitizers, the same bits from every compiler and processor, every line and branch reached or
-explained, work and stack within what is stated, nothing in the code that a proof could not deal with.
+explained, work and stack within what is stated, nothing in the code that a proof could not deal with. And logs with
+something wrong at random through the whole command line.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from sgms_bench.logs.mutations import check_logs
 from sgms_bench.verification.bits import host_builds, same_bits, target_builds
 from sgms_bench.verification.constructs import check_constructs
 from sgms_bench.verification.coverage import check_coverage
@@ -53,6 +55,7 @@ CHECKS: Final[Mapping[str, Callable[[argparse.Namespace, Progress], list[CheckOu
     "limits": lambda _, progress: check_limits(list(specimens()), progress),
     "bits": _bits,
     "fuzz": _fuzz,
+    "logs": lambda chosen, progress: check_logs(range(chosen.seed, chosen.seed + chosen.logs), progress),
 }
 """Groups of checks by name."""
 
@@ -67,7 +70,7 @@ def table(outcomes: Sequence[CheckOutcome]) -> CsvTable:
         }
         for o in outcomes
     ]
-    return CsvTable("verification of emitted C", {"check": "", "tried": "", "failed": ""}, rows)
+    return CsvTable("verification", {"check": "", "tried": "", "failed": ""}, rows)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -77,6 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--calls", type=float, default=3e5, help="random calls, in all (1e8: an hour or more)")
     parser.add_argument("--machines", type=int, default=6, help="random machines")
+    parser.add_argument("--logs", type=int, default=10_000, help="mutated logs (10 000: an hour)")
     parser.add_argument("--seed", type=int, default=0, help="of the first of them")
     parser.add_argument("--keep", type=Path, default=Path("build/verify"), help="folder for inputs that fail")
     parser.add_argument("--only", choices=[*CHECKS], nargs="+", default=[*CHECKS], help="groups of checks")
