@@ -129,7 +129,8 @@ static void move_age(const struct axis *axis, struct axis_effect *effect)
 
 static double add_load(const struct axis_view *at, double level)
 {
-    return level + at->p[0] * fabs(at->axis->transmitted);
+    const double ratio = at->v / at->axis->set.stribeck_velocity;
+    return level + (at->p[0] + at->p[1] * exp(-ratio * ratio)) * fabs(at->axis->transmitted);
 }
 
 static double add_loss(const struct axis_view *at, double level)
@@ -309,8 +310,8 @@ static const struct axis_effect_row table[] = {
     {"micro_viscous", {"damping_N_s_m"}, .change = {[AXIS_MICRO_VISCOUS] = add_parameter}},
     /* force = amplitude sin(q + phase), q an angle */
     {"unbalance", {"amplitude_N", "phase_rad"}, .change = {[AXIS_OUTSIDE_FORCE] = add_unbalance}},
-    /* s(v) + ratio |T|, T: what the drive transmits */
-    {"load_dependent_friction", {"ratio"}, .change = {[AXIS_LOAD_LEVEL] = add_load}},
+    /* s(v) + (ratio + rise_ratio exp(-(v/v_s)^2)) |T|, T: what the drive transmits */
+    {"load_dependent_friction", {"ratio", "rise_ratio"}, .change = {[AXIS_LOAD_LEVEL] = add_load}},
     /* s(v) + |T| (1 / efficiency - 1) where T drives the motion, s(v) + |T| (1 - efficiency) where it brakes it */
     {"drive_efficiency", {"efficiency_ratio"}, .change = {[AXIS_LOAD_LEVEL] = add_loss}},
     /* force = sum over its sines of sine sin(2 pi order q / pitch) + cosine cos(...); one effect of the plant each */

@@ -64,7 +64,7 @@ EFFECTS: dict[str, dict[str, Any]] = {
 
 GEARED: dict[str, dict[str, float]] = {
     "unbalance": {"amplitude_Nm": 1.5, "phase_rad": 0.7},
-    "load_dependent_friction": {"ratio": 0.1},
+    "load_dependent_friction": {"ratio": 0.1, "rise_ratio": 0.05},
     "drive_efficiency": {"efficiency_ratio": 0.8},
 }
 """The effects of axes that turn alone, likewise."""

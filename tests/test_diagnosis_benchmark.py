@@ -529,7 +529,7 @@ def test_what_is_known_to_look_alike_is_tried_where_a_derivative_tells_half(mach
         axis=DrawnAxis(kind="rotary", other_law=False, obeys="maxwell_slip"),
         hidden=(
             Hidden("asymmetric_viscous", {"difference_N_s_m": 0.3279551293968889}),
-            Hidden("load_dependent_friction", {"ratio": 0.00785262763469043}),
+            Hidden("load_dependent_friction", {"ratio": 0.00785262763469043, "rise_ratio": 0.0}),
             Hidden("frictional_lag", {"time_constant_s": 0.005117992735122358}),
         ),
         machine_changes={"name": "specimen", "friction": {"stribeck_ratio": 0.4}},

@@ -100,7 +100,7 @@ CASES = {
     "micro_viscous": Case({"damping_N_s_m": 30.0}, 3e-3, 2e-2),
     "unbalance": Case({"amplitude_N": 1.5, "phase_rad": 0.7}),
     # The level follows the acceleration, which changes within a sample.
-    "load_dependent_friction": Case({"ratio": 0.1}, 4e-3, 3e-2),
+    "load_dependent_friction": Case({"ratio": 0.1, "rise_ratio": 0.05}, 4e-3, 3e-2),
     "drive_efficiency": Case({"efficiency_ratio": 0.8}, 8e-3, 5e-2),
     "position_map": Case(
         {"pitch_m": 0.004, "order": [1, 2, 6], "sine_N": [0.5, 0.1, 0.15], "cosine_N": [0.2, -0.3, 0.05]}

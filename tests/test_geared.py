@@ -78,14 +78,15 @@ def test_the_level_is_that_of_the_torque_known_from_motion_and_load() -> None:
     """|T| and the sign of T v, from q, v and a alone: the drive's own torque is not asked for."""
     machine = joint()
     position, coulomb = 0.4, 6.0
-    for v, a in ((2.0, 30.0), (2.0, -30.0), (-2.0, 30.0), (0.5, 0.0)):
-        stribeck = coulomb * (1.0 + 0.15 * float(np.exp(-((v / 0.02) ** 2))))
+    for v, a in ((2.0, 30.0), (2.0, -30.0), (-2.0, 30.0), (0.5, 0.0), (0.01, 20.0)):
+        share = float(np.exp(-((v / 0.02) ** 2)))
+        stribeck, ratio = coulomb * (1.0 + 0.15 * share), 0.1 + 0.05 * share
         torque = 0.8 * a + 1.5 * float(np.sin(position + 0.7))
         eta = 0.8
         for names, added in (
             (("unbalance",), 0.0),
-            (("load_dependent_friction",), 0.1 * abs(0.8 * a)),
-            (("load_dependent_friction", "unbalance"), 0.1 * abs(torque)),
+            (("load_dependent_friction",), ratio * abs(0.8 * a)),
+            (("load_dependent_friction", "unbalance"), ratio * abs(torque)),
             (("unbalance", "drive_efficiency"), abs((torque / eta if torque * v > 0.0 else torque * eta) - torque)),
         ):
             for force in (-50.0, 70.0):
@@ -150,7 +151,7 @@ HARD = ((0.8, 3.0, 90.0), (0.4, 3.0, 60.0), (0.8, 0.5, 20.0))
 HELD = {"name": "constant_offset", "torque_Nm": 30.0}  # a weight on a rope
 SIZES: dict[str, dict[str, float]] = {
     "unbalance": {"amplitude_N": 4.0, "phase_rad": 0.6},
-    "load_dependent_friction": {"ratio": 0.2},
+    "load_dependent_friction": {"ratio": 0.2, "rise_ratio": 0.0},
     "drive_efficiency": {"efficiency_ratio": 0.7},
     "constant_offset": {"force_N": 1.0},
     "position_spring": {"stiffness_N_m": 1.0, "centre_m": 0.0},
@@ -239,7 +240,7 @@ def diagnosed(machine: Machine, law: Law, motion: Trajectory, name: str, hidden:
 
 HIDDEN: dict[str, dict[str, float]] = {
     "unbalance": {"amplitude_N": 5.0, "phase_rad": 0.6},
-    "load_dependent_friction": {"ratio": 0.12},
+    "load_dependent_friction": {"ratio": 0.12, "rise_ratio": 0.0},
     "drive_efficiency": {"efficiency_ratio": 0.75},
 }
 
@@ -253,6 +254,8 @@ def test_a_diagnosis_finds_it_and_its_size(name: str, law: Law) -> None:
     assert [cause.name for cause in diagnosis.causes] == [name], diagnosis.summary
     cause = diagnosis.causes[0]
     for key, value in HIDDEN[name].items():
+        if key == "rise_ratio":  # no fit frees it
+            continue
         assert abs(cause.parameters[key] - value) < 2.0 * cause.std[key], (key, cause.parameters, cause.std)
         assert cause.std[key] < 0.02 * value
     assert diagnosis.rms.held_out_after < 0.03 * diagnosis.rms.held_out_before

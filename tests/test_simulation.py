@@ -466,7 +466,7 @@ ADDED_FORCES: list[tuple[str, dict[str, float], Callable[[Truth], Array]]] = [
     ("step_disturbance", {"force_N": -2.0, "time_s": 0.3}, lambda w: np.where(w.time_s >= 0.3 - 1e-9, -2.0, 0.0)),
     ("unbalance", {"amplitude_N": 1.2, "phase_rad": 0.4}, lambda w: 1.2 * np.sin(w.position_m + 0.4)),
     ("asymmetric_coulomb", {"ratio": 0.0}, lambda w: np.zeros_like(w.time_s)),
-    ("load_dependent_friction", {"ratio": 0.0}, lambda w: np.zeros_like(w.time_s)),
+    ("load_dependent_friction", {"ratio": 0.0, "rise_ratio": 0.0}, lambda w: np.zeros_like(w.time_s)),
     ("drive_efficiency", {"efficiency_ratio": 1.0}, lambda w: np.zeros_like(w.time_s)),
     ("micro_viscous", {"damping_N_s_m": 0.0}, lambda w: np.zeros_like(w.time_s)),
 ]
@@ -511,10 +511,13 @@ def lost(torque: Array, velocity: Array, efficiency: float) -> Array:
 
 
 LOAD_LEVELS: list[tuple[list[tuple[str, dict[str, float]]], Callable[[Array, Array], Array]]] = [
-    ([("load_dependent_friction", {"ratio": 0.2})], lambda torque, _: 0.2 * np.abs(torque)),
+    ([("load_dependent_friction", {"ratio": 0.2, "rise_ratio": 0.0})], lambda torque, _: 0.2 * np.abs(torque)),
     ([("drive_efficiency", {"efficiency_ratio": 0.6})], lambda torque, v: lost(torque, v, 0.6)),
     (
-        [("load_dependent_friction", {"ratio": 0.3}), ("drive_efficiency", {"efficiency_ratio": 0.7})],
+        [
+            ("load_dependent_friction", {"ratio": 0.3, "rise_ratio": 0.0}),
+            ("drive_efficiency", {"efficiency_ratio": 0.7}),
+        ],
         lambda torque, v: 0.3 * np.abs(torque) + lost(torque, v, 0.7),
     ),
 ]
@@ -702,7 +705,8 @@ def test_micro_viscous_effect_is_split_by_fraction(machine: Machine) -> None:
 def test_closed_loop_with_every_effect(machine: Machine, name: str, law: str) -> None:
     typical = {
         "amplitude_N": 1.0, "amplitude_m": 5e-8, "pitch_m": 0.032, "phase_rad": 0.5, "force_N": 1.0, "time_s": 0.2,
-        "time_constant_s": 5e-4, "ratio": 0.1, "stiffness_N_m": 50.0, "centre_m": 0.0, "difference_N_s_m": 3.0,
+        "time_constant_s": 5e-4, "ratio": 0.1, "rise_ratio": 0.05, "stiffness_N_m": 50.0, "centre_m": 0.0,
+        "difference_N_s_m": 3.0,
         "mass_kg": 2.0, "gain": 1.05, "delay_s": 2e-4, "coefficient_N_s2_m2": 5.0, "damping_N_s_m": 10.0,
         "corner_velocity_m_s": 0.3, "frequency_Hz": 300.0, "damping_ratio": 0.02, "gap_m": 5e-6, "length_m": 1e-5,
     }  # fmt: skip

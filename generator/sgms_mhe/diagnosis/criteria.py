@@ -239,10 +239,18 @@ def linear_gain(subject: Subject, current: Fit, proposal: Proposal) -> float:
     return gain_force(current.loss, after, current.rows)
 
 
+def _count_free(proposal: Proposal) -> int:
+    """Return how many numbers of a proposal a fit moves; of the machine's own numbers one a column."""
+    if not proposal.parameters:
+        return int(proposal.columns.shape[1])
+    known = (effect_definition(proposal.name).parameter(key) for key in proposal.parameters)
+    return sum(parameter.main or bool(parameter.times) for parameter in known)
+
+
 def drop_duplicates(ranked: Sequence[Ranked], same_force: float) -> list[Ranked]:
     """Without proposals that make the same force as another one with fewer numbers."""
     forces = [r.proposal.columns @ r.proposal.coefficients for r in ranked]
-    numbers = [len(r.proposal.parameters) or r.proposal.columns.shape[1] for r in ranked]
+    numbers = [_count_free(r.proposal) for r in ranked]
 
     def same(x: Array, y: Array) -> bool:
         return float(x @ y) > same_force * math.sqrt(float(x @ x) * float(y @ y))

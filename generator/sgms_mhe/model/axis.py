@@ -85,6 +85,7 @@ class SymbolicAxis:
         micro_viscous: damping [N s/m] shared out to the elements by nu_i, on top of their own sigma_i.
         stribeck_level: s(v) / f_C, which an effect may replace by the level that the elements really have.
         rest_level: the same at v = 0, 1 + beta.
+        stribeck_share: exp(-(v/v_s)^2), the share of the Stribeck effect that is there at this speed.
         gate_per_velocity: gamma / v_s [s/m], how sharply directions are distinguished.
         level_force: what the level that elements slip at has beyond its factors [N].
         engagement: share of the velocity that reaches the friction elements.
@@ -113,6 +114,7 @@ class SymbolicAxis:
         self.load: ca.SX = ca.SX(0.0)
         self.stribeck_level: ca.SX = ca.SX(1.0)
         self.rest_level: ca.SX = ca.SX(1.0)
+        self.stribeck_share: ca.SX = ca.SX(0.0)
         self.element_force: ca.SX = ca.SX(0.0)
         self.output: ca.SX = ca.SX(0.0)
         self.states: list[AxisState] = []

@@ -77,10 +77,10 @@ def window(r: ca.SX, smoothing: SmoothLaw) -> ca.SX:
     return 1.0 - 0.5 * ca.tanh(lambda_ * (r + zeta)) + 0.5 * ca.tanh(lambda_ * (r - zeta))
 
 
-def stribeck_level(velocity: ca.SX, symbols: FrictionSymbols) -> ca.SX:
-    """s(v) / f_C = 1 + beta exp(-(v/v_s)^2), the Stribeck curve over the Coulomb level."""
+def stribeck_share(velocity: ca.SX, symbols: FrictionSymbols) -> ca.SX:
+    """exp(-(v/v_s)^2): s(v) / f_C, the Stribeck curve over the Coulomb level, is 1 + beta times it."""
     ratio = velocity / symbols.stribeck_velocity
-    return 1.0 + symbols.stribeck_ratio * ca.exp(-ratio * ratio)
+    return ca.exp(-ratio * ratio)
 
 
 def declare_elements(
@@ -110,7 +110,8 @@ def declare_elements(
             force_scale if state_as == "force" else force_scale * nominal_stiffness[i] / symbols.stiffness[i]
         )
         axis.element_force = axis.element_force + fraction * state.chi
-    axis.stribeck_level = stribeck_level(axis.velocity, symbols)
+    axis.stribeck_share = stribeck_share(axis.velocity, symbols)
+    axis.stribeck_level = 1.0 + symbols.stribeck_ratio * axis.stribeck_share
     axis.rest_level = 1.0 + symbols.stribeck_ratio
 
 

@@ -53,7 +53,9 @@ class EffectDefinition(CauseDefinition):
         elastic: whether its force goes with the position alone: over a short travel it looks like an element that has
             not broken away.
         companion: whether an identification from nothing looks for it beside friction; its search's columns need no
-            model.
+            model, or of the stage `level` the torque transmitted alone.
+        rises: the size, if any, by which a contribution to the level grows towards low speed as the Stribeck effect
+            does: its force per unit is that of the search's column times that effect's share.
         full_rate: whether it is about as fast as a sample of the record, or jumps: fitted at the record's full rate,
             never on means.
         plant_force: the simulated plant's own version of a force, friction-like in sign, written a second time in plain
@@ -82,6 +84,7 @@ class EffectDefinition(CauseDefinition):
     full_rate: bool = False
     elastic: bool = False
     companion: bool = False
+    rises: str = ""
     fit_displacement: float | None = None
     possible: Callable[[Mapping[str, float], Scales], bool] = _always
     delays: str = ""

@@ -11,12 +11,13 @@ from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.search import Columns, one_size
-from sgms_mhe.model.effects.specimen import one_number
+from sgms_mhe.model.effects.specimen import Specimen
 from sgms_mhe.model.effects.transmission import friction_drag, load_excitation
 
 
 def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
-    axis.level_force = axis.level_force + p["ratio"] * ca.fabs(axis.transmitted_force)
+    ratio = p["ratio"] + p["rise_ratio"] * axis.stribeck_share
+    axis.level_force = axis.level_force + ratio * ca.fabs(axis.transmitted_force)
 
 
 DEFINITION = EffectDefinition(
@@ -26,6 +27,14 @@ DEFINITION = EffectDefinition(
     parameters=(
         # From 1 on a load could not be driven back, and the friction that holds it would have no one value.
         EffectParameter("ratio", 0.0, 0.1, "level added over the torque transmitted", lower=0.0, upper=0.95),
+        EffectParameter(
+            "rise_ratio",
+            0.0,
+            0.1,
+            "what the ratio grows by towards low speed, as the Stribeck effect does",
+            lower=0.0,
+            main=False,
+        ),
     ),
     contribute=_contribute,
     excitation=load_excitation("sliding both ways under loads from none to several times the Coulomb level"),
@@ -41,5 +50,7 @@ DEFINITION = EffectDefinition(
     simpler=Simpler(("coulomb",)),
     search=Columns(lambda m, _: friction_drag(m), one_size("ratio"), exact="ratio"),
     stage="level",
-    specimen=one_number("ratio", lambda _: 0.1, signed=False),
+    companion=True,
+    rises="rise_ratio",
+    specimen=Specimen(lambda _, __, x: {"ratio": 0.1 * x, "rise_ratio": 0.0}, signed=False),
 )

@@ -51,6 +51,7 @@ DEFINITION = EffectDefinition(
         lambda _, size: {"amplitude_N": math.hypot(*size), "phase_rad": math.atan2(float(size[1]), float(size[0]))},
     ),
     linear=True,
+    companion=True,
     polar=("amplitude_N", "phase_rad"),
     specimen=Specimen(
         lambda scene, drawn, x: {"amplitude_N": x * scene.scales.coulomb, **drawn}, (PHASE,), signed=False
