@@ -10,12 +10,12 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.identification.final_fit import CERTAIN, FinalIdentification
-from sgms_mhe.identification.fits import AxisFit, NumberEstimate, RecordView
+from sgms_mhe.identification.fits import NumberEstimate, RecordView
 from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.search import ChosenModel
-from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING
+from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING, effect_parameters
 from sgms_mhe.machine import Units
-from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition
+from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition, separating_moves
 from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.support.errors import InputError
 
@@ -25,10 +25,13 @@ ROUNDING: Final = 1e-12
 NEXT_TO_NOTHING: Final = 1.01
 """Of the smallest break-away distance that the encoder tells: no larger, and it is none."""
 STAND_IN: Final = "not determined: a stand-in"
+AMBIGUOUS: Final = "ambiguous"
 SLID: Final = 0.25
 """Break-away distance over the travel up to which an element slips on both ways and some way beyond."""
 OPEN_LEVEL: Final = 0.15
 """Share of the level in elements beyond that from which a record counts as one of presliding alone."""
+SURE: Final = 2.0
+"""Standard deviations below its value that a stiffness surely has."""
 CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
     "coulomb": ("coulomb",),
     "viscous": ("viscous",),
@@ -38,36 +41,43 @@ CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
 """Numbers by the cause whose excitation says what a motion must hold to show them."""
 
 
-def check_slides(view: RecordView, fit: AxisFit, shown: Collection[str], source: str) -> None:
+def check_slides(view: RecordView, final: FinalIdentification, shown: Collection[str], source: str) -> None:
     """Refuse records that stay below break-away: no level is seen in them, and any would do.
 
     An element that never breaks away is a spring over the travel. So a spring counts as one, unless the motion is such
-    that it shows springs.
+    that it shows springs. It counts by the force that it surely makes: its stiffness less two deviations.
 
     Args:
         view: the records.
-        fit: of all of them.
+        final: fit of all of them.
         shown: effects that the motion can show.
         source: of the refusal.
 
     Raises:
         InputError: what is needed.
     """
+    fit = final.fit
     if not fit.coulomb > 0.0:
         raise frictionless_error(source)
     travel, length = view.rows.extents.travel, view.rows.machine.plant.units.position
-    open_level = float(fit.levels[fit.shape.distances > SLID * travel].sum())
-    level = fit.coulomb
+    slides = fit.shape.distances <= SLID * travel
+    sliding, elastic = float(fit.levels[slides].sum()), 0.0
+    stiffness = [final.numbers[f"stiffness_{k + 1}"] for k in np.flatnonzero(~slides).tolist()]
     for term in fit.terms:
         if term.name in LAW_AND_SAMPLING or term.name in shown or not effect_definition(term.name).elastic:
             continue
-        spring = 0.5 * travel * max(0.0, float(fit.coefficient(term.name)[0]))
-        open_level, level = open_level + spring, level + spring
-    if open_level > OPEN_LEVEL * level:
+        place = fit.place(term.name).start
+        stiffness.append(
+            NumberEstimate(float(fit.coefficient(term.name)[0]), math.sqrt(float(final.cov[place, place])))
+        )
+    for number in stiffness:
+        elastic += 0.5 * travel * max(0.0, number.value - SURE * number.std)
+    if elastic > OPEN_LEVEL * (elastic + sliding):
         raise InputError(
             source,
             "motion",
-            f"{travel:.3g} {length} of travel, {100.0 * open_level / level:.0f} % of the friction a spring over it",
+            f"{travel:.3g} {length} of travel, {100.0 * elastic / (elastic + sliding):.0f} % of the friction a spring "
+            "over it",
             "motion well beyond break-away, in both directions: below it friction is a spring, and its level is open "
             f"({MOVES['speeds']}; {MOVES['loops']})",
         )
@@ -125,22 +135,31 @@ def effect_numbers(final: FinalIdentification) -> tuple[Number, ...]:
     for term in final.fit.terms:
         if term.name in LAW_AND_SAMPLING:
             continue
-        search = effect_definition(term.name).search
+        definition = effect_definition(term.name)
+        search = definition.search
         if not isinstance(search, Columns):
             continue
         place = final.fit.place(term.name)
         sizes, cov = final.fit.coefficient(term.name), final.cov[place, place]
-        values = search.parameters({}, sizes)
+        values = effect_parameters(definition, search, sizes)
         for key, value in values.items():
             steps = np.sqrt(np.diag(cov))
             slope = np.array(
                 [
-                    (search.parameters({}, sizes + step)[key] - value) / step.max() if step.max() > 0.0 else 0.0
+                    (effect_parameters(definition, search, sizes + step)[key] - value) / step.max()
+                    if step.max() > 0.0
+                    else 0.0
                     for step in np.diag(1e-3 * steps)
                 ]
             )
             std = math.sqrt(max(0.0, float(slope @ cov @ slope)))
-            numbers.append(_number(f"{term.name}.{key}", NumberEstimate(float(value), std)))
+            number = _number(f"{term.name}.{key}", NumberEstimate(float(value), std))
+            if definition.polar is not None and key == definition.polar[1]:  # an angle is no share of itself
+                number = replace(number, determined=std <= KNOWN, note="" if std <= KNOWN else STAND_IN)
+            others = final.rivals.get(term.name, ())
+            if others:
+                number = replace(number, determined=False, note=f"{AMBIGUOUS}: or {', '.join(others)}")
+            numbers.append(number)
     return tuple(numbers)
 
 
@@ -203,6 +222,12 @@ def list_limits(
         f"{name}: not determined{_reason(name, CONTROLLED[name][0] in unexcited)}"
         for name in ("coulomb", "viscous", "stribeck")
         if unknown & set(CONTROLLED[name])
+    ]
+    said += [
+        f"{name}: ambiguous, this motion does not tell it from {other}. Needed: "
+        f"{'; '.join(separating_moves(name, other))}"
+        for name, others in final.rivals.items()
+        for other in others
     ]
     said += _late(final, view, units)
     travel, fit = view.rows.extents.travel, final.fit

@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.identification.fits import AxisFit, NumberEstimate, RecordView, Shape, covariance, fit_axis, quantities
-from sgms_mhe.identification.search import Progress, Views, fit_aligned, is_better, search_rise_speed
-from sgms_mhe.identification.terms import LAW_AND_SAMPLING, Term
+from sgms_mhe.identification.search import (
+    CHOICE_ITERATIONS,
+    Progress,
+    Views,
+    align,
+    fit_aligned,
+    is_better,
+    search_rise_speed,
+)
+from sgms_mhe.identification.terms import LAW_AND_SAMPLING, Term, level_terms, transmitted_force
+from sgms_mhe.model.effects import effect_definition, separating_moves
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
 
@@ -46,6 +55,8 @@ class FinalIdentification:
         mass: that the motion shows [kg]; None: it shows none.
         held_out_rms: residual of a fit of two thirds on the last third of the blocks [N].
         view: the records as they were fitted.
+        rivals: effects that explain the records as well as one that was chosen, or that its motion does not tell from
+            it, by its name.
     """
 
     fit: AxisFit
@@ -54,6 +65,7 @@ class FinalIdentification:
     mass: NumberEstimate | None
     held_out_rms: float
     view: RecordView
+    rivals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -69,6 +81,7 @@ def make_final_fit(
     fit: AxisFit,
     base: Sequence[Term],
     companions: Sequence[Term],
+    excited: Collection[str],
     wanted: Known,
     report: Progress,
 ) -> FinalIdentification:
@@ -78,16 +91,16 @@ def make_final_fit(
         views: the records.
         fit: chosen elements, with every term.
         base: viscous, inertial and sampling terms.
-        companions: effects that the motion excites.
+        companions: effects that may stand beside the elements, but for those of their level.
+        excited: names of the effects that the motion excites, those of the level too.
         wanted: what was given.
         report: called with each step.
     """
     report("what stands beside the elements")
-    fit = fit_aligned(views, base, fit.shape)
-    fit = _add_companions(views, fit, companions)
-    fit = _test_rise(views, fit)
+    fit, rivals = _add_companions(views, fit, base, companions, excited)
+    fit = _test_level_rise(views, _test_rise(views, fit))
     report("numbers at the full rate")
-    fit = fit_axis(views.fine, fit.terms, fit.shape, iterations=FINAL_ITERATIONS)
+    fit = _fit_finely(views, fit)
     if not wanted.count:
         fit = _drop_traces(views, fit)
     cov = covariance(views.fine, fit)
@@ -111,7 +124,32 @@ def make_final_fit(
     held_out = rows.rows_held_out()
     judge = fit_axis(views.fine, fit.terms, fit.shape, rows.used & ~held_out, iterations=2)
     held_out_rms = float(np.sqrt(np.mean(judge.residual[held_out] ** 2)))
-    return FinalIdentification(fit, cov, numbers, mass, held_out_rms, views.fine)
+    rivals = {name: others for name, others in rivals.items() if fit.place(name).stop}
+    return FinalIdentification(fit, cov, numbers, mass, held_out_rms, views.fine, rivals)
+
+
+def _fit_finely(views: Views, fit: AxisFit) -> AxisFit:
+    """The fit at the full rate, what a level grows with taken from it once more."""
+    fit = fit_axis(views.fine, fit.terms, fit.shape, iterations=FINAL_ITERATIONS)
+    terms = _renew_levels(views.fine.rows, fit)
+    return fit if terms is fit.terms else fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS)
+
+
+def _renew_levels(rows: Recording, fit: AxisFit) -> tuple[Term, ...]:
+    """The terms of a fit, those of the level along what it transmits."""
+    if not any(map(_is_level, fit.terms)):
+        return fit.terms
+    renewed = {term.name: term for term in _level_terms(rows, fit)}
+    return tuple(
+        replace(term, columns=renewed[term.name].columns[:, : term.columns.shape[1]]) if _is_level(term) else term
+        for term in fit.terms
+    )
+
+
+def _level_terms(rows: Recording, fit: AxisFit) -> tuple[Term, ...]:
+    return level_terms(
+        rows, transmitted_force(rows, fit.terms, fit.coefficients), fit.sliding(rows.velocity), fit.shape.rise
+    )
 
 
 def _drop_traces(views: Views, fit: AxisFit) -> AxisFit:
@@ -127,28 +165,62 @@ def _drop_traces(views: Views, fit: AxisFit) -> AxisFit:
     return fit
 
 
-def _add_companions(views: Views, fit: AxisFit, companions: Sequence[Term]) -> AxisFit:
-    """The fit with the effects that it gains by, the best first; of two that gain as much the one of fewer sizes."""
-    left = sorted(companions, key=lambda term: term.columns.shape[1])
-    while left:
-        tried = [fit_aligned(views, (*fit.terms, term), fit.shape, rounds=1) for term in left]
-        better = [i for i, other in enumerate(tried) if is_better(other, fit)]
+def _add_companions(
+    views: Views, whole: AxisFit, base: Sequence[Term], companions: Sequence[Term], excited: Collection[str]
+) -> tuple[AxisFit, dict[str, tuple[str, ...]]]:
+    """The fit with the effects that it gains by, the best first; of two that gain as much the one of fewer sizes.
+
+    Every one begins from the shape of the fit with all of them: elements that had to stand for gravity are none to
+    begin from. An effect that the motion does not excite counts beside a simpler one that it does: over a short way it
+    may be either.
+
+    Returns:
+        The fit, and by the names of effects in it those that explain the records as well, or that the motion does not
+        tell from it.
+    """
+    left = [term for term in companions if term.name in excited or _has_limit(term.name, excited)]
+    left = sorted(left, key=lambda term: term.columns.shape[1])
+    lined = align(views, whole)
+    fit = fit_axis(lined, base, whole.shape, iterations=CHOICE_ITERATIONS)
+    rivals: dict[str, tuple[str, ...]] = {}
+    source = whole
+    while True:
+        level = [term for term in _level_terms(views.fine.rows, source) if term.name in excited]
+        level = [term for term in level if not fit.place(term.name).stop]
+        tried = {
+            term.name: fit_axis(lined, (*fit.terms, term), whole.shape, iterations=CHOICE_ITERATIONS)
+            for term in (*level, *left)
+        }
+        better = [name for name, other in tried.items() if is_better(other, fit)]
         log_decision(
             "companions",
             "effect beside the elements that leaves clearly less on unseen rows",
             residual_N=fit.cross_rms,
-            residual_with_N={term.name: other.cross_rms for term, other in zip(left, tried, strict=True)},
-            gains=[left[i].name for i in better],
+            residual_with_N={name: other.cross_rms for name, other in tried.items()},
+            gains=better,
         )
         if not better:
             break
         best = better[0]
-        for i in better[1:]:
-            if is_better(tried[i], tried[best]):
-                best = i
-        fit = tried[best]
-        left.pop(best)
-    return fit
+        for name in better[1:]:
+            if is_better(tried[name], tried[best]):
+                best = name
+        fit = source = tried[best]
+        rivals[best] = tuple(
+            other
+            for other in better
+            if other != best and separating_moves(best, other) and not is_better(fit, tried[other])
+        )
+        if best not in excited:
+            limits = [name for name in effect_definition(best).simpler.causes if name in tried]
+            rivals[best] = (min(limits, key=lambda name: tried[name].cross_rms),) if limits else rivals[best]
+        left = [term for term in left if term.name != best]
+    return fit_aligned(views, fit.terms, fit.shape, rounds=1), {a: b for a, b in rivals.items() if b}
+
+
+def _has_limit(name: str, excited: Collection[str]) -> bool:
+    """Return True if one of an effect's simpler limits is among those that the motion excites."""
+    return any(limit in excited for limit in effect_definition(name).simpler.causes)
 
 
 def _test_rise(views: Views, fit: AxisFit) -> AxisFit:
@@ -158,6 +230,20 @@ def _test_rise(views: Views, fit: AxisFit) -> AxisFit:
     fit = search_rise_speed(views, fit)
     level = fit_aligned(views, fit.terms, Shape(fit.shape.law, fit.shape.distances, None))
     return fit if is_better(fit, level) else level
+
+
+def _test_level_rise(views: Views, fit: AxisFit) -> AxisFit:
+    """The fit without the rise of what its level grows with, where that leaves no more."""
+    terms = _renew_levels(views.fine.rows, fit)
+    plain = tuple(replace(t, columns=t.columns[:, :1]) if _is_level(t) else t for t in terms)
+    if terms is fit.terms or all(a.columns.shape == b.columns.shape for a, b in zip(plain, terms, strict=True)):
+        return fit if terms is fit.terms else fit_aligned(views, terms, fit.shape, rounds=1)
+    with_rise, without = (fit_aligned(views, some, fit.shape, rounds=1) for some in (terms, plain))
+    return with_rise if is_better(with_rise, without) else without
+
+
+def _is_level(term: Term) -> bool:
+    return term.name not in LAW_AND_SAMPLING and effect_definition(term.name).stage == "level"
 
 
 def _mass(rows: Recording, extra: NumberEstimate) -> NumberEstimate | None:

@@ -27,7 +27,15 @@ from sgms_mhe.identification.result import Identification, Number
 from sgms_mhe.identification.sampling import common_rate, rough_mass, unknown_axis
 from sgms_mhe.identification.search import MOST_ELEMENTS, ChosenModel, Progress, Views, search
 from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid, find_spectrum
-from sgms_mhe.identification.terms import Term, companion_terms, mass_term, sampling_terms, viscous_term
+from sgms_mhe.identification.terms import (
+    Term,
+    companion_terms,
+    level_terms,
+    mass_term,
+    sampling_terms,
+    transmitted_force,
+    viscous_term,
+)
 from sgms_mhe.identification.writing import check_toml, machine_content, machine_toml
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.machine import Kind, Machine
@@ -112,19 +120,20 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
     spectrum = _spectrum(records, wanted.per_decade)
     rows = records.rows
     base, companions = _base_terms(rows), companion_terms(rows)
+    level = _level_terms(rows, spectrum)
     noise, grid = noise_floor(rows, rows.friction), distance_grid(records, wanted.per_decade)
     limits = float(grid[0]), float(grid[-1])
     views = Views(RecordView(rows, records.coarse, noise, limits), RecordView(rows, records.fine, noise, limits))
-    found = search(views, (*base, *companions), spectrum, wanted.elements, report)
+    found = search(views, (*base, *companions, *level), spectrum, wanted.elements, report)
     if not found.fit.coulomb > 0.0:
         raise frictionless_error(records.names[0])
     measured = _measure(records, found)
-    excited = tuple(term for term in companions if _is_excited(effect_definition(term.name), measured))
-    shown = [term.name for term in excited]
-    check_slides(views.fine, found.fit, shown, records.names[0])
+    excited = [
+        name for name in (t.name for t in (*companions, *level)) if _is_excited(effect_definition(name), measured)
+    ]
     known = Known(wanted.mass is not None, wanted.elements is not None)
-    final = make_final_fit(views, found.fit, base, excited, known, report)
-    check_slides(views.fine, final.fit, shown, records.names[0])  # elements took what springs had
+    final = make_final_fit(views, found.fit, base, companions, excited, known, report)
+    check_slides(views.fine, final, excited, records.names[0])
     log_decision(
         "numbers",
         "final fit",
@@ -132,7 +141,7 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
         noise_floor_N=noise,
         numbers={name: (number.value, number.std) for name, number in final.numbers.items()},
         motion=dict(measured),
-        shown=shown,
+        shown=excited,
     )
     return Explored(records, views, found, final, measured)
 
@@ -147,12 +156,23 @@ def _spectrum(records: Records, per_decade: float) -> Spectrum:
     Raises:
         InputError: there is no friction.
     """
-    rows = records.rows
-    terms = (*_base_terms(rows), *companion_terms(rows))
-    spectrum = find_spectrum(records, terms, noise_floor(rows, rows.friction), distance_grid(records, per_decade))
+    rows, grid = records.rows, distance_grid(records, per_decade)
+    terms, noise = (*_base_terms(rows), *companion_terms(rows)), noise_floor(rows, rows.friction)
+    spectrum = find_spectrum(records, terms, noise, grid)
+    level = _level_terms(rows, spectrum)
+    if level:
+        spectrum = find_spectrum(records, (*terms, *level), noise, grid)
     if not len(spectrum.distances):
         raise frictionless_error(records.names[0])
     return spectrum
+
+
+def _level_terms(rows: Recording, spectrum: Spectrum) -> tuple[Term, ...]:
+    terms = (*_base_terms(rows), *companion_terms(rows))
+    count = sum(term.columns.shape[1] for term in terms)
+    return level_terms(
+        rows, transmitted_force(rows, terms, spectrum.coefficients[:count]), spectrum.sliding, spectrum.rise
+    )
 
 
 def _records(logs: Sequence[Log], wanted: Wanted) -> Records:

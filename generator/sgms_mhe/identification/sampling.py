@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine, override_machine
+from sgms_mhe.identification.terms import companion_terms
 from sgms_mhe.machine import Machine, plant_content
 from sgms_mhe.model.effects import MOVES
 from sgms_mhe.recordings.recording import prepare
@@ -144,18 +145,19 @@ def _noise_share(machine: Machine, log: Log) -> float:
 
 
 def rough_mass(machine: Machine, logs: Sequence[Log]) -> float:
-    """Moved mass [kg, kg m^2] by least squares of the force on acceleration, speed, direction and a constant.
+    """Moved mass [kg, kg m^2] by least squares of the force on acceleration, speed, direction and companions.
 
     Raises:
         InputError: the motion asks for no mass, or one below 0.
     """
     columns, forces = [], []
     for log in logs:
-        signals = prepare(machine, log).signals
-        v, a = signals.velocity[signals.valid], signals.acceleration[signals.valid]
-        slow = 1e-2 * float(np.max(np.abs(v), initial=1e-12))
-        columns.append(np.column_stack((a, v, np.tanh(v / slow), np.ones(len(v)))))
-        forces.append(signals.force[signals.valid])
+        rows = prepare(machine, log)
+        v = rows.velocity
+        slow = 1e-2 * float(np.max(np.abs(v[rows.used]), initial=1e-12))
+        beside = [term.columns for term in companion_terms(rows)]
+        columns.append(np.column_stack((rows.acceleration, v, np.tanh(v / slow), *beside))[rows.used])
+        forces.append(rows.force[rows.used])
     X, y = np.concatenate(columns), np.concatenate(forces)
     mass = float(np.linalg.lstsq(X / np.maximum(np.abs(X).max(axis=0), 1e-300), y, rcond=1e-9)[0][0])
     mass /= float(np.abs(X[:, 0]).max())

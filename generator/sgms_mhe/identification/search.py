@@ -85,7 +85,7 @@ def fit_aligned(views: Views, terms: Sequence[Term], start: Shape, rounds: int =
     shape = start
     anchor = fit_axis(views.fine, terms, shape, iterations=0)
     for _ in range(rounds):
-        lined = _align(views, anchor)
+        lined = align(views, anchor)
         shape = fit_axis(lined, terms, anchor.shape, iterations=CHOICE_ITERATIONS).shape
         there = fit_axis(views.fine, terms, shape, iterations=0)
         if there.rms >= anchor.rms:
@@ -94,7 +94,7 @@ def fit_aligned(views: Views, terms: Sequence[Term], start: Shape, rounds: int =
     return anchor
 
 
-def _align(views: Views, anchor: AxisFit) -> RecordView:
+def align(views: Views, anchor: AxisFit) -> RecordView:
     """The coarse view whose friction leaves the residual of the fine one at a fit."""
     rows, shape = views.coarse.rows, anchor.shape
     rise = shape.rise or NO_RISE
@@ -209,7 +209,7 @@ def _try_counts(
 def _best(views: Views, terms: Sequence[Term], spectrum: Spectrum, near: AxisFit, count: int) -> AxisFit:
     """The best of several fits: from the clusters of the spectrum, and from a fit with one element more or less."""
     starts = [split_distances(spectrum, count), *_change_count(near, count)]
-    lined = _align(views, near)
+    lined = align(views, near)
     looks = [
         fit_axis(lined, terms, Shape(near.shape.law, start, near.shape.rise), iterations=LOOK_ITERATIONS)
         for start in starts
@@ -225,7 +225,7 @@ def search_rise_speed(views: Views, fit: AxisFit) -> AxisFit:
     A fit that begins far from it ends in another minimum, so it is looked for from slow to fast. Elements that go over
     smoothly turn round at that speed, of whatever size the rise is.
     """
-    lined, fastest = _align(views, fit), views.fine.rows.extents.speed
+    lined, fastest = align(views, fit), views.fine.rows.extents.speed
     starts = [replace(fit.shape, rise=Stribeck(SMALL_RISE, share * fastest)) for share in RISE_SPEEDS]
     tried = [fit_axis(lined, fit.terms, start, iterations=CHOICE_ITERATIONS) for start in starts]
     other = fit_aligned(views, fit.terms, min(tried, key=lambda one: one.rms).shape)

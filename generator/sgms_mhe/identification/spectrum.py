@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
 from typing import Final
@@ -47,13 +47,22 @@ NEGLIGIBLE: Final = 2e-3
 """Share of all levels below which an entry of the spectrum is none."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Levels (k) [N] over break-away distances (k) [m] that are not 0, and the rise towards low speed (None: none)."""
+    """Levels over break-away distances, and the terms fitted beside them.
+
+    Attributes:
+        distances, levels: those that are not 0 (k) [m], (k) [N].
+        rise: towards low speed; None: none.
+        coefficients: of all columns of the terms (c).
+        sliding: force of the elements over their level, -1 to 1 (m).
+    """
 
     distances: Array
     levels: Array
     rise: Stribeck | None
+    coefficients: Array = field(default_factory=lambda: np.zeros(0))
+    sliding: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def reach(self) -> float:
@@ -75,7 +84,8 @@ def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: A
     rows = records.rows
     used = rows.used
     stops = run_elements(records.coarse, "switching", grid, NO_RISE, jacobian=False)
-    stop = np.column_stack([run.chi for run in stops])[used]
+    chi = np.column_stack([run.chi for run in stops])
+    stop = chi[used]
     columns = np.column_stack([term.columns for term in terms])[used]
     positive = np.concatenate([np.full(term.columns.shape[1], term.positive) for term in terms])
     deviation = np.concatenate([np.full(term.columns.shape[1], term.deviation) for term in terms])
@@ -99,7 +109,8 @@ def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: A
         ratio = float(coefficients[len(grid) : len(grid) + count].sum() / max(levels.sum(), 1e-300))
         rise = Stribeck(ratio, speed) if ratio > 0.0 else None
     kept = levels > NEGLIGIBLE * levels.sum()
-    return Spectrum(grid[kept], levels[kept], rise)
+    sliding = chi @ levels / max(float(levels.sum()), 1e-300)
+    return Spectrum(grid[kept], levels[kept], rise, coefficients[-columns.shape[1] :], sliding)
 
 
 def cluster(spectrum: Spectrum, count: int) -> tuple[Array, Array]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.model.effects import effect_definition, effect_names
+from sgms_mhe.identification.elements import Stribeck
+from sgms_mhe.model.effects import EffectDefinition, effect_definition, effect_names
 from sgms_mhe.model.effects.motion import MotionRecord
 from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.recordings.recording import Recording
@@ -70,13 +72,76 @@ def sampling_terms(rows: Recording) -> tuple[Term, ...]:
 
 def companion_terms(rows: Recording) -> tuple[Term, ...]:
     """Effects that are looked for beside friction from the first, as they say themselves; free in sign."""
+    motion = _motion(rows, rows.force, rows.velocity)
+    return tuple(
+        Term(definition.name, search.columns(motion, {}))
+        for definition, search in _companions(rows)
+        if definition.stage != "level"
+    )
+
+
+def level_terms(rows: Recording, transmitted: Array, sliding: Array, rise: Stribeck | None) -> tuple[Term, ...]:
+    """Effects that are looked for in the level of friction: what it grows with is known once load and mass are.
+
+    Args:
+        rows: of the records.
+        transmitted: torque that the drive transmits (m) [N m].
+        sliding: force of the elements over the level that they slip at now, -1 to 1 (m).
+        rise: of the level towards low speed, in which they share; None: none.
+    """
+    motion, terms = _motion(rows, transmitted, sliding), []
+    for definition, search in _companions(rows):
+        if definition.stage != "level":
+            continue
+        columns = np.abs(sliding)[:, None] * search.columns(motion, {})
+        if rise is not None and definition.rises:
+            share = np.exp(-((rows.velocity / rise.velocity) ** 2))
+            columns = np.column_stack((columns, share * columns[:, 0]))
+        terms.append(Term(definition.name, columns, positive=True))
+    return tuple(terms)
+
+
+def effect_parameters(definition: EffectDefinition, search: Columns, sizes: Array) -> dict[str, float]:
+    """Return an effect's parameters from the coefficients of its term (k)."""
+    if definition.stage != "level" or not definition.rises:
+        return dict(search.parameters({}, sizes))
+    rise = {definition.rises: float(sizes[1])} if len(sizes) > 1 else {}
+    return {**search.parameters({}, sizes[:1]), **rise}
+
+
+def transmitted_force(rows: Recording, terms: Sequence[Term], coefficients: Array) -> Array:
+    """Torque behind friction (m) [N m], of fitted terms: inertia times acceleration, and the loads.
+
+    Args:
+        rows: of the records.
+        terms: fitted.
+        coefficients: of all their columns (c).
+    """
+    total, first = rows.machine.plant.moved * rows.acceleration, 0
+    for term in terms:
+        width = term.columns.shape[1]
+        if term.name == "mass" or (term.name not in LAW_AND_SAMPLING and effect_definition(term.name).loads):
+            total = total + term.columns @ coefficients[first : first + width]
+        first += width
+    return total
+
+
+def _companions(rows: Recording) -> Iterator[tuple[EffectDefinition, Columns]]:
+    for name in effect_names(rows.machine.plant.kind):
+        definition = effect_definition(name)
+        if definition.companion and isinstance(definition.search, Columns):
+            yield definition, definition.search
+
+
+def _motion(rows: Recording, force: Array, velocity: Array) -> MotionRecord:
+    """Motion of the rows with nothing of a model's friction in `force` (m) [N]."""
     nothing = np.zeros(len(rows.time))
-    motion = MotionRecord(
+    return MotionRecord(
         time=rows.time,
         position=rows.position,
-        velocity=rows.velocity,
+        velocity=velocity,
         acceleration=rows.acceleration,
-        force=rows.force,
+        force=force,
         friction=nothing,
         level=nothing,
         damping=0.0,
@@ -84,9 +149,3 @@ def companion_terms(rows: Recording) -> tuple[Term, ...]:
         deflection=0.0,
         extents=rows.extents,
     )
-    found = []
-    for name in effect_names(rows.machine.plant.kind):
-        definition = effect_definition(name)
-        if definition.companion and isinstance(definition.search, Columns):
-            found.append(Term(name, definition.search.columns(motion, {})))
-    return tuple(found)

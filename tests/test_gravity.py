@@ -1,0 +1,158 @@
+"""Identification of axes that carry a load: gravity, springs, friction that the load raises; and what no motion tells.
+
+The plant is written here, a few lines that share nothing with the project's own simulator.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cli_cases import done
+from sgms_mhe.identification import Identification, Wanted, identify
+from sgms_mhe.signals.logs import Log, write_log
+
+Array = NDArray[np.float64]
+RATE = 500.0
+SUBSTEPS = 20
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A geared joint that is held under PD: sizes over those of an arm of 1 N m of friction.
+
+    Attributes:
+        size: of all torques, and of the inertia.
+        gravity: torque at a quarter turn from hanging.
+        zero: angle of the encoder where it hangs.
+        spring: torque per angle about 0.3 rad.
+        load: friction over the torque transmitted.
+        rise: friction added towards low speed, over it.
+        inertia, level, viscous: of the joint.
+        reach: largest angle, from 0.05 rad on.
+    """
+
+    size: float = 1.0
+    gravity: float = 8.0
+    zero: float = 0.0
+    spring: float = 0.0
+    load: float = 0.0
+    rise: float = 0.0
+    inertia: float = 0.4
+    level: float = 1.0
+    viscous: float = 0.4
+    reach: float = 2.2
+    step: float = 2e-4
+
+    def log(self, seed: int = 0, seconds: float = 30.0) -> Log:
+        """Return the log of strokes at six speeds under PD with noise: elements that slip after 2 and 8 mrad."""
+        random, h = np.random.default_rng(seed), 1.0 / RATE / SUBSTEPS
+        speeds, way, turn = (0.6, 1.2, 2.5, 0.3, 0.1, 0.9), 1.0, 0
+        q = w = torque = reference = pace = 0.0
+        force = [0.0, 0.0]
+        position, drive = np.empty(int(seconds * RATE)), np.empty(int(seconds * RATE))
+        for k in range(len(position) * SUBSTEPS):
+            pace += min(max(way * speeds[turn] - pace, -10.0 * h), 10.0 * h)
+            reference += pace * h
+            if (reference > self.reach and way > 0.0) or (reference < 0.05 and way < 0.0):
+                way, turn = -way, (turn + (way < 0.0)) % len(speeds)
+            if k % SUBSTEPS == 0:
+                n = k // SUBSTEPS
+                carried = self.gravity * math.sin(q - self.zero) + self.spring * (q - 0.3)
+                torque = 400.0 * (reference - q) + 20.0 * (pace - w) + carried
+                position[n] = round(q / self.step) * self.step
+                drive[n] = torque + 0.02 * random.standard_normal()
+            outside = self.gravity * math.sin(q - self.zero) + self.spring * (q - 0.3)
+            shape = 1.0 + self.rise * math.exp(-((w / 0.2) ** 2))
+            level = self.level * shape + self.load * abs(outside)
+            friction = self.viscous * w
+            for i, (share, stiffness) in enumerate(((0.4, 200.0), (0.6, 75.0))):
+                force[i] = min(max(force[i] + stiffness * self.level * w * h, -share * level), share * level)
+                friction += force[i]
+            w += h * (torque - outside - friction) / self.inertia
+            q += h * w
+        time = np.arange(len(position)) / RATE
+        return Log(time, position, self.size * drive, RATE, kind="rotary", source="arm.csv")
+
+
+def within(found: Identification, name: str, truth: float, deviations: float = 3.0) -> None:
+    """Check a number: determined, and as far from the truth as its deviation says, or 1 %."""
+    number = found.number(name)
+    assert number.determined, number
+    assert abs(number.value - truth) <= max(deviations * number.std, 0.01 * abs(truth)), (number, truth)
+
+
+# --- what stands beside friction ----------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arm", "seed"),
+    [
+        (Arm(), 1),
+        (Arm(zero=0.7, size=0.02), 2),
+        (Arm(gravity=25.0, size=300.0, step=1e-5), 3),
+        (Arm(gravity=3.0, zero=-2.5, reach=5.5), 4),
+    ],
+    ids=["arm", "servo", "gearbox", "turn"],
+)
+def test_gravity_is_identified_with_inertia_and_friction(arm: Arm, seed: int) -> None:
+    """Whatever the size, and whatever angle the encoder counts from."""
+    found = identify([arm.log(seed)], Wanted("arm", elements=2))
+    within(found, "mass", arm.size * arm.inertia)
+    within(found, "coulomb", arm.size * arm.level)
+    within(found, "viscous", arm.size * arm.viscous)
+    within(found, "unbalance.amplitude_N", arm.size * arm.gravity)
+    within(found, "unbalance.phase_rad", -arm.zero, 4.0)
+    assert not any("ambiguous" in sentence for sentence in found.limits)
+    assert [effect["name"] for effect in found.machine.as_dict()["effects"]] == ["unbalance"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_friction_that_the_load_raises(seed: int) -> None:
+    arm = Arm(load=0.12)
+    found = identify([arm.log(seed)], Wanted("arm", elements=2))
+    within(found, "unbalance.amplitude_N", arm.gravity)
+    within(found, "coulomb", arm.level)
+    within(found, "load_dependent_friction.ratio", arm.load)
+
+
+@pytest.mark.slow
+def test_a_spring_is_no_gravity() -> None:
+    arm = Arm(gravity=0.0, spring=2.0, reach=3.0)
+    found = identify([arm.log(1)], Wanted("arm", elements=2))
+    within(found, "position_spring.stiffness_N_m", arm.spring)
+    within(found, "coulomb", arm.level)
+    assert not any(number.name.startswith("unbalance") for number in found.numbers)
+
+
+@pytest.mark.slow
+def test_nothing_is_named_where_nothing_acts() -> None:
+    found = identify([Arm(gravity=0.0).log(1)], Wanted("arm", elements=2))
+    within(found, "coulomb", 1.0)
+    assert not found.machine.as_dict()["effects"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("reach", "told"), [(0.9, False), (1.75, True)])
+def test_below_a_quarter_turn_gravity_is_ambiguous(reach: float, told: bool, tmp_path: Path) -> None:
+    """The number is given all the same, and the move that would tell; a little more than a quarter turn does."""
+    write_log(tmp_path / "arm.npz", Arm(reach=reach).log(1))
+    found = json.loads(
+        done("identify", tmp_path / "arm.npz", "--out", tmp_path / "arm.toml", "--elements", "2", "--json").stdout
+    )
+    number = next(number for number in found["numbers"] if number["name"] == "unbalance.amplitude_Nm")
+    assert number["value"] == pytest.approx(8.0, rel=0.02)
+    assert number["identified"] == told
+    sentences = [text for text in found["limits"] if text.startswith("unbalance: ambiguous")]
+    assert len(sentences) == (not told)
+    assert told or ("position_spring" in sentences[0] and "travel over a turn" in sentences[0])
+    assert ("ambiguous: or position_spring" in (tmp_path / "arm.toml").read_text()) == (not told)
+    assert '[[effects]]\nname = "unbalance"' in (tmp_path / "arm.toml").read_text()
