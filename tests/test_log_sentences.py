@@ -10,6 +10,7 @@ import pytest
 
 from sgms_bench.logs.cases import draw_truth
 from sgms_bench.logs.faults import one_way_truth, relay_truth
+from sgms_bench.logs.mutations import trace
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.identification import Wanted, identify
 from sgms_mhe.logfiles.plausibility import check_plausible
@@ -57,3 +58,11 @@ def test_a_motion_that_was_there_is_not_asked_for(monkeypatch: pytest.MonkeyPatc
     found = identify([replace(log, velocity_m_s=None, friction_N=None)], Wanted("relay"))
     said = next(limit for limit in found.limits if limit.startswith("coulomb"))
     assert "though the motion has sliding in both directions" in said
+
+
+def test_a_log_of_one_sample_a_second_is_refused() -> None:
+    """No block of it holds enough rows; as where the unit of time is wrong."""
+    log, _ = trace()
+    slow = replace(log, time_s=1e3 * log.time_s, rate=1e-3 * log.rate)
+    with pytest.raises(InputError, match=r"usable samples = \d+: at least 5 of them within 2 s"):
+        identify([slow], Wanted("slow"))

@@ -221,6 +221,9 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
     if used.sum() < ROWS_MIN:
         raise InputError(log.source or "log", "usable samples", int(good.sum()), f"at least {ROWS_MIN * factor}")
     block, count = _blocks(used, factor / rate)
+    if not count:
+        allowed = f"at least {BLOCK_ROWS_MIN * factor} of them within {BLOCK_MAX:g} s: a higher rate, or fewer gaps"
+        raise InputError(log.source or "log", "usable samples", int(used.sum()) * factor, allowed)
     fold, held_out = split_blocks(count, machine)
     clock = np.arange(n) / rate - signals.delay
     recording = reduce_signals(machine, signals, clock, factor, np.where(used, block, -1), fold, held_out, warnings)
