@@ -66,3 +66,21 @@ def test_a_log_of_one_sample_a_second_is_refused() -> None:
     slow = replace(log, time_s=1e3 * log.time_s, rate=1e-3 * log.rate)
     with pytest.raises(InputError, match=r"usable samples = \d+: at least 5 of them within 2 s"):
         identify([slow], Wanted("slow"))
+
+
+@pytest.mark.parametrize("given", [None, 3.0])
+def test_friction_alone_needs_no_mass(given: float | None) -> None:
+    """The mass that force over acceleration shows is none there: its sign was called wrong."""
+    truth = draw_truth(np.random.default_rng(4))
+    axis, log = truth.axis, truth.log
+    friction = log.columns["friction_N"] + 0.01 * axis.coulomb * np.random.default_rng(1).standard_normal(len(log))
+    alone = replace(log, force_N=friction, friction_N=friction, velocity_m_s=None)
+    found = identify([alone], Wanted("alone", mass=given))
+    mass, coulomb = found.number("mass"), found.number("coulomb")
+    assert (mass.value, mass.determined) == (given or 1.0, False)
+    assert any("friction alone was recorded" in limit for limit in found.limits) is (given is None)
+    assert coulomb.value == pytest.approx(axis.coulomb, rel=0.05)
+    assert found.number("viscous").value == pytest.approx(axis.viscous, rel=0.1)
+    with_force = replace(log, velocity_m_s=None, friction_N=None)
+    with pytest.raises(InputError, match=r"logs of one call share it"):
+        identify([alone, with_force], Wanted("both"))

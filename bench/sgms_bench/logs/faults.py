@@ -174,6 +174,7 @@ def _friction_alone(recorder: Recorder, rng: Rng) -> Case:
         _case(recorder, {"force": force}),
         expected=replace(log, force_N=noisy, friction_N=noisy),
         facts=frozenset({"no force"}),
+        commands=("identify",),
     )
 
 

@@ -198,6 +198,17 @@ def mass_number(
     return Number("mass", adopted, seen.std, True, f"of the motion; {given:g} was given"), (sentence,)
 
 
+def unknown_mass(given: float | None, stand_in: float, units: Units) -> tuple[Number, tuple[str, ...]]:
+    """Return the mass, or inertia, that is written where friction alone was recorded, and the sentence on it."""
+    if given is not None:
+        return Number("mass", given, math.nan, False, "as given; friction alone was recorded"), ()
+    sentence = (
+        f"{units.inert}: friction alone was recorded, no {units.push}. The file has {stand_in:g} {units.mass}, on "
+        f"which no other number depends; state it before a {units.push} is read with the file"
+    )
+    return Number("mass", stand_in, math.nan, False, STAND_IN), (sentence,)
+
+
 def list_limits(
     numbers: Sequence[Number],
     found: ChosenModel,

@@ -19,6 +19,7 @@ from sgms_mhe.identification.description import (
     list_limits,
     list_unexcited,
     mass_number,
+    unknown_mass,
 )
 from sgms_mhe.identification.final_fit import FinalIdentification, Known, make_final_fit
 from sgms_mhe.identification.fits import RecordView
@@ -54,6 +55,8 @@ LEAST_TRAVEL: Final = 20.0
 
 DRIVEN: Final = 0.2
 """Mean power of friction over its mean size below minus which a sign is wrong: friction takes power."""
+NO_MASS: Final = 1.0
+"""Mass [kg], or inertia [kg m^2], that stands in the file where friction alone was recorded: nothing depends on it."""
 LEAST_NOISE: Final = 1e-4
 """Of the Coulomb level: a simulation without noise still has rounding and a sample's length."""
 
@@ -131,7 +134,7 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
     excited = [
         name for name in (t.name for t in (*companions, *level)) if _is_excited(effect_definition(name), measured)
     ]
-    known = Known(wanted.mass is not None, wanted.elements is not None)
+    known = Known(wanted.mass is not None or logs[0].is_friction_alone, wanted.elements is not None)
     final = make_final_fit(views, found.fit, base, companions, excited, known, report)
     check_slides(views.fine, final, excited, records.names[0])
     log_decision(
@@ -180,9 +183,11 @@ def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
     common_rate(logs)
     for log in logs:
         _check_kind(log, logs[0].kind if wanted.like is None else wanted.like.plant.kind)
+        _check_force(log, logs[0])
         _check_moves(log)
-    machine = unknown_axis(logs, wanted.name, wanted.mass or 1.0, wanted.like)
-    mass = rough_mass(machine, logs) if wanted.mass is None else wanted.mass
+    machine = unknown_axis(logs, wanted.name, wanted.mass or NO_MASS, wanted.like)
+    is_shown = wanted.mass is None and not logs[0].is_friction_alone
+    mass = rough_mass(machine, logs) if is_shown else wanted.mass or NO_MASS
     machine = unknown_axis(logs, wanted.name, mass, wanted.like)
     for log in logs:
         check_plausible(log, machine, has_mass=wanted.mass is not None)
@@ -196,6 +201,16 @@ def _check_kind(log: Log, kind: Kind) -> None:
         raise InputError(
             log.source or "log", "columns", f"of a {log.kind} axis", f"those of a {kind} axis, as the others"
         )
+
+
+def _check_force(log: Log, first: Log) -> None:
+    """Refuse a log of friction alone beside one of a force, or the other way round."""
+    if log.is_friction_alone != first.is_friction_alone:
+        names = {True: log.units.named("friction_N"), False: log.units.named("force_N")}
+        allowed = (
+            f"{names[first.is_friction_alone]}, as {first.source or 'the first log'} has; logs of one call share it"
+        )
+        raise InputError(log.source or "log", "columns", names[log.is_friction_alone], allowed)
 
 
 def _check_moves(log: Log) -> None:
@@ -263,16 +278,19 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     records, views, found, final = explored.records, explored.views, explored.found, explored.final
     fit, given, units = final.fit, wanted.mass, records.machine.plant.units
     seen = final.mass
-    if given is None and seen is None:
-        raise InputError(
-            records.names[0],
-            units.inert,
-            None,
-            f"--{units.inert}: the motion does not show it; or a log with {MOVES['jerks']}, which do",
-        )
-    adopted = given if given is not None and (seen is None or "mass" not in final.numbers) else seen
-    mass_kg = adopted if isinstance(adopted, float) else adopted.value if adopted is not None else math.nan
-    mass, said = mass_number(final, given, mass_kg, units)
+    if logs[0].is_friction_alone:
+        mass, said = unknown_mass(given, NO_MASS, units)
+    else:
+        if given is None and seen is None:
+            raise InputError(
+                records.names[0],
+                units.inert,
+                None,
+                f"--{units.inert}: the motion does not show it; or a log with {MOVES['jerks']}, which do",
+            )
+        adopted = given if given is not None and (seen is None or "mass" not in final.numbers) else seen
+        mass_kg = adopted if isinstance(adopted, float) else adopted.value if adopted is not None else math.nan
+        mass, said = mass_number(final, given, mass_kg, units)
     unexcited = list_unexcited(explored.measured)
     numbers: tuple[Number, ...] = (mass, *law_numbers(final, unexcited))
     limits = [*said, *list_limits(numbers, found, final, views.fine, units, unexcited)]

@@ -72,7 +72,7 @@ def check_plausible(log: Log, machine: Machine | None, *, has_mass: bool = True)
     if machine is not None:
         _check_speed(log, machine, _balance(log, machine, motion))
     _check_derivatives(log, samples)
-    if len(motion) == 0 or (log.friction_N is not None and np.array_equal(log.force_N, log.friction_N, equal_nan=True)):
+    if len(motion) == 0 or log.is_friction_alone:
         return  # a friction that stands for the force says nothing of what moves the axis
     known = machine if has_mass else None
     _check_balance(log, known, motion)

@@ -58,6 +58,11 @@ class Log:
         present = {name: getattr(self, name) for name in COLUMNS}
         return {name: values for name, values in present.items() if values is not None}
 
+    @property
+    def is_friction_alone(self) -> bool:
+        """Return True if a recorded friction stands for the force: what moves the axis is unknown."""
+        return self.friction_N is not None and np.array_equal(self.force_N, self.friction_N, equal_nan=True)
+
     def to_frame(self) -> Any:
         """A pandas.DataFrame of the columns that are present, named as in a log file of this kind of axis."""
         return data_frame(self.units.keyed(self.columns))
