@@ -32,7 +32,7 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings.evidence import gain_force, noise_floor
-from sgms_mhe.recordings.recording import Recording, encoder_noise, prepare
+from sgms_mhe.recordings.recording import Recording, add_encoder, prepare
 from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import noise_course
@@ -104,7 +104,7 @@ def coarse(machine: Machine, extra_mass: float = 0.0, step_m: float = STEP_m) ->
 
 def read_in_steps(machine: Machine, step_m: float) -> Recording:
     log = coarse(machine, step_m=step_m)
-    return replace(prepare(machine, log), noise=encoder_noise(machine, log))
+    return add_encoder(prepare(machine, log), log)
 
 
 def test_a_mass_that_takes_a_coarse_encoders_noise_out_of_the_force_is_none(machine: Machine) -> None:

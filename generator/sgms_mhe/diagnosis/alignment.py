@@ -20,7 +20,7 @@ from sgms_mhe.recordings.evidence import find_nuisance
 from sgms_mhe.recordings.least_squares import RIDGE, TINY, solve_box
 from sgms_mhe.recordings.recording import Recording, reduce_signals
 from sgms_mhe.recordings.series import Shift, row_means
-from sgms_mhe.signals.chain import Signals
+from sgms_mhe.signals.chain import Signals, apply_chain
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.parallel import beside, run_parallel
 
@@ -88,7 +88,8 @@ def _samples_per_step(recording: Recording) -> int:
 def align(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
     """The subject with measured friction in line with the model at a fit.
 
-    Three parts are taken out of it: the error of the model's step length (`find_step_error`); that of the sampling
+    Four parts are taken out of it: the errors of the model's step length (`find_step_error`) and of its motion behind
+    the chain (`find_chain_error`); that of the sampling
     (`_fit_sampling`), unless a delay or lag is under test; and of a decimated one the difference of its model's
     friction to that at the full rate: residuals are then those of the full rate, but for the change of that difference
     away from the fit. `anew`: with the steps of this very fit, for numbers that are reported.
@@ -106,7 +107,7 @@ def align(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
     later = None if anew else whole.alignment.find_later(exact)
     steps = whole.alignment
     if later is None:
-        later = find_step_error(whole, fit)
+        later = find_step_error(whole, fit) + find_chain_error(whole, fit)
         steps = replace(steps, later=later, at=exact)
     measured = steps.measured - later
     names = [effect.name for effect in fit.effects] + [effect.name for effect in subject.machine.effects]
@@ -136,8 +137,8 @@ def find_residual(whole: Subject, fit: Fit, sampled: Array) -> Array:
     `sampled` (2): what the alignment there found of the sampling.
     """
     exact = whole.friction(fit)
-    measured = whole.alignment.measured - find_step_error(whole, fit) - _sampling_columns(whole, exact) @ sampled
-    return np.asarray(measured - exact)
+    later = find_step_error(whole, fit) + find_chain_error(whole, fit)
+    return np.asarray(whole.alignment.measured - later - _sampling_columns(whole, exact) @ sampled - exact)
 
 
 def _fit_sampling(whole: Subject, fit: Fit, columns: Array, residual: Array, *, timed: bool) -> Array:
@@ -206,6 +207,57 @@ def find_step_error(whole: Subject, fit: Fit) -> Array:
         change[first : first + rows] = 2.0 * (part.recording.reduce(fine) - part.friction(still))[lead:]
     # A model that is not finite at one of the rates says nothing about the other.
     return change if np.all(np.isfinite(change)) else np.zeros(m)
+
+
+def find_chain_error(whole: Subject, fit: Fit) -> Array:
+    """Return the change of a model's friction (m) [N] where its force passes the chain, not its motion.
+
+    Measured friction has passed the low-passes. A model along the filtered motion turns round and breaks away as late
+    as they smear a reversal: with a cutoff of 25 Hz that is a tenth of the friction. What rings is left out.
+    """
+    recording, still = whole.recording, _drop_ringing(fit)
+    if recording.unfiltered is None:
+        return np.zeros(len(recording.time))
+    change = _friction_before_chain(whole, still, recording.unfiltered) - whole.friction(still)
+    return change if np.all(np.isfinite(change)) else np.zeros(len(change))
+
+
+def find_encoder_force(whole: Subject, fit: Fit) -> Array | None:
+    """Return the force that the encoder's steps leave in a residual (m) [N]; None where they do not show.
+
+    Mass times the acceleration that they make; and friction, as far as the model takes another trajectory from them:
+    where stiff elements stick, a fraction of a step is a force. One realisation, lines being elsewhere.
+    """
+    recording, still = whole.recording, _drop_ringing(fit)
+    if recording.noise is None or recording.unfiltered is None or recording.misread is None:
+        return None
+    inertial = recording.machine.plant.moved * recording.reduce(recording.noise[:, 2])
+    read, misread = (_friction_before_chain(whole, still, w) for w in (recording.unfiltered, recording.misread))
+    force = inertial - (misread - read)
+    return force if np.all(np.isfinite(force)) else inertial
+
+
+def _friction_before_chain(whole: Subject, fit: Fit, motion: Array) -> Array:
+    """Return a model's friction (m) [N] along a motion before the chain (n, 4), behind the chain."""
+    recording, machine = whole.recording, whole.recording.machine
+    m, factor = len(recording.time), recording.factor
+    friction, rows = np.empty(m), max(1, SAMPLES_AT_A_TIME // factor)
+    for first in range(0, m, rows):
+        lead, last = min(first, rows // LEADS), min(m, first + rows)
+        samples = slice((first - lead) * factor, last * factor)
+        position, velocity, acceleration, force = np.ascontiguousarray(motion[samples].T)
+        signals = replace(
+            recording.signals.part(samples),
+            position=position,
+            velocity=velocity,
+            acceleration=acceleration,
+            force=force,
+            delay=0.0,
+        )
+        clock = recording.clock[samples] + recording.signals.delay
+        before = Subject.of(whole.machine, _make_uncounted(recording.machine, signals, clock, 1))
+        friction[first:last] = row_means(apply_chain(machine, before.friction(fit)), factor)[lead:]
+    return friction
 
 
 def compile_half_steps(whole: Subject, fit: Fit) -> None:

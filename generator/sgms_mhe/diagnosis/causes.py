@@ -276,6 +276,8 @@ def _doubt(
         return "a small sine with the period of a large one"
     if cause.gain_N < (min(small, final.excess(fit)) if group.is_candidate else small):
         return "its gain is less than matters"
+    if not group.is_candidate and cause.gain_N < final.encoder_friction:
+        return "its gain is no more than the encoder's steps leave where elements stick"
     return None
 
 

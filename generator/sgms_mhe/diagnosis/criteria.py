@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
@@ -162,6 +162,13 @@ def make_criteria(
         if not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
     )
     return Criteria(machine.diagnosis, floor, material_force(machine, floor), excited, one_speed, progress)
+
+
+def with_floor(criteria: Criteria, floor: float) -> Criteria:
+    """Return the criteria of the same record with a higher noise floor [N]; a lower one changes nothing."""
+    if floor <= criteria.floor:
+        return criteria
+    return replace(criteria, floor=floor, material=max(criteria.material, MATERIAL_NOISE * floor))
 
 
 def list_addable(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.alignment import align, find_residual
+from sgms_mhe.diagnosis.alignment import align, find_encoder_force, find_residual
 from sgms_mhe.diagnosis.candidates import edge_rows
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.laws import ALIGNMENTS, Laws
@@ -76,6 +76,7 @@ class FinalFit:
         nominal_residual: what that leaves of the whole record.
         start: all of the machine's numbers refitted, no effect added.
         floor: noise of the measured friction [N].
+        encoder: force that the encoder's steps leave in the whole record's residual (m) [N]; None: they do not show.
         along: the machine along the whole record, where the fits are to pieces of it.
         known: what fits leave of the whole record, by the fit's identity.
     """
@@ -89,6 +90,7 @@ class FinalFit:
     nominal_residual: RecordResidual
     start: Fit
     floor: float
+    encoder: Array | None
     along: Subject | None
     known: dict[int, tuple[Fit, RecordResidual]] = field(default_factory=dict, repr=False)
 
@@ -138,8 +140,21 @@ class FinalFit:
         beyond = fit.cross_rms**2 - self.floor**2
         if self.along is not None:
             left = self.residual_of(fit)
-            beyond = max(beyond, left.rms**2 - noise_floor(self.record, left.residual) ** 2)
+            beyond = max(beyond, left.rms**2 - self.find_floor(left) ** 2)
         return math.sqrt(max(0.0, beyond))
+
+    @property
+    def encoder_friction(self) -> float:
+        """RMS of the friction that the encoder's steps leave [N]: numbers of the machine imitate it."""
+        record = self.record
+        if self.encoder is None or record.noise is None:
+            return 0.0
+        friction = self.encoder - record.machine.plant.moved * record.reduce(record.noise[:, 2])
+        return float(np.sqrt(np.mean(friction[record.used] ** 2)))
+
+    def find_floor(self, left: RecordResidual) -> float:
+        """Return the noise floor of the whole record [N], from its residual."""
+        return noise_floor(self.record, left.residual, self.encoder)
 
 
 def make_final_fit(record: Recording, nominal: Fit, laws: Laws, selection: Selection) -> FinalFit:
@@ -160,11 +175,11 @@ def make_final_fit(record: Recording, nominal: Fit, laws: Laws, selection: Selec
         subject = align(subject, fit, anew=True)
         effects = tuple(_time_step(subject, along, fit, effect) for effect in fit.effects)
         fit = fit_model(subject, effects, refitted=selection.refitted, warm=fit)
-    floor = noise_floor(subject.recording, fit.residual)
-    subject = replace(subject, noise=floor)
-    nominal_residual = RecordResidual.of(nominal)
-    if along is not None:  # the machine as it is keeps the transition of its file
-        nominal_residual = RecordResidual.along(Subject.of(record.machine, record), nominal, subject.alignment.sampled)
+    encoder = find_encoder_force(subject.whole, fit)
+    floor = noise_floor(subject.recording, fit.residual, encoder)
+    subject = replace(subject, noise=floor, encoder=encoder)
+    # The machine as it is keeps the transition of its file.
+    nominal_residual = RecordResidual.along(Subject.of(record.machine, record), nominal, subject.alignment.sampled)
     return FinalFit(
         record=record,
         subject=subject,
@@ -175,6 +190,7 @@ def make_final_fit(record: Recording, nominal: Fit, laws: Laws, selection: Selec
         nominal_residual=nominal_residual,
         start=fit_model(subject, ()),
         floor=floor,
+        encoder=encoder if along is None else find_encoder_force(along, fit),
         along=along,
     )
 

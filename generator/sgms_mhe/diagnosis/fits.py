@@ -127,6 +127,7 @@ class Subject:
         recording: the record, its measured friction in line with the model.
         alignment: what brought it there.
         noise: of the measured friction [N]; weight of the prior.
+        encoder: force that the encoder's steps leave in the residual (m) [N]; None: they do not show, or nobody asked.
         enough: what a step of a fit must promise [rows' worth of noise].
         starts: SI values of machine numbers that fits start from, where the file gives no good idea of them.
         fine: the same at the record's full rate, where this one is thinned.
@@ -138,6 +139,7 @@ class Subject:
     recording: Recording
     alignment: Alignment
     noise: float = 1.0
+    encoder: Array | None = None
     enough: float = 0.0
     starts: Mapping[str, float] = field(default_factory=dict)
     fine: Subject | None = None

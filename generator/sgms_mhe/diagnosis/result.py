@@ -143,6 +143,7 @@ class ResidualStructure:
         peak: coordinate of its maximum.
         centres: bins (k).
         mean_N: residual's mean in each bin (k); for frequency its amplitude spectrum [N].
+        encoder_N: `rms_N` of the force that the encoder's steps leave; 0 where they do not show, and for frequency.
     """
 
     coordinate: str
@@ -151,6 +152,7 @@ class ResidualStructure:
     peak: float
     centres: Array
     mean_N: Array
+    encoder_N: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -232,8 +234,8 @@ class Diagnosis:
         seconds: computing time.
         rival_fits: of the alternatives that are rivals.
         undecided: sentences on what no record of this motion can decide.
-        encoder_noise_N: RMS of the force that the encoder's noise makes of the acceleration where most of what is left
-            is that, and not explained; else 0.
+        encoder_noise_N: RMS of the force that the encoder's noise leaves, where most of the residual of an adequate or
+            unexplained record is that; else 0.
         standalone: whether the extended machine's file has every table; otherwise it extends the base.
     """
 
@@ -298,14 +300,14 @@ class Diagnosis:
     @property
     def _left(self) -> tuple[str, ...]:
         """Return the residual's dependences where it has one."""
-        if self.verdict != "unexplained" or not self.excited:
-            return ()
         unit, rms = self.machine.plant.units.force, self.rms.held_out_after
         if self.encoder_noise_N > 0.0:
             return (
-                f"{rms:.3g} {unit} are left, about {self.encoder_noise_N:.2g} {unit} of them noise of the encoder in "
-                "the acceleration: what acts on this axis below that does not show",
+                f"{rms:.3g} {unit} are left, about {self.encoder_noise_N:.2g} {unit} of them noise of the encoder: "
+                "what acts on this axis below that does not show",
             )
+        if self.verdict != "unexplained" or not self.excited:
+            return ()
         return (
             f"{rms:.3g} {unit} are left, {rms / self.noise_floor_N:.2g} times the noise: something acts on this axis "
             "that no cause in the catalogue accounts for",

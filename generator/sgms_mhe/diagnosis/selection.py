@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.diagnosis.alignment import find_encoder_force
 from sgms_mhe.diagnosis.candidates import search
 from sgms_mhe.diagnosis.criteria import (
     EQUAL_T,
@@ -22,6 +23,7 @@ from sgms_mhe.diagnosis.criteria import (
     list_addable,
     make_effect,
     rank_proposals,
+    with_floor,
 )
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model, try_fit
 from sgms_mhe.diagnosis.laws import SHARPER, Laws, fit_chosen, fit_law, is_driven, start_unknown_numbers
@@ -31,7 +33,7 @@ from sgms_mhe.diagnosis.result import Outcome, Score
 from sgms_mhe.diagnosis.rivals import Contest, Selection, cause_significance, find_rivals
 from sgms_mhe.diagnosis.uncertainty import explains_noise
 from sgms_mhe.model.effects import cause, effect_definition
-from sgms_mhe.recordings.evidence import difference_statistic, find_nuisance, gain_force
+from sgms_mhe.recordings.evidence import difference_statistic, find_nuisance, gain_force, noise_floor
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.parallel import run_parallel
 
@@ -235,6 +237,8 @@ def search_causes(laws: Laws, criteria: Criteria) -> Searched:
     something, the search goes on.
     """
     laws, current = fit_law(start_unknown_numbers(laws), (), criteria)
+    whole = laws.chosen.whole
+    criteria = with_floor(criteria, noise_floor(whole.recording, current.residual, find_encoder_force(whole, current)))
     scores: tuple[Score, ...] = ()
     seen: frozenset[str] = frozenset()
     number, compared, ended = 0, True, False

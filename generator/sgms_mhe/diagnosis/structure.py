@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.signal import welch
 
 from sgms_mhe.diagnosis.result import ResidualStructure
 from sgms_mhe.recordings.recording import Recording
+from sgms_mhe.signals.chain import apply_chain
 
 Array = NDArray[np.float64]
 
@@ -22,20 +24,28 @@ LINE_POWER: Final = 3.0
 """Power of a spectrum's bin that counts as structure [median power]: above the scatter of the bins."""
 
 
-def structure_map(recording: Recording, residual: Array) -> tuple[ResidualStructure, ...]:
-    """All maps of a residual (m) on the used rows."""
-    used = recording.used
-    found = [
-        _binned(recording, residual, coordinate, series)
-        for coordinate, series in (
-            ("position", recording.position),
-            ("velocity", recording.velocity),
-            ("acceleration", recording.acceleration),
-            ("time", recording.time),
-            ("after_reversal", _way_after_reversal(recording)),
-        )
-    ]
-    return (*found, _spectrum(recording, np.where(used, residual, 0.0)))
+def structure_map(recording: Recording, residual: Array, encoder: Array | None = None) -> tuple[ResidualStructure, ...]:
+    """All maps of a residual (m) on the used rows; `encoder`: force that the encoder's steps leave (m)."""
+    found = [_binned(recording, residual, name, x) for name, x in _coordinates(recording).items()]
+    if encoder is not None and recording.noise is not None and recording.unfiltered is not None:
+        # An acceleration that is read wrong is wrong in the measured friction too, so that the one goes with the other.
+        motion = apply_chain(recording.machine, recording.unfiltered[:, :3]) + recording.noise
+        position, velocity, acceleration = recording.reduce(motion).T
+        read = replace(recording, position=position, velocity=velocity, acceleration=acceleration)
+        made = [_binned(recording, encoder, name, x).rms_N for name, x in _coordinates(read).items()]
+        found = [replace(s, encoder_N=rms) for s, rms in zip(found, made, strict=True)]
+    return (*found, _spectrum(recording, np.where(recording.used, residual, 0.0)))
+
+
+def _coordinates(recording: Recording) -> dict[str, Array]:
+    """Return the coordinates of the maps (m), by name."""
+    return {
+        "position": recording.position,
+        "velocity": recording.velocity,
+        "acceleration": recording.acceleration,
+        "time": recording.time,
+        "after_reversal": _way_after_reversal(recording),
+    }
 
 
 def force_over_speed(recording: Recording, residual: Array) -> float:

@@ -109,8 +109,8 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
 
     Noise and what the model gets wrong anywhere (`robust_covariance`): its RMS beyond the noise floor, or UNSEEN_ERROR
     of that, which it may hide; what the law gets wrong, the same way at every reversal (`_law`); what the encoder's
-    noise makes of the numbers (`_noise`); and of a delay or lag, the timing of force against position that no log is
-    sure of.
+    noise (`_noise`) and its steps (`_shift_by_steps`) make of the numbers; and of a delay or lag, the timing of force
+    against position that no log is sure of.
 
     Args:
         subject: machine and record of the fit.
@@ -126,8 +126,8 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
     inner = robust_covariance(recording, X, fit.residual, H, inverse, max(wrong, UNSEEN_ERROR * subject.noise))
     change = _law(subject, fit, other, inverse, wrong)
     inner += np.outer(change, change)
-    shift = _noise(subject, fit, inverse)
-    inner += np.outer(shift, shift)
+    for shift in (_noise(subject, fit, inverse), _shift_by_steps(subject, X, inverse)):
+        inner += np.outer(shift, shift)
     inner += np.diag(_timing(subject, fit)[fit.free] ** 2)
     result = np.zeros((len(fit.theta), len(fit.theta)))
     result[np.ix_(fit.free, fit.free)] = inner
@@ -182,6 +182,18 @@ def _noise(subject: Subject, fit: Fit, inverse: Array) -> Array:
     told = recording.used & _is_smooth(subject, fit, fit.jacobian) & _is_smooth(subject, fit, jacobian)
     apart = (jacobian - fit.jacobian)[told][:, fit.free]
     return np.asarray(inverse @ (apart.T @ noise_residual(recording, fit, fit.theta)[told]))
+
+
+def _shift_by_steps(subject: Subject, X: Array, inverse: Array) -> Array:
+    """Return the change of the free parameters by the force that the encoder's steps leave, of X (m, free).
+
+    Where elements stick a step is a force, and the elements' trajectory between the steps comes out too smooth, at
+    every reversal the same way: no average over blocks sees that. Other lines do as much once more.
+    """
+    if subject.encoder is None:
+        return np.zeros(len(inverse))
+    used = subject.recording.used
+    return np.asarray(inverse @ (X[used].T @ subject.encoder[used]))
 
 
 def _law(subject: Subject, fit: Fit, other: Subject | None, inverse: Array, wrong: float) -> Array:

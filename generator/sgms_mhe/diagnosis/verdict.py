@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.alignment import compile_half_steps, in_step, offset_notes, sampling_offset
+from sgms_mhe.diagnosis.alignment import align, compile_half_steps, in_step, offset_notes, sampling_offset
 from sgms_mhe.diagnosis.causes import (
     Confirmed,
     base_parameters,
@@ -36,10 +36,10 @@ from sgms_mhe.diagnosis.wording import choose_experiment, list_alternatives, sum
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.model.effects import cause as cause_definition
-from sgms_mhe.recordings.evidence import gain_interval, noise_floor
+from sgms_mhe.recordings.evidence import gain_interval, hides_friction, noise_floor
 from sgms_mhe.recordings.excerpt import make_excerpt
 from sgms_mhe.recordings.excitation import clock_note, find_steady_blocks, measure_excitation
-from sgms_mhe.recordings.recording import Recording, encoder_noise, prepare
+from sgms_mhe.recordings.recording import Recording, add_encoder, prepare
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
@@ -52,6 +52,11 @@ EXCITED: Final = 0.05
 ALLOWED_NOISE: Final = 0.5
 """RMS beyond noise that a complete explanation may leave; the largest of the three counts [noise floor]: the floor
 itself is an estimate."""
+ALLOWED_ENCODER: Final = 1.0
+"""The same where the encoder's steps make most of the floor: where its lines are, and so how much of their noise passes
+the low-passes, is known to a factor of 1.4."""
+MOSTLY: Final = 0.5
+"""Share of the power of a residual, or a floor, from which on it is said to be the encoder's noise."""
 ALLOWED_SHARE: Final = 0.15
 """RMS beyond noise that a complete explanation may leave; the largest of the three counts [RMS beyond noise before]: 98
 % of the power is explained."""
@@ -114,8 +119,7 @@ def _diagnose_log(
     """The diagnosis of a log as it is."""
     progress.report_start()
     record = prepare(machine, log, held_out_s)
-    noise = beside(partial(encoder_noise, machine, log), list_compilations(machine, make_excerpt(record)))
-    record = replace(record, noise=noise)
+    record = beside(partial(add_encoder, record, log), list_compilations(machine, make_excerpt(record)))
     recording = make_excerpt(record)
     nominal = fit_model(Subject.of(machine, recording), (), refitted=())
     if not _is_excited(recording, nominal):
@@ -200,11 +204,13 @@ def _judge(final: FinalFit) -> _Judged:
     best = min(found.selection.fit, free, key=final.excess)
     before, after = final.excess(plain), final.excess(best)
     judged = found.selection.causes
-    allowed = _allowed_excess(final.record.machine, final.floor, judged, before)
+    allowed = _allowed_excess(final.record.machine, final.floor, judged, before, _encoder_rms(final))
     curve = after < allowed and any(_may_stand_in(group.cause) for group in judged) and _leaves_curve(final, best)
     verdict: Verdict
     if not found.selection.causes:
         # As it is, and not with other numbers: what these explain and no cause does is not adequate.
+        plain = _align_plain(final, plain)
+        before = final.excess(plain)
         verdict = "adequate" if before < allowed else "unexplained"
     elif after < allowed and not curve:
         verdict = "ambiguous" if found.selection.rivals else "explained"
@@ -227,6 +233,7 @@ def _judge(final: FinalFit) -> _Judged:
             listed=certain,
         )
         if not certain:
+            plain = _align_plain(final, plain)
             found = Confirmed(replace(found.selection, fit=plain, refitted=(), rivals=()), plain, ())
     if found.causes:
         found = restore_undetermined(final, found)
@@ -249,6 +256,11 @@ def _judge(final: FinalFit) -> _Judged:
     return _Judged(verdict, found, plain, free)
 
 
+def _align_plain(final: FinalFit, plain: Fit) -> Fit:
+    """Return the machine as it is, in line with itself: the record was with a fit that may have other numbers."""
+    return fit_model(align(final.subject, plain, anew=True), (), refitted=())
+
+
 def _may_stand_in(name: str) -> bool:
     """Return True if a cause beside a residual curve over speed may be a part of it: a machine's number, a curve."""
     return name in BASE_CAUSES or cause_definition(name).over_speed
@@ -263,15 +275,30 @@ def _leaves_curve(final: FinalFit, fit: Fit) -> bool:
     return curve > max(CURVE_GAIN * material, CURVE_SHARE * beyond)
 
 
+def _encoder_rms(final: FinalFit) -> float:
+    """RMS of the force that the encoder's steps leave in a record that can be judged all the same [N]; else 0."""
+    encoder, record = final.encoder, final.record
+    if encoder is None or hides_friction(record, encoder):
+        return 0.0
+    return float(np.sqrt(np.mean(encoder[record.used] ** 2)))
+
+
 def _allowed_excess(
-    machine: Machine, floor: float, causes: Sequence[ParameterGroup] = (), before: float = 0.0
+    machine: Machine,
+    floor: float,
+    causes: Sequence[ParameterGroup] = (),
+    before: float = 0.0,
+    encoder: float = 0.0,
 ) -> float:
-    """RMS beyond noise [N] that a complete explanation may leave; `before`: without its causes.
+    """RMS beyond noise [N] that a complete explanation may leave.
+
+    `before`: without its causes; `encoder`: what the encoder's steps leave, where they are in the floor.
 
     A wrong number beside effects may stand for a part of what they leave: then that is no more than what is small.
     """
     level = machine.friction.coulomb
-    wanted = max(machine.diagnosis.unexplained * level, ALLOWED_NOISE * floor, ALLOWED_SHARE * before)
+    noise = floor * (ALLOWED_ENCODER if encoder**2 > MOSTLY * floor**2 else ALLOWED_NOISE)
+    wanted = max(machine.diagnosis.unexplained * level, noise, ALLOWED_SHARE * before)
     most = MOST_WITH_CAUSES if causes else MOST_WITHOUT_CAUSES
     mixed = len({group.is_candidate for group in causes}) > 1
     least = small_force(machine) if mixed else LEAST_ALLOWED * level
@@ -293,7 +320,7 @@ def _diagnosis(machine: Machine, log: Log, final: FinalFit, judged: _Judged, lef
     held = record.held_out
     alternatives = list_alternatives(selection, machine.plant.units)
     rivals = [alternative for alternative in alternatives if alternative.rival]
-    encoder = _force_of_noise(record) if verdict == "unexplained" else 0.0
+    encoder = _force_of_noise(final) if verdict in ("unexplained", "adequate") else 0.0
     hidden_by = min(encoder, held_after) if encoder**2 > MOSTLY * held_after**2 else 0.0
     return Diagnosis(
         machine=machine,
@@ -304,14 +331,14 @@ def _diagnosis(machine: Machine, log: Log, final: FinalFit, judged: _Judged, lef
         alternatives=alternatives,
         separating_experiment=choose_experiment(verdict, causes, rivals, hidden_by),
         rms=Rms(rms_before, rms_after, held_before, held_after),
-        noise_floor_N=final.floor if final.along is None else noise_floor(record, extended_left.residual),
+        noise_floor_N=final.floor if final.along is None else final.find_floor(extended_left),
         gain_interval_N=gain_interval(nominal.loss[held], unseen.loss[held], unseen.rows[held])
         if named
         else (0.0, 0.0),
         base=base_parameters(final, judged.free if named else final.start),
         scores=selection.scores if named or verdict != "unexplained" else _unname_scores(selection.scores),
-        structure_before=structure_map(record, nominal.residual),
-        structure_after=structure_map(record, extended_left.residual if named else start.residual),
+        structure_before=structure_map(record, nominal.residual, final.encoder),
+        structure_after=structure_map(record, extended_left.residual if named else start.residual, final.encoder),
         traces=_traces(record, nominal, start, extended_left if named else nominal, unseen),
         extended=extended,
         changes=changes,
@@ -334,14 +361,15 @@ def _diagnosis(machine: Machine, log: Log, final: FinalFit, judged: _Judged, lef
     )
 
 
-MOSTLY: Final = 0.5
-"""Share of the power of what is left from which on it is said to be the encoder's noise."""
+def _force_of_noise(final: FinalFit) -> float:
+    """RMS of the force that the encoder's steps, or its noise in the acceleration, leave where nothing was fitted [N].
 
-
-def _force_of_noise(record: Recording) -> float:
-    """RMS of the force that the encoder's noise makes of the acceleration, where nothing was fitted [N]."""
+    The larger one.
+    """
+    record = final.record
     rows = record.used & record.rows_held_out()
-    return float(np.sqrt(np.mean(inertial_noise(record)[rows] ** 2))) if rows.any() else 0.0
+    forces = [force for force in (final.encoder, inertial_noise(record)) if force is not None]
+    return max(float(np.sqrt(np.mean(force[rows] ** 2))) for force in forces) if rows.any() else 0.0
 
 
 def _law_notes(final: FinalFit, plain: Fit) -> tuple[str, ...]:

@@ -95,7 +95,7 @@ def summarise(
         return f"The simulation explains the record; {before:.3g} {unit} RMS are left, nothing is named."
     if verdict == "unexplained" and noise > 0.0:
         found = f"{', '.join(names)}: {gain}; " if causes else f"{before:.3g} {unit} RMS are left, "
-        return f"{found}about {noise:.2g} {unit} of that are noise of the encoder in the acceleration."
+        return f"{found}about {noise:.2g} {unit} of that are noise of the encoder."
     if verdict == "unexplained" and not causes:
         return f"{before:.3g} {unit} RMS are left that no known effect accounts for; nothing is named."
     if verdict == "unexplained":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -13,11 +12,10 @@ from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.path import bridge_gaps, displacements, smooth_path
-from sgms_mhe.recordings.recording import Recording, prepare
+from sgms_mhe.recordings.recording import Recording, position_error, prepare
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import Signals, apply_chain, readings
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.signals.noise import encoder_step, position_noise
 
 Array = NDArray[np.float64]
 
@@ -101,7 +99,7 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
         InputError: a log with fewer rows than a fit needs.
     """
     recordings = [prepare(machine, log) for log in logs]
-    resolutions = [_resolution(log) for log in logs]
+    resolutions = [position_error(readings(log).position_m) for log in logs]
     names = tuple(log.source or "log" for log in logs)
     several = len(logs) > 1
     warnings = tuple(
@@ -181,12 +179,6 @@ def _encoder_motion(recording: Recording, log: Log, resolution: float) -> Elemen
         rows=len(recording.time),
         filtered=not bypassed,
     )
-
-
-def _resolution(log: Log) -> float:
-    """Return the resolution of position [m], one standard deviation: the larger of noise and of the encoder's step."""
-    position = readings(log).position_m
-    return max(position_noise(position), encoder_step(position) / math.sqrt(12.0))
 
 
 def drop_start(records: Records, distance: float) -> Records:

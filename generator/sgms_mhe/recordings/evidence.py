@@ -33,8 +33,8 @@ axis is fast; the quieter half decides."""
 WHITE_FLOOR: Final = 0.1
 """Scatter of scores over blocks, at least [white noise]: blocks that balance by chance prove nothing."""
 ENCODER_STEPS_MOST: Final = 0.2
-"""RMS of the force that an encoder's steps make of the acceleration, as much of which is noise of the record [f_C]:
-what hides more than that says of no model that it is adequate."""
+"""RMS of the force that an encoder's steps leave, as much of which is noise of the record [f_C]: what hides more than
+that says of no model that it is adequate."""
 CONSTANCY_PARTS: Final = 6
 """Parts of a record that a size is compared in, by time, place and speed [1]: each with several blocks."""
 UNKNOWN: Final = 1e-15  # of the largest eigenvalue of the information
@@ -103,38 +103,48 @@ def score_test(recording: Recording, Z: Array, residual: Array) -> tuple[float, 
     return float(stats.f.sf(statistic, k, freedom)), coefficients
 
 
-def noise_floor(recording: Recording, residual: Array) -> float:
+def noise_floor(recording: Recording, residual: Array, encoder: Array | None = None) -> float:
     """RMS of the noise at the fit's rate, from what a smooth curve through a few rows leaves [N].
 
-    Model errors are smooth over NOISE_ROWS but at reversals and pushes, whose pieces are told by what they leave
-    (`quiet_variance`). Of the pieces in which the axis moves, where there are enough: at rest an encoder that rounds
-    has no noise. What the encoder's steps make is slow where few of them pass: no less than that.
+    Model errors are smooth over NOISE_ROWS but at reversals and pushes, whose segments are told by what they leave
+    (`quiet_variance`). What an encoder's steps make is slow where few of them pass, and largest where stiff elements
+    stick: no less than that.
+
+    Args:
+        recording: the record.
+        residual: measured minus model (m) [N].
+        encoder: force that the encoder's steps leave (m) [N]; None: what they make of the acceleration.
+    """
+    quiet = _quiet_power(recording, residual)
+    if encoder is None and recording.noise is not None:
+        encoder = recording.machine.plant.moved * recording.reduce(recording.noise[:, 2])
+    if encoder is None or hides_friction(recording, encoder):
+        return math.sqrt(quiet)
+    return math.sqrt(max(quiet, float(np.mean(encoder[recording.used] ** 2))))
+
+
+def hides_friction(recording: Recording, encoder: Array) -> bool:
+    """Return True if the force that an encoder's steps leave (m) [N] is so large that no model can be judged."""
+    size = float(np.sqrt(np.mean(encoder[recording.used] ** 2)))
+    return size >= ENCODER_STEPS_MOST * recording.machine.friction.coulomb
+
+
+def _quiet_power(recording: Recording, residual: Array) -> float:
+    """Power [N^2] of a residual's noise in the segments that hold nothing else.
+
+    Of those in which the axis moves, where there are enough: at rest an encoder that rounds has no noise.
     """
     width = NOISE_ROWS
     k = len(residual) // width
     whole = recording.used[: k * width].reshape(k, width).all(axis=1)
     if whole.sum() < PIECES:
-        return float(np.std(residual[recording.used]))
+        return float(np.var(residual[recording.used]))
     pieces = residual[: k * width].reshape(k, width)[whole]
     speed = np.sqrt(np.mean(recording.velocity[: k * width].reshape(k, width)[whole] ** 2, axis=1))
     moves = speed > AT_REST * float(np.sqrt(np.mean(speed**2)))
     if moves.sum() >= max(PIECES, MOVING * len(pieces)):
         pieces = pieces[moves]
-    quiet = math.sqrt(quiet_variance(pieces, find_colour(recording.machine, recording.factor, width)))
-    return max(quiet, _encoder_force(recording))
-
-
-def _encoder_force(recording: Recording) -> float:
-    """RMS of the force that an encoder's steps make of the acceleration [N]; 0 where they would hide friction.
-
-    Such a record does not tell whether a model is right.
-    """
-    if recording.noise is None:
-        return 0.0
-    machine = recording.machine
-    force = machine.plant.moved * recording.reduce(recording.noise[:, 2])[recording.used]
-    size = float(np.sqrt(np.mean(force**2))) if len(force) else 0.0
-    return size if size < ENCODER_STEPS_MOST * machine.friction.coulomb else 0.0
+    return quiet_variance(pieces, find_colour(recording.machine, recording.factor, width))
 
 
 def cross_loss(recording: Recording, X: Array, residual: Array, prior: Array) -> Array:

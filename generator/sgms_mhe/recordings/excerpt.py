@@ -90,8 +90,10 @@ def make_excerpt(recording: Recording) -> Recording:
         f"models are fitted to {float(fitted.used.sum()) / fitted.rate:.0f} s of the record's {m * step:.0f} s, in "
         f"{len(pieces)} pieces from all over it; what is left is stated for the whole record"
     )
-    noise = None if recording.noise is None else recording.noise[samples]
-    return replace(fitted, warnings=(*recording.warnings, note), noise=noise)
+    encoder = recording.noise, recording.unfiltered, recording.misread
+    noise, unfiltered, misread = (a if a is None else a[samples] for a in encoder)
+    warnings = (*recording.warnings, note)
+    return replace(fitted, warnings=warnings, noise=noise, unfiltered=unfiltered, misread=misread)
 
 
 def _pieces(recording: Recording) -> list[_Piece]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
 import numpy as np
@@ -23,6 +22,8 @@ WEIGHTS: Final = (-3.0, 8.0)
 HALVINGS: Final = 8
 ELSEWHERE: Final = 0.25
 """Steps between an encoder's lines and where they might be as well."""
+SEED: Final = 20261126
+"""Of the lines' places: the same log gives the same noise."""
 
 
 def smooth_path(position: Array, noise: float) -> Array:
@@ -59,17 +60,26 @@ def bridge_gaps(position: Array) -> Array:
     return position if good.all() else np.interp(at, at[good], position[good])
 
 
-def reading_error(position: Array, step: float) -> Array:
-    """Return the error of an encoder of this step along the same trajectory with its lines elsewhere (n) [m].
+def reading_error(way: Array, step: float, *, uneven: bool = False) -> Array:
+    """Return the error of an encoder of this step along a trajectory (n) [m] with its lines elsewhere (n) [m].
 
-    The way is known to a tenth or a quarter of a step: about its own lines an axis at rest would show no error, and a
-    slow one too little.
+    The trajectory is known to a quarter of a step: about its own lines an axis at rest would show no error, and a slow
+    one too little.
 
     Args:
-        position: readings, without gaps (n) [m].
+        way: the smooth trajectory behind its readings (n) [m].
         step: from line to line [m].
+        uneven: each line is up to half a step elsewhere, by chance: where an axis stops between two lines is another
+            place each time.
     """
-    way = smooth_path(position, step / math.sqrt(12.0)) / step + ELSEWHERE
+    way = way / step
+    if not uneven:
+        way = way + ELSEWHERE
+    else:
+        below = np.floor(way)
+        lines, which = np.unique(np.concatenate((below, below + 1.0)), return_inverse=True)
+        before, behind = np.random.default_rng(SEED).uniform(-0.5, 0.5, len(lines))[which].reshape(2, -1)
+        way = way + before + (behind - before) * (way - below)
     return np.asarray(step * (np.round(way) - way))
 
 

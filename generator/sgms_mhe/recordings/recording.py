@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import Extents
 from sgms_mhe.model.scales import scales_of
-from sgms_mhe.recordings.path import bridge_gaps, reading_error
+from sgms_mhe.recordings.path import bridge_gaps, reading_error, smooth_path
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import Signals, readings, settle_samples, signals_from_log, signals_of_record
 from sgms_mhe.signals.logs import Log
-from sgms_mhe.signals.noise import encoder_step
+from sgms_mhe.signals.noise import encoder_step, position_noise
 from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
@@ -110,7 +110,10 @@ class Recording:
         held_out: blocks that the fit behind the reported gain does not see (blocks).
         warnings: what a user should know about the record.
         noise: what an encoder of these steps adds to position, velocity and acceleration (n, 3), its lines being
-            elsewhere; None where its steps do not show, and where nobody asked (`encoder_noise`).
+            elsewhere; None where its steps do not show, and where nobody asked (`add_encoder`).
+        unfiltered: position, velocity, acceleration and force before the chain (n, 4), the position between the
+            encoder's steps; None where speeds do not come from it, and where nobody asked (`add_encoder`).
+        misread: the same where an encoder of these steps, its lines elsewhere, reads that motion; None as `noise`.
         runs: the newest ones of models along it; copies share them.
     """
 
@@ -130,6 +133,8 @@ class Recording:
     held_out: Mask
     warnings: tuple[str, ...]
     noise: Array | None = None
+    unfiltered: Array | None = None
+    misread: Array | None = None
     runs: Runs = field(default_factory=Runs, repr=False)
 
     @property
@@ -230,13 +235,39 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
     return recording if held_out_s is None else _hold_out(recording, held_out_s)
 
 
-def encoder_noise(machine: Machine, log: Log) -> Array | None:
-    """`Recording.noise` of a log: None too where its speeds do not come from its position."""
-    if log.velocity_m_s is not None or log.acceleration_m_s2 is not None:
-        return None
-    position = readings(log).position_m
-    step = encoder_step(position)
-    return None if step == 0.0 else filter_position(machine, reading_error(bridge_gaps(position), step))
+def add_encoder(recording: Recording, log: Log) -> Recording:
+    """Return the recording with its motion before the chain and its encoder's steps, where its log shows them.
+
+    Where its speeds do not come from its position it shows neither.
+    """
+    log, machine = readings(log), recording.machine
+    if _brings_speeds(log) or not (np.isfinite(log.position_m).any() and np.isfinite(log.force_N).any()):
+        return recording
+    position, force = bridge_gaps(log.position_m), bridge_gaps(log.force_N)
+    step, error = encoder_step(log.position_m), position_error(log.position_m)
+    way = smooth_path(position, error)
+    unfiltered = _unfiltered_motion(machine, way, force)
+    if step == 0.0:
+        return replace(recording, unfiltered=unfiltered)
+    misread = _unfiltered_motion(machine, smooth_path(way + reading_error(way, step, uneven=True), error), force)
+    noise = filter_position(machine, reading_error(way, step))
+    return replace(recording, unfiltered=unfiltered, misread=misread, noise=noise)
+
+
+def _unfiltered_motion(machine: Machine, way: Array, force: Array) -> Array:
+    """Return `Recording.unfiltered` of a trajectory (n) [m] and a force (n); the velocity is that before a sample."""
+    rate = machine.sampling.rate
+    velocity = np.diff(way, prepend=way[:1]) * rate
+    return np.column_stack((way, velocity, np.diff(velocity, append=velocity[-1:]) * rate, force))
+
+
+def _brings_speeds(log: Log) -> bool:
+    return log.velocity_m_s is not None or log.acceleration_m_s2 is not None
+
+
+def position_error(position: Array) -> float:
+    """Return the error of a measured position [m], one standard deviation: the larger of noise and encoder steps."""
+    return max(position_noise(position), encoder_step(position) / math.sqrt(12.0))
 
 
 def filter_position(machine: Machine, position: Array) -> Array:

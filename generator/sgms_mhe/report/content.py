@@ -30,6 +30,7 @@ from sgms_mhe.report.words import (
 )
 
 SIGNIFICANT: Final = 0.01
+ENCODER_SHARE: Final = 0.25  # of a dependence, from which it is worth a word
 IDLE: Final = 0.02  # of the best candidate's gain
 
 _BADGES: Final = {"certain": "✓", "limited": "✓", "undecided": "?", "failed": "!", "nothing": "–"}
@@ -305,10 +306,17 @@ def _depends(s: ResidualStructure, d: Diagnosis) -> bool:
     return s.p_value < SIGNIFICANT and s.rms_N >= material_force(d.machine, d.noise_floor_N)
 
 
+def _made(s: ResidualStructure) -> str:
+    """Return the words on a dependence that the encoder's steps make, as far as one draw of its lines says."""
+    return f", the encoder's steps make about {force(s.encoder_N)}" if s.encoder_N > ENCODER_SHARE * s.rms_N else ""
+
+
 def _left(d: Diagnosis) -> str:
     """Describe the residual, strongest first, in one sentence."""
     left = sorted((s for s in d.structure_after if _depends(s, d)), key=lambda s: -s.rms_N)
-    parts = [f"{_coordinate(s.coordinate)} ({force(s.rms_N)} RMS)" for s in left if s.coordinate != "frequency"]
+    parts = [
+        f"{_coordinate(s.coordinate)} ({force(s.rms_N)} RMS{_made(s)})" for s in left if s.coordinate != "frequency"
+    ]
     lines = [
         f"Its largest line is {force(s.rms_N)} at {plain(s.peak)} Hz." for s in left if s.coordinate == "frequency"
     ]
@@ -320,7 +328,7 @@ def _says(key: str, d: Diagnosis) -> str:
 
     def amount(structures: Sequence[ResidualStructure]) -> str:
         found = next((s for s in structures if s.coordinate == key), None)
-        return "" if found is None or not _depends(found, d) else force(found.rms_N)
+        return "" if found is None or not _depends(found, d) else force(found.rms_N) + _made(found)
 
     if not any(s.coordinate == key for s in d.structure_before):
         return ""

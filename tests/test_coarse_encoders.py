@@ -1,0 +1,203 @@
+"""A diagnosis through a coarse encoder: the true machine is adequate, and what is above its steps has its name."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from typing import Final
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sgms_bench.diagnosis.motions import draw_motion
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.diagnosis import Diagnosis, diagnose
+from sgms_mhe.diagnosis.alignment import find_chain_error, find_encoder_force
+from sgms_mhe.diagnosis.fits import Subject, fit_model
+from sgms_mhe.machine import Machine
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import SimulatedRun, simulate_axis
+from sgms_mhe.recordings.path import reading_error
+from sgms_mhe.recordings.recording import Recording, add_encoder, prepare
+from sgms_mhe.report.content import _says
+
+Array = NDArray[np.float64]
+RATE = 2000.0
+COGGING: Final = ("force_ripple", {"amplitude_N": 3.0, "pitch_m": 0.012, "phase_rad": 0.7})
+
+
+def screw(cutoff: float, rate: float = RATE) -> Machine:
+    """A slow axis of much friction: a step of 1 um is 3 N where all of its elements stick."""
+    changes = {
+        "plant": {"mass": 35.0},
+        "friction": {
+            "stiffness": [2.0e6, 8.0e5, 3.0e5, 6.0e4],
+            "fraction": [0.35, 0.3, 0.2, 0.15],
+            "micro_viscous": [0.0] * 4,
+            "viscous": 120.0,
+            "coulomb": 40.0,
+            "stribeck_ratio": 0.2,
+            "stribeck_velocity": 6e-3,
+        },
+        "sampling": {"rate": rate, "velocity_cutoff": cutoff, "max_velocity": 0.3},
+    }
+    return override_machine(load_machine("etel_xy_switching"), changes)
+
+
+@cache
+def run_screw(step_m: float, *, cogging: bool = False) -> SimulatedRun:
+    """A simulation that shares no code with the model, its loop closed over the encoder."""
+    machine = screw(100.0)
+    motion = draw_motion("loops", machine, 16.0, np.random.default_rng(2))
+    config = AxisConfig("maxwell_slip", bandwidth_Hz=18.0, encoder_resolution_m=step_m, force_noise_N=0.02, seed=2)
+    return simulate_axis(machine, motion, config, hidden_effects=(COGGING,) if cogging else ())
+
+
+def read_screw(cutoff: float, step_m: float) -> tuple[Recording, Array, SimulatedRun]:
+    """A record with its encoder, and the force that its steps leave in truth (m) [N]."""
+    machine, run = screw(cutoff), run_screw(step_m)
+    known = replace(run.log, position_m=run.truth.position_m)
+    records = [add_encoder(prepare(machine, log), log) for log in (run.log, known)]
+    residuals = []
+    for record in records:
+        subject = Subject.of(machine, record)
+        fit = fit_model(subject, (), refitted=())
+        residuals.append(fit.residual - find_chain_error(subject, fit))
+    return records[0], residuals[0] - residuals[1], run
+
+
+def rms(series: Array) -> float:
+    return float(np.sqrt(np.mean(series**2)))
+
+
+def names(found: Diagnosis) -> list[str]:
+    return [cause.name for cause in found.causes]
+
+
+@pytest.mark.parametrize("cutoff", [25.0, 50.0])
+def test_a_low_cutoff_makes_no_friction(cutoff: float) -> None:
+    """Elements along a filtered motion turn round too late; along the axis's own they leave a tenth of that."""
+    machine, run = screw(cutoff), run_screw(0.0)
+    subject = Subject.of(machine, add_encoder(prepare(machine, run.log), run.log))
+    fit = fit_model(subject, (), refitted=())
+    used = subject.recording.used
+    late = rms(fit.residual[used])
+    assert late > 0.01 * machine.friction.coulomb
+    assert rms((fit.residual - find_chain_error(subject, fit))[used]) < 0.25 * late
+
+
+@pytest.mark.parametrize("cutoff", [25.0, 200.0])
+@pytest.mark.parametrize("step_m", [1e-6, 1e-7])
+def test_what_an_encoders_steps_leave_is_known(cutoff: float, step_m: float) -> None:
+    """Through stiff elements at a low cutoff, through the mass at a high one: to a factor of 1.6."""
+    record, true, _ = read_screw(cutoff, step_m)
+    subject = Subject.of(record.machine, record)
+    force = find_encoder_force(subject, fit_model(subject, (), refitted=()))
+    assert force is not None
+    assert abs(math.log(rms(force[record.used]) / rms(true[record.used]))) < math.log(1.6)
+    slow = record.used & (np.abs(record.velocity) < 1e-4)
+    fast = record.used & (np.abs(record.velocity) > 1e-2)
+    if cutoff < 100.0:  # a function of speed: large where elements stick, next to nothing where they slip
+        assert rms(force[slow]) > 4.0 * rms(force[fast])
+        assert rms(true[slow]) > 4.0 * rms(true[fast])
+
+
+def test_an_axis_stops_between_uneven_lines_at_another_place_each_time() -> None:
+    stops = np.repeat(1e-6 * np.arange(2000.0), 10)
+    uneven, even = reading_error(stops, 1e-6, uneven=True), reading_error(stops, 1e-6)
+    assert rms(uneven) == pytest.approx(1e-6 / math.sqrt(12.0), rel=0.05)
+    assert np.max(np.abs(uneven)) <= 0.5e-6
+    assert np.ptp(even) < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cutoff", [25.0, 50.0, 100.0, 200.0])
+@pytest.mark.parametrize("step_m", [1e-6, 1e-7, 1e-8])
+def test_the_true_machine_is_adequate_however_coarse_its_encoder(cutoff: float, step_m: float) -> None:
+    found = diagnose(screw(cutoff), run_screw(step_m).log)
+    assert (found.verdict, names(found)) == ("adequate", [])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cutoff", [50.0, 100.0])
+def test_cogging_above_a_coarse_encoders_steps_is_named(cutoff: float) -> None:
+    found = diagnose(screw(cutoff), run_screw(1e-6, cogging=True).log)
+    assert names(found) == ["force_ripple"]
+    assert found.causes[0].parameters["amplitude_N"] == pytest.approx(3.0, rel=0.1)
+    assert found.verdict == "explained"
+
+
+@pytest.mark.slow
+def test_pushes_above_a_coarse_encoders_steps_are_not_called_its_noise() -> None:
+    """Pushes that no effect has: three times as much as the encoder leaves."""
+    log = run_screw(1e-6).log
+    random, t = np.random.default_rng(3), log.time_s
+    force = log.force_N.copy()
+    for at in random.uniform(1.0, t[-1], 60):
+        force += random.choice([-1.0, 1.0]) * 12.0 * np.exp(-(((t - at) / 0.02) ** 2))
+    found = diagnose(screw(50.0), replace(log, force_N=force))
+    assert found.verdict == "unexplained"
+    assert found.encoder_noise_N == 0.0
+    assert "no cause in the catalogue" in found.limits[0]
+
+
+@pytest.mark.slow
+def test_a_residual_over_acceleration_is_said_to_be_the_encoders() -> None:
+    found = diagnose(screw(200.0), run_screw(1e-6).log)
+    over = next(s for s in found.structure_before if s.coordinate == "acceleration")
+    assert over.encoder_N > 0.25 * over.rms_N
+    assert "encoder's steps make" in _says("acceleration", found)
+    fine = diagnose(screw(200.0), run_screw(1e-9).log)
+    assert "encoder" not in _says("acceleration", fine)
+
+
+def draw_axis(seed: int) -> tuple[Machine, SimulatedRun]:
+    """An axis drawn anew: mass, friction, rate, cutoff, speed, and 5 to 500 encoder steps per presliding distance."""
+    random = np.random.default_rng(1000 + seed)
+
+    def between(low: float, high: float) -> float:
+        return float(np.exp(random.uniform(math.log(low), math.log(high))))
+
+    level, count = between(2.0, 60.0), int(random.integers(1, 5))
+    fraction = random.dirichlet(np.full(count, 4.0))
+    distance = between(3e-6, 6e-5) * np.geomspace(0.15, 1.0, count)
+    rate = float(random.choice([1000.0, 2000.0, 4000.0, 5000.0]))
+    changes = {
+        "plant": {"mass": between(0.1, 1.0) * level},
+        "friction": {
+            "stiffness": (fraction * level / distance).tolist(),
+            "fraction": fraction.tolist(),
+            "micro_viscous": [0.0] * count,
+            "viscous": between(0.5, 5.0) * level,
+            "coulomb": level,
+            "stribeck_ratio": random.uniform(0.0, 0.3),
+            "stribeck_velocity": between(1e-3, 1e-2),
+        },
+        "sampling": {
+            "rate": rate,
+            "velocity_cutoff": rate * between(0.015, 0.08),
+            "max_velocity": between(0.05, 0.5),
+        },
+    }
+    machine = override_machine(load_machine("etel_xy_switching"), changes)
+    style = str(random.choice(["loops", "strokes", "dies", "workout"]))
+    motion = draw_motion(style, machine, 12.0, random)
+    config = AxisConfig(
+        "maxwell_slip",
+        bandwidth_Hz=min(25.0, rate / 60.0),
+        encoder_resolution_m=distance[-1] / between(5.0, 500.0),
+        force_noise_N=level * between(1e-4, 1e-2),
+        seed=seed,
+    )
+    return machine, simulate_axis(machine, motion, config)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_an_axis_drawn_anew_is_adequate_or_hidden_by_its_encoder(seed: int) -> None:
+    machine, run = draw_axis(seed)
+    found = diagnose(machine, run.log)
+    assert not found.causes
+    assert found.verdict == "adequate" or (found.encoder_noise_N > 0.0 and "noise of the encoder" in found.limits[0])
