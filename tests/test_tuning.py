@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from cli_cases import SMALL, done, refused, run
+from sgms_mhe.commands.tune import _rows
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.evaluation.plots import trade_off_figure
-from sgms_mhe.evaluation.tuning import Trial, tune
+from sgms_mhe.evaluation.tuning import Trial, Tuned, tune
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -107,6 +108,25 @@ def test_wild_readings_do_not_count_for_more_than_they_are(small: Path) -> None:
     assert stated_noise(dirty) == pytest.approx(stated_noise(clean), rel=0.3)
     loss, ratio = innovation_loss(dirty, moving_updates(dirty))
     assert np.all(np.isfinite(loss)) and 0.0 < ratio <= 25.0
+
+
+def test_the_table_shows_the_files_weights_whatever_was_tried(small: Path) -> None:
+    """A weight that is likelier at the file's value beside another one's change is still the file's."""
+    machine = load_machine(small)
+    loss = np.array([1.0, 1.0])
+    start, best = Trial({}, loss, 1.0), Trial({"measurement": 0.3}, 0.5 * loss, 1.0)
+    noise = machine.estimator.noise
+    trials = {
+        "measurement": ((0.3, best), (noise.measurement, start)),
+        "state": ((noise.state, best), (2.0 * noise.state, start)),
+        "horizon": ((float(machine.estimator.horizon), best), (40.0, best)),
+    }
+    rows = _rows(Tuned(machine, start, best, None, trials, ()))
+    assert rows == [
+        ("measurement", f"{noise.measurement:g}", "0.3"),
+        ("state", f"{noise.state:g}", "as it is"),
+        ("horizon", f"{machine.estimator.horizon:g}", "as it is"),
+    ]
 
 
 def test_stretches_say_how_sure_a_gain_is() -> None:

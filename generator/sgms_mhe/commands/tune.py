@@ -86,9 +86,9 @@ def _content(tuned: Tuned) -> dict[str, Any]:
 
 
 def _rows(tuned: Tuned) -> list[tuple[str, str, str]]:
-    rows = []
+    rows, estimator = [], tuned.machine.estimator
     for name, tried in tuned.trials.items():
-        own = next((value for value, trial in tried if trial is tuned.start), float(tuned.machine.estimator.horizon))
+        own = float(estimator.horizon if name == "horizon" else getattr(estimator.noise, name))
         chosen = tuned.best.changes.get(name, own)
         if name == "horizon" and tuned.horizon is not None:
             chosen = float(tuned.horizon)
