@@ -16,6 +16,10 @@ from numpy.typing import NDArray
 
 from cli_cases import done
 from sgms_mhe.identification import Identification, Wanted, identify
+from sgms_mhe.identification.final_fit import drop_traces
+from sgms_mhe.identification.fits import Shape, fit_axis
+from sgms_mhe.identification.identify import explore
+from sgms_mhe.identification.terms import Term
 from sgms_mhe.signals.logs import Log, write_log
 
 Array = NDArray[np.float64]
@@ -156,3 +160,40 @@ def test_below_a_quarter_turn_gravity_is_ambiguous(reach: float, told: bool, tmp
     assert told or ("position_spring" in sentences[0] and "travel over a turn" in sentences[0])
     assert ("ambiguous: or position_spring" in (tmp_path / "arm.toml").read_text()) == (not told)
     assert '[[effects]]\nname = "unbalance"' in (tmp_path / "arm.toml").read_text()
+
+
+# --- springs that may be none -------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("noise", "stays"), [(25.0, False), (2.0, True)])
+def test_an_element_that_never_slips_is_dropped_where_it_may_be_none(noise: float, stays: bool) -> None:
+    """Beside a spring it may be any, and the level of sliding with it; in the place of one that shows it stays."""
+    found = explore([screw(300.0, noise)], Wanted("screw", elements=1))
+    views, fit = found.views, found.final.fit
+    distances = np.append(fit.shape.distances, 0.95 * views.fine.rows.extents.travel)
+    constant = Term("constant_offset", np.ones((len(views.fine.rows.time), 1)))
+    terms = tuple(constant if stays and term.name == "position_spring" else term for term in fit.terms)
+    wider = fit_axis(views.fine, terms, Shape(fit.shape.law, distances, fit.shape.rise), iterations=0)
+    assert wider.levels[-1] > 0.1 * wider.coulomb
+    left = drop_traces(views, wider)
+    assert len(left.levels) == len(fit.levels) + stays
+    assert stays or left.coulomb == pytest.approx(40.0, rel=0.03)
+
+
+def screw(spring: float, noise: float) -> Log:
+    """Return short production moves of a screw: 30 kg, 40 N, 120 N s/m, a spring [N/m], noise [N]."""
+    random, rate = np.random.default_rng(5), 1000.0
+    sample = np.arange(8000)
+    time, k = sample / rate, sample // 800
+    places = np.concatenate(([0.0], random.uniform(0.02, 0.3, 9), [0.1]))
+    share = np.clip(sample % 800 / 600.0, 0.0, 1.0)
+    smooth = share**4 * (35.0 - 84.0 * share + 70.0 * share**2 - 20.0 * share**3)
+    position = places[k] + (places[k + 1] - places[k]) * smooth
+    velocity = np.gradient(position, 1.0 / rate)
+    stop, friction = 0.0, np.empty(len(time))
+    for i, step in enumerate(np.diff(position, prepend=position[0])):
+        stop = min(max(stop + 1e6 * step, -40.0), 40.0)
+        friction[i] = stop
+    force = 30.0 * np.gradient(velocity, 1.0 / rate) + 120.0 * velocity + friction + spring * (position - 0.15)
+    return Log(time, position, force + noise * random.standard_normal(len(time)), rate, source="screw.csv")

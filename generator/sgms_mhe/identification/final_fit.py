@@ -20,6 +20,7 @@ from sgms_mhe.identification.search import (
     is_better,
     search_rise_speed,
 )
+from sgms_mhe.identification.spectrum import LARGEST
 from sgms_mhe.identification.terms import LAW_AND_SAMPLING, Term, level_terms, transmitted_force
 from sgms_mhe.model.effects import effect_definition, separating_moves
 from sgms_mhe.recordings.recording import Recording
@@ -102,7 +103,7 @@ def make_final_fit(
     report("numbers at the full rate")
     fit = _fit_finely(views, fit)
     if not wanted.count:
-        fit = _drop_traces(views, fit)
+        fit = drop_traces(views, fit)
     cov = covariance(views.fine, fit)
     wide = quantities(fit, cov)
     mass = _mass(views.fine.rows, wide["mass"])
@@ -152,12 +153,20 @@ def _level_terms(rows: Recording, fit: AxisFit) -> tuple[Term, ...]:
     )
 
 
-def _drop_traces(views: Views, fit: AxisFit) -> AxisFit:
-    """The fit without elements of next to no level that it is not sure of either."""
+def drop_traces(views: Views, fit: AxisFit) -> AxisFit:
+    """The fit without elements of next to no level that it is not sure of, and without springs that may be none.
+
+    An element beyond the travel is a spring to the record: its level is open, and would make the Coulomb level so.
+    """
+    travel = views.fine.rows.extents.travel
     while len(fit.levels) > 1:
         count = len(fit.levels)
-        deviation = np.sqrt(np.diag(covariance(views.fine, fit))[count : 2 * count])
+        cov = covariance(views.fine, fit)
+        deviation = np.sqrt(np.diag(cov)[count : 2 * count])
+        found = [quantities(fit, cov)[f"stiffness_{k + 1}"] for k in range(count)]
+        none = np.array([number.value <= SHOWN * number.std for number in found])
         unsure = (fit.levels < TRACE * fit.coulomb) & (deviation >= UNSURE * fit.levels)
+        unsure |= (fit.shape.distances > LARGEST * travel) & none
         if not unsure.any():
             break
         shape = Shape(fit.shape.law, fit.shape.distances[~unsure], fit.shape.rise)
