@@ -261,6 +261,16 @@ def test_a_damaged_struct_array_is_refused_and_never_trips(tmp_path: Path) -> No
             read_log(tmp_path / "bad.mat")
 
 
+def test_any_damaged_length_in_a_struct_array_is_refused(tmp_path: Path) -> None:
+    """The index of a channel's times is read before any column is asked for."""
+    savemat(tmp_path / "rec.mat", {"rec": rasters([motion(18, 20.0, 1.0)], ("ActPos", "Force"), ("mm", "N"))})
+    whole = (tmp_path / "rec.mat").read_bytes()
+    for at in range(128, len(whole), 4):
+        (tmp_path / "bad.mat").write_bytes(whole[:at] + b"\xff\xff\xff\x7f" + whole[at + 4 :])
+        with contextlib.suppress(InputError):
+            read_log(tmp_path / "bad.mat")
+
+
 # --- a clock in another file ------------------------------------------------------------------------------------
 
 

@@ -67,6 +67,7 @@ def read_mat(path: Path) -> Table:
         if _version(content) == _V73:
             return read_hdf5(path, "MAT v7.3")
         found = mat_variables(content)
+        clocks = {name: clock for name, variable in found.items() if (clock := _clock(name, variable, found))}
     except (ValueError, zlib.error) as error:
         raise damage_error(path, whole, error) from None
 
@@ -76,7 +77,6 @@ def read_mat(path: Path) -> Table:
         except (ValueError, zlib.error) as error:
             raise damage_error(path, whole, error) from None
 
-    clocks = {name: clock for name, variable in found.items() if (clock := _clock(name, variable, found))}
     columns = tuple(
         Column(name, v.label or name, v.unit or ("s" if name in clocks.values() else ""), v.shape)
         for name, v in found.items()
