@@ -67,6 +67,8 @@ def test_python_sample_by_sample_is_the_same(bound: Any, python: Any) -> None:
     assert single.save() == series.save()
     assert series.estimate(np.empty(0), np.empty(0)).parameter.shape == (0, len(module.PARAMETERS))
     assert isinstance(series.status, str) and series.status
+    updates, rest = len(found.sample), len(log.position_m) - 1 - int(found.sample[-1])
+    assert (single.update, single.age, single.numeric) == (updates, rest, 0) and updates > 3
 
 
 def test_python_over_its_life(bound: Any, python: Any) -> None:

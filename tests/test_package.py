@@ -305,7 +305,7 @@ def test_two_machines_in_one_program(language: str, require_tool: Tool, tmp_path
 
 STATUSES = (
     *("OK", "FILLING", "MISSING", "HOLD", "BOUND", "SPEED", "OVERRUN"),
-    *("EARLY", "NUMERIC", "OVERLAP", "MISMATCH", "REFUSED"),
+    *("EARLY", "NUMERIC", "OVERLAP", "MISMATCH", "REFUSED", "STALE"),
 )
 
 
@@ -652,6 +652,38 @@ def test_late_feedback_says_that_samples_were_lost(axis: Any) -> None:
     assert abs(late[-1][0][0] - clean[-1][0][0]) < 2.0
 
 
+@pytest.mark.parametrize("kind", ["mhe", "ekf"])
+def test_estimate_says_how_old_it_is(kind: str, axis: Any) -> None:
+    estimator: Axis = axis(estimator={"kind": kind})
+    log, samples = log_of(), 100
+    memory, numbers = estimator.new(), np.zeros(3, dtype=np.uint32)
+
+    def ages() -> tuple[int, int, int]:
+        estimator.c.probe_age(memory, pointer(numbers))
+        return int(numbers[0]), int(numbers[1]), int(numbers[2])
+
+    def is_stale() -> bool:
+        status = estimator.estimate(memory)[1]
+        return status >= 0 and bool(status & estimator.status["STALE"])
+
+    assert ages() == (0, 0, 0) and not is_stale()
+    for k in range(3 * samples + 1):
+        assert ages() == (max(k - 1, 0) // samples, k if k <= samples else (k - 1) % samples, 0), k
+        estimator.c.probe_sample(memory, float(log.position_m[k]), float(log.force_N[k]))
+        if estimator.c.probe_due(memory):
+            assert estimator.c.probe_feedback(memory) >= 0
+            estimator.c.probe_prepare(memory)
+    before = estimator.estimate(memory)
+    for k in range(1, 3 * samples + 1):  # nobody asks for feedback
+        estimator.c.probe_sample(memory, float(log.position_m[k]), float(log.force_N[k]))
+        assert ages() == (3, k, 0) and is_stale() == (k > 2 * samples)
+    np.testing.assert_array_equal(estimator.estimate(memory)[0], before[0])
+    estimator.c.probe_reset(memory)
+    assert ages() == (3, 3 * samples, 0) and is_stale()  # it is as old as before
+    estimator.run(memory, log.position_m[: samples + 1], log.force_N[: samples + 1])
+    assert ages() == (4, 0, 0) and not is_stale()
+
+
 def test_reset_keeps_what_was_learned(axis: Any) -> None:
     estimator: Axis = axis()
     log = log_of()
@@ -706,6 +738,7 @@ def test_status_texts(axis: Any) -> None:
         ("BOUND", "bound"),
         ("SPEED", "max_velocity"),
         ("OVERRUN", "lost"),
+        ("STALE", "old"),
         ("EARLY", "not complete"),
         ("NUMERIC", "not finite"),
         ("OVERLAP", "overlapped"),

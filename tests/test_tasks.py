@@ -55,6 +55,13 @@ def test_feedback_inside_of_prepare_is_refused_and_changes_nothing(interrupted: 
     assert refused == came_in and wrong == 0
 
 
+def test_tick_inside_of_prepare_says_so_in_the_estimate(interrupted: Any) -> None:
+    kind, counts = interrupted
+    came_in, refused, _, statuses = counts("tick")
+    assert kind == "ekf" or came_in > 0.75 * UPDATES
+    assert refused == came_in and statuses == 0  # feedback() after prepare() is accepted
+
+
 @pytest.mark.parametrize("other", ["prepare", "sample", "prepare_in_feedback"])
 def test_calls_that_may_come_into_others_change_nothing(other: str, interrupted: Any) -> None:
     kind, counts = interrupted
@@ -89,10 +96,12 @@ def test_estimate_is_of_one_update_after_every_instruction(
     run(compile_c, PROBES / "single_steps.c", folder / "etel_xy.c", "-o", program)
     numeric, filling = -2, 1
     for call, status in (("feedback", None), ("numeric", numeric), ("reset", filling), ("hold", filling)):
-        came_in, refused, wrong, before, after = map(int, run(program, call).split())
+        came_in, refused, wrong, before, after, updates, cause = map(int, run(program, call).split())
         assert came_in > 100 and wrong == 0, call
         assert before >= 0 and (after == status if status else after >= 0), call
         assert (refused > 0) == (call != "reset"), call  # while it is written
+        assert updates == (call == "feedback"), call
+        assert cause & 1 if call == "numeric" else cause == 0, call  # the state is no number
 
 
 # --- at the same time ----------------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 /* Every public call of one package along a motion that asks for much, on two axes, one task and two: presliding, moves
  * up to speed and beyond, standstill, gaps, readings that are none, samples lost, resets, signals of a chain of its
  * own. Prints digest of the bits of all that came out, numbers that it is of, statuses that were seen (one bit each: 0
- * OK, 1 to 7 the flags in their order, 8 to 12 the refusals) the same wherever arithmetic is that of IEEE 754 and
+ * OK, 1 to 8 the flags in their order, 9 to 13 the refusals) the same wherever arithmetic is that of IEEE 754 and
  * nothing contracts it. Compiled as package.h says; on an emulated microcontroller (-DON_TARGET) the three go to
  * results.bin, 64 bits each. */
 #include "package.h"
@@ -23,12 +23,17 @@ static int obeys_model;                     /* friction is what was fed forward,
 
 /* --- digest ------------------------------------------------------------------------------------------------------ */
 
-static void take_bytes(const void *bytes, unsigned size)
+static void digest_bytes(const void *bytes, unsigned size)
 {
     const unsigned char *const byte = bytes;
     for (unsigned i = 0; i < size; i++) { /* FNV-1a; all of these processors have the low byte first */
         digest = (digest ^ byte[i]) * UINT64_C(0x100000001b3);
     }
+}
+
+static void take_bytes(const void *bytes, unsigned size)
+{
+    digest_bytes(bytes, size);
     numbers++;
 }
 
@@ -41,9 +46,9 @@ static void take_status(int status)
 {
     const int32_t value = status;
     take_bytes(&value, sizeof value);
-    statuses |= status < 0 ? UINT64_C(1) << (7 - status) : status == 0 ? 1u : (uint64_t)status << 1;
+    statuses |= status < 0 ? UINT64_C(1) << (8 - status) : status == 0 ? 1u : (uint64_t)status << 1;
     for (const char *text = CALL(status_text)(status); *text; text++) {
-        take_bytes(text, 1);
+        digest_bytes(text, 1);
     }
 }
 
@@ -413,6 +418,24 @@ static void save_and_load(void)
     take_estimate(&by_tick);
 }
 
+/* Signals too early and too late, and an estimate of long ago. */
+static void be_out_of_time(void)
+{
+    for (int which = 0; which < 2; which++) {
+        const machine_signals signals = {
+            (machine_real)0, (machine_real)0, (machine_real)0,
+            (machine_real)1, (machine_real)1, 1, which ? (machine_real)1e12 : (machine_real)-1};
+        take_number(CALL(insert)(&by_tick, &signals));
+        take_number(CALL(insert)(&by_tasks, &signals));
+        follow_sample();
+    }
+    is_late = 1;
+    move(0.0, 3L * SAMPLES + 2);
+    take_estimate(&by_tasks);
+    is_late = 0;
+    move(0.0, 2L * SAMPLES);
+}
+
 static void exercise(void)
 {
     take_status(CALL(check)(sizeof by_tick, CONSTANT(HEADER)));
@@ -450,6 +473,7 @@ static void exercise(void)
     set_and_hold();
     go_round();
     save_and_load();
+    be_out_of_time();
 }
 
 #ifdef ON_TARGET

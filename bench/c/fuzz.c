@@ -250,6 +250,9 @@ static void check_recovery(machine *axis)
     twin->estimate.ratio = axis->estimate.ratio;
     twin->estimate.friction = axis->estimate.friction;
     twin->estimate.friction_measured = axis->estimate.friction_measured;
+    twin->estimate.update = axis->estimate.update;
+    twin->estimate.numeric = axis->estimate.numeric;
+    twin->calls.age = axis->calls.age;
 #if HAS_TIME
     twin->input.elapsed = axis->input.elapsed;
 #endif

@@ -23,7 +23,7 @@ typedef CALL(saved_t) machine_saved;
 /* What statuses may be: a sum of these flags, or one of four refusals. */
 enum {
     FLAGS = CONSTANT(FILLING) + CONSTANT(MISSING) + CONSTANT(HOLD) + CONSTANT(BOUND) + CONSTANT(SPEED) +
-    CONSTANT(OVERRUN) + CONSTANT(DOUBT)
+    CONSTANT(OVERRUN) + CONSTANT(DOUBT) + CONSTANT(STALE)
 };
 
 static inline int is_status(int status)

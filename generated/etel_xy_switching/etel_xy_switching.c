@@ -5,14 +5,13 @@
  * One interval: samples come in and the newest interval is integrated as they do. Meanwhile
  * (prepare) the older nodes of the last solution are found, the one that has moved most since its
  * linearisation is linearised anew, and their nodes condensed, oldest first, from the first changed
- * one on. The newest interval and its measurement close the sweep and give the estimate
- * (feedback). */
+ * on. The newest interval closes the sweep and gives the estimate (feedback). */
 #include "etel_xy_switching.h"
 
 #include "etel_xy_switching_compensation.h"
 
-/* The call under way, for other tasks. ABORTED: a prepare that a reset interrupted; INVALID: it is
- * over, its work lost. */
+/* The call under way. ABORTED: prepare, interrupted by a reset; INVALID: it has ended, for
+ * nothing. */
 enum { IDLE, PREPARING, FEEDING, ABORTED, INVALID };
 
 static void copy(sgms_real *to, const sgms_real *from, int count)
@@ -201,6 +200,9 @@ static void start_fresh(etel_xy_switching_t *self)
     const sgms_real zero[STATES] = { 0.0 };
     self->calls.phase = IDLE;
     self->calls.version = 0;
+    self->calls.age = 0;
+    self->estimate.update = 0;
+    self->estimate.numeric = 0;
     start_signals(self);
     self->compensation.on = 1;
     fill(self->parameters.theta, 1.0, PARAMETERS);
@@ -247,8 +249,8 @@ static sgms_real output_at(
     return output_force(&at, c, d);
 }
 
-/* Row of the least squares of a measurement at a node: sensitivities to (x, theta), right side.
- * `at`: point of the linearisation. */
+/* Row of the least squares of a measurement at a node, linearised there: sensitivities, right
+ * side. */
 static void node_row(const model_point *at, sgms_real measured, sgms_real *row)
 {
     sgms_real right = measured - output_force(at, row, row + STATES);
@@ -289,8 +291,7 @@ static void inner_row(
 }
 
 /* Predict a measurement from the factor of all before it. Returns the inverse of the standard
- * deviation to take it with: above the stated one while measurements contradict predictions
- * (docs/weights.md). */
+ * deviation to take it with: above the stated one while measurements contradict predictions. */
 static sgms_real weigh_row(etel_xy_switching_t *self, const sgms_real *row)
 {
     /* R' u = row: u'u is the variance of the prediction, u'b the prediction */
@@ -408,8 +409,7 @@ static void renew_inner(etel_xy_switching_t *self, int at, const interval_map *m
     }
 }
 
-/* Store the rows of an interval's measurements as a triangle of the same information. Uses them
- * up. */
+/* Store the rows of an interval's measurements as a triangle, and use them up. */
 static void keep_inner(etel_xy_switching_t *self, int slot, sgms_real *rows)
 {
     sgms_real reflector[INNER];
@@ -784,9 +784,8 @@ static int is_plausible(const sgms_real *x)
     return count == STATES;
 }
 
-/* There is no solution: keep the last good estimate and start the window from it. Returns the
- * status, which says why. */
-static int start_again(etel_xy_switching_t *self, int status)
+/* Without a solution: start the window from the last good estimate. Returns the status. */
+static int start_again(etel_xy_switching_t *self, int status, int numeric)
 {
     sgms_real w[SIGNALS];
     copy(w, self->input.signal, SIGNALS);
@@ -800,6 +799,7 @@ static int start_again(etel_xy_switching_t *self, int status)
     SGMS_FENCE();
     self->estimate.reading = self->innovations.newest;
     self->estimate.status = status;
+    self->estimate.numeric = numeric;
     SGMS_FENCE();
     self->calls.version++;
     return status;
@@ -817,8 +817,7 @@ static void take_newest(etel_xy_switching_t *self, sgms_real *x)
     copy(x, map.x, STATES);
 }
 
-/* Move the window on. Returns the slot of the next interval and adds to the status while the window
- * fills. */
+/* Move the window on. Returns the slot of the next interval; adds FILLING to the status. */
 static int shift_window(etel_xy_switching_t *self, int *status)
 {
     /* where the interval stands that leaves a full window */
@@ -841,8 +840,8 @@ static int shift_window(etel_xy_switching_t *self, int *status)
 static int update(etel_xy_switching_t *self)
 {
     sgms_real x[STATES], theta[PARAMETERS], variance[PARAMETERS], scratch[PARAMETERS];
-    sgms_real friction, weight = 0.0; /* of the newest measurement; 0: none */
-    int status = 0, next = 0;
+    sgms_real friction = 0.0, weight = 0.0; /* of the newest measurement; 0: none */
+    int numeric, status = 0, next = 0;
     while (next_cost(self) > 0) {
         work(self);
     }
@@ -858,12 +857,14 @@ static int update(etel_xy_switching_t *self)
     expand(self->sweep.factor, FACTOR_WIDTH, 0, x, theta, x);
     sgms_variances(self->sweep.factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH,
         variance, scratch);
-    if (!is_plausible(x) || !all_finite(theta, PARAMETERS) || !all_finite(variance, PARAMETERS)) {
-        return start_again(self, ETEL_XY_SWITCHING_NUMERIC);
+    numeric = !is_plausible(x) + 2 * !all_finite(theta, PARAMETERS) +
+        4 * !all_finite(variance, PARAMETERS);
+    if (numeric == 0) {
+        friction = output_at(self, x, theta);
+        numeric = 8 * !all_finite(&friction, 1);
     }
-    friction = output_at(self, x, theta);
-    if (!all_finite(&friction, 1)) {
-        return start_again(self, ETEL_XY_SWITCHING_NUMERIC);
+    if (numeric != 0) {
+        return start_again(self, ETEL_XY_SWITCHING_NUMERIC, numeric);
     }
     copy(self->parameters.theta, theta, PARAMETERS);
     self->calls.version++;
@@ -875,6 +876,8 @@ static int update(etel_xy_switching_t *self)
     self->estimate.friction = friction;
     self->estimate.friction_measured = self->interval.friction;
     self->estimate.reading = self->innovations.newest;
+    self->estimate.update++;
+    self->calls.age = 0;
 
     status += self->interval.is_valid ? 0 : ETEL_XY_SWITCHING_MISSING;
     status += self->interval.path[self->interval.filling] < HOLD_PATH ? ETEL_XY_SWITCHING_HOLD : 0;
@@ -908,7 +911,8 @@ int etel_xy_switching_feedback(etel_xy_switching_t *self)
     }
     self->calls.phase = FEEDING;
     SGMS_FENCE();
-    status = phase == INVALID ? start_again(self, ETEL_XY_SWITCHING_OVERLAP) : update(self);
+    status = phase == INVALID ? start_again(self, ETEL_XY_SWITCHING_OVERLAP, self->estimate.numeric)
+        : update(self);
     SGMS_FENCE();
     self->calls.phase = IDLE;
     return status;
@@ -959,6 +963,8 @@ static SGMS_INLINE void take_sample(
 {
     const int good = take_signals(self, signals);
     const int measured = good && signals->valid && sgms_is_reading(signals->friction);
+    const uint32_t age = self->calls.age;
+    self->calls.age = age + (uint32_t)(age < UINT32_MAX);
     if (!self->interval.started) {
         start_series(self, measured, signals->friction);
         return;
@@ -1021,7 +1027,10 @@ etel_xy_switching_real etel_xy_switching_tick(
 {
     take_reading(self, position, force);
     if (etel_xy_switching_due(self)) {
-        (void)etel_xy_switching_feedback(self);
+        if (etel_xy_switching_feedback(self) == ETEL_XY_SWITCHING_OVERLAP) {
+            /* estimate() says so, and the force ramps to zero */
+            self->estimate.status = ETEL_XY_SWITCHING_OVERLAP;
+        }
         return fed_forward(self);
     }
     if (self->calls.phase == IDLE) { /* otherwise another task prepares */
@@ -1074,7 +1083,13 @@ void etel_xy_switching_estimate(
         estimate->innovation = self->estimate.reading.innovation;
         estimate->test_ratio = self->estimate.reading.test_ratio;
         estimate->noise_scale = self->estimate.reading.noise_scale;
+        estimate->update = self->estimate.update;
+        estimate->age = self->calls.age;
+        estimate->numeric = (int)self->estimate.numeric;
         estimate->status = (int)self->estimate.status;
+        if (estimate->status >= 0 && estimate->age > 2u * SAMPLES) {
+            estimate->status += ETEL_XY_SWITCHING_STALE;
+        }
         SGMS_FENCE();
         if (version % 2 == 0 && version == self->calls.version) {
             return;
@@ -1106,6 +1121,9 @@ const char *etel_xy_switching_status_text(int status)
     }
     if (status < 0) {
         return "refused: the solution was not finite or absurd; the last good estimate stays";
+    }
+    if (status & ETEL_XY_SWITCHING_STALE) {
+        return "no update for more than two intervals: the estimate is old";
     }
     if (status & ETEL_XY_SWITCHING_OVERRUN) {
         return "samples were lost: feedback came too late";
@@ -1216,8 +1234,7 @@ SGMS_COLD int etel_xy_switching_set_mass(etel_xy_switching_t *self, etel_xy_swit
     return ETEL_XY_SWITCHING_OK;
 }
 
-/* Start the window anew at the newest signals, with theta[p] and root `square`; the states go
- * on. */
+/* Start the window anew at the newest signals, with theta[p] and root `square`. */
 static SGMS_COLD void start_with(
     etel_xy_switching_t *self, int p, sgms_real theta, const sgms_real *square)
 {

@@ -42,9 +42,9 @@
  * - etel_xy_switching_estimate() and etel_xy_switching_save() may be called by any task: numbers of
  *   one update, or OVERLAP where feedback() interrupted three times.
  * - On one core, where a task or an interrupt stops another one, that is all. Calls see each other
- *   by aligned words of 32 bits (`phase`, `version`, `arrived`, volatile), which are read and
- *   written in one piece and in the order of the program: SGMS_FENCE() (sgms_real.h) makes gcc and
- *   clang keep it; define it for another compiler.
+ *   by aligned words of 32 bits (`phase`, `version`, `age`, `arrived`, volatile), which are read
+ *   and written in one piece and in the order of the program: SGMS_FENCE() (sgms_real.h) makes gcc
+ *   and clang keep it; define it for another compiler.
  * - On two cores these words are no lock. Define SGMS_FENCE() as a memory barrier, and see to it
  *   that neither of prepare() and feedback() begins while the other is beginning: start prepare()
  *   by a semaphore that is given after feedback() has returned, and feedback() after prepare() has
@@ -72,7 +72,7 @@ typedef double etel_xy_switching_position;
 #define ETEL_XY_SWITCHING_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_SWITCHING_MACHINE "9564a0eeeedc" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_switching_check() */
-#define ETEL_XY_SWITCHING_HEADER 0x9930dd80u
+#define ETEL_XY_SWITCHING_HEADER 0x05d122dau
 /* of etel_xy_switching_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SWITCHING_SAVED_FORMAT 1u
 #define ETEL_XY_SWITCHING_SAVED_MACHINE_0 0x9564a0eeu
@@ -83,8 +83,7 @@ typedef double etel_xy_switching_position;
 #define ETEL_XY_SWITCHING_PARAMETERS 4 /* stiffness_1, stiffness_2, stiffness_3, stiffness_4 */
 #define ETEL_XY_SWITCHING_SAMPLES 100 /* per update */
 
-/* Status of an update: 0, or a sum of positive flags: usable, with a reservation; negative:
- * refused, the last good estimate stays. */
+/* Status of an update: 0 or a sum of flags, usable; negative: refused, the last good one stays. */
 enum {
     ETEL_XY_SWITCHING_OK = 0,
     ETEL_XY_SWITCHING_FILLING = 1,  /* the window is not full yet */
@@ -95,6 +94,7 @@ enum {
     ETEL_XY_SWITCHING_OVERRUN = 32, /* samples were lost: feedback was not called in time */
     /* measurements contradict the model beyond their stated noise: they count less */
     ETEL_XY_SWITCHING_DOUBT = 64,
+    ETEL_XY_SWITCHING_STALE = 128,  /* of estimate(): no update for more than two intervals */
     ETEL_XY_SWITCHING_EARLY = -1,   /* feedback before the interval was complete */
     /* the solution was not finite or absurd: the window starts anew from the last good estimate */
     ETEL_XY_SWITCHING_NUMERIC = -2,
@@ -133,6 +133,10 @@ typedef struct {
     /* factor on its stated standard deviation, >= 1 */
     etel_xy_switching_real noise_scale;
     int status;
+    uint32_t update; /* number of updates so far, modulo 2^32 */
+    uint32_t age;    /* samples since the last one; STALE beyond two intervals */
+    /* cause of the last NUMERIC, a sum: 1 state, 2 parameters, 4 variances, 8 friction */
+    int numeric;
 } etel_xy_switching_estimate_t;
 
 /* Result of a measurement; as above. */
@@ -196,9 +200,8 @@ typedef struct {
     etel_xy_switching_real d_scale[ETEL_XY_SWITCHING_STATES * ETEL_XY_SWITCHING_PARAMETERS];
 } etel_xy_switching_parameters;
 
-/* Memory of one axis, static or on a stack that is large enough. Set it up with
- * etel_xy_switching_init(); its fields are not for the application. What every sample needs comes
- * first, within reach of short addresses. */
+/* Memory of one axis, set up by etel_xy_switching_init(); its fields are not for the application.
+ * What every sample needs comes first, within reach of short addresses. */
 typedef struct {
     etel_xy_switching_settings_t settings;
     struct { /* signal chain, of sample() and tick() */
@@ -220,8 +223,9 @@ typedef struct {
         etel_xy_switching_real blocks[ETEL_XY_SWITCHING_BLOCKS_SIZE]; /* of its integration */
         etel_xy_switching_real path[ETEL_XY_SWITCHING_SLOTS]; /* m, of each interval */
     } interval;
-    struct { /* which call is under way; version: odd while feedback() writes the estimate */
-        volatile uint32_t phase, version;
+    /* which call is under way; odd while the estimate is written; samples since an update */
+    struct {
+        volatile uint32_t phase, version, age;
     } calls;
     etel_xy_switching_parameters parameters; /* of the last estimate */
     struct { /* force fed forward, of sample(), insert(), tick() */
@@ -240,7 +244,8 @@ typedef struct {
         etel_xy_switching_real root[ETEL_XY_SWITCHING_ROOT_SIZE], ratio;
         etel_xy_switching_real friction, friction_measured;
         etel_xy_switching_reading reading;
-        int32_t status;
+        uint32_t update;
+        int32_t status, numeric;
         uint8_t held[ETEL_XY_SWITCHING_PARAMETERS]; /* by hold(), set_parameter() */
     } estimate;
     struct { /* samples and node of each interval */
@@ -294,8 +299,7 @@ static inline etel_xy_switching_position etel_xy_switching_position_from_metres(
 }
 
 /* A position from counts of an encoder, `per` counts (above zero) being so many picometres: 1 and
- * 1000 for 1 nm, 16384 and 20000000 for a period of 20 um in 16384 steps. Exact but for
- * rounding. */
+ * 1000 for 1 nm, 16384 and 20000000 for a period of 20 um in 16384 steps. Rounded once. */
 static inline etel_xy_switching_position etel_xy_switching_position_from_counts(
     int64_t counts, int32_t per, int64_t picometres)
 {
@@ -337,8 +341,7 @@ int etel_xy_switching_set_mass(etel_xy_switching_t *self, etel_xy_switching_real
 
 /* Hold a parameter where it is, or let it go; by its number, from 0, in the order of the estimate.
  * A held one counts as known to 1e-6 of nominal; a released one is as uncertain as before any data.
- * The others stay, and the window starts anew. init() and load() hold none. REFUSED: no such
- * parameter. */
+ * The others stay, the window starts anew. init() and load() hold none. REFUSED: no such one. */
 int etel_xy_switching_hold(etel_xy_switching_t *self, int parameter, int on);
 
 /* Set a parameter from an identification or a test: value and standard deviation [SI], from which
@@ -349,15 +352,15 @@ int etel_xy_switching_set_parameter(etel_xy_switching_t *self, int parameter,
     etel_xy_switching_real value, etel_xy_switching_real deviation);
 
 /* Write the learned parameters, their covariance and test ratio. By any task, as
- * etel_xy_switching_estimate(). Returns OK, or OVERLAP where feedback() interrupted three times;
- * load() then refuses the data. */
+ * etel_xy_switching_estimate(). OVERLAP: feedback() interrupted three times; load() then refuses
+ * it. */
 int etel_xy_switching_save(const etel_xy_switching_t *self, etel_xy_switching_saved_t *saved);
 
 /* Start with saved parameters, after etel_xy_switching_init() or init_with(), and an empty window.
  * Friction changes while nothing is measured: variances grow by that of settings.pause, up to those
  * before any data. Hold parameters again that were held; settings and mass stay. REFUSED: damaged,
- * of another machine file or layout, not finite, or beyond the bounds; the axis is then as fresh as
- * after init_with(). */
+ * of another machine file or layout, not finite, or beyond the bounds; then as after
+ * init_with(). */
 int etel_xy_switching_load(etel_xy_switching_t *self, const etel_xy_switching_saved_t *saved);
 
 /* Start the signals and the window anew, with the parameters learned so far as the prior mean. */
@@ -377,8 +380,7 @@ void etel_xy_switching_reset(etel_xy_switching_t *self);
  * estimate at standstill too (hold is 0). It is a finite number whatever comes in. It ramps to zero
  * by itself and comes back by itself: while the status is negative or says OVERRUN (the elements'
  * state is not the axis's), while the position has been missing for more than 28 samples, and
- * beyond twice max_velocity. MISSING, SPEED, BOUND and HOLD leave it on: the model goes on with the
- * last good parameters. */
+ * beyond twice max_velocity. MISSING, SPEED, BOUND and HOLD leave it on. */
 etel_xy_switching_real etel_xy_switching_tick(
     etel_xy_switching_t *self, etel_xy_switching_position position, etel_xy_switching_real force);
 etel_xy_switching_real etel_xy_switching_sample(

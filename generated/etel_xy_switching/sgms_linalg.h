@@ -1,5 +1,4 @@
-/* Small dense least squares in square-root form. Matrices are row-major; nothing forms J'J, so
- * single precision works. */
+/* Small dense least squares in square-root form. Row-major; nothing forms J'J: floats suffice. */
 #ifndef SGMS_LINALG_H
 #define SGMS_LINALG_H
 

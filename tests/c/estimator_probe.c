@@ -104,6 +104,16 @@ int probe_estimate(const void *self, double *numbers)
     return estimate.status;
 }
 
+/* Number of updates, samples since the last one, cause of the last NUMERIC. */
+void probe_age(const void *self, uint32_t *numbers)
+{
+    CALL(estimate_t) estimate;
+    CALL(estimate)((const machine *)self, &estimate);
+    numbers[0] = estimate.update;
+    numbers[1] = estimate.age;
+    numbers[2] = (uint32_t)estimate.numeric;
+}
+
 int probe_numbers(void)
 {
     return 2 + CONSTANT(ELEMENTS) + 2 * CONSTANT(PARAMETERS);
@@ -114,7 +124,8 @@ int probe_status(int which)
 {
     const int values[] = {CONSTANT(OK),      CONSTANT(FILLING), CONSTANT(MISSING),  CONSTANT(HOLD),
                           CONSTANT(BOUND),   CONSTANT(SPEED),   CONSTANT(OVERRUN),  CONSTANT(EARLY),
-                          CONSTANT(NUMERIC), CONSTANT(OVERLAP), CONSTANT(MISMATCH), CONSTANT(REFUSED)};
+                          CONSTANT(NUMERIC), CONSTANT(OVERLAP), CONSTANT(MISMATCH), CONSTANT(REFUSED),
+                          CONSTANT(STALE)};
     return values[which];
 }
 

@@ -2,7 +2,7 @@
  * -finstrument-functions, and the n-th function entered inside of a call is where the other task comes in. Every update
  * another place.
  *
- *     preemption NAME     feedback, reset, prepare or sample inside of prepare;
+ *     preemption NAME     feedback, reset, prepare, sample or tick inside of prepare;
  *                         prepare_in_feedback, estimate_in_feedback
  *
  * Prints how often the other task came in, how often it was refused (status OVERLAP), and how many estimates after
@@ -34,6 +34,10 @@ static void come_in(void)
         CALL(reset)(&axis);
     } else if (strcmp(other, "sample") == 0) {
         (void)take_one(&axis, sample_at++);
+    } else if (strcmp(other, "tick") == 0) {
+        (void)CALL(tick)(&axis, CALL(position_from_metres)(0.0), (CALL(real))0);
+        CALL(estimate)(&axis, &seen);
+        refused += seen.status == OVERLAP;
     } else if (strcmp(other, "estimate_in_feedback") == 0) {
         CALL(estimate)(&axis, &seen);
         refused += seen.status == OVERLAP;

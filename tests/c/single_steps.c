@@ -4,7 +4,8 @@
  *     single_steps CALL    feedback: a good update; numeric: one without a solution; reset; hold
  *
  * Prints how often it came in, how many estimates were refused (OVERLAP), and how many are neither that before the call
- * nor that after it, in any bit. Compiled with a package:
+ * nor that after it, in any bit; the status before and after, by how much the number of updates and `numeric` went up.
+ * Compiled with a package:
  *     -DSGMS_MACHINE=etel_xy -DSGMS_MACHINE_UPPER=ETEL_XY -DSGMS_MACHINE_HEADER='"etel_xy.h"' */
 #define _GNU_SOURCE
 #include <signal.h>
@@ -99,6 +100,7 @@ int main(int argc, char **argv)
     for (int i = 0; i < found; i++) {
         wrong += differ(&others[i], &after) != 0;
     }
-    printf("%ld %ld %ld %d %d\n", came_in, refused, wrong, before.status, after.status);
+    printf("%ld %ld %ld %d %d ", came_in, refused, wrong, before.status, after.status);
+    printf("%d %d\n", (int)(after.update - before.update), after.numeric - before.numeric);
     return 0;
 }

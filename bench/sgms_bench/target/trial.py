@@ -187,6 +187,9 @@ def _estimate_type(model: Model) -> np.dtype[Any]:
             ("test_ratio", "<f4"),
             ("noise_scale", "<f4"),
             ("status", "<i4"),
+            ("update", "<u4"),
+            ("age", "<u4"),
+            ("numeric", "<i4"),
         ]
     )
 

@@ -24,9 +24,9 @@ STRICT: Final = ("-std=c99", "-ffp-contract=off")
 LEVELS: Final = ("-O0", "-O1", "-O2", "-O3", "-Os")
 WIDER: Final[Mapping[str, tuple[str, ...]]] = {"AVX2": ("-mavx2",), "no SSE4": ("-mno-sse4",)}
 """Other vector registers than the default's."""
-SEEN: Final = 0x3FF
+SEEN: Final = 0x7FF
 """What an exercise has to see, a bit each: every status but that of tasks which overlap."""
-BOUND, NUMERIC = 1 << 4, 1 << 9
+BOUND, NUMERIC = 1 << 4, 1 << 10
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import Model
-from sgms_mhe.signals.status import FLAGS
+from sgms_mhe.signals.status import FLAGS, STALE
 
 
 @dataclass(frozen=True)
@@ -126,6 +126,10 @@ def statuses_of(machine: Machine, variant: Variant) -> tuple[Status, ...]:
             + (": they count less" if variant.self_scaling else ""),
             "Where it lasts: record a log and ask `sgms-mhe diagnose`; something on the axis is not in its model.",
         ),
+        "stale": (
+            "of estimate(): no update for more than two intervals",
+            "Do not use it. See that feedback, or tick, is called; until then the force ramps to zero.",
+        ),
         "early": ("feedback before the interval was complete", "Call it only when due() says so."),
         "numeric": (
             "the solution was not finite or absurd: the window starts anew from the last good estimate",
@@ -144,5 +148,5 @@ def statuses_of(machine: Machine, variant: Variant) -> tuple[Status, ...]:
             "The header says at each call what it leaves behind. After load(): a fresh start, that has to learn again.",
         ),
     }
-    values = {**FLAGS, **REFUSALS}
+    values = {**FLAGS, "stale": STALE, **REFUSALS}
     return tuple(Status(name.upper(), values[name], *texts) for name, texts in said.items())

@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 FLAGS: Final[Mapping[str, int]] = MappingProxyType(
     {"filling": 1, "missing": 2, "hold": 4, "bound": 8, "speed": 16, "overrun": 32, "doubt": 64}
 )
-"""Flags of a status that is not negative; 0 is good."""
+"""Flags of an update's status that is not negative; 0 is good."""
+
+STALE: Final = 128
+"""A flag by time, of an estimate that is asked for long after its update; no update has it."""
 
 REFUSED: Final = "refused"
 """A negative status: the last good estimate was kept."""

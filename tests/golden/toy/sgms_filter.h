@@ -2,8 +2,7 @@
  *
  * Everything leaves the chain with the delay the acceleration cannot avoid (two low-passes and one
  * sample), so that u - m a carries no transient that is not friction. Single precision takes the
- * position as an integer number of picometres: a float resolves 20 nm at 0.3 m, too little for a
- * velocity. */
+ * position as an integer number of picometres: a float resolves 20 nm at 0.3 m. */
 #ifndef SGMS_FILTER_H
 #define SGMS_FILTER_H
 

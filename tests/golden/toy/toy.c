@@ -4,14 +4,14 @@
  *
  * One interval: samples come in and the newest interval is integrated as they do. Meanwhile
  * (prepare) the older nodes of the last solution are found, all older intervals are linearised anew
- * about it, and their nodes condensed, oldest first. The newest interval and its measurement close
- * the sweep and give the estimate (feedback). */
+ * about it, and their nodes condensed, oldest first. The newest interval closes the sweep and gives
+ * the estimate (feedback). */
 #include "toy.h"
 
 #include "toy_compensation.h"
 
-/* The call under way, for other tasks. ABORTED: a prepare that a reset interrupted; INVALID: it is
- * over, its work lost. */
+/* The call under way. ABORTED: prepare, interrupted by a reset; INVALID: it has ended, for
+ * nothing. */
 enum { IDLE, PREPARING, FEEDING, ABORTED, INVALID };
 
 static void copy(sgms_real *to, const sgms_real *from, int count)
@@ -166,6 +166,9 @@ static void start_fresh(toy_t *self)
     const sgms_real zero[STATES] = { 0.0 };
     self->calls.phase = IDLE;
     self->calls.version = 0;
+    self->calls.age = 0;
+    self->estimate.update = 0;
+    self->estimate.numeric = 0;
     start_signals(self);
     self->compensation.on = 1;
     fill(self->parameters.theta, 1.0, PARAMETERS);
@@ -211,8 +214,8 @@ static sgms_real output_at(const toy_t *self, const sgms_real *x, const sgms_rea
     return output_force(&at, c, d);
 }
 
-/* Row of the least squares of a measurement at a node: sensitivities to (x, theta), right side.
- * `at`: point of the linearisation. */
+/* Row of the least squares of a measurement at a node, linearised there: sensitivities, right
+ * side. */
 static void node_row(const model_point *at, sgms_real measured, sgms_real *row)
 {
     sgms_real right = measured - output_force(at, row, row + STATES);
@@ -226,8 +229,7 @@ static void node_row(const model_point *at, sgms_real measured, sgms_real *row)
 }
 
 /* Predict a measurement from the factor of all before it. Returns the inverse of the standard
- * deviation to take it with: above the stated one while measurements contradict predictions
- * (docs/weights.md). */
+ * deviation to take it with: above the stated one while measurements contradict predictions. */
 static sgms_real weigh_row(toy_t *self, const sgms_real *row)
 {
     /* R' u = row: u'u is the variance of the prediction, u'b the prediction */
@@ -548,9 +550,8 @@ static int is_plausible(const sgms_real *x)
     return count == STATES;
 }
 
-/* There is no solution: keep the last good estimate and start the window from it. Returns the
- * status, which says why. */
-static int start_again(toy_t *self, int status)
+/* Without a solution: start the window from the last good estimate. Returns the status. */
+static int start_again(toy_t *self, int status, int numeric)
 {
     sgms_real w[SIGNALS];
     copy(w, self->input.signal, SIGNALS);
@@ -564,6 +565,7 @@ static int start_again(toy_t *self, int status)
     SGMS_FENCE();
     self->estimate.reading = self->innovations.newest;
     self->estimate.status = status;
+    self->estimate.numeric = numeric;
     SGMS_FENCE();
     self->calls.version++;
     return status;
@@ -584,8 +586,7 @@ static void take_newest(toy_t *self, sgms_real *x)
     copy(x, map.x, STATES);
 }
 
-/* Move the window on. Returns the slot of the next interval and adds to the status while the window
- * fills. */
+/* Move the window on. Returns the slot of the next interval; adds FILLING to the status. */
 static int shift_window(toy_t *self, int *status)
 {
     /* where the interval stands that leaves a full window */
@@ -606,8 +607,8 @@ static int shift_window(toy_t *self, int *status)
 static int update(toy_t *self)
 {
     sgms_real x[STATES], theta[PARAMETERS], variance[PARAMETERS], scratch[PARAMETERS];
-    sgms_real friction, weight = 0.0; /* of the newest measurement; 0: none */
-    int status = 0, next = 0;
+    sgms_real friction = 0.0, weight = 0.0; /* of the newest measurement; 0: none */
+    int numeric, status = 0, next = 0;
     while (next_cost(self) > 0) {
         work(self);
     }
@@ -623,12 +624,14 @@ static int update(toy_t *self)
     expand(self->sweep.factor, FACTOR_WIDTH, 0, x, theta, x);
     sgms_variances(self->sweep.factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH,
         variance, scratch);
-    if (!is_plausible(x) || !all_finite(theta, PARAMETERS) || !all_finite(variance, PARAMETERS)) {
-        return start_again(self, TOY_NUMERIC);
+    numeric = !is_plausible(x) + 2 * !all_finite(theta, PARAMETERS) +
+        4 * !all_finite(variance, PARAMETERS);
+    if (numeric == 0) {
+        friction = output_at(self, x, theta);
+        numeric = 8 * !all_finite(&friction, 1);
     }
-    friction = output_at(self, x, theta);
-    if (!all_finite(&friction, 1)) {
-        return start_again(self, TOY_NUMERIC);
+    if (numeric != 0) {
+        return start_again(self, TOY_NUMERIC, numeric);
     }
     copy(self->parameters.theta, theta, PARAMETERS);
     self->calls.version++;
@@ -640,6 +643,8 @@ static int update(toy_t *self)
     self->estimate.friction = friction;
     self->estimate.friction_measured = self->interval.friction;
     self->estimate.reading = self->innovations.newest;
+    self->estimate.update++;
+    self->calls.age = 0;
 
     status += self->interval.is_valid ? 0 : TOY_MISSING;
     status += self->interval.path[self->interval.filling] < HOLD_PATH ? TOY_HOLD : 0;
@@ -673,7 +678,8 @@ int toy_feedback(toy_t *self)
     }
     self->calls.phase = FEEDING;
     SGMS_FENCE();
-    status = phase == INVALID ? start_again(self, TOY_OVERLAP) : update(self);
+    status =
+        phase == INVALID ? start_again(self, TOY_OVERLAP, self->estimate.numeric) : update(self);
     SGMS_FENCE();
     self->calls.phase = IDLE;
     return status;
@@ -722,6 +728,8 @@ static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
 {
     const int good = take_signals(self, signals);
     const int measured = good && signals->valid && sgms_is_reading(signals->friction);
+    const uint32_t age = self->calls.age;
+    self->calls.age = age + (uint32_t)(age < UINT32_MAX);
     if (!self->interval.started) {
         start_series(self, measured, signals->friction);
         return;
@@ -778,7 +786,10 @@ toy_real toy_tick(toy_t *self, toy_position position, toy_real force)
 {
     take_reading(self, position, force);
     if (toy_due(self)) {
-        (void)toy_feedback(self);
+        if (toy_feedback(self) == TOY_OVERLAP) {
+            /* estimate() says so, and the force ramps to zero */
+            self->estimate.status = TOY_OVERLAP;
+        }
         return fed_forward(self);
     }
     if (self->calls.phase == IDLE) { /* otherwise another task prepares */
@@ -829,7 +840,13 @@ void toy_estimate(const toy_t *self, toy_estimate_t *estimate)
         estimate->innovation = self->estimate.reading.innovation;
         estimate->test_ratio = self->estimate.reading.test_ratio;
         estimate->noise_scale = self->estimate.reading.noise_scale;
+        estimate->update = self->estimate.update;
+        estimate->age = self->calls.age;
+        estimate->numeric = (int)self->estimate.numeric;
         estimate->status = (int)self->estimate.status;
+        if (estimate->status >= 0 && estimate->age > 2u * SAMPLES) {
+            estimate->status += TOY_STALE;
+        }
         SGMS_FENCE();
         if (version % 2 == 0 && version == self->calls.version) {
             return;
@@ -860,6 +877,9 @@ const char *toy_status_text(int status)
     }
     if (status < 0) {
         return "refused: the solution was not finite or absurd; the last good estimate stays";
+    }
+    if (status & TOY_STALE) {
+        return "no update for more than two intervals: the estimate is old";
     }
     if (status & TOY_OVERRUN) {
         return "samples were lost: feedback came too late";
@@ -969,8 +989,7 @@ SGMS_COLD int toy_set_mass(toy_t *self, toy_real moved)
     return TOY_OK;
 }
 
-/* Start the window anew at the newest signals, with theta[p] and root `square`; the states go
- * on. */
+/* Start the window anew at the newest signals, with theta[p] and root `square`. */
 static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms_real *square)
 {
     const int started = self->interval.started;

@@ -39,9 +39,9 @@
  * - toy_estimate() and toy_save() may be called by any task: numbers of one update, or OVERLAP
  *   where feedback() interrupted three times.
  * - On one core, where a task or an interrupt stops another one, that is all. Calls see each other
- *   by aligned words of 32 bits (`phase`, `version`, `arrived`, volatile), which are read and
- *   written in one piece and in the order of the program: SGMS_FENCE() (sgms_real.h) makes gcc and
- *   clang keep it; define it for another compiler.
+ *   by aligned words of 32 bits (`phase`, `version`, `age`, `arrived`, volatile), which are read
+ *   and written in one piece and in the order of the program: SGMS_FENCE() (sgms_real.h) makes gcc
+ *   and clang keep it; define it for another compiler.
  * - On two cores these words are no lock. Define SGMS_FENCE() as a memory barrier, and see to it
  *   that neither of prepare() and feedback() begins while the other is beginning: start prepare()
  *   by a semaphore that is given after feedback() has returned, and feedback() after prepare() has
@@ -69,7 +69,7 @@ typedef double toy_position;
 
 #define TOY_VERSION "0.2.0" /* of the generator */
 #define TOY_MACHINE "ddc7efac656b" /* digest of the machine file */
-#define TOY_HEADER 0x6dc67e5cu /* digest of all that this header declares, for toy_check() */
+#define TOY_HEADER 0xdf207ae6u /* digest of all that this header declares, for toy_check() */
 #define TOY_SAVED_FORMAT 1u /* of toy_saved_t, and the digest of the machine file again */
 #define TOY_SAVED_MACHINE_0 0xddc7efacu
 #define TOY_SAVED_MACHINE_1 0x656bu
@@ -79,8 +79,7 @@ typedef double toy_position;
 #define TOY_PARAMETERS 2 /* stiffness_1, coulomb */
 #define TOY_SAMPLES 5 /* per update */
 
-/* Status of an update: 0, or a sum of positive flags: usable, with a reservation; negative:
- * refused, the last good estimate stays. */
+/* Status of an update: 0 or a sum of flags, usable; negative: refused, the last good one stays. */
 enum {
     TOY_OK = 0,
     TOY_FILLING = 1,  /* the window is not full yet */
@@ -91,6 +90,7 @@ enum {
     TOY_OVERRUN = 32, /* samples were lost: feedback was not called in time */
     /* measurements contradict the model beyond their stated noise: they count less */
     TOY_DOUBT = 64,
+    TOY_STALE = 128,  /* of estimate(): no update for more than two intervals */
     TOY_EARLY = -1,   /* feedback before the interval was complete */
     /* the solution was not finite or absurd: the window starts anew from the last good estimate */
     TOY_NUMERIC = -2,
@@ -125,6 +125,10 @@ typedef struct {
     toy_real test_ratio;                  /* its square over the variance predicted for it */
     toy_real noise_scale;                 /* factor on its stated standard deviation, >= 1 */
     int status;
+    uint32_t update; /* number of updates so far, modulo 2^32 */
+    uint32_t age;    /* samples since the last one; STALE beyond two intervals */
+    /* cause of the last NUMERIC, a sum: 1 state, 2 parameters, 4 variances, 8 friction */
+    int numeric;
 } toy_estimate_t;
 
 /* Result of a measurement; as above. */
@@ -181,9 +185,8 @@ typedef struct {
     toy_real d_scale[TOY_STATES * TOY_PARAMETERS];
 } toy_parameters;
 
-/* Memory of one axis, static or on a stack that is large enough. Set it up with toy_init(); its
- * fields are not for the application. What every sample needs comes first, within reach of short
- * addresses. */
+/* Memory of one axis, set up by toy_init(); its fields are not for the application. What every
+ * sample needs comes first, within reach of short addresses. */
 typedef struct {
     toy_settings_t settings;
     struct { /* signal chain, of sample() and tick() */
@@ -204,8 +207,9 @@ typedef struct {
         toy_real blocks[TOY_BLOCKS_SIZE]; /* of its integration */
         toy_real path[TOY_SLOTS]; /* m, of each interval */
     } interval;
-    struct { /* which call is under way; version: odd while feedback() writes the estimate */
-        volatile uint32_t phase, version;
+    /* which call is under way; odd while the estimate is written; samples since an update */
+    struct {
+        volatile uint32_t phase, version, age;
     } calls;
     toy_parameters parameters; /* of the last estimate */
     struct { /* force fed forward, of sample(), insert(), tick() */
@@ -223,7 +227,8 @@ typedef struct {
         toy_real root[TOY_ROOT_SIZE], ratio;
         toy_real friction, friction_measured;
         toy_reading reading;
-        int32_t status;
+        uint32_t update;
+        int32_t status, numeric;
         uint8_t held[TOY_PARAMETERS]; /* by hold(), set_parameter() */
     } estimate;
     struct { /* samples and node of each interval */
@@ -252,8 +257,7 @@ static inline toy_position toy_position_from_metres(double metres)
 }
 
 /* A position from counts of an encoder, `per` counts (above zero) being so many picometres: 1 and
- * 1000 for 1 nm, 16384 and 20000000 for a period of 20 um in 16384 steps. Exact but for
- * rounding. */
+ * 1000 for 1 nm, 16384 and 20000000 for a period of 20 um in 16384 steps. Rounded once. */
 static inline toy_position toy_position_from_counts(int64_t counts, int32_t per, int64_t picometres)
 {
     return per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
@@ -290,8 +294,7 @@ int toy_set_mass(toy_t *self, toy_real mass);
 
 /* Hold a parameter where it is, or let it go; by its number, from 0, in the order of the estimate.
  * A held one counts as known to 1e-6 of nominal; a released one is as uncertain as before any data.
- * The others stay, and the window starts anew. init() and load() hold none. REFUSED: no such
- * parameter. */
+ * The others stay, the window starts anew. init() and load() hold none. REFUSED: no such one. */
 int toy_hold(toy_t *self, int parameter, int on);
 
 /* Set a parameter from an identification or a test: value and standard deviation [SI], from which
@@ -301,14 +304,13 @@ int toy_hold(toy_t *self, int parameter, int on);
 int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_real deviation);
 
 /* Write the learned parameters, their covariance and test ratio. By any task, as toy_estimate().
- * Returns OK, or OVERLAP where feedback() interrupted three times; load() then refuses the data. */
+ * OVERLAP: feedback() interrupted three times; load() then refuses it. */
 int toy_save(const toy_t *self, toy_saved_t *saved);
 
 /* Start with saved parameters, after toy_init() or init_with(), and an empty window. Friction
  * changes while nothing is measured: variances grow by that of settings.pause, up to those before
  * any data. Hold parameters again that were held; settings and mass stay. REFUSED: damaged, of
- * another machine file or layout, not finite, or beyond the bounds; the axis is then as fresh as
- * after init_with(). */
+ * another machine file or layout, not finite, or beyond the bounds; then as after init_with(). */
 int toy_load(toy_t *self, const toy_saved_t *saved);
 
 /* Start the signals and the window anew, with the parameters learned so far as the prior mean. */
@@ -328,8 +330,7 @@ void toy_reset(toy_t *self);
  * estimate at standstill too (hold is 0). It is a finite number whatever comes in. It ramps to zero
  * by itself and comes back by itself: while the status is negative or says OVERRUN (the elements'
  * state is not the axis's), while the position has been missing for more than 7 samples, and beyond
- * twice max_velocity. MISSING, SPEED, BOUND and HOLD leave it on: the model goes on with the last
- * good parameters. */
+ * twice max_velocity. MISSING, SPEED, BOUND and HOLD leave it on. */
 toy_real toy_tick(toy_t *self, toy_position position, toy_real force);
 toy_real toy_sample(toy_t *self, toy_position position, toy_real force);
 
