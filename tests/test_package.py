@@ -326,7 +326,8 @@ class Axis:
         self.c.probe_status_text.restype = ctypes.c_char_p
         for function in (self.c.probe_tick, self.c.probe_sample):
             function.restype, function.argtypes = number, [memory, number, number]
-        self.c.probe_insert.restype = number
+        self.c.probe_insert.restype = self.c.probe_insert_late.restype = number
+        self.c.probe_insert_late.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int, number]
         self.status = dict(zip(STATUSES, (self.c.probe_status(k) for k in range(len(STATUSES))), strict=True))
         self.numbers = int(self.c.probe_numbers())
 
@@ -724,6 +725,32 @@ def test_controller_with_a_signal_chain_of_its_own(axis: Any) -> None:
             statuses.append(int(estimator.c.probe_feedback(memory)))
     missing = [bool(s & estimator.status["MISSING"]) for s in statuses]
     assert missing == [False, False, False, True, True, False]
+
+
+@pytest.mark.parametrize("delay", [np.nan, np.inf, -1e-9, 0.0101, 1e12])
+def test_signals_of_an_impossible_delay_count_as_missing(delay: float, axis: Any) -> None:
+    """Bit by bit as signals of which one is no number: the window, its force and the clock are unharmed."""
+    estimator: Axis = axis(effects=[{"name": "viscous_drift", "ratio": 0.5, "time_constant_s": 1.0}])
+
+    def run(late: float, velocity: float) -> tuple[list[int], list[Any], list[float]]:
+        memory = estimator.new()
+        statuses, found, fed = [], [], []
+        for k in range(901):
+            v = 1e-3 * np.sin(0.01 * k)
+            is_wrong = 390 <= k <= 400
+            signals = np.array([0.0, velocity if is_wrong else v, 0.0, 4.0, 4.0 * np.tanh(v / 1e-4)])
+            fed.append(estimator.c.probe_insert_late(memory, pointer(signals), 1, late if is_wrong else 0.01))
+            if estimator.c.probe_due(memory):
+                statuses.append(int(estimator.c.probe_feedback(memory)))
+                found.append(estimator.estimate(memory))
+        return statuses, found, fed
+
+    statuses, found, fed = run(delay, 1e-3 * np.sin(0.01 * 400))
+    missing = [bool(s & estimator.status["MISSING"]) for s in statuses]
+    assert missing == [False, False, False, True, *5 * [False]]
+    expected = run(0.0, np.nan)
+    assert statuses == expected[0] and same(found, expected[1]) and fed == expected[2]
+    assert np.abs(fed).max() < 50.0
 
 
 def test_status_texts(axis: Any) -> None:

@@ -423,8 +423,13 @@ static void be_out_of_time(void)
 {
     for (int which = 0; which < 2; which++) {
         const machine_signals signals = {
-            (machine_real)0, (machine_real)0, (machine_real)0,
-            (machine_real)1, (machine_real)1, 1, which ? (machine_real)1e12 : (machine_real)-1};
+            (machine_real)0,
+            (machine_real)0,
+            (machine_real)0,
+            (machine_real)1,
+            (machine_real)1,
+            1,
+            which ? (machine_real)1e12 : (machine_real)-1};
         take_number(CALL(insert)(&by_tick, &signals));
         take_number(CALL(insert)(&by_tasks, &signals));
         follow_sample();

@@ -13,6 +13,7 @@
 #include "etel_xy_integrator.h"
 
 #define LAG_TIME 0.0009928993021507107       /* s, of the signal chain */
+#define LONGEST_DELAY 0.01                   /* s, of signals behind their sample */
 #define OVER_LAG_TIME 1007.1514783361299     /* 1/s */
 #define AT_END 1.9085002618235634            /* extrapolation to the newest sample */
 #define GAIN_STEP 1.0                        /* per sample, of a ramp */

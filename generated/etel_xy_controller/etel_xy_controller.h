@@ -117,7 +117,7 @@ typedef struct {
     etel_xy_controller_real force;        /* N, drive force */
     etel_xy_controller_real friction;     /* N, force - mass * acceleration */
     int valid;              /* 0: friction is not to be used */
-    /* s, that all of them are behind the sample; 0 where the controller's chain has none */
+    /* s, that all are behind the sample, 0 to an interval; else they count as missing */
     etel_xy_controller_real delay;
 } etel_xy_controller_signals;
 

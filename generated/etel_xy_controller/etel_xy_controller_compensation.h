@@ -13,6 +13,7 @@
 #include "etel_xy_controller_integrator.h"
 
 #define LAG_TIME 0.0009928993f               /* s, of the signal chain */
+#define LONGEST_DELAY 0.01f                  /* s, of signals behind their sample */
 #define OVER_LAG_TIME 1007.1515f             /* 1/s */
 #define AT_END 1.9085003f                    /* extrapolation to the newest sample */
 #define GAIN_STEP 1.0f                       /* per sample, of a ramp */

@@ -1,4 +1,4 @@
-/* Displacement flow of a Maxwell-slip element: dr/dxi = g(r) = 1 - etaA(r) max(r, 0) in closed form.
+/* Flow of a Maxwell-slip element: dr/dxi = g(r) = 1 - etaA(r) max(r, 0), in closed form.
  *
  * psi linearises the flow, psi(r(xi)) = psi(r(0)) exp(-k xi), on both sides of the fixed point r*.
  * psi and its inverse are piecewise polynomials that depend on the smoothing alone. Below `start`

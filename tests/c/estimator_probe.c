@@ -57,9 +57,10 @@ double probe_sample(void *self, double position, double force)
     return (double)CALL(sample)((machine *)self, CALL(position_from_metres)(position), (machine_real)force);
 }
 
-double probe_insert(void *self, const double *signals, int valid)
+double probe_insert_late(void *self, const double *signals, int valid, double delay)
 {
     CALL(signals) s = {0};
+    s.delay = (machine_real)delay;
     s.position = (machine_real)signals[0];
     s.velocity = (machine_real)signals[1];
     s.acceleration = (machine_real)signals[2];
@@ -67,6 +68,11 @@ double probe_insert(void *self, const double *signals, int valid)
     s.friction = (machine_real)signals[4];
     s.valid = valid;
     return (double)CALL(insert)((machine *)self, &s);
+}
+
+double probe_insert(void *self, const double *signals, int valid)
+{
+    return probe_insert_late(self, signals, valid, 0.0);
 }
 
 int probe_due(const void *self)

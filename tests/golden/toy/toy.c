@@ -703,8 +703,9 @@ static SGMS_INLINE void extend_series(toy_t *self)
 /* Take the newest signals in; false where one is no number: the last ones hold. */
 static SGMS_INLINE int take_signals(toy_t *self, const toy_signals *signals)
 {
-    const int good =
-        sgms_is_reading(signals->velocity) && sgms_fabs(signals->position) < SGMS_FARTHEST &&
+    const int is_timely = signals->delay >= 0.0 && signals->delay <= LONGEST_DELAY;
+    const int good = is_timely && sgms_is_reading(signals->velocity) &&
+        sgms_fabs(signals->position) < SGMS_FARTHEST &&
                      sgms_is_reading(signals->acceleration) && sgms_is_reading(signals->force);
     if (good) { /* those that the model reads */
         self->input.signal[W_VELOCITY] = signals->velocity;

@@ -13,6 +13,7 @@
 #include "toy_integrator.h"
 
 #define LAG_TIME 0.002027486296746016        /* s, of the signal chain */
+#define LONGEST_DELAY 0.005                  /* s, of signals behind their sample */
 #define OVER_LAG_TIME 493.2215826094288      /* 1/s */
 #define AT_END 1.6696929723266414            /* extrapolation to the newest sample */
 #define GAIN_STEP 1.0                        /* per sample, of a ramp */
