@@ -360,6 +360,8 @@ def test_number_of_elements_can_be_given(log: Log) -> None:
     assert found.machine.friction.n_z == 1
     more = identify([log], Wanted("a", MASS))
     assert found.held_out_rms_N > 2.0 * more.held_out_rms_N
+    # Intervals of a model that lacks an element promise too much, and that is said.
+    assert [sum(text.startswith("residual: ") for text in one.limits) for one in (found, more)] == [1, 0]
 
 
 def test_wrong_mass_is_said(log: Log) -> None:

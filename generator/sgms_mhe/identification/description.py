@@ -32,6 +32,8 @@ OPEN_LEVEL: Final = 0.15
 """Share of the level in elements beyond that from which a record counts as one of presliding alone."""
 SURE: Final = 2.0
 """Standard deviations below its value that a stiffness surely has."""
+MISFIT: Final = 2.0
+"""Noise floors of the residual on unseen data beyond which three quarters of its power are no noise."""
 CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
     "coulomb": ("coulomb",),
     "viscous": ("viscous",),
@@ -256,6 +258,23 @@ def list_limits(
                 f"{element}: not determined by itself. {_needed('stiffness')}, about {distance:.1g} {length} wide"
             )
     return said
+
+
+def list_misfit(residual: float, floor: float, units: Units) -> list[str]:
+    """Return the sentence on a residual well above the noise: intervals hold where it has no pattern.
+
+    Args:
+        residual: on data that no fit has seen [N, N m].
+        floor: noise of the measured friction [N, N m].
+        units: of the axis.
+    """
+    if residual <= MISFIT * floor:
+        return []
+    return [
+        f"residual: {residual:.3g} {units.force} on data that no fit has seen, {residual / floor:.2g} times the noise "
+        "floor. Intervals take it for a disturbance without a pattern: an effect that this file lacks may have moved "
+        "numbers beyond them. sgms-mhe diagnose looks for it"
+    ]
 
 
 def _late(final: FinalIdentification, view: RecordView, units: Units) -> list[str]:

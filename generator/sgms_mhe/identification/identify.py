@@ -17,6 +17,7 @@ from sgms_mhe.identification.description import (
     frictionless_error,
     law_numbers,
     list_limits,
+    list_misfit,
     list_unexcited,
     mass_number,
     unknown_mass,
@@ -293,13 +294,17 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
         mass, said = mass_number(final, given, mass_kg, units)
     unexcited = list_unexcited(explored.measured)
     numbers: tuple[Number, ...] = (mass, *law_numbers(final, unexcited))
-    limits = [*said, *list_limits(numbers, found, final, views.fine, units, unexcited)]
+    floor = noise_floor(views.fine.rows, fit.residual)
+    limits = [
+        *said,
+        *list_limits(numbers, found, final, views.fine, units, unexcited),
+        *list_misfit(final.held_out_rms, floor, units),
+    ]
     law = fit.shape.law
     path = Path(f"{wanted.name}.toml")
     report("weights")
     draft = make_machine(machine_content(records.machine, law, numbers, None), path)
     content = machine_content(records.machine, law, numbers, measurement_noise(draft, logs))
-    floor = noise_floor(views.fine.rows, fit.residual)
     head = [
         f"Written by sgms-mhe identify over {', '.join(Path(name).name for name in sorted(records.names))}.",
         "Intervals are two standard deviations.",
