@@ -432,6 +432,20 @@ def test_resumed_sweep_is_the_whole_one(relinearise: str, axis: Any) -> None:
     assert (far < 0).any()
 
 
+@pytest.mark.parametrize(("drift", "most"), [(0.0, 0), (0.002, 19)])
+def test_no_count_grows_for_ever(drift: float, most: int, axis: Any) -> None:
+    """Shifts that wait for drift: at 100 updates per second an int32_t would overflow after 248 days."""
+    estimator: Axis = axis(estimator={"relinearise": "auto", "noise": {"parameter_drift": drift}})
+    memory, log, counted = estimator.new(), log_of("mixed", 0.8), []
+    for q, u in zip(log.position_m, log.force_N, strict=True):
+        estimator.c.probe_sample(memory, float(q), float(u))
+        if estimator.c.probe_due(memory):
+            estimator.c.probe_feedback(memory)
+            estimator.c.probe_prepare(memory)
+            counted.append(estimator.c.probe_shifts(memory))
+    assert len(counted) > 3 * 20 and max(counted) == most
+
+
 def constants(package: Package) -> dict[str, int]:
     """Plain integer constants of a package's config header."""
     text, public = package.files["etel_xy_config.h"], package.files["etel_xy.h"]

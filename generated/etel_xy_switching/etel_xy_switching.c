@@ -604,7 +604,7 @@ static void expand_node(etel_xy_switching_t *self, int back)
 /* All older nodes are known: begin the sweep at the oldest one for which something has changed. */
 static void start_sweep(etel_xy_switching_t *self)
 {
-    const int is_growing = self->settings.drift > 0.0 && self->sweep.shifts >= DRIFT_INTERVAL;
+    const int is_growing = self->sweep.shifts >= DRIFT_INTERVAL;
     sgms_real *start;
     if (self->sweep.complete > 0) {
         keep_inner(self, slot_before(self, 1), self->inner.rows +
@@ -823,7 +823,7 @@ static int shift_window(etel_xy_switching_t *self, int *status)
     /* where the interval stands that leaves a full window */
     const int next = slot_before(self, -1);
     const int is_full = self->sweep.complete == HORIZON - 1;
-    if (is_full) {
+    if (is_full && self->settings.drift > 0.0) { /* otherwise nothing sets them back */
         self->sweep.shifts++;
         self->sweep.pending_drift += self->interval.path[next] >= HOLD_PATH;
     }

@@ -17,3 +17,9 @@ void probe_forget_sweep(void *self)
     machine *const axis = self;
     axis->sweep.back = axis->sweep.complete;
 }
+
+/* Shifts of the window since drift entered the arrival cost. */
+int probe_shifts(const void *self)
+{
+    return (int)((const machine *)self)->sweep.shifts;
+}

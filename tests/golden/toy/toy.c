@@ -408,7 +408,7 @@ static void expand_node(toy_t *self, int back)
 /* All older nodes are known: begin the sweep at the oldest, and the integration. */
 static void start_sweep(toy_t *self)
 {
-    if (self->settings.drift > 0.0 && self->sweep.shifts >= DRIFT_INTERVAL) {
+    if (self->sweep.shifts >= DRIFT_INTERVAL) {
         add_drift(self, self->sweep.arrival, (int)self->sweep.pending_drift);
         self->sweep.shifts = 0;
         self->sweep.pending_drift = 0;
@@ -592,7 +592,7 @@ static int shift_window(toy_t *self, int *status)
     /* where the interval stands that leaves a full window */
     const int next = slot_before(self, -1);
     const int is_full = self->sweep.complete == HORIZON - 1;
-    if (is_full) {
+    if (is_full && self->settings.drift > 0.0) { /* otherwise nothing sets them back */
         self->sweep.shifts++;
         self->sweep.pending_drift += self->interval.path[next] >= HOLD_PATH;
     }
