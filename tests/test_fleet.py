@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+import diagnosis_cases
 from cli_cases import SCRIPT, SMALL, done, files, refused, run
 from dask_cluster import Cluster
 from sgms_mhe.api.fleet import Fleet, run_fleet
 from sgms_mhe.api.fleet.bands import LEVEL, NumberSeries, courses
 from sgms_mhe.api.fleet.table import Row, read_table
-from sgms_mhe.api.fleet.work import FleetNumber, Result, machine_name
+from sgms_mhe.api.fleet.work import FleetNumber, Result, machine_name, work
+from sgms_mhe.configuration import load_machine
 from sgms_mhe.signals.estimates import read_estimates
 from sgms_mhe.support.processes import HERE, WorkerSlot
 
@@ -234,6 +236,19 @@ def test_a_cluster_gives_what_this_host_gives(shop: Path, tmp_path: Path) -> Non
     assert [(d.row.number, d.result, d.failure) for d in far.rows] == [
         (d.row.number, d.result, d.failure) for d in near.rows
     ]
+
+
+def test_an_extended_machine_of_a_row_loads_wherever_it_is_put(
+    shop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine = load_machine(shop / "small.toml")
+    found = diagnosis_cases.explained(machine)
+    monkeypatch.setattr("sgms_mhe.api.fleet.work.diagnose", lambda *_, **__: found)
+    row = Row(2, str(shop / "small.toml"), shop / "logs" / "axis0.csv", "a", "a", None, None)
+    written = work("diagnose", row, machine)
+    assert found.extended is not None and found.extended_name is not None
+    (tmp_path / "extended.toml").write_bytes(written[found.extended_name])
+    assert load_machine(tmp_path / "extended.toml").digest == found.extended.digest
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -102,7 +102,8 @@ def _write_json(path: Path, content: Any) -> None:
 
 
 def _diagnose(row: Row, machine: Machine, folder: Path, notes: list[str]) -> Result:
-    found = diagnose(machine, row.log, note=notes.append)
+    # The row may be worked on by another host: no path from its scratch folder leads anywhere.
+    found = replace(diagnose(machine, row.log, note=notes.append), standalone=True)
     _write_json(folder / "diagnosis.json", found.to_json())
     attempt_report(found, folder, notes.append)
     effects = [cause for cause in found.causes if cause.name not in BASE_CAUSES and found.identifies(cause)]
