@@ -6,8 +6,9 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sgms_mhe.support.errors import InputError
 
@@ -78,8 +79,8 @@ def hung_work(*_: object) -> dict[str, bytes]:
     return {}
 
 
-def work_on_the_first(verb: Verb, row: Row, machine: Machine | None) -> dict[str, bytes]:
+def work_on_the_first(verb: Verb, row: Row, machine: Machine | None, table: Mapping[str, Any]) -> dict[str, bytes]:
     """The work on the first row of a fleet's table; on any other it never ends."""
     from sgms_mhe.api.fleet.work import work
 
-    return work(verb, row, machine) if row.number == 2 else hung_work()
+    return work(verb, row, machine, table) if row.number == 2 else hung_work()

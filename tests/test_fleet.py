@@ -245,7 +245,7 @@ def test_an_extended_machine_of_a_row_loads_wherever_it_is_put(
     found = diagnosis_cases.explained(machine)
     monkeypatch.setattr("sgms_mhe.api.fleet.work.diagnose", lambda *_, **__: found)
     row = Row(2, str(shop / "small.toml"), shop / "logs" / "axis0.csv", "a", "a", None, None)
-    written = work("diagnose", row, machine)
+    written = work("diagnose", row, machine, {})
     assert found.extended is not None and found.extended_name is not None
     (tmp_path / "extended.toml").write_bytes(written[found.extended_name])
     assert load_machine(tmp_path / "extended.toml").digest == found.extended.digest

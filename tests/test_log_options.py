@@ -21,7 +21,19 @@ from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.support.parallel import LIBRARIES
 
 OPTIONS = ("--log", "--rate", "--wrap", "--unit", "--force-scale")
-COMMANDS = ("inspect", "start", "identify", "tune", "diagnose", "estimate", "predict", "compare", "watch", "target")
+COMMANDS = (
+    "inspect",
+    "start",
+    "identify",
+    "tune",
+    "diagnose",
+    "estimate",
+    "predict",
+    "compare",
+    "watch",
+    "target",
+    "fleet",
+)
 
 
 @pytest.fixture
@@ -77,6 +89,17 @@ def test_inspect_takes_what_the_file_leaves_open(way: str, bare: Path, tmp_path:
     assert found["time"]["rate_Hz"] == pytest.approx(1000.0)
     assert position["max"] - position["min"] == pytest.approx(np.ptp(log.position_m), rel=1e-9)
     assert (force["min"], force["max"]) == pytest.approx((log.force_N.min(), log.force_N.max()))
+
+
+def test_a_fleet_takes_them_for_all_its_rows(small: Path, bare: Path, tmp_path: Path) -> None:
+    (tmp_path / "rows.csv").write_text("machine,log\nsmall.toml,bare.csv\n")
+    done("fleet", "estimate", tmp_path / "rows.csv", *FLAGS, "--out", tmp_path / "fleet")
+    done("estimate", small, bare, *FLAGS, "--out", tmp_path / "estimates.csv")
+    (found,) = (tmp_path / "fleet" / "rows").glob("*/estimates.csv")
+    assert found.read_bytes() == (tmp_path / "estimates.csv").read_bytes()
+    # Another unit is another result, not the one that is there.
+    done("fleet", "estimate", tmp_path / "rows.csv", *FLAGS[:-1], "36", "--out", tmp_path / "fleet")
+    assert len(list((tmp_path / "fleet" / "rows").glob("*/estimates.csv"))) == 2
 
 
 @pytest.mark.parametrize("command", ["estimate", "predict", "watch"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -18,6 +18,7 @@ from sgms_mhe.commands.common import (
     show,
     steps_bar,
 )
+from sgms_mhe.commands.log_options import log_options
 from sgms_mhe.support.parallel import leave_cores_to_tasks, workers
 
 if TYPE_CHECKING:
@@ -31,7 +32,8 @@ LONGEST_S = 1e6
     epilog=example("fleet diagnose table.csv --out fleet", "fleet estimate table.csv --scheduler tcp://head:8786"),
 )
 @click.argument("verb", type=click.Choice(("diagnose", "estimate", "identify")))
-@click.argument("table", type=click.Path(path_type=Path))
+@click.argument("rows", metavar="TABLE", type=click.Path(path_type=Path))
+@log_options
 @out_option("Folder of the results; default: TABLE's name and the verb.", metavar="DIR", required=False)
 @click.option("--jobs", type=click.IntRange(1, 256), metavar="J", help="Processes at a time; default: one per core.")
 @click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster that does the work in place of this host.")
@@ -46,7 +48,8 @@ LONGEST_S = 1e6
 @json_option
 def command(
     verb: Literal["diagnose", "estimate", "identify"],
-    table: Path,
+    rows: Path,
+    table: dict[str, Any],
     out: Path | None,
     jobs: int | None,
     scheduler: str | None,
@@ -62,7 +65,7 @@ def command(
     Exit code 1: some rows failed, the rest is done.
     """
     leave_cores_to_tasks()  # before anything loads numpy
-    folder = out or Path(f"{table.stem}_{verb}")
+    folder = out or Path(f"{rows.stem}_{verb}")
     check_output_folder(folder)
     note_broken_effects()
 
@@ -72,7 +75,7 @@ def command(
 
     place = WorkerSlot(jobs or workers(), scheduler, time_limit)
     with steps_bar() as progress:
-        fleet = run_fleet(verb, table, folder, place, progress)
+        fleet = run_fleet(verb, rows, folder, place, progress, table)
     page = write_fleet(fleet, folder)
     if as_json:
         show(json_text(results_json(fleet, folder)))

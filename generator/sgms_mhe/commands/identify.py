@@ -20,7 +20,7 @@ from sgms_mhe.commands.common import (
     table_text,
     trace_option,
 )
-from sgms_mhe.commands.log_options import load_for_log, log_options, log_text
+from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.decisions import trace_decisions
 from sgms_mhe.support.parallel import leave_cores_to_tasks
 
@@ -86,6 +86,7 @@ def command(
 
     from sgms_mhe.api.inputs import read_log
     from sgms_mhe.identification import Wanted, identify
+    from sgms_mhe.machine.writing import toml_log
     from sgms_mhe.support.files import write_text
 
     model = load_for_log(like, table) if like is not None else None
@@ -93,7 +94,7 @@ def command(
     moved = moved_mass("identify", read[0].units, mass, inertia)
     with trace_decisions(trace):
         found = identify(read, Wanted(out.stem, moved, elements, model), note)
-    write_text(out, found.toml if model is not None else found.toml + log_text(table, read[0].kind))
+    write_text(out, found.toml if model is not None else found.toml + toml_log(table, read[0].kind))
     show(json_text(found.to_json() | {"file": str(out)}) if as_json else _text(found, out), out)
 
 

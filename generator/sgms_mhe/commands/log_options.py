@@ -14,7 +14,7 @@ from sgms_mhe.commands.common import NumberType
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sgms_mhe.machine import Kind, Machine
+    from sgms_mhe.machine import Machine
 
 F = TypeVar("F", bound="Callable[..., object]")
 
@@ -101,12 +101,3 @@ def load_for_log(machine: str, table: Mapping[str, Any]) -> Machine:
     from sgms_mhe.configuration import load_machine, override_log
 
     return override_log(load_machine(machine), table)
-
-
-def log_text(table: Mapping[str, Any], kind: Kind) -> str:
-    """The table [log] of a machine file of this kind of axis; empty where options said nothing."""
-    from sgms_mhe.machine import BY_COLUMN, kinds_of
-    from sgms_mhe.machine.writing import toml_table
-
-    own = {key: entry for key, entry in table.items() if key not in BY_COLUMN or kind in kinds_of(key)}
-    return "\n".join([*toml_table("[log]", own), ""]) if own else ""

@@ -17,7 +17,7 @@ from sgms_mhe.commands.common import (
     out_option,
     show,
 )
-from sgms_mhe.commands.log_options import log_options, log_text
+from sgms_mhe.commands.log_options import log_options
 from sgms_mhe.support.errors import InputError
 
 if TYPE_CHECKING:
@@ -108,7 +108,8 @@ def _from_logs(
     """The file that identification writes, and on stderr how the logs were read."""
     from sgms_mhe.api.identification import identify
     from sgms_mhe.api.inputs import read_log
+    from sgms_mhe.machine.writing import toml_log
 
     read = [read_log(path, table=table, note=note) for path in logs]
     found = identify(read, name, mass=moved_mass("start", read[0].units, mass, inertia), note=note)
-    return found.toml + log_text(table, read[0].kind)
+    return found.toml + toml_log(table, read[0].kind)

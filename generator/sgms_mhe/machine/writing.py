@@ -8,7 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from sgms_mhe.machine.log_mapping import kinds_of
+from sgms_mhe.machine.log_units import BY_COLUMN
 from sgms_mhe.machine.resolved import Machine
+from sgms_mhe.machine.units import Kind
 from sgms_mhe.support.paths import machines_dir
 
 COMMENT_COLUMN: Final = 40
@@ -95,6 +98,12 @@ def toml_machine(content: Mapping[str, Any]) -> list[str]:
         elif isinstance(entry, list | tuple):
             lines += [line for table in entry for line in toml_table(f"[[{key}]]", table)]
     return lines
+
+
+def toml_log(table: Mapping[str, Any], kind: Kind) -> str:
+    """Return the table [log] of a machine file of this kind of axis; empty where it would say nothing."""
+    own = {key: entry for key, entry in table.items() if key not in BY_COLUMN or kind in kinds_of(key)}
+    return "\n".join([*toml_table("[log]", own), ""]) if own else ""
 
 
 def is_file_of(machine: Machine) -> bool:

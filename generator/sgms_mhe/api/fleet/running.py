@@ -9,13 +9,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Final
+from types import MappingProxyType
+from typing import Any, Final
 
 from sgms_mhe import __version__
 from sgms_mhe.api.fleet.bands import NumberSeries, courses
 from sgms_mhe.api.fleet.table import Row, Verb, read_table
 from sgms_mhe.api.fleet.work import RESULT, Result, work
 from sgms_mhe.api.inputs import load
+from sgms_mhe.configuration import override_log
 from sgms_mhe.host.provenance import digest_of_sources
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_names
@@ -64,7 +66,14 @@ class Fleet:
         return tuple(done for done in self.rows if done.failure)
 
 
-def run_fleet(verb: Verb, table: str | Path, out: str | Path, place: WorkerSlot, told: Told | None = None) -> Fleet:
+def run_fleet(
+    verb: Verb,
+    table: str | Path,
+    out: str | Path,
+    place: WorkerSlot,
+    told: Told | None = None,
+    log_table: Mapping[str, Any] = MappingProxyType({}),
+) -> Fleet:
     """Diagnose, estimate or identify every row of a table.
 
     A row whose machine, log and version have a result in `out` is not done again.
@@ -75,6 +84,7 @@ def run_fleet(verb: Verb, table: str | Path, out: str | Path, place: WorkerSlot,
         out: folder; results appear in its `rows` one by one.
         place: where the work is done.
         told: as `Told`.
+        log_table: content of a table `[log]` that is laid over that of every machine.
 
     Raises:
         InputError: the table; the folder; a scheduler that does not answer.
@@ -96,14 +106,14 @@ def run_fleet(verb: Verb, table: str | Path, out: str | Path, place: WorkerSlot,
     machines: dict[str, Machine | InputError] = {}
     for row in rows:
         try:
-            machine = _machine(row, machines)
-            key = _key(verb, row, machine)
+            machine = _machine(row, machines, log_table)
+            key = _key(verb, row, machine, log_table)
         except InputError as error:
             tell(Done(row, None, str(error), None, 0.0))
             continue
         # Copies of one log have one result.
         if key not in sharing:
-            queue.append(Task(key, work, (verb, row, machine)))
+            queue.append(Task(key, work, (verb, row, machine, dict(log_table))))
         sharing.setdefault(key, []).append(row)
     for outcome in run_kept(queue, folder / ROWS, place):
         for row in sharing[outcome.task.key]:
@@ -119,13 +129,13 @@ def _done(row: Row, outcome: Outcome) -> Done:
     return Done(row, Result.from_json(content), "", outcome.value, outcome.seconds)
 
 
-def _machine(row: Row, known: dict[str, Machine | InputError]) -> Machine | None:
+def _machine(row: Row, known: dict[str, Machine | InputError], log_table: Mapping[str, Any]) -> Machine | None:
     """Machine of a row, read once for all rows that have it. Raises InputError."""
     if not row.machine:
         return None
     if row.machine not in known:
         try:
-            known[row.machine] = load(row.machine)
+            known[row.machine] = override_log(load(row.machine), log_table)
         except InputError as error:
             known[row.machine] = error
     found = known[row.machine]
@@ -134,7 +144,7 @@ def _machine(row: Row, known: dict[str, Machine | InputError]) -> Machine | None
     return found
 
 
-def _key(verb: Verb, row: Row, machine: Machine | None) -> str:
+def _key(verb: Verb, row: Row, machine: Machine | None, log_table: Mapping[str, Any]) -> str:
     """Name of a row's result: of all that it hangs on. Raises InputError where the log cannot be read."""
     try:
         with row.log.open("rb") as stream:
@@ -143,7 +153,7 @@ def _key(verb: Verb, row: Row, machine: Machine | None) -> str:
         raise InputError(row.log, "log", None, f"a file that can be read ({error.strerror})") from None
     described = None if machine is None else machine.as_dict()
     used: Mapping[str, object] = {"axis": row.axis, "mass": row.mass} if verb == "identify" else {}
-    content = json.dumps([verb, described, log, _version(), used], sort_keys=True)
+    content = json.dumps([verb, described, log, _version(), used, log_table], sort_keys=True, default=dict)
     plain = re.sub(r"[^A-Za-z0-9]+", "-", row.name).strip("-")[:40] or "log"
     return f"{verb}-{plain}-{hashlib.sha256(content.encode()).hexdigest()[:_DIGITS]}"
 

@@ -17,7 +17,9 @@ from sgms_mhe.api.diagnosis import diagnose
 from sgms_mhe.api.estimation import estimate
 from sgms_mhe.api.fleet.table import Row, Verb
 from sgms_mhe.api.identification import identify
+from sgms_mhe.api.inputs import read_log
 from sgms_mhe.machine import Kind, Machine
+from sgms_mhe.machine.writing import toml_log
 from sgms_mhe.model import build_model
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.report import attempt_report
@@ -73,8 +75,14 @@ class Result:
         return cls(**{**content, "numbers": numbers, "notes": tuple(content["notes"])})
 
 
-def work(verb: Verb, row: Row, machine: Machine | None) -> dict[str, bytes]:
-    """Files of a row's result: result.json, and those that the command of the verb's name writes.
+def work(verb: Verb, row: Row, machine: Machine | None, table: Mapping[str, Any]) -> dict[str, bytes]:
+    """Return the files of a row's result: result.json, and those that the command of the verb's name writes.
+
+    Args:
+        verb: which command.
+        row: of the fleet's table.
+        machine: of the row; None: the log speaks for itself.
+        table: content of a table `[log]` that is laid over the machine's.
 
     Raises:
         InputError: what that command would refuse.
@@ -83,7 +91,7 @@ def work(verb: Verb, row: Row, machine: Machine | None) -> dict[str, bytes]:
     with TemporaryDirectory() as scratch:
         folder = Path(scratch)
         if machine is None or verb == "identify":
-            result = _identify(row, machine, folder, notes)
+            result = _identify(row, machine, table, folder, notes)
         elif verb == "estimate":
             result = _estimate(row, machine, folder, notes)
         else:
@@ -147,10 +155,12 @@ def _course(machine: Machine, estimates: Estimates) -> tuple[str, str]:
     return ("good" if usual >= counts[worst] else worst), summary
 
 
-def _identify(row: Row, machine: Machine | None, folder: Path, notes: list[str]) -> Result:
+def _identify(row: Row, machine: Machine | None, table: Mapping[str, Any], folder: Path, notes: list[str]) -> Result:
     name = machine_name(row.axis)
-    found = identify([row.log], name, mass=row.mass, like=machine, note=notes.append)
-    (folder / f"{name}.toml").write_text(found.toml, encoding="utf-8")
+    log = read_log(row.log, machine, table=table, note=notes.append)
+    found = identify([log], name, mass=row.mass, like=machine, note=notes.append)
+    toml = found.toml if machine is not None else found.toml + toml_log(table, log.kind)
+    (folder / f"{name}.toml").write_text(toml, encoding="utf-8")
     _write_json(folder / "identification.json", found.to_json())
     unit = found.machine.plant.units.force
     return Result(
