@@ -72,6 +72,7 @@ def test_the_file_that_is_written_extends_the_machine(small: Path, tmp_path: Pat
     assert tuned.estimator.noise.measurement == content["changes"]["estimator"]["noise"]["measurement"] < 1.0
     assert tuned.friction == machine.friction
     assert 'extends = "loud.toml"' in (tmp_path / "tuned.toml").read_text()
+    (tmp_path / "new").mkdir()
     alone = run("tune", loud, tmp_path / "log.csv", "--out", tmp_path / "new" / "tuned.toml", "--standalone")
     assert alone.exit_code == 0, alone.output
     assert load_machine(tmp_path / "new" / "tuned.toml").digest == tuned.digest

@@ -195,7 +195,7 @@ static void start_signals(etel_xy_controller_t *self)
     start_compensation(self);
 }
 
-/* Nothing known but settings and moved mass. */
+/* Nothing known but settings and what moves. */
 static void start_fresh(etel_xy_controller_t *self)
 {
     const sgms_real zero[STATES] = { 0.0f };

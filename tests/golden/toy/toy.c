@@ -160,7 +160,7 @@ static void start_signals(toy_t *self)
     start_compensation(self);
 }
 
-/* Nothing known but settings and moved mass. */
+/* Nothing known but settings and what moves. */
 static void start_fresh(toy_t *self)
 {
     const sgms_real zero[STATES] = { 0.0 };
