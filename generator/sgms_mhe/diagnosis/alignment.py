@@ -213,10 +213,11 @@ def find_chain_error(whole: Subject, fit: Fit) -> Array:
     """Return the change of a model's friction (m) [N] where its force passes the chain, not its motion.
 
     Measured friction has passed the low-passes. A model along the filtered motion turns round and breaks away as late
-    as they smear a reversal: with a cutoff of 25 Hz that is a tenth of the friction. What rings is left out.
+    as they smear a reversal: with a cutoff of 25 Hz that is a tenth of the friction. What rings is left out. A record
+    in which it does not matter (`is_smeared`) is spared it: the motion before the chain is noisier.
     """
     recording, still = whole.recording, _drop_ringing(fit)
-    if recording.unfiltered is None:
+    if recording.unfiltered is None or not recording.is_smeared:
         return np.zeros(len(recording.time))
     change = _friction_before_chain(whole, still, recording.unfiltered) - whole.friction(still)
     return change if np.all(np.isfinite(change)) else np.zeros(len(change))

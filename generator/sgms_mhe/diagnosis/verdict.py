@@ -12,7 +12,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.diagnosis.alignment import align, compile_half_steps, in_step, offset_notes, sampling_offset
+from sgms_mhe.diagnosis.alignment import (
+    align,
+    compile_half_steps,
+    find_chain_error,
+    in_step,
+    offset_notes,
+    sampling_offset,
+)
 from sgms_mhe.diagnosis.causes import (
     Confirmed,
     base_parameters,
@@ -63,6 +70,9 @@ ALLOWED_SHARE: Final = 0.15
 MOST_WITHOUT_CAUSES: Final = 3.0
 """RMS beyond noise that a machine without causes may leave, whatever the three before it say [noise floor]: what leaves
 more is not adequate."""
+SMEARED: Final = MOST_WITHOUT_CAUSES
+"""RMS that the chain's low-passes change friction by, from which on a model's force passes them [noise floor]: what is
+less is no reason to call a machine inadequate, and the motion before the chain has noise of its own."""
 MOST_WITH_CAUSES: Final = 1.25
 """RMS beyond noise that named causes may leave, whatever the three of `unexplained` say [noise floor]: what leaves more
 has not explained the record, however much it gained."""
@@ -129,6 +139,9 @@ def _diagnose_log(
         return _report_standstill(machine, log, recording, nominal)
     progress.report_base()
     floor = noise_floor(recording, nominal.residual)
+    smear = float(np.sqrt(np.mean(find_chain_error(Subject.of(machine, recording), nominal)[recording.used] ** 2)))
+    whole = replace(record, is_smeared=smear > SMEARED * floor)
+    record, recording = whole, whole if recording is record else replace(recording, is_smeared=whole.is_smeared)
     one_speed = find_steady_blocks(record) is not None
     measured = measure_excitation(record.signals, machine)
     criteria = make_criteria(machine, floor, measured, progress, one_speed=one_speed)

@@ -114,6 +114,8 @@ class Recording:
         unfiltered: position, velocity, acceleration and force before the chain (n, 4), the position between the
             encoder's steps; None where speeds do not come from it, and where nobody asked (`add_encoder`).
         misread: the same where an encoder of these steps, its lines elsewhere, reads that motion; None as `noise`.
+        is_smeared: whether the chain's low-passes change friction more than the noise hides: its force then passes
+            them, not its motion.
         runs: the newest ones of models along it; copies share them.
     """
 
@@ -135,6 +137,7 @@ class Recording:
     noise: Array | None = None
     unfiltered: Array | None = None
     misread: Array | None = None
+    is_smeared: bool = True
     runs: Runs = field(default_factory=Runs, repr=False)
 
     @property
