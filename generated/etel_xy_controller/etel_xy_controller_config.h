@@ -125,7 +125,7 @@ static const sgms_real upper_bound[PARAMETERS] = {5.0f, 5.0f, 5.0f, 5.0f};
 #define LEAST_SIZE 1e-12f
 /* A parameter that is held: as well known as that, over nominal. */
 #define HELD_SD 1e-06f
-/* Moved mass over the machine file's, or its inverse, at most: beyond, it is another unit. */
+/* What moves over the machine file's, or its inverse, at most: beyond, it is another unit. */
 #define MASS_RANGE 20.0f
 
 /* States that each state depends on over an interval, itself included, and how many. */

@@ -118,7 +118,7 @@ static const sgms_real upper_bound[PARAMETERS] = {2.0, 1e+300};
 #define LEAST_SIZE 1e-60
 /* A parameter that is held: as well known as that, over nominal. */
 #define HELD_SD 1e-06
-/* Moved mass over the machine file's, or its inverse, at most: beyond, it is another unit. */
+/* What moves over the machine file's, or its inverse, at most: beyond, it is another unit. */
 #define MASS_RANGE 20.0
 
 /* States that each state depends on over an interval, itself included, and how many. */
