@@ -230,9 +230,9 @@ def find_encoder_force(whole: Subject, fit: Fit) -> Array | None:
     where stiff elements stick, a fraction of a step is a force. One realisation, lines being elsewhere.
     """
     recording, still = whole.recording, _drop_ringing(fit)
-    if recording.noise is None or recording.unfiltered is None or recording.misread is None:
+    inertial = recording.steps_inertia
+    if inertial is None or recording.unfiltered is None or recording.misread is None:
         return None
-    inertial = recording.machine.plant.moved * recording.reduce(recording.noise[:, 2])
     read, misread = (_friction_before_chain(whole, still, w) for w in (recording.unfiltered, recording.misread))
     force = inertial - (misread - read)
     return force if np.all(np.isfinite(force)) else inertial

@@ -164,7 +164,7 @@ def make_criteria(
     return Criteria(machine.diagnosis, floor, material_force(machine, floor), excited, one_speed, progress)
 
 
-def with_floor(criteria: Criteria, floor: float) -> Criteria:
+def raise_floor(criteria: Criteria, floor: float) -> Criteria:
     """Return the criteria of the same record with a higher noise floor [N]; a lower one changes nothing."""
     if floor <= criteria.floor:
         return criteria

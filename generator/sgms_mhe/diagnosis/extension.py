@@ -8,7 +8,7 @@ from typing import Any
 
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.machine import Estimator, Machine
-from sgms_mhe.machine.writing import is_file_of, toml_extends, toml_line, toml_machine, toml_table
+from sgms_mhe.machine.writing import toml_extends, toml_line, toml_machine, toml_table
 from sgms_mhe.model.effects import effect_definition
 
 NAME_LENGTH = 48
@@ -90,7 +90,7 @@ def extension_toml(machine: Machine, extended: Machine, changes: Mapping[str, An
             A base without a file leaves no choice.
     """
     head = f"# Written by sgms-mhe diagnose over {machine.source.name or machine.name}."
-    if alone or not is_file_of(machine):
+    if alone or not machine.source.is_file():
         return "\n".join([head, *toml_machine(extended.content)]) + "\n"
     lines = [
         head,

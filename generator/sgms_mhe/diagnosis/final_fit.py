@@ -146,11 +146,8 @@ class FinalFit:
     @property
     def encoder_friction(self) -> float:
         """RMS of the friction that the encoder's steps leave [N]: numbers of the machine imitate it."""
-        record = self.record
-        if self.encoder is None or record.noise is None:
-            return 0.0
-        friction = self.encoder - record.machine.plant.moved * record.reduce(record.noise[:, 2])
-        return float(np.sqrt(np.mean(friction[record.used] ** 2)))
+        inertial = self.record.steps_inertia
+        return 0.0 if self.encoder is None or inertial is None else self.record.rms(self.encoder - inertial)
 
     def find_floor(self, left: RecordResidual) -> float:
         """Return the noise floor of the whole record [N], from its residual."""

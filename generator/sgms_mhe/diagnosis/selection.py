@@ -22,8 +22,8 @@ from sgms_mhe.diagnosis.criteria import (
     is_ruled_out,
     list_addable,
     make_effect,
+    raise_floor,
     rank_proposals,
-    with_floor,
 )
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model, try_fit
 from sgms_mhe.diagnosis.laws import SHARPER, Laws, fit_chosen, fit_law, is_driven, start_unknown_numbers
@@ -238,7 +238,7 @@ def search_causes(laws: Laws, criteria: Criteria) -> Searched:
     """
     laws, current = fit_law(start_unknown_numbers(laws), (), criteria)
     whole = laws.chosen.whole
-    criteria = with_floor(criteria, noise_floor(whole.recording, current.residual, find_encoder_force(whole, current)))
+    criteria = raise_floor(criteria, noise_floor(whole.recording, current.residual, find_encoder_force(whole, current)))
     scores: tuple[Score, ...] = ()
     seen: frozenset[str] = frozenset()
     number, compared, ended = 0, True, False

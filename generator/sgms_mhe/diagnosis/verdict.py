@@ -139,7 +139,7 @@ def _diagnose_log(
         return _report_standstill(machine, log, recording, nominal)
     progress.report_base()
     floor = noise_floor(recording, nominal.residual)
-    smear = float(np.sqrt(np.mean(find_chain_error(Subject.of(machine, recording), nominal)[recording.used] ** 2)))
+    smear = recording.rms(find_chain_error(Subject.of(machine, recording), nominal))
     whole = replace(record, is_smeared=smear > SMEARED * floor)
     record, recording = whole, whole if recording is record else replace(recording, is_smeared=whole.is_smeared)
     one_speed = find_steady_blocks(record) is not None
@@ -291,9 +291,7 @@ def _leaves_curve(final: FinalFit, fit: Fit) -> bool:
 def _encoder_rms(final: FinalFit) -> float:
     """RMS of the force that the encoder's steps leave in a record that can be judged all the same [N]; else 0."""
     encoder, record = final.encoder, final.record
-    if encoder is None or hides_friction(record, encoder):
-        return 0.0
-    return float(np.sqrt(np.mean(encoder[record.used] ** 2)))
+    return 0.0 if encoder is None or hides_friction(record, encoder) else record.rms(encoder)
 
 
 def _allowed_excess(

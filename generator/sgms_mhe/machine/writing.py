@@ -106,11 +106,6 @@ def toml_log(table: Mapping[str, Any], kind: Kind) -> str:
     return "\n".join([*toml_table("[log]", own), ""]) if own else ""
 
 
-def is_file_of(machine: Machine) -> bool:
-    """Return True if the machine stands in a file that another one can extend."""
-    return machine.source.is_file()
-
-
 def toml_extends(machine: Machine, folder: Path) -> str:
     """Return the line by which a file in `folder` extends a machine.
 

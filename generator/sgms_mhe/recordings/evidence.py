@@ -116,8 +116,7 @@ def noise_floor(recording: Recording, residual: Array, encoder: Array | None = N
         encoder: force that the encoder's steps leave (m) [N]; None: what they make of the acceleration.
     """
     quiet = _quiet_power(recording, residual)
-    if encoder is None and recording.noise is not None:
-        encoder = recording.machine.plant.moved * recording.reduce(recording.noise[:, 2])
+    encoder = recording.steps_inertia if encoder is None else encoder
     if encoder is None or hides_friction(recording, encoder):
         return math.sqrt(quiet)
     return math.sqrt(max(quiet, float(np.mean(encoder[recording.used] ** 2))))
@@ -125,8 +124,7 @@ def noise_floor(recording: Recording, residual: Array, encoder: Array | None = N
 
 def hides_friction(recording: Recording, encoder: Array) -> bool:
     """Return True if the force that an encoder's steps leave (m) [N] is so large that no model can be judged."""
-    size = float(np.sqrt(np.mean(encoder[recording.used] ** 2)))
-    return size >= ENCODER_STEPS_MOST * recording.machine.friction.coulomb
+    return recording.rms(encoder) >= ENCODER_STEPS_MOST * recording.machine.friction.coulomb
 
 
 def _quiet_power(recording: Recording, residual: Array) -> float:

@@ -195,6 +195,15 @@ class Recording:
         """Mean over `factor` samples: (n, ...) to (m, ...)."""
         return row_means(series[: len(self.time) * self.factor], self.factor)
 
+    def rms(self, series: Array) -> float:
+        """RMS over used rows of a series (m)."""
+        return float(np.sqrt(np.mean(series[self.used] ** 2)))
+
+    @property
+    def steps_inertia(self) -> Array | None:
+        """Force of the acceleration that the encoder's steps make (m) [N]; None where they do not show."""
+        return None if self.noise is None else self.machine.plant.moved * self.reduce(self.noise[:, 2])
+
     def rows_held_out(self) -> Mask:
         """Used rows in held-out blocks (m)."""
         return self.used & np.where(self.block >= 0, self.held_out[self.block], False)
