@@ -202,7 +202,7 @@ ALSO_REFUSED: Final = 0.2
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of one mutated log.
+    """Outcome of one mutated log.
 
     Attributes:
         kind: of the mutation.

@@ -35,7 +35,7 @@ WELL_PREDICTED: Final = 0.2
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one draw, and why that is not right; the reason is empty where it is."""
+    """Outcome of one draw, and the reason where it is not right; empty where it is."""
 
     seed: int
     format: str
@@ -121,7 +121,7 @@ class Trial:
         if case.refusal:
             if case.remedy is None:
                 return
-            options = (*options, *self._at_home(case.remedy))
+            options = (*options, *self._locate(case.remedy))
             self._read(options)
         for command in case.commands:
             self._command(command, options)
@@ -136,7 +136,7 @@ class Trial:
         """The true machine's file."""
         return self.folder / "drawn.toml"
 
-    def _at_home(self, options: Sequence[str]) -> tuple[str, ...]:
+    def _locate(self, options: Sequence[str]) -> tuple[str, ...]:
         return tuple(str(self.folder / o) if o in (RESAMPLE, CLOCK) else o for o in options)
 
     def _invoke(self, *arguments: str | Path) -> Answer:
@@ -154,7 +154,7 @@ class Trial:
         """Inspect the log as it came, and read it where it must be read."""
         case = self.case
         machine = ("--machine", self.machine) if case.on_machine else ()
-        options = self._at_home(case.options)
+        options = self._locate(case.options)
         answer = self._invoke("inspect", self.log, *options, *machine, "--json")
         if answer.code == 2:
             raise WrongError("wrong", f"no log: {answer.stderr}")
@@ -183,7 +183,7 @@ class Trial:
 
     def _read(self, options: Sequence[str]) -> None:
         """Compare what is read with what was recorded."""
-        options = self._at_home(options)
+        options = self._locate(options)
         answer = self._invoke("inspect", self.log, *options, "--json")
         if answer.code:
             raise WrongError("wrong", f"with {' '.join(options)}: {answer.stdout[-600:]}{answer.stderr}")
@@ -202,11 +202,11 @@ class Trial:
 
     def _command(self, name: str, options: Sequence[str]) -> None:
         """Run another command along the log; `!name` must refuse it, `?name` may."""
-        verb, options = name.lstrip("!?"), self._at_home(options)
+        verb, options = name.lstrip("!?"), self._locate(options)
         out = self.folder / ("found.toml" if verb == "identify" else "out.csv")
         machine = () if verb == "identify" else (self.machine,)
         if name == "!identify":
-            options = self._at_home(self.case.options)
+            options = self._locate(self.case.options)
         answer = self._invoke(verb, *machine, self.log, *options, "--out", out, "--json")
         if answer.code == 2 and name[0] in "!?":
             if not is_judged(answer.stderr):
@@ -216,11 +216,11 @@ class Trial:
             raise WrongError("wrong", f"{verb}: exit code {answer.code}: {answer.stderr[-600:]}")
         content = answer.content
         if verb == "identify" and name[0] != "?":
-            self._check_identified(content)
+            self._judge_identify(content)
         if verb == "predict":
-            self._check_predicted(content)
+            self._judge_predict(content)
 
-    def _check_identified(self, content: dict[str, Any]) -> None:
+    def _judge_identify(self, content: dict[str, Any]) -> None:
         axis, numbers = self.recorder.truth.axis, {n["name"]: n for n in content["numbers"]}
         wanted = {"coulomb": (axis.coulomb, COULOMB_NEAR)}
         if "no force" not in self.case.facts:
@@ -231,7 +231,7 @@ class Trial:
             if found is None or abs(found / true - 1.0) > near:
                 raise WrongError("wrong", f"identify: {name} = {found}, true is {true:.5g}")
 
-    def _check_predicted(self, content: dict[str, Any]) -> None:
+    def _judge_predict(self, content: dict[str, Any]) -> None:
         truth = self.recorder.truth
         rms = next(value for key, value in content.items() if key.startswith("residual_rms"))
         whole = float(np.std(truth.log.force_N))
@@ -240,7 +240,7 @@ class Trial:
 
 
 def differences(found: Log, expected: Log, tolerance: float) -> Iterator[str]:
-    """What differs in two logs: rate, length, time, columns, by more than a share of the range."""
+    """Differences of two logs: rate, length, time, columns, by more than a share of the range."""
     if abs(found.rate / expected.rate - 1.0) > 1e-3:
         yield f"rate {found.rate:.6g}, {expected.rate:.6g} Hz"
     elif abs(len(found) - len(expected)) > (2 if tolerance > FEW else 0) or found.kind != expected.kind:
@@ -273,7 +273,7 @@ def run_draws(seeds: Sequence[int], progress: Callable[[Outcome], None]) -> list
 
 
 def tables(outcomes: Sequence[Outcome]) -> tuple[CsvTable, CsvTable]:
-    """What came by format, and by fault."""
+    """Return the outcomes by format, and by fault."""
     return _table("format", outcomes), _table("fault", outcomes)
 
 

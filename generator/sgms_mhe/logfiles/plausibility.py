@@ -70,7 +70,7 @@ def check_plausible(log: Log, machine: Machine | None, *, has_mass: bool = True)
     _check_copies(log)
     motion = _motion(log, samples)
     if machine is not None:
-        _check_speed(log, machine, _balance(log, machine, motion))
+        _check_speed(log, machine, motion)
     _check_derivatives(log, samples)
     if len(motion) == 0 or log.is_friction_alone:
         return  # a friction that stands for the force says nothing of what moves the axis
@@ -139,7 +139,7 @@ def _slope(x: Array, y: Array) -> float | None:
     return slope if float(np.max(np.abs(y - slope * x))) <= STRAIGHT * float(np.ptp(y)) else None
 
 
-def _check_speed(log: Log, machine: Machine, balance: ForceBalance) -> None:
+def _check_speed(log: Log, machine: Machine, motion: _Motion) -> None:
     """Refuse a motion that is too fast for the axis.
 
     Columns that are swapped have friction that drives the motion: where it does not, the unit is wrong.
@@ -151,6 +151,7 @@ def _check_speed(log: Log, machine: Machine, balance: ForceBalance) -> None:
         return
     seen = f"beyond {fastest:.3g} {units.velocity} in a twentieth of the record"
     known = f"sampling.max_velocity of {machine.name} is {highest:g} {units.velocity}"
+    balance = _balance(log, machine, motion)
     is_friction = balance.dissipates > 0 or (balance.dissipates == 0 and balance.inertia > 0.0)
     if not is_friction and _fastest(log.force_N, samples, log.rate) <= TOO_FAST * highest:
         remedy = f'swapped with {force}? Then [log] has {position} = "{force}" and {force} = "{position}"'
