@@ -24,7 +24,7 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := all
 .PHONY: all help venv generate check-generated compile experiment figures docs notebooks picture test test-slow check lint lint-ruff lint-format \
-        lint-types lint-c format studies faults benchmark benchmark-diagnosis benchmark-logs target verify release-check wheel lock clean \
+        lint-types lint-c format studies faults lasting benchmark benchmark-diagnosis benchmark-logs target verify release-check wheel lock clean \
         distclean
 
 # Said before anything is done, of a call that names no target.
@@ -112,6 +112,9 @@ studies: $(STAMP) ## statistics: coverage, Monte Carlo against EKF and smoother,
 
 faults: $(STAMP) ## broken sensors in good logs: what each does to the estimate, worst of twenty; a few minutes
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_bench.studies faults
+
+lasting: $(STAMP) ## errors of the model that stay: how often the truth is beyond the stated deviations; half an hour, SEEDS=1: two minutes
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_bench.studies lasting $(if $(SEEDS),--runs $(SEEDS))
 
 benchmark: $(STAMP) ## time, instructions and errors of MACHINE's variants beside CasADi's export; figures in build/benchmark
 	$(RUN) bench machines/$(MACHINE).toml --out $(BUILD)/benchmark

@@ -137,11 +137,14 @@ ENDS = ("startswith", "endswith", "removeprefix", "removesuffix")
 
 OF_EFFECTS = ("diagnosis", "report")
 
-SPECIMENS = BENCH / "verification" / "specimens.py"  # machine files, which have effects by name
+SPECIMENS = (  # machine files and axes, which have effects by name
+    BENCH / "verification" / "specimens.py",
+    BENCH / "studies" / "lasting_errors.py",
+)
 
 CATALOGUE = PACKAGE / "model" / "effects"
 PLANT = PACKAGE / "plant"  # independent of the catalogue: it has the effects a second time
-EXEMPT = {*CATALOGUE.rglob("*.py"), *PLANT.rglob("*.py"), SPECIMENS}
+EXEMPT = {*CATALOGUE.rglob("*.py"), *PLANT.rglob("*.py"), *SPECIMENS}
 
 
 def texts(tree: ast.AST) -> Iterator[tuple[int, str]]:

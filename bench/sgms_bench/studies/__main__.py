@@ -3,8 +3,8 @@
 `coverage` draws data from the estimator's own noise model, `plant` asks the same of the axis in closed loop,
 `monte-carlo` compares MHE, EKF and batch smoother over random axes, `creep` follows the parameters over 10^5 updates,
 `readings` asks what more friction measurements per second gain, `relinearise` what it costs to keep linearisations,
-`faults` puts broken sensors into good logs, `speed` asks what fast moves cost the integrators, `identify` draws axes
-and identifies each from its log alone.
+`faults` puts broken sensors into good logs, `lasting` gives the axis what its machine file has not, `speed` asks what
+fast moves cost the integrators, `identify` draws axes and identifies each from its log alone.
 `scaling` says what a task costs in 1 to 8 processes. All numbers are seeded; the same command prints the same table,
 wherever it runs, but for times.
 """
@@ -20,6 +20,7 @@ from sgms_bench.studies.coverage import coverage_study
 from sgms_bench.studies.creep import creep_study
 from sgms_bench.studies.faults import faults_study
 from sgms_bench.studies.identification import identification_study
+from sgms_bench.studies.lasting import lasting_study
 from sgms_bench.studies.monte_carlo import monte_carlo_study
 from sgms_bench.studies.plant import plant_study
 from sgms_bench.studies.readings import readings_study
@@ -40,6 +41,7 @@ STUDIES: Final[Mapping[str, tuple[Study, int, int]]] = {
     "relinearise": (lambda runs, updates, place: relinearise_study(runs, updates / 100.0, place), 10, 800),
     "readings": (lambda runs, updates, place: readings_study(runs, updates / 100.0, place), 6, 2000),
     "faults": (lambda runs, updates, place: faults_study(runs, place), 20, 1800),
+    "lasting": (lambda runs, updates, place: lasting_study(runs, updates / 100.0, place), 20, 2000),
     "identify": (lambda runs, updates, place: identification_study(runs, updates / 100.0, place=place), 40, 2500),
     "speed": (lambda runs, updates, place: speed_study(updates), 1, 150),
     "scaling": (lambda runs, updates, place: scaling_study(runs), 8, 1000),
