@@ -247,8 +247,8 @@ def list_limits(
     for k, (distance, level) in enumerate(zip(fit.shape.distances.tolist(), fit.levels.tolist(), strict=True), start=1):
         element = f"element {k} (breaks away after {distance:.2g} {length})"
         if distance <= NEXT_TO_NOTHING * view.limits[0]:
-            stiff = f"{level / distance:.2g} {units.stiffness}"
-            said.append(f"{element}: about what the encoder resolves; it is at least {stiff} stiff")
+            stiff = f"{level / view.limits[0]:.2g} {units.stiffness}"
+            said.append(f"{element}: no more than the encoder resolves; it is at least {stiff} stiff")
         elif distance > SLID * travel:
             said.append(
                 f"{element}: its level is open, {travel:.2g} {length} of travel are too few; it may be a spring"

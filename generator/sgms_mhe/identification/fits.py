@@ -35,7 +35,9 @@ TRIES: Final = 6
 """Dampings that are tried for a step: where elements turn round all the time the sum of squares is rough."""
 MOST_RISE: Final = 20.0
 WIDER: Final = 4.0
-"""Beyond the grid's ends, as a factor, distances are not followed."""
+"""Beyond the grid's largest distance, as a factor, distances are not followed."""
+FINER: Final = 100.0
+"""Below its smallest: that an element breaks away before an encoder sees it must not make it break away late."""
 STRIBECK: Final = (1e-4, 0.5)
 """Stribeck velocities that a record can tell, over its fastest speed."""
 
@@ -275,7 +277,7 @@ def _distances(law: Law, rise: Stribeck | None, view: RecordView) -> tuple[float
     """Smallest and largest break-away distance [m] that a fit follows."""
     low, high = view.limits
     low = max(
-        low / WIDER,
+        low / FINER,
         *(least_distance(law, rise or NO_RISE, motion.rate / motion.steps) for motion in view.motions),
     )
     return low, max(low, high * WIDER)

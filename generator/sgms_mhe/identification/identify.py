@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -26,12 +26,14 @@ from sgms_mhe.identification.final_fit import FinalIdentification, Known, make_f
 from sgms_mhe.identification.fits import RecordView
 from sgms_mhe.identification.records import Records, drop_start, make_records, sort_logs
 from sgms_mhe.identification.result import Identification, Number
-from sgms_mhe.identification.sampling import common_rate, rough_mass, unknown_axis
+from sgms_mhe.identification.sampling import common_rate, replace_filter, rough_mass, unknown_axis
 from sgms_mhe.identification.search import MOST_ELEMENTS, ChosenModel, Progress, Views, search
 from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid, find_spectrum
 from sgms_mhe.identification.terms import (
+    SNAP,
     Term,
     companion_terms,
+    fits_noise,
     level_terms,
     mass_term,
     sampling_terms,
@@ -120,11 +122,11 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
     records = _records(sort_logs(logs), wanted)
     report("convex start")
     # Which rows count is no matter of where the search starts: of one grid, whatever the start's is.
-    records = drop_start(records, _spectrum(records, PER_DECADE).reach)
-    spectrum = _spectrum(records, wanted.per_decade)
+    records = drop_start(records, _start(records, PER_DECADE)[0].reach)
     rows = records.rows
-    base, companions = _base_terms(rows), companion_terms(rows)
-    level = _level_terms(rows, spectrum)
+    spectrum, base = _start(records, wanted.per_decade)
+    companions = companion_terms(rows)
+    level = _level_terms(rows, base, spectrum)
     noise, grid = noise_floor(rows, rows.friction), distance_grid(records, wanted.per_decade)
     limits = float(grid[0]), float(grid[-1])
     views = Views(RecordView(rows, records.coarse, noise, limits), RecordView(rows, records.fine, noise, limits))
@@ -150,29 +152,29 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
     return Explored(records, views, found, final, measured)
 
 
-def _base_terms(rows: Recording) -> tuple[Term, ...]:
-    return (viscous_term(rows), mass_term(rows), *sampling_terms(rows))
-
-
-def _spectrum(records: Records, per_decade: float) -> Spectrum:
-    """The convex start.
+def _start(records: Records, per_decade: float) -> tuple[Spectrum, tuple[Term, ...]]:
+    """Return the convex start, and the terms beside the elements that are no effects.
 
     Raises:
         InputError: there is no friction.
     """
     rows, grid = records.rows, distance_grid(records, per_decade)
-    terms, noise = (*_base_terms(rows), *companion_terms(rows)), noise_floor(rows, rows.friction)
-    spectrum = find_spectrum(records, terms, noise, grid)
-    level = _level_terms(rows, spectrum)
+    base = (viscous_term(rows), mass_term(rows), *sampling_terms(rows))
+    beside, noise = companion_terms(rows), noise_floor(rows, rows.friction)
+    spectrum = find_spectrum(records, (*base, *beside), noise, grid)
+    if fits_noise((*base, *beside), spectrum.coefficients):
+        base = tuple(term for term in base if term.name != SNAP)
+        spectrum = find_spectrum(records, (*base, *beside), noise, grid)
+    terms, level = (*base, *beside), _level_terms(rows, base, spectrum)
     if level:
         spectrum = find_spectrum(records, (*terms, *level), noise, grid)
     if not len(spectrum.distances):
         raise frictionless_error(records.names[0])
-    return spectrum
+    return spectrum, base
 
 
-def _level_terms(rows: Recording, spectrum: Spectrum) -> tuple[Term, ...]:
-    terms = (*_base_terms(rows), *companion_terms(rows))
+def _level_terms(rows: Recording, base: Sequence[Term], spectrum: Spectrum) -> tuple[Term, ...]:
+    terms = (*base, *companion_terms(rows))
     count = sum(term.columns.shape[1] for term in terms)
     return level_terms(
         rows, transmitted_force(rows, terms, spectrum.coefficients[:count]), spectrum.sliding, spectrum.rise
@@ -190,11 +192,14 @@ def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
     is_shown = wanted.mass is None and not logs[0].is_friction_alone
     mass = rough_mass(machine, logs) if is_shown else wanted.mass or NO_MASS
     machine = unknown_axis(logs, wanted.name, mass, wanted.like)
+    warnings: tuple[str, ...] = ()
+    if is_shown and wanted.like is not None:
+        machine, warnings = replace_filter(machine, logs)
     for log in logs:
         check_plausible(log, machine, has_mass=wanted.mass is not None)
     records = make_records(machine, logs)
     _check_dissipates(records)
-    return records
+    return replace(records, warnings=(*warnings, *records.warnings))
 
 
 def _check_kind(log: Log, kind: Kind) -> None:

@@ -29,6 +29,8 @@ LOWEST_CUTOFF: Final = 0.02
 """Of the sample rate: above, the differences are noise; below, what follows a reversal is smeared away."""
 QUIET: Final = 0.02
 """Noise of the measured friction over its RMS that a low-pass may let through."""
+BIASED: Final = 0.02
+"""Of the mass: a low-pass that makes it this much smaller is not kept."""
 HEADROOM: Final = 1.2
 """`max_velocity` over the fastest speed of the records."""
 NOT_A_ROUND_RATE: Final = 1e-4
@@ -117,10 +119,32 @@ def _fastest(log: Log, rate: float) -> float:
     return float(np.quantile(speed, 0.999)) if len(speed) else 0.0
 
 
-def _choose_filter(machine: Machine, logs: Sequence[Log]) -> Machine:
-    """The machine with the fastest low-pass behind which noise is small beside friction."""
+def replace_filter(machine: Machine, logs: Sequence[Log]) -> tuple[Machine, tuple[str, ...]]:
+    """Return the machine with a slower low-pass where its own biases the mass, and the sentence on that.
+
+    What an encoder adds to an acceleration makes the mass that is found too small.
+
+    Args:
+        machine: with the low-pass that was asked for, and a mass that may be wrong by such a bias.
+        logs: whose motion shows a mass.
+    """
+    cutoff = machine.sampling.velocity_cutoff
+    slower = _choose_filter(machine, logs, cutoff)
+    biased, mass = rough_mass(machine, logs), rough_mass(slower, logs)
+    if mass - biased <= BIASED * mass:
+        return machine, ()
+    sentence = (
+        f"velocity_cutoff = {slower.sampling.velocity_cutoff:g} Hz in place of {cutoff:g} Hz: behind that, noise of "
+        f"the position makes the {machine.plant.units.inert} {1.0 - biased / mass:.0%} too small"
+    )
+    return override_machine(slower, {"plant": plant_content(machine.plant.kind, mass)}), (sentence,)
+
+
+def _choose_filter(machine: Machine, logs: Sequence[Log], fastest: float = math.inf) -> Machine:
+    """The machine with the fastest low-pass, not above `fastest` [Hz], behind which noise is small beside friction."""
     rate = machine.sampling.rate
-    allowed = [c for c in CUTOFFS if LOWEST_CUTOFF * rate <= c <= HIGHEST_CUTOFF * rate] or [0.1 * rate]
+    highest = min(HIGHEST_CUTOFF * rate, fastest)
+    allowed = [c for c in CUTOFFS if LOWEST_CUTOFF * rate <= c <= highest] or [min(0.1 * rate, fastest)]
     for cutoff in allowed:
         machine = override_machine(machine, {"sampling": {"velocity_cutoff": cutoff}})
         if all(_noise_share(machine, log) <= QUIET for log in logs):

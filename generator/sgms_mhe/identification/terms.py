@@ -20,10 +20,15 @@ Array = NDArray[np.float64]
 
 LATE: Final = "late"
 """Name of the time [s] by which the force comes late."""
-LAW_AND_SAMPLING: Final = ("viscous", "mass", LATE, "")
+SNAP: Final = "snap"
+"""Name of the change [kg s^2] of the inertial force with the second derivative of the acceleration."""
+LAW_AND_SAMPLING: Final = ("viscous", "mass", LATE, SNAP)
 """Names of terms that are no effects."""
 TIMING: Final = 1.0
 """Samples that force and position are apart in time, one standard deviation: a drive holds its force for one."""
+
+SAMPLING_AT_MOST: Final = 4.0
+"""Deviations of its prior up to which a coefficient is one of sampling: force and position are two samples apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +36,7 @@ class Term:
     """Columns of force [N] per unit of their coefficients.
 
     Attributes:
-        name: `viscous`, `mass`, `late`, or an effect's; empty where the columns say nothing of an axis.
+        name: one of `LAW_AND_SAMPLING`, or an effect's.
         columns: on all rows (m, k).
         positive: whether the coefficients are at least 0; otherwise free in sign.
         deviation: of a prior about 0, in the coefficients' units; inf: none.
@@ -59,15 +64,34 @@ def sampling_terms(rows: Recording) -> tuple[Term, ...]:
 
     Force and position are not of the same instant, be it by h: all of the force is then late, to first order. To second
     order the inertial force is off by half the second derivative of the acceleration times h^2, beside which the
-    h^2 / 12 by which a second difference is low are little.
+    h^2 / 12 by which a second difference is low are little. A coefficient that is far above that is none of sampling
+    (`fits_noise`).
     """
     step, mass = rows.machine.sampling.step, rows.machine.plant.moved
     rate = -np.gradient(rows.signals.force) / step
     snap = np.gradient(np.gradient(rows.signals.acceleration)) / step**2
     return (
         Term(LATE, rows.reduce(rate)[:, None], deviation=TIMING * step),
-        Term("", rows.reduce(snap)[:, None], deviation=0.5 * mass * (TIMING * step) ** 2),
+        Term(SNAP, rows.reduce(snap)[:, None], deviation=0.5 * mass * (TIMING * step) ** 2),
     )
+
+
+def fits_noise(terms: Sequence[Term], coefficients: Array) -> bool:
+    """Return True if the second derivative of the acceleration takes out noise, and with it part of the mass.
+
+    Acceleration minus its own second derivative is the acceleration behind one more low-pass. Where position is noisy,
+    that fits better than the acceleration, whatever the sampling.
+
+    Args:
+        terms: fitted.
+        coefficients: of all their columns (c).
+    """
+    first = 0
+    for term in terms:
+        if term.name == SNAP:
+            return abs(float(coefficients[first])) > SAMPLING_AT_MOST * term.deviation
+        first += term.columns.shape[1]
+    return False
 
 
 def companion_terms(rows: Recording) -> tuple[Term, ...]:

@@ -1,0 +1,95 @@
+"""Identification where a position is read off its stamp: noise of the acceleration, and none of the mass's.
+
+The plant is written here: an inertia with sliding friction, driven by a torque of two sines.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.identification import Identification, Wanted, identify
+from sgms_mhe.machine import Machine
+from sgms_mhe.signals.logs import Log
+
+INERTIA, LEVEL, VISCOUS = 2e-4, 0.06, 4e-4
+SUBSTEPS = 20
+
+
+def spinning_axis(rate: float, lateness: float, seed: int, seconds: float = 12.0) -> Log:
+    """Return the log of an axis that is read up to `lateness` samples after its stamps."""
+    random, count = np.random.default_rng(seed), int(seconds * rate)
+    h = 1.0 / rate / SUBSTEPS
+    stamps = np.arange(count) / rate
+    force = 0.35 * np.sin(2 * np.pi * 2.0 * stamps) + 0.1 * np.sin(2 * np.pi * 4.7 * stamps)
+    speed, angle, way = 0.0, 0.0, np.empty((count, SUBSTEPS))
+    for k in range(count):
+        for j in range(SUBSTEPS):
+            way[k, j] = angle
+            rest = force[k] - VISCOUS * speed
+            # Implicit in the direction: an axis that friction holds stands.
+            free = speed + h * rest / INERTIA
+            speed = np.sign(free) * max(abs(free) - h * LEVEL / INERTIA, 0.0)
+            angle += h * speed
+    late = random.integers(0, max(1, round(lateness * SUBSTEPS)), count)
+    position = way[np.arange(count), np.minimum(late, SUBSTEPS - 1)]
+    noise = 1e-3 * random.standard_normal(count)
+    return Log(stamps, position, force + noise, rate, kind="rotary", source="late.csv")
+
+
+def like(folder: Path, rate: float, cutoff: float) -> Machine:
+    """Return a machine file of an axis that is like it, wrong in every number."""
+    path = folder / "like.toml"
+    path.write_text(
+        f"""name = "like"
+[plant]
+kind = "rotary"
+inertia = 1e-3
+[friction]
+coulomb = 0.5
+viscous = 1e-3
+stiffness = [100.0]
+fraction = [1.0]
+[sampling]
+rate = {rate}
+update_rate = {rate / 10}
+velocity_cutoff = {cutoff}
+max_velocity = 900.0
+""",
+        encoding="utf-8",
+    )
+    return load_machine(path)
+
+
+def assert_true(found: Identification) -> None:
+    """Every number is within three deviations of the truth, the inertia within 1 %, and nothing acts on the axis."""
+    numbers = {number.name: number for number in found.numbers}
+    for name, truth in (("mass", INERTIA), ("coulomb", LEVEL), ("viscous", VISCOUS)):
+        number = numbers[name]
+        assert abs(number.value - truth) <= 3.0 * number.std, (name, number)
+    assert abs(numbers["mass"].value - INERTIA) <= 0.01 * INERTIA
+    assert not [name for name in numbers if "." in name]
+
+
+@pytest.mark.parametrize(("rate", "lateness", "cutoff", "seed"), [(1000.0, 0.9, 100.0, 1), (500.0, 0.5, 80.0, 2)])
+def test_a_low_pass_that_biases_the_inertia_is_replaced_and_said(
+    rate: float, lateness: float, cutoff: float, seed: int, tmp_path: Path
+) -> None:
+    log = spinning_axis(rate, lateness, seed)
+    found = identify([log], Wanted("axis", like=like(tmp_path, rate, cutoff)))
+    assert_true(found)
+    said = [warning for warning in found.warnings if f"in place of {cutoff:g} Hz" in warning]
+    assert len(said) == 1 and re.search(r"inertia \d+% too small", said[0])
+    assert found.machine.sampling.velocity_cutoff < cutoff
+
+
+def test_a_low_pass_that_biases_nothing_is_kept(tmp_path: Path) -> None:
+    log = spinning_axis(1000.0, 0.0, 3)
+    found = identify([log], Wanted("axis", like=like(tmp_path, 1000.0, 100.0)))
+    assert_true(found)
+    assert found.machine.sampling.velocity_cutoff == 100.0
+    assert not [warning for warning in found.warnings if "in place of" in warning]
