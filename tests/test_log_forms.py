@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from scipy.io import savemat
 from cli_cases import refused, run
 from sgms_mhe.api.inputs import read_log
 from sgms_mhe.configuration import load_machine
+from sgms_mhe.logfiles import text
 from sgms_mhe.logfiles.names import is_usual
 from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import understand
@@ -355,3 +357,36 @@ def test_a_torque_of_two_values_is_no_saturation(level: float, period: float, tm
     clipped = driven(swing)
     cut = replace(clipped, force_N=np.clip(swing, -1.2 * level, 1.2 * level))
     assert any("saturated" in warning for warning in prepare(machine, cut).warnings)
+
+
+# --- compressed texts -----------------------------------------------------------------------------------------------
+
+
+def test_a_compressed_text_is_read_as_it_is(tmp_path: Path) -> None:
+    plain = write(tmp_path / "log.csv", **own(rotor(3)))
+    packed = tmp_path / "log.csv.gz"
+    packed.write_bytes(gzip.compress(plain.read_bytes()))
+    a, b = read_log(plain), read_log(packed)
+    assert np.array_equal(a.position_m, b.position_m) and np.array_equal(a.force_N, b.force_N)
+
+
+@pytest.mark.parametrize("keep", [0, 6, 3000, -4])
+def test_a_damaged_compressed_text_is_refused(keep: int, tmp_path: Path) -> None:
+    packed = tmp_path / "log.csv.gz"
+    content = gzip.compress(write(tmp_path / "log.csv", **own(rotor(3))).read_bytes())
+    packed.write_bytes(content[:keep] if keep else b"no gzip at all")
+    said = refused("inspect", packed)
+    assert "log.csv.gz" in said and "a text that gzip compressed, whole" in said
+
+
+def test_a_compressed_text_that_no_memory_holds_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(text, "LARGEST", 1000)
+    packed = tmp_path / "log.csv.gz"
+    packed.write_bytes(gzip.compress(write(tmp_path / "log.csv", **own(rotor(3))).read_bytes()))
+    with pytest.raises(InputError, match="more than 1000 bytes"):
+        read_log(packed)
+
+
+def test_another_compressed_format_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / "log.mat.gz").write_bytes(gzip.compress(b"x"))
+    assert "texts also with .gz after it" in refused("inspect", tmp_path / "log.mat.gz")

@@ -22,7 +22,7 @@ from sgms_mhe.logfiles.quantities import integrate, si_values
 from sgms_mhe.logfiles.resampling import Resampling, resample
 from sgms_mhe.logfiles.sources import Source, choose_sources
 from sgms_mhe.logfiles.table import Array, Column, Table
-from sgms_mhe.logfiles.text import read_text
+from sgms_mhe.logfiles.text import COMPRESSED, read_text
 from sgms_mhe.logfiles.timing import Timing, check_uniform, measure_time
 from sgms_mhe.machine import OF_KIND, QUANTITIES, REQUIRED, Kind, LogMapping, Machine
 from sgms_mhe.signals.logs import JITTER, Log, check_rate
@@ -240,8 +240,12 @@ def _join(table: Table, file: str, other: Table) -> Table:
 
 def _read_file(path: Path, mapping: LogMapping | None, least: int) -> Table:
     suffix = path.suffix.lower()
+    if suffix == COMPRESSED and Path(path.stem).suffix.lower() in TEXTS:
+        suffix = Path(path.stem).suffix.lower()
     if suffix not in READERS and suffix not in TEXTS:
-        allowed = f"a log with one of the suffixes {', '.join((*TEXTS, *READERS))}"
+        allowed = (
+            f"a log with one of the suffixes {', '.join((*TEXTS, *READERS))}; texts also with {COMPRESSED} after it"
+        )
         raise InputError(path, "file name", path.name, allowed)
     try:
         return read_text(path, mapping, least) if suffix in TEXTS else READERS[suffix](path)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -16,13 +19,18 @@ from sgms_mhe.logfiles.table import Array, Table, columns_of
 from sgms_mhe.machine import LogMapping
 from sgms_mhe.support.errors import InputError
 
+COMPRESSED: Final = ".gz"
+"""Suffix after that of a text that gzip compressed."""
+LARGEST: Final = 2**30
+"""Bytes of a compressed text: a few kilobytes may claim to be more than any memory holds."""
+
 
 def read_text(path: Path, hints: LogMapping | None, least: int = 2) -> Table:
     """The table of a text whose rows have `least` values or more.
 
     Raises InputError, with what to write where; OSError as open does.
     """
-    text, encoding = decode(path, path.read_bytes(), None if hints is None else hints.encoding)
+    text, encoding = decode(path, _content(path), None if hints is None else hints.encoding)
     dialect = find_dialect(path, text, hints, least)
     cells = Cells(path, dialect, hints)
     notes = []
@@ -55,6 +63,20 @@ def read_text(path: Path, hints: LogMapping | None, least: int = 2) -> Table:
 
 
 _PROBE = 1000
+
+
+def _content(path: Path) -> bytes:
+    """Bytes of the text. Raises InputError for a compressed one that is damaged or too large; OSError as open does."""
+    if path.suffix.lower() != COMPRESSED:
+        return path.read_bytes()
+    try:
+        with gzip.open(path) as stream:
+            content = stream.read(LARGEST + 1)
+    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+        raise InputError(path, "file", str(error), "a text that gzip compressed, whole") from None
+    if len(content) > LARGEST:
+        raise InputError(path, "file", f"more than {LARGEST} bytes", "a smaller text, or parquet, HDF5 or MDF")
+    return content
 
 
 class Cells:
