@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+import sgms_mhe
 from cli_cases import done, refused
 from sgms_bench.studies.identification import identified_axis
 from sgms_mhe.configuration import load_machine, make_machine
@@ -395,6 +396,30 @@ def test_axes_drawn_at_random(seed: int) -> None:
     errors = np.abs(list(row["hits"].values()))
     assert np.mean(errors <= 2.0) >= 0.8
     assert errors.max() < 4.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("rise", "seed"), [(4e-3, 4), (9e-3, 5)])
+def test_a_level_that_is_not_reached_is_open(rise: float, seed: int) -> None:
+    """The motion ends below the Stribeck velocity: level and rise go together, and their intervals say so."""
+    truth: dict[str, Any] = {"coulomb": 6.5, "viscous": 35.0, "stribeck_ratio": 0.15, "stribeck_velocity": rise}
+    machine = make_machine(
+        {
+            "name": "slow",
+            "plant": {"mass": 12.0},
+            "friction": {"law": "switching", "stiffness": [2.5e5, 6e4, 2e4], "fraction": [0.2, 0.3, 0.5], **truth},
+            "sampling": {"rate": 4000.0, "update_rate": 100.0, "velocity_cutoff": 400.0},
+            "estimator": {"parameters": ["coulomb"]},
+        },
+        Path("slow.toml"),
+    )
+    record = sgms_mhe.simulate(machine, "long_mixed", duration_s=12.0, seed=seed).log
+    found = identify([record], Wanted("slow", mass=12.0))
+    numbers = {number.name: number for number in found.numbers}
+    for name, value in truth.items():
+        assert abs(numbers[name].value - value) <= 3.0 * numbers[name].std, (name, numbers[name])
+    assert not numbers["stribeck_velocity"].determined
+    assert any("no motion is faster than" in sentence for sentence in found.limits)
 
 
 # --- refusals ---------------------------------------------------------------------------------------------------

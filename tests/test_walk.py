@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,6 +24,17 @@ def steps() -> list[list[str]]:
     """Commands of the page by its steps."""
     block = PAGE.read_text(encoding="utf-8").partition("```sh\n")[2].partition("```")[0]
     return [[line for line in step.splitlines() if line and not line.startswith("#")] for step in block.split("\n\n")]
+
+
+def assert_holds_the_truth(toml: str) -> None:
+    """Each interval of the file, of two deviations, holds the simulated number within three."""
+    source = (ROOT / "examples" / "walk" / "export_trace.py").read_text(encoding="utf-8")
+    truth = tomllib.loads(source.partition('"""\nname')[2].partition('"""')[0].partition("\n")[2])
+    stated = re.findall(r"^(\w+) = (\S+) +#.*[: ](\S+) \+- ([^\s,]+)", toml, re.MULTILINE)
+    for name, written, value, interval in stated:
+        number = {**truth["plant"], **truth["friction"]}[name]
+        assert abs(float(value) - number) <= 1.5 * float(interval), (name, written, value, interval, number)
+    assert {name for name, *_ in stated} >= {"mass", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity"}
 
 
 @pytest.mark.needs_arm
@@ -48,6 +60,7 @@ def test_from_a_trace_to_firmware(require_tool: Callable[[str], str], tmp_path: 
     said = [[typed(line) for line in step] for step in steps()]
     assert len(said) == 6
     assert re.search(r"unit row +yes", said[0][1]) and re.search(r"decimal mark +comma", said[0][1])
+    assert_holds_the_truth((tmp_path / "my_axis.toml").read_text(encoding="utf-8"))
     diagnosis = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text())
     assert diagnosis["verdict"] == "adequate"
 

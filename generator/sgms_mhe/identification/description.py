@@ -24,6 +24,8 @@ KNOWN: Final = 0.25
 ROUNDING: Final = 1e-12
 NEXT_TO_NOTHING: Final = 1.01
 """Of the smallest break-away distance that the encoder tells: no larger, and it is none."""
+RISE_SURE: Final = 2.0
+"""Standard deviations above its value that a Stribeck velocity may have."""
 STAND_IN: Final = "not determined: a stand-in"
 AMBIGUOUS: Final = "ambiguous"
 SLID: Final = 0.25
@@ -231,8 +233,9 @@ def list_limits(
             f"{found.fit.cross_rms:.3g} {units.force} are left); sgms is the default. {_needed('stiffness')}"
         )
     unknown = {number.name for number in numbers if not number.determined}
+    slow = _too_slow(final, view, units)
     said += [
-        f"{name}: not determined{_reason(name, CONTROLLED[name][0] in unexcited)}"
+        f"{name}: not determined{slow or _reason(name, CONTROLLED[name][0] in unexcited)}"
         for name in ("coulomb", "viscous", "stribeck")
         if unknown & set(CONTROLLED[name])
     ]
@@ -289,6 +292,17 @@ def _late(final: FinalIdentification, view: RecordView, units: Units) -> list[st
         f"the {units.push} comes {1e3 * abs(late):.2g} ms {which} the motion that it makes: {size:.2g} {units.force} "
         "rms the file has not; sgms-mhe diagnose tells a delay from a lag"
     ]
+
+
+def _too_slow(final: FinalIdentification, view: RecordView, units: Units) -> str:
+    """Return that the rise towards low speed may go on beyond the fastest motion; empty where it is over before."""
+    fastest, velocity = view.rows.extents.speed, final.numbers.get("stribeck_velocity")
+    if velocity is None or velocity.value + RISE_SURE * velocity.std <= fastest:
+        return ""
+    return (
+        f": no motion is faster than {fastest:.2g} {units.velocity}, where the rise towards low speed may not be over. "
+        f"{_needed('stribeck')}"
+    )
 
 
 def _reason(name: str, is_unexcited: bool) -> str:

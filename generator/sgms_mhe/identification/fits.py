@@ -38,8 +38,8 @@ WIDER: Final = 4.0
 """Beyond the grid's largest distance, as a factor, distances are not followed."""
 FINER: Final = 100.0
 """Below its smallest: that an element breaks away before an encoder sees it must not make it break away late."""
-STRIBECK: Final = (1e-4, 0.5)
-"""Stribeck velocities that a record can tell, over its fastest speed."""
+STRIBECK: Final = (1e-4, 5.0)
+"""Stribeck velocities that a fit follows, over the fastest speed: beyond that, the intervals say what is open."""
 
 
 @dataclass(frozen=True, eq=False)
