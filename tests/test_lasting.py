@@ -2,15 +2,144 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from sgms_bench.studies.faults import VARIANTS
 from sgms_bench.studies.lasting import ERRORS, MOTIONS, TRIED, LastingOutcome, erroneous_record, lasting_outcome
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.host.compiled import CompiledEstimator
+from sgms_mhe.reference import estimate_reference
+from sgms_mhe.reference.lasting import InnovationColour, LastingErrors, ParameterWander
+from sgms_mhe.reference.readings import Innovation
+
+Array = NDArray[np.float64]
 
 
 def outcome(name: str, motion: str = "mixed", variant: str = "ekf double", duration_s: float = 8.0) -> LastingOutcome:
     error = next(error for error in TRIED if error.name == name)
     return lasting_outcome(erroneous_record(error, motion, 0, duration_s), motion, variant)
+
+
+# --- the two factors, against sums written out ---------------------------------------------------------------------
+
+
+def intervals(standards: Array, needs: Array, measurements: int) -> list[list[Innovation]]:
+    pairs = [Innovation(float(z), float(need)) for z, need in zip(standards, needs, strict=True)]
+    return [pairs[k : k + measurements] for k in range(0, len(pairs), measurements)]
+
+
+def colour_of(standards: Array, needs: Array, measurements: int = 4) -> InnovationColour:
+    colour = InnovationColour(50.0 * measurements)
+    for interval in intervals(standards, needs, measurements):
+        colour.take(interval)
+    return colour
+
+
+def test_colour_is_the_mean_of_squared_sums_with_their_information() -> None:
+    """Seven blocks of 50 intervals and a part of one; each is forgotten by 2.5 % with every later one."""
+    rng = np.random.default_rng(0)
+    n, blocks = 4 * 50, 7
+    standards, needs = rng.standard_normal(n * blocks + 30) + 0.4, 1.0 + rng.exponential(3.0, n * blocks + 30)
+    weights = 0.975 ** np.arange(blocks - 1, -1, -1)
+    parts = [slice(k * n, (k + 1) * n) for k in range(blocks)]
+    squares = np.array([min(standards[part].sum() ** 2 / n, 100.0) for part in parts])
+    information = np.array([np.sum(1.0 / needs[part]) for part in parts])
+    first = 0.975**blocks * n
+    mean = (first + np.sum(weights * squares * information)) / (first + np.sum(weights * information))
+    assert mean > 3.0
+    assert colour_of(standards, needs).factor == pytest.approx(mean / 1.5, rel=1e-12)
+
+
+def test_independent_innovations_have_no_colour_and_alike_ones_have() -> None:
+    rng = np.random.default_rng(1)
+    white = rng.standard_normal(200 * 200)
+    assert colour_of(white, np.ones_like(white)).factor == 1.0
+    # Of an AR(1) sequence with coefficient a the sum's variance is (1 + a)/(1 - a) times that of independent ones.
+    coloured = np.empty_like(white)
+    coloured[0] = white[0]
+    for k in range(1, len(white)):
+        coloured[k] = 0.8 * coloured[k - 1] + 0.6 * white[k]
+    assert colour_of(coloured, np.ones_like(white)).factor == pytest.approx(9.0 / 1.5, rel=0.3)
+
+
+def test_a_fault_that_is_over_counts_for_little() -> None:
+    """Measurements that were weighed down by 300 brought no information, and their colour says nothing of the rest."""
+    rng = np.random.default_rng(2)
+    standards, needs = rng.standard_normal(200 * 20), np.ones(200 * 20)
+    fault = slice(200 * 10, 200 * 12)
+    standards[fault], needs[fault] = 3.0, 300.0
+    assert colour_of(standards, needs).factor < 1.1
+    assert colour_of(standards, np.ones_like(needs)).factor > 5.0
+
+
+def test_intervals_without_measurements_are_no_block() -> None:
+    colour = InnovationColour(100.0)
+    for _ in range(120):
+        colour.take([])
+    assert colour.factor == 1.0 and colour.information == 100.0
+
+
+def test_wander_is_the_mean_square_about_a_mean_with_information() -> None:
+    rng = np.random.default_rng(3)
+    theta, variance = 1.0 + 0.1 * rng.standard_normal((300, 2)), rng.uniform(1e-4, 1e-2, (300, 2))
+    wander = ParameterWander.none(2)
+    expected = []
+    for k in range(len(theta)):
+        wander.take(theta[k], variance[k])
+        forgotten = 0.9995 ** np.arange(k, -1, -1.0)[:, None]
+        about = np.sum(forgotten * theta[: k + 1] / variance[: k + 1], axis=0)
+        about /= np.sum(forgotten / variance[: k + 1], axis=0)
+        expected.append((theta[k] - about) ** 2 / variance[k])
+    forgotten = 0.9995 ** np.arange(len(theta) - 1, -1, -1.0)[:, None]
+    ratio = np.sum(forgotten * expected, axis=0) / np.sum(forgotten)
+    assert np.all(ratio > 1.0)
+    np.testing.assert_allclose(wander.factor, ratio, rtol=1e-12)
+
+
+def test_factors_are_one_where_measurements_count_as_stated() -> None:
+    for enabled in (False, True):
+        errors = LastingErrors(2, 1, enabled=enabled)
+        for k in range(100):
+            errors.take([Innovation(3.0, 1.0)], np.array([1.0, 1.0 + 0.1 * (k > 50)]), np.full(2, 1e-6))
+        assert errors.doubts == enabled
+        assert np.all(errors.spread > 2.0) == enabled
+        assert enabled or np.all(errors.spread == 1.0)
+
+
+# --- C against the reference ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize(
+    "estimator",
+    [
+        pytest.param({"relinearise": "all", "horizon": 8}, id="all"),
+        pytest.param({"relinearise": "auto"}, id="auto"),
+        pytest.param({"relinearise": "newest"}, id="newest"),
+        pytest.param({"kind": "ekf"}, id="ekf"),
+        pytest.param({"kind": "ekf", "parameters": ["stiffness", "coulomb"]}, id="ekf and level"),
+    ],
+)
+def test_emitted_deviations_are_those_of_the_reference(estimator: dict[str, Any], precision: str) -> None:
+    """Under an offset and cogging, which widen the deviations of all parameters."""
+    machine = override_machine(load_machine("etel_xy"), {"estimator": estimator, "code": {"precision": precision}})
+    signals = erroneous_record(ERRORS[-1], "paper", 0, 4.0).signals
+    expected, found = estimate_reference(machine, signals), CompiledEstimator(machine).estimate(signals)
+    tolerance = 1e-9 if precision == "double" else 2e-3
+    for name in ("parameters", "std"):
+        reference = getattr(expected, name)
+        off = np.max(np.abs(getattr(found, name) - reference)) / np.max(np.abs(reference))
+        assert off < tolerance, f"{name}: {off:.1e}"
+    np.testing.assert_array_equal(found.status, expected.status)
+    as_stated = override_machine(machine, {"estimator": {"noise": {"self_scaling": False}}})
+    assert np.all(expected.std[-1] > 1.5 * estimate_reference(as_stated, signals).std[-1])
+
+
+# --- what is stated ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
@@ -19,6 +148,24 @@ def test_without_an_error_the_deviations_hold(motion: str) -> None:
     assert found.beyond[1] == found.silent == found.doubted == 0.0
     assert found.covered > 0.93
     assert found.friction < 0.02
+
+
+def test_deviations_without_an_error_are_those_of_the_covariance() -> None:
+    """Nothing is added where there is nothing: the mean deviation is within a percent of that of the plain filter."""
+    record = erroneous_record(TRIED[0], "mixed", 0, 8.0)
+    machine = override_machine(load_machine("etel_xy"), VARIANTS["ekf double"])
+    plain = override_machine(machine, {"estimator": {"noise": {"self_scaling": False}}})
+    stated, expected = (CompiledEstimator(each).estimate_log(record.run.log).std for each in (machine, plain))
+    assert np.mean(stated[300:] / expected[300:]) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("name", ["force's gain 1.005", "force's gain 1.02", "mass 1 % more", "viscous 20 % more"])
+@pytest.mark.parametrize("variant", ["mhe double", "ekf single"])
+def test_deviations_hold_under_an_error_that_stays(name: str, variant: str) -> None:
+    """All of these are beyond three deviations of the covariance for most of the time."""
+    found = outcome(name, variant=variant, duration_s=12.0)
+    assert found.beyond[1] < 0.02
+    assert found.doubted > 0.9
 
 
 def test_an_error_is_in_the_log_and_in_the_count() -> None:

@@ -43,7 +43,7 @@ UNBOUNDED: dict[str, Any] = {"parameters": ["stiffness", "coulomb"], "bounds": {
 TOLERANCE = {"double": 1e-6, "single": 2e-3}
 """Of parameters over nominal; what the packages' comparison with the reference allows."""
 HELD = 1e-6
-FORMAT = 1
+FORMAT = 2
 
 
 def settings_of(kind: str = "all", precision: str = "double", **changes: Any) -> Machine:
@@ -86,6 +86,7 @@ class Package:
                 ("machine", ctypes.c_uint32 * 2),
                 ("theta", real * n_p),
                 ("root", real * (n_p * (n_p + 1) // 2)),
+                ("spread", real * n_p),
                 ("ratio", real),
             )
 
@@ -355,6 +356,7 @@ def test_parameters_change_underway(kind: str, way: str, package: Any) -> None:
     root[np.triu_indices(n_p)] = saved.root
     covariance = np.linalg.inv(root.T @ root)
     theta = np.array(saved.theta)
+    covariance += np.diag((np.array(saved.spread) - 1.0) * np.diag(covariance))
     assert way == "let go" or abs(covariance[0, 1]) > 0.1 * np.sqrt(covariance[0, 0] * covariance[1, 1])
     sd = {"hold": HELD, "set": 0.03, "let go": Weights.of(p.model).parameter[0]}[way]
     theta[0] = 1.3 if way == "set" else theta[0]
@@ -430,7 +432,8 @@ def test_loaded_axis_gives_what_the_reference_gives(kind: str, precision: str, p
     covariance = np.linalg.inv(root.T @ root)
     prior, pause = Weights.of(p.model).parameter, p.defaults().pause
     assert pause == pytest.approx(0.25 * prior[0])
-    grown = np.minimum(pause**2, np.maximum(0.0, prior**2 - np.diag(covariance)))
+    spread = (np.array(saved.spread) - 1.0) * np.diag(covariance)
+    grown = np.minimum(pause**2 + spread, np.maximum(0.0, prior**2 - np.diag(covariance)))
     start = Start(np.zeros(p.model.n_x), np.array(saved.theta), covariance + np.diag(grown), saved.ratio)
     p.agrees(p.run(loaded, log), reference(p, signals_from_log(log, p.machine), start=start))
 
@@ -500,6 +503,9 @@ def test_every_flipped_bit_is_refused_and_leaves_a_fresh_axis(package: Any) -> N
         ("beyond a bound", {"theta": (1.0, 5.1)}),
         ("no ratio", {"ratio": np.nan}),
         ("no ratio that can be", {"ratio": -1.0}),
+        ("no spread", {"spread": (1.0, np.nan)}),
+        ("an infinite spread", {"spread": (np.inf, 1.0)}),
+        ("a spread that narrows", {"spread": (0.9, 1.0)}),
     ],
 )
 def test_sealed_nonsense_is_refused(what: str, change: dict[str, Any], package: Any) -> None:
@@ -554,3 +560,44 @@ def test_saved_once_and_loaded_is_saved_the_same(package: Any) -> None:
     saved = p.saved(memory)
     assert p.init_with(axis, ctypes.byref(settings)) == 0 and p.load(axis, ctypes.byref(saved)) == 0
     assert bytes(p.saved(axis)) == bytes(saved)
+
+
+@lru_cache
+def contradicted() -> Log:
+    """A log with a force that the model has not."""
+    log = log_of(200)
+    return replace(log, force_N=log.force_N + 2.0 * np.sin(2.0 * np.pi * log.time_s / 3.0))
+
+
+def covariance_of(saved: Any, n_p: int) -> Array:
+    root = np.zeros((n_p, n_p))
+    root[np.triu_indices(n_p)] = saved.root
+    return np.linalg.inv(root.T @ root)
+
+
+@pytest.mark.parametrize(("kind", "precision"), [("all", "double"), ("auto", "single"), ("ekf", "double")])
+def test_spread_is_stated_saved_loaded_and_kept_by_what_is_set(kind: str, precision: str, package: Any) -> None:
+    """What the model's errors add to the variances stays in them whenever the window starts anew."""
+    p: Package = package(kind, precision)
+    memory, n_p, prior = p.new(), p.model.n_p, Weights.of(p.model).parameter
+    nominal, rtol = np.array([q.nominal for q in p.model.parameters]), {"double": 1e-9, "single": 1e-3}[precision]
+    rows = p.run(memory, contradicted())
+    saved = p.saved(memory)
+    spread, variance = np.array(saved.spread), np.diag(covariance_of(saved, n_p))
+    assert np.all(spread > 1.5), spread
+    np.testing.assert_allclose(rows[-1, -n_p:] / nominal, np.sqrt(variance * spread), rtol=rtol)
+    widened = variance + np.minimum((spread - 1.0) * variance, np.maximum(0.0, prior**2 - variance))
+
+    loaded, settings = p.new(), p.defaults()
+    settings.pause = 0.0
+    assert p.init_with(loaded, ctypes.byref(settings)) == 0 and p.load(loaded, ctypes.byref(saved)) == 0
+    again = p.saved(loaded)
+    np.testing.assert_allclose(np.diag(covariance_of(again, n_p)), widened, rtol=rtol)
+    np.testing.assert_array_equal(np.array(again.spread), 1.0)
+
+    assert p.hold(memory, 0, 1) == 0
+    held = p.saved(memory)
+    np.testing.assert_allclose(np.diag(covariance_of(held, n_p)), [HELD**2, widened[1]], rtol=rtol)
+    np.testing.assert_array_equal(np.array(held.spread), 1.0)
+    assert p.hold(memory, 0, 1) == 0
+    np.testing.assert_allclose(np.diag(covariance_of(p.saved(memory), n_p)), [HELD**2, widened[1]], rtol=rtol)

@@ -107,6 +107,98 @@ static sgms_real growth_of(const etel_xy_t *self, int p, sgms_real wanted, sgms_
     return sgms_sqrt(sgms_fmin(wanted, sgms_fmax(0.0, most * most - variance)));
 }
 
+/* Grow the variances in a root by that of a pause, and to the spread that is stated. */
+static SGMS_COLD void widen_root(const etel_xy_t *self, sgms_real *square,
+    const sgms_real *variance, const sgms_real *spread, sgms_real pause)
+{
+    sgms_real growth[PARAMETERS], scratch[ROOT_WIDTH];
+    for (int p = 0; p < PARAMETERS; p++) {
+        growth[
+            p] = growth_of(self, p, pause * pause + (spread[p] - 1.0) * variance[p], variance[p]);
+    }
+    sgms_qr_grow(square, PARAMETERS, PARAMETERS, growth, scratch);
+}
+
+/* Errors of the model that stay make the variances of theta too small: they colour the innovations,
+ * whose sums over a block are then larger than those of independent ones, and parameters wander
+ * farther than their variances say. Factors on these variances, 1 where there is no such error,
+ * tell of both. */
+
+static void start_lasting(etel_xy_t *self)
+{
+    fill(self->lasting.block, 0.0, 3);
+    self->lasting.intervals = 0;
+    self->lasting.squares = COLOUR_FIRST;
+    self->lasting.information = COLOUR_FIRST;
+    fill(self->lasting.mean, 0.0, PARAMETERS);
+    fill(self->lasting.weight, 0.0, PARAMETERS);
+    fill(self->lasting.ratio, 0.0, PARAMETERS);
+    self->lasting.updates = 0.0;
+}
+
+/* Take an innovation of the newest interval in: over its predicted deviation, with the factor on
+ * its variance in use. */
+static void take_innovation(etel_xy_t *self, sgms_real innovation, sgms_real ratio, sgms_real need)
+{
+    const sgms_real size = sgms_sqrt(sgms_fmin(ratio, RATIO_FREE));
+    self->lasting.interval[0] += innovation < 0.0 ? -size : size;
+    self->lasting.interval[1] += 1.0 / need;
+    self->lasting.interval[2] += 1.0;
+}
+
+/* Take the newest interval into the block: the square of a sum of independent innovations is their
+ * number on average. Its mean over blocks weighs each with its information, so that a fault that is
+ * over counts for little. */
+static void take_colour(etel_xy_t *self)
+{
+    sgms_real *const block = self->lasting.block;
+    for (int i = 0; i < 3; i++) {
+        block[i] += self->lasting.interval[i];
+    }
+    self->lasting.intervals++;
+    if (self->lasting.intervals == COLOUR_BLOCK) {
+        if (block[2] > 0.0) {
+            const sgms_real square = sgms_fmin(block[0] * block[0] / block[2], COLOUR_MOST);
+            self->lasting.squares += square * block[1] - COLOUR_FORGETS * self->lasting.squares;
+            self->lasting.information += block[1] - COLOUR_FORGETS * self->lasting.information;
+        }
+        fill(block, 0.0, 3);
+        self->lasting.intervals = 0;
+    }
+}
+
+/* Take an estimate in: mean square of theta about its own slow mean, over its variance. That mean
+ * weighs theta with its information: what was unknown at first counts for little. */
+static void take_wander(etel_xy_t *self, const sgms_real *theta, const sgms_real *variance)
+{
+    self->lasting.updates += 1.0 - WANDER_FORGETS * self->lasting.updates;
+    for (int p = 0; p < PARAMETERS; p++) {
+        if (!self->estimate.held[p]) {
+            const sgms_real information = 1.0 / variance[p];
+            sgms_real away;
+            self->lasting.weight[p] += information - WANDER_FORGETS * self->lasting.weight[p];
+            self->lasting.mean[p] += information / self->lasting.weight[p] *
+                (theta[p] - self->lasting.mean[p]);
+            away = theta[p] - self->lasting.mean[p];
+            self->lasting.ratio[p] += (away * away * information - self->lasting.ratio[p]) /
+                self->lasting.updates;
+        }
+    }
+}
+
+/* Factors on the variances of theta, none on that of a held one. Returns the largest. */
+static sgms_real find_spread(const etel_xy_t *self, sgms_real *spread)
+{
+    const sgms_real colour = self->lasting.squares / (self->lasting.information * COLOUR_FREE);
+    sgms_real largest = 1.0;
+    for (int p = 0; p < PARAMETERS; p++) {
+        spread[p] = self->estimate.held[p] ? 1.0 : sgms_fmax(1.0, colour) *
+            sgms_fmax(1.0, self->lasting.ratio[p]);
+        largest = sgms_fmax(largest, spread[p]);
+    }
+    return largest;
+}
+
 /* Factor of the prior: independent normal deviates about (x, theta). */
 static void set_factor(
     const etel_xy_t *self, sgms_real *factor, const sgms_real *inverse_sd, const sgms_real *x)
@@ -146,6 +238,7 @@ static void start_interval(etel_xy_t *self)
     self->input.count = 0;
     fill(self->input.merged, 0.0, SIGNALS);
     self->interval.path[self->interval.filling] = 0.0;
+    fill(self->lasting.interval, 0.0, 3);
     self->interval.too_fast = 0;
     self->sweep.cursor = 0;
     self->inner.arrived = 0;
@@ -212,6 +305,8 @@ static void start_fresh(etel_xy_t *self)
         self->estimate.held[p] = 0;
     }
     start_window(self, zero, NULL);
+    start_lasting(self);
+    fill(self->estimate.spread, 1.0, PARAMETERS);
     copy(self->estimate.state, zero, STATES);
     copy(self->estimate.theta, self->parameters.theta, PARAMETERS);
     prior_root(self, self->estimate.root);
@@ -237,6 +332,7 @@ void etel_xy_reset(etel_xy_t *self)
     start_signals(self);
     copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
     start_window(self, zero, NULL);
+    start_lasting(self);
 }
 
 /* Friction force [N] at state x and the newest signals. */
@@ -318,6 +414,7 @@ static sgms_real weigh_row(etel_xy_t *self, const sgms_real *row)
             sgms_fmax(self->innovations.ratio_fast, self->innovations.ratio_slow));
         const sgms_real sd = sgms_sqrt(stated * stated + (need - 1.0) * predicted);
         self->innovations.newest.noise_scale = sd / stated;
+        take_innovation(self, innovation, ratio, need);
         return 1.0 / sd;
     }
 }
@@ -789,6 +886,7 @@ static int start_again(etel_xy_t *self, int status, int numeric)
     copy(w, self->input.signal, SIGNALS);
     copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
     start_window(self, self->estimate.state, NULL);
+    start_lasting(self);
     copy(self->window.signal, w, SIGNALS);
     self->window.weight[0] = 0.0;
     self->window.friction[0] = 0.0;
@@ -834,12 +932,20 @@ static int shift_window(etel_xy_t *self, int *status)
     return next;
 }
 
+/* True if measurements contradict the model, or make the largest factor on a variance too large. */
+static int is_doubted(const etel_xy_t *self, sgms_real spread)
+{
+    return self->innovations.ratio_fast > DOUBTED_FAST ||
+        self->innovations.ratio_slow > DOUBTED_SLOW || spread > DOUBTED_SPREAD;
+}
+
 /* The update of a complete interval. Returns its status. */
 static int update(etel_xy_t *self)
 {
     sgms_real x[STATES], theta[PARAMETERS], variance[PARAMETERS], scratch[PARAMETERS];
     sgms_real friction = 0.0, weight = 0.0; /* of the newest measurement; 0: none */
     int numeric, status = 0, next = 0;
+    sgms_real spread[PARAMETERS];
     while (next_cost(self) > 0) {
         work(self);
     }
@@ -865,12 +971,18 @@ static int update(etel_xy_t *self)
         return start_again(self, ETEL_XY_NUMERIC, numeric);
     }
     copy(self->parameters.theta, theta, PARAMETERS);
+    if (self->interval.path[self->interval.filling] >= HOLD_PATH) {
+        take_colour(self);
+        take_wander(self, theta, variance);
+    }
+    status += is_doubted(self, find_spread(self, spread)) ? ETEL_XY_DOUBT : 0;
     self->calls.version++;
     SGMS_FENCE();
     copy(self->estimate.state, x, STATES);
     copy(self->estimate.theta, theta, PARAMETERS);
     keep_root(self->sweep.factor, self->estimate.root);
     self->estimate.ratio = self->innovations.ratio_slow;
+    copy(self->estimate.spread, spread, PARAMETERS);
     self->estimate.friction = friction;
     self->estimate.friction_measured = self->interval.friction;
     self->estimate.reading = self->innovations.newest;
@@ -880,8 +992,6 @@ static int update(etel_xy_t *self)
     status += self->interval.is_valid ? 0 : ETEL_XY_MISSING;
     status += self->interval.path[self->interval.filling] < HOLD_PATH ? ETEL_XY_HOLD : 0;
     status += self->interval.too_fast ? ETEL_XY_SPEED : 0;
-    status += self->innovations.ratio_fast > DOUBTED_FAST ||
-        self->innovations.ratio_slow > DOUBTED_SLOW ? ETEL_XY_DOUBT : 0;
     status += self->interval.lost ? ETEL_XY_OVERRUN : 0;
     self->interval.lost = 0;
     next = shift_window(self, &status);
@@ -1069,7 +1179,8 @@ void etel_xy_estimate(const etel_xy_t *self, etel_xy_estimate_t *estimate)
         unpack_root(self->estimate.root, root);
         sgms_variances(root, PARAMETERS, ROOT_WIDTH, variance, scratch);
         for (int p = 0; p < PARAMETERS; p++) {
-            estimate->deviation[p] = sgms_sqrt(variance[p]) * parameter_unit[p];
+            estimate->deviation[p] =
+                sgms_sqrt(variance[p] * self->estimate.spread[p]) * parameter_unit[p];
         }
         estimate->innovation = self->estimate.reading.innovation;
         estimate->test_ratio = self->estimate.reading.test_ratio;
@@ -1244,22 +1355,27 @@ static SGMS_COLD void start_with(etel_xy_t *self, int p, sgms_real theta, const 
     self->calls.version++;
     SGMS_FENCE();
     self->estimate.theta[p] = theta;
+    fill(self->estimate.spread, 1.0, PARAMETERS);
     pack_root(square, self->estimate.root);
     self->estimate.status = ETEL_XY_FILLING;
     SGMS_FENCE();
     self->calls.version++;
     start_window(self, x, self->estimate.root);
+    start_lasting(self);
     copy(self->window.signal, w, SIGNALS);
     self->window.weight[0] = 0.0;
     self->window.friction[0] = 0.0;
     self->interval.started = started;
 }
 
-/* Set theta[p] with its own deviation; the others keep their information. */
+/* Set theta[p] with its own deviation; the others keep theirs. */
 static SGMS_COLD void set_theta(etel_xy_t *self, int p, sgms_real theta, sgms_real inverse_sd)
 {
     sgms_real square[PARAMETERS * ROOT_WIDTH], scratch[PARAMETERS];
+    sgms_real variance[PARAMETERS];
     unpack_root(self->estimate.root, square);
+    sgms_variances(square, PARAMETERS, ROOT_WIDTH, variance, scratch);
+    widen_root(self, square, variance, self->estimate.spread, 0.0);
     /* with its column in front, the rows below the first are the root of the others */
     for (int i = 0; i < PARAMETERS; i++) {
         sgms_real *const row = square + i * ROOT_WIDTH;
@@ -1337,6 +1453,7 @@ SGMS_COLD int etel_xy_save(const etel_xy_t *self, etel_xy_saved_t *saved)
         SGMS_FENCE();
         copy(saved->theta, self->estimate.theta, PARAMETERS);
         copy(saved->root, self->estimate.root, ETEL_XY_ROOT_SIZE);
+        copy(saved->spread, self->estimate.spread, PARAMETERS);
         saved->ratio = self->estimate.ratio;
         SGMS_FENCE();
         if (version % 2 == 0 && version == self->calls.version) {
@@ -1360,24 +1477,23 @@ static SGMS_COLD int is_whole(
     good = good && is_model(saved->theta);
     good = good && all_finite(variance, PARAMETERS) && saved->ratio >= 0.0 &&
         saved->ratio <= RATIO_MOST;
+    for (int p = 0; p < PARAMETERS; p++) {
+        good = good && saved->spread[p] >= 1.0 && is_size(saved->spread[p]);
+    }
     return good && within_bounds(self, saved->theta);
 }
 
 SGMS_COLD int etel_xy_load(etel_xy_t *self, const etel_xy_saved_t *saved)
 {
     const sgms_real zero[STATES] = { 0.0 };
-    sgms_real square[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], growth[PARAMETERS],
-        scratch[ROOT_WIDTH];
+    sgms_real square[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], scratch[PARAMETERS];
     start_fresh(self);
     unpack_root(saved->root, square);
     sgms_variances(square, PARAMETERS, ROOT_WIDTH, variance, scratch);
     if (!is_whole(self, saved, variance)) {
         return ETEL_XY_REFUSED;
     }
-    for (int p = 0; p < PARAMETERS; p++) {
-        growth[p] = growth_of(self, p, self->settings.pause * self->settings.pause, variance[p]);
-    }
-    sgms_qr_grow(square, PARAMETERS, PARAMETERS, growth, scratch);
+    widen_root(self, square, variance, saved->spread, self->settings.pause);
     copy(self->parameters.theta, saved->theta, PARAMETERS);
     copy(self->estimate.theta, saved->theta, PARAMETERS);
     pack_root(square, self->estimate.root);

@@ -10,11 +10,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()           11811
+ *   tick()           11813
  *   sample()          3358   insert() too
- *   prepare()       236917   in units of at most 3645
- *   feedback()       14041   after prepare()
- *   an update       565870   all calls of an interval
+ *   prepare()       237223   in units of at most 3645
+ *   feedback()       14349   after prepare()
+ *   an update       566178   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *
@@ -49,8 +49,14 @@
  *
  * When sensors fail: a measurement that is missing or not finite is left out (MISSING).
  * Measurements that contradict their predictions count less, with status DOUBT; learned parameters
- * stay, and their deviations say how accurate they are. The force fed forward is never beyond 48.96
- * N. A fault from the first sample on (a sign, a gain, a unit) is not recognised here.
+ * stay. The force fed forward is never beyond 48.96 N. A fault from the first sample on (a sign, a
+ * gain, a unit) is not recognised here.
+ *
+ * Deviations include noise, larger than stated too, and errors of the model that stay, as far as
+ * innovations are alike over half a second or parameters wander: a force gain, a mass or a level
+ * that is a little off. Beyond twice the variance such an error is DOUBT. They cannot include an
+ * error that moves with the axis as an element does, such as cogging within a break-away distance:
+ * there it is a stiffness.
  */
 #ifndef ETEL_XY_H
 #define ETEL_XY_H
@@ -69,8 +75,8 @@ typedef double etel_xy_position;
 #define ETEL_XY_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_MACHINE "9b508e6ff92b" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_check() */
-#define ETEL_XY_HEADER 0xb1ad94bfu
-#define ETEL_XY_SAVED_FORMAT 1u /* of etel_xy_saved_t, and the digest of the machine file again */
+#define ETEL_XY_HEADER 0xf66ea581u
+#define ETEL_XY_SAVED_FORMAT 2u /* of etel_xy_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SAVED_MACHINE_0 0x9b508e6fu
 #define ETEL_XY_SAVED_MACHINE_1 0xf92bu
 
@@ -179,6 +185,8 @@ typedef struct {
     uint32_t machine[2]; /* digest of the machine file */
     etel_xy_real theta[ETEL_XY_PARAMETERS];   /* over nominal */
     etel_xy_real root[ETEL_XY_ROOT_SIZE]; /* inverse: square root of their covariance */
+    /* factors on their variances, for errors of the model that stay */
+    etel_xy_real spread[ETEL_XY_PARAMETERS];
     etel_xy_real ratio; /* slow mean of test ratios */
 } etel_xy_saved_t;
 
@@ -228,9 +236,20 @@ typedef struct {
         etel_xy_real ratio_fast, ratio_slow;
         etel_xy_reading newest;
     } innovations;
+    struct { /* errors of the model that stay, of updates with motion */
+        etel_xy_real interval[3], block[3]; /* of the innovations: sum, information, number */
+        /* of blocks: squares of sums with their information, and that alone */
+        etel_xy_real squares, information;
+        /* slow mean of theta, its information */
+        etel_xy_real mean[ETEL_XY_PARAMETERS], weight[ETEL_XY_PARAMETERS];
+        /* square about it over the variance; weight of that */
+        etel_xy_real ratio[ETEL_XY_PARAMETERS], updates;
+        int32_t intervals; /* in the block */
+    } lasting;
     struct { /* last good one: feedback() writes it, estimate() and save() read it */
         etel_xy_real state[ETEL_XY_STATES], theta[ETEL_XY_PARAMETERS];
         etel_xy_real root[ETEL_XY_ROOT_SIZE], ratio;
+        etel_xy_real spread[ETEL_XY_PARAMETERS]; /* factors on the variances of the root, >= 1 */
         etel_xy_real friction, friction_measured;
         etel_xy_reading reading;
         uint32_t update;
@@ -327,7 +346,7 @@ int etel_xy_hold(etel_xy_t *self, int parameter, int on);
 int etel_xy_set_parameter(
     etel_xy_t *self, int parameter, etel_xy_real value, etel_xy_real deviation);
 
-/* Write the learned parameters, their covariance and test ratio. By any task, as
+/* Write the learned parameters, their covariance, its spread and test ratio. By any task, as
  * etel_xy_estimate(). OVERLAP: feedback() interrupted three times; load() then refuses it. */
 int etel_xy_save(const etel_xy_t *self, etel_xy_saved_t *saved);
 

@@ -6,11 +6,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()           11811
+ *   tick()           11813
  *   sample()          3358   insert() too
- *   prepare()       236917   in units of at most 3645
- *   feedback()       14041   after prepare()
- *   an update       565870   all calls of an interval
+ *   prepare()       237223   in units of at most 3645
+ *   feedback()       14349   after prepare()
+ *   an update       566178   all calls of an interval
  */
 #ifndef ETEL_XY_CONFIG_H
 #define ETEL_XY_CONFIG_H
@@ -66,6 +66,7 @@ enum {
     /* numbers of these rows, without the zeros of a triangle */
     INNER_SIZE = ETEL_XY_INNER_SIZE,
     INNER_SIGNALS = ETEL_XY_INNER_SIGNALS,       /* signals that the output reads: velocity */
+    COLOUR_BLOCK = 50,                           /* intervals of a block of innovations */
     /* states that a state depends on over an interval, at most */
     COUPLED = 1,
     DEFECT_WIDTH = ETEL_XY_DEFECT_WIDTH,         /* numbers of a defect's row */
@@ -105,6 +106,16 @@ enum {
 #define RATIO_SLOW 0.003                     /* and in their slow mean */
 #define RATIO_MOST 1000.0                    /* one counts no more in the means */
 #define RATIO_FREE 9.0                       /* beyond it a measurement counts less at once */
+/* Of errors of the model that stay. */
+/* information of the mean over blocks before any: measurements of a block */
+#define COLOUR_FIRST 500.0
+#define COLOUR_FORGETS 0.025                 /* share that this mean forgets with a block */
+#define COLOUR_MOST 100.0                    /* a block's square over its number counts no more */
+/* independent innovations make a mean of up to so much */
+#define COLOUR_FREE 1.5
+#define WANDER_FORGETS 0.0005                /* share that means over updates forget with one */
+/* factor on a variance beyond which measurements contradict the model */
+#define DOUBTED_SPREAD 2.0
 /* means beyond which measurements contradict the model */
 #define DOUBTED_FAST 5.0
 #define DOUBTED_SLOW 2.0                     /*  */

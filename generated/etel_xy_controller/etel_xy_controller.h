@@ -10,11 +10,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()           22110
+ *   tick()           22112
  *   sample()         13657   insert() too
- *   prepare()       299857   in units of at most 13223
- *   feedback()       14041   after prepare()
- *   an update       710070   all calls of an interval
+ *   prepare()       300163   in units of at most 13223
+ *   feedback()       14349   after prepare()
+ *   an update       710378   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *
@@ -52,8 +52,14 @@
  *
  * When sensors fail: a measurement that is missing or not finite is left out (MISSING).
  * Measurements that contradict their predictions count less, with status DOUBT; learned parameters
- * stay, and their deviations say how accurate they are. The force fed forward is never beyond 48.96
- * N. A fault from the first sample on (a sign, a gain, a unit) is not recognised here.
+ * stay. The force fed forward is never beyond 48.96 N. A fault from the first sample on (a sign, a
+ * gain, a unit) is not recognised here.
+ *
+ * Deviations include noise, larger than stated too, and errors of the model that stay, as far as
+ * innovations are alike over half a second or parameters wander: a force gain, a mass or a level
+ * that is a little off. Beyond twice the variance such an error is DOUBT. They cannot include an
+ * error that moves with the axis as an element does, such as cogging within a break-away distance:
+ * there it is a stiffness.
  */
 #ifndef ETEL_XY_CONTROLLER_H
 #define ETEL_XY_CONTROLLER_H
@@ -74,9 +80,9 @@ typedef struct {
 #define ETEL_XY_CONTROLLER_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_CONTROLLER_MACHINE "bf94fd961735" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_controller_check() */
-#define ETEL_XY_CONTROLLER_HEADER 0x51275a9au
+#define ETEL_XY_CONTROLLER_HEADER 0x644bca5bu
 /* of etel_xy_controller_saved_t, and the digest of the machine file again */
-#define ETEL_XY_CONTROLLER_SAVED_FORMAT 1u
+#define ETEL_XY_CONTROLLER_SAVED_FORMAT 2u
 #define ETEL_XY_CONTROLLER_SAVED_MACHINE_0 0xbf94fd96u
 #define ETEL_XY_CONTROLLER_SAVED_MACHINE_1 0x1735u
 
@@ -190,6 +196,8 @@ typedef struct {
     etel_xy_controller_real theta[ETEL_XY_CONTROLLER_PARAMETERS];   /* over nominal */
     /* inverse: square root of their covariance */
     etel_xy_controller_real root[ETEL_XY_CONTROLLER_ROOT_SIZE];
+    /* factors on their variances, for errors of the model that stay */
+    etel_xy_controller_real spread[ETEL_XY_CONTROLLER_PARAMETERS];
     etel_xy_controller_real ratio; /* slow mean of test ratios */
 } etel_xy_controller_saved_t;
 
@@ -244,10 +252,24 @@ typedef struct {
         etel_xy_controller_real ratio_fast, ratio_slow;
         etel_xy_controller_reading newest;
     } innovations;
+    struct { /* errors of the model that stay, of updates with motion */
+        /* of the innovations: sum, information, number */
+        etel_xy_controller_real interval[3], block[3];
+        /* of blocks: squares of sums with their information, and that alone */
+        etel_xy_controller_real squares, information;
+        /* slow mean of theta, its information */
+        etel_xy_controller_real mean[ETEL_XY_CONTROLLER_PARAMETERS],
+            weight[ETEL_XY_CONTROLLER_PARAMETERS];
+        /* square about it over the variance; weight of that */
+        etel_xy_controller_real ratio[ETEL_XY_CONTROLLER_PARAMETERS], updates;
+        int32_t intervals; /* in the block */
+    } lasting;
     struct { /* last good one: feedback() writes it, estimate() and save() read it */
         etel_xy_controller_real state[ETEL_XY_CONTROLLER_STATES],
             theta[ETEL_XY_CONTROLLER_PARAMETERS];
         etel_xy_controller_real root[ETEL_XY_CONTROLLER_ROOT_SIZE], ratio;
+        /* factors on the variances of the root, >= 1 */
+        etel_xy_controller_real spread[ETEL_XY_CONTROLLER_PARAMETERS];
         etel_xy_controller_real friction, friction_measured;
         etel_xy_controller_reading reading;
         uint32_t update;
@@ -376,7 +398,7 @@ int etel_xy_controller_hold(etel_xy_controller_t *self, int parameter, int on);
 int etel_xy_controller_set_parameter(etel_xy_controller_t *self, int parameter,
     etel_xy_controller_real value, etel_xy_controller_real deviation);
 
-/* Write the learned parameters, their covariance and test ratio. By any task, as
+/* Write the learned parameters, their covariance, its spread and test ratio. By any task, as
  * etel_xy_controller_estimate(). OVERLAP: feedback() interrupted three times; load() then refuses
  * it. */
 int etel_xy_controller_save(const etel_xy_controller_t *self, etel_xy_controller_saved_t *saved);

@@ -7,11 +7,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()           22110
+ *   tick()           22112
  *   sample()         13657   insert() too
- *   prepare()       299857   in units of at most 13223
- *   feedback()       14041   after prepare()
- *   an update       710070   all calls of an interval
+ *   prepare()       300163   in units of at most 13223
+ *   feedback()       14349   after prepare()
+ *   an update       710378   all calls of an interval
  */
 #ifndef ETEL_XY_CONTROLLER_CONFIG_H
 #define ETEL_XY_CONTROLLER_CONFIG_H
@@ -68,6 +68,7 @@ enum {
     /* numbers of these rows, without the zeros of a triangle */
     INNER_SIZE = ETEL_XY_CONTROLLER_INNER_SIZE,
     INNER_SIGNALS = ETEL_XY_CONTROLLER_INNER_SIGNALS, /* signals that the output reads: velocity */
+    COLOUR_BLOCK = 50,                           /* intervals of a block of innovations */
     /* states that a state depends on over an interval, at most */
     COUPLED = 1,
     DEFECT_WIDTH = ETEL_XY_CONTROLLER_DEFECT_WIDTH, /* numbers of a defect's row */
@@ -108,6 +109,16 @@ enum {
 #define RATIO_SLOW 0.003f                    /* and in their slow mean */
 #define RATIO_MOST 1000.0f                   /* one counts no more in the means */
 #define RATIO_FREE 9.0f                      /* beyond it a measurement counts less at once */
+/* Of errors of the model that stay. */
+/* information of the mean over blocks before any: measurements of a block */
+#define COLOUR_FIRST 500.0f
+#define COLOUR_FORGETS 0.025f                /* share that this mean forgets with a block */
+#define COLOUR_MOST 100.0f                   /* a block's square over its number counts no more */
+/* independent innovations make a mean of up to so much */
+#define COLOUR_FREE 1.5f
+#define WANDER_FORGETS 0.0005f               /* share that means over updates forget with one */
+/* factor on a variance beyond which measurements contradict the model */
+#define DOUBTED_SPREAD 2.0f
 /* means beyond which measurements contradict the model */
 #define DOUBTED_FAST 5.0f
 #define DOUBTED_SLOW 2.0f                    /*  */

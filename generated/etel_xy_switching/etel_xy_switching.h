@@ -10,11 +10,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()            9003
+ *   tick()            9005
  *   sample()           550   insert() too
- *   prepare()        69317   in units of at most 3645
- *   feedback()       14041   after prepare()
- *   an update       117470   all calls of an interval
+ *   prepare()        69623   in units of at most 3645
+ *   feedback()       14349   after prepare()
+ *   an update       117778   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *
@@ -52,8 +52,14 @@
  *
  * When sensors fail: a measurement that is missing or not finite is left out (MISSING).
  * Measurements that contradict their predictions count less, with status DOUBT; learned parameters
- * stay, and their deviations say how accurate they are. The force fed forward is never beyond 48.96
- * N. A fault from the first sample on (a sign, a gain, a unit) is not recognised here.
+ * stay. The force fed forward is never beyond 48.96 N. A fault from the first sample on (a sign, a
+ * gain, a unit) is not recognised here.
+ *
+ * Deviations include noise, larger than stated too, and errors of the model that stay, as far as
+ * innovations are alike over half a second or parameters wander: a force gain, a mass or a level
+ * that is a little off. Beyond twice the variance such an error is DOUBT. They cannot include an
+ * error that moves with the axis as an element does, such as cogging within a break-away distance:
+ * there it is a stiffness.
  */
 #ifndef ETEL_XY_SWITCHING_H
 #define ETEL_XY_SWITCHING_H
@@ -72,9 +78,9 @@ typedef double etel_xy_switching_position;
 #define ETEL_XY_SWITCHING_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_SWITCHING_MACHINE "9564a0eeeedc" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_switching_check() */
-#define ETEL_XY_SWITCHING_HEADER 0x05d122dau
+#define ETEL_XY_SWITCHING_HEADER 0xe80ed470u
 /* of etel_xy_switching_saved_t, and the digest of the machine file again */
-#define ETEL_XY_SWITCHING_SAVED_FORMAT 1u
+#define ETEL_XY_SWITCHING_SAVED_FORMAT 2u
 #define ETEL_XY_SWITCHING_SAVED_MACHINE_0 0x9564a0eeu
 #define ETEL_XY_SWITCHING_SAVED_MACHINE_1 0xeedcu
 
@@ -187,6 +193,8 @@ typedef struct {
     etel_xy_switching_real theta[ETEL_XY_SWITCHING_PARAMETERS];   /* over nominal */
     /* inverse: square root of their covariance */
     etel_xy_switching_real root[ETEL_XY_SWITCHING_ROOT_SIZE];
+    /* factors on their variances, for errors of the model that stay */
+    etel_xy_switching_real spread[ETEL_XY_SWITCHING_PARAMETERS];
     etel_xy_switching_real ratio; /* slow mean of test ratios */
 } etel_xy_switching_saved_t;
 
@@ -239,9 +247,23 @@ typedef struct {
         etel_xy_switching_real ratio_fast, ratio_slow;
         etel_xy_switching_reading newest;
     } innovations;
+    struct { /* errors of the model that stay, of updates with motion */
+        /* of the innovations: sum, information, number */
+        etel_xy_switching_real interval[3], block[3];
+        /* of blocks: squares of sums with their information, and that alone */
+        etel_xy_switching_real squares, information;
+        /* slow mean of theta, its information */
+        etel_xy_switching_real mean[ETEL_XY_SWITCHING_PARAMETERS],
+            weight[ETEL_XY_SWITCHING_PARAMETERS];
+        /* square about it over the variance; weight of that */
+        etel_xy_switching_real ratio[ETEL_XY_SWITCHING_PARAMETERS], updates;
+        int32_t intervals; /* in the block */
+    } lasting;
     struct { /* last good one: feedback() writes it, estimate() and save() read it */
         etel_xy_switching_real state[ETEL_XY_SWITCHING_STATES], theta[ETEL_XY_SWITCHING_PARAMETERS];
         etel_xy_switching_real root[ETEL_XY_SWITCHING_ROOT_SIZE], ratio;
+        /* factors on the variances of the root, >= 1 */
+        etel_xy_switching_real spread[ETEL_XY_SWITCHING_PARAMETERS];
         etel_xy_switching_real friction, friction_measured;
         etel_xy_switching_reading reading;
         uint32_t update;
@@ -351,7 +373,7 @@ int etel_xy_switching_hold(etel_xy_switching_t *self, int parameter, int on);
 int etel_xy_switching_set_parameter(etel_xy_switching_t *self, int parameter,
     etel_xy_switching_real value, etel_xy_switching_real deviation);
 
-/* Write the learned parameters, their covariance and test ratio. By any task, as
+/* Write the learned parameters, their covariance, its spread and test ratio. By any task, as
  * etel_xy_switching_estimate(). OVERLAP: feedback() interrupted three times; load() then refuses
  * it. */
 int etel_xy_switching_save(const etel_xy_switching_t *self, etel_xy_switching_saved_t *saved);

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sgms_bench.records import Record, record_of
 from sgms_bench.studies.cases import done_of, rms
 from sgms_bench.studies.faults import STIFFNESS, VARIANTS
-from sgms_bench.studies.lasting_errors import ERRORS, LastingError
+from sgms_bench.studies.lasting_errors import CLEAN, ERRORS, LastingError
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 COUNTED_S: Final = 3.0
 """From here on updates count: parameters have been found on a good log."""
 AFTER_S: Final = (5.0, 10.0, 20.0)
-TRIED: Final = (LastingError("none"), *ERRORS)
+TRIED: Final = (*CLEAN, *ERRORS)
 
 
 def crawl(rate: float) -> Trajectory:
@@ -93,7 +93,7 @@ def erroneous_record(error: LastingError, motion: str, seed: int, duration_s: fl
     run = simulate_axis(
         machine,
         path,
-        AxisConfig(law=error.law, encoder_noise_m=error.encoder_noise_m, seed=seed),
+        AxisConfig(law=error.law, encoder_noise_m=error.encoder_noise_m, force_noise_N=error.force_noise_N, seed=seed),
         scale={"stiffness": stiffness.tolist()} | dict(error.scale),
         drift=error.drift,
         hidden_effects=error.effects,
@@ -143,7 +143,7 @@ def lasting_study(seeds: int, duration_s: float = 20.0, place: WorkerSlot = HERE
     found: list[list[LastingOutcome]] = [[] for _ in TRIED]
     for (index, _, _), outcomes in zip(drawn, results(tasks, place, done_of("logs")), strict=True):
         found[index] += outcomes
-    erroneous = [outcome for outcomes in found[1:] for outcome in outcomes]
+    erroneous = [outcome for outcomes in found[len(CLEAN) :] for outcome in outcomes]
     groups = [("all errors", erroneous)]
     groups += [(f"all errors, {m}", [outcome for outcome in erroneous if outcome.motion == m]) for m in MOTIONS]
     groups += [(f"all errors, {v}", [outcome for outcome in erroneous if outcome.variant == v]) for v in VARIANTS]

@@ -22,6 +22,7 @@ class LastingError:
         effects: that the axis has and the machine file has not.
         law: of the axis.
         encoder_noise_m: 1 sigma.
+        force_noise_N: 1 sigma of the logged force; 0.35 N makes the 0.1 N of friction that the machine file states.
         is_inertia: the effects' force is that of a mass, which is no friction.
     """
 
@@ -31,6 +32,7 @@ class LastingError:
     effects: Sequence[Effect] = ()
     law: Literal["maxwell_slip"] | None = None
     encoder_noise_m: float = 0.0
+    force_noise_N: float = 0.1
     is_inertia: bool = False
 
 
@@ -48,6 +50,7 @@ def _cogging(amplitude_N: float, pitch_mm: float) -> LastingError:
     )
 
 
+CLEAN: Final = (LastingError("none"), LastingError("none, noise as stated", force_noise_N=0.35))
 ERRORS: Final = (
     _gain(1.002),
     _gain(1.005),

@@ -58,6 +58,32 @@ class ReadingRule:
 
 
 @dataclass(frozen=True)
+class LastingRule:
+    """Factors on variances for errors of the model that stay.
+
+    Attributes:
+        first: information of the mean over blocks of innovations before any: the measurements of a block.
+        block: intervals of a block.
+        most: the square of a block's sum over its number counts no more.
+        free: innovations that are independent make a mean of up to so much.
+        forgets: share that a mean over updates forgets with one.
+        doubted: factor beyond which the measurements contradict the model.
+    """
+
+    first: float
+    block: int = 50
+    most: float = 100.0
+    free: float = 1.5
+    forgets: float = 0.0005
+    doubted: float = 2.0
+
+    @classmethod
+    def of(cls, measurements: int) -> LastingRule:
+        """The rule for so many measurements in an interval."""
+        return cls(first=float(cls.block * measurements))
+
+
+@dataclass(frozen=True)
 class Identity:
     """Who the package is.
 
@@ -131,6 +157,7 @@ class EmittedWeights:
     Attributes:
         measurement: [N].
         readings: of the means of test ratios.
+        lasting: of errors of the model that stay.
         prior_sd, drift_sd: of theta, drift per update.
         drift_interval: shifts of the window after which drift enters.
         hold_path: path of an interval below which it says nothing of the parameters [m].
@@ -144,6 +171,7 @@ class EmittedWeights:
 
     measurement: float
     readings: ReadingRule
+    lasting: LastingRule
     prior_sd: float
     drift_sd: float
     drift_interval: int
@@ -346,6 +374,7 @@ def _weights(model: Model, variant: Variant) -> EmittedWeights:
     return EmittedWeights(
         measurement=noise.measurement,
         readings=ReadingRule(),
+        lasting=LastingRule.of(machine.sampling.readings_per_update),
         prior_sd=noise.parameter,
         drift_sd=noise.parameter_drift if variant.drifts else 0.0,
         drift_interval=machine.estimator.drift_interval,

@@ -154,7 +154,9 @@ class _LeastSquares:
         self.condensed += sum(reflection(n_x - 1 - c, width, c) for c in range(n_x - 1)) + n_x
         self.node_row = of.output + 2 * factor + 1
         self.inner_row = of.output + 1 + 2 * n_x * (sizes.coupled + 1) + 2 * n_p * (n_x + 1)
-        weighed = sum(2 * i + 5 for i in range(factor)) + 30 + SQRT
+        # A self-scaled measurement takes its innovation in besides, and an update the factors on variances.
+        self.lasting = 24 + 18 * n_p if of.variant.self_scaling else 0
+        weighed = sum(2 * i + 5 for i in range(factor)) + 30 + SQRT + (7 + SQRT if of.variant.self_scaling else 0)
         self.folded = weighed + width + added_row(factor)
         self.start_row = self.node_row + width
         self.fold_start = self.start_row + added_row(factor)
@@ -233,9 +235,12 @@ class _LeastSquares:
         n_x, n_p = sizes.states, sizes.parameters
         solved = box_least_squares(n_p) if variant.bounded else back_substitution(n_p)
         checked = variances(n_p) + 3 * n_x + 4 * n_p + 14 + self.of.output
-        again = n_x + n_p + sizes.factor_rows**2 * 2 + self.of.parameter_terms + sum(map(len, sizes.block_states))
+        again = n_x + n_p + self.of.parameter_terms + sum(map(len, sizes.block_states))
+        if variant.bounded and not variant.horizon:  # the posterior's mean moves into the bounds
+            again += sizes.factor_rows * (sizes.factor_rows + 1)
         newest = self.ends() + self.condensed + (0 if variant.horizon else self.drift)
         reading = self.node_row + self.folded
+        checked += self.lasting
         return newest + reading + solved + 2 * n_x * (n_p + n_x) + back_substitution(n_x) + checked + again
 
 

@@ -19,11 +19,12 @@ def run_ekf(record: NodeRecord, progress: Progress | None = None) -> Estimates:
     weights, model = record.weights, record.model
     n_x, n_p, updates = model.n_x, model.n_p, record.updates
     belief, prior = record.first, weights.prior[1]
-    scaling, newest = record.scaling, MeasurementResult.none()
+    scaling, newest, lasting = record.scaling, MeasurementResult.none(), record.lasting
     std = weights.parameter
     results = np.empty((updates, n_x)), np.empty((updates, n_p)), np.empty((updates, n_p))
     statuses, readings = np.empty(updates, dtype=np.int64), []
     for node in range(1, updates + 1):
+        scaling.interval = []
         status = record.status(node)
         window = linearise(record, node - 1, belief.mean[None, :n_x], belief.mean[n_x:])
         with np.errstate(all="ignore"):
@@ -31,14 +32,18 @@ def run_ekf(record: NodeRecord, progress: Progress | None = None) -> Estimates:
             new = Gaussian(taken.belief.mean, 0.5 * (taken.belief.covariance + taken.belief.covariance.T))
         if is_sound(record, new):
             belief, newest = new, taken.newest(newest)
-            std = np.sqrt(np.diag(belief.covariance)[n_x:])
+            variance = np.diag(belief.covariance)[n_x:]
             if np.any((belief.mean[n_x:] < weights.lower) | (belief.mean[n_x:] > weights.upper)):
                 belief = Gaussian(into_bounds(*belief, weights.lower, weights.upper), belief.covariance)
                 status |= UpdateStatus.BOUND
-            status |= UpdateStatus.DOUBT if scaling.doubts else 0
+            if record.moves(node - 1):
+                lasting.take(scaling.interval, belief.mean[n_x:], variance)
+            std = np.sqrt(variance * lasting.spread)
+            status |= UpdateStatus.DOUBT if scaling.doubts or lasting.doubts else 0
         else:
             status, belief = NOT_FINITE, Gaussian(belief.mean, prior)
             scaling, newest = Scaling(weights.self_scaling), MeasurementResult.none()
+            lasting = record.lasting
         for store, value in zip(results, (belief.mean[:n_x], belief.mean[n_x:], std), strict=True):
             store[node - 1] = value
         statuses[node - 1] = status

@@ -89,6 +89,7 @@ def run_mhe(record: NodeRecord, progress: Progress | None = None) -> Estimates:
     std = weights.parameter
     active = np.zeros(n_p, dtype=np.bool_)
     scaling, newest, scales = record.scaling, MeasurementResult.none(), NoiseFactors.of(record)
+    lasting = record.lasting
     results = np.empty((updates, n_x)), np.empty((updates, n_p)), np.empty((updates, n_p))
     statuses, readings = np.empty(updates, dtype=np.int64), []
     for node in range(1, updates + 1):
@@ -103,6 +104,7 @@ def run_mhe(record: NodeRecord, progress: Progress | None = None) -> Estimates:
             kept = fresh if kept is None else kept.append(fresh)
             window = window_of(record, first, x, theta, kept.at(x, theta))
         is_full = len(x) == weights.horizon
+        scaling.interval = []
         status = record.status(node) | (0 if is_full else UpdateStatus.FILLING)
         try:
             taken = take_newest(record, window, arrival, scaling, scales)
@@ -114,12 +116,17 @@ def run_mhe(record: NodeRecord, progress: Progress | None = None) -> Estimates:
             status = NOT_FINITE
             x, arrival = x[-1:], Gaussian(np.concatenate([x[-1], theta]), prior.covariance)
             kept, scaling, newest = None, Scaling(weights.self_scaling), MeasurementResult.none()
+            lasting = record.lasting
             scales.end[node] = np.inf  # the measurement that came with it is not to be trusted
             shifts = owed = 0
         else:
-            x, theta, std, active = solution
+            x, theta, deviation, active = solution
             newest = taken.newest(newest)
-            status |= (UpdateStatus.BOUND if active.any() else 0) | (UpdateStatus.DOUBT if scaling.doubts else 0)
+            if record.moves(node - 1):
+                lasting.take(scaling.interval, theta, deviation**2)
+            std = deviation * np.sqrt(lasting.spread)
+            status |= UpdateStatus.BOUND if active.any() else 0
+            status |= UpdateStatus.DOUBT if scaling.doubts or lasting.doubts else 0
             if is_full:
                 x, kept = x[1:], kept and kept.part(1, len(kept.x))
                 if is_riccati:

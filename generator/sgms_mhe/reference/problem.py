@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.model import Model
 from sgms_mhe.reference.integrator import ReferenceIntegrator
+from sgms_mhe.reference.lasting import LastingErrors
 from sgms_mhe.reference.plan import Plan, inner_readings
 from sgms_mhe.reference.readings import Gaussian, MeasurementResult, Scaling
 from sgms_mhe.signals.chain import Signals, signal_array
@@ -173,6 +174,12 @@ class NodeRecord:
     def scaling(self) -> Scaling:
         """How measurements are weighed before any measurement."""
         return Scaling(self.weights.self_scaling, slow=self.start.slow if self.start else 1.0)
+
+    @property
+    def lasting(self) -> LastingErrors:
+        """Errors of the model that stay, before any measurement."""
+        measurements = 1 + self.inner_y.shape[1]
+        return LastingErrors(self.model.n_p, measurements, enabled=self.weights.self_scaling)
 
     def moves(self, interval: int) -> bool:
         """Return True if the axis moves far enough in an interval for theta to drift."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -48,13 +48,29 @@ class MeasurementResult(NamedTuple):
         return cls(0.0, 0.0, 1.0)
 
 
+class Innovation(NamedTuple):
+    """An innovation that a measurement was taken with.
+
+    Attributes:
+        standard: over its predicted standard deviation, three of these at most.
+        need: factor on its predicted variance, >= 1.
+    """
+
+    standard: float
+    need: float
+
+
 @dataclass
 class Scaling:
-    """The two means of the test ratios, from which the noise of the next measurement follows."""
+    """The two means of the test ratios, from which the noise of the next measurement follows.
+
+    `interval` holds the innovations since it was emptied.
+    """
 
     enabled: bool
     fast: float = 1.0
     slow: float = 1.0
+    interval: list[Innovation] = field(default_factory=list)
 
     @property
     def doubts(self) -> bool:
@@ -78,8 +94,11 @@ def take_reading(
     spread = float(C @ belief.covariance @ C)
     predicted = spread + sigma**2
     test_ratio = innovation**2 / predicted
-    # The variance of the measurement at which the innovation's is `variance_factor` times the predicted one.
-    variance = sigma**2 + (scaling.variance_factor(test_ratio) - 1.0) * predicted
+    need = scaling.variance_factor(test_ratio)
+    largest = np.sqrt(FREE)
+    scaling.interval.append(Innovation(float(np.clip(innovation / np.sqrt(predicted), -largest, largest)), need))
+    # The variance of the measurement at which the innovation's is `need` times the predicted one.
+    variance = sigma**2 + (need - 1.0) * predicted
     return fold(belief, C, innovation, variance), MeasurementResult(
         innovation, test_ratio, float(np.sqrt(variance)) / sigma
     )

@@ -13,8 +13,8 @@
  *   tick()          136041
  *   sample()         81973   insert() too
  *   prepare()       136014   in units of at most 27034
- *   feedback()        1820   after prepare()
- *   an update       547699   all calls of an interval
+ *   feedback()        1896   after prepare()
+ *   an update       547775   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *
@@ -49,9 +49,14 @@
  *
  * When sensors fail: a measurement that is missing or not finite is left out (MISSING).
  * Measurements that contradict their predictions count less, with status DOUBT; learned parameters
- * stay, and their deviations say how accurate they are. The force fed forward has no limit:
- * [compensation] limit. A fault from the first sample on (a sign, a gain, a unit) is not recognised
- * here.
+ * stay. The force fed forward has no limit: [compensation] limit. A fault from the first sample on
+ * (a sign, a gain, a unit) is not recognised here.
+ *
+ * Deviations include noise, larger than stated too, and errors of the model that stay, as far as
+ * innovations are alike over half a second or parameters wander: a force gain, a mass or a level
+ * that is a little off. Beyond twice the variance such an error is DOUBT. They cannot include an
+ * error that moves with the axis as an element does, such as cogging within a break-away distance:
+ * there it is a stiffness.
  */
 #ifndef TOY_H
 #define TOY_H
@@ -69,8 +74,8 @@ typedef double toy_position;
 
 #define TOY_VERSION "0.2.0" /* of the generator */
 #define TOY_MACHINE "ddc7efac656b" /* digest of the machine file */
-#define TOY_HEADER 0xdf207ae6u /* digest of all that this header declares, for toy_check() */
-#define TOY_SAVED_FORMAT 1u /* of toy_saved_t, and the digest of the machine file again */
+#define TOY_HEADER 0x6b4e04c7u /* digest of all that this header declares, for toy_check() */
+#define TOY_SAVED_FORMAT 2u /* of toy_saved_t, and the digest of the machine file again */
 #define TOY_SAVED_MACHINE_0 0xddc7efacu
 #define TOY_SAVED_MACHINE_1 0x656bu
 
@@ -173,6 +178,8 @@ typedef struct {
     uint32_t machine[2]; /* digest of the machine file */
     toy_real theta[TOY_PARAMETERS];   /* over nominal */
     toy_real root[TOY_ROOT_SIZE]; /* inverse: square root of their covariance */
+    /* factors on their variances, for errors of the model that stay */
+    toy_real spread[TOY_PARAMETERS];
     toy_real ratio; /* slow mean of test ratios */
 } toy_saved_t;
 
@@ -222,9 +229,20 @@ typedef struct {
         toy_real ratio_fast, ratio_slow;
         toy_reading newest;
     } innovations;
+    struct { /* errors of the model that stay, of updates with motion */
+        toy_real interval[3], block[3]; /* of the innovations: sum, information, number */
+        /* of blocks: squares of sums with their information, and that alone */
+        toy_real squares, information;
+        /* slow mean of theta, its information */
+        toy_real mean[TOY_PARAMETERS], weight[TOY_PARAMETERS];
+        /* square about it over the variance; weight of that */
+        toy_real ratio[TOY_PARAMETERS], updates;
+        int32_t intervals; /* in the block */
+    } lasting;
     struct { /* last good one: feedback() writes it, estimate() and save() read it */
         toy_real state[TOY_STATES], theta[TOY_PARAMETERS];
         toy_real root[TOY_ROOT_SIZE], ratio;
+        toy_real spread[TOY_PARAMETERS]; /* factors on the variances of the root, >= 1 */
         toy_real friction, friction_measured;
         toy_reading reading;
         uint32_t update;
@@ -303,8 +321,8 @@ int toy_hold(toy_t *self, int parameter, int on);
  * zero), a deviation above zero but below 1e-6 of nominal. */
 int toy_set_parameter(toy_t *self, int parameter, toy_real value, toy_real deviation);
 
-/* Write the learned parameters, their covariance and test ratio. By any task, as toy_estimate().
- * OVERLAP: feedback() interrupted three times; load() then refuses it. */
+/* Write the learned parameters, their covariance, its spread and test ratio. By any task, as
+ * toy_estimate(). OVERLAP: feedback() interrupted three times; load() then refuses it. */
 int toy_save(const toy_t *self, toy_saved_t *saved);
 
 /* Start with saved parameters, after toy_init() or init_with(), and an empty window. Friction

@@ -9,8 +9,8 @@
  *   tick()          136041
  *   sample()         81973   insert() too
  *   prepare()       136014   in units of at most 27034
- *   feedback()        1820   after prepare()
- *   an update       547699   all calls of an interval
+ *   feedback()        1896   after prepare()
+ *   an update       547775   all calls of an interval
  */
 #ifndef TOY_CONFIG_H
 #define TOY_CONFIG_H
@@ -63,6 +63,7 @@ enum {
     FACTOR_WIDTH = FACTOR_ROWS + 1,              /* with its right side */
     /* of theta's triangle in square, with a column for sums */
     ROOT_WIDTH = PARAMETERS + 1,
+    COLOUR_BLOCK = 50,                           /* intervals of a block of innovations */
     /* states that a state depends on over an interval, at most */
     COUPLED = 1,
     DEFECT_WIDTH = TOY_DEFECT_WIDTH,             /* numbers of a defect's row */
@@ -101,6 +102,16 @@ enum {
 #define RATIO_SLOW 0.003                     /* and in their slow mean */
 #define RATIO_MOST 1000.0                    /* one counts no more in the means */
 #define RATIO_FREE 9.0                       /* beyond it a measurement counts less at once */
+/* Of errors of the model that stay. */
+/* information of the mean over blocks before any: measurements of a block */
+#define COLOUR_FIRST 50.0
+#define COLOUR_FORGETS 0.025                 /* share that this mean forgets with a block */
+#define COLOUR_MOST 100.0                    /* a block's square over its number counts no more */
+/* independent innovations make a mean of up to so much */
+#define COLOUR_FREE 1.5
+#define WANDER_FORGETS 0.0005                /* share that means over updates forget with one */
+/* factor on a variance beyond which measurements contradict the model */
+#define DOUBTED_SPREAD 2.0
 /* means beyond which measurements contradict the model */
 #define DOUBTED_FAST 5.0
 #define DOUBTED_SLOW 2.0                     /*  */

@@ -80,7 +80,7 @@ def run_fleet(
 
     Args:
         verb: which.
-        table: CSV with columns machine and log.
+        table: CSV, docs/fleet.md.
         out: folder; results appear in its `rows` one by one.
         place: where the work is done.
         told: as `Told`.
