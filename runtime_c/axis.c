@@ -567,6 +567,47 @@ static void put(double *column, size_t row, double value)
     }
 }
 
+/* What sensors say and what they do not, at an acceleration and forces that are known. */
+static int observe(
+    struct axis *axis,
+    double friction,
+    double effects,
+    const struct axis_record *record,
+    size_t row,
+    double *measured,
+    double *measured_force)
+{
+    const int prescribed = axis->control == AXIS_CONTROL_PRESCRIBED;
+    *measured = measure_position(axis);
+    *measured_force = measure_force(axis);
+    if (!(fabs(*measured) < FARTHEST && fabs(*measured_force) < STRONGEST)) {
+        return 0;
+    }
+    put(record->position_m, row, *measured);
+    put(record->force_N, row, *measured_force);
+    put(record->true_position_m, row, axis->position);
+    put(record->true_velocity_m_s, row, axis->velocity);
+    put(record->true_acceleration_m_s2, row, axis->acceleration);
+    put(record->true_force_N, row,
+        prescribed ? axis->force * change_now(axis, AXIS_FORCE_CONSTANT, 1.0) : drive_force(axis));
+    put(record->true_friction_N, row, friction);
+    put(record->true_effect_force_N, row, effects);
+    if (record->true_deflection_m != NULL) {
+        memcpy(
+            record->true_deflection_m + row * (size_t)axis->elements, axis->deflection,
+            (size_t)axis->elements * sizeof(double));
+    }
+    return 1;
+}
+
+int axis_observe(struct axis *axis, const struct axis_record *record, size_t row)
+{
+    double measured, measured_force;
+    const double friction = friction_force(axis, axis->velocity), effects = effect_force(axis, axis->velocity);
+    axis->acceleration = (drive_force(axis) - friction - effects) / axis->moving_mass;
+    return observe(axis, friction, effects, record, row, &measured, &measured_force);
+}
+
 size_t axis_run(
     struct axis *axis,
     const double *reference,
@@ -583,6 +624,7 @@ size_t axis_run(
         const double before = k > 0 ? reference_at(reference, length, k - 1) : here;
 
         const double friction = friction_force(axis, axis->velocity), effects = effect_force(axis, axis->velocity);
+        double measured, measured_force;
         if (prescribed) {
             axis->acceleration = (next - 2.0 * here + before) * rate * rate;
             axis->force = (axis->moving_mass * axis->acceleration + friction + effects) /
@@ -591,29 +633,15 @@ size_t axis_run(
         } else {
             axis->acceleration = (drive_force(axis) - friction - effects) / axis->moving_mass;
         }
-        const double measured = measure_position(axis), measured_force = measure_force(axis);
-        if (!(fabs(measured) < FARTHEST && fabs(measured_force) < STRONGEST)) {
+        if (!observe(axis, friction, effects, record, row, &measured, &measured_force)) {
             return row;
         }
         const double wanted = acceleration_at(reference, length, k, axis->set.feedforward_lead * rate, rate);
 
-        put(record->position_m, row, measured);
-        put(record->force_N, row, measured_force);
-        put(record->true_position_m, row, axis->position);
-        put(record->true_velocity_m_s, row, axis->velocity);
-        put(record->true_acceleration_m_s2, row, axis->acceleration);
-        put(record->true_force_N, row,
-            prescribed ? axis->force * change_now(axis, AXIS_FORCE_CONSTANT, 1.0) : drive_force(axis));
-        put(record->true_friction_N, row, friction);
-        put(record->true_effect_force_N, row, effects);
-        if (record->true_deflection_m != NULL) {
-            memcpy(
-                record->true_deflection_m + row * (size_t)axis->elements, axis->deflection,
-                (size_t)axis->elements * sizeof(double));
-        }
-
         if (prescribed) {
             run_prescribed(axis, here, next);
+        } else if (axis->control == AXIS_CONTROL_FORCE) {
+            run_controlled(axis, here);
         } else {
             run_controlled(axis, control(axis, measured, measured_force, before, here, wanted));
         }

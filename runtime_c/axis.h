@@ -25,12 +25,14 @@ extern "C" {
 #define AXIS_MAX_SUBSTEPS 256
 
 enum axis_law { AXIS_LAW_SGMS = 0, AXIS_LAW_MAXWELL_SLIP = 1 };
-enum axis_control { AXIS_CONTROL_PRESCRIBED = 0, AXIS_CONTROL_POSITION = 1 };
+
+/* The axis follows its reference exactly, is controlled to follow it, or is driven by it, which is then a force. */
+enum axis_control { AXIS_CONTROL_PRESCRIBED = 0, AXIS_CONTROL_POSITION = 1, AXIS_CONTROL_FORCE = 2 };
 
 /* Every setting is a double, scalar or array, so that a caller can set each by name (axis_setting). */
 #define AXIS_SETTINGS(SCALAR, ARRAY)                                                                                   \
     SCALAR(law)               /* enum axis_law */                                                                      \
-    SCALAR(control)           /* enum axis_control: follow the reference exactly, or under position control */         \
+    SCALAR(control)           /* enum axis_control */                                                                  \
     SCALAR(rate)              /* Hz, samples of reference, controller and log */                                       \
     SCALAR(substeps)          /* integration steps per sample, 1..AXIS_MAX_SUBSTEPS */                                 \
     SCALAR(elements)          /* n_z, 1..AXIS_MAX_ELEMENTS */                                                          \
@@ -162,7 +164,10 @@ int axis_apply(struct axis *axis);
 /* Put the axis at rest at a position. */
 void axis_place(struct axis *axis, double position);
 
-/* Run `count` samples from sample `start` of a reference of `length` samples; beyond its end it stands still.
+/* Fill row `row` of the columns with the present state, without a step. 0 where the axis left the world. */
+int axis_observe(struct axis *axis, const struct axis_record *record, size_t row);
+
+/* Run `count` samples from sample `start` of a reference [m, or N] of `length` samples; beyond its end it stands still.
  * The samples recorded: fewer than `count` where the loop is unstable and the axis left the world, whose bounds are
  * 4e6 m and 1e9 N. */
 size_t axis_run(

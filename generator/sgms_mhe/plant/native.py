@@ -22,7 +22,7 @@ from sgms_mhe.support.toolchain import load_library, shared_library
 
 Array = NDArray[np.float64]
 
-_SOURCES: Final = ("axis.c", "axis_effects.c")
+SOURCES: Final = ("axis.c", "axis_effects.c")
 _HISTORY: Final = 4096
 _RESONANT: Final = 0.5
 """AXIS_HISTORY and RESONANT of the C."""
@@ -85,7 +85,7 @@ class Library:
 @lru_cache(maxsize=1)
 def loaded_library() -> Library:
     """The plant, compiled once and kept. Raises BuildError where the compiler refuses."""
-    c = load_library(shared_library([runtime_dir() / name for name in _SOURCES], libraries=("m",)))
+    c = load_library(shared_library([runtime_dir() / name for name in SOURCES], libraries=("m",)))
     size, text, number, axis = ctypes.c_size_t, ctypes.c_char_p, ctypes.c_double, ctypes.c_void_p
     signatures: dict[str, tuple[Any, list[Any]]] = {
         "axis_size": (size, []),
@@ -120,7 +120,7 @@ def loaded_library() -> Library:
 
 
 @dataclass(frozen=True)
-class _Limits:
+class Limits:
     """Limits of a number: the machine file's own limits hold for true values too."""
 
     low: float
@@ -141,12 +141,13 @@ def _to_all(senders: Sequence[Callable[[float], None]], value: float) -> None:
         send(value)
 
 
-def _effect_limits(parameter: EffectParameter) -> _Limits:
-    return _Limits(parameter.lower, parameter.upper, parameter.allowed)
+def effect_limits(parameter: EffectParameter) -> Limits:
+    """Return the limits of an effect's parameter."""
+    return Limits(parameter.lower, parameter.upper, parameter.allowed)
 
 
 @lru_cache(maxsize=1)
-def _base_limits() -> Mapping[str, _Limits]:
+def base_limits() -> Mapping[str, Limits]:
     """Limits of mass and friction parameters by their key in the machine file, an array's for each entry."""
     limits = {}
     for table in (Plant, Friction, Smoothing):
@@ -158,7 +159,7 @@ def _base_limits() -> Mapping[str, _Limits]:
             above, below = spec.get("exclusiveMinimum", -math.inf), spec.get("exclusiveMaximum", math.inf)
             allowed = f"{'>' if above >= least else '>='} {max(least, above):g} and "
             allowed += f"{'<' if below <= most else '<='} {min(most, below):g}"
-            limits[name] = _Limits(max(least, above), min(most, below), allowed, least > above, most < below)
+            limits[name] = Limits(max(least, above), min(most, below), allowed, least > above, most < below)
     return limits
 
 
@@ -169,7 +170,7 @@ class _Parameter:
     name: str
     value: float
     send: Callable[[float], None] = field(repr=False)
-    limits: _Limits
+    limits: Limits
 
     def assign(self, value: float) -> None:
         """Send a value to the plant, or refuse it."""
@@ -195,7 +196,7 @@ class NativeAxis:
         self._failures: list[str] = []  # of forces in Python, which cannot pass through it
         self._prescribed = config.control == "prescribed"
 
-        friction, limits = machine.friction, _base_limits()
+        friction, limits = machine.friction, base_limits()
         # Of a machine file that says nothing of it: for a plant that obeys the other law.
         smoothing = friction.smoothing or Smoothing()
         plant = {
@@ -332,7 +333,7 @@ class NativeAxis:
         offset, _ = self._library.settings[name]
         return lambda value: self._c.axis_set(self._memory, offset + i, value)
 
-    def _declare(self, name: str, value: float, send: Callable[[float], None], limits: _Limits) -> None:
+    def _declare(self, name: str, value: float, send: Callable[[float], None], limits: Limits) -> None:
         self._numbers[name] = parameter = _Parameter(name, value, send, limits)
         parameter.assign(value)
 
@@ -363,7 +364,7 @@ class NativeAxis:
             for j, entry in enumerate(own):
                 senders[entry].append(self._effect_parameter(index, j))
         for entry, number in numbers.items():
-            limits = _effect_limits(definition.parameter(entry))
+            limits = effect_limits(definition.parameter(entry))
             self._declare(f"{label}.{entry}", number, partial(_to_all, senders[entry]), limits)
 
     def _add_outside_force(self, effect: str, label: str, values: Mapping[str, Value]) -> None:
@@ -391,7 +392,7 @@ class NativeAxis:
             raise InputError("simulation", "effect", effect, "no more effects than the plant has room for")
         for name, number in [*numbers.items()]:
             send = partial(numbers.__setitem__, name)
-            self._declare(f"{label}.{name}", number, send, _effect_limits(definition.parameter(name)))
+            self._declare(f"{label}.{name}", number, send, effect_limits(definition.parameter(name)))
 
     def _effect_parameter(self, index: int, j: int) -> Callable[[float], None]:
         return lambda value: self._c.axis_set_effect(self._memory, index, j, value)
