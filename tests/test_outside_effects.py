@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import sgms_mhe
 from cli_cases import SMALL, run
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.host.provenance import digest_of_sources
@@ -198,6 +199,13 @@ def test_least_definition_is_searched_by_its_derivative(site: Path, tmp_path: Pa
     axis.write_text(SMALL + '[[effects]]\nname = "hard_spring"\nforce_N = 1.2\n')
     cause, _ = diagnosed(axis, tmp_path)
     assert cause["name"] == "hard_spring" and cause["parameters"]["force_N"] == pytest.approx(1.2, rel=0.03)
+
+
+def test_export_prints_its_equation_and_has_no_c_of_it(example: Path, axis: Path) -> None:
+    exported = sgms_mhe.export(axis, "modelica")
+    assert NAME in exported.holds[-1] and f"parameter Real {NAME}_" in exported.text
+    with pytest.raises(InputError, match="effects of this package"):
+        sgms_mhe.export(axis, "fmu3")
 
 
 def test_digest_covers_the_source_of_the_effects_in_use(example: Path, axis: Path) -> None:

@@ -8,11 +8,12 @@ from importlib import import_module as _import_module
 
 __version__ = "0.2.0"
 
-__all__ = ["diagnose", "estimate", "generate", "identify", "load", "predict", "read_log", "simulate"]
+__all__ = ["diagnose", "estimate", "export", "generate", "identify", "load", "predict", "read_log", "simulate"]
 
 _MODULES = {
     "diagnose": "diagnosis",
     "estimate": "estimation",
+    "export": "exporting",
     "generate": "packages",
     "identify": "identification",
     "load": "inputs",

@@ -3,6 +3,7 @@
 from sgms_mhe.api.diagnosis import diagnose as diagnose
 from sgms_mhe.api.estimation import estimate as estimate
 from sgms_mhe.api.estimation import predict as predict
+from sgms_mhe.api.exporting import export as export
 from sgms_mhe.api.identification import identify as identify
 from sgms_mhe.api.inputs import load as load
 from sgms_mhe.api.inputs import read_log as read_log
@@ -10,4 +11,4 @@ from sgms_mhe.api.packages import generate as generate
 from sgms_mhe.api.simulation import simulate as simulate
 
 __version__: str
-__all__ = ["diagnose", "estimate", "generate", "identify", "load", "predict", "read_log", "simulate"]
+__all__ = ["diagnose", "estimate", "export", "generate", "identify", "load", "predict", "read_log", "simulate"]

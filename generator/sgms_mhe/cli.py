@@ -27,6 +27,7 @@ from sgms_mhe.support.names import did_you_mean
 COMMANDS: Final = {
     "start": "start",
     "generate": "generate",
+    "export": "export",
     "inspect": "inspect",
     "simulate": "simulate",
     "predict": "predict",

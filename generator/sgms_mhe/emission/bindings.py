@@ -69,20 +69,30 @@ def bindings_among(files: Collection[str], machine: str) -> tuple[str, ...]:
 Causality = Literal["input", "output", "parameter"]
 Kind = Literal["Real", "Integer", "Boolean"]
 
-_EXPONENTS: Final[Mapping[str, str]] = MappingProxyType(
+_BASE_UNITS: Final[Mapping[str, Mapping[str, int]]] = MappingProxyType(
     {
-        "m": 'm="1"',
-        "m/s": 'm="1" s="-1"',
-        "m/s2": 'm="1" s="-2"',
-        "N": 'kg="1" m="1" s="-2"',
-        "kg": 'kg="1"',
-        "rad": 'rad="1"',
-        "rad/s": 'rad="1" s="-1"',
-        "rad/s2": 'rad="1" s="-2"',
-        "N.m": 'kg="1" m="2" s="-2"',
-        "kg.m2": 'kg="1" m="2"',
+        "N": {"kg": 1, "m": 1, "s": -2},
+        "kg": {"kg": 1},
+        "m": {"m": 1},
+        "rad": {"rad": 1},
+        "s": {"s": 1},
+        "Hz": {"s": -1},
+        "": {},  # of 1
     }
 )
+
+
+def unit_exponents(unit: str) -> str:
+    """Return a unit in the notation of FMI (`N.s/m`) as attributes of SI base units: `kg="1" s="-1"`."""
+    exponents = dict.fromkeys(("kg", "m", "rad", "s"), 0)
+    over, _, under = unit.partition("/")
+    for sign, factors in ((1, over), (-1, under)):
+        for factor in filter(None, factors.split(".")):
+            name = factor.rstrip("0123456789")
+            power = sign * int(factor[len(name) :] or 1)
+            for base, exponent in _BASE_UNITS[name].items():
+                exponents[base] += power * exponent
+    return " ".join(f'{base}="{exponent}"' for base, exponent in exponents.items() if exponent)
 
 
 @dataclass(frozen=True)
@@ -115,7 +125,7 @@ class Variable:
     @property
     def exponents(self) -> str:
         """Attributes of its unit in SI base units."""
-        return _EXPONENTS[self.unit]
+        return unit_exponents(self.unit)
 
 
 def variables_of(view: PackageView) -> tuple[Variable, ...]:
@@ -189,13 +199,14 @@ _MACHINES: Final[Mapping[str, str]] = {"x86_64": "x86_64", "amd64": "x86_64", "a
 _SYSTEMS: Final[Mapping[str, tuple[str, str]]] = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib")}
 
 
-def fmu(files: Mapping[str, str], name: str, archive: str) -> tuple[bytes, str | None]:
+def fmu(files: Mapping[str, str], name: str, archive: str, libraries: tuple[str, ...] = ()) -> tuple[bytes, str | None]:
     """An archive with a binary for this host, where it has a compiler.
 
     Args:
         files: of the FMU, by path inside it.
         name: of the machine.
         archive: its name, which says the version of FMI.
+        libraries: that its sources take.
 
     Returns:
         The archive, and why it has no binary; None where it has one.
@@ -206,7 +217,7 @@ def fmu(files: Mapping[str, str], name: str, archive: str) -> tuple[bytes, str |
     missing: str | None = f"FMI {version}.0 has no name for this platform"
     if folder is not None:
         try:
-            content[f"binaries/{folder}/{name}{suffix}"] = _binary(files)
+            content[f"binaries/{folder}/{name}{suffix}"] = _binary(files, libraries)
             missing = None
         except BuildError as error:
             missing = str(error)
@@ -233,7 +244,7 @@ def _platform(version: int) -> tuple[str | None, str]:
     return f"{machine}-{system}", suffix
 
 
-def _binary(files: Mapping[str, str]) -> bytes:
+def _binary(files: Mapping[str, str], libraries: tuple[str, ...]) -> bytes:
     """Shared library of an FMU's sources.
 
     Raises:
@@ -246,7 +257,8 @@ def _binary(files: Mapping[str, str]) -> bytes:
             if inside == "sources":
                 (folder / file).write_text(text, encoding="utf-8")
         sources = sorted(folder.glob("*.c"))
-        return shared_library(sources, [folder], (*DEFAULT_FLAGS, "-fvisibility=hidden")).read_bytes()
+        flags = (*DEFAULT_FLAGS, "-fvisibility=hidden")
+        return shared_library(sources, [folder], flags, libraries=libraries).read_bytes()
 
 
 def _archive(content: Mapping[str, bytes]) -> bytes:

@@ -83,12 +83,20 @@ class CPrinter:
             shared = uses[node] > 1 and node.op != "const" and not (node.op == "neg" and node.args[0].op != "const")
             if node in hints or shared or (len(expression) > _LONGEST_INLINE and node.args):
                 name = self._fresh(hints.get(node, "a"), taken, always_number=node not in hints)
-                lines.append(f"const sgms_real {name} = {expression};")
+                lines.append(self.declaration(name, expression))
                 text[node] = (name, _ATOM)
             else:
                 text[node] = (expression, level)
         lines += [f"{target} = {text[node][0]};" for target, node in outputs]
         return lines
+
+    def declaration(self, name: str, expression: str) -> str:
+        """Return the statement that gives an intermediate value its name."""
+        return f"const sgms_real {name} = {expression};"
+
+    def operation(self, node: Node, arguments: list[str]) -> str | None:
+        """Return the text of an operation where it is not that of the language of packages; None where it is."""
+        return None
 
     @staticmethod
     def _fresh(base: str, taken: set[str], *, always_number: bool) -> str:
@@ -105,6 +113,9 @@ class CPrinter:
             return body if own <= level else f"({body})"
 
         op = node.op
+        other = self.operation(node, [text[a][0] for a in node.args])
+        if other is not None:
+            return other, _ATOM
         if op == "const":
             body = self.number(node.value)
             return (body, _ATOM) if node.value >= 0.0 else (body, _UNARY)

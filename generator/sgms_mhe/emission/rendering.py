@@ -10,6 +10,9 @@ package's precision. Numbers that Python computed are printed by a filter:
     braced  anything in braces, separated by commas
     each    values put into a pattern: [0, 1] | each("at{}") -> at0, at1
     rows    literals separated by commas -> lines of an initialiser
+    zip     pairs of two sequences
+    dotted  a unit as FMI and Modelica write it: N m s/rad -> N.m.s/rad
+    product the same as Simscape writes it: N*m*s/rad
 """
 
 from __future__ import annotations
@@ -90,6 +93,16 @@ def render_page(view: PackageView, template: str, delivery: object) -> str:
     return _render(view, template, "double", delivery=delivery)
 
 
+def render_text(template: str, context: Mapping[str, object]) -> str:
+    """A file that is no part of a package; `context` has all that its template names."""
+    return _environment("double").get_template(f"{template}.jinja").render(context)
+
+
+def render_c(template: str, context: Mapping[str, object]) -> str:
+    """The same for C, whose lines are broken as those of packages are."""
+    return wrap_columns(render_text(template, context))
+
+
 def stamp_digest(view: PackageView) -> PackageView:
     """The view with the digest of what the public header declares."""
     header = _render(view, "machine.h", "double")
@@ -131,6 +144,9 @@ def _environment(precision: Precision) -> jinja2.Environment:
         rows=_rows,
         each=_each,
         braced=_brace,
+        zip=zip,
+        dotted=lambda unit: unit.replace("^", "").replace(" ", "."),
+        product=lambda unit: unit.replace(" ", "*"),
     )
     return environment
 

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.axis import SIGNAL_NAMES, StateSpec, SymbolicAxis
 from sgms_mhe.model.effects import EFFECT_NAMES, EffectDefinition, Stage, effect_definition
-from sgms_mhe.model.friction import LEAST_REST, FrictionSymbols, SmoothLaw, add_friction, declare_elements
+from sgms_mhe.model.friction import (
+    LEAST_REST,
+    WIDE_SWITCH,
+    FrictionSymbols,
+    SmoothLaw,
+    add_friction,
+    declare_elements,
+)
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.model.switching import check_switching
 from sgms_mhe.support.errors import InputError
@@ -202,6 +209,18 @@ class _Parameters:
         return taken
 
 
+class _PhysicalParameters(_Parameters):
+    """Hands out every parameter as a symbol of its column's name that stands for its value in SI units."""
+
+    def take(self, name: str, column: str, nominal: float, scale: float, lower: float, upper: float) -> ca.SX:
+        self.free.append(FreeParameter(name, column, nominal, scale, lower, upper))
+        self.symbols.append(ca.SX.sym(column))
+        return self.symbols[-1]
+
+    def shares(self, name: str, nominal: tuple[float, ...]) -> list[ca.SX]:
+        return self.array(name, nominal)
+
+
 _GATE: Final = 35.0
 """gamma for effects that tell directions apart, where the law has none."""
 _BEHIND_THE_DRIVE: Final[tuple[Stage, ...]] = ("log", "actuator")
@@ -296,14 +315,20 @@ def _bare_axis(machine: Machine) -> SymbolicAxis:
     )
 
 
-def build_model(machine: Machine) -> Model:
+def build_model(machine: Machine, *, physical: bool = False) -> Model:
     """Assemble the symbolic model of a machine: the friction law and every effect of its machine file.
+
+    Args:
+        machine: the axis.
+        physical: theta holds every parameter in SI units, estimated or not, and a switch is `WIDE_SWITCH` wide: for
+            solvers of differential equations that know neither scales nor events.
 
     Raises:
         InputError: an effect cannot be built with its numbers, or not where elements switch.
     """
     friction, noise = machine.friction, machine.estimator.noise
-    parameters, axis = _Parameters(machine), _bare_axis(machine)
+    parameters = _PhysicalParameters(machine) if physical else _Parameters(machine)
+    axis = _bare_axis(machine)
     symbols = FrictionSymbols(
         stiffness=parameters.array("stiffness", friction.stiffness),
         fraction=parameters.shares("fraction", friction.fraction),
@@ -326,7 +351,7 @@ def build_model(machine: Machine) -> Model:
     )
     axis.load = _load(effects, axis)
     _contribute(effects, axis, "level")
-    elements = add_friction(axis, symbols, _smoothing(machine))
+    elements = add_friction(axis, symbols, _smoothing(machine), WIDE_SWITCH if physical else 0.0)
     _contribute(effects, axis, "force", "motor")
     prompt = _prompt_drive(effects, axis)
     _contribute(effects, axis, *_BEHIND_THE_DRIVE)

@@ -12,6 +12,9 @@ from sgms_mhe.model.axis import StateSpec, SymbolicAxis
 LEAST_REST = 0.02
 """Share of its nominal that the largest fraction keeps, however large the others become: a level stays positive."""
 
+WIDE_SWITCH = 1e-3
+"""Share of the level over which elements that switch go over to slipping, where a solver has to follow them."""
+
 # tanh(18.5) differs from 1 by less than half a unit in the last place of a double.
 SATURATED = 18.5
 
@@ -115,10 +118,13 @@ def declare_elements(
     axis.rest_level = 1.0 + symbols.stribeck_ratio
 
 
-def add_friction(axis: SymbolicAxis, symbols: FrictionSymbols, smoothing: SmoothLaw | None) -> Elements:
+def add_friction(
+    axis: SymbolicAxis, symbols: FrictionSymbols, smoothing: SmoothLaw | None, switch_width: float = 0.0
+) -> Elements:
     """Give the declared elements their rates, and add their forces and the viscous force to the axis.
 
     Without smoothing they switch: an element moves with the axis, and slips where the axis pushes it on at its level.
+    With a `switch_width`, a share of the level, it does so gradually, and comes back along a level that falls.
     """
     v = axis.engagement * axis.velocity
     level = axis.stribeck_level * axis.coulomb_factor + axis.level_force / symbols.coulomb
@@ -129,7 +135,8 @@ def add_friction(axis: SymbolicAxis, symbols: FrictionSymbols, smoothing: Smooth
         chi = state.chi
         rho = symbols.stiffness[i] / (nu * symbols.coulomb)
         if smoothing is None:
-            rate = rho * v * (ca.sign(v) * chi < level)
+            along = ca.sign(v) * chi
+            rate = rho * v * (ca.fmin(1.0, (level - along) / switch_width) if switch_width else along < level)
         else:
             r = chi / level
             slip = window(r, smoothing)

@@ -1,0 +1,107 @@
+"""An axis for other simulators."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from sgms_mhe.api.axis_fmu import write_fmu
+from sgms_mhe.api.inputs import LogSource, Note, load, recorded_log
+from sgms_mhe.emission.axis_forms import TEXT_FORMS, Form, check_title
+from sgms_mhe.evaluation.simpler_forms import FormError, form_error
+from sgms_mhe.machine import Machine
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.files import atomic_write
+from sgms_mhe.support.names import did_you_mean
+
+FORMS: Final[Mapping[str, Form]] = MappingProxyType(
+    {
+        **TEXT_FORMS,
+        "fmu2": Form((".fmu",), lambda machine, _: write_fmu(machine, 2)),
+        "fmu3": Form((".fmu",), lambda machine, _: write_fmu(machine, 3)),
+    }
+)
+"""Forms by name."""
+
+
+@dataclass(frozen=True)
+class ExportedAxis:
+    """An axis in the form of another simulator.
+
+    Attributes:
+        machine: whose axis it is.
+        form: name of the form.
+        content: of the file; `text` where it is no archive.
+        holds, lost: sentences on what of the axis is in it, and what is not.
+        error: that the form makes along a log; None without a log, or where nothing of the plant is lost.
+        missing: why an FMU has no binary; None where it has one, or needs none.
+    """
+
+    machine: Machine
+    form: str
+    content: bytes
+    holds: tuple[str, ...]
+    lost: tuple[str, ...]
+    error: FormError | None = None
+    missing: str | None = None
+
+    @property
+    def text(self) -> str:
+        """The file as text; ValueError of an archive."""
+        return self.content.decode()
+
+
+def form_named(name: str) -> Form:
+    """Return a form by its name.
+
+    Raises:
+        InputError: there is none.
+    """
+    if name not in FORMS:
+        raise InputError("export", "to", name, f"one of {', '.join(FORMS)}{did_you_mean(name, FORMS)}")
+    return FORMS[name]
+
+
+def export(
+    machine: str | Path | Machine,
+    to: str,
+    out: str | Path | None = None,
+    *,
+    log: LogSource | None = None,
+    note: Note | None = None,
+) -> ExportedAxis:
+    """Write a machine's axis, the plant, for another simulator.
+
+    Args:
+        machine: file, name, or loaded.
+        to: "mujoco", "urdf", "modelica", "simscape", "csv", "matlab", "fmu2" or "fmu3".
+        out: the file; its name without suffix is that of the model in it. None: write nothing.
+        log: file, Log or DataFrame, along which the error of a simpler form is measured.
+        note: called with each sentence on how the log was read.
+
+    Returns:
+        The file's content, what it holds and what is lost, and that error.
+
+    Raises:
+        InputError: the machine file, the form, the file's name, or the log.
+        BuildError: an FMU, or a log, where the C compiler refused.
+    """
+    axis, form = load(machine), form_named(to)
+    path = None if out is None else Path(out)
+    is_file = path is not None and (path.is_file() or not path.exists())  # no pipe, no /dev/stdout
+    if path is not None and is_file and path.suffix.lower() not in form.suffixes:
+        raise InputError(path, "output file", path.name, f"a name that ends in {' or '.join(form.suffixes)}")
+    names_model = is_file and to in TEXT_FORMS and to != "csv"
+    title = check_title(path.stem) if path is not None and names_model else f"{axis.name}_axis"
+    written = form.write(axis, title)
+    error = None
+    if log is not None:
+        recorded = recorded_log(log, axis, note=note)
+        error = form_error(axis, to, written.simple, written.left_out, recorded)
+    if path is not None:
+        with atomic_write(path) as stream:
+            stream.write(written.content)
+    return ExportedAxis(axis, to, written.content, written.holds, written.lost, error, written.missing)

@@ -1,0 +1,83 @@
+"""`sgms-mhe export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from sgms_mhe.commands.common import (
+    check_output_file,
+    example,
+    json_option,
+    json_text,
+    machine_argument,
+    note,
+    out_option,
+    progress_bar,
+    show,
+)
+
+
+@click.command(
+    short_help="Write MACHINE's axis for another simulator.",
+    epilog=example(
+        "export etel_xy --to mujoco --out axis.xml --log measured.csv", "export etel_xy --to fmu3 --out axis.fmu"
+    ),
+)
+@machine_argument
+@click.option(
+    "--to",
+    "form",
+    required=True,
+    metavar="FORM",
+    help="One of mujoco, urdf, modelica, simscape, csv, matlab, fmu2, fmu3.",
+)
+@out_option("The file; its name without suffix is that of the model in it.")
+@click.option(
+    "--log",
+    type=click.Path(path_type=Path),
+    metavar="LOG",
+    help="Log along which the error of a simpler form is measured.",
+)
+@json_option
+def command(machine: str, form: str, out: Path, log: Path | None, as_json: bool) -> None:
+    """Write MACHINE's axis, the plant that moves, for another simulator.
+
+    Says what the form holds and what is lost. With --log also the error that a simpler form makes: its friction minus
+    that of MACHINE's own model along the motion in LOG.
+    """
+    from sgms_mhe.api import exporting
+    from sgms_mhe.configuration import load_machine
+
+    resolved = load_machine(machine)
+    check_output_file(out, exporting.form_named(form).suffixes)
+    with progress_bar(f"export {resolved.name}"):
+        exported = exporting.export(resolved, form, out, log=log, note=note)
+    if exported.missing is not None:
+        note(f"{out}: sources without a binary: {exported.missing}")
+    units, error = resolved.plant.units, exported.error
+    if as_json:
+        measured = None
+        if error is not None:
+            measured = {"samples": error.rows, "rms_N": error.rms, "relative": error.relative}
+        result = {
+            "machine": resolved.name,
+            "form": form,
+            "file": str(out),
+            "holds": exported.holds,
+            "lost": exported.lost,
+            "error": measured,
+        }
+        show(json_text(units.keyed(result)), out)
+        return
+    lines = [f"{out}: {form} of {resolved.name}", *(f"holds: {sentence}" for sentence in exported.holds)]
+    lines += [f"lost: {sentence}" for sentence in exported.lost]
+    if error is not None:
+        lines.append(
+            f"error: {error.rms:.6g} {units.force} rms, {100.0 * error.relative:.3g} % of the model's friction of "
+            f"{error.model_rms:.6g} {units.force} rms, over {error.rows} samples"
+        )
+    elif log is not None:
+        lines.append("error: none, the form holds all that moves the axis")
+    show("\n".join(lines), out)

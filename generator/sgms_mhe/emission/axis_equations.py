@@ -1,0 +1,180 @@
+"""Equations of motion of an axis in the languages of other simulators, printed from its symbolic model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import casadi as ca
+
+from sgms_mhe.emission.c_source import CPrinter
+from sgms_mhe.emission.graph import Graph, Node
+from sgms_mhe.machine import Machine, ResolvedEffect
+from sgms_mhe.model import SIGNAL_NAMES, Model, build_model
+from sgms_mhe.model.effects import effect_definition
+
+_CONTINUOUS_RATE: Final = 1e9
+"""Hz; terms by which effects make up for the estimator's sampling vanish at it."""
+
+
+@dataclass(frozen=True)
+class Language:
+    """Notation of a simulator's language where it differs from C.
+
+    Attributes:
+        condition: of (condition, value where it holds, value elsewhere).
+        quiet: puts an expression that is not smooth where a solver does not search for its switch.
+        functions: names of functions that are called otherwise than in the graph.
+    """
+
+    condition: str
+    quiet: str
+    functions: Mapping[str, str]
+
+
+MODELICA: Final = Language("if {} then {} else {}", "noEvent({})", {"fabs": "abs", "fmax": "max", "fmin": "min"})
+SIMSCAPE: Final = Language("if {}, {} else {} end", "({})", {"fabs": "abs", "fmax": "max", "fmin": "min"})
+
+
+class EquationPrinter(CPrinter):
+    """Prints nodes as equations of another language: one name per line, each set once."""
+
+    def __init__(self, language: Language) -> None:
+        super().__init__("double")
+        self._language = language
+
+    def declaration(self, name: str, expression: str) -> str:
+        """Return the line that gives an intermediate value its name."""
+        return f"{name} = {expression};"
+
+    def operation(self, node: Node, arguments: list[str]) -> str | None:
+        """Return the text of what the language writes otherwise than C, in parentheses of its own; else None."""
+        language, op = self._language, node.op
+
+        def where(condition: str, value: str, other: str) -> str:
+            return language.condition.format(condition, value, other)
+
+        if op == "const" and node.value < 0.0:
+            return f"({self.number(node.value)})"  # no sign stands behind an operator
+        if op == "neg":
+            return f"(-({arguments[0]}))"
+        if op == "sq":
+            return f"({arguments[0]})^2"
+        if op == "sign":
+            x = arguments[0]
+            return language.quiet.format(where(f"{x} > 0.0", "1.0", where(f"{x} < 0.0", "-1.0", "0.0")))
+        if op in ("lt", "le"):
+            comparison = f"{arguments[0]} {'<' if op == 'lt' else '<='} {arguments[1]}"
+            return language.quiet.format(where(comparison, "1.0", "0.0"))
+        if op == "not":
+            return language.quiet.format(where(f"abs({arguments[0]}) > 0.0", "0.0", "1.0"))
+        if op == "lookup":
+            text = "0.0"
+            for place, value in reversed(node.table):
+                text = where(f"abs({arguments[0]} - {self.number(place)}) < 0.5", self.number(value), text)
+            return language.quiet.format(text)
+        if op in ("exp", "log", "sqrt", "sin", "cos", "tanh", "floor", "fabs", "fmax", "fmin"):
+            call = f"{language.functions.get(op, op)}({', '.join(arguments)})"
+            return language.quiet.format(call) if op in ("floor", "fabs", "fmax", "fmin") else call
+        return None
+
+
+@dataclass(frozen=True)
+class AxisModel:
+    """Symbolic model of the axis itself, in continuous time and physical parameters.
+
+    Attributes:
+        model: theta is `values` [SI], by the names of `parameters`.
+        left_out: labels of the effects that belong to the measurement.
+    """
+
+    model: Model
+    left_out: tuple[str, ...]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of theta, as in results."""
+        return tuple(parameter.column for parameter in self.model.parameters)
+
+    def value(self, expression: ca.SX) -> float:
+        """Return an expression of (chi, w, theta) at rest and at the machine's parameters."""
+        at_rest = ca.Function("at_rest", [self.model.chi, self.model.w, self.model.theta], [expression])
+        nominal = [parameter.nominal for parameter in self.model.parameters]
+        return float(at_rest(0.0, 0.0, nominal))
+
+    @property
+    def inertia(self) -> float:
+        """All that resists a slow acceleration, effects that add to it included [kg, kg m^2]."""
+        return self.model.machine.plant.moved + self.value(ca.jacobian(self.model.feed_forward, self.model.w[2]))
+
+
+def axis_model(machine: Machine) -> AxisModel:
+    """Assemble the model of what moves: effects of the measurement and the estimator's sampling left out.
+
+    Raises:
+        InputError: an effect cannot be built with its numbers.
+    """
+    sampling = machine.sampling.model_copy(update={"rate": _CONTINUOUS_RATE})
+    continuous = replace(machine, sampling=sampling)
+    measured = tuple(effect.label for effect in machine.effects if _is_measurement(continuous, effect))
+    kept = tuple(effect for effect in machine.effects if effect.label not in measured)
+    return AxisModel(build_model(replace(continuous, effects=kept), physical=True), measured)
+
+
+def _is_measurement(machine: Machine, effect: ResolvedEffect) -> bool:
+    """Return True if an effect changes what is measured, not how the axis moves.
+
+    Effects of the stage `log` are between the force that acts and the one that is logged; one whose states follow the
+    logged force makes the drive late.
+    """
+    stage = effect_definition(effect.name).stage
+    if stage != "log":
+        return stage == "signal"
+    alone = build_model(replace(machine, effects=(effect,)), physical=True)
+    force = alone.w[SIGNAL_NAMES.index("force")]
+    return not ca.depends_on(alone.rhs[alone.n_z :], force)
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Equations of an axis in one language.
+
+    Attributes:
+        states: name of each state, without a unit; all start at 0.
+        lines: `name = expression;`, operands first.
+        values: names that the lines define, in their order.
+        rates: name of each state's rate [1/s] among the values.
+    """
+
+    states: tuple[str, ...]
+    lines: tuple[str, ...]
+    values: tuple[str, ...]
+    rates: tuple[str, ...]
+
+
+def print_equations(axis: AxisModel, language: Language, names: Mapping[str, str]) -> Equations:
+    """Print rates of the states, deflections and friction of an axis.
+
+    Args:
+        axis: its model.
+        language: to print in.
+        names: names there of the signals of `SIGNAL_NAMES` and of the parameters, by their columns.
+
+    The lines also define `friction`, mass * acceleration left out, and the deflections `z_1`, `z_2`, ...
+    """
+    model, graph = axis.model, Graph()
+    states = tuple(f"chi_{state.name}".replace(".", "_") for state in model.states)
+    vectors = {"x": model.chi, "w": model.w, "theta": model.theta}
+    labels = {"x": states, "w": tuple(names)[: model.w.numel()], "theta": axis.columns}
+    rates = tuple(f"rate_{state.removeprefix('chi_')}" for state in states)
+    targets = (*rates, *(f"z_{i + 1}" for i in range(model.n_z)), "friction")
+    hinted = [(name, value) for own in model.names for name, value in own.items()]
+    outputs = ca.vertcat(model.rhs, model.deflection, model.output)
+    nodes = graph.read(ca.vertcat(outputs, *(value for _, value in hinted)), vectors, labels)
+    hints = {node: name for (name, _), node in zip(hinted, nodes[len(targets) :], strict=True)}
+    known = {graph.input("x", state): state for state in states}
+    known |= {graph.input("w" if i < 5 else "theta", label): text for i, (label, text) in enumerate(names.items())}
+    printer = EquationPrinter(language)
+    lines = printer.statements([*zip(targets, nodes, strict=False)], known, hints)
+    return Equations(states, tuple(lines), tuple(line.partition(" = ")[0] for line in lines), rates)

@@ -1,0 +1,244 @@
+"""Exports of an axis: their texts, the command with its refusals, and the error of simpler forms."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import sgms_mhe
+from cli_cases import SMALL, done, refused
+from export_cases import BASES, FORMS, SUFFIX, machine_of_effect, machine_with
+from package_variants import EFFECTS, GEARED
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.emission.axis_equations import axis_model
+from sgms_mhe.emission.axis_forms import axis_numbers
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.support.errors import InputError
+
+# --- numbers as text ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_csv_has_every_number_of_the_machine_file(base: str) -> None:
+    text = sgms_mhe.export(base, "csv").text
+    rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    found = {row["name"]: float(row["value"]) for row in rows}
+    machine = load_machine(base)
+    assert found.pop(machine.plant.units.inert) == machine.plant.moved
+    assert [found[f"stiffness_{i + 1}"] for i in range(4)] == list(machine.friction.stiffness)
+    assert found["coulomb"] == machine.friction.coulomb and ("zeta" in found) == (base != "etel_xy_switching")
+    units = {row["name"]: row["unit"] for row in rows}
+    rotary = base == "etel_xy_rotary"
+    assert (units["viscous"], units["fraction_1"]) == ("N m s/rad" if rotary else "N s/m", "")
+
+
+def test_matlab_is_matlab(tmp_path: Path) -> None:
+    machine = machine_of_effect("position_map")
+    path = tmp_path / "numbers.m"
+    sgms_mhe.export(machine, "matlab", path)
+    lint = [sys.executable, "-c", "from miss_hit.mh_lint import main; main()", "--brief", str(path)]
+    assert subprocess.run(lint, capture_output=True, check=False, cwd=tmp_path).returncode == 0
+    found = {name: float(value) for name, value in re.findall(r"^numbers\.(\w+) = (\S+);", path.read_text(), re.M)}
+    assert found == {number.identifier: number.value for number in axis_numbers(machine)}
+
+
+# --- equations ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "more"), [("mass_mismatch", 1.5), ("structural_resonance", 0.0), ("force_gain", 0.0)])
+def test_inertia_is_what_a_slow_acceleration_meets(name: str, more: float) -> None:
+    assert axis_model(machine_of_effect(name)).inertia == pytest.approx(20.0 + more, rel=1e-9)
+
+
+def equations_of(text: str, language: str) -> dict[str, str]:
+    """Right sides of the equations by the names on the left, as Python."""
+    found = re.findall(r"^ *(\w+) = (.+);$", text.partition("equation")[2], re.M)
+    python = {}
+    for name, right in found:
+        if language == "simscape":
+            right = re.sub(r"value\((\w+), '[^']*'\)", r"\1", right)
+            while "if " in right:
+                right = re.sub(
+                    r"\bif ((?:(?!\bif\b).)*?), ((?:(?!\bif\b).)*?) else ((?:(?!\bif\b).)*?) end",
+                    r"((\2) IF (\1) ELSE (\3))",
+                    right,
+                )
+            right = right.replace("IF", "if").replace("ELSE", "else")
+        python[name] = right.replace("^", "**")
+    return python
+
+
+@pytest.mark.parametrize("name", ["none", *EFFECTS, *GEARED, "switching"])
+def test_simscape_has_the_equations_of_the_model(name: str) -> None:
+    """Its text evaluated at random points; MATLAB itself was not at hand."""
+    machine = machine_of_effect(name) if name in (*EFFECTS, *GEARED) else None
+    machine = machine or machine_with(base="etel_xy_switching" if name == "switching" else "etel_xy")
+    text, axis = sgms_mhe.export(machine, "simscape").text, axis_model(machine)
+    model, rng = axis.model, np.random.default_rng(2)
+    parameters = dict(re.findall(r"^    (\w+) = \{(\S+), '[^']*'\};", text.partition("variables")[0], re.M))
+    evaluate = ca.Function("model", [model.chi, model.w, model.theta], [model.rhs, model.output])
+    names = {
+        "tanh": np.tanh,
+        "exp": np.exp,
+        "sqrt": np.sqrt,
+        "sin": np.sin,
+        "cos": np.cos,
+        "floor": np.floor,
+        "log": np.log,
+    }
+    names |= {"abs": abs, "min": min, "max": max, **{key: float(value) for key, value in parameters.items()}}
+    for _ in range(20):
+        w = rng.choice([-1.0, 1.0], 5) * 10.0 ** rng.uniform(-5.0, 0.5, 5)
+        chi = rng.uniform(-1.2, 1.2, model.n_x)
+        signals = ("position", "velocity", "acceleration", machine.plant.units.push, "time")
+        states = re.findall(r"^      der\((\w+)\) == (\w+) \*", text, re.M)
+        values = names | dict(zip(signals, w, strict=True)) | {s: x for (s, _), x in zip(states, chi, strict=True)}
+        for left, right in equations_of(text, "simscape").items():
+            values[left] = eval(right, {"__builtins__": {}}, values)
+        rates, friction = evaluate(chi, w, [p.nominal for p in model.parameters])
+        np.testing.assert_allclose([values[rate] for _, rate in states], np.array(rates).ravel(), rtol=1e-9, atol=1e-9)
+        assert values["friction"] == pytest.approx(float(friction), rel=1e-9, abs=1e-12)
+
+
+def test_simscape_states_units_of_the_axis() -> None:
+    linear, rotary = (sgms_mhe.export(base, "simscape").text for base in ("etel_xy", "etel_xy_rotary"))
+    assert "viscous = {20.0, 'N*s/m'}" in linear and "force : R.f -> C.f;" in linear
+    assert "'N*m*s/rad'}" in rotary and "torque : R.t -> C.t;" in rotary and "R.w - C.w" in rotary
+
+
+# --- the command -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a machine file and its log."""
+    folder = tmp_path_factory.mktemp("recorded")
+    (folder / "small.toml").write_text(SMALL + '[[effects]]\nname = "force_gain"\ngain = 1.05\n')
+    done("simulate", folder / "small.toml", "--trajectory", "mixed", "--duration", "4", "--out", folder / "log.csv")
+    return folder
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_says_what_it_holds(form: str, recorded: Path, tmp_path: Path) -> None:
+    out = tmp_path / f"axis{SUFFIX[form]}"
+    machine = recorded / "small.toml"
+    printed = done("export", machine, "--to", form, "--out", out).stdout
+    first = out.read_bytes()
+    assert {path.name for path in tmp_path.iterdir()} == {out.name}
+    stated = [line for line in printed.splitlines() if line.startswith(("holds: ", "lost: "))]
+    assert any(line.startswith("holds: ") for line in stated) and "error" not in printed
+    if not form.startswith("fmu"):
+        text = re.sub(r"\s+(?:[#%]|//)?\s*", " ", first.decode())
+        for line in stated:
+            assert line.partition(": ")[2] in text
+    done("export", machine, "--to", form, "--out", out)
+    assert out.read_bytes() == first
+    found = json.loads(done("export", machine, "--to", form, "--out", out, "--json").stdout)
+    assert found["form"] == form and found["error"] is None and found["holds"]
+
+
+@pytest.mark.parametrize("form", ["mujoco", "urdf", "modelica", "csv", "fmu3"])
+def test_the_error_along_a_log(form: str, recorded: Path, tmp_path: Path) -> None:
+    machine, log = recorded / "small.toml", recorded / "log.csv"
+    out = tmp_path / f"axis{SUFFIX[form]}"
+    found = json.loads(done("export", machine, "--to", form, "--out", out, "--log", log, "--json").stdout)
+    printed = done("export", machine, "--to", form, "--out", out, "--log", log).stdout
+    if form in ("csv", "fmu3"):
+        assert found["error"] is None and "error: none" in printed
+        return
+    error = found["error"]
+    assert f"{error['rms_N']:.6g} N rms" in printed and error["samples"] > 3000
+    if form == "modelica":
+        # a gain of the logged force alone: (g - 1) of all of it, of which the model's friction is a part
+        assert 0.0 < error["relative"] < 0.5
+        return
+    axis = load_machine(machine)
+    prediction = sgms_mhe.predict(axis, log)
+    assert error["relative"] == pytest.approx(error["rms_N"] / rms(prediction.friction_N, prediction), rel=1e-9)
+
+
+def rms(values: Any, prediction: Any) -> float:
+    return float(np.sqrt(np.mean(values[np.isfinite(prediction.friction_measured_N)] ** 2)))
+
+
+def test_the_error_is_small_where_little_is_lost() -> None:
+    """Stiff elements and no Stribeck effect leave what the forms do at rest; softer ones make it several times that."""
+    stiff = {"stiffness": [1e7], "fraction": [1.0], "micro_viscous": [0.0], "stribeck_ratio": 0.0}
+    for form in ("mujoco", "urdf"):
+        relative = []
+        for friction in (stiff, {}):
+            machine = override_machine(load_machine("etel_xy"), {"friction": friction})
+            motion = make_trajectory("mixed", 1e4, duration_s=2.0, max_velocity=0.3)
+            error = sgms_mhe.export(machine, form, log=sgms_mhe.simulate(machine, motion).log).error
+            assert error is not None
+            relative.append(error.relative)
+        assert relative[0] < 0.12 and relative[1] > 1.8 * relative[0]
+
+
+def test_rotary_names_are_those_of_the_axis(tmp_path: Path) -> None:
+    run = sgms_mhe.simulate("etel_xy_rotary", duration_s=2.0)
+    run.log.to_frame().to_csv(tmp_path / "log.csv", index=False)
+    done_ = done(
+        "export",
+        "etel_xy_rotary",
+        "--to",
+        "urdf",
+        "--out",
+        tmp_path / "a.urdf",
+        "--log",
+        tmp_path / "log.csv",
+        "--json",
+    )
+    assert set(json.loads(done_.stdout)["error"]) == {"samples", "rms_Nm", "relative"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "allowed"),
+    [
+        (("--to", "mujocco", "--out", "axis.xml"), "did you mean mujoco?"),
+        (("--to", "fmu1", "--out", "axis.fmu"), "one of mujoco, urdf, modelica, simscape, csv, matlab, fmu2, fmu3"),
+        (("--to", "modelica", "--out", "axis.m"), "a name that ends in .mo"),
+        (("--to", "modelica", "--out", "1axis.mo"), "a letter, then letters, digits and underscores"),
+        (("--to", "simscape", "--out", "my-axis.ssc"), "it names the model in it"),
+        (("--to", "csv", "--out", "absent/axis.csv"), "in a folder that exists"),
+        (("--to", "csv"), "Missing option '--out'"),
+        (("--to", "csv", "--out", "axis.csv", "--log", "absent.csv"), "absent.csv"),
+    ],
+)
+def test_bad_requests_say_what_is_allowed(
+    arguments: tuple[str, ...], allowed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert allowed in refused("export", "etel_xy", *arguments)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_it_is_written_to_a_pipe_as_well() -> None:
+    process = subprocess.run(
+        [sys.executable, "-m", "sgms_mhe", "export", "etel_xy", "--to", "csv", "--out", "/dev/stdout"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert process.stdout == sgms_mhe.export("etel_xy", "csv").text and "holds: " in process.stderr
+
+
+def test_an_earlier_file_stays_where_the_log_is_refused(recorded: Path, tmp_path: Path) -> None:
+    out, log = tmp_path / "axis.xml", tmp_path / "log.csv"
+    out.write_text("earlier")
+    log.write_text("time_s,position_m,force_N\n0,0,nan\n0.001,nan,0\n")
+    refused("export", recorded / "small.toml", "--to", "mujoco", "--out", out, "--log", log)
+    assert out.read_text() == "earlier"
+
+
+def test_what_leaves_no_inertia_is_refused() -> None:
+    lightened = machine_with({"name": "mass_mismatch", "mass_kg": -25.0})
+    with pytest.raises(InputError, match="positive part"):
+        sgms_mhe.export(lightened, "urdf")
