@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import pickle
 import re
 import runpy
 import subprocess
@@ -11,17 +12,20 @@ import sys
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
 
 import sgms_mhe
 from cli_cases import SMALL, done
+from diagnosis_cases import explained
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.columns import read_columns
 from sgms_mhe.signals.logs import COLUMNS, Log
 from sgms_mhe.support.errors import ImplausibleError, InputError
+from sgms_mhe.support.notebooks import html_table
 
 pytestmark = pytest.mark.core
 
@@ -88,7 +92,10 @@ def test_every_function_is_there_described_and_typed() -> None:
     for name in sgms_mhe.__all__:
         function = getattr(sgms_mhe, name)
         text = inspect.getdoc(function)
-        assert function.__name__ == name and text is not None and "Raises:" in text
+        assert function.__name__ == name and text is not None and "docs/" not in text
+        if isinstance(function, type):
+            continue
+        assert "Raises:" in text or name == "effects"
         signature = inspect.signature(function)
         assert all(p.annotation is not inspect.Parameter.empty for p in signature.parameters.values())
         described = set(re.findall(r"^    (\w+(?:, \w+)*):", text, flags=re.MULTILINE))
@@ -161,7 +168,7 @@ def test_a_frame_is_mapped_as_a_file_is(small: Path, log: Log, tmp_path: Path) -
         (lambda frame: frame.assign(force_N="much"), "real numbers"),
         (lambda frame: pd.concat([frame, frame[["force_N"]]], axis=1), "each name once"),
         (lambda frame: frame.iloc[::2], "sampling.rate of small"),
-        (lambda frame: 3, "a path, a Log or a pandas.DataFrame"),
+        (lambda frame: 3, "a path, a Log, a pandas.DataFrame or arrays by name"),
     ],
     ids=["no force", "text", "a name twice", "another rate", "no table"],
 )
@@ -194,6 +201,117 @@ def test_functions_give_what_the_commands_write(small: Path, log: Log, tmp_path:
 
     done("predict", small, trace, "--out", tmp_path / "p.csv")
     assert_same(sgms_mhe.predict(small, log).to_frame(), tmp_path / "p.csv")
+
+
+FORMS = ("arrays", "duration index", "time index", "named index", "text", "decimal commas", "objects")
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_columns_in_other_forms_are_read(form: str, log: Log) -> None:
+    frame = log.to_frame()
+    times = pd.to_timedelta(frame["time_s"], unit="s")
+    source: object = {
+        "arrays": {"position_m": log.position_m, "force_N": log.force_N},
+        "duration index": frame.drop(columns="time_s").set_axis(pd.TimedeltaIndex(times, name=None)),
+        "time index": frame.drop(columns="time_s").set_axis(pd.DatetimeIndex(pd.Timestamp("2026-01-01") + times)),
+        "named index": frame.set_index("time_s"),
+        "text": frame.astype(str),
+        "decimal commas": frame.assign(force_N=frame["force_N"].map(lambda force: f"{force:.17g}".replace(".", ","))),
+        "objects": frame.assign(force_N=frame["force_N"].astype(object)),
+    }[form]
+    read = sgms_mhe.read_log(source, rate=log.rate if form == "arrays" else None)  # type: ignore[arg-type]
+    assert np.array_equal(read.position_m, log.position_m) and np.array_equal(read.force_N, log.force_N)
+    assert read.rate == pytest.approx(log.rate, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("columns", "expected"),
+    [
+        ({"position_m": [1.0, 2.0], "force_N": [1.0]}, "as many values in each array"),
+        ({"position_m": ["much", "more"], "force_N": [1.0, 2.0]}, "real numbers"),
+    ],
+)
+def test_arrays_that_are_no_log_are_refused(columns: dict[str, list[object]], expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        sgms_mhe.read_log(columns, rate=1000.0)
+
+
+def test_sentences_on_a_log_are_warnings_where_nobody_listens(log: Log) -> None:
+    frame = log.to_frame()[["time_s", "force_N"]].assign(velocity_m_s=0.1)
+    heard: list[str] = []
+    sgms_mhe.read_log(frame, note=heard.append)
+    with pytest.warns(sgms_mhe.LogWarning, match="no position") as caught:
+        sgms_mhe.read_log(frame)
+    assert [str(warning.message) for warning in caught] == heard
+    assert Path(caught[0].filename) == Path(__file__)
+
+
+def test_results_can_be_looked_at_kept_and_not_changed(small: Path, log: Log) -> None:
+    estimates, predicted = sgms_mhe.estimate(small, log), sgms_mhe.predict(small, log)
+    for result in (sgms_mhe.read_log(log.to_frame()), estimates, predicted):
+        again = pickle.loads(pickle.dumps(result))
+        assert type(again) is type(result)
+        arrays = [value for field in fields(result) if isinstance(value := getattr(result, field.name), np.ndarray)]
+        assert arrays
+        for array in arrays:
+            with pytest.raises(ValueError, match="read-only"):
+                array[...] = 0
+        html = result._repr_html_()
+        assert html.count("<") == html.count(">") > 1
+        axes = result.plot()
+        assert axes.get_xlabel() == "time [s]" and len(axes.lines) >= 1
+        assert result.plot(axes=axes) is axes
+        plt.close(axes.figure)
+    axes = estimates.plot("stiffness_1")
+    assert len(axes.collections) == 1  # the band
+    plt.close(axes.figure)
+    with pytest.raises(InputError, match="stiffness_1"):
+        estimates.plot("nothing")
+
+
+def test_a_diagnosis_is_looked_at(small: Path) -> None:
+    found = explained(sgms_mhe.load(small))
+    frame = found.to_frame()
+    assert len(frame) == sum(len(cause.parameters) for cause in found.causes) > 0
+    assert set(frame["cause"]) == {cause.name for cause in found.causes}
+    assert found.verdict in found._repr_html_() and found.causes[0].name in found._repr_html_()
+    axes = found.plot()
+    assert [line.get_label() for line in axes.lines] == ["before", "after"]
+    plt.close(axes.figure)
+    assert pickle.loads(pickle.dumps(found)).summary == found.summary
+
+
+def test_arrays_of_the_caller_stay_writeable(log: Log) -> None:
+    mine = log.position_m.copy()
+    sgms_mhe.read_log({"position_m": mine, "force_N": log.force_N}, rate=log.rate)
+    mine[0] = 1.0
+
+
+def test_what_a_table_says_is_escaped() -> None:
+    html = html_table("<b>", ("a & b",), (("<i>",),))
+    assert all(escaped in html for escaped in ("&lt;b&gt;", "a &amp; b", "&lt;i&gt;"))
+
+
+@pytest.mark.parametrize("kind", [InputError, ImplausibleError])
+def test_errors_come_back_from_another_process(kind: type[InputError]) -> None:
+    error = kind("file", "key", 3, "another")
+    again = pickle.loads(pickle.dumps(error))
+    assert type(again) is kind and str(again) == str(error) and again.value == 3
+
+
+def test_effects_and_a_plan(small: Path) -> None:
+    effects = sgms_mhe.effects("linear")
+    assert "force_ripple" in effects and "unbalance" not in effects and "unbalance" in sgms_mhe.effects()
+    assert effects["force_ripple"].parameters and effects["force_ripple"].summary
+    plan = sgms_mhe.plan(small, ("constant_offset", "asymmetric_coulomb"))
+    assert plan.reason and plan.trajectory.duration_s > 1.0
+    with pytest.raises(InputError, match="two of"):
+        sgms_mhe.plan(small, ("constant_offset", "nothing"))
+
+
+def test_one_binding_is_a_name(small: Path) -> None:
+    one, listed = (sgms_mhe.generate(small, bindings=given) for given in ("cpp", ["cpp"]))
+    assert one.files == listed.files
 
 
 def assert_same(frame: pd.DataFrame, path: Path) -> None:
@@ -248,7 +366,7 @@ def test_code_on_the_page_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / "python.md").read_text(), re.DOTALL | re.MULTILINE)
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     (tmp_path / "my_axis.toml").write_text(SMALL.replace('"small"', '"my_axis"'))
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -102,6 +103,26 @@ def identified(logs: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
     """The machine file of both logs and what the command says of it."""
     path = tmp_path_factory.mktemp("identified") / "found.toml"
     return path, json.loads(done("identify", *logs, "--out", path, "--json").stdout)
+
+
+def test_an_identification_in_python(log: Log) -> None:
+    """One log is no list; the mass is called as the axis's kind calls it; numbers as a table, and as a curve."""
+    steps: list[str] = []
+    found = sgms_mhe.identify(log, mass=MASS, elements=2, progress=steps.append)
+    assert found.machine.name == "axis" and "numbers at the full rate" in steps
+    frame = found.to_frame().set_index("name")
+    assert frame.loc["coulomb", "value"] == found.number("coulomb").value
+    assert "coulomb" in found._repr_html_()
+    assert json.dumps(found.to_json(), allow_nan=False)
+    axes = found.plot()
+    force = axes.lines[0].get_ydata()
+    friction = found.machine.friction
+    assert force[0] == 0.0 and force[-1] == pytest.approx(friction.coulomb * (1.0 + friction.stribeck_ratio))
+    plt.close(axes.figure)
+    with pytest.raises(InputError, match=r"inertia = 1.0: mass \[kg\]: the logs are of a linear axis"):
+        sgms_mhe.identify(log, inertia=1.0)
+    with pytest.raises(InputError, match="at least one"):
+        sgms_mhe.identify([])
 
 
 # --- parts ------------------------------------------------------------------------------------------------------

@@ -264,7 +264,7 @@ def test_an_axis_that_turns_is_identified(tmp_path: Path) -> None:
     assert machine.plant.kind == "rotary"
     assert not LINEAR_UNITS.search((tmp_path / "axis.toml").read_text())
     said = refused("identify", tmp_path / "log.csv", "--out", tmp_path / "no.toml", "--mass", "0.2")
-    assert "--inertia [kg m^2]: the logs are of a rotary axis" in said
+    assert "mass = 0.2: inertia [kg m^2]: the logs are of a rotary axis" in said
 
 
 def test_commands_speak_of_angles_and_torques(logs: tuple[Path, Path], tmp_path: Path) -> None:

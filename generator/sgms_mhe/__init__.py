@@ -1,33 +1,81 @@
 """Generator of embedded friction observers: S-GMS friction model, moving horizon estimation, emitted C.
 
-The functions in `__all__` are the public interface for Python; docs/python.md has them with an example each. Each is
-imported when it is first asked for.
+The names in `__all__` are the public interface for Python, each imported when it is first asked for: functions, the
+classes of their results, errors and warnings. `help(sgms_mhe.estimate)` has arguments, shapes, units and errors of one.
 """
 
 from importlib import import_module as _import_module
 
 __version__ = "0.2.0"
 
-__all__ = ["diagnose", "estimate", "export", "generate", "identify", "load", "predict", "read_log", "simulate"]
+__all__ = [
+    "BuildError",
+    "Diagnosis",
+    "Estimates",
+    "ExportedAxis",
+    "Identification",
+    "ImplausibleError",
+    "InputError",
+    "Log",
+    "LogWarning",
+    "Machine",
+    "MotionPlan",
+    "Package",
+    "PredictedFriction",
+    "SimulatedRun",
+    "Tuned",
+    "diagnose",
+    "effects",
+    "estimate",
+    "export",
+    "fleet",
+    "generate",
+    "identify",
+    "load",
+    "plan",
+    "predict",
+    "read_log",
+    "simulate",
+    "tune",
+]
 
 _MODULES = {
-    "diagnose": "diagnosis",
-    "estimate": "estimation",
-    "export": "exporting",
-    "generate": "packages",
-    "identify": "identification",
-    "load": "inputs",
-    "predict": "estimation",
-    "read_log": "inputs",
-    "simulate": "simulation",
+    "BuildError": "support.errors",
+    "Diagnosis": "diagnosis.result",
+    "Estimates": "signals.estimates",
+    "ExportedAxis": "api.exporting",
+    "Identification": "identification.result",
+    "ImplausibleError": "support.errors",
+    "InputError": "support.errors",
+    "Log": "signals.logs",
+    "LogWarning": "support.errors",
+    "Machine": "machine.resolved",
+    "MotionPlan": "diagnosis.plan",
+    "Package": "emission.package",
+    "PredictedFriction": "evaluation.prediction",
+    "SimulatedRun": "plant.simulation",
+    "Tuned": "evaluation.tuning",
+    "diagnose": "api.diagnosis",
+    "effects": "api.experiments",
+    "estimate": "api.estimation",
+    "export": "api.exporting",
+    "fleet": "api.fleets",
+    "generate": "api.packages",
+    "identify": "api.identification",
+    "load": "api.inputs",
+    "plan": "api.experiments",
+    "predict": "api.estimation",
+    "read_log": "api.inputs",
+    "simulate": "api.simulation",
+    "tune": "api.tuning",
 }
-"""Modules of `sgms_mhe.api` by the function that each holds; `__init__.pyi` says the same to type checkers."""
+"""Modules by the name that each holds; `__init__.pyi` says the same to type checkers."""
 
 
 def __getattr__(name: str) -> object:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(_import_module(f"{__name__}.api.{_MODULES[name]}"), name)
+    return getattr(_import_module(f"{__name__}.{_MODULES[name]}"), name)
 
 
 def __dir__() -> list[str]:

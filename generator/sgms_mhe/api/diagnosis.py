@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from sgms_mhe.api.inputs import LogSource, Note, load, recorded_log
+from sgms_mhe.api.inputs import LOGGER, LogSource, Note, load, recorded_log
 from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.diagnosis import diagnose as diagnose_log
 from sgms_mhe.diagnosis.criteria import Progress
 from sgms_mhe.machine import Machine
+from sgms_mhe.support.notebooks import read_only
 
 
 def diagnose(
@@ -27,8 +28,8 @@ def diagnose(
         log: file, Log or DataFrame: what was measured.
         held_out_s: intervals since the log's start [s] that no fit behind a reported gain sees; None: a third of the
             record, in blocks.
-        note: called with each sentence on how the log was read.
-        progress: called with each step and the share of the work before it.
+        note: called with each sentence on how the log was read; None: they are `LogWarning`s.
+        progress: called with each step and the share of the work before it; None: the logger `sgms_mhe.progress` is.
 
     Returns:
         Verdict, causes with parameters and deviations, rivals, what the record cannot decide, the extended machine.
@@ -37,4 +38,9 @@ def diagnose(
         InputError: machine or log; an ImplausibleError where the log's sign, scale or unit cannot be meant.
     """
     axis = load(machine)
-    return diagnose_log(axis, recorded_log(log, axis, note=note), progress=progress, held_out_s=held_out_s)
+    recorded = recorded_log(log, axis, note=note)
+    return read_only(diagnose_log(axis, recorded, progress=progress or _tell, held_out_s=held_out_s))
+
+
+def _tell(step: str, share: float) -> None:
+    LOGGER.info("%s (%.0f %%)", step, 100.0 * share)

@@ -15,6 +15,7 @@ from sgms_mhe.signals.chain import signals_from_log
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.notebooks import read_only
 
 Solver = Literal["c", "reference", "ekf", "smoother"]
 SOLVERS: Final[tuple[Solver, ...]] = ("c", "reference", "ekf", "smoother")
@@ -36,10 +37,10 @@ def estimate(
         solver: c: the generated C, compiled here; reference: the Python solver that it is judged by; ekf: the generated
             C of an extended Kalman filter; smoother: least squares over the whole record.
         progress: called with (updates done, updates in all).
-        note: called with each sentence on how the log was read.
+        note: called with each sentence on how the log was read; None: they are `LogWarning`s.
 
     Returns:
-        One row per update; `to_frame()` has the columns of docs/files.md.
+        One row per update; `to_frame()` has the columns of the command's file.
 
     Raises:
         InputError: machine, solver or log; a log that ends before the first update.
@@ -56,10 +57,10 @@ def estimate(
         if any(
             column is not None for column in (recorded.velocity_m_s, recorded.acceleration_m_s2, recorded.friction_N)
         ):
-            return estimator.estimate(signals_from_log(recorded, axis), progress=progress)
-        return estimator.estimate_log(recorded, mode="tick", progress=progress)
+            return read_only(estimator.estimate(signals_from_log(recorded, axis), progress=progress))
+        return read_only(estimator.estimate_log(recorded, mode="tick", progress=progress))
     kind: Literal["smoother"] | None = "smoother" if solver == "smoother" else None
-    return estimate_reference(axis, signals_from_log(recorded, axis), kind, progress=progress)
+    return read_only(estimate_reference(axis, signals_from_log(recorded, axis), kind, progress=progress))
 
 
 def predict(
@@ -71,10 +72,10 @@ def predict(
         machine: file, name, or loaded.
         log: file, Log or DataFrame.
         lowpass_Hz: in place of the machine's velocity_cutoff.
-        note: called with each sentence on how the log was read.
+        note: called with each sentence on how the log was read; None: they are `LogWarning`s.
 
     Returns:
-        Measured and simulated friction at every sample (n) [N]; `to_frame()` has the columns of docs/files.md.
+        Measured and simulated friction at every sample (n) [N]; `to_frame()` has the columns of the command's file.
 
     Raises:
         InputError: machine or log; no sample is a valid measurement of friction.
@@ -83,7 +84,7 @@ def predict(
     axis = load(machine)
     if lowpass_Hz is not None:
         axis = override_machine(axis, {"sampling": {"velocity_cutoff": lowpass_Hz}})
-    return predict_log(axis, recorded_log(log, axis, note=note))
+    return read_only(predict_log(axis, recorded_log(log, axis, note=note)))
 
 
 def check_length(log: Log, machine: Machine) -> None:

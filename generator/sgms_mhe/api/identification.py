@@ -2,33 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import cast
 
-from sgms_mhe.api.inputs import LogSource, Note, load, read_log
+from sgms_mhe.api.inputs import LOGGER, LogSource, Note, Step, load, read_log
 from sgms_mhe.identification import Identification, Wanted
 from sgms_mhe.identification import identify as identify_logs
-from sgms_mhe.machine import Machine
+from sgms_mhe.machine import Machine, Units
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.notebooks import read_only
 
 
 def identify(
-    logs: Sequence[LogSource],
-    name: str,
+    logs: LogSource | Iterable[LogSource],
+    name: str = "axis",
     *,
     mass: float | None = None,
+    inertia: float | None = None,
     elements: int | None = None,
     like: str | Path | Machine | None = None,
     note: Note | None = None,
+    progress: Step | None = None,
 ) -> Identification:
     """Identify an axis from its logs alone; no starting values are asked for.
 
     Args:
-        logs: files, Logs or DataFrames of one axis at one rate, in any order.
+        logs: one log or several of one axis at one rate, in any order: files, Logs, DataFrames or arrays by name.
         name: of the machine.
-        mass: what moves [kg], of a rotary axis its inertia [kg m^2]; None: the one that the motion shows.
+        mass: what moves [kg] on a linear axis; None: the one that the motion shows.
+        inertia: the same of a rotary axis [kg m^2].
         elements: number of friction elements, 1 to 10; None: as many as held-out data gain by.
         like: take sampling, estimator, code and `[log]` from this machine.
-        note: called with each step, and with each sentence on how the logs were read.
+        note: called with each sentence on how the logs were read; None: they are `LogWarning`s.
+        progress: called with each step; None: the logger `sgms_mhe.progress` is.
 
     Returns:
         The machine, the text of its file as `toml`, and every number with its standard deviation.
@@ -37,5 +45,20 @@ def identify(
         InputError: logs that cannot tell: without motion, below break-away, of different rates, ...
     """
     model = None if like is None else load(like)
-    read = [read_log(log, model, note=note) for log in logs]
-    return identify_logs(read, Wanted(name, mass, elements, model), note or (lambda _: None))
+    single = isinstance(logs, str | Path | Log | Mapping) or hasattr(logs, "columns")
+    sources = cast("Iterable[LogSource]", [logs] if single else logs)
+    read = [read_log(log, model, note=note) for log in sources]
+    if not read:
+        raise InputError("identify", "logs", [], "at least one")
+    moved = _moved_mass(read[0].units, mass, inertia)
+    return read_only(identify_logs(read, Wanted(name, moved, elements, model), progress or LOGGER.info))
+
+
+def _moved_mass(units: Units, mass: float | None, inertia: float | None) -> float | None:
+    """Return the one of the axis's kind. Raises InputError for the other one."""
+    own, other, option = (mass, inertia, "inertia") if units.kind == "linear" else (inertia, mass, "mass")
+    if other is not None:
+        raise InputError(
+            "identify", option, other, f"{units.inert} [{units.mass}]: the logs are of a {units.kind} axis"
+        )
+    return own

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
+import logging
 import math
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from sgms_mhe.configuration import load_machine, override_log
 from sgms_mhe.logfiles.frames import FRAME, Frame, read_frame
@@ -13,12 +16,19 @@ from sgms_mhe.logfiles.plausibility import check_plausible
 from sgms_mhe.logfiles.reading import check_kind, log_of, understand, understand_table
 from sgms_mhe.machine import Machine, log_mapping
 from sgms_mhe.signals.logs import Log, check_rate
+from sgms_mhe.support.errors import LogWarning
+from sgms_mhe.support.notebooks import read_only
 
-LogSource = str | Path | Log | Frame
-"""A log file of any format, a log that was read or simulated, or a pandas.DataFrame with the columns of a log."""
+LogSource = str | Path | Log | Frame | Mapping[str, Any]
+"""A log file of any format, a Log, or its columns: a pandas.DataFrame, or arrays by name."""
 
 Note = Callable[[str], None]
-"""Called with sentences on what was understood of a log."""
+"""Called with sentences on what was understood of a log; where nobody listens they are warnings."""
+
+Step = Callable[[str], None]
+"""Called with each step of a long computation."""
+LOGGER: Final = logging.getLogger("sgms_mhe.progress")
+"""Steps of long computations, at level INFO."""
 
 
 class Progress(Protocol):
@@ -46,34 +56,47 @@ def read_log(
     *,
     start_s: float = 0.0,
     end_s: float = math.inf,
+    rate: float | None = None,
     table: Mapping[str, Any] | None = None,
     note: Note | None = None,
 ) -> Log:
     """Read a log in SI units; every array (n,), NaN where a sample is missing.
 
     Args:
-        log: a file of any format and dialect; a Log; or a pandas.DataFrame, whose columns are understood as those of a
-            file are: by their names and units, or by `[log]` of the machine.
+        log: a file of any format and dialect; a Log; or its columns, a pandas.DataFrame or arrays by name, which are
+            understood as those of a file are: by their names and units, or by `[log]` of the machine. An index of
+            times, or one that has a name, is a column.
         machine: whose `[log]`, kind of axis and rate count; None: the log speaks for itself.
         start_s, end_s: part of it [s since the first sample].
+        rate: samples per second [Hz], where no column says the time.
         table: content of a table `[log]`, laid over that of the machine: `{"rate": 1000.0}`.
-        note: called with each sentence on what was left out or changed.
+        note: called with each sentence on what was left out or changed; None: they are `LogWarning`s.
 
     Raises:
         InputError: it cannot be read, is of another kind of axis or rate than the machine, or time is not uniform.
     """
-    axis = None if machine is None else override_log(load(machine), table or {})
+    table = {**(table or {}), **({} if rate is None else {"rate": rate})}
+    note = warn_of_log if note is None else note
+    axis = None if machine is None else override_log(load(machine), table)
     mapping = log_mapping(table, "[log]") if table and axis is None else None
     if isinstance(log, Log):
         if axis is not None:
             check_kind(log.source or "log", log.kind, log.units.keyed(log.columns), axis)
             check_rate(log, axis)
-        return log.part(start_s, end_s)
+        return read_only(log.part(start_s, end_s))
     if isinstance(log, str | Path):
         reading = understand(log, axis, mapping, note)
     else:
         reading = understand_table(FRAME, read_frame(log), axis, mapping, note)
-    return log_of(reading, axis).part(start_s, end_s)
+    return read_only(log_of(reading, axis).part(start_s, end_s))
+
+
+def warn_of_log(sentence: str) -> None:
+    """Warn of how a log was read, at the first line outside of this package."""
+    depth, frame = 1, inspect.currentframe()
+    while frame is not None and frame.f_globals.get("__name__", "").startswith("sgms_mhe."):
+        depth, frame = depth + 1, frame.f_back
+    warnings.warn(sentence, LogWarning, stacklevel=depth)
 
 
 def recorded_log(

@@ -15,7 +15,7 @@ def generate(
     out: str | Path | None = None,
     *,
     amalgamate: bool = False,
-    bindings: Iterable[str] = (),
+    bindings: str | Iterable[str] = (),
 ) -> Package:
     """Emit a machine's estimator as C99 that needs no library.
 
@@ -24,8 +24,8 @@ def generate(
         out: the package's folder, replaced as a whole, and only if nothing but an earlier package is in it; None: write
             nothing.
         amalgamate: all C in one source and one header.
-        bindings: languages and tools that it is to be called from besides: "python", "cpp", "fmu2", "fmu3", "simulink",
-            "iec".
+        bindings: one or several languages and tools that it is to be called from besides: "python", "cpp", "fmu2",
+            "fmu3", "simulink", "iec".
 
     Returns:
         The machine, its files, text by name, and the archives of its bindings, bytes by name.
@@ -33,6 +33,7 @@ def generate(
     Raises:
         InputError: the machine file; a tick beyond its budget of operations; a folder that holds other files.
     """
+    bindings = (bindings,) if isinstance(bindings, str) else bindings
     package = emit_package(load(machine), within_budget=True, amalgamate=amalgamate, bindings=bindings)
     if out is not None:
         write_package(package, Path(out))

@@ -14,6 +14,7 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import SimulatedRun, simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory, make_trajectory
 from sgms_mhe.plant.trajectory_files import read_trajectory
+from sgms_mhe.support.notebooks import read_only
 
 _EMPTY: Final[Mapping[str, Any]] = MappingProxyType({})
 
@@ -41,8 +42,8 @@ def simulate(
         duration_s: repeat or cut the motion to this long [s]; None: once.
         scale: true over nominal value by parameter: mass (of a rotary axis inertia), stiffness, stiffness_1, coulomb,
             effect.parameter, ...
-        hidden_effects: (name, parameters) of effects that the plant has and the machine does not know, named as in
-            docs/effects.md.
+        hidden_effects: (name, parameters) of effects that the plant has and the machine does not know; `effects()` has
+            them.
         law: friction law of the plant; maxwell_slip switches; None: the machine's.
         force_noise_N: one standard deviation of the logged force [N, N m].
         encoder_resolution_m: step of the encoder [m, rad]; 0: none.
@@ -68,4 +69,5 @@ def simulate(
     names = {axis.plant.units.named(name): name for name in ("mass", *estimable_names(axis.effects))}
     config = AxisConfig(law=law, force_noise_N=force_noise_N, encoder_resolution_m=encoder_resolution_m, seed=seed)
     scales = {names.get(name, name): factor for name, factor in scale.items()}
-    return simulate_axis(axis, reference, config, scale=scales, hidden_effects=hidden_effects, truth=truth)
+    run = simulate_axis(axis, reference, config, scale=scales, hidden_effects=hidden_effects, truth=truth)
+    return read_only(run)

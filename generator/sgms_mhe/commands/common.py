@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
     from rich.progress import ProgressColumn
 
-    from sgms_mhe.machine import Machine, Units
+    from sgms_mhe.machine import Machine
     from sgms_mhe.signals.logs import Log
 
 Progress = Callable[[int, int], None]
@@ -129,19 +129,6 @@ def recorded_log(path: Path, machine: Machine, start_s: float = 0.0, end_s: floa
     from sgms_mhe.api import inputs
 
     return inputs.recorded_log(path, machine, start_s=start_s, end_s=end_s, note=note)
-
-
-def moved_mass(command: str, units: Units, mass: float | None, inertia: float | None) -> float | None:
-    """Return the given mass or inertia of the axis of some logs.
-
-    Raises:
-        InputError: it is not of the logs' kind.
-    """
-    own, other, option = (mass, inertia, "--inertia") if units.kind == "linear" else (inertia, mass, "--mass")
-    if other is not None:
-        allowed = f"--{units.inert} [{units.mass}]: the logs are of a {units.kind} axis"
-        raise InputError(command, option, other, allowed)
-    return own
 
 
 # --- outputs, checked before the work that they are to receive -------------------------------------------------------

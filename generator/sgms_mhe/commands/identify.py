@@ -13,7 +13,6 @@ from sgms_mhe.commands.common import (
     example,
     json_option,
     json_text,
-    moved_mass,
     note,
     out_option,
     show,
@@ -84,16 +83,17 @@ def command(
     leave_cores_to_tasks()  # before anything loads numpy
     check_output_file(out, (".toml",))
 
+    from sgms_mhe.api.identification import identify
     from sgms_mhe.api.inputs import read_log
-    from sgms_mhe.identification import Wanted, identify
     from sgms_mhe.machine.writing import toml_log
     from sgms_mhe.support.files import write_text
 
     model = load_for_log(like, table) if like is not None else None
     read = [read_log(path, model, table=table, note=note) for path in logs]
-    moved = moved_mass("identify", read[0].units, mass, inertia)
     with trace_decisions(trace):
-        found = identify(read, Wanted(out.stem, moved, elements, model), note)
+        found = identify(
+            read, out.stem, mass=mass, inertia=inertia, elements=elements, like=model, note=note, progress=note
+        )
     write_text(out, found.toml if model is not None else found.toml + toml_log(table, read[0].kind))
     show(json_text(found.to_json() | {"file": str(out)}) if as_json else _text(found, out), out)
 

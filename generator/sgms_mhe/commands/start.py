@@ -12,7 +12,6 @@ from sgms_mhe.commands.common import (
     NumberType,
     check_output_file,
     example,
-    moved_mass,
     note,
     out_option,
     show,
@@ -111,5 +110,5 @@ def _from_logs(
     from sgms_mhe.machine.writing import toml_log
 
     read = [read_log(path, table=table, note=note) for path in logs]
-    found = identify(read, name, mass=moved_mass("start", read[0].units, mass, inertia), note=note)
+    found = identify(read, name, mass=mass, inertia=inertia, note=note, progress=note)
     return found.toml + toml_log(table, read[0].kind)

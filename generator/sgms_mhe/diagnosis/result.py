@@ -16,6 +16,8 @@ from sgms_mhe.diagnosis.extension import extension_toml
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.files import write_text
 from sgms_mhe.support.json_values import finite
+from sgms_mhe.support.libraries import data_frame
+from sgms_mhe.support.notebooks import html_table, labelled_axes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -39,7 +41,7 @@ class Cause:
     """A named cause.
 
     Attributes:
-        name: as in docs/effects.md.
+        name: of an effect, or of numbers of the base model.
         label: name within the extended machine (`force_ripple_2` for the second of its name).
         parameters: values, units in their names (a wrong base number: `coulomb_N`, `stiffness_1_N_m`, ...).
         std: one standard deviation of each, robust to coloured residuals; NaN where the data do not tell.
@@ -214,7 +216,7 @@ class Diagnosis:
     Attributes:
         machine: as given.
         source: of the log.
-        verdict: see docs/commands.md.
+        verdict: adequate, explained, ambiguous (others fit as well) or unexplained (something is left).
         summary: one sentence.
         causes: strongest first.
         alternatives: what was not named; the rivals first.
@@ -332,8 +334,41 @@ class Diagnosis:
             return None
         return extension_toml(self.machine, self.extended, self.changes, Path(folder), self.standalone)
 
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame with a row per parameter of each cause: value, deviation, whether it is determined."""
+        named = self.machine.plant.units.named
+        rows = [(cause, name) for cause in self.causes for name in cause.parameters]
+        columns = {
+            "cause": np.array([cause.name for cause, _ in rows]),
+            "parameter": np.array([named(name) for _, name in rows]),
+            "value": np.array([cause.parameters[name] for cause, name in rows]),
+            "std": np.array([cause.std.get(name, math.nan) for cause, name in rows]),
+            "identified": np.array([self.identifies(cause) and name not in cause.vague for cause, name in rows]),
+        }
+        return data_frame(columns)
+
+    def plot(self, axes: Any | None = None) -> Any:
+        """Draw the residual over time before and after; return the matplotlib axes, those given or new ones."""
+        axes = labelled_axes(axes, "time [s]", f"residual [{self.machine.plant.units.force}]")
+        used = self.traces.used
+        axes.plot(
+            self.traces.time_s[used], self.traces.residual_before[used], linewidth=0.6, color="0.6", label="before"
+        )
+        axes.plot(self.traces.time_s[used], self.traces.residual_after[used], linewidth=0.6, label="after")
+        axes.legend()
+        return axes
+
+    def _repr_html_(self) -> str:
+        named = self.machine.plant.units.named
+        rows = [
+            (cause.name, named(name), f"{value:.5g}", f"{cause.std.get(name, math.nan):.2g}")
+            for cause in self.causes
+            for name, value in cause.parameters.items()
+        ]
+        return html_table(f"{self.verdict}: {self.summary}", ("cause", "parameter", "value", "one sigma"), rows)
+
     def to_json(self) -> dict[str, Any]:
-        """Content of diagnosis.json (docs/files.md); what is not finite becomes null."""
+        """Content of diagnosis.json; what is not finite becomes null."""
         rms = self.rms
         return _document(
             self.machine,

@@ -19,6 +19,7 @@ from sgms_mhe.signals.columns import write_columns
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import data_frame
+from sgms_mhe.support.notebooks import html_table, labelled_axes
 
 Array = NDArray[np.float64]
 
@@ -55,6 +56,21 @@ class PredictedFriction:
     def to_frame(self) -> Any:
         """A pandas.DataFrame with the columns of the prediction's file, a row per sample."""
         return data_frame(self.columns)
+
+    def plot(self, axes: Any | None = None) -> Any:
+        """Draw friction measured and simulated over time; return the matplotlib axes, those given or new ones."""
+        axes = labelled_axes(axes, "time [s]", f"friction [{OF_KIND[self.kind].force}]")
+        axes.plot(self.time_s, self.friction_measured_N, linewidth=0.6, color="0.6", label="measured")
+        axes.plot(self.time_s, self.friction_N, linewidth=1.0, label="simulated")
+        axes.legend()
+        return axes
+
+    def _repr_html_(self) -> str:
+        rest = self.friction_measured_N - self.friction_N
+        rms, unit = float(np.sqrt(np.nanmean(rest**2))), OF_KIND[self.kind].force
+        size = float(np.nanstd(self.friction_measured_N))
+        title = f"{self.source or 'log'}: measured minus simulated friction {rms:.4g} {unit} rms, of {size:.4g} {unit}"
+        return html_table(title, (), ())
 
 
 @dataclass(frozen=True)

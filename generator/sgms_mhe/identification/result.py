@@ -7,8 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from sgms_mhe.identification.elements import Law
 from sgms_mhe.machine import Machine
+from sgms_mhe.support.json_values import finite
+from sgms_mhe.support.libraries import data_frame
+from sgms_mhe.support.notebooks import html_table, labelled_axes
 
 
 @dataclass(frozen=True)
@@ -72,8 +77,39 @@ class Identification:
                 return number
         raise KeyError(name)
 
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame with a row per number of the machine file: value, deviation, whether it is determined."""
+        names = self.machine.plant.units.named
+        columns = {
+            "name": np.array([names(number.name) for number in self.numbers]),
+            "value": np.array([number.value for number in self.numbers]),
+            "std": np.array([number.std for number in self.numbers]),
+            "identified": np.array([number.determined for number in self.numbers]),
+            "note": np.array([number.note for number in self.numbers]),
+        }
+        return data_frame(columns)
+
+    def plot(self, axes: Any | None = None) -> Any:
+        """Draw friction over displacement from rest, slowly; return the matplotlib axes, those given or new ones."""
+        friction, units = self.machine.friction, self.machine.plant.units
+        levels = self.machine.friction.coulomb * (1.0 + friction.stribeck_ratio) * np.array(friction.fraction)
+        stiffness = np.array(friction.stiffness)
+        way = np.union1d(0.0, np.append(levels / stiffness, 1.5 * np.max(levels / stiffness)))
+        axes = labelled_axes(axes, f"displacement [{units.position}]", f"friction [{units.force}]")
+        axes.plot(way, np.minimum(way[:, None] * stiffness, levels).sum(axis=1), marker=".")
+        return axes
+
+    def _repr_html_(self) -> str:
+        names, units = self.machine.plant.units.named, self.machine.plant.units
+        rows = [(names(number.name), interval(number), number.note) for number in self.numbers]
+        title = (
+            f"{self.machine.name}: {self.held_out_rms_N:.3g} {units.force} left on data that no fit has seen, noise "
+            f"{self.noise_floor_N:.3g} {units.force}"
+        )
+        return html_table(title, ("number", "two sigmas", ""), rows)
+
     def to_json(self) -> dict[str, Any]:
-        """Plain data; NaN where a number has no deviation."""
+        """Plain data; None where a number has no deviation."""
         units = self.machine.plant.units
         content = {
             "machine": self.machine.name,
@@ -101,7 +137,7 @@ class Identification:
             "warnings": list(self.warnings),
             "logs": list(self.sources),
         }
-        keyed: dict[str, Any] = units.keyed(content)
+        keyed: dict[str, Any] = finite(units.keyed(content))
         return keyed
 
 

@@ -1,13 +1,16 @@
-"""Columns of a pandas.DataFrame, or of any table that gives its columns' names and values as one does."""
+"""Columns of a pandas.DataFrame, of arrays by name, or of any table that gives names and values as a DataFrame does."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sgms_mhe.logfiles.decimals import Mark, told_by, value_of
 from sgms_mhe.logfiles.table import Array, Table, array_row, columns_of, real, seconds
 from sgms_mhe.support.errors import InputError
 
@@ -26,23 +29,64 @@ class Frame(Protocol):
         """The values of a column (n,)."""
 
 
-def read_frame(frame: Frame) -> Table:
-    """The table of a DataFrame: real numbers and time stamps by column; the index does not count.
+def read_frame(frame: Frame | Mapping[str, Any]) -> Table:
+    """The table of a DataFrame or of arrays by name: numbers, numbers as text, and time stamps.
+
+    An index of times, or one that has a name, is a column of that name (`time_s` where it has none).
 
     Raises:
-        InputError: what is no DataFrame, or has two columns of a name.
+        InputError: what is no DataFrame, has two columns of a name, or arrays of unequal length.
     """
     try:
-        keys = {str(name): name for name in frame.columns}
-        count = len(list(frame.columns))
+        names = list(frame if isinstance(frame, Mapping) else frame.columns)
     except (AttributeError, TypeError):
-        raise InputError("log", "type", type(frame).__name__, "a path, a Log or a pandas.DataFrame") from None
-    if len(keys) < count:
-        raise InputError(FRAME, "columns", list(map(str, frame.columns)), "each name once")
+        allowed = "a path, a Log, a pandas.DataFrame or arrays by name"
+        raise InputError("log", "type", type(frame).__name__, allowed) from None
+    if len(set(map(str, names))) < len(names):
+        raise InputError(FRAME, "columns", list(map(str, names)), "each name once")
+    columns = _index(frame, names) | {str(name): np.asarray(frame[name]) for name in names}
+    lengths = {name: len(np.atleast_1d(values)) for name, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise InputError(FRAME, "lengths", lengths, "as many values in each array")
 
-    def read(names: Sequence[str]) -> Mapping[str, Array]:
-        values = {name: np.asarray(frame[keys[name]]) for name in names}
-        return {name: seconds(v) if v.dtype.kind == "M" else real(FRAME, name, v) for name, v in values.items()}
+    def read(wanted: Sequence[str]) -> Mapping[str, Array]:
+        return {name: _values(name, columns[name]) for name in wanted}
 
-    stamped = frozenset(name for name, key in keys.items() if np.asarray(frame[key]).dtype.kind == "M")
-    return Table("DataFrame", columns_of(list(keys)), read, array_row, stamped=stamped)
+    stamped = frozenset(name for name, values in columns.items() if values.dtype.kind == "M")
+    return Table("DataFrame", columns_of(list(columns)), read, array_row, stamped=stamped)
+
+
+def _index(frame: Frame | Mapping[str, Any], names: Sequence[Any]) -> dict[str, NDArray[Any]]:
+    """The index of a DataFrame as a column, where it says what it is."""
+    index = getattr(frame, "index", None)
+    if index is None or callable(index):
+        return {}
+    values, name = np.asarray(index), getattr(index, "name", None)
+    if name is None and values.dtype.kind not in "mM":
+        return {}
+    name = "time_s" if name is None else str(name)
+    return {} if name in map(str, names) else {name: values}
+
+
+def _values(name: str, values: NDArray[Any]) -> Array:
+    """Numbers of a column: those of stamps in seconds since the first, of durations in seconds."""
+    if values.dtype.kind == "M":
+        return seconds(values)
+    if values.dtype.kind == "m":
+        return values.astype("timedelta64[ns]").astype(np.int64) / 1e9
+    if values.dtype.kind in "OU" and all(isinstance(value, str) for value in values.flat):
+        values = _numbers(values)
+    elif values.dtype.kind == "O":
+        with suppress(TypeError, ValueError):  # None and numbers mixed
+            values = values.astype(np.float64)
+    return real(FRAME, name, values)
+
+
+def _numbers(texts: NDArray[Any]) -> NDArray[Any]:
+    """Texts as numbers by the decimal mark that they tell; as they are where one is no number."""
+    tokens = [text.strip() for text in texts.tolist()]
+    mark: Mark = "," if any(told_by(token) == "," for token in tokens) else "."
+    try:
+        return np.array([value_of(token, mark) for token in tokens])
+    except ValueError:
+        return texts

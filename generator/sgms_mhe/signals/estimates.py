@@ -14,6 +14,7 @@ from sgms_mhe.machine import LINEAR, OF_KIND, ROTARY, Kind
 from sgms_mhe.signals.columns import read_columns, write_columns
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import data_frame
+from sgms_mhe.support.notebooks import html_table, labelled_axes
 
 Array = NDArray[np.float64]
 
@@ -70,6 +71,44 @@ class Estimates:
     def to_frame(self) -> Any:
         """A pandas.DataFrame with the columns of the estimates' file, a row per update."""
         return data_frame(self.columns)
+
+    def plot(self, name: str | None = None, axes: Any | None = None) -> Any:
+        """Draw friction measured and estimated, or a parameter with two standard deviations, over time.
+
+        Args:
+            name: of an estimated parameter; None: friction.
+            axes: of matplotlib, to draw on; None: new ones.
+
+        Returns:
+            The axes.
+
+        Raises:
+            InputError: no parameter of this name is estimated; matplotlib is not installed.
+        """
+        units = OF_KIND[self.kind]
+        if name is None:
+            axes = labelled_axes(axes, "time [s]", f"friction [{units.force}]")
+            axes.plot(self.time_s, self.friction_measured_N, linewidth=0.6, color="0.6", label="measured")
+            axes.plot(self.time_s, self.friction_N, linewidth=1.0, label="estimated")
+        elif name in self.parameter_names:
+            k = self.parameter_names.index(name)
+            value, wide = self.parameters[:, k], 2.0 * self.std[:, k]
+            axes = labelled_axes(axes, "time [s]", name)
+            axes.fill_between(self.time_s, value - wide, value + wide, alpha=0.25, label="two standard deviations")
+            axes.plot(self.time_s, value, linewidth=1.0, label="estimated")
+        else:
+            raise InputError("plot", "name", name, f"a parameter that is estimated: {', '.join(self.parameter_names)}")
+        axes.legend()
+        return axes
+
+    def _repr_html_(self) -> str:
+        units = OF_KIND[self.kind]
+        rows = [
+            (name, f"{value:.6g}", f"{std:.2g}")
+            for name, value, std in zip(self.parameter_names, self.parameters[-1], self.std[-1], strict=True)
+        ]
+        title = f"{len(self)} updates; the last: friction {self.friction_N[-1]:.4g} {units.force}"
+        return html_table(title, ("parameter", "value", "one sigma"), rows)
 
 
 def write_estimates(path: str | Path, estimates: Estimates) -> None:

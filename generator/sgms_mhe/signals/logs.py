@@ -15,6 +15,7 @@ from sgms_mhe.signals.columns import write_columns
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.files import atomic_write
 from sgms_mhe.support.libraries import data_frame
+from sgms_mhe.support.notebooks import html_table, labelled_axes
 
 Array = NDArray[np.float64]
 
@@ -66,6 +67,19 @@ class Log:
     def to_frame(self) -> Any:
         """A pandas.DataFrame of the columns that are present, named as in a log file of this kind of axis."""
         return data_frame(self.units.keyed(self.columns))
+
+    def plot(self, axes: Any | None = None) -> Any:
+        """Draw the force over time; return the matplotlib axes, those given or new ones."""
+        push = self.units.named("force_N")
+        axes = labelled_axes(axes, "time [s]", f"{self.units.push} [{self.units.force}]")
+        axes.plot(self.time_s, self.force_N, linewidth=0.8, label=push)
+        return axes
+
+    def _repr_html_(self) -> str:
+        columns = self.units.keyed(self.columns)
+        rows = [(name, f"{np.nanmin(v):.6g}", f"{np.nanmax(v):.6g}", np.isnan(v).sum()) for name, v in columns.items()]
+        title = f"{self.source or 'log'}: {len(self)} samples at {self.rate:.6g} Hz"
+        return html_table(title, ("column", "least", "largest", "missing"), rows)
 
     def part(self, start_s: float = 0.0, end_s: float = math.inf) -> Log:
         """The rows from `start_s` to `end_s` [s since the first sample] as a log of its own.

@@ -20,8 +20,12 @@ class InputError(Exception):
         self.where = where
         self.value = value
         self.allowed = allowed
+        self._arguments = (source, where, value, allowed)
         shown = "" if value is None else f" = {_shorten(repr(value))}"
         super().__init__(f"{self.source}: {_shorten(where)}{shown}: {allowed}")
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str | Path, str, object, str]]:
+        return type(self), self._arguments
 
 
 class ImplausibleError(InputError):
@@ -30,6 +34,10 @@ class ImplausibleError(InputError):
 
 def _shorten(text: str) -> str:
     return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
+
+
+class LogWarning(UserWarning):
+    """Sentence on how a log was read: on what was left out, changed or assumed."""
 
 
 class BuildError(Exception):

@@ -80,7 +80,7 @@ def run_fleet(
 
     Args:
         verb: which.
-        table: CSV, docs/fleet.md.
+        table: CSV with columns machine and log.
         out: folder; results appear in its `rows` one by one.
         place: where the work is done.
         told: as `Told`.
