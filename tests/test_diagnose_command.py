@@ -54,22 +54,16 @@ def check_trace(folder: Path) -> None:
     assert last["beyond_noise_after_N"] < last["allowed_N"] < last["beyond_noise_before_N"]
 
 
-def test_diagnose_a_part_and_try_the_estimator_on_another_log(
-    machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_diagnose_a_part_and_try_the_estimator_on_another_log(machine: Machine, tmp_path: Path) -> None:
     hidden = ("force_ripple", RIPPLE)
     log = write_record(tmp_path / "log.npz", machine, hidden, 9.0, 1)
     unseen = write_record(tmp_path / "unseen.npz", machine, hidden, 4.0, 2)
     out = tmp_path / "out"
-    monkeypatch.setattr("sgms_mhe.commands.common.TOLD_FROM_S", 0.0)
     trace = ("--trace", out / "trace")
     result = done("diagnose", "etel_xy", log, "--to", "6", "--unseen", unseen, "--out", out, *trace)
     text = result.stdout
     assert text.startswith("explained: force_ripple")
-    told = [int(share) for share in re.findall(r"^.+ \((\d+) %, \d+ s left\)$", result.stderr, re.MULTILINE)]
-    assert len(told) >= 5
-    assert told == sorted(told)
-    assert told[-1] >= 80
+    assert not result.stderr
     reduction = re.search(rf"estimator on {re.escape(str(unseen))}: .* N rms, (\d+) % less", text)
     assert reduction
     assert int(reduction[1]) > 50

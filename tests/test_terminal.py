@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ import pytest
 
 from cli_cases import SCRIPT, SMALL, done, on_terminal, refused
 from sgms_mhe.cli import command_names
-from sgms_mhe.commands import common
 from sgms_mhe.commands.common import LONGEST_LOOK_S, AwakeClock
 from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES
 from sgms_mhe.support.paths import machines_dir
@@ -82,15 +80,13 @@ def test_quiet_leaves_results_and_errors(tmp_path: Path) -> None:
     table = tmp_path / "table.csv"
     table.write_text("machine,log\nsmall.toml,axis.csv\n")
     arguments = ("fleet", "estimate", table, "--out", tmp_path / "out")
-    loud, quiet = done(*arguments), done("--quiet", *arguments)
-    assert "axis: good" in loud.stderr and quiet.stderr == ""
-    assert "1 of 1 logs done" in quiet.stdout
+    quiet = done("--quiet", *arguments)
+    assert quiet.stderr == "" and "1 of 1 logs done" in quiet.stdout
     assert "absent.toml" in refused("-q", "check", tmp_path / "absent.toml")
 
 
-def test_quiet_shows_no_bar_on_a_terminal(tmp_path: Path) -> None:
+def test_a_terminal_shows_a_bar(tmp_path: Path) -> None:
     assert "simulate small" in on_terminal(*simulating(tmp_path))
-    assert on_terminal("--quiet", *simulating(tmp_path)) == ""
 
 
 def simulating(folder: Path) -> tuple[str | Path, ...]:
@@ -117,27 +113,15 @@ def test_a_bar_does_not_count_the_time_that_a_host_slept() -> None:
     np.testing.assert_allclose(np.diff([0.0, *seen]), [0.1, 0.1, LONGEST_LOOK_S, 0.1, 0.0, 0.5], atol=1e-9)
 
 
-def test_lines_do_not_count_the_time_that_a_process_was_stopped(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    time, looked = [0.0], threading.Semaphore(0)
+@pytest.mark.parametrize("where", [("--quiet", 0), ("-q", 1), ("--quiet", 4)])
+def test_quiet_is_quiet_before_and_behind_the_command(where: tuple[str, int], tmp_path: Path) -> None:
+    arguments = [str(argument) for argument in simulating(tmp_path)]
+    arguments.insert(where[1], where[0])
+    assert on_terminal(*arguments) == ""
 
-    def host() -> float:
-        seen = time[0]
-        looked.release()
-        return seen
 
-    monkeypatch.setattr(common, "AwakeClock", lambda: AwakeClock(host))
-    with common.steps_bar() as step:
-        for awake in (1.8, 3.6):  # seen by nobody but what looks between two lines
-            time[0] = awake
-            while looked.acquire(blocking=False):
-                pass
-            assert looked.acquire(timeout=60.0)
-            assert looked.acquire(timeout=60.0)  # the first may have begun before
-        time[0] = 5000.0
-        step("half of it", 0.5)
-    assert capsys.readouterr().err == f"half of it (50 %, {3.6 + LONGEST_LOOK_S:.0f} s left)\n"
+def test_quiet_behind_a_separator_is_an_argument(tmp_path: Path) -> None:
+    assert "machine = '-q'" in refused("check", "--", "-q")
 
 
 def test_without_a_terminal_nothing_is_coloured(tmp_path: Path) -> None:

@@ -78,6 +78,14 @@ class Commands(click.Group):
         entry = added_commands().get(cmd_name)
         return None if entry is None else entry.load()
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the options before the command's name; --quiet means the same behind it."""
+        own = args[: args.index("--")] if "--" in args else args
+        if "--quiet" in own[1:] or "-q" in own[1:]:
+            rest = [arg for arg in own if arg not in ("--quiet", "-q")]
+            args = ["--quiet", *rest, *args[len(own) :]]
+        return super().parse_args(ctx, args)
+
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:

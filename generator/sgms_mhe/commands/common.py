@@ -32,8 +32,6 @@ Progress = Callable[[int, int], None]
 
 LONGEST_LOOK_S: Final = 2.0
 """A bar that was not looked at for longer was not running."""
-TOLD_FROM_S: Final = 2.0
-"""Seconds from which on it is said how far work is."""
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -207,6 +205,11 @@ def is_quiet() -> bool:
     return context is not None and bool(context.find_root().params.get("quiet"))
 
 
+def _is_watched() -> bool:
+    """Return True if progress is seen: on a terminal, without --quiet."""
+    return sys.stderr.isatty() and not is_quiet()
+
+
 def note_broken_effects() -> None:
     """Say which effects of other distributions are left out where all effects are asked for."""
     from sgms_mhe.model.effects import broken_effects
@@ -234,33 +237,29 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 @contextmanager
 def steps_bar() -> Iterator[Callable[[str, float], None]]:
-    """Yields what reports (step, share of the work before it): a bar with time left on a terminal, else a line each.
-
-    A line says how much is done and how long the rest may take, once that can be told from the time so far.
-    """
-    if sys.stderr.isatty() and not is_quiet():
-        from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-        columns = (BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
-        with _bar(*columns, TextColumn("{task.description}")) as bar:
-            task = bar.add_task("", total=1.0)
-            yield lambda step, share: bar.update(task, completed=share, description=step)
+    """A bar with time left, where stderr is a terminal; yields what reports (step, share of the work before it)."""
+    if not _is_watched():
+        yield lambda step, share: None
         return
-    with _looked_at(AwakeClock()) as clock:
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-        def line(step: str, share: float) -> None:
-            since = clock.now()
-            left = f" ({100.0 * share:.0f} %, {since * (1.0 - share) / share:.0f} s left)" if share > 0.0 else ""
-            note(step + (left if since >= TOLD_FROM_S else ""))
+    columns = (BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+    with _bar(*columns, TextColumn("{task.description}")) as bar:
+        task = bar.add_task("", total=1.0)
+        yield lambda step, share: bar.update(task, completed=share, description=step)
 
-        yield line
+
+def note_step(text: str) -> None:
+    """Print a step of a long computation on stderr where that is a terminal."""
+    if _is_watched():
+        note(text)
 
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Progress]:
     """A bar on stderr where that is a terminal; yields what reports (steps done, steps in all) to it."""
     # Even where nothing is shown, work that reports returns to the interpreter and can be interrupted.
-    if is_quiet() or not sys.stderr.isatty():
+    if not _is_watched():
         yield lambda done, total: None
         return
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
@@ -276,24 +275,6 @@ def _bar(*columns: ProgressColumn) -> RichProgress:
     from rich.progress import Progress as Bar
 
     return Bar(*columns, console=Console(stderr=True), transient=True, get_time=AwakeClock().now)
-
-
-@contextmanager
-def _looked_at(clock: AwakeClock) -> Iterator[AwakeClock]:
-    """The clock, looked at while the block runs as often as a bar would: lines come seconds apart."""
-    done = threading.Event()
-
-    def look() -> None:
-        while not done.wait(0.25 * LONGEST_LOOK_S):
-            clock.now()
-
-    watch = threading.Thread(target=look, daemon=True)
-    watch.start()
-    try:
-        yield clock
-    finally:
-        done.set()
-        watch.join()
 
 
 class AwakeClock:

@@ -14,6 +14,7 @@ from sgms_mhe.commands.common import (
     json_option,
     json_text,
     note,
+    note_step,
     out_option,
     show,
     table_text,
@@ -92,7 +93,7 @@ def command(
     read = [read_log(path, model, table=table, note=note) for path in logs]
     with trace_decisions(trace):
         found = identify(
-            read, out.stem, mass=mass, inertia=inertia, elements=elements, like=model, note=note, progress=note
+            read, out.stem, mass=mass, inertia=inertia, elements=elements, like=model, note=note, progress=note_step
         )
     write_text(out, found.toml if model is not None else found.toml + toml_log(table, read[0].kind))
     show(json_text(found.to_json() | {"file": str(out)}) if as_json else _text(found, out), out)

@@ -13,6 +13,7 @@ from sgms_mhe.commands.common import (
     check_output_file,
     example,
     note,
+    note_step,
     out_option,
     show,
 )
@@ -110,5 +111,5 @@ def _from_logs(
     from sgms_mhe.machine.writing import toml_log
 
     read = [read_log(path, table=table, note=note) for path in logs]
-    found = identify(read, name, mass=mass, inertia=inertia, note=note, progress=note)
+    found = identify(read, name, mass=mass, inertia=inertia, note=note, progress=note_step)
     return found.toml + toml_log(table, read[0].kind)

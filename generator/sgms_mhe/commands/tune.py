@@ -14,7 +14,7 @@ from sgms_mhe.commands.common import (
     json_text,
     log_argument,
     machine_argument,
-    note,
+    note_step,
     out_option,
     recorded_log,
     show,
@@ -65,7 +65,7 @@ def command(
     from sgms_mhe.evaluation.tuning import tune
     from sgms_mhe.support.files import write_text
 
-    tuned = tune(resolved, recorded_log(log, resolved), note)
+    tuned = tune(resolved, recorded_log(log, resolved), note_step)
     if out is not None:
         write_text(out, _toml(tuned, out, log.name, standalone))
     if plot is not None:
