@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import re
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from cli_cases import done as done_run
 from package_variants import VARIANTS
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.bindings import BINDINGS, binding_files
+from sgms_mhe.emission.layout import memory_of
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.support.errors import InputError
@@ -69,6 +71,15 @@ def test_python_sample_by_sample_is_the_same(bound: Any, python: Any) -> None:
     assert isinstance(series.status, str) and series.status
     updates, rest = len(found.sample), len(log.position_m) - 1 - int(found.sample[-1])
     assert (single.update, single.age, single.numeric) == (updates, rest, 0) and updates > 3
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_python_has_the_memory_that_the_header_declares(kind: str, bound: Any, python: Any) -> None:
+    package, module = bound(kind).package, python(kind)
+    real = "float" if bound(kind).machine.code.precision == "single" else "double"
+    memory = memory_of(package.files, bound(kind).machine.name, real)
+    assert ctypes.sizeof(module._Saved) == memory.saved
+    assert ctypes.sizeof(module._Estimate) == memory.estimate
 
 
 def test_python_over_its_life(bound: Any, python: Any) -> None:
