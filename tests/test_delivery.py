@@ -206,6 +206,7 @@ def test_cmake_builds_installs_and_is_found(precision: str, require_tool: Tool, 
     consumers = {
         "folder": f"add_subdirectory({folder} etel_xy)",
         "installed": "find_package(etel_xy 0.2.0 REQUIRED CONFIG)",
+        "minor": "find_package(etel_xy 0.2 REQUIRED CONFIG)",
     }
     for title, found in consumers.items():
         source = tmp_path / title
@@ -218,6 +219,40 @@ def test_cmake_builds_installs_and_is_found(precision: str, require_tool: Tool, 
     flags = run("env", f"PKG_CONFIG_PATH={pc.parent}", require_tool("pkg-config"), "--cflags", "--libs", "etel_xy")
     run(require_tool("gcc"), tmp_path / "folder" / "main.c", *flags.split(), "-o", tmp_path / "program")
     run(tmp_path / "program")
+
+
+def test_cmake_installs_nothing_of_a_folder_in_another_project(require_tool: Tool, tmp_path: Path) -> None:
+    cmake, prefix = require_tool("cmake"), tmp_path / "prefix"
+    folder = written(package_of("double"), tmp_path)
+    (tmp_path / "main.c").write_text(MAIN)
+    text = CONSUMER.format(found=f"add_subdirectory({folder} etel_xy)")
+    (tmp_path / "CMakeLists.txt").write_text(text + "install(TARGETS firmware DESTINATION bin)\n")
+    built(cmake, tmp_path, tmp_path / "build", f"-DCMAKE_INSTALL_PREFIX={prefix}")
+    run(cmake, "--install", tmp_path / "build")
+    assert [path.relative_to(prefix).as_posix() for path in prefix.rglob("*") if path.is_file()] == ["bin/firmware"]
+
+
+def test_cmake_refuses_an_earlier_minor_version(require_tool: Tool, tmp_path: Path) -> None:
+    cmake, prefix = require_tool("cmake"), tmp_path / "prefix"
+    folder = written(package_of("double"), tmp_path)
+    built(cmake, folder, tmp_path / "library", f"-DCMAKE_INSTALL_PREFIX={prefix}")
+    run(cmake, "--install", tmp_path / "library")
+    source = tmp_path / "other"
+    source.mkdir()
+    (source / "main.c").write_text(MAIN)
+    found = "find_package(etel_xy 0.1 CONFIG)\nif(etel_xy_FOUND)\n  message(FATAL_ERROR found)\nendif()\nreturn()"
+    (source / "CMakeLists.txt").write_text(CONSUMER.format(found=found))
+    run(cmake, "-S", source, "-B", source / "build", f"-DCMAKE_PREFIX_PATH={prefix}")
+
+
+@pytest.mark.slow
+def test_cmake_installs_the_header_of_cplusplus(require_tool: Tool, bound: Any, tmp_path: Path) -> None:
+    cmake, prefix = require_tool("cmake"), tmp_path / "prefix"
+    built(cmake, bound("double").folder, tmp_path / "library", f"-DCMAKE_INSTALL_PREFIX={prefix}")
+    run(cmake, "--install", tmp_path / "library")
+    assert {path.name for path in (prefix / "include").iterdir()} == {"etel_xy.h", "etel_xy.hpp"}
+    (tmp_path / "main.cpp").write_text('#include "etel_xy.hpp"\nint main() { return 0; }\n')
+    run(require_tool("g++"), "-std=c++11", f"-I{prefix / 'include'}", "-c", tmp_path / "main.cpp", "-o", tmp_path / "o")
 
 
 # --- the folder that is replaced ---------------------------------------------------------------------------------

@@ -27,12 +27,14 @@ class Delivery:
     Attributes:
         sources: what is compiled.
         headers: what it includes; the public one is the first.
+        public: headers that another project includes.
         memory: bytes of what they declare.
         variables: of the axis, as block diagrams see it.
     """
 
     sources: tuple[str, ...]
     headers: tuple[str, ...]
+    public: tuple[str, ...]
     memory: Memory
     variables: tuple[Variable, ...]
 
@@ -55,7 +57,8 @@ def accompany(
     public = f"{name}.h"
     headers = sorted(file for file in files if file.endswith(".h") and file != public)
     sources = sorted(file for file in files if file.endswith(".c"))
-    delivery = Delivery(tuple(sources), (public, *headers), memory, variables_of(view))
+    includable = (public, *(file for file in bindings if file.endswith(".hpp")))
+    delivery = Delivery(tuple(sources), (public, *headers), includable, memory, variables_of(view))
     pages = {
         "README.md": "README.md",
         "CMakeLists.txt": "CMakeLists.txt",
