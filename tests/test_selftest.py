@@ -95,3 +95,14 @@ def test_returns_0_on_the_target(target: Target, tmp_path: Path) -> None:
     linked = build_selftest(emit_package(machine(code={"precision": "single"})), target, tmp_path)
     assert not double_arithmetic(target, tmp_path / "etel_xy_selftest.o")
     emulate(target, linked, tmp_path / "results.bin", lambda written: None)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_every_emitted_header_compiles_alone(compiler: str, precision: str, require_tool: Tool, tmp_path: Path) -> None:
+    folder = written(emit_package(machine(code={"precision": precision})), tmp_path)
+    for header in sorted(folder.glob("etel_xy*.h")):
+        source = tmp_path / "alone.c"
+        source.write_text(f'#include "{header.name}"\nint main(void) {{ return 0; }}\n')
+        unused = "-Wno-unused-function"  # clang minds those of a header that the file itself includes first
+        run(require_tool(compiler), STRICT, unused, f"-I{folder}", "-fsyntax-only", source)

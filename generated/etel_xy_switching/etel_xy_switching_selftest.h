@@ -5,6 +5,8 @@
 #ifndef ETEL_XY_SWITCHING_SELFTEST_H
 #define ETEL_XY_SWITCHING_SELFTEST_H
 
+#include "etel_xy_switching_config.h"
+
 enum { SELFTEST_UPDATES = 4 };
 
 #define SELFTEST_TOLERANCE 1e-06 /* relative */

@@ -5,6 +5,8 @@
 #ifndef TOY_SELFTEST_H
 #define TOY_SELFTEST_H
 
+#include "toy_config.h"
+
 enum { SELFTEST_UPDATES = 5 };
 
 #define SELFTEST_TOLERANCE 1e-06 /* relative */
