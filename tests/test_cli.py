@@ -159,6 +159,7 @@ def test_check_passes_every_shipped_machine(name: str) -> None:
 
 def test_schema_is_json_schema() -> None:
     schema = json.loads(done("schema").stdout)
+    assert schema["$id"] == f"urn:sgms-mhe:machine:{sgms_mhe.__version__}"
     assert schema["additionalProperties"] is False
     assert {"plant", "friction", "extends"} <= set(schema["properties"])
 

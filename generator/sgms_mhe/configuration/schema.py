@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from sgms_mhe import __version__
 from sgms_mhe.machine import OF_KIND, Units, json_schema
 from sgms_mhe.model.effects import EffectDefinition, EffectParameter, effect_definition, effect_names
 
@@ -20,7 +21,8 @@ def machine_schema() -> dict[str, Any]:
     definitions = [effect_definition(name) for name in effect_names()]
     effect["properties"]["name"]["enum"] = [definition.name for definition in definitions]
     effect["allOf"] = [_rule(definition) for definition in definitions]
-    return schema
+    # A name, no address: an editor is told where the file is.
+    return {"$id": f"urn:sgms-mhe:machine:{__version__}", **schema}
 
 
 def _rule(definition: EffectDefinition) -> dict[str, Any]:
