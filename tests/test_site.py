@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import re
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import fields, is_dataclass
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from urllib.parse import unquote
 
 import pytest
 
+import sgms_mhe
 from browser import Browser
 from cli_cases import run
 from sgms_mhe.cli import command_names
@@ -193,6 +196,19 @@ def test_every_effect_and_parameter_is_in_the_reference(site: Path) -> None:
         assert section, name
         lacking = [key for key in rule["then"]["properties"] if f"<code>{key}</code>" not in section[1]]
         assert lacking == []
+
+
+def test_the_python_interface_is_in_the_reference(site: Path) -> None:
+    page = (site / "reference" / "python.html").read_text(encoding="utf-8")
+    sections = dict(re.findall(r'<h3 id="[^"]*">(\w+)<a(.*?)(?=<h[23]|</article>)', page, flags=re.DOTALL))
+    assert list(sections) and set(sections) == set(sgms_mhe.__all__)
+    for name, section in sections.items():
+        member = getattr(sgms_mhe, name)
+        named = fields(member) if is_dataclass(member) and "Attributes:" in (member.__doc__ or "") else ()
+        wanted = [field.name for field in named]
+        wanted += [] if isinstance(member, type) else list(inspect.signature(member).parameters)
+        cells = set(re.findall(r"\w+", " ".join(re.findall(r"<td><code>(.*?)</code>", section))))
+        assert not set(wanted) - cells, (name, set(wanted) - cells)
 
 
 def test_every_function_of_a_package_is_in_the_reference(

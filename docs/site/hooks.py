@@ -17,6 +17,7 @@ import command_reference
 import effect_reference
 import machine_reference
 import percent
+import python_reference
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 STORED: Final = ("*.md", "docs/*.md", "docs/figures/*.svg", "docs/figures/*.png")
@@ -24,6 +25,7 @@ MADE: Final[dict[str, Callable[[], str]]] = {
     "reference/commands.md": command_reference.page,
     "reference/machine.md": machine_reference.page,
     "reference/effects.md": effect_reference.page,
+    "reference/python.md": python_reference.page,
     "reference/c.md": lambda: c_reference.page((ROOT / "generated/etel_xy/etel_xy.h").read_text("utf-8"), "etel_xy"),
 }
 """Pages that are not in git, each with what writes it."""

@@ -226,7 +226,7 @@ class Diagnosis:
         gain_interval_N: 95 % interval of the RMS of the explained force on held-out data.
         base: the base model's numbers.
         scores: every candidate of every round.
-        structure: of the residual before and after.
+        structure_before, structure_after: of the residual.
         traces: decimated signals.
         extended: the extended machine, None where nothing is named.
         changes: tables of its file that differ from the base's, as content of a machine file.

@@ -1,0 +1,73 @@
+"""The page of the Python interface, from its signatures and docstrings."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from typing import Any
+
+import sgms_mhe
+from markup import cell, table
+
+HEAD = """# Python interface
+
+Made from the docstrings of what `import sgms_mhe` offers; `help(sgms_mhe.estimate)` says the same.
+[Use it from Python](../docs/python.md) has examples."""
+
+
+def page() -> str:
+    """Markdown of every public name: functions, then the classes of results, then errors."""
+    members = {name: getattr(sgms_mhe, name) for name in sgms_mhe.__all__}
+    functions = [_function(name, member) for name, member in members.items() if not isinstance(member, type)]
+    classes = [name for name, member in members.items() if isinstance(member, type)]
+    errors = [name for name in classes if issubclass(members[name], Exception)]
+    results = [name for name in classes if name not in errors]
+    parts = [HEAD, "## Functions", *functions, "## Results", *(_class(name, members[name]) for name in results)]
+    return "\n\n".join([*parts, "## Errors and warnings", *(_class(name, members[name]) for name in errors)])
+
+
+def _function(name: str, function: Any) -> str:
+    return "\n\n".join([f"### {name}", _signature(name, function), _sections(inspect.getdoc(function) or "")])
+
+
+def _class(name: str, kind: type) -> str:
+    parts = [f"### {name}", _sections(inspect.getdoc(kind) or "")]
+    rows = []
+    for method, member in vars(kind).items():
+        inner = member.fget if isinstance(member, property) else member
+        if not method.startswith("_") and inspect.isfunction(inner):
+            called = method if isinstance(member, property) else f"{method}()"
+            rows.append([f"`{called}`", (inspect.getdoc(inner) or "").partition("\n\n")[0]])
+    return "\n\n".join([*parts, table(["member", "meaning"], rows)] if rows else parts)
+
+
+def _signature(name: str, function: Any) -> str:
+    lines, starred = [], False
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.kind is parameter.KEYWORD_ONLY and not starred:
+            lines, starred = [*lines, "    *,"], True
+        given = "" if parameter.default is parameter.empty else f" = {_default(parameter.default)}"
+        lines.append(f"    {parameter.name}: {parameter.annotation}{given},")
+    returned = inspect.signature(function).return_annotation
+    return "```python\n" + "\n".join([f"{name}(", *lines, f") -> {returned}"]) + "\n```"
+
+
+def _default(value: Any) -> str:
+    shown = repr(value)
+    return "{}" if shown.startswith("mappingproxy") else shown
+
+
+def _sections(text: str) -> str:
+    """A docstring's paragraphs; each of its sections (Args, Attributes, Raises) as a table."""
+    parts = []
+    for block in re.split(r"\n\n", text):
+        head, _, rest = block.partition("\n")
+        if head in ("Args:", "Attributes:", "Raises:"):
+            entries = re.findall(r"^    (\S[^:\n]*):((?:.|\n(?!    \S))*)", rest, flags=re.MULTILINE)
+            title = {"Args:": "argument", "Attributes:": "attribute", "Raises:": "raises"}[head]
+            parts.append(table([title, "meaning"], [[f"`{name}`", " ".join(said.split())] for name, said in entries]))
+        elif head == "Returns:":
+            parts.append(f"Returns: {cell(rest)}")
+        else:
+            parts.append(cell(block))
+    return "\n\n".join(parts)
