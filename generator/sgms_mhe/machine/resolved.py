@@ -48,6 +48,8 @@ class Machine:
     """A machine file, resolved and checked; made by `sgms_mhe.configuration` alone.
 
     Attributes:
+        name, description, plant, friction, sampling, compensation, code, effects, diagnosis, log: keys and tables of
+            the file.
         source: the file that this machine was read from.
         estimator: what it estimates has the catalogue's names, those of a linear axis, as `effects` has.
         content: what the file says, `extends` merged, defaults not filled in, in the names of this kind of axis.
