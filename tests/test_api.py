@@ -366,7 +366,7 @@ def test_code_on_the_page_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / "python.md").read_text(), re.DOTALL | re.MULTILINE)
-    assert len(blocks) == 6
+    assert len(blocks) == 7
     (tmp_path / "my_axis.toml").write_text(SMALL.replace('"small"', '"my_axis"'))
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
