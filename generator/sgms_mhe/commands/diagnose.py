@@ -163,6 +163,17 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: Estimat
         for a in diagnosis.alternatives
         if a.instead_of and a.rival
     ]
+    lines += [
+        f"  refuted: {units.named(n.name)} = {n.file:.4g}, by the record {n.record:.4g} +- {2.0 * n.std:.1g}"
+        for n in diagnosis.refuted
+        if diagnosis.is_rough
+    ]
+    if diagnosis.errors:
+        before, after, plain = (100.0 * diagnosis.errors[key] for key in ("before", "after", "plain"))
+        lines.append(
+            f"simulation error on data not used in the fit, of the {units.push}'s RMS: {before:.3g} % before, "
+            f"{after:.3g} % after; Coulomb and viscous friction by least squares {plain:.3g} %"
+        )
     if diagnosis.separating_experiment:
         lines.append(f"next: {diagnosis.separating_experiment}")
     if gain is not None:

@@ -76,7 +76,8 @@ def decimate(subject: Subject) -> Subject:
     noise = None if recording.noise is None else mean(recording.noise)
     fewer = recording.factor // factor
     less = replace(recording, machine=machine, signals=thin, clock=clock, factor=fewer, noise=noise)
-    return replace(Subject.of(machine, less), noise=subject.noise, starts=subject.starts, fine=subject)
+    own = Subject.of(machine, less)
+    return replace(own, noise=subject.noise, starts=subject.starts, is_open=subject.is_open, fine=subject)
 
 
 def _samples_per_step(recording: Recording) -> int:

@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.configuration import law_changes
 from sgms_mhe.diagnosis.criteria import MATERIAL_NOISE, material_force, small_force
-from sgms_mhe.diagnosis.extension import extend_machine
 from sgms_mhe.diagnosis.final_fit import FinalFit, split_rms
 from sgms_mhe.diagnosis.fits import ITERATIONS, Fit, _report_name, report_values
 from sgms_mhe.diagnosis.models import FitError
-from sgms_mhe.diagnosis.parametrisation import ParameterGroup, drop_effect, drop_group, machine_groups, smooth_law
-from sgms_mhe.diagnosis.result import BaseParameter, Cause, Rms
+from sgms_mhe.diagnosis.parametrisation import (
+    ParameterGroup,
+    drop_effect,
+    drop_group,
+    machine_groups,
+    smooth_law,
+)
+from sgms_mhe.diagnosis.result import Cause, Rms
 from sgms_mhe.diagnosis.rivals import Rejected, Selection
 from sgms_mhe.diagnosis.uncertainty import covariance, standard_deviations
-from sgms_mhe.machine import Machine
-from sgms_mhe.model import whole_shares
-from sgms_mhe.model.effects import BASE_CAUSES, base_number, effect_definition
+from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
 from sgms_mhe.model.effects import cause as cause_definition
-from sgms_mhe.model.effects.base import LEVEL
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import gain_force, gain_interval, inconstancy
 from sgms_mhe.support.decisions import log_decision
@@ -147,56 +148,6 @@ def _file_values(fit: Fit, group: ParameterGroup) -> dict[str, float]:
         for c in fit.model.columns
         if c.group == group and not group.is_candidate
     }
-
-
-def base_parameters(final: FinalFit, fit: Fit) -> tuple[BaseParameter, ...]:
-    """The machine's own numbers, as the file has them and as a fit found them."""
-    deviations = standard_deviations(covariance(final.subject, fit, final.other), fit)
-    return tuple(
-        BaseParameter(
-            c.name if c.group.kind == "base" else f"{c.group.label}.{c.name}",
-            c.si(c.machine_theta),
-            c.si(float(theta)),
-            std,
-        )
-        for c, theta, std in zip(fit.model.columns, fit.theta, deviations, strict=True)
-        if not c.group.is_candidate
-    )
-
-
-def extended_machine(
-    machine: Machine, final: FinalFit, selection: Selection, causes: Sequence[Cause]
-) -> tuple[Machine, dict[str, Any]]:
-    """Return the machine with its wrong numbers corrected and the effects added, and the tables that this changes."""
-    fit = selection.fit
-    friction: dict[str, Any] = {}
-    for group in selection.refitted:
-        if group.kind != "base":
-            continue
-        for name, value in fit.values(group).items():
-            number = base_number(name)
-            if number is not None and number.array:
-                friction.setdefault(number.name, list(getattr(machine.friction, number.name)))
-                friction[number.name][number.element(name)] = value
-            else:
-                friction[name] = value
-    for cause in BASE_CAUSES.values():
-        for number in cause.numbers:
-            if number.shares and number.name in friction:
-                nominal = getattr(machine.friction, number.name)
-                friction[number.name], total = whole_shares(friction[number.name], nominal)
-                if total != 1.0:
-                    friction[LEVEL] = total * friction.get(LEVEL, getattr(machine.friction, LEVEL))
-    friction = {**law_changes(machine, smooth_law(final.subject.machine, fit.effects)), **friction}
-    effects: list[dict[str, Any]] = []
-    for effect in machine.effects:
-        group = ParameterGroup.own(effect.name, effect.label)
-        effects.append(
-            {"name": effect.name, **(fit.values(group) if group in selection.refitted else effect.parameters)}
-        )
-    effects += [{"name": e.name, **effect_definition(e.name).tidy(e.parameters)} for e in fit.effects]
-    changed = bool(fit.effects) or any(group.kind == "own" for group in selection.refitted)
-    return extend_machine(machine, [cause.label for cause in causes], friction, effects if changed else None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,6 +61,10 @@ class ProgressReport:
         """The log is made ready."""
         self.report("preparing the log", 0.0)
 
+    def report_identification(self, step: str) -> None:
+        """The record's own numbers are looked for: `step` of an identification."""
+        self.report(f"the file predicts no better than plain friction; identifying the record: {step}", 0.0)
+
     def report_base(self) -> None:
         """The machine's own numbers are fitted."""
         self.report("refitting the base model", BASE_BEGINS)

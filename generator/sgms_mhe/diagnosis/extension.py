@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from sgms_mhe.configuration import override_machine
-from sgms_mhe.machine import Estimator, Machine
+from sgms_mhe.machine import Estimator, Machine, plant_content
 from sgms_mhe.machine.writing import toml_extends, toml_line, toml_machine, toml_table
 from sgms_mhe.model.effects import effect_definition
 
@@ -19,6 +19,7 @@ def extend_machine(
     names: Sequence[str],
     friction: Mapping[str, Any],
     effects: Sequence[Mapping[str, Any]] | None,
+    moved: float | None = None,
 ) -> tuple[Machine, dict[str, Any]]:
     """Return the machine with numbers corrected and effects added, and the tables that this changes.
 
@@ -27,9 +28,10 @@ def extend_machine(
 
     Args:
         machine: the base.
-        names: of the causes, for the file's name.
+        names: of the causes, for the file's name; none where numbers alone change.
         friction: changed keys of [friction].
         effects: all entries of [[effects]]; None where they stay as they are.
+        moved: changed mass [kg], or inertia [kg m^2]; None where it stays.
 
     Returns:
         The machine, and the changes as content of a machine file that `extends` the base.
@@ -41,9 +43,12 @@ def extend_machine(
         name = f"{name}_{cause}"
     if name == machine.name:
         name = f"{machine.name[: NAME_LENGTH - 9]}_extended"
-    description = f"{machine.description or machine.name}, extended by {', '.join(names)}"[:200]
+    by = f"extended by {', '.join(names)}" if names else "with the numbers of a record"
+    description = f"{machine.description or machine.name}, {by}"[:200]
     units = machine.plant.units
     changes: dict[str, Any] = {"name": name, "description": description}
+    if moved is not None and moved != machine.plant.moved:
+        changes["plant"] = plant_content(machine.plant.kind, moved)
     if friction:
         changes["friction"] = dict(friction)
     if effects is not None:
@@ -97,8 +102,9 @@ def extension_toml(machine: Machine, extended: Machine, changes: Mapping[str, An
         toml_extends(machine, folder),
         *(toml_line(key, changes[key]) for key in ("name", "description")),
     ]
-    if "friction" in changes:
-        lines += toml_table("[friction]", changes["friction"])
+    for key in ("plant", "friction"):
+        if key in changes:
+            lines += toml_table(f"[{key}]", changes[key])
     if "estimator" in changes:
         before = [machine.plant.units.named(name) for name in machine.estimator.parameters]
         left_out = [name for name in before if name not in changes["estimator"]["parameters"]]

@@ -131,6 +131,7 @@ class Subject:
         enough: what a step of a fit must promise [rows' worth of noise].
         starts: SI values of machine numbers that fits start from, where the file gives no good idea of them.
         fine: the same at the record's full rate, where this one is thinned.
+        is_open: whether the machine's numbers are the record's own: then they are free in every fit, and no causes.
         known: fits by what was asked for. A model is fitted once to an aligned record, wherever it would start;
             copies share them, an alignment begins anew.
     """
@@ -143,6 +144,7 @@ class Subject:
     enough: float = 0.0
     starts: Mapping[str, float] = field(default_factory=dict)
     fine: Subject | None = None
+    is_open: bool = False
     known: dict[FitKey, Fit] = field(default_factory=dict, repr=False)
 
     @classmethod

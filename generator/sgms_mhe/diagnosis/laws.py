@@ -41,19 +41,24 @@ ALIGNMENTS: Final = 2
 """Alignments of a model at a selection, each with a fit [1]: to the second order."""
 
 
+def subtract_effects(subject: Subject, fit: Fit) -> Recording:
+    """Return the record without the force of a fit's effects."""
+    recording = subject.recording
+    if not fit.effects:
+        return recording
+    alone = subject.model(())
+    theta = subject.start(alone, (), fit)
+    effects = subject.friction(fit) - alone.run(recording, theta, derivatives=False)[0]
+    return replace(recording, friction=recording.friction - effects)
+
+
 def convex_start(subject: Subject, fit: Fit) -> dict[str, float]:
     """Numbers of the machine to start from, by column [SI]: of the friction that a fit's effects do not explain.
 
     Neither the machine file's numbers nor where the fit stopped matter. Nothing where there is no friction.
     """
-    recording = subject.recording
-    if fit.effects:
-        alone = subject.model(())
-        theta = subject.start(alone, (), fit)
-        effects = subject.friction(fit) - alone.run(recording, theta, derivatives=False)[0]
-        recording = replace(recording, friction=recording.friction - effects)
     columns = {column.name for column in subject.model(()).columns}
-    found = element_numbers(recording, subject.noise)
+    found = element_numbers(subtract_effects(subject, fit), subject.noise)
     return {name: value for name, value in found.items() if name in columns}
 
 
@@ -96,9 +101,16 @@ class Laws:
         return replace(self, alternative=subject) if self.taken else replace(self, own=subject)
 
 
-def make_laws(machine: Machine, recording: Recording, floor: float) -> Laws:
-    """A machine along a record under both laws, thinned for the search; `floor`: its noise [N]."""
-    thin = _thinned(machine, recording, floor)
+def make_laws(machine: Machine, recording: Recording, floor: float, *, is_open: bool = False) -> Laws:
+    """A machine along a record under both laws, thinned for the search.
+
+    Args:
+        machine: with the numbers to begin from.
+        recording: of the log.
+        floor: its noise [N].
+        is_open: whether these are the record's own.
+    """
+    thin = [replace(one, is_open=is_open) for one in _thinned(machine, recording, floor)]
     own, *others = run_parallel([partial(_align_nominal, subject) for subject in thin])
     if own is None:
         raise FitError("the model is not finite with the machine's own numbers")

@@ -104,11 +104,13 @@ def prune_effects(
 def find_wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[Groups, Fit]:
     """Return the machine's numbers that must differ from the file: the fewest groups without a material loss.
 
-    Not what is small: laws of friction and long steps are wrong by as much, where elements slip. Returns them, and the
-    fit with only them free.
+    All of them where the numbers are the record's. Not what is small: laws of friction and long steps are wrong by as
+    much, where elements slip. Returns them, and the fit with only them free.
     """
     effects, material = fit.effects, max(criteria.material, small_force(subject.machine))
     everything = fit_model(subject, effects, warm=fit)
+    if subject.is_open:
+        return machine_groups(subject.machine), everything
     named: Groups = ()
     current = fit_model(subject, effects, refitted=(), warm=everything)
     while True:

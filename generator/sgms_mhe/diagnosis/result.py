@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.diagnosis.document import make_document
 from sgms_mhe.diagnosis.extension import extension_toml
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.files import write_text
-from sgms_mhe.support.json_values import finite
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import html_table, labelled_axes
 
@@ -135,6 +135,28 @@ class BaseParameter:
 
 
 @dataclass(frozen=True)
+class RefutedNumber:
+    """A number of the machine file that the record refutes: the file's value, the record's, one standard deviation."""
+
+    name: str
+    file: float
+    record: float
+    std: float
+
+
+@dataclass(frozen=True)
+class PlainFriction:
+    """Residual of Coulomb and viscous friction by least squares, mass and an offset beside them.
+
+    RMS on the segments that the fit saw, on those that it did not, and of the force there [N].
+    """
+
+    rms: float
+    held_out: float
+    force: float
+
+
+@dataclass(frozen=True)
 class ResidualStructure:
     """Dependence of the residual on one coordinate.
 
@@ -239,6 +261,10 @@ class Diagnosis:
         encoder_noise_N: RMS of the force that the encoder's noise leaves, where most of the residual of an adequate or
             unexplained record is that; else 0.
         standalone: whether the extended machine's file has every table; otherwise it extends the base.
+        plain: residual of plain friction on the same data.
+        refuted: numbers of the machine file that the record refutes.
+        is_rough: whether the file was far from the record: then the diagnosis began from the record's numbers, which
+            are no causes.
     """
 
     machine: Machine
@@ -266,6 +292,18 @@ class Diagnosis:
     undecided: tuple[str, ...] = ()
     encoder_noise_N: float = 0.0
     standalone: bool = False
+    plain: PlainFriction | None = None
+    refuted: tuple[RefutedNumber, ...] = ()
+    is_rough: bool = False
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Simulation error on held-out data over the RMS of the force there: before, after, of plain friction [1]."""
+        plain, rms = self.plain, self.rms
+        if plain is None or not plain.force > 0.0:
+            return {}
+        errors = {"before": rms.held_out_before, "after": rms.held_out_after, "plain": plain.held_out}
+        return {key: value / plain.force for key, value in errors.items()}
 
     def identifies(self, cause: Cause) -> bool:
         """Return True if the record determines a cause's numbers, and no rival fits as well."""
@@ -369,8 +407,8 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """Content of diagnosis.json; what is not finite becomes null."""
-        rms = self.rms
-        return _document(
+        rms, named = self.rms, self.machine.plant.units.named
+        return make_document(
             self.machine,
             self.verdict,
             self.summary,
@@ -404,6 +442,9 @@ class Diagnosis:
                 "held_out_after": rms.held_out_after,
                 "noise_floor": self.noise_floor_N,
             },
+            plain=None if self.plain is None else {"rms_N": self.plain.rms, "held_out_N": self.plain.held_out},
+            simulation_error=self.errors,
+            refuted=[{"name": named(n.name), "file": n.file, "record": n.record, "std": n.std} for n in self.refuted],
             extended_machine=self.extended_name,
             law=self.law,
             structure_left=[
@@ -412,7 +453,7 @@ class Diagnosis:
             ],
             base=[
                 {
-                    "name": self.machine.plant.units.named(b.name),
+                    "name": named(b.name),
                     "nominal": b.nominal,
                     "refitted": b.refitted,
                     "std": b.std,
@@ -441,46 +482,8 @@ def write_extended(diagnosis: Diagnosis, folder: Path) -> None:
 
 def write_refusal(sentence: str, machine: Machine, out_dir: str | Path) -> dict[str, Any]:
     """Write diagnosis.json of a log that cannot be what it says, and nothing else; return its content."""
-    content = _document(machine, "unexplained", sentence, [sentence], law=machine.friction.law)
+    content = make_document(machine, "unexplained", sentence, [sentence], law=machine.friction.law)
     folder = Path(out_dir)
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "diagnosis.json", json.dumps(content, indent=2) + "\n")
     return content
-
-
-_NO_RMS: Final = dict.fromkeys(("before", "after", "held_out_before", "held_out_after", "noise_floor"))
-
-
-def _document(
-    machine: Machine,
-    verdict: Verdict,
-    summary: str,
-    limits: Sequence[str],
-    *,
-    law: str,
-    causes: Sequence[Mapping[str, Any]] = (),
-    alternatives: Sequence[Mapping[str, Any]] = (),
-    separating_experiment: str | None = None,
-    residual_rms_N: Mapping[str, float | None] = _NO_RMS,
-    extended_machine: str | None = None,
-    structure_left: Sequence[Mapping[str, Any]] = (),
-    base: Sequence[Mapping[str, Any]] = (),
-    warnings: Sequence[str] = (),
-) -> dict[str, Any]:
-    """Content of diagnosis.json, keys in the units of the machine's axis; what is left out is not known."""
-    content = {
-        "verdict": verdict,
-        "summary": summary,
-        "causes": causes,
-        "alternatives": alternatives,
-        "separating_experiment": separating_experiment,
-        "residual_rms_N": residual_rms_N,
-        "extended_machine": extended_machine,
-        "law": law,
-        "structure_left": structure_left,
-        "base": base,
-        "limits": limits,
-        "warnings": warnings,
-    }
-    keyed: dict[str, Any] = finite(machine.plant.units.keyed(content))
-    return keyed

@@ -136,7 +136,7 @@ def find_rivals(
     """
     rivals: list[Rival] = []
     rejected: dict[str, Rejected] = {}
-    groups = (*refitted, *fit.candidate_groups)
+    groups = (*(() if subject.is_open else refitted), *fit.candidate_groups)
     places = run_parallel([partial(_place, subject, fit, refitted, group, seen, criteria) for group in groups])
     for k, place in enumerate(places):
         if place is None:

@@ -206,8 +206,8 @@ def _choose(subject: Subject, current: Fit, fits: Mapping[str, Fit], criteria: C
     ]
     if len(equal) == 1:
         return best
-    alone = {name: fit_model(subject, fits[name].effects, refitted=()) for name in equal}
-    return min(alone, key=lambda name: float(alone[name].cross.sum()))
+    alone = fits if subject.is_open else {n: fit_model(subject, fits[n].effects, refitted=()) for n in equal}
+    return min(equal, key=lambda name: float(alone[name].cross.sum()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,7 +282,8 @@ def _choose_simpler_law(searched: Searched) -> Searched:
         return searched
     causes, fit = keep_necessary(laws.chosen, searched.fit, criteria)
     count = len(causes) + len(fit.effects)
-    if count == 0:
+    least = len(causes) if laws.chosen.is_open else 0
+    if count == least:
         return searched
     try:
         found = fit_model(laws.other, searched.fit.effects, warm=searched.fit)
@@ -316,7 +317,8 @@ def select_causes(searched: Searched) -> Selection:
         if contest.better is None:
             break
         refitted, fit = keep_necessary(subject, contest.better, criteria)
-    groups = (*refitted, *fit.candidate_groups)
+    unnamed = refitted if subject.is_open else ()
+    groups = (*(() if unnamed else refitted), *fit.candidate_groups)
     return Selection(
         fit=fit,
         refitted=refitted,
@@ -325,4 +327,5 @@ def select_causes(searched: Searched) -> Selection:
         rejected=contest.rejected,
         p_values={group: cause_significance(subject, fit, group) for group in groups},
         free=searched.fit,
+        unnamed=unnamed,
     )

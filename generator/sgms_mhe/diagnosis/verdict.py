@@ -13,37 +13,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.alignment import (
-    align,
     compile_half_steps,
     find_chain_error,
     in_step,
     offset_notes,
     sampling_offset,
 )
-from sgms_mhe.diagnosis.causes import (
-    Confirmed,
-    base_parameters,
-    confirm_causes,
-    confirm_constant_causes,
-    extended_machine,
-    refit_numbers,
-    restore_undetermined,
+from sgms_mhe.diagnosis.beginning import (
+    ROUGH,
+    RecordStart,
+    begin_from_record,
+    compare_numbers,
+    distance,
+    identify_start,
+    list_refuted,
+    mean_speed,
+    plain_friction,
+    refute_by_causes,
 )
-from sgms_mhe.diagnosis.criteria import Progress, ProgressReport, make_criteria, material_force, small_force
+from sgms_mhe.diagnosis.criteria import Progress, ProgressReport, make_criteria
 from sgms_mhe.diagnosis.final_fit import FinalFit, RecordResidual, fit_rivals, make_final_fit, split_rms
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
-from sgms_mhe.diagnosis.laws import list_compilations, make_laws
+from sgms_mhe.diagnosis.judgement import MOST_WITHOUT_CAUSES, MOSTLY, Judged, allowed_excess, judge
+from sgms_mhe.diagnosis.laws import SHARPER, list_compilations, make_laws, subtract_effects
 from sgms_mhe.diagnosis.models import FitError
-from sgms_mhe.diagnosis.parametrisation import TIMING_MOST, ParameterGroup
-from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces, Verdict
+from sgms_mhe.diagnosis.numbers import base_parameters, extended_machine
+from sgms_mhe.diagnosis.parametrisation import TIMING_MOST
+from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces
 from sgms_mhe.diagnosis.selection import Searched, drop_effects, search_causes, select_causes
-from sgms_mhe.diagnosis.structure import force_over_speed, structure_map
+from sgms_mhe.diagnosis.structure import structure_map
 from sgms_mhe.diagnosis.uncertainty import inertial_noise
 from sgms_mhe.diagnosis.wording import choose_experiment, list_alternatives, summarise
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import BASE_CAUSES
-from sgms_mhe.model.effects import cause as cause_definition
-from sgms_mhe.recordings.evidence import gain_interval, hides_friction, noise_floor
+from sgms_mhe.recordings.evidence import gain_interval, noise_floor
 from sgms_mhe.recordings.excerpt import make_excerpt
 from sgms_mhe.recordings.excitation import clock_note, find_steady_blocks, measure_excitation
 from sgms_mhe.recordings.recording import Recording, add_encoder, prepare
@@ -56,37 +58,14 @@ Array = NDArray[np.float64]
 
 EXCITED: Final = 0.05
 """Range of the simulated friction below which a record says nothing of it [f_C]: the axis hardly moves."""
-ALLOWED_NOISE: Final = 0.5
-"""RMS beyond noise that a complete explanation may leave; the largest of the three counts [noise floor]: the floor
-itself is an estimate."""
-ALLOWED_ENCODER: Final = 1.0
-"""The same where the encoder's steps make most of the floor: where its lines are, and so how much of their noise passes
-the low-passes, is known to a factor of 1.4."""
-MOSTLY: Final = 0.5
-"""Share of the power of a residual, or a floor, from which on it is said to be the encoder's noise."""
-ALLOWED_SHARE: Final = 0.15
-"""RMS beyond noise that a complete explanation may leave; the largest of the three counts [RMS beyond noise before]: 98
-% of the power is explained."""
-MOST_WITHOUT_CAUSES: Final = 3.0
-"""RMS beyond noise that a machine without causes may leave, whatever the three before it say [noise floor]: what leaves
-more is not adequate."""
 SMEARED: Final = MOST_WITHOUT_CAUSES
 """RMS that the chain's low-passes change friction by, from which on a model's force passes them [noise floor]: what is
 less is no reason to call a machine inadequate, and the motion before the chain has noise of its own."""
-MOST_WITH_CAUSES: Final = 1.25
-"""RMS beyond noise that named causes may leave, whatever the three of `unexplained` say [noise floor]: what leaves more
-has not explained the record, however much it gained."""
-LEAST_ALLOWED: Final = 0.012
-"""RMS beyond noise that either may leave, however quiet the record; numbers beside effects only what is small [f_C]:
-sampling, integration and a low cutoff leave as much of a log without noise."""
-MOST_RESIDUAL: Final = 0.75
-"""RMS beyond noise that may be left for causes to be listed that are constant over the record [RMS beyond noise
-before]: measured axes have what no catalogue has; a quarter must go."""
-CURVE_GAIN: Final = 0.5
-"""RMS of what is left as a curve over speed, from which a curve is taken for another one, with CURVE_SHARE [gain that
-matters]: curves over speed add up to nearly any other one, and what they miss of it is such a curve."""
-CURVE_SHARE: Final = 0.3
-"""The same over all that is left [RMS beyond noise]: where much else is left the map over speed shows some of that."""
+UNCLEAR: Final = 1.1
+"""RMS of the residual from which numbers identified with causes in the record are identified anew without them [noise
+floor]."""
+MOST_STARTS: Final = 3
+"""Times that numbers are identified anew without the causes, at most [1]."""
 
 
 def diagnose(
@@ -110,33 +89,143 @@ def diagnose(
     """
     started = time.monotonic()
     told = ProgressReport(progress or (lambda step, share: None))
-    most, offset = TIMING_MOST * machine.sampling.step, 0.0
     try:
-        found = _diagnose_log(machine, log, held_out_s, told)
-        while (more := sampling_offset(found)) and abs(offset + more) <= most:
-            offset += more
-            log_decision("record", "force put in step with position, and diagnosed again", offset_s=offset, most_s=most)
-            found = _diagnose_log(machine, in_step(log, offset), held_out_s, told)
+        told.report_start()
+        file = _prepare(machine, log, held_out_s)
+        begun = begin_from_record(
+            file.recording, file.nominal, told.report_identification, has_force=not log.is_friction_alone
+        )
+        found, without = _diagnose_aligned(file, begun, log, held_out_s, told)
+        if begun is not None:
+            found = _diagnose_again(file, begun, found, without, log, held_out_s, told)
     except FitError as error:
         raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
-    warnings = (*offset_notes(machine, offset), *found.warnings)
-    return replace(found, warnings=warnings, seconds=time.monotonic() - started)
+    return replace(found, seconds=time.monotonic() - started)
 
 
-def _diagnose_log(
-    machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]] | None, progress: ProgressReport
+def _diagnose_again(
+    file: _Prepared,
+    begun: RecordStart,
+    found: Diagnosis,
+    without: Recording,
+    log: Log,
+    held_out_s: Sequence[tuple[float, float]] | None,
+    told: ProgressReport,
 ) -> Diagnosis:
-    """The diagnosis of a log as it is."""
-    progress.report_start()
+    """Diagnose anew what began from numbers that were identified with the causes still in the record.
+
+    Args:
+        file: the log along the machine of the file.
+        begun: the record's numbers.
+        found: the diagnosis from these.
+        without: the record without its causes.
+        log: as it was read.
+        held_out_s: as of `diagnose`.
+        told: of each step.
+
+    Returns:
+        A diagnosis from the file where its numbers hold beside the causes; the better one of two where numbers
+        identified without them leave less; else `found`.
+    """
+    if not found.is_rough:
+        log_decision("beginning", "the file's numbers hold beside the causes: diagnosed from them")
+        return _diagnose_aligned(file, None, log, held_out_s, told)[0]
+    for _ in range(MOST_STARTS):
+        if not found.causes or found.rms.held_out_after < UNCLEAR * found.noise_floor_N:
+            break
+        anew = identify_start(
+            without, file.machine, begun.mass, told.report_identification, has_force=not log.is_friction_alone
+        )
+        if anew is None:
+            break
+        again, without = _diagnose_aligned(file, anew, log, held_out_s, told)
+        log_decision(
+            "beginning",
+            "numbers identified without the causes, where they leave less",
+            residual_N=found.rms.held_out_after,
+            residual_again_N=again.rms.held_out_after,
+        )
+        if not again.is_rough or again.rms.held_out_after >= SHARPER * found.rms.held_out_after:
+            break
+        found, begun = again, anew
+    return found
+
+
+def _diagnose_aligned(
+    file: _Prepared,
+    begun: RecordStart | None,
+    log: Log,
+    held_out_s: Sequence[tuple[float, float]] | None,
+    told: ProgressReport,
+) -> tuple[Diagnosis, Recording]:
+    """The diagnosis of a log with its force in step with its position, and the record without its causes.
+
+    Args:
+        file: the log along the machine of the file.
+        begun: the record's numbers, to begin from these; None: from the file's.
+        log: as it was read.
+        held_out_s: as of `diagnose`.
+        told: of each step.
+    """
+    machine, offset = file.machine, 0.0
+    most = TIMING_MOST * machine.sampling.step
+    prepared = file if begun is None else _prepare(begun.machine, log, held_out_s)
+    found, without = _diagnose_log(prepared, log, told, file, begun)
+    while (more := sampling_offset(found)) and abs(offset + more) <= most:
+        offset += more
+        log_decision("record", "force put in step with position, and diagnosed again", offset_s=offset, most_s=most)
+        late = in_step(log, offset)
+        found, without = _diagnose_log(_prepare(prepared.machine, late, held_out_s), late, told, file, begun)
+    return replace(found, warnings=(*offset_notes(machine, offset), *found.warnings)), without
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """A log along a machine: all of it, the part that models are fitted to, the machine as it is."""
+
+    record: Recording
+    recording: Recording
+    nominal: Fit
+
+    @property
+    def machine(self) -> Machine:
+        """Whose signal chain the log went through."""
+        return self.record.machine
+
+    def residual_along(self, record: Recording, sampled: Array) -> RecordResidual:
+        """Return the residual of this machine as it is on the rows of another one's record of the same log.
+
+        `sampled`: as of an alignment.
+        """
+        rows = {name: getattr(record, name) for name in ("used", "block", "fold", "held_out")}
+        return RecordResidual.along(Subject.of(self.machine, replace(self.record, **rows)), self.nominal, sampled)
+
+
+def _prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]] | None) -> _Prepared:
     record = prepare(machine, log, held_out_s)
     record = beside(partial(add_encoder, record, log), list_compilations(machine, make_excerpt(record)))
     recording = make_excerpt(record)
-    nominal = fit_model(Subject.of(machine, recording), (), refitted=())
+    return _Prepared(record, recording, fit_model(Subject.of(machine, recording), (), refitted=()))
+
+
+def _diagnose_log(
+    prepared: _Prepared, log: Log, progress: ProgressReport, file: _Prepared, begun: RecordStart | None
+) -> tuple[Diagnosis, Recording]:
+    """The diagnosis of a log as it is, and the record without its causes.
+
+    Args:
+        prepared: the log along the machine to begin from.
+        log: as it was read.
+        progress: told of each step.
+        file: the log along the machine of the file.
+        begun: the record's numbers, where these are the beginning.
+    """
+    machine, record, recording, nominal = prepared.machine, prepared.record, prepared.recording, prepared.nominal
     if not _is_excited(recording, nominal):
         if recording is not record:
             # A long rest may hold all pieces; a whole record costs no more than this one run.
             recording, nominal = record, fit_model(Subject.of(machine, record), (), refitted=())
-        return _report_standstill(machine, log, recording, nominal)
+        return _report_standstill(file.machine, log, recording, nominal), recording
     progress.report_base()
     floor = noise_floor(recording, nominal.residual)
     smear = recording.rms(find_chain_error(Subject.of(machine, recording), nominal))
@@ -158,7 +247,7 @@ def _diagnose_log(
         excited=criteria.excited,
         warnings=record.warnings,
     )
-    searched = search_causes(make_laws(machine, recording, floor), criteria)
+    searched = search_causes(make_laws(machine, recording, floor, is_open=begun is not None), criteria)
     left_out: tuple[str, ...] = ()
     try:
         final, judged = _judge_search(record, nominal, searched, progress)
@@ -168,12 +257,15 @@ def _diagnose_log(
         if not left_out:
             raise
         final, judged = _judge_search(record, nominal, drop_effects(searched), progress)
-    return _diagnosis(machine, log, final, judged, left_out)
+    if begun is not None:
+        final = replace(final, nominal_residual=file.residual_along(record, final.subject.alignment.sampled))
+    without = subtract_effects(final.subject.whole, judged.found.selection.fit)
+    return _diagnosis(file.machine, log, final, judged, begun, left_out), without
 
 
 def _judge_search(
     record: Recording, nominal: Fit, searched: Searched, progress: ProgressReport
-) -> tuple[FinalFit, _Judged]:
+) -> tuple[FinalFit, Judged]:
     """Judge the result of a search: select, fit to the end, confirm."""
     # What was found is mostly what is selected, and final next.
     selection = beside(
@@ -181,7 +273,7 @@ def _judge_search(
     )
     final = make_final_fit(record, nominal, searched.laws, selection)
     progress.report_judgement()
-    return final, _judge(final)
+    return final, judge(final)
 
 
 def _is_excited(recording: Recording, nominal: Fit) -> bool:
@@ -191,143 +283,35 @@ def _is_excited(recording: Recording, nominal: Fit) -> bool:
     return not float(np.ptp(simulated)) < EXCITED * machine.friction.coulomb
 
 
-@dataclass(frozen=True, eq=False)
-class _Judged:
-    """A verdict and what it rests on.
-
-    Attributes:
-        verdict: the word.
-        found: causes that are named.
-        plain: the machine as it is, with the transition that fits.
-        free: all of the machine's numbers refitted, beside the causes that were confirmed first.
-    """
-
-    verdict: Verdict
-    found: Confirmed
-    plain: Fit
-    free: Fit
-
-
-def _judge(final: FinalFit) -> _Judged:
-    """Confirm the causes, and say whether they explain the record."""
-    found = confirm_causes(final, final.selection)
-    plain = final.fit((), refitted=())
-    # The base numbers' own small errors are no structure that asks for a name.
-    free = final.fit(found.selection.fit.effects, warm=found.selection.fit)
-    best = min(found.selection.fit, free, key=final.excess)
-    before, after = final.excess(plain), final.excess(best)
-    judged = found.selection.causes
-    allowed = _allowed_excess(final.record.machine, final.floor, judged, before, _encoder_rms(final))
-    curve = after < allowed and any(_may_stand_in(group.cause) for group in judged) and _leaves_curve(final, best)
-    verdict: Verdict
-    if not found.selection.causes:
-        # As it is, and not with other numbers: what these explain and no cause does is not adequate.
-        plain = _align_plain(final, plain)
-        before = final.excess(plain)
-        verdict = "adequate" if before < allowed else "unexplained"
-    elif after < allowed and not curve:
-        verdict = "ambiguous" if found.selection.rivals else "explained"
-        if final.alternative:
-            found = refit_numbers(final, found, constant=False)
-    else:
-        verdict = "unexplained"
-        # Something is left; but causes that are the same everywhere in the record are none the less real.
-        found = confirm_constant_causes(final, final.selection)
-        # What refitted numbers explain that are no cause is no merit of the causes.
-        before = final.excess(final.fit((), refitted=found.selection.unnamed))
-        kept = final.excess(found.selection.fit)
-        certain = bool(found.causes) and kept < MOST_RESIDUAL * before
-        log_decision(
-            "verdict",
-            "causes of an unexplained record are listed where they leave clearly less",
-            causes=[cause.label for cause in found.causes],
-            residual_beyond_noise_N=kept,
-            allowed_N=MOST_RESIDUAL * before,
-            listed=certain,
-        )
-        if not certain:
-            plain = _align_plain(final, plain)
-            found = Confirmed(replace(found.selection, fit=plain, refitted=(), rivals=()), plain, ())
-    if found.causes:
-        found = restore_undetermined(final, found)
-        if verdict == "unexplained" and _leaves_curve(final, found.selection.fit):
-            found = replace(found, causes=tuple(replace(c, stands_in=_may_stand_in(c.name)) for c in found.causes))
-    log_decision(
-        "verdict",
-        "residual beyond noise is within what a complete explanation may leave, and no curve over speed is left",
-        confirmed=[group.name for group in judged],
-        noise_floor_N=final.floor,
-        beyond_noise_before_N=before,
-        beyond_noise_after_N=after,
-        allowed_N=allowed,
-        leaves_curve_over_speed=curve,
-        rivals=[rival.group.cause for rival in found.selection.rivals],
-        law_of_the_file=not final.alternative,
-        outcome=verdict,
-        named=[cause.label for cause in found.causes],
-    )
-    return _Judged(verdict, found, plain, free)
-
-
-def _align_plain(final: FinalFit, plain: Fit) -> Fit:
-    """Return the machine as it is, in line with itself: the record was with a fit that may have other numbers."""
-    return fit_model(align(final.subject, plain, anew=True), (), refitted=())
-
-
-def _may_stand_in(name: str) -> bool:
-    """Return True if a cause beside a residual curve over speed may be a part of it: a machine's number, a curve."""
-    return name in BASE_CAUSES or cause_definition(name).over_speed
-
-
-def _leaves_curve(final: FinalFit, fit: Fit) -> bool:
-    """Return True if a good part of the residual is a curve over speed, and it matters."""
-    material = material_force(final.record.machine, final.floor)
-    left = final.residual_of(fit)
-    curve = force_over_speed(final.record, left.residual)
-    beyond = math.sqrt(max(0.0, left.rms**2 - final.floor**2))
-    return curve > max(CURVE_GAIN * material, CURVE_SHARE * beyond)
-
-
-def _encoder_rms(final: FinalFit) -> float:
-    """RMS of the force that the encoder's steps leave in a record that can be judged all the same [N]; else 0."""
-    encoder, record = final.encoder, final.record
-    return 0.0 if encoder is None or hides_friction(record, encoder) else record.rms(encoder)
-
-
-def _allowed_excess(
+def _diagnosis(
     machine: Machine,
-    floor: float,
-    causes: Sequence[ParameterGroup] = (),
-    before: float = 0.0,
-    encoder: float = 0.0,
-) -> float:
-    """RMS beyond noise [N] that a complete explanation may leave.
+    log: Log,
+    final: FinalFit,
+    judged: Judged,
+    begun: RecordStart | None,
+    left_out: Sequence[str] = (),
+) -> Diagnosis:
+    """The verdict with everything that a report needs.
 
-    `before`: without its causes; `encoder`: what the encoder's steps leave, where they are in the floor.
-
-    A wrong number beside effects may stand for a part of what they leave: then that is no more than what is small.
+    Args:
+        machine: of the file.
+        log: as it was read.
+        final: fit of the selection.
+        judged: the verdict.
+        begun: the record's numbers, where these were the beginning; else None.
+        left_out: effects that looked good, but have no model here.
     """
-    level = machine.friction.coulomb
-    noise = floor * (ALLOWED_ENCODER if encoder**2 > MOSTLY * floor**2 else ALLOWED_NOISE)
-    wanted = max(machine.diagnosis.unexplained * level, noise, ALLOWED_SHARE * before)
-    most = MOST_WITH_CAUSES if causes else MOST_WITHOUT_CAUSES
-    mixed = len({group.is_candidate for group in causes}) > 1
-    least = small_force(machine) if mixed else LEAST_ALLOWED * level
-    return min(wanted, max(most * floor, least))
-
-
-def _diagnosis(machine: Machine, log: Log, final: FinalFit, judged: _Judged, left_out: Sequence[str] = ()) -> Diagnosis:
-    """The verdict with everything that a report needs; `left_out`: effects that looked good, but have no model here."""
     record, verdict, causes = final.record, judged.verdict, judged.found.causes
     selection = judged.found.selection
-    named = bool(causes)
+    named = bool(causes) or begun is not None
+    numbers = () if begun is None else compare_numbers(machine, begun, final, selection.fit)
     nominal, start = final.nominal_residual, final.residual_of(final.start)
-    # Where nothing is named: the machine's numbers, with the transition that fits.
+    # Where nothing is named: the machine's numbers, with the transition that fits; of a rough file the record's.
     unseen = final.residual_of(judged.found.blind if named else judged.plain)
     extended_left = final.residual_of(selection.fit)
     rms_before, held_before = split_rms(nominal, record)
     rms_after, held_after = split_rms(unseen, record)
-    extended, changes = extended_machine(machine, final, selection, causes) if named else (None, None)
+    extended, changes = extended_machine(record.machine, final, selection, causes, machine) if named else (None, None)
     held = record.held_out
     alternatives = list_alternatives(selection, machine.plant.units)
     rivals = [alternative for alternative in alternatives if alternative.rival]
@@ -337,7 +321,9 @@ def _diagnosis(machine: Machine, log: Log, final: FinalFit, judged: _Judged, lef
         machine=machine,
         source=log.source,
         verdict=verdict,
-        summary=summarise(verdict, causes, rivals, held_before, held_after, machine.plant.units, hidden_by),
+        summary=summarise(
+            verdict, causes, rivals, held_before, held_after, machine.plant.units, hidden_by, is_rough=begun is not None
+        ),
         causes=causes,
         alternatives=alternatives,
         separating_experiment=choose_experiment(verdict, causes, rivals, hidden_by),
@@ -346,7 +332,7 @@ def _diagnosis(machine: Machine, log: Log, final: FinalFit, judged: _Judged, lef
         gain_interval_N=gain_interval(nominal.loss[held], unseen.loss[held], unseen.rows[held])
         if named
         else (0.0, 0.0),
-        base=base_parameters(final, judged.free if named else final.start),
+        base=base_parameters(final, judged.free if named else final.start, machine),
         scores=selection.scores if named or verdict != "unexplained" else _unname_scores(selection.scores),
         structure_before=structure_map(record, nominal.residual, final.encoder),
         structure_after=structure_map(record, extended_left.residual if named else start.residual, final.encoder),
@@ -369,6 +355,9 @@ def _diagnosis(machine: Machine, log: Log, final: FinalFit, judged: _Judged, lef
         rival_fits=fit_rivals(final, selection),
         undecided=clock_note(record),
         encoder_noise_N=hidden_by,
+        plain=plain_friction(record),
+        refuted=refute_by_causes(causes) if begun is None else list_refuted(numbers),
+        is_rough=begun is not None and distance(numbers, mean_speed(record)) > ROUGH,
     )
 
 
@@ -440,7 +429,7 @@ def _report_standstill(machine: Machine, log: Log, recording: Recording, nominal
     return Diagnosis(
         machine=machine,
         source=log.source,
-        verdict="adequate" if excess < _allowed_excess(machine, floor) else "unexplained",
+        verdict="adequate" if excess < allowed_excess(machine, floor) else "unexplained",
         summary="There is no excitation in this record: the axis hardly moves, so nothing can be said about friction.",
         causes=(),
         alternatives=(),

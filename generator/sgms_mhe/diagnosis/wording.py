@@ -86,9 +86,27 @@ def summarise(
     after: float,
     units: Units,
     noise: float = 0.0,
+    *,
+    is_rough: bool = False,
 ) -> str:
-    """One sentence; `before`, `after`: RMS on held-out data; `noise`: of the encoder, where most is that [N, N m]."""
+    """One sentence.
+
+    Args:
+        verdict: of the diagnosis.
+        causes: named.
+        rivals: candidates that fit as well as one of them.
+        before, after: RMS of the residual on held-out data [N, N m].
+        units: of the axis.
+        noise: of the encoder, where most is that [N, N m].
+        is_rough: whether the record's numbers have taken the place of the file's.
+    """
     unit = units.force
+    if is_rough:
+        own = f"With the record's numbers for those of the file {after:.3g} {unit} of {before:.3g} {unit} RMS are left."
+        if not causes and not noise > 0.0:
+            rest = "no known effect accounts for that" if verdict == "unexplained" else "nothing else is missing"
+            return f"{own[:-1]}; {rest}."
+        return f"{own} {summarise(verdict, causes, rivals, before, after, units, noise)}"
     names = [cause.name for cause in causes]
     gain = f"the residual on data not used in the fit goes from {before:.3g} {unit} to {after:.3g} {unit} RMS"
     if verdict == "adequate":

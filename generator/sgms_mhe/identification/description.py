@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.identification.final_fit import CERTAIN, FinalIdentification
-from sgms_mhe.identification.fits import NumberEstimate, RecordView
+from sgms_mhe.identification.fits import AxisFit, NumberEstimate, RecordView
 from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.search import ChosenModel
 from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING, effect_parameters
@@ -165,6 +165,16 @@ def effect_numbers(final: FinalIdentification) -> tuple[Number, ...]:
                 number = replace(number, determined=False, note=f"{AMBIGUOUS}: or {', '.join(others)}")
             numbers.append(number)
     return tuple(numbers)
+
+
+def identified_effects(fit: AxisFit) -> dict[str, dict[str, float]]:
+    """Return the parameters of the effects that stand beside the elements of a fit, by their names."""
+    found = {}
+    for term in fit.terms:
+        search = None if term.name in LAW_AND_SAMPLING else effect_definition(term.name).search
+        if isinstance(search, Columns):
+            found[term.name] = effect_parameters(effect_definition(term.name), search, fit.coefficient(term.name))
+    return found
 
 
 def _number(name: str, quantity: NumberEstimate) -> Number:

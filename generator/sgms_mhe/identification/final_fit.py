@@ -269,6 +269,12 @@ def _find_unseen(fit: AxisFit, cov: Array, numbers: dict[str, NumberEstimate], g
         sizes, place = fit.coefficient(term.name), fit.place(term.name)
         if term.name not in LAW_AND_SAMPLING and np.all(np.abs(sizes) <= SHOWN * np.sqrt(np.diag(cov[place, place]))):
             dropped.add(term.name)
-    if given_mass is not None and abs(mass.value) <= max(CERTAIN * mass.std, MASS_OFF * given_mass):
+    total = None if given_mass is None else replace(mass, value=given_mass + mass.value)
+    if given_mass is not None and total is not None and not contradicts_mass(given_mass, total):
         dropped.add("mass")
     return dropped
+
+
+def contradicts_mass(given: float, shown: NumberEstimate) -> bool:
+    """Return True if a motion shows another mass than was given [kg]: by more than chance, or an actuator's lag."""
+    return abs(shown.value - given) > max(CERTAIN * shown.std, MASS_OFF * given)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,10 +24,10 @@ from sgms_mhe.identification.description import (
 )
 from sgms_mhe.identification.final_fit import FinalIdentification, Known, make_final_fit
 from sgms_mhe.identification.fits import RecordView
-from sgms_mhe.identification.records import Records, drop_start, make_records, sort_logs
+from sgms_mhe.identification.records import Records, drop_start, filter_motion, make_records, sort_logs
 from sgms_mhe.identification.result import Identification, Number
 from sgms_mhe.identification.sampling import common_rate, replace_filter, rough_mass, unknown_axis
-from sgms_mhe.identification.search import MOST_ELEMENTS, ChosenModel, Progress, Views, search
+from sgms_mhe.identification.search import LEAST_SHARE, MOST_ELEMENTS, ChosenModel, Progress, Views, search
 from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid, find_spectrum
 from sgms_mhe.identification.terms import (
     SNAP,
@@ -105,6 +105,22 @@ class Explored:
     final: FinalIdentification
     measured: Mapping[Measure, float]
 
+    @property
+    def friction(self) -> dict[str, Any]:
+        """Numbers of a table [friction], but for the law."""
+        fit = self.final.fit
+        levels, rise = np.maximum(fit.levels, LEAST_SHARE * fit.coulomb), fit.shape.rise
+        shares = (levels / levels.sum()).tolist()
+        table: dict[str, Any] = {
+            "stiffness": (levels / fit.shape.distances).tolist(),
+            "fraction": [*shares[:-1], 1.0 - math.fsum(shares[:-1])],
+            "micro_viscous": [0.0] * len(levels),
+            "coulomb": float(levels.sum()),
+            "viscous": self.final.numbers["viscous"].value if "viscous" in self.final.numbers else 0.0,
+            "stribeck_ratio": 0.0 if rise is None else rise.ratio,
+        }
+        return table if rise is None else table | {"stribeck_velocity": rise.velocity}
+
 
 def identify(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> Identification:
     """Identify an axis from measurements alone. The order of the logs does not matter.
@@ -119,7 +135,30 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
     """Find law, elements and numbers of an axis; raises as `identify` does."""
     if wanted.elements is not None and not 1 <= wanted.elements <= MOST_ELEMENTS:
         raise InputError("identify", "elements", wanted.elements, f"1 to {MOST_ELEMENTS}, or auto")
-    records = _records(sort_logs(logs), wanted)
+    known = Known(wanted.mass is not None or logs[0].is_friction_alone, wanted.elements is not None)
+    return _explore_records(_records(sort_logs(logs), wanted), wanted, known, report)
+
+
+def explore_recording(recording: Recording, report: Progress = _silent) -> Explored:
+    """Find law, elements, mass and numbers of an axis along decimated samples, at their rate.
+
+    Of the recording's machine the signal chain counts, of its friction nothing does. Numbers are those of
+    the samples' rate: to begin from, not to report.
+
+    Raises:
+        InputError: as `identify` does.
+    """
+    content = recording.machine.content
+    sampling = {key: value for key, value in content.get("sampling", {}).items() if key != "integrator"}
+    bare = {"name": content["name"], "sampling": sampling} | {key: content[key] for key in ("plant", "friction")}
+    recording = replace(recording, machine=make_machine(bare, recording.machine.source))
+    motion = (filter_motion(recording),)
+    records = Records(recording.machine, (recording.machine.name,), recording, motion, motion, 0.0, ())
+    return _explore_records(records, Wanted(recording.machine.name), Known(mass=False, count=False), report)
+
+
+def _explore_records(records: Records, wanted: Wanted, known: Known, report: Progress) -> Explored:
+    """Find law, elements and numbers of an axis along its records; `known`: what stays unless they contradict."""
     report("convex start")
     # Which rows count is no matter of where the search starts: of one grid, whatever the start's is.
     records = drop_start(records, _start(records, PER_DECADE)[0].reach)
@@ -137,7 +176,6 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
     excited = [
         name for name in (t.name for t in (*companions, *level)) if _is_excited(effect_definition(name), measured)
     ]
-    known = Known(wanted.mass is not None or logs[0].is_friction_alone, wanted.elements is not None)
     final = make_final_fit(views, found.fit, base, companions, excited, known, report)
     check_slides(views.fine, final, excited, records.names[0])
     log_decision(

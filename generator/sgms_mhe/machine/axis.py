@@ -95,6 +95,11 @@ class Friction(MachineTable):
         return len(self.stiffness)
 
     @property
+    def mean_break_away(self) -> float:
+        """Break-away distance of the elements, their mean by share [m, rad]: comparable whatever their number."""
+        return sum(self.coulomb * nu**2 / kappa for nu, kappa in zip(self.fraction, self.stiffness, strict=True))
+
+    @property
     def estimable(self) -> tuple[str, ...]:
         """Names out of BASE_PARAMETERS that can be estimated: 0 is no scale, and one element alone carries all."""
         names = tuple(name for name in BASE_PARAMETERS if getattr(self, name) != 0.0)

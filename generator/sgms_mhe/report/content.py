@@ -114,18 +114,34 @@ def page(
             "toml": d.extended_file(folder) or "",
             "holds": "It has the causes that are listed, not what may stand in their place." if rivals else "",
         },
-        "base": [
-            {
-                "words": base_words(b.name),
-                "nominal": str(quantity(b.name, b.nominal)),
-                "value": str(quantity(b.name, b.refitted, b.std)) if math.isfinite(b.std) else "not excited",
-                "change": relative_change(b.nominal, b.refitted) if math.isfinite(b.std) else "",
-            }
-            for b in d.base
-        ],
+        "base": _base_rows(d),
+        "refuted": _refuted_rows(d),
         "about": _about(d, t),
         "figures": figures,
     }
+
+
+def _base_rows(d: Diagnosis) -> list[dict[str, str]]:
+    return [
+        {
+            "words": base_words(b.name),
+            "nominal": str(quantity(b.name, b.nominal)),
+            "value": str(quantity(b.name, b.refitted, b.std)) if math.isfinite(b.std) else "not excited",
+            "change": relative_change(b.nominal, b.refitted) if math.isfinite(b.std) else "",
+        }
+        for b in d.base
+    ]
+
+
+def _refuted_rows(d: Diagnosis) -> list[dict[str, str]]:
+    return [
+        {
+            "words": split_name(n.name)[0],
+            "file": str(quantity(n.name, n.file)),
+            "record": str(quantity(n.name, n.record, n.std)),
+        }
+        for n in d.refuted
+    ]
 
 
 def refusal(sentence_: str, machine: Machine, source: str) -> dict[str, Any]:
@@ -164,6 +180,8 @@ def _headline(d: Diagnosis) -> str:
     if not d.excited:
         return "The axis hardly moves in this record: it says nothing about the simulation."
     rest = "Something is left that no known effect accounts for"
+    if not d.causes and d.is_rough and d.verdict != "unexplained":
+        return "The record refutes numbers of the file; with its own the simulation explains it down to the noise."
     if not d.causes:
         known = "The simulation explains this record down to the noise of the measurement."
         return f"{rest}." if d.verdict == "unexplained" else known
@@ -373,6 +391,12 @@ def _gain_rows(d: Diagnosis) -> list[dict[str, Any]]:
 
 def _gain_note(d: Diagnosis) -> str:
     floor = f"Dashed: noise of the measurement, {force(d.noise_floor_N)} RMS; no model gets below it."
+    if d.errors:
+        floor += (
+            f" Of the {axis_units().push}'s RMS the simulation missed {percent(d.errors['before'])} and misses "
+            f"{percent(d.errors['after'])} on data kept from the fit; Coulomb and viscous friction by least squares "
+            f"{percent(d.errors['plain'])}."
+        )
     if d.extended is None:
         return floor
     explained = f"{capital(axis_units().push)} explained on data kept from the fit"

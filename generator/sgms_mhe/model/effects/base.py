@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -23,6 +24,10 @@ effects have names for."""
 LEVEL: Final = "coulomb"
 DAMPING: Final = "viscous"
 """The numbers that level and damping of a `MotionRecord` are the model's derivatives in."""
+MASS: Final = "mass_kg"
+"""The moved mass, beside the numbers of friction, by its name in results."""
+POSITIVE: Final = 1e-6
+"""Least of a number that a model divides by, over its nominal value [1]."""
 SLOWEST_STRIBECK: Final = 3e-4  # the least that is tried
 
 
@@ -36,7 +41,7 @@ class BaseNumber:
         suffix: its unit at the end of its name in reports (`_N` of `coulomb_N`, `_N_m` of `stiffness_1_N_m`).
         array: whether each element has one (`stiffness_1`, `stiffness_2`, ...).
         shares: whether they sum to 1, so that the largest is what the others leave and no number of its own.
-        lower, upper: limits of a fit, over the nominal value.
+        lower, upper: limits of a fit, over the nominal value: what is positive stays so, and nothing else.
         typical: size, in `unit`s of the machine, that a fit counts in where the machine file says 0; None: it may not.
         most: what a record can tell of it [SI]. The machine file's own value stays allowed.
     """
@@ -46,8 +51,8 @@ class BaseNumber:
     suffix: str = ""
     array: bool = False
     shares: bool = False
-    lower: float = 0.05
-    upper: float = 20.0
+    lower: float = POSITIVE
+    upper: float = math.inf
     typical: float | None = None
     unit: Unit = "one"
     most: RecordLimit | None = None
@@ -224,7 +229,6 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                         "stribeck_velocity",
                         "stribeck velocity",
                         "_m_s",
-                        upper=1e4,
                         most=lambda extents: FASTEST_STRIBECK * extents.speed,
                     ),
                 ),

@@ -64,6 +64,7 @@ class EffectDefinition(CauseDefinition):
         possible: whether an axis of these scales can have it with these parameters (by name, SI), beyond their limits.
         delays: the parameter by which it makes all of the logged force late [s], if that is what it does: a diagnosis
             shifts the model's force along the record, exactly, where an estimator can but expand it.
+        adds_mass: the parameter, if any, that is the true mass minus the machine file's, where it is nothing else.
         smooth_only: why it cannot stand where elements switch instead of going over smoothly; empty: it can.
         specimen: how a benchmark hides it; None: not at all.
         fit_displacement: largest step of a fit of it where the elements are integrated exactly, in deflection scales of
@@ -88,6 +89,7 @@ class EffectDefinition(CauseDefinition):
     fit_displacement: float | None = None
     possible: Callable[[Mapping[str, float], Scales], bool] = _always
     delays: str = ""
+    adds_mass: str = ""
     smooth_only: str = ""
     specimen: Specimen | None = None
     plant_force: PlantForce | None = None

@@ -32,6 +32,7 @@ DEFINITION = EffectDefinition(
         "viscous": "one move with high acceleration: a gain scales the inertial force too",
     },
     moves=("jerks",),
+    excludes=("mass_mismatch",),  # a record tells their quotient
     inertial=True,
     # logged = gain real: the column is the logged force, its size 1 - 1 / gain
     search=Columns(

@@ -28,6 +28,7 @@ DEFINITION = EffectDefinition(
     parameters=(EffectParameter("mass_kg", 0.0, 0.05, "true mass minus mass", unit="mass"),),
     contribute=_contribute,
     loads=True,
+    adds_mass="mass_kg",
     excitation=Excitation("accelerations whose inertial force is seen", (Need("inertial_ratio", 0.5),)),
     confused_with={
         "force_gain": "constant speed with known friction, or a known extra mass: a gain scales friction too",
@@ -35,6 +36,7 @@ DEFINITION = EffectDefinition(
         "force_constant_ripple": "the same acceleration at several places",
     },
     moves=("jerks",),
+    excludes=("force_gain",),  # a record tells their quotient
     inertial=True,
     search=Columns(lambda m, _: m.acceleration[:, None], one_size("mass_kg")),
     linear=True,

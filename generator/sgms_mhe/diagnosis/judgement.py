@@ -1,0 +1,192 @@
+"""Judgement of a final fit: causes that hold, and the verdict that they allow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+from sgms_mhe.diagnosis.alignment import align
+from sgms_mhe.diagnosis.causes import (
+    Confirmed,
+    confirm_causes,
+    confirm_constant_causes,
+    refit_numbers,
+    restore_undetermined,
+)
+from sgms_mhe.diagnosis.criteria import material_force, small_force
+from sgms_mhe.diagnosis.final_fit import FinalFit
+from sgms_mhe.diagnosis.fits import Fit, fit_model
+from sgms_mhe.diagnosis.parametrisation import ParameterGroup, machine_groups
+from sgms_mhe.diagnosis.result import Verdict
+from sgms_mhe.diagnosis.structure import force_over_speed
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import BASE_CAUSES
+from sgms_mhe.model.effects import cause as cause_definition
+from sgms_mhe.recordings.evidence import hides_friction
+from sgms_mhe.support.decisions import log_decision
+
+ALLOWED_NOISE: Final = 0.5
+"""RMS beyond noise that a complete explanation may leave; the largest of the three counts [noise floor]: the floor
+itself is an estimate."""
+ALLOWED_ENCODER: Final = 1.0
+"""The same where the encoder's steps make most of the floor: where its lines are, and so how much of their noise passes
+the low-passes, is known to a factor of 1.4."""
+MOSTLY: Final = 0.5
+"""Share of the power of a residual, or a floor, from which on it is said to be the encoder's noise."""
+ALLOWED_SHARE: Final = 0.15
+"""RMS beyond noise that a complete explanation may leave; the largest of the three counts [RMS beyond noise before]: 98
+% of the power is explained."""
+MOST_WITHOUT_CAUSES: Final = 3.0
+"""RMS beyond noise that a machine without causes may leave, whatever the three before it say [noise floor]: what leaves
+more is not adequate."""
+MOST_WITH_CAUSES: Final = 1.25
+"""RMS beyond noise that named causes may leave, whatever the three of `unexplained` say [noise floor]: what leaves more
+has not explained the record, however much it gained."""
+LEAST_ALLOWED: Final = 0.012
+"""RMS beyond noise that either may leave, however quiet the record; numbers beside effects only what is small [f_C]:
+sampling, integration and a low cutoff leave as much of a log without noise."""
+MOST_RESIDUAL: Final = 0.75
+"""RMS beyond noise that may be left for causes to be listed that are constant over the record [RMS beyond noise
+before]: measured axes have what no catalogue has; a quarter must go."""
+CURVE_GAIN: Final = 0.5
+"""RMS of what is left as a curve over speed, from which a curve is taken for another one, with CURVE_SHARE [gain that
+matters]: curves over speed add up to nearly any other one, and what they miss of it is such a curve."""
+CURVE_SHARE: Final = 0.3
+"""The same over all that is left [RMS beyond noise]: where much else is left the map over speed shows some of that."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A verdict and what it rests on.
+
+    Attributes:
+        verdict: the word.
+        found: causes that are named.
+        plain: the machine as it is, with the transition that fits.
+        free: all of the machine's numbers refitted, beside the causes that were confirmed first.
+    """
+
+    verdict: Verdict
+    found: Confirmed
+    plain: Fit
+    free: Fit
+
+
+def judge(final: FinalFit) -> Judged:
+    """Confirm the causes, and say whether they explain the record."""
+    found = confirm_causes(final, final.selection)
+    groups = machine_groups(final.subject.machine) if final.subject.is_open else ()
+    plain = final.fit((), refitted=groups, warm=found.selection.fit if groups else None)
+    # The base numbers' own small errors are no structure that asks for a name.
+    free = final.fit(found.selection.fit.effects, warm=found.selection.fit)
+    best = min(found.selection.fit, free, key=final.excess)
+    before, after = final.excess(plain), final.excess(best)
+    judged = found.selection.causes
+    allowed = allowed_excess(final.record.machine, final.floor, judged, before, _encoder_rms(final))
+    curve = after < allowed and any(_may_stand_in(group.cause) for group in judged) and _leaves_curve(final, best)
+    verdict: Verdict
+    if not found.selection.causes:
+        # As it is, and not with other numbers: what these explain and no cause does is not adequate.
+        found = _without_causes(final, found, plain)
+        plain = found.selection.fit
+        before = final.excess(plain)
+        verdict = "adequate" if before < allowed else "unexplained"
+    elif after < allowed and not curve:
+        verdict = "ambiguous" if found.selection.rivals else "explained"
+        if final.alternative:
+            found = refit_numbers(final, found, constant=False)
+    else:
+        verdict = "unexplained"
+        # Something is left; but causes that are the same everywhere in the record are none the less real.
+        found = confirm_constant_causes(final, final.selection)
+        # What refitted numbers explain that are no cause is no merit of the causes.
+        before = final.excess(final.fit((), refitted=found.selection.unnamed))
+        kept = final.excess(found.selection.fit)
+        certain = bool(found.causes) and kept < MOST_RESIDUAL * before
+        log_decision(
+            "verdict",
+            "causes of an unexplained record are listed where they leave clearly less",
+            causes=[cause.label for cause in found.causes],
+            residual_beyond_noise_N=kept,
+            allowed_N=MOST_RESIDUAL * before,
+            listed=certain,
+        )
+        if not certain:
+            found = _without_causes(final, found, plain)
+            plain = found.selection.fit
+    if found.causes:
+        found = restore_undetermined(final, found)
+        if verdict == "unexplained" and _leaves_curve(final, found.selection.fit):
+            found = replace(found, causes=tuple(replace(c, stands_in=_may_stand_in(c.name)) for c in found.causes))
+    log_decision(
+        "verdict",
+        "residual beyond noise is within what a complete explanation may leave, and no curve over speed is left",
+        confirmed=[group.name for group in judged],
+        noise_floor_N=final.floor,
+        beyond_noise_before_N=before,
+        beyond_noise_after_N=after,
+        allowed_N=allowed,
+        leaves_curve_over_speed=curve,
+        rivals=[rival.group.cause for rival in found.selection.rivals],
+        law_of_the_file=not final.alternative,
+        outcome=verdict,
+        named=[cause.label for cause in found.causes],
+    )
+    return Judged(verdict, found, plain, free)
+
+
+def _without_causes(final: FinalFit, found: Confirmed, plain: Fit) -> Confirmed:
+    """Return the machine as it is, in line with itself: the record was with a fit that may have other numbers.
+
+    Where its numbers are the record's, they are fitted.
+    """
+    groups = machine_groups(final.subject.machine) if final.subject.is_open else ()
+    subject = align(final.subject, plain, anew=True)
+    fit = fit_model(subject, (), refitted=groups, warm=plain)
+    blind = fit_model(subject, (), refitted=groups, warm=fit, rows=final.seen) if groups else fit
+    selection = replace(found.selection, fit=fit, refitted=groups, unnamed=groups, rivals=())
+    return Confirmed(selection, blind, ())
+
+
+def _may_stand_in(name: str) -> bool:
+    """Return True if a cause beside a residual curve over speed may be a part of it: a machine's number, a curve."""
+    return name in BASE_CAUSES or cause_definition(name).over_speed
+
+
+def _leaves_curve(final: FinalFit, fit: Fit) -> bool:
+    """Return True if a good part of the residual is a curve over speed, and it matters."""
+    material = material_force(final.record.machine, final.floor)
+    left = final.residual_of(fit)
+    curve = force_over_speed(final.record, left.residual)
+    beyond = math.sqrt(max(0.0, left.rms**2 - final.floor**2))
+    return curve > max(CURVE_GAIN * material, CURVE_SHARE * beyond)
+
+
+def _encoder_rms(final: FinalFit) -> float:
+    """RMS of the force that the encoder's steps leave in a record that can be judged all the same [N]; else 0."""
+    encoder, record = final.encoder, final.record
+    return 0.0 if encoder is None or hides_friction(record, encoder) else record.rms(encoder)
+
+
+def allowed_excess(
+    machine: Machine,
+    floor: float,
+    causes: Sequence[ParameterGroup] = (),
+    before: float = 0.0,
+    encoder: float = 0.0,
+) -> float:
+    """RMS beyond noise [N] that a complete explanation may leave.
+
+    `before`: without its causes; `encoder`: what the encoder's steps leave, where they are in the floor.
+
+    A wrong number beside effects may stand for a part of what they leave: then that is no more than what is small.
+    """
+    level = machine.friction.coulomb
+    noise = floor * (ALLOWED_ENCODER if encoder**2 > MOSTLY * floor**2 else ALLOWED_NOISE)
+    wanted = max(machine.diagnosis.unexplained * level, noise, ALLOWED_SHARE * before)
+    most = MOST_WITH_CAUSES if causes else MOST_WITHOUT_CAUSES
+    mixed = len({group.is_candidate for group in causes}) > 1
+    least = small_force(machine) if mixed else LEAST_ALLOWED * level
+    return min(wanted, max(most * floor, least))

@@ -1,0 +1,120 @@
+"""A diagnosis does not hang on the file's numbers: from rough ones it finds what it finds from the true ones."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
+from sgms_mhe.diagnosis.beginning import ROUGH, distance
+from sgms_mhe.diagnosis.result import RefutedNumber
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.effects import BASE_CAUSES
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.signals.logs import Log
+
+NUMBERS = ("coulomb", "viscous", "stribeck_ratio", "stribeck_velocity")
+HIDDEN: Mapping[str, Mapping[str, float]] = {
+    "": {},
+    "force_ripple": {"amplitude_N": 0.5, "pitch_m": 0.0173, "phase_rad": 0.7},
+    "asymmetric_coulomb": {"ratio": 0.12},
+    "actuator_lag": {"time_constant_s": 0.0005},
+}
+
+
+def recorded(machine: Machine, name: str, seed: int) -> Log:
+    """A log of the simulated axis with an effect hidden in it."""
+    path = make_trajectory("mixed", machine.sampling.rate)
+    hidden = [(name, HIDDEN[name])] if name else []
+    return simulate_axis(machine, path, AxisConfig(seed=seed), hidden_effects=hidden, truth=False).log
+
+
+def roughened(machine: Machine, seed: int) -> Machine:
+    """The machine with every number off by a factor of up to ten, either way."""
+    random, friction = np.random.default_rng(seed), machine.friction
+
+    def off() -> float:
+        return float(10.0 ** random.uniform(-1.0, 1.0))
+
+    shares = np.array([share * off() for share in friction.fraction])
+    changes = {
+        "stiffness": [kappa * off() for kappa in friction.stiffness],
+        "fraction": (shares / shares.sum()).tolist(),
+        **{name: getattr(friction, name) * off() for name in NUMBERS},
+    }
+    return override_machine(machine, {"plant": {"mass": machine.plant.mass * off()}, "friction": changes})
+
+
+def effects(diagnosis: Diagnosis) -> set[str]:
+    return {cause.name for cause in diagnosis.causes if cause.name not in BASE_CAUSES}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "seed"), [("", 3), ("force_ripple", 3), ("asymmetric_coulomb", 5), ("actuator_lag", 8)]
+)
+def test_a_rough_file_ends_where_the_true_one_does(name: str, seed: int, tmp_path: Path) -> None:
+    machine = load_machine("etel_xy")
+    log, file = recorded(machine, name, seed), roughened(machine, seed)
+    true, rough = diagnose(machine, log), diagnose(file, log)
+    assert effects(rough) == effects(true) == ({name} if name else set())
+    assert rough.verdict == true.verdict
+    assert rough.rms.held_out_after == pytest.approx(true.rms.held_out_after, rel=0.1)
+    for cause, known in zip(rough.causes, true.causes, strict=True):
+        for key, value in known.parameters.items():
+            assert abs(cause.parameters[key] - value) < 4.0 * math.hypot(cause.std[key], known.std[key]), key
+    assert rough.is_rough and not true.is_rough and not true.refuted
+    # The file's numbers that are refuted, and the record's beside them.
+    refuted = {number.name: number for number in rough.refuted}
+    assert {"coulomb_N", "mass_kg", "break_away_m"} <= set(refuted)
+    for key, value in (("coulomb_N", machine.friction.coulomb), ("mass_kg", machine.plant.moved)):
+        assert refuted[key].record == pytest.approx(value, abs=max(4.0 * refuted[key].std, 0.003 * value))
+    assert refuted["coulomb_N"].file == file.friction.coulomb
+    # The extended file stands for itself, and has them.
+    folder = write_diagnosis(rough, tmp_path)
+    content = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+    assert {entry["name"] for entry in content["refuted"]} == set(refuted)
+    assert rough.extended is not None
+    assert rough.extended.friction.coulomb == pytest.approx(machine.friction.coulomb, rel=0.01)
+    assert rough.extended.plant.moved == pytest.approx(machine.plant.moved, rel=0.001)
+    left = diagnose(rough.extended, log)
+    assert left.verdict == "adequate", left.summary
+
+
+def test_plain_friction_stands_beside_every_verdict() -> None:
+    machine = load_machine("etel_xy")
+    log = recorded(machine, "", 1)
+    found = diagnose(machine, log)
+    assert found.plain is not None
+    signals = found.traces
+    held, seen = signals.held_out, signals.used & ~signals.held_out
+    # Presliding and the Stribeck effect are beyond it.
+    assert 0.05 * machine.friction.coulomb < found.plain.held_out < machine.friction.coulomb
+    X = np.column_stack(
+        (signals.acceleration_m_s2, signals.velocity_m_s, np.sign(signals.velocity_m_s), np.ones(len(signals.time_s)))
+    )
+    b = np.linalg.lstsq(X[seen], signals.friction_N[seen], rcond=None)[0]
+    rest = signals.friction_N - X @ b
+    assert found.plain.held_out == pytest.approx(float(np.sqrt(np.mean(rest[held] ** 2))), rel=1e-6)
+    assert found.errors["plain"] > found.errors["after"] > 0.0
+    assert found.to_json()["simulation_error"] == found.errors
+
+
+def test_distance_is_of_what_the_record_determines() -> None:
+    level = RefutedNumber("coulomb_N", 4.0, 4.0, 0.1)
+    assert distance([level], 0.1) == 0.0
+    assert distance([RefutedNumber("coulomb_N", 40.0, 4.0, 0.0)], 0.1) == pytest.approx(math.log(10.0))
+    # Inside two deviations nothing is told apart, and a number alone that is wrong by half is no rough file.
+    assert distance([RefutedNumber("coulomb_N", 4.19, 4.0, 0.1)], 0.1) == 0.0
+    assert distance([RefutedNumber("coulomb_N", 6.0, 4.0, 0.01)], 0.1) < ROUGH
+    damping = RefutedNumber("viscous_N_s_m", 0.0, 20.0, 0.0)
+    assert distance([level, damping], 0.1) == pytest.approx(0.5)
+    assert distance([level, RefutedNumber("break_away_m", 1e-3, 1e-5, 1e-7)], 0.1) > 2.0 * ROUGH
