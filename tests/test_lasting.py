@@ -100,6 +100,14 @@ def test_wander_is_the_mean_square_about_a_mean_with_information() -> None:
     np.testing.assert_allclose(wander.factor, ratio, rtol=1e-12)
 
 
+def test_wander_is_bounded() -> None:
+    """An estimate that leaps by far more than its deviation counts a thousand, as a test ratio does."""
+    wander = ParameterWander.none(1)
+    wander.take(np.array([1.0]), np.array([1e-24]))
+    wander.take(np.array([5.0]), np.array([1e-24]))
+    np.testing.assert_allclose(wander.factor, [1000.0 / 1.9995], rtol=1e-12)
+
+
 def test_factors_are_one_where_measurements_count_as_stated() -> None:
     for enabled in (False, True):
         errors = LastingErrors(2, 1, enabled=enabled)

@@ -601,3 +601,17 @@ def test_spread_is_stated_saved_loaded_and_kept_by_what_is_set(kind: str, precis
     np.testing.assert_array_equal(np.array(held.spread), 1.0)
     assert p.hold(memory, 0, 1) == 0
     np.testing.assert_allclose(np.diag(covariance_of(p.saved(memory), n_p)), [HELD**2, widened[1]], rtol=rtol)
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_saved_data_of_the_smallest_prior_are_taken_back(precision: str, package: Any) -> None:
+    """Deviations stay finite, and what was saved is no nonsense, where variances are hardly numbers any more."""
+    p: Package = package("ekf", precision)
+    memory, settings = p.new(), p.defaults()
+    settings.parameter = settings.measurement = {"double": 1e-59, "single": 1.1e-12}[precision]
+    settings.drift = 0.0
+    assert p.init_with(memory, ctypes.byref(settings)) == 0
+    rows = p.run(memory, contradicted())
+    assert np.all(np.isfinite(rows))
+    assert np.all(np.isfinite(np.array(p.saved(memory).spread)))
+    assert p.load(p.new(), ctypes.byref(p.saved(memory))) == 0

@@ -10,11 +10,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()           22112
+ *   tick()           22116
  *   sample()         13657   insert() too
  *   prepare()       300163   in units of at most 13223
- *   feedback()       14349   after prepare()
- *   an update       710378   all calls of an interval
+ *   feedback()       14353   after prepare()
+ *   an update       710382   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *

@@ -6,11 +6,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()            9005
+ *   tick()            9009
  *   sample()           550   insert() too
  *   prepare()        69623   in units of at most 3645
- *   feedback()       14349   after prepare()
- *   an update       117778   all calls of an interval
+ *   feedback()       14353   after prepare()
+ *   an update       117782   all calls of an interval
  */
 #ifndef ETEL_XY_SWITCHING_CONFIG_H
 #define ETEL_XY_SWITCHING_CONFIG_H

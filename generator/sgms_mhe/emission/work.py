@@ -155,7 +155,7 @@ class _LeastSquares:
         self.node_row = of.output + 2 * factor + 1
         self.inner_row = of.output + 1 + 2 * n_x * (sizes.coupled + 1) + 2 * n_p * (n_x + 1)
         # A self-scaled measurement takes its innovation in besides, and an update the factors on variances.
-        self.lasting = 24 + 18 * n_p if of.variant.self_scaling else 0
+        self.lasting = 24 + 19 * n_p if of.variant.self_scaling else 0
         weighed = sum(2 * i + 5 for i in range(factor)) + 30 + SQRT + (7 + SQRT if of.variant.self_scaling else 0)
         self.folded = weighed + width + added_row(factor)
         self.start_row = self.node_row + width

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.reference.readings import MOST as MOST_RATIO
 from sgms_mhe.reference.readings import Innovation
 
 Array = NDArray[np.float64]
@@ -81,7 +82,8 @@ class ParameterWander:
         self.weight = (1.0 - FORGETS) * self.weight + 1.0 / variance
         self.mean = self.mean + (theta - self.mean) / (variance * self.weight)
         self.updates = (1.0 - FORGETS) * self.updates + 1.0
-        self.ratio = self.ratio + ((theta - self.mean) ** 2 / variance - self.ratio) / self.updates
+        counted = np.minimum((theta - self.mean) ** 2 / variance, MOST_RATIO)
+        self.ratio = self.ratio + (counted - self.ratio) / self.updates
 
     @property
     def factor(self) -> Array:

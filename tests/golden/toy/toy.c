@@ -149,13 +149,14 @@ static void take_wander(toy_t *self, const sgms_real *theta, const sgms_real *va
     for (int p = 0; p < PARAMETERS; p++) {
         if (!self->estimate.held[p]) {
             const sgms_real information = 1.0 / variance[p];
-            sgms_real away;
+            sgms_real away, counted;
             self->lasting.weight[p] += information - WANDER_FORGETS * self->lasting.weight[p];
             self->lasting.mean[p] += information / self->lasting.weight[p] *
                 (theta[p] - self->lasting.mean[p]);
             away = theta[p] - self->lasting.mean[p];
-            self->lasting.ratio[p] += (away * away * information - self->lasting.ratio[p]) /
-                self->lasting.updates;
+            /* that also of what is no number */
+            counted = sgms_fmin(away * away * information, RATIO_MOST);
+            self->lasting.ratio[p] += (counted - self->lasting.ratio[p]) / self->lasting.updates;
         }
     }
 }

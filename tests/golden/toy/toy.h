@@ -13,8 +13,8 @@
  *   tick()          136041
  *   sample()         81973   insert() too
  *   prepare()       136014   in units of at most 27034
- *   feedback()        1896   after prepare()
- *   an update       547775   all calls of an interval
+ *   feedback()        1898   after prepare()
+ *   an update       547777   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *

@@ -9,8 +9,8 @@
  *   tick()          136041
  *   sample()         81973   insert() too
  *   prepare()       136014   in units of at most 27034
- *   feedback()        1896   after prepare()
- *   an update       547775   all calls of an interval
+ *   feedback()        1898   after prepare()
+ *   an update       547777   all calls of an interval
  */
 #ifndef TOY_CONFIG_H
 #define TOY_CONFIG_H
