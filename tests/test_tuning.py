@@ -54,7 +54,17 @@ def test_the_noise_that_is_there_is_found(small: Path, measurement: float) -> No
     again = tune(override_machine(machine, tuned.changes()), log)
     assert again.best.better_by(again.start) < 3.0
     assert again.best.changes.get("measurement", found) == pytest.approx(found, rel=0.5)
-    assert len(trade_off_figure(tuned).axes) >= 3
+    # Each curve is of the likeliest trials, so it is least where the chosen weight is.
+    for name, tried in tuned.trials.items():
+        if name != "horizon" and len(tried) > 1:
+            chosen = tuned.best.changes.get(name, getattr(machine.estimator.noise, name))
+            assert min(trial.mean for _, trial in tried) == dict(tried)[chosen].mean <= tuned.best.mean
+    axes = trade_off_figure(tuned).axes
+    assert len(axes) >= 3
+    for axis in axes:
+        if axis.get_visible():
+            labels = [label.get_text() for label in axis.get_xticklabels()]
+            assert 2 <= len(labels) <= 3 and not axis.get_xticks(minor=True).size
 
 
 @pytest.mark.slow

@@ -73,24 +73,30 @@ def parameter_figure(estimates: Estimates, parameters: Sequence[FreeParameter], 
 
 
 def trade_off_figure(tuned: Tuned) -> Figure:
-    """L over every weight that was tried, the file's and the chosen one marked."""
+    """Least loss over every value of a weight that was tried, the file's and the chosen one marked."""
     names = [name for name, tried in tuned.trials.items() if len(tried) > 1]
     figure = blank_figure(2.6 * math.ceil(len(names) / 2))
     axes = figure.subplots(math.ceil(len(names) / 2), 2, squeeze=False).ravel()
     for axis, name in zip(axes, names, strict=False):
         values = [value for value, _ in tuned.trials[name]]
         axis.plot(values, [trial.mean for _, trial in tuned.trials[name]], "o-", color="0.4", markersize=3)
-        chosen = tuned.best.changes.get(name)
+        is_horizon, estimator = name == "horizon", tuned.machine.estimator
+        chosen = tuned.horizon if is_horizon else tuned.best.changes.get(name)
         if chosen is not None:
             axis.axvline(chosen, color=ESTIMATED, linewidth=1.4, label="chosen")
-        own = next((value for value, trial in tuned.trials[name] if trial is tuned.start), None)
-        if own is not None:
-            axis.axvline(own, color=NOMINAL, linewidth=1.0, linestyle="--", label="file")
+        own = estimator.horizon if is_horizon else getattr(estimator.noise, name)
+        axis.axvline(own, color=NOMINAL, linewidth=1.0, linestyle="--", label="file")
         axis.set_xscale("log")
-        axis.set_xlabel(name)
-        axis.set_ylabel("L")
-        if chosen is not None or own is not None:
-            axis.legend(frameon=False, fontsize="small")
+        # As many labels as fit: powers of ten alone may be none, their multiples too many.
+        labelled = np.unique([values[0], values[len(values) // 2], values[-1]])
+        axis.set_xticks(labelled, [f"{value:.3g}" for value in labelled])
+        axis.set_xticks([], minor=True)
+        axis.ticklabel_format(axis="y", useOffset=False)
+        axis.yaxis.set_major_locator(_drawing("matplotlib.ticker").MaxNLocator(5))
+        unit = f" [{tuned.machine.plant.units.force}]" if name == "measurement" else ""
+        axis.set_xlabel(f"{name}{unit}")
+        axis.set_ylabel("loss per update")
+        axis.legend(frameon=False, fontsize="small")
     for axis in axes[len(names) :]:
         axis.set_visible(False)
     return figure

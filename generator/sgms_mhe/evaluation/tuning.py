@@ -190,11 +190,11 @@ class _WeightSearch:
         return None if shortest == own else shortest
 
     def trials_by_weight(self) -> dict[str, tuple[tuple[float, Trial], ...]]:
-        """Every trial by the weight in which it differs from the others that were made for it."""
+        """The likeliest trial at each value of each weight, whatever the others were in it."""
         found: dict[str, tuple[tuple[float, Trial], ...]] = {}
         for name in (*LIMITS, "horizon"):
-            own = [trial for trial in self._trials.values() if name in trial.changes]
-            own += [self.trial({})] if name != "horizon" else []  # whose estimator has no window
+            # Weights are moved without a window: its loss is another one.
+            own = [t for t in self._trials.values() if ("horizon" in t.changes) == (name == "horizon")]
             by_value: dict[float, Trial] = {}
             for trial in own:
                 value = self.value(name, trial.changes)
