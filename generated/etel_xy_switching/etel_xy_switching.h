@@ -334,11 +334,15 @@ static inline etel_xy_switching_position etel_xy_switching_position_from_counts(
  * layout. Call it before etel_xy_switching_init(). */
 int etel_xy_switching_check(size_t size, uint32_t header);
 
-/* Self-test (etel_xy_switching_selftest.c) along a motion with the estimates of the reference
- * solver. Returns 0 where this processor and compiler agree; otherwise the number of the first
- * update that differs, or one more than there are where save() and load() lose something.
- * selftest() takes sizeof(etel_xy_switching_t) of stack; selftest_with() the memory of an axis, to
- * be set up anew after it. */
+/* Self-test (etel_xy_switching_selftest.c): two runs along a motion, by tick() and by two tasks,
+ * against the estimates, deviations, statuses and forces of the reference solver; then what the
+ * calls say of missing signals, lost intervals, damage and wrong settings. Returns 0 where this
+ * processor and compiler agree; otherwise the number of the first update that differs
+ * (etel_xy_switching_selftest.h: SELFTEST_UPDATES of the first run, SELFTEST_SECOND of the other
+ * after them), or so many more as the check that fails: 1 save and load, 2 settings and reset, 3
+ * missing signals, 4 mass and measured friction, 5 statuses, 6 limit of the force, 7 lost intervals
+ * and overlaps, 8 damaged state, 9 the handshake. selftest() takes sizeof(etel_xy_switching_t) of
+ * stack; selftest_with() the memory of an axis, to be set up anew after it. */
 int etel_xy_switching_selftest(void);
 int etel_xy_switching_selftest_with(etel_xy_switching_t *axis);
 

@@ -1,8 +1,8 @@
 """Table of properties that are tried: check, tried, failed.
 
 Random calls under sanitizers, the same bits from every compiler and processor, every line and branch reached or
-explained, work and stack within what is stated, nothing in the code that a proof could not deal with. And logs with
-something wrong at random through the whole command line.
+explained, work and stack within what is stated, nothing in the code that a proof could not deal with, faults in emitted
+C that its self-test notices. And logs with something wrong at random through the whole command line.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from sgms_bench.verification.constructs import check_constructs
 from sgms_bench.verification.coverage import check_coverage
 from sgms_bench.verification.fuzzing import SANITIZERS, fuzz_machines
 from sgms_bench.verification.limits import check_limits
+from sgms_bench.verification.mutation import check_self_test
 from sgms_bench.verification.outcome import CheckOutcome
 from sgms_bench.verification.specimens import specimen, specimens
 from sgms_mhe.configuration import load_machine
@@ -54,6 +55,7 @@ CHECKS: Final[Mapping[str, Callable[[argparse.Namespace, Progress], list[CheckOu
     "coverage": lambda _, progress: [check_coverage(list(specimens()), progress)],
     "limits": lambda _, progress: check_limits(list(specimens()), progress),
     "bits": _bits,
+    "selftest": lambda chosen, progress: check_self_test(chosen.mutants, chosen.seed, progress),
     "fuzz": _fuzz,
     "logs": lambda chosen, progress: check_logs(range(chosen.seed, chosen.seed + chosen.logs), progress),
 }
@@ -80,6 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--calls", type=float, default=3e5, help="random calls, in all (1e8: an hour or more)")
     parser.add_argument("--machines", type=int, default=6, help="random machines")
+    parser.add_argument("--mutants", type=int, default=300, help="mutants of emitted C (300: ten minutes)")
     parser.add_argument("--logs", type=int, default=10_000, help="mutated logs (10 000: an hour)")
     parser.add_argument("--seed", type=int, default=0, help="of the first of them")
     parser.add_argument("--keep", type=Path, default=Path("build/verify"), help="folder for inputs that fail")

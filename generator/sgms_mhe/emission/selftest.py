@@ -3,77 +3,243 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
+from sgms_mhe.emission.compensation import FeedForward, compensation_of
+from sgms_mhe.emission.selftest_motion import CountedMotion, selftest_motion
 from sgms_mhe.model import Model
-from sgms_mhe.reference import estimate_model
-from sgms_mhe.signals.chain import settle_samples, signals_from_log
-from sgms_mhe.signals.logs import Log
+from sgms_mhe.reference import NodeRecord, ReferenceIntegrator, Weights, run_ekf, run_mhe
+from sgms_mhe.signals.chain import Signals, apply_chain, settle_samples, signals_from_log
+from sgms_mhe.signals.estimates import Estimates
 
-_PERIODS = 2.5
+Array = NDArray[np.float64]
+
+_MOST_STEPS = 5000
+"""Steps of the series that the reference integrates for the vectors, at most, in jumps of the flow."""
+_RUNGE_KUTTA = 4
+"""Jumps of the flow that take the reference as long as a Runge-Kutta step."""
+_STATES = 6
+"""States of which a step takes no longer."""
+_BEYOND_WINDOW = 3
+"""Updates with a full window."""
+_SECOND = 5
+"""Updates of the second run, with other settings."""
+_BOUND = 0.03
+"""Bounds of the second run, about nominal."""
+_SUBSTEPS = 100
+"""Runge-Kutta steps of each move of the force ahead."""
+
+
+@dataclass(frozen=True)
+class ReferenceRun:
+    """What the reference solver estimates along the motion, or its beginning; rounded, so that every machine prints it.
+
+    Attributes:
+        friction: at each update [N]. deflections: of the elements [m].
+        parameters: at each update [SI]. deviations: of them, 1 sigma [SI].
+        readings: of the newest measurement at each update: innovation [N], test ratio, noise scale.
+        statuses: of the updates.
+        force: fed forward after each update [N].
+    """
+
+    friction: tuple[float, ...]
+    deflections: tuple[tuple[float, ...], ...]
+    parameters: tuple[tuple[float, ...], ...]
+    deviations: tuple[tuple[float, ...], ...]
+    readings: tuple[tuple[float, ...], ...]
+    statuses: tuple[int, ...]
+    force: tuple[float, ...]
+
+    @property
+    def rows(self) -> tuple[tuple[float, ...], ...]:
+        """Numbers that are compared after each update, in the order of the template."""
+        vectors = zip(self.readings, self.deflections, self.parameters, self.deviations, strict=True)
+        columns = zip(self.friction, self.force, vectors, strict=True)
+        return tuple((friction, force, *(x for row in rows for x in row)) for friction, force, rows in columns)
 
 
 @dataclass(frozen=True)
 class Vectors:
-    """Numbers, rounded so that every machine prints the same.
+    """The motion, and two runs of the reference along it.
 
     Attributes:
-        updates: of the motion.
-        position: of its samples [pm].
-        force: of its samples [N].
-        friction: estimated at each update [N]. largest: of them.
-        parameters: estimated at each update [SI].
+        motion: segments, the first run is along all of them.
+        largest: friction of the first run [N]. farthest: deflection in it [m].
+        bound: of the second run, about nominal, over nominal.
+        span: intervals in which the signal chain settles and an update comes after that.
+        velocity: at which the force of the model at rest is far beyond its limit [m/s]; 0: at none.
+        first: with the machine file's settings.
+        second: with twice the measurement noise and all parameters within `bound` of nominal.
     """
 
-    updates: int
-    position: tuple[int, ...]
-    force: tuple[float, ...]
-    friction: tuple[float, ...]
+    motion: CountedMotion
     largest: float
-    parameters: tuple[tuple[float, ...], ...]
+    farthest: float
+    bound: float
+    span: int
+    velocity: float
+    first: ReferenceRun
+    second: ReferenceRun
+
+    @property
+    def intervals(self) -> int:
+        """Intervals of all parts of the self-test, at most."""
+        return self.updates + len(self.second.friction) + 20 * self.span + 20
+
+    @property
+    def updates(self) -> int:
+        """Updates of the first run."""
+        return len(self.first.friction)
 
 
 def selftest_vectors(model: Model) -> Vectors:
-    """Make the vectors: loops of growing size through presliding, over at least three updates.
+    """Make the vectors: strokes of growing length through presliding, with a gap, until the window is full.
 
-    The axis moves through some deflection scales of its softest element; the force is that of a plain Coulomb law, so
-    that the estimator has something to disagree with.
+    Where the reference would take too long for that, there are fewer updates; the chain's filters have settled in all.
     """
     machine = model.machine
-    friction, sampling = machine.friction, machine.sampling
-    samples = sampling.samples_per_update
-    updates = math.ceil((settle_samples(machine) + 1) / samples) + 3
-    n = updates * samples + 1
-    size = max(nu * friction.coulomb / kappa for nu, kappa in zip(friction.fraction, friction.stiffness, strict=True))
-    phase = np.linspace(0.0, 2.0 * math.pi * _PERIODS, n)
-    growth = np.linspace(0.0, 1.0, n) ** 2
-    position = 0.8 * size * growth * np.sin(phase)
-    # Faster than it may be the axis would show nothing but parameters at their bounds.
-    fastest = float(np.abs(np.gradient(position)).max()) * sampling.rate
-    position *= min(1.0, 0.9 * sampling.max_velocity / fastest)
-    # Picometres are whole numbers in a single-precision package's input too.
-    position = np.round(position, 12)
-    velocity = np.gradient(position) * sampling.rate
-    acceleration = np.gradient(velocity) * sampling.rate
-    force = np.round(
-        machine.plant.moved * acceleration + friction.coulomb * np.tanh(velocity / (0.2 * np.abs(velocity).max())), 9
-    )
-    log = Log(np.arange(n) / sampling.rate, position, force, sampling.rate, kind=machine.plant.kind)
-    kind = machine.estimator.kind
-    found = estimate_model(model, signals_from_log(log, machine), kind, compiled=False)
-    friction_N = tuple(_round(f) for f in found.friction_N)
+    updates = _updates(model)
+    settle = settle_samples(machine)
+    motion = selftest_motion(machine, updates, settle)
+    log = motion.log(machine)
+    signals = signals_from_log(log, machine)
+    integrator = ReferenceIntegrator(model, compiled=False)
+    weights = Weights.of(model)
+    first = _run(model, signals, integrator, weights, log.position_m)
+    end = min(updates, max(_least_updates(model), _SECOND)) * machine.sampling.samples_per_update + 1
+    bounded = bool(np.any(np.isfinite([weights.lower, weights.upper])))
+    other = replace(weights, sigma_y=2.0 * weights.sigma_y)
+    if bounded:
+        ones = np.ones(model.n_p)
+        other = replace(other, lower=(1.0 - _BOUND) * ones, upper=(1.0 + _BOUND) * ones)
+    second = _run(model, signals.part(slice(0, end)), integrator, other, log.position_m[:end])
     return Vectors(
-        updates=updates,
-        position=tuple(round(1e12 * float(p)) for p in position),
-        force=tuple(float(f) for f in force),
-        friction=friction_N,
-        largest=max(map(abs, friction_N)),
-        parameters=tuple(tuple(_round(p) for p in row) for row in found.parameters),
+        motion=motion,
+        largest=max(map(abs, first.friction)),
+        farthest=max(abs(z) for row in first.deflections for z in row),
+        bound=_BOUND,
+        span=_least_updates(model) - 1,
+        velocity=_velocity_beyond_limit(model),
+        first=first,
+        second=second,
     )
 
 
-def _round(value: float) -> float:
+def _velocity_beyond_limit(model: Model) -> float:
+    """Velocity at which the force of the model at rest is far beyond its limit both ways [m/s]; 0: at none."""
+    limit = compensation_of(model.machine).limit
+    output = ca.Function("f", [model.chi, model.w, model.theta], [model.feed_forward])
+    if limit is None or model.machine.compensation.delay:
+        return 0.0
+    for velocity in (10.0**k for k in range(-3, 8)):
+        there, back = (
+            float(output(np.zeros(model.n_x), [0, v, 0, 0, 0], np.ones(model.n_p))) for v in (velocity, -velocity)
+        )
+        if min(there, -back) > 4.0 * limit:
+            return velocity
+    return 0.0
+
+
+def _least_updates(model: Model) -> int:
+    """Updates until the signal chain has settled, and three more."""
+    sampling = model.machine.sampling
+    return math.ceil((settle_samples(model.machine) + 1) / sampling.samples_per_update) + 3
+
+
+def _updates(model: Model) -> int:
+    """Updates of the motion: until the window is full, as far as the reference gets in time."""
+    sampling, estimator = model.machine.sampling, model.machine.estimator
+    horizon = estimator.horizon if estimator.kind == "mhe" else 1
+    relinearise = estimator.relinearise if horizon > 1 else "newest"
+    least = _least_updates(model)
+    wanted = max(least, min(horizon, 100) + _BEYOND_WINDOW)
+    is_jump = model.machine.friction.switches or sampling.integrator.scheme == "flow"
+    each = sampling.samples_per_update // sampling.merged * (1 if is_jump else _RUNGE_KUTTA)
+    each *= max(1, model.n_x // _STATES)
+    steps = updates = 0
+    while updates < wanted and (updates < least or steps < _MOST_STEPS):
+        updates += 1
+        intervals = {"all": min(updates, horizon), "auto": min(updates, 2), "newest": 1}[relinearise]
+        steps += intervals * each
+    return updates
+
+
+def _run(
+    model: Model, signals: Signals, integrator: ReferenceIntegrator, weights: Weights, position_m: Array
+) -> ReferenceRun:
+    record = NodeRecord(model, signals, integrator, weights=weights)
+    solve = run_mhe if model.machine.estimator.kind == "mhe" else run_ekf
+    found = solve(record)
+    force = _force_ahead(model, found, record, position_m, compensation_of(model.machine))
+    readings = np.column_stack([found.innovation_N, found.test_ratio, found.noise_scale])
+    return ReferenceRun(
+        friction=_rounded(found.friction_N),
+        deflections=tuple(map(_rounded, found.z_m)),
+        parameters=tuple(map(_rounded, found.parameters)),
+        deviations=tuple(map(_rounded, found.std)),
+        readings=tuple(map(_rounded, readings)),
+        statuses=tuple(int(status) for status in found.status),
+        force=_rounded(force),
+    )
+
+
+def _rounded(values: Array) -> tuple[float, ...]:
     """Eight significant digits: far from the last ones, which depend on the machine."""
-    return float(f"{value:.8g}")
+    return tuple(float(f"{value:.8g}") for value in values)
+
+
+def _force_ahead(model: Model, found: Estimates, record: NodeRecord, position_m: Array, ahead: FeedForward) -> Array:
+    """Return the force fed forward after each update (u) [N]: the model, moved on over the chain's lag and the delay.
+
+    By plain Runge-Kutta steps of the symbolic model, at constant velocity over each of the two moves.
+    """
+    machine = model.machine
+    samples = machine.sampling.samples_per_update
+    nodes = samples * np.arange(1, record.updates + 1)
+    filled = _filled(position_m)
+    lag_m = (filled - apply_chain(machine, filled))[nodes]
+    x, theta, w = found.extra["x"].T, found.extra["theta"].T, record.w[1:].T.copy()
+    measured, mean = w[1].copy(), lag_m / ahead.lag
+    later = measured + (mean - measured) * ahead.over_delay
+    w[2] = 0.0
+    chi = np.array(model.function("from_node").map(record.updates)(x, theta))
+    moves = [(lag_m, ahead.lag)] + ([(later * ahead.delay, ahead.delay)] if ahead.delay else [])
+    for distance, duration in moves:
+        w[0] += distance
+        w[1] = distance / duration
+        w[4] += duration
+        chi = _moved(model, chi, w, theta, duration)
+    w[1] = measured + (mean - measured) * ahead.at_end
+    output = ca.Function("f", [model.chi, model.w, model.theta], [model.feed_forward]).map(record.updates)
+    force = np.array(output(chi, w, theta)).reshape(record.updates)
+    force = force * np.minimum(1.0, (nodes + 1) * ahead.gain_step)
+    return np.asarray(force if ahead.limit is None else np.clip(force, -ahead.limit, ahead.limit))
+
+
+def _filled(position_m: Array) -> Array:
+    """Positions with a gap continued at the speed before it."""
+    filled = position_m.copy()
+    for k in np.flatnonzero(np.isnan(filled)):
+        filled[k] = 2.0 * filled[k - 1] - filled[k - 2]
+    return filled
+
+
+def _moved(model: Model, chi: Array, w: Array, theta: Array, duration: float) -> Array:
+    """States (n_x, u) after a move at the signals w (5, u); elements that switch go no further than their level."""
+    updates, h = chi.shape[1], duration / _SUBSTEPS
+    rhs = model.function("rhs").map(updates)
+    level = model.function("level").map(updates) if model.machine.friction.switches else None
+    for _ in range(_SUBSTEPS):
+        k1 = np.array(rhs(chi, w, theta))
+        k2 = np.array(rhs(chi + 0.5 * h * k1, w, theta))
+        k3 = np.array(rhs(chi + 0.5 * h * k2, w, theta))
+        k4 = np.array(rhs(chi + h * k3, w, theta))
+        chi = chi + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        if level is not None:
+            most, way = np.abs(np.array(level(chi, w, theta))), np.sign(w[1])
+            chi[: model.n_z] = way * np.minimum(way * chi[: model.n_z], most)
+    return chi

@@ -7,31 +7,70 @@
 
 #include "toy_config.h"
 
-enum { SELFTEST_UPDATES = 5 };
+enum {
+    SELFTEST_UPDATES = 5, /* of the first run */
+    SELFTEST_SECOND = 5, /* of the second one, with other settings */
+    SELFTEST_SEGMENTS = 17, /* of the motion */
+    SELFTEST_GAP = 19, /* first sample without a position */
+    SELFTEST_MISSING = 0, /* samples without one; then as many without a force */
+    SELFTEST_SPAN = 4 /* intervals in which the filters settle, and an update comes after that */
+};
 
-#define SELFTEST_TOLERANCE 1e-06 /* relative */
-#define SELFTEST_LARGEST 2.6927447 /* N, friction */
+/* What is compared after an update. */
+enum {
+    SELFTEST_FRICTION = 0, /* N */
+    SELFTEST_FORCE = 1, /* N, fed forward */
+    SELFTEST_INNOVATION = 2, /* N */
+    SELFTEST_RATIO = 3,
+    SELFTEST_SCALE = 4,
+    SELFTEST_DEFLECTION = 5, /* m */
+    SELFTEST_PARAMETER = 6, /* SI units */
+    SELFTEST_DEVIATION = 8,
+    SELFTEST_WIDTH = 10
+};
 
-static const int64_t selftest_position[26] = { /* pm */
-    0, 225710, 1460823, 3286851, 3611353, 0, -8125543, -17895079, -23373165, -18282472, 0, 27310854,
-    52589621, 61719764, 44239069, 0, -57781641, -105544448, -118326648, -81481143, 0, 99537906,
-    176759560, 193193816, 130008693, 0};
+#define SELFTEST_TOLERANCE 2e-07 /* relative, of friction and parameters */
+#define SELFTEST_COARSE 2e-06 /* of deviations and readings */
+#define SELFTEST_AHEAD 0.001 /* of the force, which is carried on by other steps */
+#define SELFTEST_LARGEST 0.11330899 /* N, friction */
+#define SELFTEST_FARTHEST 1.1401641e-05 /* m, deflection */
+#define SELFTEST_UNIT 1e-07 /* N, of the motion's friction */
+#define SELFTEST_BOUND 0.03 /* over nominal, of the second run */
+#define SELFTEST_VELOCITY 0.0 /* m/s, at which the model's force is beyond its limit; 0: at none */
 
-static const sgms_real selftest_force[26] = { /* N */
-    1.035444066, 1.389110955, 0.521242298, -3.050005929, -7.133074253, -7.969930429, -2.748796384,
-    7.898599991, 19.288045812, 24.254709491, 16.722569284, -3.29334609, -28.731674189,
-    -48.541969208, -49.323866992, -24.7960241, 17.83967772, 62.336616959, 90.732734982,
-    81.415176486, 32.210777073, -40.688258132, -108.914499108, -145.572287526, -109.629702608,
-    -69.823297613};
+/* Samples, acceleration in pm per sample squared, rise of friction per sample. */
+static const int32_t selftest_segment[SELFTEST_SEGMENTS][3] = {
+    {1, 375000, 61875}, {1, 375000, 105000}, {1, 375000, 148125}, {1, 375000, 191250}, {1, -375000,
+    110625}, {1, -375000, 67500}, {1, -375000, 24375}, {1, -375000, -18750}, {1, -603516, -99580},
+    {1, -603516, -168985}, {1, -603516, -238388}, {1, -603516, 19692206}, {1, 603516, -178037}, {1,
+    603516, -108633}, {1, 603516, -39228}, {1, 603516, 30176}, {9, 0, 0}};
 
-static const sgms_real selftest_friction[SELFTEST_UPDATES] = { /* N */
-    0.036430936, -1.6949237, -0.77612627, -2.6927447, 0.6046775};
+static const sgms_real selftest_first[5][SELFTEST_WIDTH] = {
+    {0.027858406, 0.05588771, 0.0, 0.0, 1.0, 2.2179692e-06, 10000.0, 3.0, 2000.0, 0.6},
+    {0.06636225, 0.04154678, 0.0068973245, 5.2363611e-06, 1.0, 6.648893e-06, 10000.018, 3.0,
+    1999.9843, 0.6},
+    {0.023154245, 0.013933824, 2.2333562, 48.632145, 8.7772185, 3.3352488e-06, 9978.0305, 3.0,
+    1999.9082, 0.6},
+    {0.063238588, 0.062569921, 1.9357213, 30.231852, 9.0836103, 6.3341687e-06, 9956.5002, 3.0,
+    1999.8035, 0.6},
+    {0.11330899, 0.11333839, 1.895659, 24.892315, 9.7605607, 1.1401641e-05, 9938.6711, 3.0,
+    1999.7169, 0.6}};
 
-static const sgms_real selftest_parameter[SELFTEST_UPDATES][2] = { /* SI units */
-    {10000.0, 3.0},
-    {10014.319, 3.0},
-    {10036.868, 3.0},
-    {10047.406, 3.0003573},
-    {10051.5, 3.0003153}};
+static const int32_t selftest_first_status[5] = {
+    7, 4, 68, 68, 68};
+
+static const sgms_real selftest_second[5][SELFTEST_WIDTH] = {
+    {0.027858406, 0.05588771, 0.0, 0.0, 1.0, 2.2179692e-06, 10000.0, 3.0, 2000.0, 0.6},
+    {0.066272731, 0.041457262, 0.0068973245, 5.1680989e-06, 1.0, 6.6399412e-06, 10000.018, 3.0,
+    1999.9846, 0.6},
+    {0.29704408, 0.28788341, 2.2334457, 14.67341, 2.6008055, 3.088432e-05, 9945.7931, 3.0,
+    1999.7985, 0.6},
+    {0.59329004, 0.59262322, 1.6617726, 8.1965829, 2.2217239, 5.998317e-05, 9888.0669, 3.0,
+    1999.5069, 0.6},
+    {0.81407455, 0.81410385, 1.3656057, 5.7024047, 2.3237445, 8.2634745e-05, 9851.579, 3.0,
+    1999.3228, 0.6}};
+
+static const int32_t selftest_second_status[5] = {
+    7, 4, 4, 4, 4};
 
 #endif
