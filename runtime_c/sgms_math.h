@@ -269,14 +269,34 @@ static inline sgms_real sgms_tanh(sgms_real x)
     return SGMS_R(1.0) - SGMS_R(2.0) / (SGMS_R(1.0) + sgms_exp_core(twice));
 }
 
+/* An integer of an axis's memory as an index, 0 to most. One that damage has put beyond is 0:
+ * whatever the memory holds, no index leaves it. */
+static inline int sgms_place(int32_t value, int most)
+{
+    return value >= 0 && value <= most ? (int)value : 0;
+}
+
+/* A number as an index, 0 to most; what is no number is 0. */
+static inline int sgms_index(sgms_real x, int most)
+{
+    if (x > SGMS_R(0.0)) {
+        if (x < (sgms_real)most) {
+            return (int)x;
+        }
+        return most;
+    }
+    return 0;
+}
+
 /* 1 / sqrt(x) from an estimate of the exponent and Newton steps, x as for the root. */
 static inline sgms_real sgms_inverse_sqrt(sgms_real x)
 {
     sgms_real y;
 #if SGMS_SINGLE
-    y = sgms_from_bits(0x5f3759df - (sgms_bits(x) >> 1));
+    y = sgms_from_bits((sgms_integer)(UINT32_C(0x5f3759df) - ((sgms_unsigned)sgms_bits(x) >> 1)));
 #else
-    y = sgms_from_bits(INT64_C(0x5fe6eb50c7b537a9) - (sgms_bits(x) >> 1));
+    y = sgms_from_bits(
+        (sgms_integer)(UINT64_C(0x5fe6eb50c7b537a9) - ((sgms_unsigned)sgms_bits(x) >> 1)));
     y = y * (SGMS_R(1.5) - SGMS_R(0.5) * x * y * y);
 #endif
     y = y * (SGMS_R(1.5) - SGMS_R(0.5) * x * y * y);
@@ -359,7 +379,8 @@ static inline sgms_real sgms_log(sgms_real x)
 {
     sgms_real m, s, s2, series;
     int e = (int)(sgms_bits(x) >> SGMS_MANTISSA_BITS) - SGMS_EXPONENT_BIAS;
-    m = sgms_from_bits(sgms_bits(x) - (sgms_integer)e * ((sgms_integer)1 << SGMS_MANTISSA_BITS));
+    m = sgms_from_bits((sgms_integer)((sgms_unsigned)sgms_bits(x) -
+                                      ((sgms_unsigned)(sgms_integer)e << SGMS_MANTISSA_BITS)));
     if (m > SGMS_R(1.41421356237309504880)) {
         m *= SGMS_R(0.5);
         e += 1;

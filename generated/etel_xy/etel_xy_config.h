@@ -22,7 +22,7 @@
 #include "sgms_linalg.h"
 #include "sgms_filter.h"
 
-#if SGMS_RUNTIME_VERSION != 3
+#if SGMS_RUNTIME_VERSION != 4
 #error "the runtime headers are of another version than this package: run sgms-mhe generate again"
 #endif
 

@@ -486,8 +486,7 @@ static inline sgms_flow_place sgms_flow_place_of_r(sgms_real r)
 {
     sgms_flow_place at;
     at.t = (r - flow_table.start) * flow_table.segments_per_r;
-    at.segment = (int)at.t;
-    at.segment = at.segment < FLOW_SEGMENTS ? at.segment : FLOW_SEGMENTS - 1;
+    at.segment = sgms_index(at.t, FLOW_SEGMENTS - 1);
     at.t = 2.0 * (at.t - (sgms_real)at.segment) - 1.0;
     at.by_s = 0.0;
     return at;
@@ -496,8 +495,7 @@ static inline sgms_flow_place sgms_flow_place_of_r(sgms_real r)
 static inline sgms_flow_place sgms_flow_place_of_s(sgms_real s)
 {
     sgms_flow_place at;
-    int j = (int)((flow_edge[0] - s) * flow_table.cells_per_s);
-    j = (int)flow_cell[j < 0 ? 0 : (j < FLOW_CELLS ? j : FLOW_CELLS - 1)];
+    int j = (int)flow_cell[sgms_index((flow_edge[0] - s) * flow_table.cells_per_s, FLOW_CELLS - 1)];
     while (j < FLOW_SEGMENTS - 1 && s < flow_edge[j + 1]) {
         j++;
     }

@@ -25,6 +25,7 @@
 #define AHEAD_GATE 0.00013f                  /* m/s; above, the gate counts as saturated here */
 #define AHEAD_LONGEST 0.0014928993f          /* s, of a move */
 
+enum { AHEAD_MOST = 1000000 }; /* steps of a move, whatever the memory holds */
 enum { MOVES = 1 }; /* over the lag */
 
 /* How the signals go on from the newest filtered sample. */
@@ -73,7 +74,7 @@ static sgms_real element_ahead_slow(
 {
     const sgms_real wanted =
         sgms_fmin(sgms_fabs(from->velocity) * duration, AHEAD_GATE * AHEAD_LONGEST) * per_metre;
-    const int substeps = 1 + (int)wanted;
+    const int substeps = 1 + sgms_index(wanted, AHEAD_MOST);
     const sgms_real h = substeps > 1 ? duration / (sgms_real)substeps : duration;
     element_point at = *from;
     const element_drive drive = element_drive_at(&at);
@@ -168,7 +169,7 @@ static course course_ahead(const etel_xy_controller_t *self)
     const sgms_real mean =
         self->compensation.through_chain ? self->compensation.lag * OVER_LAG_TIME : measured;
     /* of samples in no step yet */
-    const sgms_real pending = (sgms_real)self->input.count * SAMPLE_TIME;
+    const sgms_real pending = (sgms_real)sgms_place(self->input.count, MERGED) * SAMPLE_TIME;
     c.duration[0] = pending + behind;
     c.distance[0] = self->input.merged[W_VELOCITY] * STEP_TIME + self->compensation.lag;
     c.velocity[0] = c.duration[0] > 0.0f ? c.distance[0] / c.duration[0] : 0.0f;
@@ -227,7 +228,7 @@ static void follow_compensation(etel_xy_controller_t *self)
     const sgms_real speed = sgms_fmax(sgms_fabs(self->input.signal[W_VELOCITY]),
         sgms_fabs(self->compensation.lag) * OVER_LAG_TIME);
     const int on = self->compensation.on && !is_unsound(self, speed);
-    self->compensation.ahead_given -= self->compensation.ahead_given > 0;
+    self->compensation.ahead_given = self->compensation.ahead_given == 2; /* 2, 1, 0 */
     self->compensation.gain = on ? sgms_fmin(self->compensation.gain + GAIN_STEP, 1.0f)
         : sgms_fmax(self->compensation.gain - GAIN_STEP, 0.0f);
 }

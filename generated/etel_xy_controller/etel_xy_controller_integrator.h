@@ -581,8 +581,9 @@ static inline int element_line_count(sgms_real speed, sgms_real share, const sgm
 {
     const sgms_real wanted = share * (speed * block[ELEMENT_SUBSTEPS * LANE_STRIDE] +
         block[ELEMENT_AT_REST * LANE_STRIDE]);
+    const int whole = sgms_index(wanted, MERGED - 1);
     return wanted > (sgms_real)(MERGED - 1) ? MERGED
-        : 1 + (int)wanted - (wanted > 0.0f && (sgms_real)(int)wanted == wanted);
+        : 1 + whole - (wanted > 0.0f && (sgms_real)whole == wanted);
 }
 
 /* How a lane takes a step: Runge-Kutta substeps along its line, CUT, or SAMPLEWISE where that costs

@@ -58,16 +58,22 @@ static inline int sgms_position_is_good(sgms_position p)
 /* p + d for a good p, which a continued motion does not take out of the range: it stays there. */
 static inline sgms_position sgms_position_ahead(sgms_position p, sgms_position d)
 {
-    const int is_within = d < 0 ? p > -SGMS_FARTHEST_PICOMETRES - d
-                                : p < SGMS_FARTHEST_PICOMETRES - d;
-    return is_within ? p + d : p;
+    const sgms_position next = (sgms_position)((uint64_t)p +
+                                               (uint64_t)d); /* wraps beyond the range */
+    return sgms_position_is_good(next) ? next : p;
+}
+
+static inline sgms_position sgms_position_difference(sgms_position a, sgms_position b)
+{
+    return (sgms_position)((uint64_t)a - (uint64_t)b); /* of good ones it does not wrap */
 }
 
 /* a - b of two differences of good positions, exact but where a 64-bit integer cannot hold it. */
 static inline sgms_real sgms_metres_between(sgms_position a, sgms_position b)
 {
     const int may_overflow = (a ^ b) < 0 && !(sgms_position_is_good(a) && sgms_position_is_good(b));
-    return may_overflow ? sgms_metres(a) - sgms_metres(b) : sgms_metres(a - b);
+    return may_overflow ? sgms_metres(a) - sgms_metres(b)
+                        : sgms_metres(sgms_position_difference(a, b));
 }
 #else
 typedef double sgms_position; /* m */
@@ -84,6 +90,11 @@ static inline int sgms_position_is_good(sgms_position p)
 static inline sgms_position sgms_position_ahead(sgms_position p, sgms_position d)
 {
     return p + d;
+}
+
+static inline sgms_position sgms_position_difference(sgms_position a, sgms_position b)
+{
+    return a - b;
 }
 
 static inline sgms_real sgms_metres_between(sgms_position a, sgms_position b)
@@ -170,7 +181,7 @@ static inline sgms_aligned sgms_filter_step(
             m->counts[1]++;
         }
     } else {
-        m->position[1] = position - m->position[0];
+        m->position[1] = sgms_position_difference(position, m->position[0]);
         if (m->counts[1] > settle) { /* what was travelled unseen is not a velocity */
             m->position[1] = 0;
             m->last[3] = wanted & SGMS_POSITION ? sgms_metres(position) : SGMS_R(0.0);

@@ -21,11 +21,23 @@ static void copy(sgms_real *to, const sgms_real *from, int count)
     }
 }
 
+/* The slot of the interval that is filling. */
+static int newest_slot(const etel_xy_switching_t *self)
+{
+    return sgms_place(self->interval.filling, SLOTS - 1);
+}
+
 /* A slot `back` intervals before the one that is filling; -1 is the next one. */
 static int slot_before(const etel_xy_switching_t *self, int back)
 {
-    const int slot = (int)self->interval.filling - back;
-    return slot < 0 ? slot + SLOTS : (slot < SLOTS ? slot : slot - SLOTS);
+    const int slot = newest_slot(self) - back;
+    return sgms_place(slot < 0 ? slot + SLOTS : (slot < SLOTS ? slot : slot - SLOTS), SLOTS - 1);
+}
+
+/* Older intervals of the window. */
+static int older_intervals(const etel_xy_switching_t *self)
+{
+    return sgms_place(self->sweep.complete, HORIZON - 1);
 }
 
 /* The upper triangle of a factor, row by row, to and from the sweep's memory. */
@@ -157,7 +169,7 @@ static void take_colour(etel_xy_switching_t *self)
     for (int i = 0; i < 3; i++) {
         block[i] += self->lasting.interval[i];
     }
-    self->lasting.intervals++;
+    self->lasting.intervals = sgms_place(self->lasting.intervals, COLOUR_BLOCK - 1) + 1;
     if (self->lasting.intervals == COLOUR_BLOCK) {
         if (block[2] > 0.0) {
             const sgms_real square = sgms_fmin(block[0] * block[0] / block[2], COLOUR_MOST);
@@ -236,12 +248,12 @@ static void set_root(sgms_real *factor, const sgms_real *root, const sgms_real *
 static void start_interval(etel_xy_switching_t *self)
 {
     parameter_terms(&self->parameters);
-    start_blocks(&self->parameters, self->window.node + self->interval.filling * STATES,
-        self->interval.blocks);
+    start_blocks(
+        &self->parameters, self->window.node + newest_slot(self) * STATES, self->interval.blocks);
     self->interval.step = 0;
     self->input.count = 0;
     fill(self->input.merged, 0.0, SIGNALS);
-    self->interval.path[self->interval.filling] = 0.0;
+    self->interval.path[newest_slot(self)] = 0.0;
     fill(self->lasting.interval, 0.0, 3);
     self->interval.too_fast = 0;
     self->sweep.cursor = 0;
@@ -452,15 +464,15 @@ static void start_row(const etel_xy_switching_t *self, int slot, sgms_real *row)
 /* A measurement inside the newest interval: its row waits until the older ones are condensed. */
 static void take_inner(etel_xy_switching_t *self, int measured, sgms_real friction)
 {
-    const int j = (int)self->interval.step / SPACING - 1,
-        at = (int)self->interval.filling * INNER + j;
+    const int j = sgms_place(self->interval.step / SPACING - 1, INNER - 1),
+        at = newest_slot(self) * INNER + j;
     sgms_real *const row =
-        self->inner.rows + (int)self->inner.side * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
+        self->inner.rows + (int)(self->inner.side & 1) * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
     self->inner.weight[at] = measured ? 1.0 : 0.0;
     self->inner.friction[at] = friction;
     self->inner.signal[at * INNER_SIGNALS + 0] = self->input.signal[W_VELOCITY];
     if (measured) {
-        const sgms_real *const start = self->window.node + self->interval.filling * STATES;
+        const sgms_real *const start = self->window.node + newest_slot(self) * STATES;
         interval_map map;
         blocks_end(&self->parameters, self->interval.blocks, start, &map);
         inner_row(self, &map, start, self->input.signal, friction, row);
@@ -471,12 +483,20 @@ static void take_inner(etel_xy_switching_t *self, int measured, sgms_real fricti
     self->inner.arrived = j + 1;
 }
 
+/* The next measurement to fold; of a number that is none the last one. */
+static int next_inner(const etel_xy_switching_t *self)
+{
+    return
+        self->inner.folded >= 0 && self->inner.folded < INNER ? (int)self->inner.folded : INNER - 1;
+}
+
 /* Fold the next measurement inside the newest interval; the sweep has reached it. */
 static void fold_next(etel_xy_switching_t *self)
 {
-    const int j = (int)self->inner.folded++, at = (int)self->interval.filling * INNER + j;
+    const int j = next_inner(self), at = newest_slot(self) * INNER + j;
     sgms_real *const row =
-        self->inner.rows + (int)self->inner.side * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
+        self->inner.rows + (int)(self->inner.side & 1) * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
+    self->inner.folded = j + 1;
     if (self->inner.weight[at] > 0.0) {
         self->inner.weight[at] = weigh_row(self, row);
         fold_row(self->sweep.factor, self->inner.weight[at], row);
@@ -706,36 +726,38 @@ static void start_sweep(etel_xy_switching_t *self)
 {
     const int is_growing = self->sweep.shifts >= DRIFT_INTERVAL;
     sgms_real *start;
-    if (self->sweep.complete > 0) {
+    if (older_intervals(self) > 0) {
         keep_inner(self, slot_before(self, 1), self->inner.rows +
-            (1 - (int)self->inner.side) * INNER * FACTOR_WIDTH);
+            (1 - (int)(self->inner.side & 1)) * INNER * FACTOR_WIDTH);
     }
-    if (self->linearisation.slot >= 0) {
-        const int32_t ago = self->interval.filling - self->linearisation.slot,
+    if (self->linearisation.slot >= 0 && self->linearisation.slot < SLOTS) {
+        const int ago = newest_slot(self) - (int)self->linearisation.slot,
             back = ago < 0 ? ago + SLOTS : ago;
         self->sweep.back = back > self->sweep.back ? back : self->sweep.back;
     }
-    self->sweep.back = is_growing ? self->sweep.complete : self->sweep.back;
+    self->sweep.back = is_growing ? older_intervals(self) : self->sweep.back;
     if (self->sweep.back < 0) {
         return;
     }
-    start = self->sweep.start + slot_before(self, (int)self->sweep.back) * TRIANGLE_SIZE;
+    start = self->sweep.start + slot_before(self, sgms_place(self->sweep.back, HORIZON - 1)) *
+        TRIANGLE_SIZE;
     restore_factor(self->sweep.factor, start);
     if (is_growing) {
-        add_drift(self, self->sweep.factor, (int)self->sweep.pending_drift);
+        add_drift(self, self->sweep.factor, sgms_place(self->sweep.pending_drift, DRIFT_INTERVAL));
         keep_factor(start, self->sweep.factor);
         self->sweep.shifts = 0;
         self->sweep.pending_drift = 0;
     }
     if (self->sweep.back == 0) {
-        fold_start(self, (int)self->interval.filling);
+        fold_start(self, newest_slot(self));
     }
 }
 
 /* One step of the interval that is linearised anew. */
-static void linearise_step(etel_xy_switching_t *self, int step)
+static void linearise_step(etel_xy_switching_t *self, int unit)
 {
-    const int slot = (int)self->linearisation.slot;
+    const int step = sgms_place(unit, STEPS - 1);
+    const int slot = sgms_place(self->linearisation.slot, SLOTS - 1);
     const sgms_real *const start = self->window.node + slot * STATES;
     if (step == 0) {
         start_blocks(&self->parameters, start, self->linearisation.blocks);
@@ -746,7 +768,7 @@ static void linearise_step(etel_xy_switching_t *self, int step)
         interval_map map;
         /* free until the next update */
         sgms_real *const rows =
-            self->inner.rows + (1 - (int)self->inner.side) * INNER * FACTOR_WIDTH;
+            self->inner.rows + (1 - (int)(self->inner.side & 1)) * INNER * FACTOR_WIDTH;
         const int j = (step + 1) / SPACING - 1;
         blocks_end(&self->parameters, self->linearisation.blocks, start, &map);
         if (j < INNER) {
@@ -764,7 +786,7 @@ static void condense_node(etel_xy_switching_t *self, int back)
     const int slot = slot_before(self, back);
     sweep_interval(self, back, self->linearisation.rows + slot * STATES * DEFECT_WIDTH);
     if (back == 1) {
-        fold_start(self, (int)self->interval.filling);
+        fold_start(self, newest_slot(self));
     }
 }
 
@@ -778,24 +800,32 @@ typedef struct {
 
 static workload workload_of(const etel_xy_switching_t *self)
 {
-    const int nodes = (int)self->sweep.complete;
+    const int nodes = older_intervals(self);
     const workload of = {
         nodes,
-        self->linearisation.slot >= 0 ? STEPS : 0,
-        self->sweep.back > 0 ? (int)self->sweep.back : 0 };
+        self->linearisation.slot >= 0 && self->linearisation.slot < SLOTS ? STEPS : 0,
+        sgms_place(self->sweep.back, HORIZON - 1) };
     return of;
+}
+
+/* Units done; beyond all that there can be, as damage has it, all are. */
+static int units_done(const etel_xy_switching_t *self)
+{
+    const int most = 3 * HORIZON + STEPS;
+    return self->sweep.cursor >= 0 && self->sweep.cursor < most ? (int)self->sweep.cursor : most;
 }
 
 /* Cost of the next unit, in multiplications or so; 0 when all is done. */
 static int next_cost(const etel_xy_switching_t *self)
 {
     const workload of = workload_of(self);
-    const int at = (int)self->sweep.cursor - of.nodes, swept = at - of.steps - 1;
+    const int at = units_done(self) - of.nodes, swept = at - of.steps - 1;
     if (at < 0) {
         return EXPAND_COST;
     }
     if (swept >= 2 * of.condensed) {
-        return self->inner.folded < self->inner.arrived ? FOLD_COST : 0;
+        return
+            self->inner.folded < self->inner.arrived && self->inner.folded < INNER ? FOLD_COST : 0;
     }
     if (at > 0 && swept < 0) {
         return STEP_COST;
@@ -807,14 +837,14 @@ static int next_cost(const etel_xy_switching_t *self)
 static void work(etel_xy_switching_t *self)
 {
     const workload of = workload_of(self);
-    const int at = (int)self->sweep.cursor - of.nodes, swept = at - of.steps - 1,
+    const int done = units_done(self), at = done - of.nodes, swept = at - of.steps - 1,
         back = of.condensed - swept / 2;
     if (swept >= 2 * of.condensed) {
         fold_next(self);
         return;
     }
     if (at < 0) {
-        expand_node(self, (int)self->sweep.cursor + 1);
+        expand_node(self, done + 1);
     } else if (at == 0) {
         start_sweep(self);
     } else if (swept < 0) {
@@ -824,7 +854,7 @@ static void work(etel_xy_switching_t *self)
     } else {
         condense_node(self, back);
     }
-    self->sweep.cursor++;
+    self->sweep.cursor = done + 1;
 }
 
 void etel_xy_switching_prepare(etel_xy_switching_t *self)
@@ -844,7 +874,8 @@ void etel_xy_switching_prepare(etel_xy_switching_t *self)
 
 int etel_xy_switching_due(const etel_xy_switching_t *self)
 {
-    return self->interval.step == STEPS;
+    /* a number of steps that is none ends the interval */
+    return self->interval.step < 0 || self->interval.step >= STEPS;
 }
 
 /* Parameters from the triangular factor, within their bounds. Returns the number of active
@@ -909,7 +940,7 @@ static int start_again(etel_xy_switching_t *self, int status, int numeric)
 /* Condense the newest interval: the factor is over its end x and theta. */
 static void take_newest(etel_xy_switching_t *self, sgms_real *x)
 {
-    const int slot = (int)self->interval.filling;
+    const int slot = newest_slot(self);
     const sgms_real *start = self->window.node + slot * STATES;
     interval_map map;
     blocks_end(&self->parameters, self->interval.blocks, start, &map);
@@ -923,17 +954,18 @@ static int shift_window(etel_xy_switching_t *self, int *status)
 {
     /* where the interval stands that leaves a full window */
     const int next = slot_before(self, -1);
-    const int is_full = self->sweep.complete == HORIZON - 1;
+    const int is_full = older_intervals(self) == HORIZON - 1;
     if (is_full && self->settings.drift > 0.0) { /* otherwise nothing sets them back */
-        self->sweep.shifts++;
-        self->sweep.pending_drift += self->interval.path[next] >= HOLD_PATH;
+        self->sweep.shifts = sgms_place(self->sweep.shifts, DRIFT_INTERVAL - 1) + 1;
+        self->sweep.pending_drift = sgms_place(self->sweep.pending_drift, DRIFT_INTERVAL - 1) +
+            (self->interval.path[next] >= HOLD_PATH);
     }
     if (!is_full) {
-        self->sweep.complete++;
+        self->sweep.complete = older_intervals(self) + 1;
         *status += ETEL_XY_SWITCHING_FILLING;
     }
     self->sweep.back = -1;
-    self->inner.side = 1 - self->inner.side;
+    self->inner.side = 1 - (self->inner.side & 1);
     return next;
 }
 
@@ -976,7 +1008,7 @@ static int update(etel_xy_switching_t *self)
         return start_again(self, ETEL_XY_SWITCHING_NUMERIC, numeric);
     }
     copy(self->parameters.theta, theta, PARAMETERS);
-    if (self->interval.path[self->interval.filling] >= HOLD_PATH) {
+    if (self->interval.path[newest_slot(self)] >= HOLD_PATH) {
         take_colour(self);
         take_wander(self, theta, variance);
     }
@@ -995,7 +1027,7 @@ static int update(etel_xy_switching_t *self)
     self->calls.age = 0;
 
     status += self->interval.is_valid ? 0 : ETEL_XY_SWITCHING_MISSING;
-    status += self->interval.path[self->interval.filling] < HOLD_PATH ? ETEL_XY_SWITCHING_HOLD : 0;
+    status += self->interval.path[newest_slot(self)] < HOLD_PATH ? ETEL_XY_SWITCHING_HOLD : 0;
     status += self->interval.too_fast ? ETEL_XY_SWITCHING_SPEED : 0;
     status += self->interval.lost ? ETEL_XY_SWITCHING_OVERRUN : 0;
     self->interval.lost = 0;
@@ -1034,11 +1066,11 @@ int etel_xy_switching_feedback(etel_xy_switching_t *self)
 /* One step of the series: store its terms, move the newest interval. */
 static void take_step(etel_xy_switching_t *self, const sgms_real *w)
 {
-    sgms_real *term = self->window.term + self->interval.step * NODES * TERMS * SERIES_STRIDE +
-        self->interval.filling;
+    const int step = sgms_place(self->interval.step, STEPS - 1);
+    sgms_real *term = self->window.term + step * NODES * TERMS * SERIES_STRIDE + newest_slot(self);
     sample_terms(w, term, SERIES_STRIDE);
     integrate_blocks(term, self->interval.blocks);
-    self->interval.step++;
+    self->interval.step = step + 1;
 }
 
 static SGMS_INLINE void extend_series(etel_xy_switching_t *self)
@@ -1063,10 +1095,11 @@ static SGMS_INLINE int take_signals(
 /* The first sample is the first node. */
 static void start_series(etel_xy_switching_t *self, int measured, sgms_real friction)
 {
+    const int slot = newest_slot(self);
     self->interval.started = 1;
-    copy(self->window.signal + self->interval.filling * SIGNALS, self->input.signal, SIGNALS);
-    self->window.weight[self->interval.filling] = measured ? 1.0 / self->settings.measurement : 0.0;
-    self->window.friction[self->interval.filling] = measured ? friction : 0.0;
+    copy(self->window.signal + slot * SIGNALS, self->input.signal, SIGNALS);
+    self->window.weight[slot] = measured ? 1.0 / self->settings.measurement : 0.0;
+    self->window.friction[slot] = measured ? friction : 0.0;
     self->interval.is_valid = 0;
     self->interval.friction = 0.0;
 }
@@ -1083,17 +1116,17 @@ static SGMS_INLINE void take_sample(
         start_series(self, measured, signals->friction);
         return;
     }
-    if (self->interval.step == STEPS) {
+    if (etel_xy_switching_due(self)) {
         self->interval.lost = 1;
         return;
     }
-    self->interval.path[self->interval.filling] += sgms_fabs(self->input.signal[W_VELOCITY]) *
+    self->interval.path[newest_slot(self)] += sgms_fabs(self->input.signal[W_VELOCITY]) *
         SAMPLE_TIME;
     if (sgms_fabs(self->input.signal[W_VELOCITY]) > MAX_VELOCITY) {
         self->interval.too_fast = 1;
     }
     extend_series(self);
-    if (self->interval.step == STEPS) {
+    if (etel_xy_switching_due(self)) {
         self->interval.is_valid = measured;
         self->interval.friction = measured ? signals->friction : self->interval.friction;
     } else if (self->input.count == 0 && self->interval.step % SPACING == 0) {
@@ -1203,7 +1236,7 @@ void etel_xy_switching_estimate(
         estimate->numeric = (int)self->estimate.numeric;
         estimate->status = (int)self->estimate.status;
         if (estimate->status >= 0 && estimate->age > 2u * SAMPLES) {
-            estimate->status += ETEL_XY_SWITCHING_STALE;
+            estimate->status |= ETEL_XY_SWITCHING_STALE;
         }
         SGMS_FENCE();
         if (version % 2 == 0 && version == self->calls.version) {
@@ -1354,7 +1387,7 @@ static SGMS_COLD void start_with(
     etel_xy_switching_t *self, int p, sgms_real theta, const sgms_real *square)
 {
     const int started = self->interval.started;
-    const sgms_real *const node = self->window.node + self->interval.filling * STATES;
+    const sgms_real *const node = self->window.node + newest_slot(self) * STATES;
     sgms_real w[SIGNALS], x[STATES];
     self->calls.phase =
         self->calls.phase == PREPARING || self->calls.phase == ABORTED ? ABORTED : IDLE;

@@ -1,8 +1,9 @@
 """Table of properties that are tried: check, tried, failed.
 
 Random calls under sanitizers, the same bits from every compiler and processor, every line and branch reached or
-explained, work and stack within what is stated, nothing in the code that a proof could not deal with, faults in emitted
-C that its self-test notices. And logs with something wrong at random through the whole command line.
+explained, work and stack within what is stated, nothing in the code that a proof could not deal with, a static proof
+that no call leaves its memory, faults in emitted C that its self-test notices. And logs with something wrong at random
+through the whole command line.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from sgms_bench.verification.fuzzing import SANITIZERS, fuzz_machines
 from sgms_bench.verification.limits import check_limits
 from sgms_bench.verification.mutation import check_self_test
 from sgms_bench.verification.outcome import CheckOutcome
+from sgms_bench.verification.proof import check_proof
 from sgms_bench.verification.specimens import specimen, specimens
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.machine import Machine
@@ -53,6 +55,7 @@ def _machine_files() -> list[Machine]:
 CHECKS: Final[Mapping[str, Callable[[argparse.Namespace, Progress], list[CheckOutcome]]]] = {
     "constructs": lambda _, progress: check_constructs(list(specimens()), progress),
     "coverage": lambda _, progress: [check_coverage(list(specimens()), progress)],
+    "proof": lambda _, progress: [check_proof([load_machine("etel_xy"), *specimens()], progress)],
     "limits": lambda _, progress: check_limits(list(specimens()), progress),
     "bits": _bits,
     "selftest": lambda chosen, progress: check_self_test(chosen.mutants, chosen.seed, progress),

@@ -191,12 +191,14 @@ FAULTS: Final = (
     Fault("parameters' noise wrong", CONFIG, "#define PRIOR_SD 0.4", "#define PRIOR_SD 0.5"),
     Fault("measurement noise wrong", CONFIG, "#define MEASUREMENT_SD 0.1 ", "#define MEASUREMENT_SD 0.2 "),
     Fault("wild measurements count as others", CONFIG, "#define RATIO_FREE 9.0", "#define RATIO_FREE 9e9"),
-    Fault("measurements inside intervals twice", C, "self->inner.folded++", "self->inner.folded"),
+    Fault(
+        "measurements inside intervals twice", C, "    self->inner.folded = j + 1;\n", "    self->inner.folded = j;\n"
+    ),
     Fault(
         "window one interval short",
         C,
-        "const int is_full = self->sweep.complete == HORIZON - 1;",
-        "const int is_full = self->sweep.complete == HORIZON - 2;",
+        "const int is_full = older_intervals(self) == HORIZON - 1;",
+        "const int is_full = older_intervals(self) == HORIZON - 2;",
     ),
     Fault(
         "arrival cost without its information",

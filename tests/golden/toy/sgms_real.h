@@ -7,7 +7,7 @@
 
 #include <stdint.h>
 
-#define SGMS_RUNTIME_VERSION 3
+#define SGMS_RUNTIME_VERSION 4
 
 /* The code reads bits, adds and subtracts numbers to round, and checks that numbers are finite: it
  * is wrong where compilers may rearrange arithmetic. Clang reports -ffast-math and

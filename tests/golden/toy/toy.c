@@ -21,11 +21,23 @@ static void copy(sgms_real *to, const sgms_real *from, int count)
     }
 }
 
+/* The slot of the interval that is filling. */
+static int newest_slot(const toy_t *self)
+{
+    return sgms_place(self->interval.filling, SLOTS - 1);
+}
+
 /* A slot `back` intervals before the one that is filling; -1 is the next one. */
 static int slot_before(const toy_t *self, int back)
 {
-    const int slot = (int)self->interval.filling - back;
-    return slot < 0 ? slot + SLOTS : (slot < SLOTS ? slot : slot - SLOTS);
+    const int slot = newest_slot(self) - back;
+    return sgms_place(slot < 0 ? slot + SLOTS : (slot < SLOTS ? slot : slot - SLOTS), SLOTS - 1);
+}
+
+/* Older intervals of the window. */
+static int older_intervals(const toy_t *self)
+{
+    return sgms_place(self->sweep.complete, HORIZON - 1);
 }
 
 /* The root of theta, lower right triangle of a factor: its inverse is the square root of the
@@ -129,7 +141,7 @@ static void take_colour(toy_t *self)
     for (int i = 0; i < 3; i++) {
         block[i] += self->lasting.interval[i];
     }
-    self->lasting.intervals++;
+    self->lasting.intervals = sgms_place(self->lasting.intervals, COLOUR_BLOCK - 1) + 1;
     if (self->lasting.intervals == COLOUR_BLOCK) {
         if (block[2] > 0.0) {
             const sgms_real square = sgms_fmin(block[0] * block[0] / block[2], COLOUR_MOST);
@@ -207,12 +219,12 @@ static void set_root(sgms_real *factor, const sgms_real *root, const sgms_real *
 static void start_interval(toy_t *self)
 {
     parameter_terms(&self->parameters);
-    start_blocks(&self->parameters, self->window.node + self->interval.filling * STATES,
-        self->interval.blocks);
+    start_blocks(
+        &self->parameters, self->window.node + newest_slot(self) * STATES, self->interval.blocks);
     self->interval.step = 0;
     self->input.count = 0;
     fill(self->input.merged, 0.0, SIGNALS);
-    self->interval.path[self->interval.filling] = 0.0;
+    self->interval.path[newest_slot(self)] = 0.0;
     fill(self->lasting.interval, 0.0, 3);
     self->interval.too_fast = 0;
     self->sweep.cursor = 0;
@@ -507,20 +519,21 @@ static void expand_node(toy_t *self, int back)
 static void start_sweep(toy_t *self)
 {
     if (self->sweep.shifts >= DRIFT_INTERVAL) {
-        add_drift(self, self->sweep.arrival, (int)self->sweep.pending_drift);
+        add_drift(self, self->sweep.arrival, sgms_place(self->sweep.pending_drift, DRIFT_INTERVAL));
         self->sweep.shifts = 0;
         self->sweep.pending_drift = 0;
     }
     copy(self->sweep.factor, self->sweep.arrival, FACTOR_ROWS * FACTOR_WIDTH);
-    if (self->sweep.complete == 0) {
-        fold_start(self, (int)self->interval.filling);
+    if (older_intervals(self) == 0) {
+        fold_start(self, newest_slot(self));
     }
     start_lanes(SLOTS, &self->parameters, self->window.node, self->linearisation.lane);
 }
 
 /* One step of all older intervals side by side. */
-static void linearise_step(toy_t *self, int step)
+static void linearise_step(toy_t *self, int unit)
 {
+    const int step = sgms_place(unit, STEPS - 1);
     integrate_lanes(
         SLOTS, self->window.term + step * NODES * TERMS * SERIES_STRIDE, self->linearisation.lane);
 }
@@ -536,7 +549,7 @@ static void condense_node(toy_t *self, int back)
     defect_rows(self, start, &map, rows);
     sweep_interval(self, back, rows);
     if (back == 1) {
-        fold_start(self, (int)self->interval.filling);
+        fold_start(self, newest_slot(self));
     }
 }
 
@@ -549,16 +562,23 @@ typedef struct {
 
 static workload workload_of(const toy_t *self)
 {
-    const int nodes = (int)self->sweep.complete;
+    const int nodes = older_intervals(self);
     const workload of = { nodes, nodes > 0 ? STEPS : 0, nodes };
     return of;
+}
+
+/* Units done; beyond all that there can be, as damage has it, all are. */
+static int units_done(const toy_t *self)
+{
+    const int most = 3 * HORIZON + STEPS;
+    return self->sweep.cursor >= 0 && self->sweep.cursor < most ? (int)self->sweep.cursor : most;
 }
 
 /* Cost of the next unit, in multiplications or so; 0 when all is done. */
 static int next_cost(const toy_t *self)
 {
     const workload of = workload_of(self);
-    const int at = (int)self->sweep.cursor - of.nodes, swept = at - of.steps - 1;
+    const int at = units_done(self) - of.nodes, swept = at - of.steps - 1;
     if (at < 0) {
         return EXPAND_COST;
     }
@@ -575,10 +595,10 @@ static int next_cost(const toy_t *self)
 static void work(toy_t *self)
 {
     const workload of = workload_of(self);
-    const int at = (int)self->sweep.cursor - of.nodes, swept = at - of.steps - 1,
+    const int done = units_done(self), at = done - of.nodes, swept = at - of.steps - 1,
         back = of.condensed - swept / 2;
     if (at < 0) {
-        expand_node(self, (int)self->sweep.cursor + 1);
+        expand_node(self, done + 1);
     } else if (at == 0) {
         start_sweep(self);
     } else if (swept < 0) {
@@ -588,7 +608,7 @@ static void work(toy_t *self)
     } else {
         condense_node(self, back);
     }
-    self->sweep.cursor++;
+    self->sweep.cursor = done + 1;
 }
 
 void toy_prepare(toy_t *self)
@@ -608,7 +628,8 @@ void toy_prepare(toy_t *self)
 
 int toy_due(const toy_t *self)
 {
-    return self->interval.step == STEPS;
+    /* a number of steps that is none ends the interval */
+    return self->interval.step < 0 || self->interval.step >= STEPS;
 }
 
 /* Parameters from the triangular factor, within their bounds. Returns the number of active
@@ -673,7 +694,7 @@ static int start_again(toy_t *self, int status, int numeric)
 /* Condense the newest interval: the factor is over its end x and theta. */
 static void take_newest(toy_t *self, sgms_real *x)
 {
-    const int slot = (int)self->interval.filling;
+    const int slot = newest_slot(self);
     const sgms_real *start = self->window.node + slot * STATES;
     interval_map map;
     blocks_end(&self->parameters, self->interval.blocks, start, &map);
@@ -690,13 +711,14 @@ static int shift_window(toy_t *self, int *status)
 {
     /* where the interval stands that leaves a full window */
     const int next = slot_before(self, -1);
-    const int is_full = self->sweep.complete == HORIZON - 1;
+    const int is_full = older_intervals(self) == HORIZON - 1;
     if (is_full && self->settings.drift > 0.0) { /* otherwise nothing sets them back */
-        self->sweep.shifts++;
-        self->sweep.pending_drift += self->interval.path[next] >= HOLD_PATH;
+        self->sweep.shifts = sgms_place(self->sweep.shifts, DRIFT_INTERVAL - 1) + 1;
+        self->sweep.pending_drift = sgms_place(self->sweep.pending_drift, DRIFT_INTERVAL - 1) +
+            (self->interval.path[next] >= HOLD_PATH);
     }
     if (!is_full) {
-        self->sweep.complete++;
+        self->sweep.complete = older_intervals(self) + 1;
         *status += TOY_FILLING;
     }
     return next;
@@ -741,7 +763,7 @@ static int update(toy_t *self)
         return start_again(self, TOY_NUMERIC, numeric);
     }
     copy(self->parameters.theta, theta, PARAMETERS);
-    if (self->interval.path[self->interval.filling] >= HOLD_PATH) {
+    if (self->interval.path[newest_slot(self)] >= HOLD_PATH) {
         take_colour(self);
         take_wander(self, theta, variance);
     }
@@ -760,7 +782,7 @@ static int update(toy_t *self)
     self->calls.age = 0;
 
     status += self->interval.is_valid ? 0 : TOY_MISSING;
-    status += self->interval.path[self->interval.filling] < HOLD_PATH ? TOY_HOLD : 0;
+    status += self->interval.path[newest_slot(self)] < HOLD_PATH ? TOY_HOLD : 0;
     status += self->interval.too_fast ? TOY_SPEED : 0;
     status += self->interval.lost ? TOY_OVERRUN : 0;
     self->interval.lost = 0;
@@ -799,11 +821,11 @@ int toy_feedback(toy_t *self)
 /* One step of the series: store its terms, move the newest interval. */
 static void take_step(toy_t *self, const sgms_real *w)
 {
-    sgms_real *term = self->window.term + self->interval.step * NODES * TERMS * SERIES_STRIDE +
-        self->interval.filling;
+    const int step = sgms_place(self->interval.step, STEPS - 1);
+    sgms_real *term = self->window.term + step * NODES * TERMS * SERIES_STRIDE + newest_slot(self);
     sample_terms(w, term, SERIES_STRIDE);
     integrate_blocks(term, self->interval.blocks);
-    self->interval.step++;
+    self->interval.step = step + 1;
 }
 
 static SGMS_INLINE void extend_series(toy_t *self)
@@ -827,10 +849,11 @@ static SGMS_INLINE int take_signals(toy_t *self, const toy_signals *signals)
 /* The first sample is the first node. */
 static void start_series(toy_t *self, int measured, sgms_real friction)
 {
+    const int slot = newest_slot(self);
     self->interval.started = 1;
-    copy(self->window.signal + self->interval.filling * SIGNALS, self->input.signal, SIGNALS);
-    self->window.weight[self->interval.filling] = measured ? 1.0 / self->settings.measurement : 0.0;
-    self->window.friction[self->interval.filling] = measured ? friction : 0.0;
+    copy(self->window.signal + slot * SIGNALS, self->input.signal, SIGNALS);
+    self->window.weight[slot] = measured ? 1.0 / self->settings.measurement : 0.0;
+    self->window.friction[slot] = measured ? friction : 0.0;
     self->interval.is_valid = 0;
     self->interval.friction = 0.0;
 }
@@ -846,17 +869,17 @@ static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
         start_series(self, measured, signals->friction);
         return;
     }
-    if (self->interval.step == STEPS) {
+    if (toy_due(self)) {
         self->interval.lost = 1;
         return;
     }
-    self->interval.path[self->interval.filling] += sgms_fabs(self->input.signal[W_VELOCITY]) *
+    self->interval.path[newest_slot(self)] += sgms_fabs(self->input.signal[W_VELOCITY]) *
         SAMPLE_TIME;
     if (sgms_fabs(self->input.signal[W_VELOCITY]) > MAX_VELOCITY) {
         self->interval.too_fast = 1;
     }
     extend_series(self);
-    if (self->interval.step == STEPS) {
+    if (toy_due(self)) {
         self->interval.is_valid = measured;
         self->interval.friction = measured ? signals->friction : self->interval.friction;
     }
@@ -958,7 +981,7 @@ void toy_estimate(const toy_t *self, toy_estimate_t *estimate)
         estimate->numeric = (int)self->estimate.numeric;
         estimate->status = (int)self->estimate.status;
         if (estimate->status >= 0 && estimate->age > 2u * SAMPLES) {
-            estimate->status += TOY_STALE;
+            estimate->status |= TOY_STALE;
         }
         SGMS_FENCE();
         if (version % 2 == 0 && version == self->calls.version) {
@@ -1106,7 +1129,7 @@ SGMS_COLD int toy_set_mass(toy_t *self, toy_real moved)
 static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms_real *square)
 {
     const int started = self->interval.started;
-    const sgms_real *const node = self->window.node + self->interval.filling * STATES;
+    const sgms_real *const node = self->window.node + newest_slot(self) * STATES;
     sgms_real w[SIGNALS], x[STATES];
     self->calls.phase =
         self->calls.phase == PREPARING || self->calls.phase == ABORTED ? ABORTED : IDLE;

@@ -24,6 +24,7 @@
 /* relative deflection up to which an element moves with the axis */
 #define AHEAD_ELASTIC 0.7224397686165088
 
+enum { AHEAD_MOST = 1000000 }; /* steps of a move, whatever the memory holds */
 enum { MOVES = 1 }; /* over the lag */
 
 /* How the signals go on from the newest filtered sample. */
@@ -45,7 +46,7 @@ static void element_ahead_steps(sgms_real duration, const sgms_real *rates, elem
     const sgms_real moved = sgms_fabs(at->velocity) * duration * rates[0];
     const sgms_real most = FARTHEST_MOVE * 20.0;
     const sgms_real within = moved > most ? duration * (most / moved) : duration;
-    const int substeps = 1 + (int)(sgms_fmin(moved, most) + duration * rates[1]);
+    const int substeps = 1 + sgms_index(sgms_fmin(moved, most) + duration * rates[1], AHEAD_MOST);
     const sgms_real h = within / (sgms_real)substeps;
     const element_drive drive = element_drive_at(at);
     for (int substep = 0; substep < substeps; substep++) {
@@ -195,7 +196,7 @@ static void follow_compensation(toy_t *self)
     const sgms_real speed = sgms_fmax(sgms_fabs(self->input.signal[W_VELOCITY]),
         sgms_fabs(self->compensation.lag) * OVER_LAG_TIME);
     const int on = self->compensation.on && !is_unsound(self, speed);
-    self->compensation.ahead_given -= self->compensation.ahead_given > 0;
+    self->compensation.ahead_given = self->compensation.ahead_given == 2; /* 2, 1, 0 */
     self->compensation.gain = on ? sgms_fmin(self->compensation.gain + GAIN_STEP, 1.0)
         : sgms_fmax(self->compensation.gain - GAIN_STEP, 0.0);
 }

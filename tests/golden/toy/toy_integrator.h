@@ -304,7 +304,8 @@ static inline sgms_real element_wanted(sgms_real speed, const sgms_real *block)
 static inline int element_count(sgms_real speed, sgms_real share, const sgms_real *block)
 {
     const sgms_real wanted = share * element_wanted(speed, block);
-    const int whole = (int)wanted + ((sgms_real)(int)wanted < wanted);
+    const int below = sgms_index(wanted, ELEMENT_MOST_SUBSTEPS);
+    const int whole = below + ((sgms_real)below < wanted);
     const int bounded = whole < ELEMENT_MOST_SUBSTEPS ? whole : ELEMENT_MOST_SUBSTEPS;
     return bounded > LEAST_SUBSTEPS ? bounded : LEAST_SUBSTEPS;
 }

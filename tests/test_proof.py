@@ -1,0 +1,76 @@
+"""Static proof by Frama-C/Eva that no call leaves its memory, and that it finds an index that does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from sgms_bench.verification.outcome import AbsentError
+from sgms_bench.verification.proof import ALARMS, CALLS, analyse_call, check_proof
+from sgms_bench.verification.specimens import specimen
+from sgms_mhe.configuration import load_machine
+from sgms_mhe.emission.package import Package, emit_package
+
+Tool = Callable[[str], str]
+
+
+def silent(_: str) -> None:
+    """No progress."""
+
+
+@pytest.fixture(scope="module")
+def package() -> Package:
+    """The default package."""
+    return emit_package(load_machine("etel_xy"), selftest=False)
+
+
+@pytest.mark.slow
+def test_no_call_leaves_its_memory(require_tool: Tool) -> None:
+    """Of the default package every call; each alarm that is left is on the list, and is still there."""
+    require_tool("frama-c")
+    outcome = check_proof([load_machine("etel_xy")], silent)
+    assert outcome.skipped is None and outcome.failures == ()
+    assert outcome.tried.endswith(f"{len(ALARMS)} alarms left, with a reason each")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ekf", "newest", "switching", "signals"])
+def test_tick_of_other_kinds_does_not_either(name: str, require_tool: Tool) -> None:
+    require_tool("frama-c")
+    assert check_proof([specimen(name)], silent, ("TICK",)).failures == ()
+
+
+@pytest.mark.parametrize(
+    ("good", "bad", "call", "said"),
+    [
+        (
+            "return sgms_place(self->interval.filling, SLOTS - 1);",
+            "return (int)self->interval.filling;",
+            "SAMPLE",
+            "index",
+        ),
+        ("self->sweep.cursor = done + 1;", "self->sweep.cursor++;", "PREPARE", "signed_overflow"),
+    ],
+)
+def test_index_out_of_range_is_found(
+    good: str, bad: str, call: str, said: str, package: Package, require_tool: Tool
+) -> None:
+    require_tool("frama-c")
+    source = package.files["etel_xy.c"]
+    assert source.count(good) == 1
+    spoilt = replace(package, files={**package.files, "etel_xy.c": source.replace(good, bad)})
+    found = [alarm for alarm in analyse_call(spoilt, call) if alarm not in ALARMS]
+    assert any(said in alarm.code or "mem_access" in alarm.code for alarm in found)
+
+
+def test_code_that_does_not_parse_is_no_proof(package: Package, require_tool: Tool) -> None:
+    require_tool("frama-c")
+    broken = replace(package, files={**package.files, "etel_xy.c": package.files["etel_xy.c"] + "\nint broken(\n"})
+    with pytest.raises(AbsentError, match="did not end well"):
+        analyse_call(broken, "SAMPLE")
+
+
+def test_every_alarm_has_a_reason() -> None:
+    assert all(len(reason.split()) >= 5 for reason in ALARMS.values()) and len(CALLS) == len(set(CALLS))
