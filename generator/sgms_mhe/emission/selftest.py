@@ -177,17 +177,17 @@ def _run(
     force = _force_ahead(model, found, record, position_m, compensation_of(model.machine))
     readings = np.column_stack([found.innovation_N, found.test_ratio, found.noise_scale])
     return ReferenceRun(
-        friction=_rounded(found.friction_N),
-        deflections=tuple(map(_rounded, found.z_m)),
-        parameters=tuple(map(_rounded, found.parameters)),
-        deviations=tuple(map(_rounded, found.std)),
-        readings=tuple(map(_rounded, readings)),
+        friction=_round_values(found.friction_N),
+        deflections=tuple(map(_round_values, found.z_m)),
+        parameters=tuple(map(_round_values, found.parameters)),
+        deviations=tuple(map(_round_values, found.std)),
+        readings=tuple(map(_round_values, readings)),
         statuses=tuple(int(status) for status in found.status),
-        force=_rounded(force),
+        force=_round_values(force),
     )
 
 
-def _rounded(values: Array) -> tuple[float, ...]:
+def _round_values(values: Array) -> tuple[float, ...]:
     """Eight significant digits: far from the last ones, which depend on the machine."""
     return tuple(float(f"{value:.8g}") for value in values)
 
@@ -200,7 +200,7 @@ def _force_ahead(model: Model, found: Estimates, record: NodeRecord, position_m:
     machine = model.machine
     samples = machine.sampling.samples_per_update
     nodes = samples * np.arange(1, record.updates + 1)
-    filled = _filled(position_m)
+    filled = _fill_gaps(position_m)
     lag_m = (filled - apply_chain(machine, filled))[nodes]
     x, theta, w = found.extra["x"].T, found.extra["theta"].T, record.w[1:].T.copy()
     measured, mean = w[1].copy(), lag_m / ahead.lag
@@ -212,7 +212,7 @@ def _force_ahead(model: Model, found: Estimates, record: NodeRecord, position_m:
         w[0] += distance
         w[1] = distance / duration
         w[4] += duration
-        chi = _moved(model, chi, w, theta, duration)
+        chi = _move_states(model, chi, w, theta, duration)
     w[1] = measured + (mean - measured) * ahead.at_end
     output = ca.Function("f", [model.chi, model.w, model.theta], [model.feed_forward]).map(record.updates)
     force = np.array(output(chi, w, theta)).reshape(record.updates)
@@ -220,7 +220,7 @@ def _force_ahead(model: Model, found: Estimates, record: NodeRecord, position_m:
     return np.asarray(force if ahead.limit is None else np.clip(force, -ahead.limit, ahead.limit))
 
 
-def _filled(position_m: Array) -> Array:
+def _fill_gaps(position_m: Array) -> Array:
     """Positions with a gap continued at the speed before it."""
     filled = position_m.copy()
     for k in np.flatnonzero(np.isnan(filled)):
@@ -228,7 +228,7 @@ def _filled(position_m: Array) -> Array:
     return filled
 
 
-def _moved(model: Model, chi: Array, w: Array, theta: Array, duration: float) -> Array:
+def _move_states(model: Model, chi: Array, w: Array, theta: Array, duration: float) -> Array:
     """States (n_x, u) after a move at the signals w (5, u); elements that switch go no further than their level."""
     updates, h = chi.shape[1], duration / _SUBSTEPS
     rhs = model.function("rhs").map(updates)

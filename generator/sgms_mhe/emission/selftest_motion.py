@@ -112,7 +112,7 @@ def selftest_motion(machine: Machine, updates: int, settle: int) -> CountedMotio
     for stroke in range(moving // (2 * half)):
         length = min(softest * (_FIRST + (_LAST - _FIRST) * min(1.0, stroke / _GROWING) ** 2), fastest)
         acceleration = (-1 if stroke % 2 else 1) * max(1, round(1e12 * length / half**2))
-        parts += [(count, sign * acceleration) for sign in (1, -1) for count in _shares(half)]
+        parts += [(count, sign * acceleration) for sign in (1, -1) for count in _share_samples(half)]
     parts.append((updates * samples - sum(count for count, _ in parts), 0))
     counts = np.array([count for count, _ in parts])
     velocity = np.cumsum(np.repeat([acceleration for _, acceleration in parts], counts)) * 1e-12
@@ -130,7 +130,7 @@ def selftest_motion(machine: Machine, updates: int, settle: int) -> CountedMotio
     return CountedMotion(tuple(segments), unit, (node - 2 * _MISSING, _MISSING if node < moving else 0))
 
 
-def _shares(half: int) -> list[int]:
+def _share_samples(half: int) -> list[int]:
     """Samples of the segments of half a stroke."""
     edges = [round(half * k / _SEGMENTS) for k in range(_SEGMENTS + 1)]
     return [last - first for first, last in pairwise(edges) if last > first]
