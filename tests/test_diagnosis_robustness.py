@@ -299,6 +299,16 @@ def test_record_without_motion_says_so(quick: Machine, rest: str) -> None:
     assert diagnosis.verdict == ("adequate" if rest in ("held", "dead") else "unexplained")
 
 
+def test_a_record_of_one_speed_is_no_record_without_motion(quick: Machine) -> None:
+    """Friction does not change, but every element slips."""
+    rate = quick.sampling.rate
+    path = Trajectory("one way", rate, 0.02 * np.arange(30_000) / rate)
+    log = recorded(quick, (), path).part(1.0)
+    diagnosis = diagnose(quick, replace(log, time_s=log.time_s - log.time_s[0]))
+    assert diagnosis.excited
+    assert not any("hardly moves" in sentence for sentence in (diagnosis.summary, *diagnosis.warnings))
+
+
 def test_command_on_a_record_without_motion(quick: Machine, tmp_path: Path) -> None:
     held = standing(quick, "held")
     flicker = 1e-9 * (np.arange(len(held)) % 7 == 0)  # of the encoder's last digit

@@ -45,6 +45,7 @@ from sgms_mhe.diagnosis.structure import structure_map
 from sgms_mhe.diagnosis.uncertainty import inertial_noise
 from sgms_mhe.diagnosis.wording import choose_experiment, list_alternatives, summarise
 from sgms_mhe.machine import Machine
+from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.evidence import gain_interval, noise_floor
 from sgms_mhe.recordings.excerpt import make_excerpt
 from sgms_mhe.recordings.excitation import clock_note, find_steady_blocks, measure_excitation
@@ -92,9 +93,11 @@ def diagnose(
     try:
         told.report_start()
         file = _prepare(machine, log, held_out_s)
-        begun = begin_from_record(
-            file.recording, file.nominal, told.report_identification, has_force=not log.is_friction_alone
-        )
+        begun = None
+        if _is_excited(file.recording, file.nominal):
+            begun = begin_from_record(
+                file.recording, file.nominal, told.report_identification, has_force=not log.is_friction_alone
+            )
         found, without = _diagnose_aligned(file, begun, log, held_out_s, told)
         if begun is not None:
             found = _diagnose_again(file, begun, found, without, log, held_out_s, told)
@@ -277,10 +280,10 @@ def _judge_search(
 
 
 def _is_excited(recording: Recording, nominal: Fit) -> bool:
-    """Return True if the axis moved enough for its friction to show."""
+    """Return True if the axis moved enough for its friction to show: it changes, or every element slips."""
     simulated = (recording.friction - nominal.residual)[recording.used]
-    machine = recording.machine
-    return not float(np.ptp(simulated)) < EXCITED * machine.friction.coulomb
+    changes = float(np.ptp(simulated)) >= EXCITED * recording.machine.friction.coulomb
+    return changes or recording.extents.travel > scales_of(recording.machine).deflection
 
 
 def _diagnosis(

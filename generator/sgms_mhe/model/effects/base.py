@@ -18,6 +18,8 @@ from sgms_mhe.model.effects.scales import Unit
 from sgms_mhe.model.effects.search import Columns, Values
 from sgms_mhe.model.effects.specimen import Scene
 
+LARGEST_RISE: Final = 20.0
+"""Stribeck ratio beyond which none is followed [1]: far above the Stribeck velocity any size would do."""
 FASTEST_STRIBECK: Final = 0.1
 """Largest Stribeck velocity, over the largest speed: a rise of friction over the whole range of speed is a curve that
 effects have names for."""
@@ -224,7 +226,7 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                 name="stribeck",
                 summary="rise of friction towards low speed differs from the machine file",
                 numbers=(
-                    BaseNumber("stribeck_ratio", "stribeck ratio", lower=0.0, typical=0.1),
+                    BaseNumber("stribeck_ratio", "stribeck ratio", lower=0.0, typical=0.1, most=lambda _: LARGEST_RISE),
                     BaseNumber(
                         "stribeck_velocity",
                         "stribeck velocity",
