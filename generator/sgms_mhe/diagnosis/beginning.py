@@ -31,7 +31,7 @@ from sgms_mhe.support.errors import InputError
 
 Array = NDArray[np.float64]
 
-ROUGH: Final = 1.0
+ROUGH: Final = 2.0
 """Distance of a file's numbers from those of the record from which on the file is rough, see `distance` [1]: a factor
 of e in one of them. A single number that is wrong by less is a cause."""
 SIGMAS: Final = 3.0

@@ -362,9 +362,10 @@ def try_fit(
     *,
     refitted: Sequence[ParameterGroup] | None = None,
     warm: Fit | None = None,
+    again: bool = False,
 ) -> Fit | None:
     """A fit, or None where the model is not finite from its start on."""
     try:
-        return fit_model(subject, effects, refitted=refitted, warm=warm)
+        return fit_model(subject, effects, refitted=refitted, warm=warm, again=again)
     except FitError:
         return None

@@ -130,8 +130,8 @@ def find_wrong_numbers(subject: Subject, fit: Fit, criteria: Criteria) -> tuple[
         if len(named) < 2:
             break
         without = drop_group(named, group)
-        trial = fit_model(subject, effects, refitted=without, warm=current, again=True)
-        if gain_force(trial.cross, current.cross, fit.rows) < material:
+        trial = try_fit(subject, effects, refitted=without, warm=current, again=True)
+        if trial is not None and gain_force(trial.cross, current.cross, fit.rows) < material:
             named, current = without, trial
     log_decision(
         "reduction",

@@ -98,12 +98,27 @@ def diagnose(
             begun = begin_from_record(
                 file.recording, file.nominal, told.report_identification, has_force=not log.is_friction_alone
             )
-        found, without = _diagnose_aligned(file, begun, log, held_out_s, told)
-        if begun is not None:
-            found = _diagnose_again(file, begun, found, without, log, held_out_s, told)
+        found = _diagnose_begun(file, begun, log, held_out_s, told)
     except FitError as error:
         raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
     return replace(found, seconds=time.monotonic() - started)
+
+
+def _diagnose_begun(
+    file: _Prepared,
+    begun: RecordStart | None,
+    log: Log,
+    held_out_s: Sequence[tuple[float, float]] | None,
+    told: ProgressReport,
+) -> Diagnosis:
+    """Diagnose from the record's numbers where there are any; from the file's where no model of those is finite."""
+    if begun is not None:
+        try:
+            found, without = _diagnose_aligned(file, begun, log, held_out_s, told)
+            return _diagnose_again(file, begun, found, without, log, held_out_s, told)
+        except FitError as error:
+            log_decision("beginning", "file stays: a model of the record's numbers is not finite", reason=str(error))
+    return _diagnose_aligned(file, None, log, held_out_s, told)[0]
 
 
 def _diagnose_again(
