@@ -80,7 +80,8 @@ def test_quiet_leaves_results_and_errors(tmp_path: Path) -> None:
     table = tmp_path / "table.csv"
     table.write_text("machine,log\nsmall.toml,axis.csv\n")
     arguments = ("fleet", "estimate", table, "--out", tmp_path / "out")
-    quiet = done("--quiet", *arguments)
+    loud, quiet = done(*arguments), done("--quiet", *arguments)
+    assert "axis: good" in loud.stderr
     assert quiet.stderr == "" and "1 of 1 logs done" in quiet.stdout
     assert "absent.toml" in refused("-q", "check", tmp_path / "absent.toml")
 

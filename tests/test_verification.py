@@ -71,11 +71,15 @@ def test_random_calls_find_nothing(name: str, require_tool: Tool, tmp_path: Path
 @pytest.mark.parametrize(
     ("ending", "before", "after", "said"),
     [
-        (".c", "slot < SLOTS ? slot : slot - SLOTS", "slot", "a slot that is none|runtime error|AddressSanitizer"),
         (".c", "fill(self->chain.lowpass, 0.0f, SGMS_FILTER_STATES);", "", "what was before is still there|no number"),
         (".c", "self->interval.lost = 0;\n    self->est", "self->est", "good data are not taken|still there"),
         ("_compensation.h", "force = sgms_fmin(sgms_fmax(force, -LIMIT), LIMIT);", "", "a force beyond its limit"),
-        ("_compensation.h", "1 + (int)wanted", "1 + (int)(wanted * 1e30f)", "outside the range of representable"),
+        (
+            "_compensation.h",
+            "1 + sgms_index(wanted, AHEAD_MOST)",
+            "1 + (int)(wanted * 1e30f)",
+            "outside the range of representable",
+        ),
     ],
 )  # fmt: skip
 def test_random_calls_find_what_is_wrong(

@@ -236,10 +236,14 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 @contextmanager
-def steps_bar() -> Iterator[Callable[[str, float], None]]:
-    """A bar with time left, where stderr is a terminal; yields what reports (step, share of the work before it)."""
+def steps_bar(elsewhere: Callable[[str], None] | None = None) -> Iterator[Callable[[str, float], None]]:
+    """A bar with time left, where stderr is a terminal; yields what reports (step, share of the work before it).
+
+    Args:
+        elsewhere: called with each step where nobody watches.
+    """
     if not _is_watched():
-        yield lambda step, share: None
+        yield lambda step, share: None if elsewhere is None else elsewhere(step)
         return
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 

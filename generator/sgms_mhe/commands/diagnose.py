@@ -21,6 +21,7 @@ from sgms_mhe.commands.common import (
     machine_argument,
     note,
     note_broken_effects,
+    note_step,
     out_option,
     part_options,
     recorded_log,
@@ -111,7 +112,7 @@ def command(
     write_diagnosis(found, folder)
     gain, refused = None, None
     if another is not None and found.extended is not None:
-        note("estimators of the machine and of the extended machine on the unseen log")
+        note_step("estimators of the machine and of the extended machine on the unseen log")
         try:
             gain = closed_loop_gain(resolved, found.extended, another)
         except InputError as error:  # said after the verdict, which does not hang on this log

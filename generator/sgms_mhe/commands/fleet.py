@@ -13,6 +13,7 @@ from sgms_mhe.commands.common import (
     example,
     json_option,
     json_text,
+    note,
     note_broken_effects,
     out_option,
     show,
@@ -74,7 +75,7 @@ def command(
     from sgms_mhe.support.processes import WorkerSlot
 
     place = WorkerSlot(jobs or workers(), scheduler, time_limit)
-    with steps_bar() as progress:
+    with steps_bar(note) as progress:  # the result of each row is no progress
         fleet = run_fleet(verb, rows, folder, place, progress, table)
     page = write_fleet(fleet, folder)
     if as_json:
