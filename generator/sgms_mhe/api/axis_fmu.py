@@ -13,7 +13,7 @@ from typing import Final, Literal
 from sgms_mhe import __version__
 from sgms_mhe.emission.axis_forms import AxisNumber, WrittenAxis, axis_numbers
 from sgms_mhe.emission.bindings import BINDINGS, Variable, fmu
-from sgms_mhe.emission.rendering import render_c, render_text
+from sgms_mhe.emission.rendering import dot_unit, render_c, render_text
 from sgms_mhe.machine import Machine, Smoothing
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.plant.axis_config import MAX_SUBSTEPS, SUBSTEP_S, AxisConfig
@@ -157,9 +157,9 @@ def _variables(machine: Machine) -> tuple[tuple[Variable, ...], tuple[_Tunable, 
         (f"{units.push}_measured", units.force, f"{units.push} as the drive logs it"),
     )
     text = f"{units.push} of the drive, held through a step"
-    rows = [Variable(1, units.push, "Real", "input", _dotted(units.force), text, f"self->{units.push}", "0.0")]
+    rows = [Variable(1, units.push, "Real", "input", dot_unit(units.force), text, f"self->{units.push}", "0.0")]
     rows += [
-        Variable(k, name, "Real", "output", _dotted(unit), text, f"now->{name}")
+        Variable(k, name, "Real", "output", dot_unit(unit), text, f"now->{name}")
         for k, (name, unit, text) in enumerate(signals, 2)
     ]
     text = "position at the start, before the first step"
@@ -194,10 +194,6 @@ def _variables(machine: Machine) -> tuple[tuple[Variable, ...], tuple[_Tunable, 
         rows.append(variable)
         tunable.append(_Tunable(variable, places, *_edges(limits)))
     return tuple(rows), tuple(tunable)
-
-
-def _dotted(unit: str) -> str:
-    return unit.replace("^", "").replace(" ", ".")
 
 
 def _edges(limits: Limits) -> tuple[float, float]:

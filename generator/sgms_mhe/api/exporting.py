@@ -54,7 +54,7 @@ class ExportedAxis:
         return self.content.decode()
 
 
-def form_named(name: str) -> Form:
+def find_form(name: str) -> Form:
     """Return a form by its name.
 
     Raises:
@@ -89,7 +89,7 @@ def export(
         InputError: the machine file, the form, the file's name, or the log.
         BuildError: an FMU, or a log, where the C compiler refused.
     """
-    axis, form = load(machine), form_named(to)
+    axis, form = load(machine), find_form(to)
     path = None if out is None else Path(out)
     is_file = path is not None and (path.is_file() or not path.exists())  # no pipe, no /dev/stdout
     if path is not None and is_file and path.suffix.lower() not in form.suffixes:

@@ -51,7 +51,7 @@ def command(machine: str, form: str, out: Path, log: Path | None, as_json: bool)
     from sgms_mhe.configuration import load_machine
 
     resolved = load_machine(machine)
-    check_output_file(out, exporting.form_named(form).suffixes)
+    check_output_file(out, exporting.find_form(form).suffixes)
     with progress_bar(f"export {resolved.name}"):
         exported = exporting.export(resolved, form, out, log=log, note=note)
     if exported.missing is not None:

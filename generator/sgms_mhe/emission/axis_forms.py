@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from sgms_mhe import __version__
 from sgms_mhe.emission.axis_equations import MODELICA, SIMSCAPE, Language, axis_model, print_equations
-from sgms_mhe.emission.rendering import render_text
+from sgms_mhe.emission.rendering import dot_unit, render_text
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import SIGNAL_NAMES
 from sgms_mhe.model.effects import effect_definition, reported_name
@@ -49,7 +49,7 @@ class AxisNumber:
     @property
     def dotted_unit(self) -> str:
         """The unit as FMI and Modelica write it: `N.s/m`."""
-        return self.unit.replace("^", "").replace(" ", ".")
+        return dot_unit(self.unit)
 
 
 _TEXTS: Final[Mapping[str, str]] = MappingProxyType(

@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Final, Literal
 
 from sgms_mhe.emission.context import PackageView
+from sgms_mhe.emission.rendering import dot_unit
 from sgms_mhe.support.errors import BuildError, InputError
 from sgms_mhe.support.names import did_you_mean
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS, shared_library
@@ -144,11 +145,11 @@ _Row = (
 def _inputs(view: PackageView) -> Iterator[_Row]:
     units = view.units
     position, push = "position of the axis, one sample a step", f"drive {units.push}, what was fed forward included"
-    yield "position", "Real", "input", _unit(units.position), position, "self->position", "0.0"
-    yield units.push, "Real", "input", _unit(units.force), push, f"self->{units.push}", "0.0"
+    yield "position", "Real", "input", dot_unit(units.position), position, "self->position", "0.0"
+    yield units.push, "Real", "input", dot_unit(units.force), push, f"self->{units.push}", "0.0"
     for name, unit in (("velocity", units.velocity), ("acceleration", units.acceleration)):
         text = f"{name} of the set-point while the answer to this sample acts; read where ahead is true"
-        yield f"ahead_{name}", "Real", "input", _unit(unit), text, f"self->ahead_{name}", "0.0"
+        yield f"ahead_{name}", "Real", "input", dot_unit(unit), text, f"self->ahead_{name}", "0.0"
     yield "ahead", "Boolean", "input", "", "whether the set-point is given", "self->ahead", "false"
     enabled = "true" if view.compensation.enabled else "false"
     on = f"whether the {units.push} to feed forward is on, along its ramp"
@@ -156,11 +157,11 @@ def _inputs(view: PackageView) -> Iterator[_Row]:
     if not view.signals.mass_in_model:
         mass, what = view.signals.mass, f"{units.inert} that moves, payload included"
         code = f"self->{units.inert}"
-        yield units.inert, "Real", "parameter", _unit(units.mass), what, code, repr(mass), mass / 20.0, 20.0 * mass
+        yield units.inert, "Real", "parameter", dot_unit(units.mass), what, code, repr(mass), mass / 20.0, 20.0 * mass
 
 
 def _outputs(view: PackageView) -> Iterator[_Row]:
-    force = _unit(view.units.force)
+    force = dot_unit(view.units.force)
     yield "feed_forward", "Real", "output", force, f"{view.units.push} to feed forward", "self->feed_forward"
     for name, unit, text in (
         ("friction", force, "friction at the last update"),
@@ -177,18 +178,13 @@ def _outputs(view: PackageView) -> Iterator[_Row]:
 
 
 def _estimated_variables(view: PackageView) -> Iterator[_Row]:
-    unit = _unit(view.units.position)
+    unit = dot_unit(view.units.position)
     for i in range(view.sizes.elements):
         code = f"(double)now->deflection[{i}]"
         yield f"deflection[{i + 1}]", "Real", "output", unit, f"deflection of element {i + 1}", code
     for field, text in (("parameter", "estimated"), ("deviation", "one standard deviation")):
         for p, name in enumerate(view.model.parameter_columns):
             yield f"{field}.{name}", "Real", "output", "", f"{name}, {text}, SI units", f"(double)now->{field}[{p}]"
-
-
-def _unit(text: str) -> str:
-    """`kg m^2` -> `kg.m2`."""
-    return text.replace("^", "").replace(" ", ".")
 
 
 SUFFIX: Final = ".fmu/"

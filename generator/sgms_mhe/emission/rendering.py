@@ -103,6 +103,11 @@ def render_c(template: str, context: Mapping[str, object]) -> str:
     return wrap_columns(render_text(template, context))
 
 
+def dot_unit(unit: str) -> str:
+    """A unit as FMI and Modelica write it: `kg m^2` -> `kg.m2`."""
+    return unit.replace("^", "").replace(" ", ".")
+
+
 def stamp_digest(view: PackageView) -> PackageView:
     """The view with the digest of what the public header declares."""
     header = _render(view, "machine.h", "double")
@@ -145,7 +150,7 @@ def _environment(precision: Precision) -> jinja2.Environment:
         each=_each,
         braced=_brace,
         zip=zip,
-        dotted=lambda unit: unit.replace("^", "").replace(" ", "."),
+        dotted=dot_unit,
         product=lambda unit: unit.replace(" ", "*"),
     )
     return environment

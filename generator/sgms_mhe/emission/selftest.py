@@ -36,7 +36,7 @@ _SUBSTEPS = 100
 
 @dataclass(frozen=True)
 class ReferenceRun:
-    """What the reference solver estimates along the motion, or its beginning; rounded, so that every machine prints it.
+    """Estimates of the reference solver along the motion, or its beginning; rounded, so that every machine prints them.
 
     Attributes:
         friction: at each update [N]. deflections: of the elements [m].
