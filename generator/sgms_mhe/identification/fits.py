@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from sgms_mhe.identification.elements import NO_RISE, Law, Stribeck, least_distance, run_elements
 from sgms_mhe.identification.records import ElementMotion
 from sgms_mhe.identification.terms import Term
+from sgms_mhe.model.effects.base import LARGEST_RISE
 from sgms_mhe.recordings.evidence import UNSEEN_ERROR, cross_loss, noise_floor, robust_covariance
 from sgms_mhe.recordings.least_squares import Box, Quadratic, minimise, solve_nonnegative
 from sgms_mhe.recordings.recording import Recording
@@ -33,7 +34,6 @@ ENOUGH: Final = 1e-5
 ITERATIONS: Final = 30
 TRIES: Final = 6
 """Dampings that are tried for a step: where elements turn round all the time the sum of squares is rough."""
-MOST_RISE: Final = 20.0
 WIDER: Final = 4.0
 """Beyond the grid's largest distance, as a factor, distances are not followed."""
 FINER: Final = 100.0
@@ -202,7 +202,7 @@ class _AxisProblem:
             slow, fast = _speeds(view)
             ratio, speed = shape.rise.ratio, shape.rise.velocity
             lower = np.append(lower, (-ratio, math.log(slow / speed)))
-            upper = np.append(upper, (MOST_RISE - ratio, math.log(fast / speed)))
+            upper = np.append(upper, (LARGEST_RISE - ratio, math.log(fast / speed)))
             longest = np.append(longest, (LONGEST * (1.0 + ratio), LONGEST))
         return np.minimum(0.0, np.maximum(lower, -longest)), np.maximum(0.0, np.minimum(upper, longest))
 
@@ -269,7 +269,7 @@ def _within(shape: Shape, view: RecordView) -> Shape:
     rise = shape.rise
     if rise is not None:
         slow, fast = _speeds(view)
-        rise = Stribeck(min(max(rise.ratio, 0.0), MOST_RISE), min(max(rise.velocity, slow), fast))
+        rise = Stribeck(min(max(rise.ratio, 0.0), LARGEST_RISE), min(max(rise.velocity, slow), fast))
     return Shape(shape.law, np.sort(np.clip(shape.distances, *_distances(shape.law, rise, view))), rise)
 
 

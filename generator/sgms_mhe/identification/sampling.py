@@ -125,12 +125,12 @@ def replace_filter(machine: Machine, logs: Sequence[Log]) -> tuple[Machine, tupl
     What an encoder adds to an acceleration makes the mass that is found too small.
 
     Args:
-        machine: with the low-pass that was asked for, and a mass that may be wrong by such a bias.
+        machine: with the low-pass that was asked for, and the mass behind it.
         logs: whose motion shows a mass.
     """
     cutoff = machine.sampling.velocity_cutoff
     slower = _choose_filter(machine, logs, cutoff)
-    biased, mass = rough_mass(machine, logs), rough_mass(slower, logs)
+    biased, mass = machine.plant.moved, rough_mass(slower, logs)
     if mass - biased <= BIASED * mass:
         return machine, ()
     sentence = (

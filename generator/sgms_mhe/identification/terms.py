@@ -86,12 +86,10 @@ def fits_noise(terms: Sequence[Term], coefficients: Array) -> bool:
         terms: fitted.
         coefficients: of all their columns (c).
     """
-    first = 0
-    for term in terms:
-        if term.name == SNAP:
-            return abs(float(coefficients[first])) > SAMPLING_AT_MOST * term.deviation
-        first += term.columns.shape[1]
-    return False
+    return any(
+        term.name == SNAP and abs(float(sizes[0])) > SAMPLING_AT_MOST * term.deviation
+        for term, sizes in _by_term(terms, coefficients)
+    )
 
 
 def companion_terms(rows: Recording) -> tuple[Term, ...]:
@@ -141,13 +139,20 @@ def transmitted_force(rows: Recording, terms: Sequence[Term], coefficients: Arra
         terms: fitted.
         coefficients: of all their columns (c).
     """
-    total, first = rows.machine.plant.moved * rows.acceleration, 0
+    total = rows.machine.plant.moved * rows.acceleration
+    for term, sizes in _by_term(terms, coefficients):
+        if term.name == "mass" or (term.name not in LAW_AND_SAMPLING and effect_definition(term.name).loads):
+            total = total + term.columns @ sizes
+    return total
+
+
+def _by_term(terms: Sequence[Term], coefficients: Array) -> Iterator[tuple[Term, Array]]:
+    """Terms, each with the coefficients of its columns out of those of all (c)."""
+    first = 0
     for term in terms:
         width = term.columns.shape[1]
-        if term.name == "mass" or (term.name not in LAW_AND_SAMPLING and effect_definition(term.name).loads):
-            total = total + term.columns @ coefficients[first : first + width]
+        yield term, coefficients[first : first + width]
         first += width
-    return total
 
 
 def _companions(rows: Recording) -> Iterator[tuple[EffectDefinition, Columns]]:
