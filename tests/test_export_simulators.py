@@ -85,7 +85,7 @@ def test_armature_alone_leaves_mujoco_no_friction_below_the_level() -> None:
 
 
 def test_mujoco_slides_as_the_model_and_creeps_where_it_sticks(tmp_path: Path) -> None:
-    """What the file says of it: the sliding speed is right, and a force below the level moves the axis slowly."""
+    """Motion as the file says: the sliding speed is right, and a force below the level moves the axis slowly."""
     model, machine = loaded("mujoco", "etel_xy", tmp_path), load_machine("etel_xy")
     data = mujoco.MjData(model)
     data.ctrl[0] = 10.0

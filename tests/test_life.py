@@ -577,7 +577,7 @@ def covariance_of(saved: Any, n_p: int) -> Array:
 
 @pytest.mark.parametrize(("kind", "precision"), [("all", "double"), ("auto", "single"), ("ekf", "double")])
 def test_spread_is_stated_saved_loaded_and_kept_by_what_is_set(kind: str, precision: str, package: Any) -> None:
-    """What the model's errors add to the variances stays in them whenever the window starts anew."""
+    """The factor of the model's errors on the variances stays in them whenever the window starts anew."""
     p: Package = package(kind, precision)
     memory, n_p, prior = p.new(), p.model.n_p, Weights.of(p.model).parameter
     nominal, rtol = np.array([q.nominal for q in p.model.parameters]), {"double": 1e-9, "single": 1e-3}[precision]

@@ -48,7 +48,7 @@ ALARMS: Final[Mapping[Alarm, str]] = {
         "is_nan_or_infinite: \\is_finite(x)", "sgms_index"
     ): "x is above zero and below a whole number there: a number it is",
 }
-"""What is left, each with the reason why it cannot happen."""
+"""Alarms that are left, each with the reason why it cannot happen."""
 
 
 def check_proof(

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 ROUGH: Final = 2.0
 """Distance of a file's numbers from those of the record from which on the file is rough, see `distance` [1]: a factor
-of e in one of them. A single number that is wrong by less is a cause."""
+of e in two of them, or of e^2 in one. A single number that is wrong by less is a cause."""
 SIGMAS: Final = 3.0
 """Difference from the record's number by which a file's is refuted [standard deviations]."""
 STEP: Final = 1e-6
