@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from c_packages import machine, written
@@ -86,7 +87,22 @@ def outputs_of(expected: Estimates) -> dict[str, NDArray[Any]]:
         "noise_scale": expected.noise_scale,
         "status": expected.status,
         "doubt": (expected.status > 0) & (expected.status & FLAGS["doubt"] != 0),
+        "update": np.arange(1, len(expected.status) + 1),
+        "age": np.zeros(len(expected.status)),
+        "numeric": np.zeros(len(expected.status)),
     }
+
+
+COUNTS = ("update", "age", "numeric")
+"""Outputs that are whole numbers beside the status."""
+
+
+def ages(package: Bound, samples: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return updates so far and samples since the last one, behind each of so many samples in one task."""
+    behind = np.arange(samples)
+    per_update = package.machine.sampling.samples_per_update
+    updates = behind // per_update
+    return updates, np.where(updates > 0, behind % per_update, behind + 1)
 
 
 def module_of(folder: Path) -> ModuleType:

@@ -23,7 +23,7 @@ from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 from numpy.typing import NDArray
 
-from binding_cases import HELD_MASS, KINDS, Bound, machine_of, outputs_of, ticking
+from binding_cases import COUNTS, HELD_MASS, KINDS, Bound, ages, machine_of, outputs_of, ticking
 from c_packages import STRICT, run, symbols
 from cli_cases import SMALL
 from sgms_mhe.emission.package import emit_package
@@ -243,16 +243,16 @@ def test_it_gives_what_the_c_gives(kind: str, version: int, slave: Any) -> None:
     log, expected = axis.package.log, axis.package.run(axis.package.log)
     names = [v.name for v in axis.description.modelVariables if v.causality == "output" and v.type in REAL]
     samples = axis.package.machine.sampling.samples_per_update
-    parts, said = [], []
+    parts, said, whole = [], [], ("status", "doubt", *COUNTS)
     for first, last in itertools.pairwise([0, *range(1, len(log.position_m) + 1, samples)]):
         parts.append(axis.run(log.position_m[first:last], log.force_N[first:last], names, first))
-        said.append((axis["status"], axis["doubt"]))
+        said.append([axis[name] for name in whole])
     rows = np.concatenate(parts)
     updates = rows[samples * np.arange(1, len(expected.status) + 1)]
-    assert [status for status, _ in said[1:]] == expected.status.tolist()
     outputs = outputs_of(expected)
-    assert [doubt for _, doubt in said[1:]] == outputs["doubt"].tolist()
-    for name in (name for name in outputs if name not in ("status", "doubt")):
+    for k, name in enumerate(whole):
+        assert [row[k] for row in said[1:]] == outputs[name].tolist(), name
+    for name in (name for name in outputs if name not in whole):
         columns = [k for k, each in enumerate(names) if re.fullmatch(rf"(\w+\.)?{name}([\[.].*)?", each)]
         np.testing.assert_array_equal(np.squeeze(updates[:, columns]), np.squeeze(outputs[name]), err_msg=name)
     np.testing.assert_array_equal(rows[:, names.index("feed_forward")], expected.extra["compensation_N"][: len(rows)])
@@ -277,6 +277,7 @@ def test_set_points_mass_and_compensation_reach_the_c(version: int, slave: Any) 
     fed = axis.run(position[1500:3000], push[1500:3000], ["feed_forward", "friction"], 1500)
     wanted = [plain.tick(q, u) for q, u in zip(position[1500:3000], push[1500:3000], strict=True)]
     np.testing.assert_array_equal(fed[:, 0], wanted)
+    assert (axis["update"], axis["age"]) == tuple(count[-1] for count in ages(axis.package, 3000))
     assert axis["mass"] == 23.5 and not axis["compensate"] and axis["position"] == position[2999]
 
 

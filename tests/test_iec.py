@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from blark.parse import parse_source_code
 
-from binding_cases import HELD_MASS, KINDS, Bound, outputs_of, ticking
+from binding_cases import HELD_MASS, KINDS, Bound, ages, outputs_of, ticking
 from c_packages import STRICT, run, symbols
 from sgms_mhe.emission.bindings import binding_files
 from sgms_mhe.support.errors import InputError
@@ -117,7 +117,7 @@ class FunctionBlock:
     def __init__(self, text: Text, library: ctypes.CDLL, saved: Any = None) -> None:
         self.retained = saved
         self._code = compile(python_of(text.body), text.name, "exec")
-        self._names: dict[str, Any] = {"BOOL_TO_DINT": int}
+        self._names: dict[str, Any] = {"BOOL_TO_DINT": int, "LREAL_TO_UDINT": int, "LREAL_TO_DINT": int}
         for name, declared in text.functions.items():
             self._names[name] = self._bound(getattr(library, name), declared)
         for rows in text.variables.values():
@@ -263,14 +263,16 @@ def test_it_gives_what_the_c_gives(kind: str, runtime: Any) -> None:
     plc = runtime(kind)
     log, expected = plc.package.log, plc.package.run(plc.package.log)
     block, push = plc.block(), plc.package.machine.plant.units.push
-    samples, fed, rows = plc.package.machine.sampling.samples_per_update, [], []
+    samples, fed, rows, counted = plc.package.machine.sampling.samples_per_update, [], [], []
     for k, (q, u) in enumerate(zip(log.position_m.tolist(), log.force_N.tolist(), strict=True)):
         fed.append(block(position=q, **{push: u}))
+        counted.append((block["update"], block["age"]))
         if k and k % samples == 0:
             rows.append({name: np.copy(block[name]) for name in block.outputs})
     np.testing.assert_array_equal(fed, expected.extra["compensation_N"])
     for name, wanted in outputs_of(expected).items():
         np.testing.assert_array_equal([row[name] for row in rows], wanted, err_msg=name)
+    np.testing.assert_array_equal(np.transpose(counted), ages(plc.package, len(fed)))
     assert np.ptp(expected.parameters[:, 0]) > 0.0 and block["fault"] == 0 and not block["loaded"]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from binding_cases import HELD_MASS, KINDS, Bound, outputs_of, ticking
+from binding_cases import HELD_MASS, KINDS, Bound, ages, outputs_of, ticking
 from c_packages import PROBES, STRICT, run
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS
 
@@ -124,6 +124,9 @@ def test_it_gives_what_the_c_gives(kind: str, sheet: Any) -> None:
     for port, column in enumerate(outputs_of(expected).values(), 1):
         found = np.array([row[port] for row in updates])
         np.testing.assert_array_equal(found, np.reshape(column, found.shape), err_msg=f"output {port + 1}")
+    update, age = (list(outputs_of(expected)).index(name) + 1 for name in ("update", "age"))
+    counted = np.array([(row[update][0], row[age][0]) for row in rows])
+    np.testing.assert_array_equal(counted.T, ages(page.package, len(rows)))
     assert np.ptp(expected.parameters[:, 0]) > 0.0
     block.end()
 

@@ -284,6 +284,16 @@ static void start_window(etel_xy_t *self, const sgms_real *x, const sgms_real *r
     start_interval(self);
 }
 
+/* Put a status into the estimate, between two versions of it. */
+static void state_status(etel_xy_t *self, int status)
+{
+    self->calls.version++;
+    SGMS_FENCE();
+    self->estimate.status = status;
+    SGMS_FENCE();
+    self->calls.version++;
+}
+
 static void start_signals(etel_xy_t *self)
 {
     self->chain.position[0] = 0;
@@ -295,7 +305,7 @@ static void start_signals(etel_xy_t *self)
     }
     fill(self->input.signal, 0.0, SIGNALS);
     self->interval.lost = 0;
-    self->estimate.status = ETEL_XY_FILLING;
+    state_status(self, ETEL_XY_FILLING);
     start_compensation(self);
 }
 
@@ -1166,7 +1176,7 @@ etel_xy_real etel_xy_tick(etel_xy_t *self, etel_xy_position position, etel_xy_re
     if (etel_xy_due(self)) {
         if (etel_xy_feedback(self) == ETEL_XY_OVERLAP) {
             /* estimate() says so, and the force ramps to zero */
-            self->estimate.status = ETEL_XY_OVERLAP;
+            state_status(self, ETEL_XY_OVERLAP);
         }
         return fed_forward(self);
     }

@@ -288,6 +288,16 @@ static void start_window(etel_xy_controller_t *self, const sgms_real *x, const s
     start_interval(self);
 }
 
+/* Put a status into the estimate, between two versions of it. */
+static void state_status(etel_xy_controller_t *self, int status)
+{
+    self->calls.version++;
+    SGMS_FENCE();
+    self->estimate.status = status;
+    SGMS_FENCE();
+    self->calls.version++;
+}
+
 static void start_signals(etel_xy_controller_t *self)
 {
     self->chain.position[0] = 0;
@@ -299,7 +309,7 @@ static void start_signals(etel_xy_controller_t *self)
     }
     fill(self->input.signal, 0.0f, SIGNALS);
     self->interval.lost = 0;
-    self->estimate.status = ETEL_XY_CONTROLLER_FILLING;
+    state_status(self, ETEL_XY_CONTROLLER_FILLING);
     start_compensation(self);
 }
 
@@ -1192,7 +1202,7 @@ etel_xy_controller_real etel_xy_controller_tick(
     if (etel_xy_controller_due(self)) {
         if (etel_xy_controller_feedback(self) == ETEL_XY_CONTROLLER_OVERLAP) {
             /* estimate() says so, and the force ramps to zero */
-            self->estimate.status = ETEL_XY_CONTROLLER_OVERLAP;
+            state_status(self, ETEL_XY_CONTROLLER_OVERLAP);
         }
         return fed_forward(self);
     }

@@ -287,6 +287,16 @@ static void start_window(etel_xy_switching_t *self, const sgms_real *x, const sg
     start_interval(self);
 }
 
+/* Put a status into the estimate, between two versions of it. */
+static void state_status(etel_xy_switching_t *self, int status)
+{
+    self->calls.version++;
+    SGMS_FENCE();
+    self->estimate.status = status;
+    SGMS_FENCE();
+    self->calls.version++;
+}
+
 static void start_signals(etel_xy_switching_t *self)
 {
     self->chain.position[0] = 0;
@@ -298,7 +308,7 @@ static void start_signals(etel_xy_switching_t *self)
     }
     fill(self->input.signal, 0.0, SIGNALS);
     self->interval.lost = 0;
-    self->estimate.status = ETEL_XY_SWITCHING_FILLING;
+    state_status(self, ETEL_XY_SWITCHING_FILLING);
     start_compensation(self);
 }
 
@@ -1176,7 +1186,7 @@ etel_xy_switching_real etel_xy_switching_tick(
     if (etel_xy_switching_due(self)) {
         if (etel_xy_switching_feedback(self) == ETEL_XY_SWITCHING_OVERLAP) {
             /* estimate() says so, and the force ramps to zero */
-            self->estimate.status = ETEL_XY_SWITCHING_OVERLAP;
+            state_status(self, ETEL_XY_SWITCHING_OVERLAP);
         }
         return fed_forward(self);
     }

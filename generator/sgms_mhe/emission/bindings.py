@@ -175,6 +175,12 @@ def _outputs(view: PackageView) -> Iterator[_Row]:
     yield "status", "Integer", "output", "", stated, "now->status"
     doubt = f"now->status > 0 && (now->status & {view.package.NAME}_DOUBT) != 0"
     yield "doubt", "Boolean", "output", "", "measurements contradict the model beyond their stated noise", doubt
+    updates = "number of updates so far, modulo 2^31"
+    yield "update", "Integer", "output", "", updates, "(int32_t)(now->update & INT32_MAX)"
+    age = "samples since the last update, 2^31 - 1 at most; the status says STALE beyond two intervals"
+    yield "age", "Integer", "output", "", age, "now->age < INT32_MAX ? (int32_t)now->age : INT32_MAX"
+    cause = "cause of the last NUMERIC, a sum: 1 state, 2 parameters, 4 variances, 8 friction"
+    yield "numeric", "Integer", "output", "", cause, "now->numeric"
 
 
 def _estimated_variables(view: PackageView) -> Iterator[_Row]:

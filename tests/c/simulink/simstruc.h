@@ -10,13 +10,14 @@ typedef int int_T;
 typedef double real_T;
 typedef double time_T;
 typedef int32_t int32_T;
+typedef uint32_t uint32_T;
 typedef uint32_t uint_T;
 typedef unsigned char boolean_T;
 typedef int DTypeId;
 typedef struct SimStruct SimStruct;
 typedef struct mxArray mxArray;
 
-enum { SS_DOUBLE = 0, SS_INT32 = 6, SS_BOOLEAN = 8 };
+enum { SS_DOUBLE = 0, SS_INT32 = 6, SS_UINT32 = 7, SS_BOOLEAN = 8 };
 enum { USE_DEFAULT_OPERATING_POINT = 1 };
 #define SS_OPTION_EXCEPTION_FREE_CODE 0x00000001U
 #define UNUSED_ARG(argument) (void)(argument)

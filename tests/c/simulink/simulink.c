@@ -17,6 +17,7 @@ typedef struct {
     union {
         real_T real[STUB_WIDEST];
         int32_T integer[STUB_WIDEST];
+        uint32_T word[STUB_WIDEST];
         boolean_T flag[STUB_WIDEST];
     } signal;
 } stub_port;
@@ -305,9 +306,10 @@ void stub_step(SimStruct *S, const double *inputs, double *outputs)
     for (int i = 0; i < S->outputs; i++) {
         const stub_port *port = &S->output[i];
         for (int k = 0; k < port->width; k++) {
-            *outputs++ = port->type == SS_DOUBLE  ? port->signal.real[k]
-                         : port->type == SS_INT32 ? (double)port->signal.integer[k]
-                                                  : (double)port->signal.flag[k];
+            *outputs++ = port->type == SS_DOUBLE   ? port->signal.real[k]
+                         : port->type == SS_INT32  ? (double)port->signal.integer[k]
+                         : port->type == SS_UINT32 ? (double)port->signal.word[k]
+                                                   : (double)port->signal.flag[k];
         }
     }
 }

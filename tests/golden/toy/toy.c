@@ -251,6 +251,16 @@ static void start_window(toy_t *self, const sgms_real *x, const sgms_real *root)
     start_interval(self);
 }
 
+/* Put a status into the estimate, between two versions of it. */
+static void state_status(toy_t *self, int status)
+{
+    self->calls.version++;
+    SGMS_FENCE();
+    self->estimate.status = status;
+    SGMS_FENCE();
+    self->calls.version++;
+}
+
 static void start_signals(toy_t *self)
 {
     self->chain.position[0] = 0;
@@ -262,7 +272,7 @@ static void start_signals(toy_t *self)
     }
     fill(self->input.signal, 0.0, SIGNALS);
     self->interval.lost = 0;
-    self->estimate.status = TOY_FILLING;
+    state_status(self, TOY_FILLING);
     start_compensation(self);
 }
 
@@ -922,8 +932,7 @@ toy_real toy_tick(toy_t *self, toy_position position, toy_real force)
     take_reading(self, position, force);
     if (toy_due(self)) {
         if (toy_feedback(self) == TOY_OVERLAP) {
-            /* estimate() says so, and the force ramps to zero */
-            self->estimate.status = TOY_OVERLAP;
+            state_status(self, TOY_OVERLAP); /* estimate() says so, and the force ramps to zero */
         }
         return fed_forward(self);
     }
