@@ -24,8 +24,8 @@ C_WARNINGS := -std=c99 -pedantic -Wall -Wextra -Wconversion -Wdouble-promotion -
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := all
 .PHONY: all help venv generate check-generated compile experiment figures docs notebooks picture test test-slow check lint lint-ruff lint-format \
-        lint-types lint-c format studies faults lasting benchmark benchmark-diagnosis benchmark-logs target verify release-check wheel lock clean \
-        distclean
+        lint-types lint-c format studies faults lasting benchmark benchmark-diagnosis benchmark-logs benchmark-measured \
+        target verify release-check wheel lock clean distclean
 
 # Said before anything is done, of a call that names no target.
 ifeq ($(filter-out all,$(MAKECMDGOALS)),)
@@ -131,6 +131,9 @@ benchmark-diagnosis: $(STAMP) ## plant every effect in simulated logs; how many 
 
 benchmark-logs: $(STAMP) ## drawn logs in every format with every fault: read right, refused rightly, or wrong; minutes
 	$(BIN)/python -m sgms_bench.logs $(if $(DRAWS),--draws $(DRAWS))
+
+benchmark-measured: $(STAMP) ## measured records in DATA, by the table TABLE (DATA/measured.toml): ours beside published numbers; minutes each
+	$(BIN)/python -m sgms_bench.measured $(DATA) $(if $(TABLE),--table $(TABLE)) $(if $(ONLY),--only "$(ONLY)") $(if $(HALVES),--halves)
 
 # --- documents -------------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,1 @@
+"""Records of real axes: ours beside the numbers that were published of them."""

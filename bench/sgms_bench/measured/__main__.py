@@ -1,0 +1,46 @@
+"""Measured records of a table: ours beside the published numbers and plain friction.
+
+`python -m sgms_bench.measured FOLDER --table FILE`
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from sgms_bench.measured.running import MeasuredTally, run_table
+from sgms_bench.measured.table import MeasuredTable, read_table
+from sgms_mhe.support.errors import InputError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the records and print the table; 2 where it cannot be read."""
+    parser = argparse.ArgumentParser(prog="python -m sgms_bench.measured", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("data", type=Path, help="folder that the records are in")
+    parser.add_argument("--table", type=Path, help="TOML file of records; default: measured.toml in the folder")
+    parser.add_argument("--only", help="records whose name holds this")
+    parser.add_argument("--halves", action="store_true", help="diagnose the compared stretch too, and compare numbers")
+    chosen = parser.parse_args(arguments)
+    tally = MeasuredTally()
+
+    def tell(sentence: str) -> None:
+        sys.stderr.write(f"{sentence}\n")
+        sys.stderr.flush()
+
+    try:
+        table = read_table(chosen.data, chosen.table)
+        records = tuple(record for record in table.records if chosen.only is None or chosen.only in record.name)
+        for outcome in run_table(MeasuredTable(records, table.folder), halves=chosen.halves):
+            tally.add(outcome, tell)
+    except InputError as error:
+        tell(f"error: {error}")
+        return 2
+    for shown in tally.tables():
+        sys.stdout.write(f"{shown}\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,148 @@
+"""Table of measured records: files, columns, protocol and published numbers, as TOML."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from sgms_mhe.api.starting import AxisNumbers
+from sgms_mhe.machine import Kind
+from sgms_mhe.support.errors import InputError
+
+Beginning = Literal["file", "start", "identify"]
+TABLE_NAME: Final = "measured.toml"
+"""File of a data folder in which the table is looked for."""
+_Positive = Annotated[float, Field(gt=0.0)]
+_Interval = tuple[Annotated[float, Field(ge=0.0)], _Positive]
+
+
+class StartNumbers(BaseModel):
+    """Numbers that `start` is told of an axis; see `AxisNumbers`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    mass: _Positive = 1.0
+    coulomb: _Positive | None = None
+    viscous: _Positive | None = None
+    break_away: _Positive | None = None
+    max_velocity: _Positive | None = None
+
+
+class MeasuredRecord(BaseModel):
+    """One entry `[[records]]`.
+
+    Attributes:
+        name: of the row.
+        log: file, beside the table.
+        table: content of a table `[log]`.
+        machine: name, or file beside the table, that a diagnosis begins from; absent: `start` and `identify` make one.
+        begin: beginnings to run; default: the machine's file, or both others.
+        start: what `start` is told.
+        fit: stretch of the log that models see [s since its start]; default: the first half.
+        predict: stretch that they are compared on; default: the second half, of another log all of it.
+        other: log to compare on instead.
+        lowpass: low-pass of the comparison [Hz]; default: the machine's.
+        decimate: samples per compared one [1].
+        published: errors of others by name: RMS in the force's unit, or in percent of the force.
+        published_in: which of the two.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    log: str
+    table: dict[str, Any] = Field(default_factory=dict)
+    machine: str | None = None
+    begin: tuple[Beginning, ...] = ()
+    start: StartNumbers = StartNumbers()
+    fit: _Interval | None = None
+    predict: _Interval | None = None
+    other: str | None = None
+    lowpass: _Positive | None = None
+    decimate: Annotated[int, Field(ge=1, le=100)] = 1
+    published: dict[str, float] = Field(default_factory=dict)
+    published_in: Literal["rms", "percent"] = "rms"
+
+    @property
+    def beginnings(self) -> tuple[Beginning, ...]:
+        """Beginnings of a diagnosis that are run."""
+        return self.begin or (("start", "identify") if self.machine is None else ("file",))
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    records: Annotated[tuple[MeasuredRecord, ...], Field(min_length=1)]
+
+
+@dataclass(frozen=True)
+class MeasuredTable:
+    """Records of a table, and the folder that its files are in."""
+
+    records: tuple[MeasuredRecord, ...]
+    folder: Path
+
+    def locate(self, name: str) -> Path:
+        """Path of a file that the table names."""
+        return self.folder / name
+
+
+def read_table(data: Path, table: Path | None = None) -> MeasuredTable:
+    """Read the table of a data folder.
+
+    Args:
+        data: folder that the table's files are in.
+        table: its file; None: `measured.toml` in the folder.
+
+    Raises:
+        InputError: no such file, no TOML, or an entry that no table may have.
+    """
+    path = table or data / TABLE_NAME
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError:
+        raise InputError(path, "table of measured records", None, "a file; TABLE=FILE names another one") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(path, "content", None, f"TOML: {error}") from None
+    try:
+        records = _Table.model_validate(content).records
+    except ValidationError as error:
+        raise _refusal(path, error) from None
+    found = MeasuredTable(records, data)
+    for record in records:
+        if "file" in record.begin and record.machine is None:
+            raise InputError(path, f"{record.name}: begin", list(record.begin), "start, identify: there is no machine")
+        for name in (record.log, record.other):
+            if name is not None and not found.locate(name).is_file():
+                raise InputError(path, f"{record.name}: log", name, f"a file in {data}")
+    return found
+
+
+def _refusal(path: Path, error: ValidationError) -> InputError:
+    first = error.errors()[0]
+    where = ".".join(str(key + 1 if isinstance(key, int) else key) for key in first["loc"])
+    value = None if first["type"] == "missing" else first["input"]
+    return InputError(path, where or "content", value, first["msg"])
+
+
+def start_numbers(record: MeasuredRecord, kind: Kind, rate: float, fastest: float) -> AxisNumbers:
+    """Return what `start` is told of the axis of a record.
+
+    Args:
+        record: with the numbers that its table states.
+        kind: of the axis.
+        rate: of the log [Hz].
+        fastest: speed in the log [m/s, rad/s].
+    """
+    stated: Mapping[str, Any] = record.start.model_dump()
+    return AxisNumbers(
+        name="measured",
+        kind=kind,
+        rate=rate,
+        **{**stated, "max_velocity": record.start.max_velocity or 2.0 * fastest},
+    )
