@@ -75,7 +75,7 @@ class _Protocol:
     predict: tuple[float, float]
 
     @property
-    def fitted(self) -> Log:
+    def training(self) -> Log:
         """Stretch that models see."""
         return self.log.part(*self.fit)
 
@@ -107,12 +107,12 @@ def _run_record(table: MeasuredTable, record: MeasuredRecord, begin: Beginning, 
     machine: Machine | None = None
     found: Diagnosis | None = None
     try:
-        machine = _begin(record, stated, protocol, begin, protocol.fitted)
-        found = diagnose(machine, protocol.fitted, note=_ignore)
+        machine = _begin(record, stated, protocol, begin, protocol.training)
+        found = diagnose(machine, protocol.training, note=_ignore)
         verdict = _describe(found)
     except InputError as error:
         verdict = f"refused: {error.where}: {error.allowed}"
-    reference = machine or stated or _make_start(record, protocol.fitted)
+    reference = machine or stated or _make_start(record, protocol.training)
     axis = machine if found is None or found.extended is None else found.extended
     ours = None if found is None or axis is None else _compare(record, predict_of(axis, protocol), protocol)
     outcome = MeasuredOutcome(
@@ -122,7 +122,7 @@ def _run_record(table: MeasuredTable, record: MeasuredRecord, begin: Beginning, 
         published_in=record.published_in,
         unit=reference.plant.units.force,
         ours=ours,
-        plain=_compare(record, predict_plain(_filtered(reference, record), protocol), protocol),
+        plain=_compare(record, predict_plain(_set_lowpass(reference, record), protocol), protocol),
         verdict=verdict,
     )
     if halves and found is not None:
@@ -158,7 +158,7 @@ def _begin(record: MeasuredRecord, stated: Machine | None, protocol: _Protocol, 
             raise ValueError("a record without a machine has no file to begin from")
         return stated
     if begin == "start":
-        return _make_start(record, protocol.fitted)
+        return _make_start(record, protocol.training)
     given = record.start.mass if "mass" in record.start.model_fields_set and not log.is_friction_alone else None
     own = (given, None) if log.kind == "linear" else (None, given)
     return identify(log, mass=own[0], inertia=own[1], note=_ignore).machine
@@ -171,7 +171,7 @@ def _make_start(record: MeasuredRecord, log: Log) -> Machine:
     return text[1]
 
 
-def _filtered(machine: Machine, record: MeasuredRecord) -> Machine:
+def _set_lowpass(machine: Machine, record: MeasuredRecord) -> Machine:
     """Return a machine with the low-pass of the comparison."""
     if record.lowpass is None:
         return machine
@@ -188,8 +188,8 @@ def predict_plain(machine: Machine, protocol: _Protocol) -> PredictedFriction:
 
     An offset stands beside them and, where a force was logged, the mass. `machine`: whose signal chain counts.
     """
-    fitted, compared = (signals_from_log(log, machine) for log in (protocol.fitted, protocol.compared))
-    b = np.linalg.lstsq(_columns(fitted)[fitted.valid], fitted.friction[fitted.valid], rcond=1e-12)[0]
+    seen, compared = (signals_from_log(log, machine) for log in (protocol.training, protocol.compared))
+    b = np.linalg.lstsq(_columns(seen)[seen.valid], seen.friction[seen.valid], rcond=1e-12)[0]
     measured = np.where(compared.valid, compared.friction, np.nan)
     source, kind = protocol.compared.source, machine.plant.kind
     return PredictedFriction(compared.time, measured, _columns(compared) @ b, compared.force, source, kind)

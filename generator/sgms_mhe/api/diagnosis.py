@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from sgms_mhe.api.inputs import LOGGER, LogSource, Note, load, recorded_log
+from sgms_mhe.api.inputs import LOGGER, LogSource, Note, list_sources, load, recorded_log
 from sgms_mhe.diagnosis import Diagnosis
 from sgms_mhe.diagnosis import diagnose as diagnose_log
 from sgms_mhe.diagnosis.criteria import Progress
 from sgms_mhe.machine import Machine
+from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import read_only
 
 
 def diagnose(
     machine: str | Path | Machine,
-    log: LogSource,
+    log: LogSource | Sequence[LogSource],
     *,
     held_out_s: Sequence[tuple[float, float]] | None = None,
     note: Note | None = None,
@@ -25,7 +26,8 @@ def diagnose(
 
     Args:
         machine: file, name, or loaded: the axis as it is believed to be.
-        log: file, Log or DataFrame: what was measured.
+        log: file, Log or DataFrame: what was measured. Of several the first is diagnosed; on the others, records of the
+            same axis, its causes and the extended machine are judged.
         held_out_s: intervals since the log's start [s] that no fit behind a reported gain sees; None: a third of the
             record, in blocks.
         note: called with each sentence on how the log was read; None: they are `LogWarning`s.
@@ -38,8 +40,12 @@ def diagnose(
         InputError: machine or log; an ImplausibleError where the log's sign, scale or unit cannot be meant.
     """
     axis = load(machine)
-    recorded = recorded_log(log, axis, note=note)
-    return read_only(diagnose_log(axis, recorded, progress=progress or _tell, held_out_s=held_out_s))
+    sources = list_sources(log)
+    if not sources:
+        raise InputError("diagnose", "log", [], "at least one")
+    first, *others = (recorded_log(source, axis, note=note) for source in sources)
+    found = diagnose_log(axis, first, others=others, progress=progress or _tell, held_out_s=held_out_s)
+    return read_only(found)
 
 
 def _tell(step: str, share: float) -> None:

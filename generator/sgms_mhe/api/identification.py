@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
-from typing import cast
 
-from sgms_mhe.api.inputs import LOGGER, LogSource, Note, Step, load, read_log
+from sgms_mhe.api.inputs import LOGGER, LogSource, Note, Step, list_sources, load, read_log
 from sgms_mhe.identification import Identification, Wanted
 from sgms_mhe.identification import identify as identify_logs
 from sgms_mhe.machine import Machine, Units
-from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.notebooks import read_only
 
@@ -45,9 +43,7 @@ def identify(
         InputError: logs that cannot tell: without motion, below break-away, of different rates, ...
     """
     model = None if like is None else load(like)
-    single = isinstance(logs, str | Path | Log | Mapping) or hasattr(logs, "columns")
-    sources = cast("Iterable[LogSource]", [logs] if single else logs)
-    read = [read_log(log, model, note=note) for log in sources]
+    read = [read_log(log, model, note=note) for log in list_sources(logs)]
     if not read:
         raise InputError("identify", "logs", [], "at least one")
     moved = _moved_mass(read[0].units, mass, inertia)

@@ -6,9 +6,9 @@ import inspect
 import logging
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, cast
 
 from sgms_mhe.configuration import load_machine, override_log
 from sgms_mhe.logfiles.frames import FRAME, Frame, read_frame
@@ -48,6 +48,12 @@ def load(machine: str | Path | Machine) -> Machine:
         InputError: whatever is wrong with the file: names it, the key, the value and what is allowed.
     """
     return machine if isinstance(machine, Machine) else load_machine(machine)
+
+
+def list_sources(logs: LogSource | Iterable[LogSource]) -> list[LogSource]:
+    """Return the sources of one log or of several."""
+    single = isinstance(logs, str | Path | Log | Mapping) or hasattr(logs, "columns")
+    return list(cast("Iterable[LogSource]", [logs] if single else logs))
 
 
 def read_log(

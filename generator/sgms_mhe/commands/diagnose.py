@@ -17,7 +17,6 @@ from sgms_mhe.commands.common import (
     example,
     json_option,
     json_text,
-    log_argument,
     machine_argument,
     note,
     note_broken_effects,
@@ -44,10 +43,10 @@ if TYPE_CHECKING:
 
 @click.command(
     short_help="Find errors of the simulation along LOG, and causes.",
-    epilog=example("diagnose etel_xy log.csv --out diagnosis", "diagnose etel_xy log.csv --unseen another.csv"),
+    epilog=example("diagnose etel_xy log.csv --out diagnosis", "diagnose etel_xy first.csv second.csv"),
 )
 @machine_argument
-@log_argument
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @log_options
 @out_option("Folder of the results; default: MACHINE's name and _diagnosis.", metavar="DIR", required=False)
 @click.option(
@@ -56,7 +55,7 @@ if TYPE_CHECKING:
     metavar="LOG",
     help="Another log, on which the estimators of the machine and of the extended machine are compared.",
 )
-@part_options("Use the log from here on [s since its start] as a log of its own, whose time starts here.")
+@part_options("Use the first log from here on [s since its start] as a log of its own, whose time starts here.")
 @click.option(
     "--held-out",
     type=(NumberType(0.0, LONGEST_RECORD), NumberType(0.0, LONGEST_RECORD)),
@@ -69,7 +68,7 @@ if TYPE_CHECKING:
 @json_option
 def command(
     machine: str,
-    log: Path,
+    logs: tuple[Path, ...],
     table: dict[str, Any],
     out: Path | None,
     unseen: Path | None,
@@ -81,6 +80,8 @@ def command(
     as_json: bool,
 ) -> None:
     """Find errors of MACHINE's simulation along LOG, name the cause, and measure the gain of its effect.
+
+    On further LOGs of the same axis causes and extended machine are judged: a cause transfers if it holds there too.
 
     Writes report.html with its figures, diagnosis.json and, where a cause is named, the extended machine file. The
     verdict is explained, adequate (nothing is missing), ambiguous (the record cannot distinguish causes; the report has
@@ -99,15 +100,16 @@ def command(
     from sgms_mhe.logfiles.plausibility import check_plausible
     from sgms_mhe.report import attempt_report, closed_loop_gain
 
-    recorded = read_log(log, resolved, start_s=start_s, end_s=end_s, note=note)
+    recorded = read_log(logs[0], resolved, start_s=start_s, end_s=end_s, note=note)
     try:
         check_plausible(recorded, resolved)
     except ImplausibleError as error:
         _say_implausible(error, resolved, recorded, folder, as_json)
         return
+    others = [recorded_log(log, resolved) for log in logs[1:]]
     another = recorded_log(unseen, resolved) if unseen else None
     with trace_decisions(trace), steps_bar() as progress:
-        found = diagnose(resolved, recorded, progress=progress, held_out_s=held_out or None)
+        found = diagnose(resolved, recorded, others=others, progress=progress, held_out_s=held_out or None)
     found = replace(found, standalone=standalone)
     write_diagnosis(found, folder)
     gain, refused = None, None
@@ -158,7 +160,9 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: Estimat
             f"{units.named(name)} = {value:.4g} +- {2.0 * cause.std.get(name, math.nan):.1g}"
             for name, value in cause.parameters.items()
         )
-        lines.append(f"  {cause.name}: {values}; explains {cause.gain_N:.3g} {units.force} rms on held-out data")
+        holds = {None: "", True: "; transfers", False: "; of this record alone"}[cause.transfers]
+        gained = f"explains {cause.gain_N:.3g} {units.force} rms on held-out data"
+        lines.append(f"  {cause.name}: {values}; {gained}{holds}")
     lines += [
         f"  {a.name} in place of {a.instead_of}: {a.why_not}"
         for a in diagnosis.alternatives
@@ -175,6 +179,12 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: Estimat
             f"simulation error on data not used in the fit, of the {units.push}'s RMS: {before:.3g} % before, "
             f"{after:.3g} % after; Coulomb and viscous friction by least squares {plain:.3g} %"
         )
+    lines += [
+        f"on {r.name}: residual {r.held_out_before:.3g} to {r.held_out_after:.3g} {units.force} rms on held-out data; "
+        f"Coulomb and viscous friction {r.plain:.3g} {units.force}, noise {r.noise_floor_N:.3g} {units.force}"
+        for r in diagnosis.records
+    ]
+    lines += [f"open: {sentence}" for sentence in diagnosis.contradictions]
     if diagnosis.separating_experiment:
         lines.append(f"next: {diagnosis.separating_experiment}")
     if gain is not None:

@@ -86,6 +86,10 @@ class ProgressReport:
         """Causes are measured."""
         self.report("measuring the gain on held-out data", JUDGEMENT_BEGINS)
 
+    def report_record(self, name: str) -> None:
+        """Causes are judged on another record."""
+        self.report(f"judging the causes on {name}", JUDGEMENT_BEGINS)
+
 
 def _within(begin: float, end: float, rounds: float) -> float:
     """Share of the work after so many rounds of a stage."""

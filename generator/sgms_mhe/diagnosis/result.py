@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.document import make_document
 from sgms_mhe.diagnosis.extension import extension_toml
+from sgms_mhe.diagnosis.other_record import OtherRecord, list_contradictions
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.files import write_text
 from sgms_mhe.support.libraries import data_frame
@@ -52,6 +53,7 @@ class Cause:
         p_value: of the score test against the model without it, multiplicity included.
         vague: parameters that the record does not determine.
         stands_in: whether it may stand for a part of a curve over speed of another form, some of which is left.
+        transfers: whether it holds on the other records; None: there are none, or none of them shows it.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Cause:
     p_value: float
     vague: tuple[str, ...] = ()
     stands_in: bool = False
+    transfers: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -265,6 +268,8 @@ class Diagnosis:
         refuted: numbers of the machine file that the record refutes.
         is_rough: whether the file was far from the record: then the diagnosis began from the record's numbers, which
             are no causes.
+        offset_s: age of the logged force that was taken out, see `in_step`.
+        records: the other records, where there are any.
     """
 
     machine: Machine
@@ -295,6 +300,8 @@ class Diagnosis:
     plain: PlainFriction | None = None
     refuted: tuple[RefutedNumber, ...] = ()
     is_rough: bool = False
+    offset_s: float = 0.0
+    records: tuple[OtherRecord, ...] = ()
 
     @property
     def errors(self) -> dict[str, float]:
@@ -306,8 +313,8 @@ class Diagnosis:
         return {key: value / plain.force for key, value in errors.items()}
 
     def identifies(self, cause: Cause) -> bool:
-        """Return True if the record determines a cause's numbers, and no rival fits as well."""
-        doubted = cause.vague or cause.stands_in
+        """Return True if the record determines a cause's numbers, no rival fits as well, and other records agree."""
+        doubted = cause.vague or cause.stands_in or cause.transfers is False
         return not doubted and all(a.instead_of != cause.name for a in self.alternatives if a.rival)
 
     @property
@@ -334,7 +341,7 @@ class Diagnosis:
             for b in self.base
             if not math.isfinite(b.std)
         ]
-        others = (*self.undecided, *self._curves, *vague)
+        others = (*self.undecided, *self._curves, *vague, *self.contradictions)
         return (*map(Limit, self._left), *pairs, *map(Limit, others), *unknown)
 
     @property
@@ -360,6 +367,13 @@ class Diagnosis:
         if not names:
             return ()
         return (f"{names}: may stand for a curve over speed of another form, a part of which is left",)
+
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """Return the sentences on what does not hold on other records."""
+        alone = [cause.label for cause in self.causes if cause.transfers is False]
+        records = () if self.extended is None else self.records
+        return list_contradictions(alone, records, self.machine.plant.units.force)
 
     @property
     def extended_name(self) -> str | None:
@@ -418,30 +432,21 @@ class Diagnosis:
                     "name": cause.name,
                     "parameters": dict(cause.parameters),
                     "std": dict(cause.std),
-                    "residual_rms_N": {
-                        "before": cause.rms.before,
-                        "after": cause.rms.after,
-                        "held_out_before": cause.rms.held_out_before,
-                        "held_out_after": cause.rms.held_out_after,
-                    },
+                    "residual_rms_N": asdict(cause.rms),
                     "gain_N": cause.gain_N,
                     "gain_interval_N": list(cause.gain_interval_N),
                     "identified": self.identifies(cause),
+                    "transfers": cause.transfers,
                 }
                 for cause in self.causes
             ],
+            records=[record.to_json() for record in self.records],
             alternatives=[
                 {"name": a.name, "why_not": a.why_not, "rival": a.rival, "parameters": dict(a.parameters)}
                 for a in self.alternatives
             ],
             separating_experiment=self.separating_experiment,
-            residual_rms_N={
-                "before": rms.before,
-                "after": rms.after,
-                "held_out_before": rms.held_out_before,
-                "held_out_after": rms.held_out_after,
-                "noise_floor": self.noise_floor_N,
-            },
+            residual_rms_N=asdict(rms) | {"noise_floor": self.noise_floor_N},
             plain=None if self.plain is None else {"rms_N": self.plain.rms, "held_out_N": self.plain.held_out},
             simulation_error=self.errors,
             refuted=[{"name": named(n.name), "file": n.file, "record": n.record, "std": n.std} for n in self.refuted],

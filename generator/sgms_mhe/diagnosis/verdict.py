@@ -42,6 +42,7 @@ from sgms_mhe.diagnosis.parametrisation import TIMING_MOST
 from sgms_mhe.diagnosis.result import Diagnosis, Rms, Score, Traces
 from sgms_mhe.diagnosis.selection import Searched, drop_effects, search_causes, select_causes
 from sgms_mhe.diagnosis.structure import structure_map
+from sgms_mhe.diagnosis.transfer import judge_on_records
 from sgms_mhe.diagnosis.uncertainty import inertial_noise
 from sgms_mhe.diagnosis.wording import choose_experiment, list_alternatives, summarise
 from sgms_mhe.machine import Machine
@@ -73,6 +74,7 @@ def diagnose(
     machine: Machine,
     log: Log,
     *,
+    others: Sequence[Log] = (),
     progress: Progress | None = None,
     held_out_s: Sequence[tuple[float, float]] | None = None,
 ) -> Diagnosis:
@@ -81,6 +83,7 @@ def diagnose(
     Args:
         machine: the axis as it is believed to be.
         log: what was measured.
+        others: further records of this axis, on which the causes and the extended machine are judged.
         progress: called with each step and the share of the work before it.
         held_out_s: intervals since the log's start [s] that no fit behind a reported gain may see; None: a third of the
             record, in blocks.
@@ -99,6 +102,7 @@ def diagnose(
                 file.recording, file.nominal, told.report_identification, has_force=not log.is_friction_alone
             )
         found = _diagnose_begun(file, begun, log, held_out_s, told)
+        found = judge_on_records(found, others, told.report_record) if others else found
     except FitError as error:
         raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
     return replace(found, seconds=time.monotonic() - started)
@@ -194,7 +198,7 @@ def _diagnose_aligned(
         log_decision("record", "force put in step with position, and diagnosed again", offset_s=offset, most_s=most)
         late = in_step(log, offset)
         found, without = _diagnose_log(_prepare(prepared.machine, late, held_out_s), late, told, file, begun)
-    return replace(found, warnings=(*offset_notes(machine, offset), *found.warnings)), without
+    return replace(found, offset_s=offset, warnings=(*offset_notes(machine, offset), *found.warnings)), without
 
 
 @dataclass(frozen=True, eq=False)

@@ -127,6 +127,7 @@ class LogMapping(_Spare):
         None, gt=0, le=1e7, description="samples per second of a file without a time column [Hz]; default none"
     )
     resample: bool = text("uneven time, or another rate, interpolated to the machine's", "true or false", False)
+    homed: bool = text("position means the same in every record: absolute, or homed", "true or false", False)
     separator: Literal[",", ";", "\t", "|", " "] | None = text(
         "between the fields of a text", "one of , ; | tab, or a space for any number of them", None
     )

@@ -116,6 +116,7 @@ def page(
         },
         "base": _base_rows(d),
         "refuted": _refuted_rows(d),
+        "records": _record_rows(d),
         "about": _about(d, t),
         "figures": figures,
     }
@@ -141,6 +142,22 @@ def _refuted_rows(d: Diagnosis) -> list[dict[str, str]]:
             "record": str(quantity(n.name, n.record, n.std)),
         }
         for n in d.refuted
+    ]
+
+
+def _record_rows(d: Diagnosis) -> list[dict[str, str]]:
+    """Return a row per other record; no row where there is none."""
+    return [
+        {
+            "name": record.name,
+            "before": force(record.held_out_before),
+            "after": force(record.held_out_after),
+            "plain": force(record.plain),
+            "floor": force(record.noise_floor_N),
+            "origin": str(quantity("origin_m", record.origin_m)) if record.origin_m else "",
+            "gains": "; ".join(f"{t.label} {between(*t.gain_interval_N)}" for t in record.causes),
+        }
+        for record in d.records
     ]
 
 
@@ -295,6 +312,7 @@ def _cause(c: Cause, rivals: Sequence[Alternative]) -> dict[str, Any]:
         "label": c.label,
         "wrong_number": wrong,
         "stands_in": c.stands_in,
+        "transfers": "" if c.transfers is None else "transfers" if c.transfers else "of this record alone",
         "parameters": [
             {
                 "words": split_name(name)[0],

@@ -192,6 +192,7 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                 summary="Coulomb level differs from the machine file",
                 numbers=(BaseNumber("coulomb", "Coulomb friction", "_N"),),
                 factors=_coulomb,
+                of_record=True,  # temperature changes it
                 over_speed=True,
                 moves=("speeds", "again"),
                 excitation=Excitation(
@@ -209,6 +210,7 @@ BASE_CAUSES: Final[Mapping[str, BaseCause]] = MappingProxyType(
                 summary="viscous friction differs from the machine file",
                 numbers=(BaseNumber("viscous", "viscous friction", "_N_s_m", lower=0.0, typical=0.1, unit="damping"),),
                 factors=_viscous,
+                of_record=True,  # temperature changes it
                 over_speed=True,
                 moves=("speeds", "again"),
                 excitation=Excitation(

@@ -55,6 +55,7 @@ class CauseDefinition:
             Any other such curve is nearly a sum of these.
         excludes: causes that never stand beside it, because together they cancel.
         simpler: limits in which it is another cause.
+        of_record: whether it belongs to a record more than to the axis: other records of the axis have another size.
     """
 
     name: str
@@ -66,3 +67,4 @@ class CauseDefinition:
     over_speed: bool = False
     excludes: tuple[str, ...] = ()
     simpler: Simpler = Simpler()
+    of_record: bool = False

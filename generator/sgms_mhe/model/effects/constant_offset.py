@@ -38,6 +38,7 @@ DEFINITION = EffectDefinition(
     moves=("speeds", "loops"),
     search=Columns(lambda m, _: np.ones((len(m.time), 1)), one_size("force_N")),
     linear=True,
+    of_record=True,
     companion=True,
     specimen=one_number(
         "force_N",

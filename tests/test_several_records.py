@@ -1,0 +1,198 @@
+"""Causes of one record judged on others: another origin, another temperature, a cause that only one record has."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cli_cases import SMALL, refused, run
+from diagnosis_cases import explained
+from sgms_mhe.api.inputs import list_sources
+from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.diagnosis import Cause, Diagnosis
+from sgms_mhe.diagnosis.extension import extend_machine
+from sgms_mhe.diagnosis.result import Rms
+from sgms_mhe.diagnosis.transfer import judge_on_records
+from sgms_mhe.machine import Machine
+from sgms_mhe.plant.axis_config import AxisConfig
+from sgms_mhe.plant.simulation import simulate_axis
+from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.signals.logs import Log, write_log
+
+Hidden = Sequence[tuple[str, Mapping[str, float]]]
+RIPPLE = ("force_ripple", {"amplitude_N": 1.2, "pitch_m": 0.0171, "phase_rad": 0.4})
+FINE_RIPPLE = ("force_ripple", {"amplitude_N": 0.7, "pitch_m": 0.0053, "phase_rad": -1.1})
+ASYMMETRY = ("asymmetric_coulomb", {"ratio": 0.2})
+FORCE_AGE_s = 3.4e-4
+"""Of the logged force, which a diagnosis finds in every record of this axis: its controller holds it over a sample."""
+COLD = {"coulomb": 1.3, "viscous": 1.6}
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    path = tmp_path_factory.mktemp("machine") / "small.toml"
+    path.write_text(SMALL)
+    return load_machine(path)
+
+
+def recorded(
+    machine: Machine,
+    seed: int,
+    hidden: Hidden,
+    *,
+    scale: Mapping[str, float] | None = None,
+    origin: float = 0.0,
+    offset: float = 0.0,
+) -> Log:
+    """A record of an axis whose position counts from another origin [m], with an offset [N] of its own."""
+    own = [*hidden, ("constant_offset", {"force_N": offset})] if offset else hidden
+    trajectory = make_trajectory("mixed", machine.sampling.rate, duration_s=6.0)
+    config = AxisConfig(seed=seed)
+    log = simulate_axis(machine, trajectory, config, hidden_effects=own, scale=scale or {}, truth=False).log
+    return replace(log, position_m=log.position_m - origin, source=f"record {seed}")
+
+
+def diagnosed(machine: Machine, log: Log, hidden: Hidden, friction: Mapping[str, float] | None = None) -> Diagnosis:
+    """A diagnosis that found what is hidden, number by number."""
+    rms, nan, numbers = Rms(1.0, 0.1, 1.0, 0.1), math.nan, dict(friction or {})
+    labels = [f"{name}_2" if any(n == name for n, _ in hidden[:i]) else name for i, (name, _) in enumerate(hidden)]
+    found = [
+        Cause(name, label, values, dict.fromkeys(values, nan), {}, rms, 0.5, (0.4, 0.6), 1e-9)
+        for (name, values), label in zip(hidden, labels, strict=True)
+    ]
+    for name, value in numbers.items():
+        nominal = {f"{name}_N": getattr(machine.friction, name)}
+        found.append(Cause(name, name, {f"{name}_N": value}, {f"{name}_N": nan}, nominal, rms, 0.5, (0.4, 0.6), 1e-9))
+    entries: list[dict[str, Any]] = [{"name": name, **values} for name, values in hidden]
+    extended, changes = extend_machine(machine, labels, numbers, entries or None)
+    shown = explained(machine)
+    m = len(log)
+    used = np.ones(m, dtype=np.bool_)
+    traces = replace(shown.traces, position_m=log.position_m, used=used)
+    return replace(
+        shown,
+        machine=machine,
+        causes=tuple(found),
+        extended=extended,
+        changes=changes,
+        traces=traces,
+        offset_s=FORCE_AGE_s,
+    )
+
+
+def judged(machine: Machine, hidden: Hidden, others: Sequence[Log], **changes: Any) -> Diagnosis:
+    return judge_on_records(diagnosed(machine, recorded(machine, 1, hidden), hidden, **changes), others, lambda _: None)
+
+
+def test_a_ripple_transfers_to_another_power_up_and_temperature(machine: Machine) -> None:
+    other = recorded(machine, 2, [RIPPLE], scale=COLD, origin=0.0061, offset=0.3)
+    found = judged(machine, [RIPPLE, ASYMMETRY], [other])
+    ripple, asymmetry = found.causes
+    assert ripple.transfers is True
+    assert asymmetry.transfers is False  # the other record has none
+    assert not found.identifies(asymmetry)
+    (record,) = found.records
+    assert record.name == "record 2"
+    assert record.origin_m == pytest.approx(0.0061, abs=3e-4)
+    first, second = record.causes
+    assert first.gain_interval_N[0] > 0.3
+    assert second.gain_interval_N[1] < 0.0
+    assert any("asymmetric_coulomb: of the first record alone" in limit for limit in found.limits)
+
+
+def test_what_both_records_have_leaves_no_more_than_noise(machine: Machine) -> None:
+    hidden = [RIPPLE, ASYMMETRY]
+    found = judged(machine, hidden, [recorded(machine, 2, hidden, scale=COLD, origin=-0.0021, offset=-0.2)])
+    (record,) = found.records
+    assert [cause.transfers for cause in found.causes] == [True, True]
+    assert record.origin_m == pytest.approx(-0.0021 % 0.0171, abs=5e-5)  # one ripple: known but for its periods
+    assert record.held_out_after < 1.1 * record.noise_floor_N
+    assert record.held_out_before > 5.0 * record.held_out_after
+    assert record.plain > record.held_out_before
+    assert found.contradictions == ()
+
+
+def test_a_homed_axis_has_one_origin(machine: Machine) -> None:
+    homed = override_machine(machine, {"log": {"homed": True}})
+    other = recorded(machine, 2, [RIPPLE], origin=0.0171 / 2.0)  # the opposite phase
+    found = judged(homed, [RIPPLE], [other, recorded(machine, 3, [RIPPLE])])
+    assert found.causes[0].transfers is False
+    assert [record.origin_m for record in found.records] == [0.0, 0.0]
+    assert found.records[0].causes[0].gain_interval_N[1] < 0.0 < found.records[1].causes[0].gain_interval_N[0]
+    assert judged(machine, [RIPPLE], [other]).causes[0].transfers is True
+
+
+def test_two_ripples_say_the_origin_beyond_a_period(machine: Machine) -> None:
+    hidden = [RIPPLE, FINE_RIPPLE]
+    found = judged(machine, hidden, [recorded(machine, 2, hidden, origin=0.0243)])
+    assert [cause.transfers for cause in found.causes] == [True, True]
+    assert found.records[0].origin_m == pytest.approx(0.0243, abs=5e-5)
+
+
+def test_a_level_is_judged_as_it_was_found(machine: Machine) -> None:
+    level = 1.25 * machine.friction.coulomb
+    same, other = (recorded(machine, seed, (), scale={"coulomb": factor}) for seed, factor in ((2, 1.25), (3, 1.0)))
+    found = judged(machine, (), [same], friction={"coulomb": level})
+    assert found.causes[0].transfers is True
+    found = judged(machine, (), [same, other], friction={"coulomb": level})
+    assert found.causes[0].transfers is False
+    # As a property of the record it is fitted, and no error of either machine.
+    assert found.records[1].held_out_after < 1.1 * found.records[1].noise_floor_N
+
+
+def test_records_that_do_not_show_a_cause_say_nothing_of_it(machine: Machine) -> None:
+    tiny = ("asymmetric_coulomb", {"ratio": 0.001})
+    found = judged(machine, [tiny], [recorded(machine, 2, ())])
+    assert found.causes[0].transfers is None
+    assert found.contradictions == ()
+
+
+def test_a_machine_worse_than_plain_friction_is_not_recommended(machine: Machine) -> None:
+    wrong = ("force_ripple", {"amplitude_N": 8.0, "pitch_m": 0.0171, "phase_rad": 0.0})
+    found = judged(machine, [wrong], [recorded(machine, 2, ())])
+    (record,) = found.records
+    assert record.held_out_after > record.plain
+    (sentence,) = (limit for limit in found.limits if "not recommended" in limit)
+    assert "on record 2" in sentence
+    content = found.to_json()
+    assert content["causes"][0]["transfers"] is False
+    assert content["causes"][0]["identified"] is False
+    (entry,) = content["records"]
+    assert entry["residual_rms_N"]["held_out_after"] == record.held_out_after
+    assert entry["gains"][0]["name"] == "force_ripple"
+    assert entry["gains"][0]["shown"] is True
+
+
+def test_one_log_or_several_are_sources() -> None:
+    log = Log(np.zeros(3), np.zeros(3), np.zeros(3), 1.0)
+    assert list_sources("a.csv") == ["a.csv"]
+    assert list_sources(log) == [log]
+    assert list_sources({"time_s": [0.0]}) == [{"time_s": [0.0]}]
+    assert list_sources((log, Path("b.csv"))) == [log, Path("b.csv")]
+    assert list_sources([]) == []
+
+
+@pytest.mark.slow
+def test_diagnose_takes_several_logs(machine: Machine, tmp_path: Path) -> None:
+    first, second = tmp_path / "first.csv", tmp_path / "second.csv"
+    write_log(first, recorded(machine, 1, [RIPPLE]))
+    write_log(second, recorded(machine, 2, [RIPPLE], scale=COLD, origin=0.0061, offset=0.3))
+    out = tmp_path / "out"
+    result = run("diagnose", machine.source, first, second, "--out", out)
+    assert result.exit_code == 0, result.output
+    assert "rms on held-out data; transfers" in result.stdout
+    assert f"on {second}: residual" in result.stdout
+    content = json.loads((out / "diagnosis.json").read_text())
+    assert [cause["transfers"] for cause in content["causes"]] == [True]
+    assert content["records"][0]["name"] == str(second)
+    report = (out / "report.html").read_text()
+    assert "On other records" in report
+    assert "second.csv" in report
+    assert "absent.csv" in refused("diagnose", machine.source, first, tmp_path / "absent.csv", "--out", out)
