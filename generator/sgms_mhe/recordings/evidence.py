@@ -106,20 +106,22 @@ def score_test(recording: Recording, Z: Array, residual: Array) -> tuple[float, 
 def noise_floor(recording: Recording, residual: Array, encoder: Array | None = None) -> float:
     """RMS of the noise at the fit's rate, from what a smooth curve through a few rows leaves [N].
 
-    Model errors are smooth over NOISE_ROWS but at reversals and pushes, whose segments are told by what they leave
-    (`quiet_variance`). What an encoder's steps make is slow where few of them pass, and largest where stiff elements
-    stick: no less than that.
+    Model errors are smooth over NOISE_ROWS but at reversals and pushes, whose segments are told by what they leave, and
+    where they come again in time or in place (`quiet_variance`). What an encoder's steps make is slow where few of them
+    pass, comes again at one speed, and is largest where stiff elements stick: no less than that.
 
     Args:
         recording: the record.
         residual: measured minus model (m) [N].
         encoder: force that the encoder's steps leave (m) [N]; None: what they make of the acceleration.
     """
-    quiet = _quiet_power(recording, residual)
+    quiet, background = _quiet_power(recording, residual)
     encoder = recording.steps_inertia if encoder is None else encoder
-    if encoder is None or hides_friction(recording, encoder):
-        return math.sqrt(quiet)
-    return math.sqrt(max(quiet, float(np.mean(encoder[recording.used] ** 2))))
+    if encoder is None:
+        return math.sqrt(background)
+    steps = float(np.mean(encoder[recording.used] ** 2))
+    noise = min(quiet, background + steps)  # of lines at one speed the encoder may have made some
+    return math.sqrt(noise if hides_friction(recording, encoder) else max(steps, noise))
 
 
 def hides_friction(recording: Recording, encoder: Array) -> bool:
@@ -127,8 +129,8 @@ def hides_friction(recording: Recording, encoder: Array) -> bool:
     return recording.rms(encoder) >= ENCODER_STEPS_MOST * recording.machine.friction.coulomb
 
 
-def _quiet_power(recording: Recording, residual: Array) -> float:
-    """Power [N^2] of a residual's noise in the segments that hold nothing else.
+def _quiet_power(recording: Recording, residual: Array) -> tuple[float, float]:
+    """Power [N^2] of a residual's noise in the segments that hold nothing else: with and without lines of its spectra.
 
     Of those in which the axis moves, where there are enough: at rest an encoder that rounds has no noise.
     """
@@ -136,13 +138,18 @@ def _quiet_power(recording: Recording, residual: Array) -> float:
     k = len(residual) // width
     whole = recording.used[: k * width].reshape(k, width).all(axis=1)
     if whole.sum() < PIECES:
-        return float(np.var(residual[recording.used]))
-    pieces = residual[: k * width].reshape(k, width)[whole]
-    speed = np.sqrt(np.mean(recording.velocity[: k * width].reshape(k, width)[whole] ** 2, axis=1))
+        power = float(np.var(residual[recording.used]))
+        return power, power
+
+    def pieces(series: Array) -> Array:
+        return np.asarray(series[: k * width].reshape(k, width)[whole])
+
+    speed = np.sqrt(np.mean(pieces(recording.velocity) ** 2, axis=1))
     moves = speed > AT_REST * float(np.sqrt(np.mean(speed**2)))
-    if moves.sum() >= max(PIECES, MOVING * len(pieces)):
-        pieces = pieces[moves]
-    return quiet_variance(pieces, find_colour(recording.machine, recording.factor, width))
+    if moves.sum() < max(PIECES, MOVING * len(speed)):
+        moves = np.ones_like(moves)
+    rest, time, position = (pieces(series)[moves] for series in (residual, recording.time, recording.position))
+    return quiet_variance(rest, find_colour(recording.machine, recording.factor, width), (time, position))
 
 
 def cross_loss(recording: Recording, X: Array, residual: Array, prior: Array) -> Array:

@@ -14,15 +14,18 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from sgms_mhe.machine import Machine
+from sgms_mhe.recordings.lines import Lines
 from sgms_mhe.signals.chain import lowpass_coefficients
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 SMOOTH_ORDER: Final = 2  # of the polynomial that is smooth over a piece
 QUIETEST: Final = 0.1  # of the pieces: those that hold nothing but noise, if any do
 LIKELY: Final = 0.95  # of pieces of noise have less variance than one that is left out
 ROUNDS: Final = 100
 SAME: Final = 1e-4  # relative change of the variance at which it has settled
+LONGEST: Final = 1000  # pieces that lines are told from: those in the middle
 MEMORY: Final = 12.0  # periods of the cutoff after which the low-passes' response is over
 
 
@@ -70,15 +73,58 @@ def _colour(coefficients: tuple[float, ...], cutoff: float, factor: int, width: 
     return Colour(basis, np.array(left), np.array(following), min(freedom))
 
 
-def quiet_variance(pieces: Array, colour: Colour) -> float:
+def quiet_variance(pieces: Array, colour: Colour, coordinates: tuple[Array, ...] = ()) -> tuple[float, float]:
     """Variance of the noise in pieces (k, width) some of which hold more than a polynomial and noise.
 
     Begins with the quietest pieces and takes in all others that noise of the variance so far would make: a push, a
     reversal that a model gets wrong, leaves its piece out, however many of them there are. What the polynomial takes
     out of the noise is told from how neighbouring rows go together: the chain makes the force's noise slow, the
     encoder's, twice differentiated, fast.
+
+    Args:
+        pieces: rows of the residual.
+        colour: of the noise.
+        coordinates: of the rows (k, width) each, along which a force may come again.
+
+    Returns:
+        That of all, and that of the background: without lines of the spectra over the coordinates.
     """
     rest = pieces - pieces @ colour.basis @ colour.basis.T
+    whole = _find_quiet(rest, colour).variance(rest, colour)
+    first = max(0, (len(rest) - LONGEST) // 2)
+    part = slice(first, first + LONGEST)
+    return whole, whole * _background_share(rest[part], colour, tuple(at[part] for at in coordinates))
+
+
+def _background_share(rest: Array, colour: Colour, coordinates: tuple[Array, ...]) -> float:
+    """Share of the noise in what a polynomial leaves (k, width) that is no line."""
+    quiet = _find_quiet(rest, colour)
+    whole = least = quiet.variance(rest, colour)
+    lines, left = Lines(coordinates, colour.basis), rest
+    while (found := lines.add_line(rest, left)) is not None:
+        left = found
+        least = min(least, _find_quiet(left, colour).variance(left, colour))
+    return least / whole if whole > 0.0 else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Quiet:
+    """Pieces (k) of which a polynomial leaves noise alone, its mean square, and that of the pieces over it."""
+
+    pieces: Mask
+    mean: float
+    share: float
+
+    def variance(self, rest: Array, colour: Colour) -> float:
+        """Variance of the noise, from what the polynomial leaves (k, width)."""
+        if not self.pieces.any():
+            return self.mean / float(colour.left[0])
+        products = np.sum(rest[self.pieces, 1:] * rest[self.pieces, :-1], axis=1)
+        return _solve_both(self.mean, float(np.mean(products)) / rest.shape[1] / self.share, colour)
+
+
+def _find_quiet(rest: Array, colour: Colour) -> _Quiet:
+    """The pieces (k) of what a polynomial leaves (k, width) that noise alone would make."""
     power = np.mean(rest**2, axis=1)
     noise = stats.chi2(colour.freedom)
     most = float(noise.ppf(LIKELY)) / colour.freedom
@@ -92,10 +138,7 @@ def quiet_variance(pieces: Array, colour: Colour) -> float:
         quiet = power <= most * mean
         if abs(mean - before) <= SAME * before:
             break
-    if not quiet.any():
-        return mean / float(colour.left[0])
-    following = float(np.mean(np.sum(rest[quiet, 1:] * rest[quiet, :-1], axis=1))) / pieces.shape[1] / share
-    return _solve_both(mean, following, colour)
+    return _Quiet(quiet, mean, share)
 
 
 def _solve_both(mean: float, following: float, colour: Colour) -> float:

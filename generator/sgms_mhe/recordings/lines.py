@@ -1,0 +1,130 @@
+"""Lines of a spectrum: a force that comes again in time, or in place, is no noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+NEIGHBOURS: Final = 64  # frequencies whose median is the background of each
+BEYOND_CHANCE: Final = 9.0
+"""Power of a line beyond that of the largest of as many frequencies of noise [background]: e^-9 by chance. The
+background is that of the neighbours, or of white noise of the same power, whichever is more."""
+MOST_LINES: Final = 16
+ROUGH: Final = 0.05
+"""What a polynomial leaves of a coordinate in a segment, at most [period of a line]: at rest a position is noise, and
+the force of its acceleration goes with it."""
+SOLVABLE: Final = 1e-10  # of the largest diagonal entry, added to all
+
+
+@dataclass
+class Lines:
+    """Sines along coordinates of segments, found one after the other in what a polynomial leaves of these.
+
+    Attributes:
+        coordinates: instants [s] and positions [m], say, of the rows (k, width) each.
+        basis: of the polynomial that is taken out of every segment, orthonormal (width, order + 1).
+        found: coordinate's number and cycles per unit of it, of each line.
+    """
+
+    coordinates: tuple[Array, ...]
+    basis: Array
+    found: list[tuple[int, float]] = field(default_factory=list)
+
+    def add_line(self, rest: Array, left: Array) -> Array | None:
+        """Find the strongest line that is left, and fit all lines anew.
+
+        Segments count the less the more is left in them: a push, a reversal is no line.
+
+        Args:
+            rest: residual of the polynomial (k, width).
+            left: that, without the lines found before.
+
+        Returns:
+            The residual of polynomial and lines (k, width); None where there is no further line.
+        """
+        power = np.mean(left**2, axis=1, keepdims=True)
+        usual = float(np.median(power))
+        if len(self.found) == MOST_LINES or usual == 0.0:
+            return None
+        weight = np.sqrt(usual / np.maximum(power, usual))
+        lines = [_find_strongest((weight * left).ravel(), at.ravel(), self._finest(at)) for at in self.coordinates]
+        strongest, frequency, which = max(((*line, k) for k, line in enumerate(lines)), default=(0.0, 0.0, 0))
+        if strongest == 0.0:
+            return None
+        self.found.append((which, frequency))
+        seen = (weight * rest).ravel()
+        # A step of Gauss and Newton in all frequencies.
+        columns = self._columns(weight)
+        sizes = _solve(columns, seen)
+        moves = _solve(np.column_stack((columns, self._slopes(weight, sizes))), seen)[len(sizes) :]
+        self.found = [self._moved(line, float(move)) for line, move in zip(self.found, moves, strict=True)]
+        sizes = _solve(self._columns(weight), seen)
+        return np.asarray(rest - (self._columns(np.ones_like(weight)) @ sizes).reshape(rest.shape))
+
+    def _finest(self, coordinate: Array) -> float:
+        """Cycles per unit of a coordinate (k, width) that a line may have, at most."""
+        rough = coordinate - coordinate @ self.basis @ self.basis.T
+        return ROUGH / max(math.sqrt(float(np.median(np.mean(rough**2, axis=1)))), 1e-300)
+
+    def _moved(self, line: tuple[int, float], move: float) -> tuple[int, float]:
+        """A line at another frequency, no more than half of what two are apart."""
+        most = 0.5 / float(np.ptp(self.coordinates[line[0]]))
+        return line[0], line[1] + min(max(move, -most), most)
+
+    def _turns(self, which: int) -> Array:
+        """A coordinate from its middle on, times 2 pi (k, width)."""
+        at = self.coordinates[which]
+        return np.asarray(2.0 * math.pi * (at - 0.5 * (float(at.min()) + float(at.max()))))
+
+    def _columns(self, weight: Array) -> Array:
+        """Cosine and sine of each line, of which the polynomial is taken out (rows, 2 lines)."""
+        angles = [frequency * self._turns(which) for which, frequency in self.found]
+        return np.stack([self._project(f(angle), weight) for angle in angles for f in (np.cos, np.sin)], axis=1)
+
+    def _slopes(self, weight: Array, sizes: Array) -> Array:
+        """Derivative of each line, its cosine and sine of these sizes (2 lines), in its frequency (rows, lines)."""
+        columns = []
+        for (which, frequency), cosine, sine in zip(self.found, sizes[0::2], sizes[1::2], strict=True):
+            turns = self._turns(which)
+            slope = turns * (sine * np.cos(frequency * turns) - cosine * np.sin(frequency * turns))
+            columns.append(self._project(slope, weight))
+        return np.stack(columns, axis=1)
+
+    def _project(self, series: Array, weight: Array) -> Array:
+        return np.asarray((weight * (series - series @ self.basis @ self.basis.T)).ravel())
+
+
+def _solve(X: Array, y: Array) -> Array:
+    """Least squares of columns that may be alike."""
+    scale = np.sqrt(np.sum(X**2, axis=0)) + 1e-300
+    X = X / scale
+    return np.asarray(np.linalg.solve(X.T @ X + SOLVABLE * np.eye(X.shape[1]), X.T @ y) / scale)
+
+
+def _find_strongest(series: Array, coordinate: Array, finest: float) -> tuple[float, float]:
+    """Return the power and the frequency of the strongest line of a series (n); 0 where none stands above the noise.
+
+    Of no more cycles than `finest` per unit of the coordinate (n), and than half the rows over its extent.
+    """
+    count, start, span = len(series), float(coordinate.min()), float(np.ptp(coordinate))
+    if span <= 0.0 or count < NEIGHBOURS:
+        return 0.0, 0.0
+    # Sums over twice as many cells as cycles, and twice as many frequencies as are independent.
+    cell = np.minimum(2 * count - 1, ((coordinate - start) * (2 * count / span)).astype(np.int64))
+    sums = np.bincount(cell, weights=series, minlength=2 * count)
+    power = np.abs(np.fft.rfft(sums, 4 * count)[1 : count + 1]) ** 2
+    power = power[: len(power) // NEIGHBOURS * NEIGHBOURS].reshape(-1, NEIGHBOURS)
+    # Of noise the power is distributed exponentially about its mean.
+    background = np.maximum(np.median(power, axis=1) / math.log(2.0), float(series @ series))
+    frequency = 0.5 * np.arange(1, power.size + 1).reshape(power.shape) / span
+    high = (power > (math.log(count) + BEYOND_CHANCE) * background[:, None]) & (frequency <= finest)
+    if not high.any():
+        return 0.0, 0.0
+    strongest = int(np.argmax(np.where(high, power, 0.0)))
+    return float(power.ravel()[strongest]), float(frequency.ravel()[strongest])
