@@ -270,6 +270,28 @@ def test_changes_of_one_size_are_no_steps_of_an_encoder() -> None:
     assert encoder_step(np.round(0.3 * crawl / 1e-6) * 1e-6) == pytest.approx(1e-6)
 
 
+@pytest.mark.parametrize("step", [2e-3, 2 * np.pi / 2**14, 1e-4, 1e-5])
+@pytest.mark.parametrize("speed", [0.31, 1.234, 6.28318, 31.4])
+@pytest.mark.parametrize("uneven", [0.0, 0.05])
+def test_step_of_an_encoder_shows_where_an_axis_never_stops(step: float, speed: float, uneven: float) -> None:
+    """Many steps from one sample to the next, and about as many as to the one after it."""
+    time = np.arange(12_000) / 1000.0
+    way = (1.0 + 1e-4) * speed * time + uneven * np.sin(4.0 * time)
+    counted = np.round(np.round(way / step) * step, 9)
+    assert encoder_step(counted) == pytest.approx(step, rel=1e-3)
+    noisy = way + 0.1 * step * np.random.default_rng(1).standard_normal(len(time))
+    assert encoder_step(noisy) == 0.0
+
+
+def test_constant_accelerations_are_no_steps_of_an_encoder() -> None:
+    """Changes of the changes are all of one size, or none: a trapezoid of speeds as a program writes it."""
+    acceleration = np.repeat([0.0, 3.0, 0.0, -3.0, 0.0, -3.0, 0.0, 3.0], 1000)
+    speed = np.cumsum(acceleration) / 1000.0
+    way = np.cumsum(speed - 0.5 * acceleration / 1000.0) / 1000.0
+    assert encoder_step(way) == 0.0
+    assert encoder_step(0.5 * 3.1 * (np.arange(8000) / 1000.0) ** 2) == 0.0
+
+
 def test_fast_motion_is_no_noise() -> None:
     """Eight samples a turn: third differences are as large as those of a coarse encoder."""
     turn = 1e-5 * np.sin(np.pi / 4.0 * np.arange(4000) + np.pi / 8.0)

@@ -25,6 +25,8 @@ ALONE: Final = 0.5
 UNEVEN: Final = 0.1
 EVEN: Final = 0.9
 """Changes of up to so many steps are multiples of an encoder's step, within so much of it; so many of them have to."""
+DIGITS: Final = 1e-3  # of the largest change of a change: smaller ones are of a file's digits
+MANY: Final = 1e4  # steps a sample up to which changes are compared with the step
 PIECE: Final = 200
 """Samples that noise is told from where it changes over a record: a median of so many is sure to a tenth."""
 
@@ -70,17 +72,14 @@ def _median_of_noise(order: int) -> float:
 def encoder_step(position: NDArray[np.float64]) -> float:
     """Step of the encoder that read a position (n) [its unit]; 0 where none shows. Missing samples are NaN.
 
-    The smallest change but for one in a hundred, if the other small ones are multiples of it.
+    The smallest change but for one in a hundred, if the other small ones are multiples of it. Where an axis goes many
+    steps a sample all the time, the smallest change of a change is it, if the changes are multiples of that.
     """
     changes = np.abs(np.diff(position))
-    changes = changes[changes > ROUNDING * float(np.nanmax(changes, initial=0.0))]
-    if not len(changes):
+    rounding = ROUNDING * float(np.nanmax(changes, initial=0.0))
+    step, even, others = _find_multiples(changes, rounding)
+    if step == 0.0:
         return 0.0
-    step = float(np.quantile(changes, 0.01))
-    small = changes <= SMALL * step  # of many steps the rounding of a file's digits adds up
-    steps = changes[small] / step
-    even = np.abs(steps - np.round(steps)) < UNEVEN
-    others = ~even | (np.round(steps) != 1.0)
     if float(np.mean(others)) > OTHERS:
         counted = float(np.mean(even[others])) > EVEN and float(np.mean(even)) > EVEN
     else:
@@ -88,4 +87,35 @@ def encoder_step(position: NDArray[np.float64]) -> float:
         moves = np.abs(np.diff(position)) > 0.5 * step
         alone = ~moves[:-2] | ~moves[2:]
         counted = float(np.mean(alone[moves[1:-1]])) > ALONE if moves[1:-1].any() else False
+    return step if counted else _step_at_speed(position, changes)
+
+
+def _step_at_speed(position: NDArray[np.float64], changes: NDArray[np.float64]) -> float:
+    """Step of an encoder of which every sample passes several, as of `encoder_step`."""
+    again = np.abs(np.diff(position, n=2))
+    again = again[np.isfinite(again)]
+    if not len(again):
+        return 0.0
+    step, even, _ = _find_multiples(again, DIGITS * float(again.max()))
+    if step == 0.0 or float(np.mean(even)) <= EVEN:
+        return 0.0
+    small = (again > 0.5 * step) & (again <= SMALL * step)
+    step = float(np.sum(again[small]) / np.sum(np.round(again[small] / step)))
+    # A motion of constant acceleration has changes that differ by multiples as well, but are none.
+    counts = changes[(changes > 0.5 * step) & (changes < MANY * step)] / step
+    counted = len(counts) > 0 and float(np.mean(np.abs(counts - np.round(counts)) < UNEVEN)) > EVEN
     return step if counted else 0.0
+
+
+def _find_multiples(
+    changes: NDArray[np.float64], rounding: float
+) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:
+    """The smallest of some changes but for one in a hundred; the small ones that are multiples, and other than one."""
+    changes = changes[changes > rounding]
+    if not len(changes):
+        return 0.0, np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.bool_)
+    step = float(np.quantile(changes, 0.01))
+    small = changes <= SMALL * step  # of many steps the rounding of a file's digits adds up
+    steps = changes[small] / step
+    even = np.abs(steps - np.round(steps)) < UNEVEN
+    return step, even, ~even | (np.round(steps) != 1.0)
