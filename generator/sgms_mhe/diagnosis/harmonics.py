@@ -40,8 +40,8 @@ SHORT_PERIOD: Final = 4.0
 """Wavenumber from which a sine has a short period, with a proposal of its own [least wavenumber]: slow trends have more
 energy than they deserve."""
 VISIBLE_SHARE: Final = 0.2
-"""Rows slow enough for an octave of ripples, for it to be searched [rows]: a ripple that is seen hardly anywhere is
-told from nothing."""
+"""Rows slow enough for a ripple, at least, for it to be searched [rows]: one that is seen hardly anywhere is told from
+nothing."""
 
 
 @dataclass(frozen=True)
@@ -113,10 +113,13 @@ def _search(definition: EffectDefinition, kind: Harmonic, seen: Residual, fine: 
     best: tuple[float, float, _Sine] | None = None
     tests = 0.0
     limit = min(PITCH_BAND * extents.rate, CUTOFF_BAND * machine.sampling.velocity_cutoff)
+    slow = float(np.quantile(speed, VISIBLE_SHARE))
     for low, high in bands:
-        visible = np.ones(len(x)) if in_time else (speed * high < limit).astype(np.float64)
-        if visible.mean() < VISIBLE_SHARE:
+        if not in_time and slow * high > limit:
+            high = limit / slow
+        if high <= low:
             continue
+        visible = np.ones(len(x)) if in_time else (speed * high <= limit).astype(np.float64)
         if not in_time and float((speed * visible).sum()) / extents.rate * low < 1.0:  # not one period is passed
             continue
         sine = _Sine(kind, seen, x, tuple(w * visible for w in weights))

@@ -25,6 +25,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.recordings.evidence import hides_friction
+from sgms_mhe.recordings.excitation import find_steady_blocks
 from sgms_mhe.support.decisions import log_decision
 
 ALLOWED_NOISE: Final = 0.5
@@ -156,7 +157,12 @@ def _may_stand_in(name: str) -> bool:
 
 
 def _leaves_curve(final: FinalFit, fit: Fit) -> bool:
-    """Return True if a good part of the residual is a curve over speed, and it matters."""
+    """Return True if a good part of the residual is a curve over speed, and it matters.
+
+    Of one speed there is no curve: what is one over the encoder's noise is none over speed.
+    """
+    if find_steady_blocks(final.record) is not None:
+        return False
     material = material_force(final.record.machine, final.floor)
     left = final.residual_of(fit)
     curve = force_over_speed(final.record, left.residual)

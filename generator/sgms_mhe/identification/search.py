@@ -274,7 +274,7 @@ def element_numbers(recording: Recording, noise: float) -> dict[str, float]:
         noise: of a row [N].
 
     Returns:
-        Nothing where there is no friction.
+        Nothing where there is no friction, or where elements never slid: their level is open.
     """
     friction = recording.machine.friction
     records = Records(recording.machine, ("",), recording, (filter_motion(recording),), (), 0.0, ())
@@ -290,6 +290,8 @@ def element_numbers(recording: Recording, noise: float) -> dict[str, float]:
         return {}
     levels = np.maximum(found.levels, LEAST_SHARE * found.coulomb)
     coulomb = float(levels.sum())
+    if coulomb > float(np.max(np.abs(recording.friction[recording.used]))):
+        return {}
     numbers = {"coulomb": coulomb, "viscous": float(found.coefficient("viscous")[0])}
     own = np.argsort(np.array(friction.fraction) / np.array(friction.stiffness))
     for place, level, distance in zip(own.tolist(), levels.tolist(), found.shape.distances.tolist(), strict=True):
