@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -25,6 +26,7 @@ from sgms_mhe.support.decisions import trace_decisions
 from sgms_mhe.support.parallel import leave_cores_to_tasks
 
 if TYPE_CHECKING:
+    from sgms_mhe.diagnosis.record_residual import MachineResidual
     from sgms_mhe.identification import Identification
 
 HEAVIEST: Final = 1e6
@@ -86,6 +88,7 @@ def command(
 
     from sgms_mhe.api.identification import identify
     from sgms_mhe.api.inputs import read_log
+    from sgms_mhe.diagnosis.record_residual import measure_residual
     from sgms_mhe.machine.writing import toml_log
     from sgms_mhe.support.files import write_text
 
@@ -96,10 +99,15 @@ def command(
             read, out.stem, mass=mass, inertia=inertia, elements=elements, like=model, note=note, progress=note_step
         )
     write_text(out, found.toml if model is not None else found.toml + toml_log(table, read[0].kind))
-    show(json_text(found.to_json() | {"file": str(out)}) if as_json else _text(found, out), out)
+    residuals = [measure_residual(found.machine, log) for log in read]
+    if as_json:
+        stated = found.machine.plant.units.keyed({"residual_of_file": [residual.to_json() for residual in residuals]})
+        show(json_text(found.to_json() | stated | {"file": str(out)}), out)
+    else:
+        show(_text(found, residuals, [log.name for log in logs], out), out)
 
 
-def _text(found: Identification, out: Path) -> str:
+def _text(found: Identification, residuals: Sequence[MachineResidual], names: Sequence[str], out: Path) -> str:
     from sgms_mhe.identification import interval
 
     units = found.machine.plant.units
@@ -110,7 +118,10 @@ def _text(found: Identification, out: Path) -> str:
         table_text(["number", "value", ""], rows),
         f"law: {found.law}{'' if found.law_decided else ' (default)'}",
         f"held-out residual: {found.held_out_rms_N:.3g} {units.force} of {found.friction_rms_N:.3g} {units.force} rms; "
-        f"noise {found.noise_floor_N:.3g} {units.force}",
+        f"noise floor {found.noise_floor_N:.3g} {units.force}",
+    ]
+    lines += [
+        f"{residual.describe(units)}, of the file along {name}" for residual, name in zip(residuals, names, strict=True)
     ]
     lines += [f"open: {sentence}" for sentence in found.limits]
     lines += [f"note: {warning}" for warning in found.warnings]

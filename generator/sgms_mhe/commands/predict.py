@@ -15,13 +15,14 @@ from sgms_mhe.commands.common import (
     json_text,
     log_argument,
     machine_argument,
-    note,
     out_option,
     part_options,
     progress_bar,
+    recorded_log,
     show,
 )
 from sgms_mhe.commands.log_options import load_for_log, log_options
+from sgms_mhe.support.errors import InputError
 
 
 @click.command(
@@ -61,17 +62,26 @@ def command(
     """Run MACHINE's model along the motion in LOG, without estimation.
 
     Prints the RMS of measured minus simulated friction over the valid samples: those where the filters have settled and
-    nothing is missing. Elsewhere friction_measured_N is NaN. The force error is that RMS over the RMS of the drive
+    nothing is missing; and residual and noise floor of the whole record as diagnose states them. Elsewhere
+    friction_measured_N is NaN. The force error is that RMS over the RMS of the drive
     force, as inverse dynamic models are judged.
     """
     resolved = load_for_log(machine, table)
     check_output_file(out)
 
-    from sgms_mhe.api import estimation
-    from sgms_mhe.evaluation.prediction import force_error, write_prediction
+    from sgms_mhe.configuration import override_machine
+    from sgms_mhe.diagnosis.record_residual import measure_residual
+    from sgms_mhe.evaluation.prediction import force_error, predict_log, write_prediction
 
+    recorded = recorded_log(log, resolved)
+    if lowpass is not None:
+        resolved = override_machine(resolved, {"sampling": {"velocity_cutoff": lowpass}})
     with progress_bar(f"predict {resolved.name}"):
-        prediction = estimation.predict(resolved, log, lowpass_Hz=lowpass, note=note)
+        prediction = predict_log(resolved, recorded)
+        try:
+            measured = measure_residual(resolved, recorded)
+        except InputError:  # too few samples for a diagnosis
+            measured = None
     units = resolved.plant.units
     error = force_error(prediction, start_s=start_s, end_s=end_s, factor=factor)
     write_prediction(out, prediction)
@@ -84,13 +94,16 @@ def command(
             "measured_rms_N": error.friction_rms_N,
             "force_rms_N": error.force_rms_N,
             "force_error": error.relative,
+            "residual": None if measured is None else measured.to_json(),
         }
         show(json_text(units.keyed(result)), out)
         return
     total = len(prediction.time_s)
+    residual = "" if measured is None else f"\n{measured.describe(units)}, as diagnose has them"
     show(
         f"measured minus simulated: {error.residual_rms_N:.6g} {units.force} rms over {error.rows} of {total} samples "
         f"(measured friction: {error.friction_rms_N:.6g} {units.force} rms)\n"
-        f"{units.push} error: {100.0 * error.relative:.3g} % of {error.force_rms_N:.6g} {units.force} rms",
+        f"{units.push} error: {100.0 * error.relative:.3g} % of {error.force_rms_N:.6g} {units.force} rms"
+        f"{residual}",
         out,
     )

@@ -1,7 +1,13 @@
 """From a machine file to the machine it describes: effects from their catalogue, the integrator by the friction law."""
 
 from sgms_mhe.configuration.laws import law_changes, switch_law
-from sgms_mhe.configuration.resolution import load_machine, make_machine, override_log, override_machine
+from sgms_mhe.configuration.resolution import (
+    load_machine,
+    make_machine,
+    override_log,
+    override_machine,
+    step_every_sample,
+)
 from sgms_mhe.configuration.schema import machine_schema
 
 __all__ = [
@@ -11,5 +17,6 @@ __all__ = [
     "make_machine",
     "override_log",
     "override_machine",
+    "step_every_sample",
     "switch_law",
 ]

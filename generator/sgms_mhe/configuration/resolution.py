@@ -62,6 +62,14 @@ def override_machine(machine: Machine, changes: Mapping[str, Any]) -> Machine:
     return _resolve(machine_file(merge_tables(machine.content, changes), [Layer(machine.source, changes)]))
 
 
+def step_every_sample(machine: Machine) -> Machine:
+    """Return the machine with a step to each sample: longer ones have no state at the samples between."""
+    samples = machine.sampling.samples_per_update
+    if machine.sampling.integrator.substeps >= samples:
+        return machine
+    return override_machine(machine, {"sampling": {"integrator": {"substeps": samples}}})
+
+
 def override_log(machine: Machine, stated: Mapping[str, Any]) -> Machine:
     """The machine with what is stated of its logs laid over its table [log]; bare columns of its own kind alone."""
     if not stated:

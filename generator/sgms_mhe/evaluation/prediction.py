@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import decimate
 
-from sgms_mhe.configuration import override_machine
+from sgms_mhe.configuration import step_every_sample
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import OF_KIND, Kind, Machine
 from sgms_mhe.signals.chain import Signals, signals_from_log
@@ -110,11 +110,7 @@ def predict_signals(machine: Machine, signals: Signals, source: str = "log") -> 
             len(signals),
             "a row that is valid: the filters settle first, and after every missing sample",
         )
-    samples = machine.sampling.samples_per_update
-    if machine.sampling.integrator.substeps < samples:
-        # Steps of several samples have no state at the samples between.
-        machine = override_machine(machine, {"sampling": {"integrator": {"substeps": samples}}})
-    friction = CompiledModel(machine).predict(signals).friction_N
+    friction = CompiledModel(step_every_sample(machine)).predict(signals).friction_N
     measured = np.where(signals.valid, signals.friction, np.nan)
     return PredictedFriction(signals.time, measured, friction, signals.force, source, machine.plant.kind)
 

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sgms_mhe.configuration import make_machine, override_machine
+from sgms_mhe.configuration import make_machine, step_every_sample
 from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.identification.description import (
     check_slides,
@@ -22,8 +23,9 @@ from sgms_mhe.identification.description import (
     mass_number,
     unknown_mass,
 )
+from sgms_mhe.identification.elements import NO_RISE, run_elements
 from sgms_mhe.identification.final_fit import FinalIdentification, Known, make_final_fit
-from sgms_mhe.identification.fits import RecordView
+from sgms_mhe.identification.fits import AxisFit, RecordView
 from sgms_mhe.identification.records import Records, drop_start, filter_motion, make_records, sort_logs
 from sgms_mhe.identification.result import Identification, Number
 from sgms_mhe.identification.sampling import common_rate, replace_filter, rough_mass, unknown_axis
@@ -52,6 +54,8 @@ from sgms_mhe.signals.chain import signals_of_record
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
+
+Array = NDArray[np.float64]
 
 LEAST_TRAVEL: Final = 20.0
 """Travel over the resolution of the position below which nothing moved."""
@@ -337,7 +341,7 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
         mass, said = mass_number(final, given, mass_kg, units)
     unexcited = list_unexcited(explored.measured)
     numbers: tuple[Number, ...] = (mass, *law_numbers(final, unexcited))
-    floor = noise_floor(views.fine.rows, fit.residual)
+    floor = noise_floor(views.fine.rows, fit.residual, _find_encoder_force(records, fit))
     limits = [
         *said,
         *list_limits(numbers, found, final, views.fine, units, unexcited),
@@ -351,7 +355,7 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     head = [
         f"Written by sgms-mhe identify over {', '.join(Path(name).name for name in sorted(records.names))}.",
         "Intervals are two standard deviations.",
-        f"On blocks that the fit had not seen {final.held_out_rms:.3g} {units.force} rms are left; noise is "
+        f"Residual on blocks that the fit had not seen: {final.held_out_rms:.3g} {units.force} rms; noise floor "
         f"{floor:.3g} {units.force}.",
         *limits,
     ]
@@ -374,15 +378,28 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     )
 
 
+def _find_encoder_force(records: Records, fit: AxisFit) -> Array | None:
+    """Return the force that the encoder's steps leave in a residual (m) [N]; None where they do not show.
+
+    As of a diagnosis: mass times the acceleration that they make, and friction along the trajectory that they make.
+    """
+    if records.steps_inertia is None:
+        return None
+    rise, viscous = fit.shape.rise or NO_RISE, float(fit.coefficient("viscous").sum())
+    runs = run_elements(records.misread, fit.shape.law, fit.shape.distances, rise, jacobian=False)
+    change = sum((level * run.chi for level, run in zip(fit.levels, runs, strict=True)), -fit.elements @ fit.levels)
+    speeds = [
+        other.to_rows(other.velocity - own.velocity) for other, own in zip(records.misread, records.fine, strict=True)
+    ]
+    return np.asarray(records.steps_inertia - change - viscous * np.concatenate(speeds))
+
+
 def measurement_noise(machine: Machine, logs: Sequence[Log]) -> float:
     """Return the RMS [N] of measured minus simulated friction over all valid samples of all logs.
 
     Noise, and what the model gets wrong: with it an innovation is about as large as the estimator expects.
     """
-    sampling = machine.sampling
-    if sampling.integrator.substeps < sampling.samples_per_update:
-        machine = override_machine(machine, {"sampling": {"integrator": {"substeps": sampling.samples_per_update}}})
-    model = CompiledModel(machine)
+    model = CompiledModel(step_every_sample(machine))
     total, count = 0.0, 0
     for log in logs:
         signals = signals_of_record(log, machine)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.path import bridge_gaps, displacements, smooth_path
-from sgms_mhe.recordings.recording import Recording, position_error, prepare
+from sgms_mhe.recordings.recording import Recording, add_encoder, position_error, prepare
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import Signals, apply_chain, readings
 from sgms_mhe.signals.logs import Log
@@ -68,6 +68,8 @@ class Records:
         rows: all rows one log behind the other; blocks, folds and what is held out as a diagnosis has them.
         coarse: motion behind the filters at the rate of the rows, a log each.
         fine: the encoder's motion at the logs' rate, a log each.
+        steps_inertia: force of the acceleration that the encoder's steps make (m) [N]; None where they do not show.
+        misread: `fine` as encoders of these steps, their lines elsewhere, read it; none where no steps show.
         resolution: of the position [m], noise of a measurement included.
         warnings: what a user should know of the logs.
     """
@@ -79,6 +81,8 @@ class Records:
     fine: tuple[ElementMotion, ...]
     resolution: float
     warnings: tuple[str, ...]
+    steps_inertia: Array | None = None
+    misread: tuple[ElementMotion, ...] = ()
 
 
 def sort_logs(logs: Sequence[Log]) -> list[Log]:
@@ -107,14 +111,27 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
         for name, recording in zip(names, recordings, strict=True)
         for warning in recording.warnings
     )
+    ways = [
+        smooth_path(bridge_gaps(readings(log).position_m), noise) for log, noise in zip(logs, resolutions, strict=True)
+    ]
+    fine = tuple(map(_encoder_motion, recordings, logs, ways))
+    read = list(map(add_encoder, recordings, logs))
+    steps = [recording.steps_inertia for recording in read]
+    shown = any(inertia is not None for inertia in steps)
     return Records(
         machine=machine,
         names=names,
         rows=_join(recordings),
         coarse=tuple(filter_motion(recording) for recording in recordings),
-        fine=tuple(map(_encoder_motion, recordings, logs, resolutions)),
+        fine=fine,
         resolution=max(resolutions),
         warnings=warnings,
+        steps_inertia=np.concatenate(
+            [np.zeros(len(r.time)) if s is None else s for r, s in zip(read, steps, strict=True)]
+        )
+        if shown
+        else None,
+        misread=tuple(map(_misread_motion, read, logs, fine)) if shown else (),
     )
 
 
@@ -161,15 +178,12 @@ def filter_motion(recording: Recording) -> ElementMotion:
     )
 
 
-def _encoder_motion(recording: Recording, log: Log, resolution: float) -> ElementMotion:
-    """The axis's own way, also between the samples; of a log that brings its velocity, that."""
+def _encoder_motion(recording: Recording, log: Log, way: Array) -> ElementMotion:
+    """The axis's own way (n) [m], also between the samples; of a log that brings its velocity, that."""
     rate = recording.machine.sampling.rate
     bypassed = log.velocity_m_s is not None
     steps = 1 if bypassed else max(1, int(PATH_RATE / rate))
-    if bypassed:
-        velocity = recording.signals.velocity
-    else:
-        velocity = displacements(smooth_path(bridge_gaps(readings(log).position_m), resolution), steps) * (rate * steps)
+    velocity = recording.signals.velocity if bypassed else displacements(way, steps) * (rate * steps)
     return ElementMotion(
         machine=recording.machine,
         rate=rate * steps,
@@ -179,6 +193,11 @@ def _encoder_motion(recording: Recording, log: Log, resolution: float) -> Elemen
         rows=len(recording.time),
         filtered=not bypassed,
     )
+
+
+def _misread_motion(recording: Recording, log: Log, own: ElementMotion) -> ElementMotion:
+    """The way that an encoder with its lines elsewhere reads; that of the log where no steps show."""
+    return own if recording.misread is None else _encoder_motion(recording, log, recording.misread[:, 0])
 
 
 def drop_start(records: Records, distance: float) -> Records:
