@@ -83,34 +83,64 @@ def test_intervals_without_measurements_are_no_block() -> None:
     assert colour.factor == 1.0 and colour.information == 100.0
 
 
-def test_wander_is_the_mean_square_about_a_mean_with_information() -> None:
+def test_wander_is_the_square_of_moves_over_what_blocks_take_from_the_variance() -> None:
+    """Four blocks of 50 updates and a part of one; the first counts from its first update on."""
     rng = np.random.default_rng(3)
-    theta, variance = 1.0 + 0.1 * rng.standard_normal((300, 2)), rng.uniform(1e-4, 1e-2, (300, 2))
-    wander = ParameterWander.none(2)
-    expected = []
-    for k in range(len(theta)):
-        wander.take(theta[k], variance[k])
-        forgotten = 0.9995 ** np.arange(k, -1, -1.0)[:, None]
-        about = np.sum(forgotten * theta[: k + 1] / variance[: k + 1], axis=0)
-        about /= np.sum(forgotten / variance[: k + 1], axis=0)
-        expected.append((theta[k] - about) ** 2 / variance[k])
-    forgotten = 0.9995 ** np.arange(len(theta) - 1, -1, -1.0)[:, None]
-    ratio = np.sum(forgotten * expected, axis=0) / np.sum(forgotten)
-    assert np.all(ratio > 1.0)
-    np.testing.assert_allclose(wander.factor, ratio, rtol=1e-12)
+    drift = np.array([0.002, 0.01])
+    theta = 1.0 + np.cumsum(0.05 * rng.standard_normal((220, 2)), axis=0)
+    variance = 0.1 / (1.0 + 0.05 * np.arange(220))[:, None] * np.array([1.0, 2.0])
+    wander = ParameterWander(drift)
+    for each, its in zip(theta, variance, strict=True):
+        wander.take(each, its)
+    ends = [0, 49, 99, 149, 199]
+    moves, before = np.diff(theta[ends], axis=0) ** 2, variance[ends[:-1]] + 50.0 * drift**2
+    taken = before - variance[ends[1:]]
+    forgotten = 0.975 ** np.arange(3, -1, -1.0)[:, None]
+    squares = 0.975**4 + np.sum(forgotten * np.minimum(moves, 100.0 * taken) / before, axis=0)
+    share = 0.975**4 + np.sum(forgotten * taken / before, axis=0)
+    assert np.all(squares / share > 1.0)
+    np.testing.assert_allclose(wander.factor, squares / share, rtol=1e-12)
+
+
+def test_an_estimate_that_knows_its_variance_does_not_wander() -> None:
+    """Kalman filter of a walking constant: a mean over 4000 of them; with half the noise stated it does."""
+    rng = np.random.default_rng(4)
+    noise, drift, n = 0.3, 0.002, 4000
+
+    def mean_wander(stated: float) -> float:
+        truth, theta, variance = 1.0 + 0.4 * rng.standard_normal(n), np.ones(n), np.full(n, 0.16)
+        wander = ParameterWander(np.full(n, drift))
+        for _ in range(500):
+            truth = truth + drift * rng.standard_normal(n)
+            variance = variance + drift**2
+            gain = variance / (variance + stated**2)
+            theta = theta + gain * (truth + noise * rng.standard_normal(n) - theta)
+            variance = (1.0 - gain) * variance
+            wander.take(theta, variance)
+        return float(np.mean(wander.squares) / np.mean(wander.share))
+
+    assert mean_wander(noise) == pytest.approx(1.0, abs=0.03)
+    assert mean_wander(0.5 * noise) > 1.5
 
 
 def test_wander_is_bounded() -> None:
-    """An estimate that leaps by far more than its deviation counts a thousand, as a test ratio does."""
-    wander = ParameterWander.none(1)
-    wander.take(np.array([1.0]), np.array([1e-24]))
-    wander.take(np.array([5.0]), np.array([1e-24]))
-    np.testing.assert_allclose(wander.factor, [1000.0 / 1.9995], rtol=1e-12)
+    """An estimate that leaps by far more than its variance counts a hundred times what the block takes."""
+    wander = ParameterWander(np.zeros(1))
+    for k in range(50):
+        wander.take(np.array([1.0 + 4.0 * (k > 20)]), np.array([2e-6 - 1e-6 * (k > 20)]))
+    np.testing.assert_allclose(wander.factor, [(0.975 + 100.0 * 0.5) / (0.975 + 0.5)], rtol=1e-12)
+
+
+def test_what_takes_nothing_from_the_variance_is_no_wander() -> None:
+    wander = ParameterWander(np.zeros(1))
+    for k in range(100):
+        wander.take(np.array([1.0 + 0.1 * (k > 60)]), np.array([1e-4]))
+    assert wander.factor == 1.0
 
 
 def test_factors_are_one_where_measurements_count_as_stated() -> None:
     for enabled in (False, True):
-        errors = LastingErrors(2, 1, enabled=enabled)
+        errors = LastingErrors(np.full(2, 0.002), 1, enabled=enabled)
         for k in range(100):
             errors.take([Innovation(3.0, 1.0)], np.array([1.0, 1.0 + 0.1 * (k > 50)]), np.full(2, 1e-6))
         assert errors.doubts == enabled

@@ -75,7 +75,7 @@ typedef double etel_xy_position;
 #define ETEL_XY_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_MACHINE "9b508e6ff92b" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_check() */
-#define ETEL_XY_HEADER 0xf66ea581u
+#define ETEL_XY_HEADER 0x149d312bu
 #define ETEL_XY_SAVED_FORMAT 2u /* of etel_xy_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SAVED_MACHINE_0 0x9b508e6fu
 #define ETEL_XY_SAVED_MACHINE_1 0xf92bu
@@ -240,10 +240,10 @@ typedef struct {
         etel_xy_real interval[3], block[3]; /* of the innovations: sum, information, number */
         /* of blocks: squares of sums with their information, and that alone */
         etel_xy_real squares, information;
-        /* slow mean of theta, its information */
-        etel_xy_real mean[ETEL_XY_PARAMETERS], weight[ETEL_XY_PARAMETERS];
-        /* square about it over the variance; weight of that */
-        etel_xy_real ratio[ETEL_XY_PARAMETERS], updates;
+        /* where the block began; 0: none did */
+        etel_xy_real theta[ETEL_XY_PARAMETERS], variance[ETEL_XY_PARAMETERS];
+        /* over blocks: squared moves, variance taken, over that before */
+        etel_xy_real moved[ETEL_XY_PARAMETERS], taken[ETEL_XY_PARAMETERS];
         int32_t intervals; /* in the block */
     } lasting;
     struct { /* last good one: feedback() writes it, estimate() and save() read it */

@@ -134,8 +134,8 @@ static SGMS_COLD void widen_root(const etel_xy_controller_t *self, sgms_real *sq
 
 /* Errors of the model that stay make the variances of theta too small: they colour the innovations,
  * whose sums over a block are then larger than those of independent ones, and parameters wander
- * farther than their variances say. Factors on these variances, 1 where there is no such error,
- * tell of both. */
+ * farther over a block than what it takes from their variances. Factors on these variances, 1 where
+ * there is no such error, tell of both. */
 
 static void start_lasting(etel_xy_controller_t *self)
 {
@@ -143,10 +143,10 @@ static void start_lasting(etel_xy_controller_t *self)
     self->lasting.intervals = 0;
     self->lasting.squares = COLOUR_FIRST;
     self->lasting.information = COLOUR_FIRST;
-    fill(self->lasting.mean, 0.0f, PARAMETERS);
-    fill(self->lasting.weight, 0.0f, PARAMETERS);
-    fill(self->lasting.ratio, 0.0f, PARAMETERS);
-    self->lasting.updates = 0.0f;
+    fill(self->lasting.theta, 0.0f, PARAMETERS);
+    fill(self->lasting.variance, 0.0f, PARAMETERS); /* there is none yet */
+    fill(self->lasting.moved, 1.0f, PARAMETERS);
+    fill(self->lasting.taken, 1.0f, PARAMETERS);
 }
 
 /* Take an innovation of the newest interval in: over its predicted deviation, with the factor on
@@ -162,42 +162,47 @@ static void take_innovation(
 
 /* Take the newest interval into the block: the square of a sum of independent innovations is their
  * number on average. Its mean over blocks weighs each with its information, so that a fault that is
- * over counts for little. */
-static void take_colour(etel_xy_controller_t *self)
+ * over counts for little. Returns whether the block ends. */
+static int take_colour(etel_xy_controller_t *self)
 {
     sgms_real *const block = self->lasting.block;
     for (int i = 0; i < 3; i++) {
         block[i] += self->lasting.interval[i];
     }
-    self->lasting.intervals = sgms_place(self->lasting.intervals, COLOUR_BLOCK - 1) + 1;
-    if (self->lasting.intervals == COLOUR_BLOCK) {
-        if (block[2] > 0.0f) {
-            const sgms_real square = sgms_fmin(block[0] * block[0] / block[2], COLOUR_MOST);
-            self->lasting.squares += square * block[1] - COLOUR_FORGETS * self->lasting.squares;
-            self->lasting.information += block[1] - COLOUR_FORGETS * self->lasting.information;
-        }
-        fill(block, 0.0f, 3);
-        self->lasting.intervals = 0;
+    self->lasting.intervals = sgms_place(self->lasting.intervals, LASTING_BLOCK - 1) + 1;
+    if (self->lasting.intervals < LASTING_BLOCK) {
+        return 0;
     }
+    if (block[2] > 0.0f) {
+        const sgms_real square = sgms_fmin(block[0] * block[0] / block[2], LASTING_MOST);
+        self->lasting.squares += square * block[1] - LASTING_FORGETS * self->lasting.squares;
+        self->lasting.information += block[1] - LASTING_FORGETS * self->lasting.information;
+    }
+    fill(block, 0.0f, 3);
+    self->lasting.intervals = 0;
+    return 1;
 }
 
-/* Take an estimate in: mean square of theta about its own slow mean, over its variance. That mean
- * weighs theta with its information: what was unknown at first counts for little. */
+/* Take an estimate in: from one block's end to the next it moves, on average, with the variance
+ * before, and what drift adds, less that after. Blocks count with that share of the variance: what
+ * was unknown moves much at once. */
 static void take_wander(
-    etel_xy_controller_t *self, const sgms_real *theta, const sgms_real *variance)
+    etel_xy_controller_t *self, int is_end, const sgms_real *theta, const sgms_real *variance)
 {
-    self->lasting.updates += 1.0f - WANDER_FORGETS * self->lasting.updates;
+    const sgms_real growth = (sgms_real)LASTING_BLOCK * self->settings.drift * self->settings.drift;
     for (int p = 0; p < PARAMETERS; p++) {
-        if (!self->estimate.held[p]) {
-            const sgms_real information = 1.0f / variance[p];
-            sgms_real away, counted;
-            self->lasting.weight[p] += information - WANDER_FORGETS * self->lasting.weight[p];
-            self->lasting.mean[p] += information / self->lasting.weight[p] *
-                (theta[p] - self->lasting.mean[p]);
-            away = theta[p] - self->lasting.mean[p];
-            /* that also of what is no number */
-            counted = sgms_fmin(away * away * information, RATIO_MOST);
-            self->lasting.ratio[p] += (counted - self->lasting.ratio[p]) / self->lasting.updates;
+        const int is_known = self->lasting.variance[p] > 0.0f;
+        if (is_end && is_known) {
+            const sgms_real before = self->lasting.variance[p] + growth;
+            const sgms_real taken = sgms_fmax(0.0f, before - variance[p]);
+            const sgms_real move = theta[p] - self->lasting.theta[p];
+            self->lasting.moved[p] += sgms_fmin(move * move, LASTING_MOST * taken) / before -
+                LASTING_FORGETS * self->lasting.moved[p];
+            self->lasting.taken[p] += taken / before - LASTING_FORGETS * self->lasting.taken[p];
+        }
+        if (is_end || !is_known) {
+            self->lasting.theta[p] = theta[p];
+            self->lasting.variance[p] = variance[p];
         }
     }
 }
@@ -208,8 +213,9 @@ static sgms_real find_spread(const etel_xy_controller_t *self, sgms_real *spread
     const sgms_real colour = self->lasting.squares / (self->lasting.information * COLOUR_FREE);
     sgms_real largest = 1.0f;
     for (int p = 0; p < PARAMETERS; p++) {
-        spread[p] = self->estimate.held[p] ? 1.0f : sgms_fmax(1.0f, colour) *
-            sgms_fmax(1.0f, self->lasting.ratio[p]);
+        const sgms_real wander = self->lasting.moved[p] / self->lasting.taken[p];
+        spread[p] =
+            self->estimate.held[p] ? 1.0f : sgms_fmax(1.0f, colour) * sgms_fmax(1.0f, wander);
         largest = sgms_fmax(largest, spread[p]);
     }
     return largest;
@@ -1020,8 +1026,7 @@ static int update(etel_xy_controller_t *self)
     }
     copy(self->parameters.theta, theta, PARAMETERS);
     if (self->interval.path[newest_slot(self)] >= HOLD_PATH) {
-        take_colour(self);
-        take_wander(self, theta, variance);
+        take_wander(self, take_colour(self), theta, variance);
     }
     status += is_doubted(self, find_spread(self, spread)) ? ETEL_XY_CONTROLLER_DOUBT : 0;
     self->calls.version++;

@@ -80,7 +80,7 @@ typedef struct {
 #define ETEL_XY_CONTROLLER_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_CONTROLLER_MACHINE "bf94fd961735" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_controller_check() */
-#define ETEL_XY_CONTROLLER_HEADER 0x644bca5bu
+#define ETEL_XY_CONTROLLER_HEADER 0x956bfb5au
 /* of etel_xy_controller_saved_t, and the digest of the machine file again */
 #define ETEL_XY_CONTROLLER_SAVED_FORMAT 2u
 #define ETEL_XY_CONTROLLER_SAVED_MACHINE_0 0xbf94fd96u
@@ -257,11 +257,12 @@ typedef struct {
         etel_xy_controller_real interval[3], block[3];
         /* of blocks: squares of sums with their information, and that alone */
         etel_xy_controller_real squares, information;
-        /* slow mean of theta, its information */
-        etel_xy_controller_real mean[ETEL_XY_CONTROLLER_PARAMETERS],
-            weight[ETEL_XY_CONTROLLER_PARAMETERS];
-        /* square about it over the variance; weight of that */
-        etel_xy_controller_real ratio[ETEL_XY_CONTROLLER_PARAMETERS], updates;
+        /* where the block began; 0: none did */
+        etel_xy_controller_real theta[ETEL_XY_CONTROLLER_PARAMETERS],
+            variance[ETEL_XY_CONTROLLER_PARAMETERS];
+        /* over blocks: squared moves, variance taken, over that before */
+        etel_xy_controller_real moved[ETEL_XY_CONTROLLER_PARAMETERS],
+            taken[ETEL_XY_CONTROLLER_PARAMETERS];
         int32_t intervals; /* in the block */
     } lasting;
     struct { /* last good one: feedback() writes it, estimate() and save() read it */

@@ -68,7 +68,8 @@ enum {
     /* numbers of these rows, without the zeros of a triangle */
     INNER_SIZE = ETEL_XY_CONTROLLER_INNER_SIZE,
     INNER_SIGNALS = ETEL_XY_CONTROLLER_INNER_SIGNALS, /* signals that the output reads: velocity */
-    COLOUR_BLOCK = 50,                           /* intervals of a block of innovations */
+    /* intervals with motion of a block, by which errors of the model that stay are found */
+    LASTING_BLOCK = 50,
     /* states that a state depends on over an interval, at most */
     COUPLED = 1,
     DEFECT_WIDTH = ETEL_XY_CONTROLLER_DEFECT_WIDTH, /* numbers of a defect's row */
@@ -112,11 +113,11 @@ enum {
 /* Of errors of the model that stay. */
 /* information of the mean over blocks before any: measurements of a block */
 #define COLOUR_FIRST 500.0f
-#define COLOUR_FORGETS 0.025f                /* share that this mean forgets with a block */
-#define COLOUR_MOST 100.0f                   /* a block's square over its number counts no more */
+#define LASTING_FORGETS 0.025f               /* share that means over blocks forget with one */
+/* a block's square counts no more than so many times what it is on average */
+#define LASTING_MOST 100.0f
 /* independent innovations make a mean of up to so much */
 #define COLOUR_FREE 1.5f
-#define WANDER_FORGETS 0.0005f               /* share that means over updates forget with one */
 /* factor on a variance beyond which measurements contradict the model */
 #define DOUBTED_SPREAD 2.0f
 /* means beyond which measurements contradict the model */

@@ -78,7 +78,7 @@ typedef double etel_xy_switching_position;
 #define ETEL_XY_SWITCHING_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_SWITCHING_MACHINE "9564a0eeeedc" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_switching_check() */
-#define ETEL_XY_SWITCHING_HEADER 0xe80ed470u
+#define ETEL_XY_SWITCHING_HEADER 0x34532976u
 /* of etel_xy_switching_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SWITCHING_SAVED_FORMAT 2u
 #define ETEL_XY_SWITCHING_SAVED_MACHINE_0 0x9564a0eeu
@@ -252,11 +252,12 @@ typedef struct {
         etel_xy_switching_real interval[3], block[3];
         /* of blocks: squares of sums with their information, and that alone */
         etel_xy_switching_real squares, information;
-        /* slow mean of theta, its information */
-        etel_xy_switching_real mean[ETEL_XY_SWITCHING_PARAMETERS],
-            weight[ETEL_XY_SWITCHING_PARAMETERS];
-        /* square about it over the variance; weight of that */
-        etel_xy_switching_real ratio[ETEL_XY_SWITCHING_PARAMETERS], updates;
+        /* where the block began; 0: none did */
+        etel_xy_switching_real theta[ETEL_XY_SWITCHING_PARAMETERS],
+            variance[ETEL_XY_SWITCHING_PARAMETERS];
+        /* over blocks: squared moves, variance taken, over that before */
+        etel_xy_switching_real moved[ETEL_XY_SWITCHING_PARAMETERS],
+            taken[ETEL_XY_SWITCHING_PARAMETERS];
         int32_t intervals; /* in the block */
     } lasting;
     struct { /* last good one: feedback() writes it, estimate() and save() read it */

@@ -63,10 +63,10 @@ class LastingRule:
 
     Attributes:
         first: information of the mean over blocks of innovations before any: the measurements of a block.
-        block: intervals of a block.
-        most: the square of a block's sum over its number counts no more.
+        block: intervals with motion of a block.
+        most: a block's square counts no more than so many times what it is on average.
         free: innovations that are independent make a mean of up to so much.
-        forgets: share that a mean over updates forgets with one.
+        forgets: share that a mean over blocks forgets with an interval.
         doubted: factor beyond which the measurements contradict the model.
     """
 

@@ -19,7 +19,7 @@ def run_ekf(record: NodeRecord, progress: Progress | None = None) -> Estimates:
     weights, model = record.weights, record.model
     n_x, n_p, updates = model.n_x, model.n_p, record.updates
     belief, prior = record.first, weights.prior[1]
-    scaling, newest, lasting = record.scaling, MeasurementResult.none(), record.lasting
+    scaling, newest, lasting = record.scaling, MeasurementResult.none(), record.start_lasting()
     std = weights.parameter
     results = np.empty((updates, n_x)), np.empty((updates, n_p)), np.empty((updates, n_p))
     statuses, readings = np.empty(updates, dtype=np.int64), []
@@ -43,7 +43,7 @@ def run_ekf(record: NodeRecord, progress: Progress | None = None) -> Estimates:
         else:
             status, belief = NOT_FINITE, Gaussian(belief.mean, prior)
             scaling, newest = Scaling(weights.self_scaling), MeasurementResult.none()
-            lasting = record.lasting
+            lasting = record.start_lasting()
         for store, value in zip(results, (belief.mean[:n_x], belief.mean[n_x:], std), strict=True):
             store[node - 1] = value
         statuses[node - 1] = status

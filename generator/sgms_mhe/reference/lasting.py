@@ -8,15 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.reference.readings import MOST as MOST_RATIO
 from sgms_mhe.reference.readings import Innovation
 
 Array = NDArray[np.float64]
 
 BLOCK = 50
-"""Intervals of a block of innovations."""
+"""Intervals with motion of a block."""
 MOST = 100.0
-"""The square of a block's sum over its number counts no more."""
+"""A block's square counts no more than so many times what it is on average."""
 FREE = 1.5
 """Innovations that are independent make a mean over blocks of up to so much."""
 FORGETS = 0.0005
@@ -60,49 +59,56 @@ class InnovationColour:
         return max(1.0, self.squares / self.information / FREE)
 
 
-@dataclass
 class ParameterWander:
-    """Mean square of theta about its own slow mean, over its variance.
+    """Squared move of each parameter over a block of updates, over the variance that the block takes from it.
 
-    That mean weighs theta with its information: what was unknown at first counts for little.
+    An estimate that knows its variance moves, from one block's end to the next, with the variance before, and what
+    drift adds, less that after. Blocks count with that share of the variance: what was unknown moves much at once.
+
+    Args:
+        drift: random walk of theta per update (n_p), 1 sigma.
     """
 
-    mean: Array
-    weight: Array
-    ratio: Array
-    updates: float = 0.0
-
-    @classmethod
-    def none(cls, n_p: int) -> ParameterWander:
-        """Before any update."""
-        return cls(np.zeros(n_p), np.zeros(n_p), np.zeros(n_p))
+    def __init__(self, drift: Array) -> None:
+        self._growth = BLOCK * drift**2
+        self._theta: Array | None = None
+        self._variance: Array | None = None
+        self._updates = 0
+        self.squares, self.share = np.ones_like(drift), np.ones_like(drift)
 
     def take(self, theta: Array, variance: Array) -> None:
-        """Take an estimate (n_p) in."""
-        self.weight = (1.0 - FORGETS) * self.weight + 1.0 / variance
-        self.mean = self.mean + (theta - self.mean) / (variance * self.weight)
-        self.updates = (1.0 - FORGETS) * self.updates + 1.0
-        counted = np.minimum((theta - self.mean) ** 2 / variance, MOST_RATIO)
-        self.ratio = self.ratio + (counted - self.ratio) / self.updates
+        """Take an estimate (n_p) and its variance in."""
+        self._updates += 1
+        if self._theta is None or self._variance is None:
+            self._theta, self._variance = theta.copy(), variance.copy()
+        if self._updates < BLOCK:
+            return
+        self._updates = 0
+        before = self._variance + self._growth
+        taken = np.maximum(0.0, before - variance)
+        keep = 1.0 - BLOCK * FORGETS
+        self.squares = keep * self.squares + np.minimum((theta - self._theta) ** 2, MOST * taken) / before
+        self.share = keep * self.share + taken / before
+        self._theta, self._variance = theta.copy(), variance.copy()
 
     @property
     def factor(self) -> Array:
         """Factor on each variance (n_p), >= 1."""
-        return np.maximum(1.0, self.ratio)
+        return np.maximum(1.0, self.squares / self.share)
 
 
 class LastingErrors:
     """Both of them along the updates of a record.
 
     Args:
-        n_p: parameters.
+        drift: random walk of theta per update (n_p), 1 sigma.
         measurements: in an interval.
         enabled: whether variances are scaled at all.
     """
 
-    def __init__(self, n_p: int, measurements: int, *, enabled: bool) -> None:
+    def __init__(self, drift: Array, measurements: int, *, enabled: bool) -> None:
         self._enabled = enabled
-        self._colour, self._wander = InnovationColour(float(BLOCK * measurements)), ParameterWander.none(n_p)
+        self._colour, self._wander = InnovationColour(float(BLOCK * measurements)), ParameterWander(drift)
 
     def take(self, interval: Sequence[Innovation], theta: Array, variance: Array) -> None:
         """Take an update with motion in: its innovations, its estimate and the variances of that (n_p)."""

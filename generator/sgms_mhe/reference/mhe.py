@@ -89,7 +89,7 @@ def run_mhe(record: NodeRecord, progress: Progress | None = None) -> Estimates:
     std = weights.parameter
     active = np.zeros(n_p, dtype=np.bool_)
     scaling, newest, scales = record.scaling, MeasurementResult.none(), NoiseFactors.of(record)
-    lasting = record.lasting
+    lasting = record.start_lasting(drifts=is_riccati)
     results = np.empty((updates, n_x)), np.empty((updates, n_p)), np.empty((updates, n_p))
     statuses, readings = np.empty(updates, dtype=np.int64), []
     for node in range(1, updates + 1):
@@ -116,7 +116,7 @@ def run_mhe(record: NodeRecord, progress: Progress | None = None) -> Estimates:
             status = NOT_FINITE
             x, arrival = x[-1:], Gaussian(np.concatenate([x[-1], theta]), prior.covariance)
             kept, scaling, newest = None, Scaling(weights.self_scaling), MeasurementResult.none()
-            lasting = record.lasting
+            lasting = record.start_lasting(drifts=is_riccati)
             scales.end[node] = np.inf  # the measurement that came with it is not to be trusted
             shifts = owed = 0
         else:

@@ -175,11 +175,10 @@ class NodeRecord:
         """How measurements are weighed before any measurement."""
         return Scaling(self.weights.self_scaling, slow=self.start.slow if self.start else 1.0)
 
-    @property
-    def lasting(self) -> LastingErrors:
-        """Errors of the model that stay, before any measurement."""
-        measurements = 1 + self.inner_y.shape[1]
-        return LastingErrors(self.model.n_p, measurements, enabled=self.weights.self_scaling)
+    def start_lasting(self, *, drifts: bool = True) -> LastingErrors:
+        """Errors of the model that stay, before any measurement; `drifts`: whether the drift of theta enters at all."""
+        drift, measurements = drifts * self.weights.drift, 1 + self.inner_y.shape[1]
+        return LastingErrors(drift, measurements, enabled=self.weights.self_scaling)
 
     def moves(self, interval: int) -> bool:
         """Return True if the axis moves far enough in an interval for theta to drift."""

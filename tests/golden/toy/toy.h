@@ -74,7 +74,7 @@ typedef double toy_position;
 
 #define TOY_VERSION "0.2.0" /* of the generator */
 #define TOY_MACHINE "ddc7efac656b" /* digest of the machine file */
-#define TOY_HEADER 0x6b4e04c7u /* digest of all that this header declares, for toy_check() */
+#define TOY_HEADER 0x54820f15u /* digest of all that this header declares, for toy_check() */
 #define TOY_SAVED_FORMAT 2u /* of toy_saved_t, and the digest of the machine file again */
 #define TOY_SAVED_MACHINE_0 0xddc7efacu
 #define TOY_SAVED_MACHINE_1 0x656bu
@@ -233,10 +233,10 @@ typedef struct {
         toy_real interval[3], block[3]; /* of the innovations: sum, information, number */
         /* of blocks: squares of sums with their information, and that alone */
         toy_real squares, information;
-        /* slow mean of theta, its information */
-        toy_real mean[TOY_PARAMETERS], weight[TOY_PARAMETERS];
-        /* square about it over the variance; weight of that */
-        toy_real ratio[TOY_PARAMETERS], updates;
+        /* where the block began; 0: none did */
+        toy_real theta[TOY_PARAMETERS], variance[TOY_PARAMETERS];
+        /* over blocks: squared moves, variance taken, over that before */
+        toy_real moved[TOY_PARAMETERS], taken[TOY_PARAMETERS];
         int32_t intervals; /* in the block */
     } lasting;
     struct { /* last good one: feedback() writes it, estimate() and save() read it */
