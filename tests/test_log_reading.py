@@ -84,6 +84,8 @@ def refusal(folder: Path, header: str, row: Row = usual, log: Mapping[str, Any] 
         ("velocity", "velocity", ""),
         ("drive_force", "drive_force", ""),
         ("Position [furlong]", "Position", "furlong"),
+        ("Speed/m/min", "Speed", "m/min"),
+        ("Axis/Speed/mm", "Axis/Speed", "mm"),
     ],
 )
 def test_units_in_names_are_split_off(name: str, base: str, unit: str) -> None:

@@ -39,7 +39,8 @@ def split_name(name: str) -> tuple[str, str]:
     if found := re.fullmatch(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]", name):
         return found[1], found[2]
     for pattern in (
-        r"(.*[^\s/])\s*/\s*([^/\s][^/]*(?:/.+)?)",
+        r"(.*?[^\s/])\s*/\s*([^/\s][^/]*(?:/.+)?)",  # Speed/m/min
+        r"(.*[^\s/])\s*/\s*([^/\s][^/]*(?:/.+)?)",  # Axis/Speed/mm
         r"(.*\S)\s*,\s*(\S+)",
         r"(.*\S)\s+in\s+(\S+)",
         r"(.+?)_(.+)",
