@@ -35,6 +35,15 @@ def test_a_wrong_unit_is_not_called_swapped_columns(seed: int, tmp_path: Path) -
     assert f'unit = "{small}"' in str(caught.value) and "swapped" not in str(caught.value)
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2, 4, 10, 14, 16, 18, 19])
+def test_swapped_columns_are_refused_also_where_each_could_be_the_other(seed: int, tmp_path: Path) -> None:
+    """A smooth force that is a position, and a rough position that is a force: neither mass nor friction in them."""
+    machine, log = drawn_machine(seed, tmp_path)
+    check_plausible(log, machine)
+    with pytest.raises(ImplausibleError):
+        check_plausible(replace(log, position_m=log.force_N, force_N=log.position_m), machine)
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2, 3, 4, 5])
 def test_a_mass_from_the_log_itself_judges_no_force(seed: int, tmp_path: Path) -> None:
     machine, log = drawn_machine(seed, tmp_path)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -77,6 +78,7 @@ def check_plausible(log: Log, machine: Machine | None, *, has_mass: bool = True)
     known = machine if has_mass else None
     _check_balance(log, known, motion)
     if known is not None:
+        _check_swapped(log, known, motion)
         _check_force(log, known, motion)
 
 
@@ -145,7 +147,7 @@ def _check_speed(log: Log, machine: Machine, motion: _Motion) -> None:
     Columns that are swapped have friction that drives the motion: where it does not, the unit is wrong.
     """
     samples, highest, units = machine.sampling.samples_per_update, machine.sampling.max_velocity, machine.plant.units
-    position, force = units.named("position_m"), units.named("force_N")
+    position = units.named("position_m")
     fastest = _fastest(log.position_m, samples, log.rate)
     if not fastest > TOO_FAST * highest:
         return
@@ -154,7 +156,7 @@ def _check_speed(log: Log, machine: Machine, motion: _Motion) -> None:
     balance = _balance(log, machine, motion)
     is_friction = balance.dissipates > 0 or (balance.dissipates == 0 and balance.inertia > 0.0)
     if not is_friction and _fastest(log.force_N, samples, log.rate) <= TOO_FAST * highest:
-        remedy = f'swapped with {force}? Then [log] has {position} = "{force}" and {force} = "{position}"'
+        remedy = _swap(log)
     else:
         # Millimetres and degrees are what people have; the others where only they make the axis slow enough, or its
         # mass the machine's.
@@ -164,6 +166,25 @@ def _check_speed(log: Log, machine: Machine, motion: _Motion) -> None:
         unit = next((unit for unit in slow if 1 / NEAR <= ratio / factors[unit] <= NEAR), slow[0])
         remedy = f'another column or unit? [log] has {position} = {{ variable = "...", unit = "{unit}" }}'
     raise _implausible(log, f"column {position}", seen, f"a position in {units.metres}; {known}; {remedy}")
+
+
+def _swap(log: Log) -> str:
+    position, force = log.units.named("position_m"), log.units.named("force_N")
+    return f'swapped with {force}? Then [log] has {position} = "{force}" and {force} = "{position}"'
+
+
+def _check_swapped(log: Log, machine: Machine, motion: _Motion) -> None:
+    """Refuse columns that say nothing of mass and friction, and are this axis's where each stands for the other."""
+    balance = _balance(log, machine, motion)
+    if balance.inertia != 0.0 or balance.dissipates != 0:
+        return
+    other = replace(log, position_m=log.force_N, force_N=log.position_m)
+    there = _balance(other, machine, _motion(other, machine.sampling.samples_per_update))
+    units, moved = log.units, machine.plant.moved
+    if there.dissipates > 0 and 1.0 / NEAR <= there.inertia / moved <= NEAR:
+        seen = f"no mass and no friction; turned round {there.inertia:.3g} {units.mass} and friction that brakes"
+        allowed = f"a motion and the {units.push} that makes it; {units.named('position_m')} {_swap(log)}"
+        raise _implausible(log, _both(log), seen, allowed)
 
 
 def _fastest(position: Array, samples: int, rate: float) -> float:
