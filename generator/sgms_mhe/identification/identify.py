@@ -140,7 +140,11 @@ def explore(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> 
     if wanted.elements is not None and not 1 <= wanted.elements <= MOST_ELEMENTS:
         raise InputError("identify", "elements", wanted.elements, f"1 to {MOST_ELEMENTS}, or auto")
     known = Known(wanted.mass is not None or logs[0].is_friction_alone, wanted.elements is not None)
-    return _explore_records(_records(sort_logs(logs), wanted), wanted, known, report)
+    records = _records(sort_logs(logs), wanted)
+    try:
+        return _explore_records(records, wanted, known, report)
+    except InputError as error:
+        raise error.add_notes(records.warnings) from None
 
 
 def explore_recording(recording: Recording, report: Progress = _silent) -> Explored:

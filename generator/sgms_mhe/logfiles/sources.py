@@ -113,8 +113,8 @@ def _stated_unit(column: Column, quantity: Quantity) -> str:
 
 
 def _is_own(column: Column, quantity: Quantity) -> bool:
-    """Return True for the log's own name of a quantity, alone or behind the path of a group or struct."""
-    return re.split(r"[.:/]", column.header)[-1] == quantity.column
+    """Return True for the log's own name of a quantity, behind the path of a group or struct or before a unit too."""
+    return quantity.column in (re.split(r"[.:/]", name)[-1] for name in (column.header, split_name(column.header)[0]))
 
 
 def _candidates(table: Table, quantity: Quantity, bare: LogColumn | None, *, by_name: bool) -> list[Column]:
@@ -254,11 +254,12 @@ def _own(path: Path, quantity: Quantity, column: Column, stamped: bool) -> Sourc
     if stamped and quantity.role == "time":
         return Source(quantity, column.name, quantity.unit, "time stamps")
     if _is_own(column, quantity):
-        beside = normal_unit(column.unit)
+        beside = "" if column.header.endswith(quantity.column) else split_name(column.header)[1]
+        beside = normal_unit(column.unit if column.unit not in ("", "-") else beside)
         if beside not in ("", "-", quantity.unit):
             line = _line(quantity, column.name, beside if beside in quantity.allowed else quantity.unit)
             allowed = f"the unit {quantity.unit}, as in its name; which holds? [log] of the machine file says: {line}"
-            raise InputError(path, f"column {column.name}, unit", column.unit, allowed)
+            raise InputError(path, f"column {column.name}, unit", beside, allowed)
         return Source(quantity, column.name, quantity.unit, "its name")
     stated = _check_unit(path, quantity, column, _stated_unit(column, quantity))
     return Source(quantity, column.name, stated, "name and unit")

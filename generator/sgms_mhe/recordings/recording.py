@@ -236,11 +236,12 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
         raise InputError(log.source or "log", "samples", n, f"at least {ROWS_MIN * factor} for a diagnosis")
     used = np.asarray(good[: m * factor].reshape(m, factor).all(axis=1))
     if used.sum() < ROWS_MIN:
-        raise InputError(log.source or "log", "usable samples", int(good.sum()), f"at least {ROWS_MIN * factor}")
+        few = InputError(log.source or "log", "usable samples", int(good.sum()), f"at least {ROWS_MIN * factor}")
+        raise few.add_notes(warnings)
     block, count = _blocks(used, factor / rate)
     if not count:
         allowed = f"at least {BLOCK_ROWS_MIN * factor} of them within {BLOCK_MAX:g} s: a higher rate, or fewer gaps"
-        raise InputError(log.source or "log", "usable samples", int(used.sum()) * factor, allowed)
+        raise InputError(log.source or "log", "usable samples", int(used.sum()) * factor, allowed).add_notes(warnings)
     fold, held_out = split_blocks(count, machine)
     clock = np.arange(n) / rate - signals.delay
     recording = reduce_signals(machine, signals, clock, factor, np.where(used, block, -1), fold, held_out, warnings)

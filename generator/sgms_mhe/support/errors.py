@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 LONGEST_VALUE: Final = 200
 """Characters of a wrong value, or of a wrong key, that a message repeats."""
@@ -23,6 +24,13 @@ class InputError(Exception):
         self._arguments = (source, where, value, allowed)
         shown = "" if value is None else f" = {_shorten(repr(value))}"
         super().__init__(f"{self.source}: {_shorten(where)}{shown}: {allowed}")
+
+    def add_notes(self, sentences: Sequence[str]) -> Self:
+        """Return the error with sentences on how the log was used; they may be the reason behind the reason."""
+        if not sentences:
+            return self
+        source, where, value, allowed = self._arguments
+        return type(self)(source, where, value, f"{allowed} (note: {'; '.join(sentences)})")
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str | Path, str, object, str]]:
         return type(self), self._arguments
