@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Final
 
 from sgms_bench.studies.coverage import coverage_study
@@ -21,6 +22,7 @@ from sgms_bench.studies.creep import creep_study
 from sgms_bench.studies.faults import faults_study
 from sgms_bench.studies.identification import identification_study
 from sgms_bench.studies.lasting import lasting_study
+from sgms_bench.studies.lasting_figure import lasting_figure
 from sgms_bench.studies.monte_carlo import monte_carlo_study
 from sgms_bench.studies.plant import plant_study
 from sgms_bench.studies.readings import readings_study
@@ -31,6 +33,7 @@ from sgms_mhe.support.parallel import workers
 from sgms_mhe.support.processes import WorkerSlot
 from sgms_mhe.support.tables import CsvTable
 
+DOTS_PER_INCH: Final = 110
 Study = Callable[[int, int, WorkerSlot], CsvTable]
 
 STUDIES: Final[Mapping[str, tuple[Study, int, int]]] = {
@@ -57,8 +60,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--updates", type=int, help="updates per run (of 10 ms)")
     parser.add_argument("--jobs", type=int, default=workers(), help="processes at a time; 0: none but this one")
     parser.add_argument("--scheduler", help="address of a Dask cluster that does the work")
+    parser.add_argument("--figure", type=Path, help="of lasting alone: draw one of its logs into this file instead")
     chosen = parser.parse_args(arguments)
     study, runs, updates = STUDIES[chosen.name]
+    if chosen.figure is not None:
+        if chosen.name != "lasting":
+            parser.error(f"argument --figure: {chosen.name} has none, lasting has")
+        lasting_figure((chosen.updates or updates) / 100.0).savefig(chosen.figure, dpi=DOTS_PER_INCH)
+        return 0
     place = WorkerSlot(chosen.jobs, chosen.scheduler)
     sys.stdout.write(f"{study(chosen.runs or runs, chosen.updates or updates, place)}\n")
     return 0
