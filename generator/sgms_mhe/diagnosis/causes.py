@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.criteria import MATERIAL_NOISE, material_force, small_force
 from sgms_mhe.diagnosis.final_fit import FinalFit, split_rms
-from sgms_mhe.diagnosis.fits import ITERATIONS, Fit, _report_name, report_values
+from sgms_mhe.diagnosis.fits import ITERATIONS, Fit, report_name, report_values
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.parametrisation import (
     ParameterGroup,
@@ -71,13 +71,12 @@ def measure_causes(final: FinalFit, selection: Selection, blind: Fit) -> dict[Pa
         without = final.fit(effects, refitted=refitted, warm=blind, rows=final.seen)
         before, held_before = split_rms(without, recording)
         after, held_after = split_rms(blind, recording)
-        again = group.is_candidate and any(e.name == group.cause for e in fit.effects[: group.index])
         causes[group] = Cause(
             name=group.cause,
-            label=f"{group.cause}_2" if again else group.name,
+            label=name_cause(fit, group),
             parameters=report_values(fit, group),
             std={
-                _report_name(group, c.name): s
+                report_name(group, c.name): s
                 for c, s in zip(fit.model.columns, deviations, strict=True)
                 if c.group == group
             },
@@ -88,6 +87,12 @@ def measure_causes(final: FinalFit, selection: Selection, blind: Fit) -> dict[Pa
             p_value=selection.p_values.get(group, math.nan),
         )
     return {group: replace(cause, vague=_find_vague(cause)) for group, cause in causes.items()}
+
+
+def name_cause(fit: Fit, group: ParameterGroup) -> str:
+    """Return the label of a cause within the extended machine."""
+    again = group.is_candidate and any(e.name == group.cause for e in fit.effects[: group.index])
+    return f"{group.cause}_2" if again else group.name
 
 
 def _find_vague(cause: Cause) -> tuple[str, ...]:
@@ -144,7 +149,7 @@ def _sizes(cause: Cause) -> dict[str, float]:
 def _file_values(fit: Fit, group: ParameterGroup) -> dict[str, float]:
     """Return the machine file's numbers of a group; none for an effect under test."""
     return {
-        _report_name(group, c.name): c.si(c.machine_theta)
+        report_name(group, c.name): c.si(c.machine_theta)
         for c in fit.model.columns
         if c.group == group and not group.is_candidate
     }

@@ -348,11 +348,12 @@ def _prior(subject: Subject, model: CompiledFit, free: Mask) -> Prior:
 
 def report_values(fit: Fit, group: ParameterGroup) -> dict[str, float]:
     """A group's numbers as a report states them, with units at the ends of their names."""
-    values = {_report_name(group, name): value for name, value in fit.values(group).items()}
+    values = {report_name(group, name): value for name, value in fit.values(group).items()}
     return effect_definition(group.cause).tidy(values) if group.is_candidate else values
 
 
-def _report_name(group: ParameterGroup, column: str) -> str:
+def report_name(group: ParameterGroup, column: str) -> str:
+    """Return the name of a column in reports, its unit at the end."""
     return reported_name(column) if group.kind == "base" else column
 
 

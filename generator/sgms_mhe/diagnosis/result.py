@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.diagnosis.combinations import KnownCombination
 from sgms_mhe.diagnosis.document import make_document
 from sgms_mhe.diagnosis.extension import extension_toml
 from sgms_mhe.diagnosis.other_record import OtherRecord, list_contradictions
@@ -270,6 +271,7 @@ class Diagnosis:
             are no causes.
         offset_s: age of the logged force that was taken out, see `in_step`.
         records: the other records, where there are any.
+        combinations: of causes that the record does not tell apart.
     """
 
     machine: Machine
@@ -302,6 +304,7 @@ class Diagnosis:
     is_rough: bool = False
     offset_s: float = 0.0
     records: tuple[OtherRecord, ...] = ()
+    combinations: tuple[KnownCombination, ...] = ()
 
     @property
     def errors(self) -> dict[str, float]:
@@ -314,8 +317,13 @@ class Diagnosis:
 
     def identifies(self, cause: Cause) -> bool:
         """Return True if the record determines a cause's numbers, no rival fits as well, and other records agree."""
-        doubted = cause.vague or cause.stands_in or cause.transfers is False
-        return not doubted and all(a.instead_of != cause.name for a in self.alternatives if a.rival)
+        if cause.vague or cause.stands_in or cause.transfers is False or self.find_combination(cause):
+            return False
+        return all(a.instead_of != cause.name for a in self.alternatives if a.rival)
+
+    def find_combination(self, cause: Cause) -> KnownCombination | None:
+        """Return the combination with another cause that is known in place of its own numbers, if there is one."""
+        return next((known for known in self.combinations if cause.label in known.causes), None)
 
     @property
     def limits(self) -> tuple[str, ...]:
@@ -341,7 +349,8 @@ class Diagnosis:
             for b in self.base
             if not math.isfinite(b.std)
         ]
-        others = (*self.undecided, *self._curves, *vague, *self.contradictions)
+        collinear = (known.describe() for known in self.combinations)
+        others = (*self.undecided, *self._curves, *vague, *collinear, *self.contradictions)
         return (*map(Limit, self._left), *pairs, *map(Limit, others), *unknown)
 
     @property
@@ -437,6 +446,7 @@ class Diagnosis:
                     "gain_interval_N": list(cause.gain_interval_N),
                     "identified": self.identifies(cause),
                     "transfers": cause.transfers,
+                    "known_combination": None if (known := self.find_combination(cause)) is None else known.to_json(),
                 }
                 for cause in self.causes
             ],
@@ -457,13 +467,7 @@ class Diagnosis:
                 for s in self.structure_after
             ],
             base=[
-                {
-                    "name": named(b.name),
-                    "nominal": b.nominal,
-                    "refitted": b.refitted,
-                    "std": b.std,
-                }
-                for b in self.base
+                {"name": named(b.name), "nominal": b.nominal, "refitted": b.refitted, "std": b.std} for b in self.base
             ],
             warnings=self.warnings,
         )

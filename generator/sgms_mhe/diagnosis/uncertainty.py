@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sgms_mhe.diagnosis.fits import Fit, Subject, prior_information
 from sgms_mhe.diagnosis.parametrisation import TIMING, TIMING_MOST
 from sgms_mhe.model.effects import effect_definition
-from sgms_mhe.recordings.evidence import UNSEEN_ERROR, robust_covariance
+from sgms_mhe.recordings.evidence import TINY, UNSEEN_ERROR, robust_covariance
 from sgms_mhe.recordings.recording import Recording, Runs, filter_position
 from sgms_mhe.signals.noise import noise_course, position_noise
 from sgms_mhe.support.parallel import run_parallel
@@ -118,9 +118,7 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
         other: the same axis with the other transition from sticking to slipping; None: it has none.
     """
     recording = subject.recording
-    X = np.where(_is_smooth(subject, fit, fit.jacobian)[:, None], fit.jacobian[:, fit.free], 0.0)
-    prior = np.diag(prior_information(subject, fit.model, fit.free))
-    H = X[recording.used].T @ X[recording.used] + prior
+    X, H = _inform(subject, fit)
     inverse = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
     wrong = math.sqrt(max(0.0, fit.cross_rms**2 - (FLOOR_SURE * subject.noise) ** 2))
     inner = robust_covariance(recording, X, fit.residual, H, inverse, max(wrong, UNSEEN_ERROR * subject.noise))
@@ -131,6 +129,27 @@ def covariance(subject: Subject, fit: Fit, other: Subject | None = None) -> Arra
     inner += np.diag(_timing(subject, fit)[fit.free] ** 2)
     result = np.zeros((len(fit.theta), len(fit.theta)))
     result[np.ix_(fit.free, fit.free)] = inner
+    return result
+
+
+def _inform(subject: Subject, fit: Fit) -> tuple[Array, Array]:
+    """Return the derivatives of a fit in its free numbers (m, free), and the joint information (free, free)."""
+    X = np.where(_is_smooth(subject, fit, fit.jacobian)[:, None], fit.jacobian[:, fit.free], 0.0)
+    prior = np.diag(prior_information(subject, fit.model, fit.free))
+    return X, X[subject.recording.used].T @ X[subject.recording.used] + prior
+
+
+def correlate(subject: Subject, fit: Fit, covariance: Array) -> Array:
+    """Return a covariance (n_p, n_p) of the same deviations, its correlations those of the joint information.
+
+    That of `covariance` has other ones: it states single numbers, each no surer than several errors allow.
+    """
+    _, H = _inform(subject, fit)
+    inverse = np.linalg.pinv(H, hermitian=True)
+    unit = np.sqrt(np.maximum(np.diag(inverse), TINY))
+    deviations = np.sqrt(np.diag(covariance))[fit.free]
+    result = np.zeros_like(covariance)
+    result[np.ix_(fit.free, fit.free)] = inverse / np.outer(unit, unit) * np.outer(deviations, deviations)
     return result
 
 

@@ -31,6 +31,8 @@ from sgms_mhe.diagnosis.beginning import (
     plain_friction,
     refute_by_causes,
 )
+from sgms_mhe.diagnosis.causes import name_cause
+from sgms_mhe.diagnosis.combinations import KnownCombination, find_combinations
 from sgms_mhe.diagnosis.criteria import Progress, ProgressReport, make_criteria
 from sgms_mhe.diagnosis.final_fit import FinalFit, RecordResidual, fit_rivals, make_final_fit, split_rms
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
@@ -380,7 +382,20 @@ def _diagnosis(
         plain=plain_friction(record),
         refuted=refute_by_causes(causes) if begun is None else list_refuted(numbers),
         is_rough=begun is not None and distance(numbers, mean_speed(record)) > ROUGH,
+        combinations=_combine_causes(final, judged),
     )
+
+
+def _combine_causes(final: FinalFit, judged: Judged) -> tuple[KnownCombination, ...]:
+    """Return what the record knows of causes that it does not tell apart, every number of the machine free."""
+    selection = judged.found.selection
+    if len(judged.found.causes) < 2:
+        return ()
+    labels = {cause.label for cause in judged.found.causes}
+    groups = [(group, name_cause(selection.fit, group)) for group in selection.causes]
+    free = final.fit(selection.fit.effects, warm=selection.fit)
+    known = [(group, label) for group, label in groups if label in labels]
+    return find_combinations(final.subject, free, final.other, known)
 
 
 def _force_of_noise(final: FinalFit) -> float:
