@@ -166,6 +166,8 @@ def test_a_machine_worse_than_plain_friction_is_not_recommended(machine: Machine
     assert content["causes"][0]["identified"] is False
     (entry,) = content["records"]
     assert entry["residual_rms_N"]["held_out_after"] == record.held_out_after
+    assert entry["simulation_error"]["after"] == pytest.approx(record.held_out_after / record.force)
+    assert record.force > record.plain  # most of the force is inertial
     assert entry["gains"][0]["name"] == "force_ripple"
     assert entry["gains"][0]["shown"] is True
 

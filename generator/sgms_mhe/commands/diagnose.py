@@ -181,7 +181,8 @@ def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: Estimat
         )
     lines += [
         f"on {r.name}: residual {r.held_out_before:.3g} to {r.held_out_after:.3g} {units.force} rms on held-out data; "
-        f"Coulomb and viscous friction {r.plain:.3g} {units.force}, noise {r.noise_floor_N:.3g} {units.force}"
+        f"Coulomb and viscous friction {r.plain:.3g} {units.force}, noise {r.noise_floor_N:.3g} {units.force}; "
+        f"of the {units.push}'s RMS {', '.join(f'{100.0 * error:.3g} %' for error in r.errors.values())}"
         for r in diagnosis.records
     ]
     lines += [f"open: {sentence}" for sentence in diagnosis.contradictions]

@@ -32,6 +32,7 @@ class OtherRecord:
         name: source of its log.
         held_out_before, held_out_after: residual of the machine and of the extended machine.
         plain: of Coulomb and viscous friction by least squares on this record.
+        force: RMS of the force.
         noise_floor_N: of its measured friction.
         origin_m: what its position is behind that of the first record, as the forces over place say; 0: nothing.
         causes: those of the first record.
@@ -41,9 +42,18 @@ class OtherRecord:
     held_out_before: float
     held_out_after: float
     plain: float
+    force: float
     noise_floor_N: float
     origin_m: float
     causes: tuple[TransferredCause, ...]
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Return the simulation error over the RMS of the force: before, after, of plain friction [1]."""
+        if not self.force > 0.0:
+            return {}
+        errors = {"before": self.held_out_before, "after": self.held_out_after, "plain": self.plain}
+        return {key: value / self.force for key, value in errors.items()}
 
     @property
     def is_worse_than_plain(self) -> bool:
@@ -60,6 +70,7 @@ class OtherRecord:
                 "noise_floor": self.noise_floor_N,
             },
             "plain_N": self.plain,
+            "simulation_error": self.errors,
             "origin_m": self.origin_m,
             "gains": [
                 {"name": t.label, "gain_N": t.gain_N, "gain_interval_N": list(t.gain_interval_N), "shown": t.is_shown}
@@ -76,7 +87,9 @@ def list_contradictions(alone: Sequence[str], records: Sequence[OtherRecord], un
         records: others that the extended machine was judged on.
         unit: of a force.
     """
-    sentences = [f"{', '.join(alone)}: of the first record alone, other records contradict it"] if alone else []
+    sentences = (
+        [f"{', '.join(alone)}: of the first record alone, on another one it gains nothing significant"] if alone else []
+    )
     sentences += [
         f"the extended machine is not recommended: on {record.name} it leaves {record.held_out_after:.3g} {unit}, "
         f"Coulomb and viscous friction alone {record.plain:.3g} {unit}"

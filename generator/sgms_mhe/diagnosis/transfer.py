@@ -173,13 +173,15 @@ def _judge_on(found: Diagnosis, log: Log) -> OtherRecord:
     after = _Transfer.of(Subject.of(extended, recording)).align()
     fit = after.fit(after.theta, after.free(), after.seen)
     floor = noise_floor(after.subject.recording, fit.residual)
+    plain = plain_friction(recording)
     file = shift_position(_record(found.machine, log), origin)
     before = _Transfer.of(Subject.of(found.machine, file)).align()
     return OtherRecord(
         name=log.source or "log",
         held_out_before=split_rms(before.fit(before.theta, before.free(), before.seen), file)[1],
         held_out_after=split_rms(fit, recording)[1],
-        plain=plain_friction(recording).held_out,
+        plain=plain.held_out,
+        force=plain.force,
         noise_floor_N=floor,
         origin_m=origin,
         causes=tuple(_judge_cause(after, fit, cause, floor, found) for cause in found.causes),
