@@ -154,6 +154,8 @@ def _gain(gain: EstimatorGain) -> dict[str, object]:
 
 def _text(diagnosis: Diagnosis, folder: Path, report: Path | None, gain: EstimatorGain | None) -> str:
     lines = [f"{diagnosis.verdict}: {diagnosis.summary}"]
+    if diagnosis.learned is not None:
+        lines.append(f"  {diagnosis.learned.words}")
     units = diagnosis.machine.plant.units
     for cause in diagnosis.causes:
         values = ", ".join(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sgms_mhe.diagnosis.combinations import KnownCombination
 from sgms_mhe.diagnosis.document import make_document
 from sgms_mhe.diagnosis.extension import extension_toml
+from sgms_mhe.diagnosis.learner import Learned
 from sgms_mhe.diagnosis.other_record import OtherRecord, list_contradictions
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.files import write_text
@@ -272,6 +273,7 @@ class Diagnosis:
         offset_s: age of the logged force that was taken out, see `in_step`.
         records: the other records, where there are any.
         combinations: of causes that the record does not tell apart.
+        learned: part of the residual that no cause accounts for and coordinates of the motion predict.
     """
 
     machine: Machine
@@ -305,6 +307,7 @@ class Diagnosis:
     offset_s: float = 0.0
     records: tuple[OtherRecord, ...] = ()
     combinations: tuple[KnownCombination, ...] = ()
+    learned: Learned | None = None
 
     @property
     def errors(self) -> dict[str, float]:
@@ -411,11 +414,9 @@ class Diagnosis:
     def plot(self, axes: Any | None = None) -> Any:
         """Draw the residual over time before and after; return the matplotlib axes, those given or new ones."""
         axes = labelled_axes(axes, "time [s]", f"residual [{self.machine.plant.units.force}]")
-        used = self.traces.used
-        axes.plot(
-            self.traces.time_s[used], self.traces.residual_before[used], linewidth=0.6, color="0.6", label="before"
-        )
-        axes.plot(self.traces.time_s[used], self.traces.residual_after[used], linewidth=0.6, label="after")
+        t, used = self.traces, self.traces.used
+        axes.plot(t.time_s[used], t.residual_before[used], linewidth=0.6, color="0.6", label="before")
+        axes.plot(t.time_s[used], t.residual_after[used], linewidth=0.6, label="after")
         axes.legend()
         return axes
 
@@ -461,6 +462,7 @@ class Diagnosis:
             simulation_error=self.errors,
             refuted=[{"name": named(n.name), "file": n.file, "record": n.record, "std": n.std} for n in self.refuted],
             extended_machine=self.extended_name,
+            learned=None if self.learned is None else self.learned.to_json(),
             law=self.law,
             structure_left=[
                 {"coordinate": s.coordinate, "rms_N": s.rms_N, "p_value": s.p_value, "peak": s.peak}

@@ -33,11 +33,12 @@ from sgms_mhe.diagnosis.beginning import (
 )
 from sgms_mhe.diagnosis.causes import name_cause
 from sgms_mhe.diagnosis.combinations import KnownCombination, find_combinations
-from sgms_mhe.diagnosis.criteria import Progress, ProgressReport, make_criteria
+from sgms_mhe.diagnosis.criteria import Progress, ProgressReport, make_criteria, material_force
 from sgms_mhe.diagnosis.final_fit import FinalFit, RecordResidual, fit_rivals, make_final_fit, split_rms
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.judgement import MOST_WITHOUT_CAUSES, MOSTLY, Judged, allowed_excess, judge
 from sgms_mhe.diagnosis.laws import SHARPER, list_compilations, make_laws, subtract_effects
+from sgms_mhe.diagnosis.learner import Learned, learn_residual
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.numbers import base_parameters, extended_machine
 from sgms_mhe.diagnosis.parametrisation import TIMING_MOST
@@ -325,14 +326,16 @@ def _diagnosis(
         begun: the record's numbers, where these were the beginning; else None.
         left_out: effects that looked good, but have no model here.
     """
-    record, verdict, causes = final.record, judged.verdict, judged.found.causes
-    selection = judged.found.selection
+    record, causes, selection = final.record, judged.found.causes, judged.found.selection
     named = bool(causes) or begun is not None
     numbers = () if begun is None else compare_numbers(machine, begun, final, selection.fit)
     nominal, start = final.nominal_residual, final.residual_of(final.start)
     # Where nothing is named: the machine's numbers, with the transition that fits; of a rough file the record's.
     unseen = final.residual_of(judged.found.blind if named else judged.plain)
     extended_left = final.residual_of(selection.fit)
+    floor = final.floor if final.along is None else final.find_floor(extended_left)
+    learned = _learn(record, extended_left, unseen, floor)
+    verdict = judged.verdict if learned is None else "unexplained"  # what can be predicted is not noise
     rms_before, held_before = split_rms(nominal, record)
     rms_after, held_after = split_rms(unseen, record)
     extended, changes = extended_machine(record.machine, final, selection, causes, machine) if named else (None, None)
@@ -352,7 +355,7 @@ def _diagnosis(
         alternatives=alternatives,
         separating_experiment=choose_experiment(verdict, causes, rivals, hidden_by),
         rms=Rms(rms_before, rms_after, held_before, held_after),
-        noise_floor_N=final.floor if final.along is None else final.find_floor(extended_left),
+        noise_floor_N=floor,
         gain_interval_N=gain_interval(nominal.loss[held], unseen.loss[held], unseen.rows[held])
         if named
         else (0.0, 0.0),
@@ -383,6 +386,7 @@ def _diagnosis(
         refuted=refute_by_causes(causes) if begun is None else list_refuted(numbers),
         is_rough=begun is not None and distance(numbers, mean_speed(record)) > ROUGH,
         combinations=_combine_causes(final, judged),
+        learned=learned,
     )
 
 
@@ -396,6 +400,12 @@ def _combine_causes(final: FinalFit, judged: Judged) -> tuple[KnownCombination, 
     free = final.fit(selection.fit.effects, warm=selection.fit)
     known = [(group, label) for group, label in groups if label in labels]
     return find_combinations(final.subject, free, final.other, known)
+
+
+def _learn(record: Recording, full: RecordResidual, blind: RecordResidual, floor: float) -> Learned | None:
+    """Learn the residual of a record; `blind`: of the fit that has not seen the held-out blocks; `floor` [N]."""
+    material = material_force(record.machine, floor)
+    return learn_residual(record, full.residual, blind.residual, floor=floor, material=material)
 
 
 def _force_of_noise(final: FinalFit) -> float:

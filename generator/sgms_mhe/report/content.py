@@ -13,6 +13,7 @@ from sgms_mhe.diagnosis.criteria import material_force
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.report.estimator import EstimatorGain
+from sgms_mhe.report.learned import learned_block
 from sgms_mhe.report.ranking import NAMED, bar_width, explained_force, ranked_scores, score_rounds, score_rows
 from sgms_mhe.report.rivals import InPlace, open_questions, rival_blocks, rivals_by_cause
 from sgms_mhe.report.series import View
@@ -89,6 +90,7 @@ def page(
             {"key": "motion", "size": "flat", "aria": "Position over time"},
         ],
         "left": _left(d),
+        "learned": None if d.learned is None else learned_block(d.learned),
         "views": [
             {
                 "key": f"view_{v.key}",

@@ -17,6 +17,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.report import content, figures
 from sgms_mhe.report.estimator import EstimatorGain
 from sgms_mhe.report.fleet import FleetCourse, FleetLog, fleet_content
+from sgms_mhe.report.learned import learned_plots
 from sgms_mhe.report.plots import log_plots, plots
 from sgms_mhe.report.rivals import rivals_in_place
 from sgms_mhe.report.series import views
@@ -120,7 +121,10 @@ def _written(diagnosis: Diagnosis, folder: Path, estimator: EstimatorGain | None
     path = folder / "report.html"
     # Last: where it is, everything that it links to is.
     page = content.page(diagnosis, folder, shown, rivals, estimator, list(drawings))
-    write_text(path, _html("report.html.jinja", page, plots(diagnosis, shown, rivals)))
+    drawn = plots(diagnosis, shown, rivals)
+    if diagnosis.learned is not None:
+        drawn |= learned_plots(diagnosis.learned)
+    write_text(path, _html("report.html.jinja", page, drawn))
     tell("report.html", 1.0)
     return path
 

@@ -1,0 +1,102 @@
+"""Coordinates that a learned residual may depend on, and cubic B-splines over them that end in zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Kind = Literal["place", "speed", "travel"]
+
+TRAVEL_SHARES: Final = (0.3, 0.1, 0.03, 0.01)
+"""Lengths over which friction may remember a reversal [travel of the record]."""
+MOVING: Final = 0.01
+"""Speed from which an axis moves, for its typical one [largest speed]."""
+DEGREE: Final = 3
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """A coordinate of a learned residual, warped so that its grid is even.
+
+    Attributes:
+        kind: place [m]; speed [m/s] with its sign, as v / (|v| + scale); travel since a reversal as the state r of
+            dr/ds = (sign v - r) / scale, s being the distance, from -1 to 1.
+        scale: speed or length of the warp; 1 where there is none.
+        low, high: of the warped data.
+        cells: of the grid between them.
+    """
+
+    kind: Kind
+    scale: float
+    low: float
+    high: float
+    cells: int
+
+    @property
+    def size(self) -> int:
+        """Number of splines that are not zero between `low` and `high`."""
+        return self.cells + DEGREE
+
+    def grid_place(self, warped: Array) -> Array:
+        """Place of warped values on the grid [cells]."""
+        return (warped - self.low) * (self.cells / (self.high - self.low))
+
+    def splines(self, warped: Array) -> Array:
+        """All splines at warped values (m): (m, size). Beyond the grid they fall to zero within four cells."""
+        place = self.grid_place(warped)
+        # Spline k covers the cells k - 3 to k.
+        return cubic(place[:, None] - (np.arange(self.size) - DEGREE))
+
+    def unwarp(self, warped: Array) -> Array:
+        """Values of the coordinate in its unit; of travel the state itself."""
+        return warped * self.scale / (1.0 - np.abs(warped)) if self.kind == "speed" else warped
+
+
+def cubic(u: Array) -> Array:
+    """Return the cubic B-spline on the knots 0, 1, 2, 3, 4 at u; zero elsewhere."""
+    # (2 - |u - 2|)^3 / 6 with the middle's hump taken off: one formula for its four parts.
+    outer = np.maximum(0.0, 2.0 - np.abs(u - 2.0))
+    inner = np.maximum(0.0, 1.0 - np.abs(u - 2.0))
+    return np.asarray((outer**3 - 4.0 * inner**3) / 6.0)
+
+
+def memory_of_reversals(moved: Array, length: float) -> Array:
+    """Return the state r (m) of dr/ds = (sign v - r) / length behind moves (m) [m], 0 before the first.
+
+    It is 1 - 2 exp(-s / length) a distance s after a reversal to positive velocity that followed a long stroke.
+    """
+    directions, kept = np.sign(moved).tolist(), np.exp(-np.abs(moved) / length).tolist()
+    state, r = np.empty(len(moved)), 0.0
+    for k, (direction, share) in enumerate(zip(directions, kept, strict=True)):
+        r = direction + (r - direction) * share
+        state[k] = r
+    return state
+
+
+def warp(kind: Kind, scale: float, position: Array, velocity: Array, step: float) -> Array:
+    """Return a warped coordinate (m) along a motion (m) with rows of `step` [s]; `scale`: as of a coordinate."""
+    if kind == "place":
+        return position
+    if kind == "speed":
+        return velocity / (np.abs(velocity) + scale)
+    return memory_of_reversals(velocity * step, scale)
+
+
+def warp_motion(position: Array, velocity: Array, step: float) -> dict[tuple[Kind, float], Array]:
+    """Return the warped coordinates of a motion (m) with rows of `step` [s], by kind and scale, where they change.
+
+    No time: a force that wanders is a curve over it, which predicts the blocks between those that it was learned from
+    and nothing after the record. No acceleration: an encoder's noise is one, and is read into the friction as well.
+    """
+    speed, travel = np.abs(velocity), float(np.ptp(position))
+    moving = speed[speed > MOVING * float(speed.max(initial=0.0))]
+    if not len(moving) or travel == 0.0:
+        return {}
+    keys: list[tuple[Kind, float]] = [("place", 1.0), ("speed", float(np.median(moving)))]
+    keys += [("travel", share * travel) for share in TRAVEL_SHARES]
+    found = {key: warp(*key, position, velocity, step) for key in keys}
+    return {key: x for key, x in found.items() if np.ptp(x) > 0.0}
