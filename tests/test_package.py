@@ -226,6 +226,71 @@ def test_relaxed_arithmetic_is_refused(compiler: str, flags: list[str], require_
         run(command, flags)
 
 
+def test_excess_precision_and_short_numbers_are_refused(require_tool: Tool, tmp_path: Path) -> None:
+    folder = written(package_of(), tmp_path)
+    command = [require_tool("gcc"), "-std=c99", "-fsyntax-only", folder / "etel_xy.c"]
+    with pytest.raises(AssertionError, match="without excess precision"):
+        run(command, "-mfpmath=387")
+    short = ["-U__DBL_MANT_DIG__", "-D__DBL_MANT_DIG__=24", "-U__DBL_MAX_EXP__", "-D__DBL_MAX_EXP__=128"]  # AVR's
+    with pytest.raises(AssertionError, match="double has to be"):
+        run(command, short)
+
+
+def test_compiler_without_a_known_barrier_is_refused(require_tool: Tool, tmp_path: Path) -> None:
+    folder = written(package_of(), tmp_path)
+    command = [require_tool("gcc"), "-std=c99", "-ffreestanding", "-U__GNUC__", "-fsyntax-only", folder / "etel_xy.c"]
+    with pytest.raises(AssertionError, match=r"SGMS_FENCE\(\) as a barrier"):
+        run(command)
+    run(command, "-DSGMS_ONE_TASK")
+    run(command, "-DSGMS_FENCE()=its_own()", "-include", "stdint.h", "-Dits_own()=((void)0)")
+
+
+NOT_SAID = {
+    "no NaN": ("clang", ["-fno-honor-nans"]),
+    "finite only": ("clang", ["-ffinite-math-only", "-U__FINITE_MATH_ONLY__"]),
+    "finite only, gcc": ("gcc", ["-ffinite-math-only", "-U__FINITE_MATH_ONLY__"]),
+    "associative": ("clang", ["-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"]),
+    "excess precision": ("gcc", ["-mfpmath=387", "-U__FLT_EVAL_METHOD__", "-D__FLT_EVAL_METHOD__=-1"]),
+    "flush to zero": ("gcc", ["-DMXCSR=0x9fc0"]),
+    "towards zero": ("gcc", ["-DMXCSR=0x7f80"]),
+}
+"""Compilers and options of which no macro tells, and settings of the processor (x86)."""
+STATUS_ARITHMETIC = -6
+
+
+@pytest.mark.skipif(os.uname().machine != "x86_64", reason="options and settings are x86-64's")
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("title", [None, *NOT_SAID])
+def test_arithmetic_that_no_macro_tells_of_is_noticed(
+    title: str | None, precision: str, require_tool: Tool, tmp_path: Path
+) -> None:
+    """By the handshake, the self-test and every update; nothing is fed forward, also where the signal is no number."""
+    compiler, flags = NOT_SAID[title] if title else ("clang", [])
+    settings = machine(estimator={"horizon": 3}, code={"precision": precision})
+    folder = written(emit_package(settings), tmp_path)
+    command = [require_tool(compiler), "-std=c99", "-O2", *flags, f"-I{folder}", *replay_definitions("etel_xy")]
+    sources = [PROBES / "unsound.c", folder / "etel_xy.c", folder / "etel_xy_selftest.c"]
+    run(command, sources, "-o", tmp_path / "program")
+    check, selftest, first, update, after, fed = map(int, run(tmp_path / "program").split())
+    if title is None:
+        assert (check, selftest, first) == (0, 0, 1) and update >= 0 and after >= 0 and fed > 100
+    else:
+        assert check == first == update == after == STATUS_ARITHMETIC and selftest > 0 and fed == 0
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("compiler", ["gcc", "clang", "arm-none-eabi-gcc"])
+def test_library_is_asked_for_three_functions_of_memory_alone(
+    compiler: str, precision: str, require_tool: Tool, tmp_path: Path
+) -> None:
+    folder = written(package_of(code={"precision": precision}), tmp_path)
+    fpu = ["-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard"] if "arm" in compiler else []
+    for level in ("-O1", "-O2", "-O3", "-Os"):
+        (made,) = objects(require_tool(compiler), folder, tmp_path, level, *fpu)
+        foreign = {name for kind, name in symbols(made) if kind == "U" and not name.startswith("__")}
+        assert foreign <= {"memcpy", "memmove", "memset"}, level
+
+
 # --- linking -----------------------------------------------------------------------------------------------------
 
 
@@ -305,7 +370,7 @@ def test_two_machines_in_one_program(language: str, require_tool: Tool, tmp_path
 
 STATUSES = (
     *("OK", "FILLING", "MISSING", "HOLD", "BOUND", "SPEED", "OVERRUN"),
-    *("EARLY", "NUMERIC", "OVERLAP", "MISMATCH", "REFUSED", "STALE"),
+    *("EARLY", "NUMERIC", "OVERLAP", "MISMATCH", "REFUSED", "STALE", "ARITHMETIC"),
 )
 
 
@@ -785,12 +850,13 @@ def test_status_texts(axis: Any) -> None:
         ("OVERLAP", "overlapped"),
         ("MISMATCH", "another header"),
         ("REFUSED", "out of its range"),
+        ("ARITHMETIC", "does not compute"),
     ):
         assert word in texts[name]
     # Sums say their gravest part, and every number has a text.
     assert estimator.c.probe_status_text(1 + 4).decode() == texts["HOLD"]
     assert estimator.c.probe_status_text(2 + 8 + 16).decode() == texts["SPEED"]
-    for flags in itertools.chain(range(-5, 64), (-(2**31), 2**31 - 1)):
+    for flags in itertools.chain(range(-6, 64), (-(2**31), 2**31 - 1)):
         assert estimator.c.probe_status_text(flags)
 
 

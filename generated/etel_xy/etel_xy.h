@@ -75,7 +75,7 @@ typedef double etel_xy_position;
 #define ETEL_XY_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_MACHINE "9b508e6ff92b" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_check() */
-#define ETEL_XY_HEADER 0x149d312bu
+#define ETEL_XY_HEADER 0x376dd005u
 #define ETEL_XY_SAVED_FORMAT 2u /* of etel_xy_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SAVED_MACHINE_0 0x9b508e6fu
 #define ETEL_XY_SAVED_MACHINE_1 0xf92bu
@@ -106,7 +106,9 @@ enum {
     ETEL_XY_MISMATCH = -4,
     /* of a call that sets or loads: a number out of its range, or saved data damaged or another
      * machine's */
-    ETEL_XY_REFUSED = -5
+    ETEL_XY_REFUSED = -5,
+    /* numbers are not those of IEEE 754 as the code needs them: NaN, subnormals, rounding */
+    ETEL_XY_ARITHMETIC = -6
 };
 
 /* Signals of one sample for etel_xy_insert(), from the controller's own chain. */
@@ -307,7 +309,9 @@ static inline etel_xy_position etel_xy_position_from_counts(
 
 /* Check that application and package have the same header: etel_xy_check(sizeof(etel_xy_t),
  * ETEL_XY_HEADER) returns ETEL_XY_OK, or ETEL_XY_MISMATCH for another machine file, generator or
- * memory layout. Call it before etel_xy_init(). */
+ * memory layout; ARITHMETIC where numbers are not those of IEEE 754 as the code needs them:
+ * etel_xy_init() then leaves an axis that takes nothing in and feeds nothing forward. Call it
+ * before that. */
 int etel_xy_check(size_t size, uint32_t header);
 
 /* Self-test (etel_xy_selftest.c): two runs along a motion, by tick() and by two tasks, against the
@@ -317,8 +321,8 @@ int etel_xy_check(size_t size, uint32_t header);
  * SELFTEST_UPDATES of the first run, SELFTEST_SECOND of the other after them), or so many more as
  * the check that fails: 1 save and load, 2 settings and reset, 3 missing signals, 4 mass and
  * measured friction, 5 statuses, 6 limit of the force, 7 lost intervals and overlaps, 8 damaged
- * state, 9 the handshake. selftest() takes sizeof(etel_xy_t) of stack; selftest_with() the memory
- * of an axis, to be set up anew after it. */
+ * state, 9 the handshake, 10 numbers that are not those of IEEE 754. selftest() takes
+ * sizeof(etel_xy_t) of stack; selftest_with() the memory of an axis, to be set up anew after it. */
 int etel_xy_selftest(void);
 int etel_xy_selftest_with(etel_xy_t *axis);
 

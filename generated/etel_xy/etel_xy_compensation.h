@@ -26,7 +26,7 @@
 #define AHEAD_LONGEST 0.0010928993021507107  /* s, of a move */
 
 enum { AHEAD_MOST = 1000000 }; /* steps of a move, whatever the memory holds */
-enum { MOVES = 1 }; /* over the lag */
+#define MOVES 1 /* over the lag */
 
 /* How the signals go on from the newest filtered sample. */
 typedef struct {

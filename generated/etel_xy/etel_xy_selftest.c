@@ -588,10 +588,10 @@ static int refuses_overlap(etel_xy_t *axis)
         etel_xy_share(axis) < share;
     axis->calls.phase = 0u;
     good = good && etel_xy_feedback(axis) >= 0 && status_of(axis) >= 0;
-    axis->calls.version++; /* an estimate is being written */
+    axis->calls.version = axis->calls.version + 1u; /* an estimate is being written */
     good =
         good && status_of(axis) == ETEL_XY_OVERLAP && etel_xy_save(axis, &saved) == ETEL_XY_OVERLAP;
-    axis->calls.version++;
+    axis->calls.version = axis->calls.version + 1u;
     return good && status_of(axis) >= 0 && etel_xy_load(axis, &saved) == ETEL_XY_REFUSED;
 }
 
@@ -621,6 +621,29 @@ static int survives_damage(etel_xy_t *axis)
     good = sample_along(axis, &m, 1, &force) && good && is_fading(axis, share, force);
     good = sample_along(axis, &m, SAMPLES - 1, &force) && good;
     return good && etel_xy_feedback(axis) >= 0 && status_of(axis) >= 0;
+}
+
+/* An axis that may not compute, here as its mark has it, takes nothing in, feeds nothing forward
+ * and says so to the end. */
+static int refuses_arithmetic(etel_xy_t *axis)
+{
+    motion m;
+    int good = 1;
+    etel_xy_init(axis);
+    start_motion(&m);
+    axis->calls.phase = 5u;
+    etel_xy_reset(axis);
+    etel_xy_compensate(axis, 1);
+    for (int k = 0; k <= SAMPLES; k++) {
+        const sgms_real force =
+            etel_xy_tick(axis, etel_xy_position_from_counts(m.position, 1, 1), motion_force(&m));
+        good = is_near(force, 0.0, 0.0) && good;
+        move_on(&m);
+    }
+    good = good && etel_xy_feedback(axis) == ETEL_XY_ARITHMETIC &&
+        status_of(axis) == ETEL_XY_ARITHMETIC;
+    etel_xy_init(axis);
+    return good && status_of(axis) == ETEL_XY_FILLING;
 }
 
 /* The handshake: size and header. */
@@ -659,13 +682,20 @@ static int failed_check(etel_xy_t *axis, const etel_xy_estimate_t *nominal)
     if (!survives_damage(axis)) {
         return 8;
     }
-    return checks_header() ? 0 : 9;
+    if (!checks_header()) {
+        return 9;
+    }
+    return refuses_arithmetic(axis) ? 0 : 10;
 }
 
 int etel_xy_selftest_with(etel_xy_t *axis)
 {
     etel_xy_estimate_t nominal;
     int failed;
+    if (etel_xy_check(sizeof *axis, ETEL_XY_HEADER) == ETEL_XY_ARITHMETIC ||
+        !sgms_has_ieee_numbers()) {
+        return SELFTEST_UPDATES + SELFTEST_SECOND + 10;
+    }
     etel_xy_init(axis);
     etel_xy_estimate(axis, &nominal);
     failed = run_by_tick(axis);

@@ -12,9 +12,10 @@ enum {
     SELFTEST_SECOND = 5, /* of the second one, with other settings */
     SELFTEST_SEGMENTS = 145, /* of the motion */
     SELFTEST_GAP = 194, /* first sample without a position */
-    SELFTEST_MISSING = 3, /* samples without one; then as many without a force */
-    SELFTEST_SPAN = 3 /* intervals in which the filters settle, and an update comes after that */
+    SELFTEST_MISSING = 3 /* samples without one; then as many without a force */
 };
+
+#define SELFTEST_SPAN 3 /* intervals in which the filters settle, and an update comes after that */
 
 /* What is compared after an update. */
 enum {

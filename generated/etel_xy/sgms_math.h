@@ -65,6 +65,8 @@ static inline sgms_real sgms_from_bits(sgms_integer bits)
 #define SGMS_EXP_HIGHEST 88.0f
 #define SGMS_TANH_SATURATED 10.0f
 #define SGMS_ROUNDING 1e-5f
+#define SGMS_SMALLEST FLT_MIN /* normal number */
+#define SGMS_EPSILON FLT_EPSILON
 #else
 #define SGMS_INTEGER_MAX INT64_MAX
 #define SGMS_MANTISSA_BITS 52
@@ -76,6 +78,8 @@ static inline sgms_real sgms_from_bits(sgms_integer bits)
 #define SGMS_EXP_HIGHEST 709.0
 #define SGMS_TANH_SATURATED 20.0
 #define SGMS_ROUNDING 1e-13
+#define SGMS_SMALLEST DBL_MIN /* normal number */
+#define SGMS_EPSILON DBL_EPSILON
 #endif
 
 /* The built-in function is one instruction; the bits go through integer registers. */
@@ -181,6 +185,23 @@ static inline sgms_real sgms_not(sgms_real x)
 static inline int sgms_is_finite(sgms_real x)
 {
     return x - x == SGMS_R(0.0);
+}
+
+/* True if numbers are those of IEEE 754 in this build, on this processor as it is set: a NaN
+ * differs from itself, subnormals are numbers, sums are taken one after the other, to the nearest
+ * number of their own precision. No macro says all of it. The numbers are volatile: no compiler
+ * knows them. */
+static inline SGMS_COLD int sgms_has_ieee_numbers(void)
+{
+    volatile sgms_real zero = SGMS_R(0.0), one = SGMS_R(1.0), part = SGMS_R(0.3),
+                       smallest = SGMS_SMALLEST;
+    const sgms_real none = zero / zero, unit = one, rest = part, least = smallest;
+    /* 0, 0 and epsilon */
+    const sgms_real whole = (rest + SGMS_ROUND_MAGIC) - SGMS_ROUND_MAGIC;
+    const sgms_real down = (unit + SGMS_R(0.5) * SGMS_EPSILON) - unit;
+    const sgms_real up = (unit + SGMS_R(0.75) * SGMS_EPSILON) - unit;
+    return !(none == none) && least * SGMS_R(0.5) > SGMS_R(0.0) &&
+           whole + down + up == SGMS_EPSILON;
 }
 
 /* x, with what is too small to matter (against 1e-20) rounded away: sensitivities of a sliding

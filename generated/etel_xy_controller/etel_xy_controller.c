@@ -10,9 +10,9 @@
 
 #include "etel_xy_controller_compensation.h"
 
-/* The call under way. ABORTED: prepare, interrupted by a reset; INVALID: it has ended, for
- * nothing. */
-enum { IDLE, PREPARING, FEEDING, ABORTED, INVALID };
+/* The call under way. ABORTED: prepare, interrupted by a reset; INVALID: it has ended, for nothing.
+ * UNSOUND: none may be, numbers are not those that the code is written for. */
+enum { IDLE, PREPARING, FEEDING, ABORTED, INVALID, UNSOUND };
 
 static void copy(sgms_real *to, const sgms_real *from, int count)
 {
@@ -271,7 +271,8 @@ static void start_interval(etel_xy_controller_t *self)
 }
 
 /* Empty window; the node of the next sample has mean x. Root of theta: NULL is the prior's. */
-static void start_window(etel_xy_controller_t *self, const sgms_real *x, const sgms_real *root)
+static SGMS_COLD void start_window(
+    etel_xy_controller_t *self, const sgms_real *x, const sgms_real *root)
 {
     self->interval.filling = 0;
     self->interval.started = 0;
@@ -294,17 +295,45 @@ static void start_window(etel_xy_controller_t *self, const sgms_real *x, const s
     start_interval(self);
 }
 
-/* Put a status into the estimate, between two versions of it. */
-static void state_status(etel_xy_controller_t *self, int status)
+/* The estimate is written between two versions: estimate() and save() take none that is of both. */
+static void begin_writing(etel_xy_controller_t *self)
 {
-    self->calls.version++;
+    self->calls.version = self->calls.version + 1u;
     SGMS_FENCE();
-    self->estimate.status = status;
-    SGMS_FENCE();
-    self->calls.version++;
 }
 
-static void start_signals(etel_xy_controller_t *self)
+static void end_writing(etel_xy_controller_t *self)
+{
+    SGMS_FENCE();
+    self->calls.version = self->calls.version + 1u;
+}
+
+/* Put a status into the estimate. */
+static SGMS_COLD void state_status(etel_xy_controller_t *self, int status)
+{
+    begin_writing(self);
+    self->estimate.status = status;
+    end_writing(self);
+}
+
+/* Status of an axis that has had no update. */
+static int first_status(const etel_xy_controller_t *self)
+{
+    return
+        self->calls.phase == UNSOUND ? ETEL_XY_CONTROLLER_ARITHMETIC : ETEL_XY_CONTROLLER_FILLING;
+}
+
+/* End the call under way: prepare() finds out. */
+static SGMS_COLD void abort_call(etel_xy_controller_t *self)
+{
+    const uint32_t phase = self->calls.phase;
+    if (phase != UNSOUND) {
+        self->calls.phase = phase == PREPARING || phase == ABORTED ? ABORTED : IDLE;
+    }
+    SGMS_FENCE();
+}
+
+static SGMS_COLD void start_signals(etel_xy_controller_t *self)
 {
     self->chain.position[0] = 0;
     self->chain.position[1] = 0;
@@ -315,21 +344,21 @@ static void start_signals(etel_xy_controller_t *self)
     }
     fill(self->input.signal, 0.0f, SIGNALS);
     self->interval.lost = 0;
-    state_status(self, ETEL_XY_CONTROLLER_FILLING);
+    state_status(self, first_status(self));
     start_compensation(self);
 }
 
 /* Nothing known but settings and what moves. */
-static void start_fresh(etel_xy_controller_t *self)
+static SGMS_COLD void start_fresh(etel_xy_controller_t *self)
 {
     const sgms_real zero[STATES] = { 0.0f };
-    self->calls.phase = IDLE;
+    self->calls.phase = sgms_has_ieee_numbers() ? IDLE : UNSOUND;
     self->calls.version = 0;
     self->calls.age = 0;
     self->estimate.update = 0;
     self->estimate.numeric = 0;
     start_signals(self);
-    self->compensation.on = 1;
+    self->compensation.on = self->calls.phase != UNSOUND;
     fill(self->parameters.theta, 1.0f, PARAMETERS);
     fill(self->window.term, 0.0f, ETEL_XY_CONTROLLER_SERIES_SIZE);
     fill(self->window.node, 0.0f, SLOTS * STATES);
@@ -359,9 +388,7 @@ void etel_xy_controller_init(etel_xy_controller_t *self)
 void etel_xy_controller_reset(etel_xy_controller_t *self)
 {
     const sgms_real zero[STATES] = { 0.0f };
-    self->calls.phase =
-        self->calls.phase == PREPARING || self->calls.phase == ABORTED ? ABORTED : IDLE;
-    SGMS_FENCE();
+    abort_call(self);
     start_signals(self);
     copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
     start_window(self, zero, NULL);
@@ -933,7 +960,7 @@ static int is_plausible(const sgms_real *x)
 }
 
 /* Without a solution: start the window from the last good estimate. Returns the status. */
-static int start_again(etel_xy_controller_t *self, int status, int numeric)
+static SGMS_COLD int start_again(etel_xy_controller_t *self, int status, int numeric)
 {
     sgms_real w[SIGNALS];
     copy(w, self->input.signal, SIGNALS);
@@ -944,13 +971,11 @@ static int start_again(etel_xy_controller_t *self, int status, int numeric)
     self->window.weight[0] = 0.0f;
     self->window.friction[0] = 0.0f;
     self->interval.started = 1;
-    self->calls.version++;
-    SGMS_FENCE();
+    begin_writing(self);
     self->estimate.reading = self->innovations.newest;
     self->estimate.status = status;
     self->estimate.numeric = numeric;
-    SGMS_FENCE();
-    self->calls.version++;
+    end_writing(self);
     return status;
 }
 
@@ -1029,8 +1054,7 @@ static int update(etel_xy_controller_t *self)
         take_wander(self, take_colour(self), theta, variance);
     }
     status += is_doubted(self, find_spread(self, spread)) ? ETEL_XY_CONTROLLER_DOUBT : 0;
-    self->calls.version++;
-    SGMS_FENCE();
+    begin_writing(self);
     copy(self->estimate.state, x, STATES);
     copy(self->estimate.theta, theta, PARAMETERS);
     keep_root(self->sweep.factor, self->estimate.root);
@@ -1049,8 +1073,7 @@ static int update(etel_xy_controller_t *self)
     self->interval.lost = 0;
     next = shift_window(self, &status);
     self->estimate.status = status;
-    SGMS_FENCE();
-    self->calls.version++;
+    end_writing(self);
     self->interval.filling = next;
     copy(self->window.node + next * STATES, x, STATES);
     copy(self->window.signal + next * SIGNALS, self->input.signal, SIGNALS);
@@ -1064,6 +1087,9 @@ int etel_xy_controller_feedback(etel_xy_controller_t *self)
 {
     const uint32_t phase = self->calls.phase;
     int status;
+    if (phase == UNSOUND) {
+        return ETEL_XY_CONTROLLER_ARITHMETIC;
+    }
     if (!etel_xy_controller_due(self)) {
         return ETEL_XY_CONTROLLER_EARLY;
     }
@@ -1142,6 +1168,9 @@ static SGMS_INLINE void take_sample(
     const int good = take_signals(self, signals);
     const int measured = good && signals->valid && sgms_is_reading(signals->friction);
     const uint32_t age = self->calls.age;
+    if (self->calls.phase == UNSOUND) {
+        return;
+    }
     self->calls.age = age + (uint32_t)(age < UINT32_MAX);
     if (!self->interval.started) {
         start_series(self, measured, signals->friction);
@@ -1234,7 +1263,7 @@ void etel_xy_controller_ahead(etel_xy_controller_t *self, etel_xy_controller_rea
 
 void etel_xy_controller_compensate(etel_xy_controller_t *self, int on)
 {
-    self->compensation.on = on != 0;
+    self->compensation.on = on != 0 && self->calls.phase != UNSOUND;
 }
 
 etel_xy_controller_real etel_xy_controller_share(const etel_xy_controller_t *self)
@@ -1280,8 +1309,10 @@ void etel_xy_controller_estimate(
 
 int etel_xy_controller_check(size_t size, uint32_t header)
 {
-    return size == sizeof(etel_xy_controller_t) && header == ETEL_XY_CONTROLLER_HEADER
-        ? ETEL_XY_CONTROLLER_OK : ETEL_XY_CONTROLLER_MISMATCH;
+    if (size != sizeof(etel_xy_controller_t) || header != ETEL_XY_CONTROLLER_HEADER) {
+        return ETEL_XY_CONTROLLER_MISMATCH;
+    }
+    return sgms_has_ieee_numbers() ? ETEL_XY_CONTROLLER_OK : ETEL_XY_CONTROLLER_ARITHMETIC;
 }
 
 const char *etel_xy_controller_status_text(int status)
@@ -1298,6 +1329,9 @@ const char *etel_xy_controller_status_text(int status)
     if (status == ETEL_XY_CONTROLLER_REFUSED) {
         return
             "refused: a number out of its range, or what was saved is damaged or another machine's";
+    }
+    if (status == ETEL_XY_CONTROLLER_ARITHMETIC) {
+        return "refused: this build or processor does not compute as needed";
     }
     if (status < 0) {
         return "refused: the solution was not finite or absurd; the last good estimate stays";
@@ -1421,9 +1455,7 @@ static SGMS_COLD void start_with(
     const int started = self->interval.started;
     const sgms_real *const node = self->window.node + newest_slot(self) * STATES;
     sgms_real w[SIGNALS], x[STATES];
-    self->calls.phase =
-        self->calls.phase == PREPARING || self->calls.phase == ABORTED ? ABORTED : IDLE;
-    SGMS_FENCE();
+    abort_call(self);
     copy(w, self->input.signal, SIGNALS);
     copy(x, node, STATES);
     if (started) {
@@ -1433,20 +1465,25 @@ static SGMS_COLD void start_with(
     }
     copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
     self->parameters.theta[p] = theta;
-    self->calls.version++;
-    SGMS_FENCE();
+    begin_writing(self);
     self->estimate.theta[p] = theta;
     fill(self->estimate.spread, 1.0f, PARAMETERS);
     pack_root(square, self->estimate.root);
-    self->estimate.status = ETEL_XY_CONTROLLER_FILLING;
-    SGMS_FENCE();
-    self->calls.version++;
+    self->estimate.status = first_status(self);
+    end_writing(self);
     start_window(self, x, self->estimate.root);
     start_lasting(self);
     copy(self->window.signal, w, SIGNALS);
     self->window.weight[0] = 0.0f;
     self->window.friction[0] = 0.0f;
     self->interval.started = started;
+}
+
+static void exchange(sgms_real *a, sgms_real *b)
+{
+    const sgms_real value = *a;
+    *a = *b;
+    *b = value;
 }
 
 /* Set theta[p] with its own deviation; the others keep theirs. */
@@ -1461,22 +1498,18 @@ static SGMS_COLD void set_theta(
     /* with its column in front, the rows below the first are the root of the others */
     for (int i = 0; i < PARAMETERS; i++) {
         sgms_real *const row = square + i * ROOT_WIDTH;
-        const sgms_real moved = row[p];
         for (int j = p; j > 0; j--) {
-            row[j] = row[j - 1];
+            exchange(row + j, row + j - 1);
         }
-        row[0] = moved;
     }
     sgms_qr(square, PARAMETERS, ROOT_WIDTH, PARAMETERS, PARAMETERS, scratch);
     fill(square, 0.0f, PARAMETERS);
     square[0] = inverse_sd;
     for (int i = 0; i < PARAMETERS; i++) {
         sgms_real *const row = square + i * ROOT_WIDTH;
-        const sgms_real moved = row[0];
         for (int j = 0; j < p; j++) {
-            row[j] = row[j + 1];
+            exchange(row + j, row + j + 1);
         }
-        row[p] = moved;
     }
     sgms_qr(square, PARAMETERS, ROOT_WIDTH, PARAMETERS, PARAMETERS, scratch);
     start_with(self, p, theta, square);

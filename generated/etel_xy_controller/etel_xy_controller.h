@@ -80,7 +80,7 @@ typedef struct {
 #define ETEL_XY_CONTROLLER_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_CONTROLLER_MACHINE "bf94fd961735" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_controller_check() */
-#define ETEL_XY_CONTROLLER_HEADER 0x956bfb5au
+#define ETEL_XY_CONTROLLER_HEADER 0x90ce4fcbu
 /* of etel_xy_controller_saved_t, and the digest of the machine file again */
 #define ETEL_XY_CONTROLLER_SAVED_FORMAT 2u
 #define ETEL_XY_CONTROLLER_SAVED_MACHINE_0 0xbf94fd96u
@@ -112,7 +112,9 @@ enum {
     ETEL_XY_CONTROLLER_MISMATCH = -4,
     /* of a call that sets or loads: a number out of its range, or saved data damaged or another
      * machine's */
-    ETEL_XY_CONTROLLER_REFUSED = -5
+    ETEL_XY_CONTROLLER_REFUSED = -5,
+    /* numbers are not those of IEEE 754 as the code needs them: NaN, subnormals, rounding */
+    ETEL_XY_CONTROLLER_ARITHMETIC = -6
 };
 
 /* Signals of one sample for etel_xy_controller_insert(), from the controller's own chain. */
@@ -356,7 +358,9 @@ static inline etel_xy_controller_position etel_xy_controller_position_from_count
 /* Check that application and package have the same header:
  * etel_xy_controller_check(sizeof(etel_xy_controller_t), ETEL_XY_CONTROLLER_HEADER) returns
  * ETEL_XY_CONTROLLER_OK, or ETEL_XY_CONTROLLER_MISMATCH for another machine file, generator or
- * memory layout. Call it before etel_xy_controller_init(). */
+ * memory layout; ARITHMETIC where numbers are not those of IEEE 754 as the code needs them:
+ * etel_xy_controller_init() then leaves an axis that takes nothing in and feeds nothing forward.
+ * Call it before that. */
 int etel_xy_controller_check(size_t size, uint32_t header);
 
 /* Self-test (etel_xy_controller_selftest.c): two runs along a motion, by tick() and by two tasks,
@@ -366,8 +370,9 @@ int etel_xy_controller_check(size_t size, uint32_t header);
  * (etel_xy_controller_selftest.h: SELFTEST_UPDATES of the first run, SELFTEST_SECOND of the other
  * after them), or so many more as the check that fails: 1 save and load, 2 settings and reset, 3
  * missing signals, 4 mass and measured friction, 5 statuses, 6 limit of the force, 7 lost intervals
- * and overlaps, 8 damaged state, 9 the handshake. selftest() takes sizeof(etel_xy_controller_t) of
- * stack; selftest_with() the memory of an axis, to be set up anew after it. */
+ * and overlaps, 8 damaged state, 9 the handshake, 10 numbers that are not those of IEEE 754.
+ * selftest() takes sizeof(etel_xy_controller_t) of stack; selftest_with() the memory of an axis, to
+ * be set up anew after it. */
 int etel_xy_controller_selftest(void);
 int etel_xy_controller_selftest_with(etel_xy_controller_t *axis);
 

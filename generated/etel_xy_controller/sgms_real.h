@@ -5,18 +5,31 @@
 #ifndef SGMS_REAL_H
 #define SGMS_REAL_H
 
+#include <float.h>
 #include <stdint.h>
 
-#define SGMS_RUNTIME_VERSION 4
+#define SGMS_RUNTIME_VERSION 5
 
 /* The code reads bits, adds and subtracts numbers to round, and checks that numbers are finite: it
  * is wrong where compilers may rearrange arithmetic. Clang reports -ffast-math and
- * -ffinite-math-only alone; do not use -fassociative-math, -freciprocal-math and
- * -funsafe-math-optimizations either. Contraction (-ffp-contract) is fine. */
+ * -ffinite-math-only alone: sgms_has_ieee_numbers() notices others, as it runs. Contraction
+ * (-ffp-contract) is fine. */
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__) ||           \
     defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) ||                               \
     defined(__NO_SIGNED_ZEROS__) || defined(_M_FP_FAST)
 #error "compile without -ffast-math, -Ofast or a part of them: results would be wrong in silence"
+#endif
+
+/* It also is wrong where sums are of more digits than their numbers have, as those of x87. */
+#if defined(FLT_EVAL_METHOD) && (FLT_EVAL_METHOD == 1 || FLT_EVAL_METHOD == 2)
+#error "compile without excess precision (x86: -mfpmath=sse): results would be wrong in silence"
+#endif
+
+/* And where numbers are not those of 32 and 64 bits of IEEE 754. */
+#if FLT_RADIX != 2 || FLT_MANT_DIG != 24 || FLT_MAX_EXP != 128
+#error "float has to be the number of 32 bits of IEEE 754"
+#elif DBL_MANT_DIG != 53 || DBL_MAX_EXP != 1024
+#error "double has to be the number of 64 bits of IEEE 754: some compilers have an option for it"
 #endif
 
 #ifndef SGMS_SINGLE
@@ -39,8 +52,13 @@ typedef uint64_t sgms_unsigned;
  * access to memory across. For tasks on two cores, or another compiler, define it as a barrier. */
 #if !defined(SGMS_FENCE) && defined(__GNUC__)
 #define SGMS_FENCE() __asm__ volatile("" ::: "memory")
-#elif !defined(SGMS_FENCE)
+#elif !defined(SGMS_FENCE) && defined(_MSC_VER)
+#include <intrin.h>
+#define SGMS_FENCE() _ReadWriteBarrier()
+#elif !defined(SGMS_FENCE) && defined(SGMS_ONE_TASK)
 #define SGMS_FENCE() ((void)0)
+#elif !defined(SGMS_FENCE)
+#error "define SGMS_FENCE() as a barrier to memory, or SGMS_ONE_TASK where one task calls"
 #endif
 
 /* Whether compilers find vector registers. */

@@ -20,7 +20,7 @@
 #define LIMIT 48.96                          /* N */
 
 enum { AHEAD_MOST = 1000000 }; /* steps of a move, whatever the memory holds */
-enum { MOVES = 1 }; /* over the lag */
+#define MOVES 1 /* over the lag */
 
 /* How the signals go on from the newest filtered sample. */
 typedef struct {

@@ -22,7 +22,7 @@
 #include "sgms_linalg.h"
 #include "sgms_filter.h"
 
-#if SGMS_RUNTIME_VERSION != 4
+#if SGMS_RUNTIME_VERSION != 5
 #error "the runtime headers are of another version than this package: run sgms-mhe generate again"
 #endif
 
@@ -45,8 +45,6 @@ enum {
     TERMS = 2,                                   /* stored per node: velocity, level */
     /* numbers from one row of the series to the next: intervals */
     SERIES_STRIDE = 20,
-    /* numbers from one row of lanes to the next: scalars side by side, padded */
-    LANE_STRIDE = 4,
     BLOCKS = 4,                                  /* of states that depend on no other */
     LARGEST_BLOCK = 1,                           /* states */
     BLOCKS_SIZE = ETEL_XY_SWITCHING_BLOCKS_SIZE, /* numbers of blocks side by side */
@@ -74,13 +72,16 @@ enum {
     KEPT_WIDTH = ETEL_XY_SWITCHING_KEPT_WIDTH,   /* numbers of a row that gives a node back */
 };
 
+/* Macros, as C++26 has no arithmetic of two enumerations. Numbers from one row of lanes to the
+ * next: scalars side by side, padded. */
+#define LANE_STRIDE 4
 /* Scalars in one vector register of the processor, where compilers vectorise. */
 #if defined(__AVX__)
-enum { VECTOR = 4 };
+#define VECTOR 4
 #elif SGMS_VECTORS
-enum { VECTOR = 2 };
+#define VECTOR 2
 #else
-enum { VECTOR = 1 };
+#define VECTOR 1
 #endif
 
 /* Multiplications of a unit of work, and of all units in one sample. */

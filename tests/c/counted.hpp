@@ -11,6 +11,11 @@ struct counted {
     COUNTED_NUMBER value;
 
     counted() = default;
+    counted(const counted &) = default;
+    counted(const volatile counted &x) : value(x.value)
+    {
+    }
+    counted &operator=(const counted &) = default;
     template <class T, class = std::enable_if_t<std::is_arithmetic_v<T> || std::is_enum_v<T>>>
     constexpr counted(T x) : value(static_cast<COUNTED_NUMBER>(x))
     {

@@ -26,7 +26,7 @@ from sgms_mhe.machine import Machine, Units
 from sgms_mhe.model import SIGNAL_NAMES, FreeParameter, Model
 from sgms_mhe.signals.chain import lowpass_coefficients, settle_samples
 
-RUNTIME_VERSION = 4
+RUNTIME_VERSION = 5
 """Version of the runtime headers that the templates are written for."""
 IMPLAUSIBLE = 1e4
 """A state so many standard deviations of the first node's away from zero is no solution (docs/estimation.md)."""

@@ -77,7 +77,7 @@ def variant_of(model: Model) -> Variant:
 
 
 REFUSALS: Final[Mapping[str, int]] = MappingProxyType(
-    {"early": -1, "numeric": -2, "overlap": -3, "mismatch": -4, "refused": -5}
+    {"early": -1, "numeric": -2, "overlap": -3, "mismatch": -4, "refused": -5, "arithmetic": -6}
 )
 """Statuses by which a call is refused."""
 
@@ -146,6 +146,10 @@ def statuses_of(machine: Machine, variant: Variant) -> tuple[Status, ...]:
         "refused": (
             "of a call that sets or loads: a number out of its range, or saved data damaged or another machine's",
             "The header says at each call what it leaves behind. After load(): a fresh start, that has to learn again.",
+        ),
+        "arithmetic": (
+            "numbers are not those of IEEE 754 as the code needs them: NaN, subnormals, rounding",
+            "Do not start. Compile without options that relax arithmetic; leave flush-to-zero off.",
         ),
     }
     values = {**FLAGS, "stale": STALE, **REFUSALS}

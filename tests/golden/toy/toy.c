@@ -10,9 +10,9 @@
 
 #include "toy_compensation.h"
 
-/* The call under way. ABORTED: prepare, interrupted by a reset; INVALID: it has ended, for
- * nothing. */
-enum { IDLE, PREPARING, FEEDING, ABORTED, INVALID };
+/* The call under way. ABORTED: prepare, interrupted by a reset; INVALID: it has ended, for nothing.
+ * UNSOUND: none may be, numbers are not those that the code is written for. */
+enum { IDLE, PREPARING, FEEDING, ABORTED, INVALID, UNSOUND };
 
 static void copy(sgms_real *to, const sgms_real *from, int count)
 {
@@ -236,7 +236,7 @@ static void start_interval(toy_t *self)
 }
 
 /* Empty window; the node of the next sample has mean x. Root of theta: NULL is the prior's. */
-static void start_window(toy_t *self, const sgms_real *x, const sgms_real *root)
+static SGMS_COLD void start_window(toy_t *self, const sgms_real *x, const sgms_real *root)
 {
     self->interval.filling = 0;
     self->interval.started = 0;
@@ -256,17 +256,44 @@ static void start_window(toy_t *self, const sgms_real *x, const sgms_real *root)
     start_interval(self);
 }
 
-/* Put a status into the estimate, between two versions of it. */
-static void state_status(toy_t *self, int status)
+/* The estimate is written between two versions: estimate() and save() take none that is of both. */
+static void begin_writing(toy_t *self)
 {
-    self->calls.version++;
+    self->calls.version = self->calls.version + 1u;
     SGMS_FENCE();
-    self->estimate.status = status;
-    SGMS_FENCE();
-    self->calls.version++;
 }
 
-static void start_signals(toy_t *self)
+static void end_writing(toy_t *self)
+{
+    SGMS_FENCE();
+    self->calls.version = self->calls.version + 1u;
+}
+
+/* Put a status into the estimate. */
+static SGMS_COLD void state_status(toy_t *self, int status)
+{
+    begin_writing(self);
+    self->estimate.status = status;
+    end_writing(self);
+}
+
+/* Status of an axis that has had no update. */
+static int first_status(const toy_t *self)
+{
+    return self->calls.phase == UNSOUND ? TOY_ARITHMETIC : TOY_FILLING;
+}
+
+/* End the call under way: prepare() finds out. */
+static SGMS_COLD void abort_call(toy_t *self)
+{
+    const uint32_t phase = self->calls.phase;
+    if (phase != UNSOUND) {
+        self->calls.phase = phase == PREPARING || phase == ABORTED ? ABORTED : IDLE;
+    }
+    SGMS_FENCE();
+}
+
+static SGMS_COLD void start_signals(toy_t *self)
 {
     self->chain.position[0] = 0;
     self->chain.position[1] = 0;
@@ -277,21 +304,21 @@ static void start_signals(toy_t *self)
     }
     fill(self->input.signal, 0.0, SIGNALS);
     self->interval.lost = 0;
-    state_status(self, TOY_FILLING);
+    state_status(self, first_status(self));
     start_compensation(self);
 }
 
 /* Nothing known but settings and what moves. */
-static void start_fresh(toy_t *self)
+static SGMS_COLD void start_fresh(toy_t *self)
 {
     const sgms_real zero[STATES] = { 0.0 };
-    self->calls.phase = IDLE;
+    self->calls.phase = sgms_has_ieee_numbers() ? IDLE : UNSOUND;
     self->calls.version = 0;
     self->calls.age = 0;
     self->estimate.update = 0;
     self->estimate.numeric = 0;
     start_signals(self);
-    self->compensation.on = 1;
+    self->compensation.on = self->calls.phase != UNSOUND;
     fill(self->parameters.theta, 1.0, PARAMETERS);
     fill(self->window.term, 0.0, TOY_SERIES_SIZE);
     fill(self->window.node, 0.0, SLOTS * STATES);
@@ -321,9 +348,7 @@ void toy_init(toy_t *self)
 void toy_reset(toy_t *self)
 {
     const sgms_real zero[STATES] = { 0.0 };
-    self->calls.phase =
-        self->calls.phase == PREPARING || self->calls.phase == ABORTED ? ABORTED : IDLE;
-    SGMS_FENCE();
+    abort_call(self);
     start_signals(self);
     copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
     start_window(self, zero, NULL);
@@ -685,7 +710,7 @@ static int is_plausible(const sgms_real *x)
 }
 
 /* Without a solution: start the window from the last good estimate. Returns the status. */
-static int start_again(toy_t *self, int status, int numeric)
+static SGMS_COLD int start_again(toy_t *self, int status, int numeric)
 {
     sgms_real w[SIGNALS];
     copy(w, self->input.signal, SIGNALS);
@@ -696,13 +721,11 @@ static int start_again(toy_t *self, int status, int numeric)
     self->window.weight[0] = 0.0;
     self->window.friction[0] = 0.0;
     self->interval.started = 1;
-    self->calls.version++;
-    SGMS_FENCE();
+    begin_writing(self);
     self->estimate.reading = self->innovations.newest;
     self->estimate.status = status;
     self->estimate.numeric = numeric;
-    SGMS_FENCE();
-    self->calls.version++;
+    end_writing(self);
     return status;
 }
 
@@ -782,8 +805,7 @@ static int update(toy_t *self)
         take_wander(self, take_colour(self), theta, variance);
     }
     status += is_doubted(self, find_spread(self, spread)) ? TOY_DOUBT : 0;
-    self->calls.version++;
-    SGMS_FENCE();
+    begin_writing(self);
     copy(self->estimate.state, x, STATES);
     copy(self->estimate.theta, theta, PARAMETERS);
     keep_root(self->sweep.factor, self->estimate.root);
@@ -802,8 +824,7 @@ static int update(toy_t *self)
     self->interval.lost = 0;
     next = shift_window(self, &status);
     self->estimate.status = status;
-    SGMS_FENCE();
-    self->calls.version++;
+    end_writing(self);
     self->interval.filling = next;
     copy(self->window.node + next * STATES, x, STATES);
     copy(self->window.signal + next * SIGNALS, self->input.signal, SIGNALS);
@@ -817,6 +838,9 @@ int toy_feedback(toy_t *self)
 {
     const uint32_t phase = self->calls.phase;
     int status;
+    if (phase == UNSOUND) {
+        return TOY_ARITHMETIC;
+    }
     if (!toy_due(self)) {
         return TOY_EARLY;
     }
@@ -878,6 +902,9 @@ static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
     const int good = take_signals(self, signals);
     const int measured = good && signals->valid && sgms_is_reading(signals->friction);
     const uint32_t age = self->calls.age;
+    if (self->calls.phase == UNSOUND) {
+        return;
+    }
     self->calls.age = age + (uint32_t)(age < UINT32_MAX);
     if (!self->interval.started) {
         start_series(self, measured, signals->friction);
@@ -961,7 +988,7 @@ void toy_ahead(toy_t *self, toy_real velocity, toy_real acceleration)
 
 void toy_compensate(toy_t *self, int on)
 {
-    self->compensation.on = on != 0;
+    self->compensation.on = on != 0 && self->calls.phase != UNSOUND;
 }
 
 toy_real toy_share(const toy_t *self)
@@ -1006,7 +1033,10 @@ void toy_estimate(const toy_t *self, toy_estimate_t *estimate)
 
 int toy_check(size_t size, uint32_t header)
 {
-    return size == sizeof(toy_t) && header == TOY_HEADER ? TOY_OK : TOY_MISMATCH;
+    if (size != sizeof(toy_t) || header != TOY_HEADER) {
+        return TOY_MISMATCH;
+    }
+    return sgms_has_ieee_numbers() ? TOY_OK : TOY_ARITHMETIC;
 }
 
 const char *toy_status_text(int status)
@@ -1023,6 +1053,9 @@ const char *toy_status_text(int status)
     if (status == TOY_REFUSED) {
         return
             "refused: a number out of its range, or what was saved is damaged or another machine's";
+    }
+    if (status == TOY_ARITHMETIC) {
+        return "refused: this build or processor does not compute as needed";
     }
     if (status < 0) {
         return "refused: the solution was not finite or absurd; the last good estimate stays";
@@ -1144,9 +1177,7 @@ static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms
     const int started = self->interval.started;
     const sgms_real *const node = self->window.node + newest_slot(self) * STATES;
     sgms_real w[SIGNALS], x[STATES];
-    self->calls.phase =
-        self->calls.phase == PREPARING || self->calls.phase == ABORTED ? ABORTED : IDLE;
-    SGMS_FENCE();
+    abort_call(self);
     copy(w, self->input.signal, SIGNALS);
     copy(x, node, STATES);
     if (started) {
@@ -1156,20 +1187,25 @@ static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms
     }
     copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
     self->parameters.theta[p] = theta;
-    self->calls.version++;
-    SGMS_FENCE();
+    begin_writing(self);
     self->estimate.theta[p] = theta;
     fill(self->estimate.spread, 1.0, PARAMETERS);
     pack_root(square, self->estimate.root);
-    self->estimate.status = TOY_FILLING;
-    SGMS_FENCE();
-    self->calls.version++;
+    self->estimate.status = first_status(self);
+    end_writing(self);
     start_window(self, x, self->estimate.root);
     start_lasting(self);
     copy(self->window.signal, w, SIGNALS);
     self->window.weight[0] = 0.0;
     self->window.friction[0] = 0.0;
     self->interval.started = started;
+}
+
+static void exchange(sgms_real *a, sgms_real *b)
+{
+    const sgms_real value = *a;
+    *a = *b;
+    *b = value;
 }
 
 /* Set theta[p] with its own deviation; the others keep theirs. */
@@ -1183,22 +1219,18 @@ static SGMS_COLD void set_theta(toy_t *self, int p, sgms_real theta, sgms_real i
     /* with its column in front, the rows below the first are the root of the others */
     for (int i = 0; i < PARAMETERS; i++) {
         sgms_real *const row = square + i * ROOT_WIDTH;
-        const sgms_real moved = row[p];
         for (int j = p; j > 0; j--) {
-            row[j] = row[j - 1];
+            exchange(row + j, row + j - 1);
         }
-        row[0] = moved;
     }
     sgms_qr(square, PARAMETERS, ROOT_WIDTH, PARAMETERS, PARAMETERS, scratch);
     fill(square, 0.0, PARAMETERS);
     square[0] = inverse_sd;
     for (int i = 0; i < PARAMETERS; i++) {
         sgms_real *const row = square + i * ROOT_WIDTH;
-        const sgms_real moved = row[0];
         for (int j = 0; j < p; j++) {
-            row[j] = row[j + 1];
+            exchange(row + j, row + j + 1);
         }
-        row[p] = moved;
     }
     sgms_qr(square, PARAMETERS, ROOT_WIDTH, PARAMETERS, PARAMETERS, scratch);
     start_with(self, p, theta, square);

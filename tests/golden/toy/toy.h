@@ -74,7 +74,7 @@ typedef double toy_position;
 
 #define TOY_VERSION "0.2.0" /* of the generator */
 #define TOY_MACHINE "ddc7efac656b" /* digest of the machine file */
-#define TOY_HEADER 0x54820f15u /* digest of all that this header declares, for toy_check() */
+#define TOY_HEADER 0x0ca0d70fu /* digest of all that this header declares, for toy_check() */
 #define TOY_SAVED_FORMAT 2u /* of toy_saved_t, and the digest of the machine file again */
 #define TOY_SAVED_MACHINE_0 0xddc7efacu
 #define TOY_SAVED_MACHINE_1 0x656bu
@@ -104,7 +104,9 @@ enum {
     TOY_MISMATCH = -4, /* the application was compiled against another header than this package's */
     /* of a call that sets or loads: a number out of its range, or saved data damaged or another
      * machine's */
-    TOY_REFUSED = -5
+    TOY_REFUSED = -5,
+    /* numbers are not those of IEEE 754 as the code needs them: NaN, subnormals, rounding */
+    TOY_ARITHMETIC = -6
 };
 
 /* Signals of one sample for toy_insert(), from the controller's own chain. */
@@ -282,8 +284,9 @@ static inline toy_position toy_position_from_counts(int64_t counts, int32_t per,
 }
 
 /* Check that application and package have the same header: toy_check(sizeof(toy_t), TOY_HEADER)
- * returns TOY_OK, or TOY_MISMATCH for another machine file, generator or memory layout. Call it
- * before toy_init(). */
+ * returns TOY_OK, or TOY_MISMATCH for another machine file, generator or memory layout; ARITHMETIC
+ * where numbers are not those of IEEE 754 as the code needs them: toy_init() then leaves an axis
+ * that takes nothing in and feeds nothing forward. Call it before that. */
 int toy_check(size_t size, uint32_t header);
 
 /* Self-test (toy_selftest.c): two runs along a motion, by tick() and by two tasks, against the
@@ -293,8 +296,8 @@ int toy_check(size_t size, uint32_t header);
  * SELFTEST_UPDATES of the first run, SELFTEST_SECOND of the other after them), or so many more as
  * the check that fails: 1 save and load, 2 settings and reset, 3 missing signals, 4 mass and
  * measured friction, 5 statuses, 6 limit of the force, 7 lost intervals and overlaps, 8 damaged
- * state, 9 the handshake. selftest() takes sizeof(toy_t) of stack; selftest_with() the memory of an
- * axis, to be set up anew after it. */
+ * state, 9 the handshake, 10 numbers that are not those of IEEE 754. selftest() takes sizeof(toy_t)
+ * of stack; selftest_with() the memory of an axis, to be set up anew after it. */
 int toy_selftest(void);
 int toy_selftest_with(toy_t *axis);
 

@@ -25,7 +25,7 @@
 #define AHEAD_ELASTIC 0.7224397686165088
 
 enum { AHEAD_MOST = 1000000 }; /* steps of a move, whatever the memory holds */
-enum { MOVES = 1 }; /* over the lag */
+#define MOVES 1 /* over the lag */
 
 /* How the signals go on from the newest filtered sample. */
 typedef struct {

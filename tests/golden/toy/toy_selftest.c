@@ -576,9 +576,9 @@ static int refuses_overlap(toy_t *axis)
     good = good && is_force(force) && status_of(axis) == TOY_OVERLAP && toy_share(axis) < share;
     axis->calls.phase = 0u;
     good = good && toy_feedback(axis) >= 0 && status_of(axis) >= 0;
-    axis->calls.version++; /* an estimate is being written */
+    axis->calls.version = axis->calls.version + 1u; /* an estimate is being written */
     good = good && status_of(axis) == TOY_OVERLAP && toy_save(axis, &saved) == TOY_OVERLAP;
-    axis->calls.version++;
+    axis->calls.version = axis->calls.version + 1u;
     return good && status_of(axis) >= 0 && toy_load(axis, &saved) == TOY_REFUSED;
 }
 
@@ -608,6 +608,28 @@ static int survives_damage(toy_t *axis)
     good = sample_along(axis, &m, 1, &force) && good && is_fading(axis, share, force);
     good = sample_along(axis, &m, SAMPLES - 1, &force) && good;
     return good && toy_feedback(axis) >= 0 && status_of(axis) >= 0;
+}
+
+/* An axis that may not compute, here as its mark has it, takes nothing in, feeds nothing forward
+ * and says so to the end. */
+static int refuses_arithmetic(toy_t *axis)
+{
+    motion m;
+    int good = 1;
+    toy_init(axis);
+    start_motion(&m);
+    axis->calls.phase = 5u;
+    toy_reset(axis);
+    toy_compensate(axis, 1);
+    for (int k = 0; k <= SAMPLES; k++) {
+        const sgms_real force =
+            toy_tick(axis, toy_position_from_counts(m.position, 1, 1), motion_force(&m));
+        good = is_near(force, 0.0, 0.0) && good;
+        move_on(&m);
+    }
+    good = good && toy_feedback(axis) == TOY_ARITHMETIC && status_of(axis) == TOY_ARITHMETIC;
+    toy_init(axis);
+    return good && status_of(axis) == TOY_FILLING;
 }
 
 /* The handshake: size and header. */
@@ -646,13 +668,19 @@ static int failed_check(toy_t *axis, const toy_estimate_t *nominal)
     if (!survives_damage(axis)) {
         return 8;
     }
-    return checks_header() ? 0 : 9;
+    if (!checks_header()) {
+        return 9;
+    }
+    return refuses_arithmetic(axis) ? 0 : 10;
 }
 
 int toy_selftest_with(toy_t *axis)
 {
     toy_estimate_t nominal;
     int failed;
+    if (toy_check(sizeof *axis, TOY_HEADER) == TOY_ARITHMETIC || !sgms_has_ieee_numbers()) {
+        return SELFTEST_UPDATES + SELFTEST_SECOND + 10;
+    }
     toy_init(axis);
     toy_estimate(axis, &nominal);
     failed = run_by_tick(axis);

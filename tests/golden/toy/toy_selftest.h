@@ -12,9 +12,10 @@ enum {
     SELFTEST_SECOND = 5, /* of the second one, with other settings */
     SELFTEST_SEGMENTS = 17, /* of the motion */
     SELFTEST_GAP = 19, /* first sample without a position */
-    SELFTEST_MISSING = 0, /* samples without one; then as many without a force */
-    SELFTEST_SPAN = 4 /* intervals in which the filters settle, and an update comes after that */
+    SELFTEST_MISSING = 0 /* samples without one; then as many without a force */
 };
+
+#define SELFTEST_SPAN 4 /* intervals in which the filters settle, and an update comes after that */
 
 /* What is compared after an update. */
 enum {
