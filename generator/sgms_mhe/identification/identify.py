@@ -239,8 +239,10 @@ def _records(logs: Sequence[Log], wanted: Wanted) -> Records:
     mass = rough_mass(machine, logs) if is_shown else wanted.mass or NO_MASS
     machine = unknown_axis(logs, wanted.name, mass, wanted.like)
     warnings: tuple[str, ...] = ()
-    if is_shown and wanted.like is not None:
+    if is_shown:
         machine, warnings = replace_filter(machine, logs)
+    if wanted.like is None:  # no filter was asked for
+        warnings = ()
     for log in logs:
         check_plausible(log, machine, has_mass=wanted.mass is not None)
     records = make_records(machine, logs)

@@ -122,29 +122,36 @@ def _fastest(log: Log, rate: float) -> float:
 def replace_filter(machine: Machine, logs: Sequence[Log]) -> tuple[Machine, tuple[str, ...]]:
     """Return the machine with a slower low-pass where its own biases the mass, and the sentence on that.
 
-    What an encoder adds to an acceleration makes the mass that is found too small.
+    What an encoder adds to an acceleration makes the mass that is found too small: the filter is made slower until the
+    next one does not make it larger.
 
     Args:
         machine: with the low-pass that was asked for, and the mass behind it.
         logs: whose motion shows a mass.
     """
+    asked, biased = machine.sampling.velocity_cutoff, machine.plant.moved
+    for cutoff in CUTOFFS:
+        if not LOWEST_CUTOFF * machine.sampling.rate <= cutoff < machine.sampling.velocity_cutoff:
+            continue
+        slower = override_machine(machine, {"sampling": {"velocity_cutoff": cutoff}})
+        mass = _fit_mass(slower, logs)
+        if mass - machine.plant.moved <= BIASED * mass:
+            break
+        machine = override_machine(slower, {"plant": plant_content(machine.plant.kind, mass)})
     cutoff = machine.sampling.velocity_cutoff
-    slower = _choose_filter(machine, logs, cutoff)
-    biased, mass = machine.plant.moved, rough_mass(slower, logs)
-    if mass - biased <= BIASED * mass:
+    if cutoff == asked:
         return machine, ()
     sentence = (
-        f"velocity_cutoff = {slower.sampling.velocity_cutoff:g} Hz in place of {cutoff:g} Hz: behind that, noise of "
-        f"the position makes the {machine.plant.units.inert} {1.0 - biased / mass:.0%} too small"
+        f"velocity_cutoff = {cutoff:g} Hz in place of {asked:g} Hz: behind that, noise of the position makes the "
+        f"{machine.plant.units.inert} {1.0 - biased / machine.plant.moved:.0%} too small"
     )
-    return override_machine(slower, {"plant": plant_content(machine.plant.kind, mass)}), (sentence,)
+    return machine, (sentence,)
 
 
-def _choose_filter(machine: Machine, logs: Sequence[Log], fastest: float = math.inf) -> Machine:
-    """The machine with the fastest low-pass, not above `fastest` [Hz], behind which noise is small beside friction."""
+def _choose_filter(machine: Machine, logs: Sequence[Log]) -> Machine:
+    """The machine with the fastest low-pass behind which noise is small beside friction."""
     rate = machine.sampling.rate
-    highest = min(HIGHEST_CUTOFF * rate, fastest)
-    allowed = [c for c in CUTOFFS if LOWEST_CUTOFF * rate <= c <= highest] or [min(0.1 * rate, fastest)]
+    allowed = [c for c in CUTOFFS if LOWEST_CUTOFF * rate <= c <= HIGHEST_CUTOFF * rate] or [0.1 * rate]
     for cutoff in allowed:
         machine = override_machine(machine, {"sampling": {"velocity_cutoff": cutoff}})
         if all(_noise_share(machine, log) <= QUIET for log in logs):
@@ -174,6 +181,20 @@ def rough_mass(machine: Machine, logs: Sequence[Log]) -> float:
     Raises:
         InputError: the motion asks for no mass, or one below 0.
     """
+    mass, units = _fit_mass(machine, logs), machine.plant.units
+    if not mass > 0.0:
+        raise InputError(
+            logs[0].source or "log",
+            f"{units.push} over acceleration",
+            f"{mass:.3g} {units.mass}",
+            f"--{units.inert}: this motion shows none ({MOVES['jerks']} would); or is the {units.push}'s sign not the "
+            f"position's? Then {units.named('force_N')} has scale = -1 in [log]",
+        )
+    return mass
+
+
+def _fit_mass(machine: Machine, logs: Sequence[Log]) -> float:
+    """Return the mass that the motion asks for [kg, kg m^2], whatever its sign."""
     columns, forces = [], []
     for log in logs:
         rows = prepare(machine, log)
@@ -184,14 +205,4 @@ def rough_mass(machine: Machine, logs: Sequence[Log]) -> float:
         forces.append(rows.force[rows.used])
     X, y = np.concatenate(columns), np.concatenate(forces)
     mass = float(np.linalg.lstsq(X / np.maximum(np.abs(X).max(axis=0), 1e-300), y, rcond=1e-9)[0][0])
-    mass /= float(np.abs(X[:, 0]).max())
-    units = machine.plant.units
-    if not mass > 0.0:
-        raise InputError(
-            logs[0].source or "log",
-            f"{units.push} over acceleration",
-            f"{mass:.3g} {units.mass}",
-            f"--{units.inert}: this motion shows none ({MOVES['jerks']} would); or is the {units.push}'s sign not the "
-            f"position's? Then {units.named('force_N')} has scale = -1 in [log]",
-        )
-    return mass
+    return mass / float(np.abs(X[:, 0]).max())
