@@ -250,8 +250,10 @@ static double stribeck(const struct axis *axis, double v)
  * acceleration and the torque sets the level: taken whole, a step would overshoot where a loss is near the torque. */
 static void move_transmitted(struct axis *axis)
 {
-    const double force = axis->inertia * axis->acceleration + change_now(axis, AXIS_OUTSIDE_FORCE, 0.0);
+    const double inertial = axis->inertia * axis->acceleration;
+    const double force = inertial + change_now(axis, AXIS_OUTSIDE_FORCE, 0.0);
     axis->transmitted += 0.5 * (force - axis->transmitted);
+    axis->inertial += 0.5 * (inertial - axis->inertial);
 }
 
 /* Move s(v) with its factors through a drift at mean velocity v, which ends at velocity `end`. A smoothed element sees
@@ -271,7 +273,8 @@ static void move_level(struct axis *axis, double v, double end)
     const double position = at_end ? axis->position : axis->position - axis->half_step * v;
     /* the direction is that of the drift, which moves the elements */
     const double factor = change(axis, AXIS_LEVEL_FACTOR, 1.0, v, position);
-    axis->level = level * factor + change(axis, AXIS_LOAD_LEVEL, 0.0, v, position);
+    axis->level = level * factor;
+    axis->level += change(axis, AXIS_LOAD_LEVEL, 0.0, v, position);
 }
 
 static double spring_force(const struct axis *axis)
@@ -429,7 +432,9 @@ void axis_place(struct axis *axis, double position)
         }
     }
     axis->transmitted = change_now(axis, AXIS_OUTSIDE_FORCE, 0.0);
-    axis->level = axis->level * change_now(axis, AXIS_LEVEL_FACTOR, 1.0) + change_now(axis, AXIS_LOAD_LEVEL, 0.0);
+    axis->inertial = 0.0;
+    axis->level *= change_now(axis, AXIS_LEVEL_FACTOR, 1.0);
+    axis->level += change_now(axis, AXIS_LOAD_LEVEL, 0.0);
 }
 
 /* ---- a sample ----------------------------------------------------------------------------------------------- */

@@ -109,6 +109,7 @@ struct axis {
     double deflection[AXIS_MAX_ELEMENTS];
     double level;       /* s(v) with all factors, N, of the latest substep */
     double transmitted; /* what the drive delivers behind friction: inertial force and forces on the load, N */
+    double inertial;    /* the inertial force in it, N */
     double integral;    /* of the position error, m s */
     double measured, derivative;
     uint64_t substep_count;

@@ -127,10 +127,23 @@ static void move_age(const struct axis *axis, struct axis_effect *effect)
     *age += (1.0 / (p[1] * rate) - *age) * (1.0 - exp(-rate * axis->step));
 }
 
+/* Friction of a mesh is part of what the mesh carries: a contraction by the ratio, below 1, that is iterated. */
 static double add_load(const struct axis_view *at, double level)
 {
-    const double ratio = at->v / at->axis->set.stribeck_velocity;
-    return level + (at->p[0] + at->p[1] * exp(-ratio * ratio)) * fabs(at->axis->transmitted);
+    const struct axis *axis = at->axis;
+    const double x = at->v / axis->set.stribeck_velocity, ratio = at->p[0] + at->p[1] * exp(-x * x);
+    const double direction = at->v > 0.0 ? 1.0 : at->v < 0.0 ? -1.0 : 0.0;
+    const double torque = axis->transmitted - (1.0 - at->p[2]) * axis->inertial;
+    const double friction = axis->level + level + axis->set.viscous * fabs(at->v);
+    double added = ratio * fabs(torque);
+    for (int i = 0; i < 100 && at->p[3] > 0.0; ++i) {
+        const double before = added;
+        added = ratio * fabs(direction * torque + at->p[3] * (friction + before));
+        if (fabs(added - before) <= 1e-12 * added) {
+            break;
+        }
+    }
+    return level + added;
 }
 
 static double add_loss(const struct axis_view *at, double level)
@@ -310,8 +323,10 @@ static const struct axis_effect_row table[] = {
     {"micro_viscous", {"damping_N_s_m"}, .change = {[AXIS_MICRO_VISCOUS] = add_parameter}},
     /* force = amplitude sin(q + phase), q an angle */
     {"unbalance", {"amplitude_N", "phase_rad"}, .change = {[AXIS_OUTSIDE_FORCE] = add_unbalance}},
-    /* s(v) + (ratio + rise_ratio exp(-(v/v_s)^2)) |T|, T: what the drive transmits */
-    {"load_dependent_friction", {"ratio", "rise_ratio"}, .change = {[AXIS_LOAD_LEVEL] = add_load}},
+    /* s(v) + (ratio + rise_ratio exp(-(v/v_s)^2)) |T|, T: load, and shares of inertial force and friction */
+    {"load_dependent_friction",
+     {"ratio", "rise_ratio", "inertia_ratio", "friction_ratio"},
+     .change = {[AXIS_LOAD_LEVEL] = add_load}},
     /* s(v) + |T| (1 / efficiency - 1) where T drives the motion, s(v) + |T| (1 - efficiency) where it brakes it */
     {"drive_efficiency", {"efficiency_ratio"}, .change = {[AXIS_LOAD_LEVEL] = add_loss}},
     /* force = sum over its sines of sine sin(2 pi order q / pitch) + cosine cos(...); one effect of the plant each */

@@ -94,6 +94,27 @@ def test_the_level_is_that_of_the_torque_known_from_motion_and_load() -> None:
                 assert coulomb * found == pytest.approx(stribeck + added, rel=1e-12)
 
 
+@pytest.mark.parametrize("shares", [(0.0, 0.0), (0.5, 0.5), (1.0, 1.0), (0.3, 0.8)])
+def test_a_mesh_amid_the_friction_carries_friction_that_it_makes_itself(shares: tuple[float, float]) -> None:
+    """The level solves level = s(v) + r |load + a_J J a + a_f f|, with f of the size level + sigma_v |v|."""
+    inertial, frictional = shares
+    effect = {"name": "load_dependent_friction", "ratio": 0.3, "rise_ratio": 0.1}
+    effect |= {"inertia_ratio": inertial, "friction_ratio": frictional}
+    machine = override_machine(joint(), {"effects": [{"name": "unbalance", **GEARED["unbalance"]}, effect]})
+    for v, a, q in ((2.0, 30.0, 0.4), (2.0, -30.0, 0.4), (-2.0, 30.0, 1.0), (0.5, 0.0, -2.0), (0.01, -20.0, 0.0)):
+        share = float(np.exp(-((v / 0.02) ** 2)))
+        level = 6.0 * level_of(machine, [q, v, a, 3.0, 1.0])
+        friction = np.sign(v) * level + 2.0 * v
+        torque = 1.5 * float(np.sin(q + 0.7)) + inertial * 0.8 * a + frictional * friction
+        assert level == pytest.approx(6.0 * (1.0 + 0.15 * share) + (0.3 + 0.1 * share) * abs(torque), rel=1e-12)
+
+
+def test_friction_that_grows_with_itself_stays_finite() -> None:
+    effect = {"name": "load_dependent_friction", "ratio": 0.9, "rise_ratio": 0.1, "friction_ratio": 1.0}
+    level = level_of(override_machine(joint(), {"effects": [effect]}), [0.0, 1e-9, 1e-9, 0.0, 0.0])
+    assert 6.0 * level == pytest.approx(6.0 * 1.15 * (1.0 + 1.0 / 0.05), rel=1e-6)
+
+
 def test_friction_that_a_load_raises_is_fed_forward_as_it_is() -> None:
     """Elements whose level hangs on acceleration are no states that answer the drive."""
     model = build_model(with_effects(joint(), *GEARED))
@@ -111,8 +132,14 @@ def test_friction_that_a_load_raises_is_fed_forward_as_it_is() -> None:
         {"friction": {"law": "switching"}, "sampling": {"integrator": {"substeps": 20}}},
         {"sampling": {"integrator": {"scheme": "flow", "substeps": 20}}, "estimator": {"relinearise": "auto"}},
         {"estimator": {"kind": "ekf"}},
+        {
+            "effects": [
+                {"name": "unbalance", **GEARED["unbalance"]},
+                {"name": "load_dependent_friction", "ratio": 0.2, "inertia_ratio": 0.4, "friction_ratio": 0.7},
+            ]
+        },
     ],
-    ids=["flow", "switching", "switching, merged", "flow, merged, auto", "ekf"],
+    ids=["flow", "switching", "switching, merged", "flow, merged, auto", "ekf", "mesh amid friction"],
 )
 def test_c_is_the_reference(changes: dict[str, Any]) -> None:
     parameters = ["stiffness", "unbalance.amplitude_Nm", "load_dependent_friction.ratio"]
@@ -260,7 +287,7 @@ def test_a_diagnosis_finds_it_and_its_size(name: str, law: Law) -> None:
         assert cause.std[key] < 0.02 * value
     assert diagnosis.rms.held_out_after < 0.03 * diagnosis.rms.held_out_before
     entry = next(entry for entry in (diagnosis.extended or joint()).as_dict()["effects"] if entry["name"] == name)
-    assert set(entry) == {"name", *GEARED[name]}
+    assert set(entry) == {"name", *(parameter.name for parameter in effect_definition(name).parameters)}
 
 
 @pytest.mark.slow

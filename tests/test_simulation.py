@@ -510,8 +510,23 @@ def lost(torque: Array, velocity: Array, efficiency: float) -> Array:
     return np.abs(np.where(drives, torque / efficiency, torque * efficiency) - torque)
 
 
+def meshed(torque: Array, velocity: Array, ratio: float, share: float) -> Array:
+    """Return what a mesh adds to a level of 4 N m that carries a share of all friction too, by bisection."""
+    low, high = np.zeros_like(torque), np.full_like(torque, 1e4)
+    for _ in range(80):
+        added = 0.5 * (low + high)
+        carried = np.sign(velocity) * torque + share * (4.0 + added + 20.0 * np.abs(velocity))
+        more = ratio * np.abs(carried) > added
+        low, high = np.where(more, added, low), np.where(more, high, added)
+    return low
+
+
 LOAD_LEVELS: list[tuple[list[tuple[str, dict[str, float]]], Callable[[Array, Array], Array]]] = [
     ([("load_dependent_friction", {"ratio": 0.2, "rise_ratio": 0.0})], lambda torque, _: 0.2 * np.abs(torque)),
+    (
+        [("load_dependent_friction", {"ratio": 0.3, "rise_ratio": 0.0, "friction_ratio": 0.8})],
+        lambda torque, v: meshed(torque, v, 0.3, 0.8),
+    ),
     ([("drive_efficiency", {"efficiency_ratio": 0.6})], lambda torque, v: lost(torque, v, 0.6)),
     (
         [
@@ -523,7 +538,7 @@ LOAD_LEVELS: list[tuple[list[tuple[str, dict[str, float]]], Callable[[Array, Arr
 ]
 
 
-@pytest.mark.parametrize(("effects", "added"), LOAD_LEVELS, ids=["load", "efficiency", "both"])
+@pytest.mark.parametrize(("effects", "added"), LOAD_LEVELS, ids=["load", "mesh", "efficiency", "both"])
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("control", ["prescribed", "position"])
 def test_the_torque_transmitted_raises_the_level(

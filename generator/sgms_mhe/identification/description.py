@@ -16,7 +16,6 @@ from sgms_mhe.identification.search import ChosenModel
 from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING, effect_parameters
 from sgms_mhe.machine import Units
 from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition, separating_moves
-from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.support.errors import InputError
 
 KNOWN: Final = 0.25
@@ -140,19 +139,14 @@ def effect_numbers(final: FinalIdentification) -> tuple[Number, ...]:
         if term.name in LAW_AND_SAMPLING:
             continue
         definition = effect_definition(term.name)
-        search = definition.search
-        if not isinstance(search, Columns):
-            continue
         place = final.fit.place(term.name)
         sizes, cov = final.fit.coefficient(term.name), final.cov[place, place]
-        values = effect_parameters(definition, search, sizes)
+        values = effect_parameters(term, sizes)
         for key, value in values.items():
             steps = np.sqrt(np.diag(cov))
             slope = np.array(
                 [
-                    (effect_parameters(definition, search, sizes + step)[key] - value) / step.max()
-                    if step.max() > 0.0
-                    else 0.0
+                    (effect_parameters(term, sizes + step)[key] - value) / step.max() if step.max() > 0.0 else 0.0
                     for step in np.diag(1e-3 * steps)
                 ]
             )
@@ -169,12 +163,8 @@ def effect_numbers(final: FinalIdentification) -> tuple[Number, ...]:
 
 def identified_effects(fit: AxisFit) -> dict[str, dict[str, float]]:
     """Return the parameters of the effects that stand beside the elements of a fit, by their names."""
-    found = {}
-    for term in fit.terms:
-        search = None if term.name in LAW_AND_SAMPLING else effect_definition(term.name).search
-        if isinstance(search, Columns):
-            found[term.name] = effect_parameters(effect_definition(term.name), search, fit.coefficient(term.name))
-    return found
+    found = {term.name: effect_parameters(term, fit.coefficient(term.name)) for term in fit.terms}
+    return {name: values for name, values in found.items() if values}
 
 
 def _number(name: str, quantity: NumberEstimate) -> Number:

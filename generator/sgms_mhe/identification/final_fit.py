@@ -43,6 +43,9 @@ TRACE: Final = 0.02
 UNSURE: Final = 0.25
 """Deviation of such a level over its value."""
 FINAL_ITERATIONS: Final = 8
+RENEWALS: Final = 6
+SETTLED: Final = 1e-4
+"""Fits by which what a level grows with follows from friction that it makes itself, and the change that ends them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,27 +133,54 @@ def make_final_fit(
 
 
 def _fit_finely(views: Views, fit: AxisFit) -> AxisFit:
-    """The fit at the full rate, what a level grows with taken from it once more."""
+    """The fit at the full rate, what a level grows with taken from it until that does not change."""
     fit = fit_axis(views.fine, fit.terms, fit.shape, iterations=FINAL_ITERATIONS)
-    terms = _renew_levels(views.fine.rows, fit)
-    return fit if terms is fit.terms else fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS)
+    for _ in range(RENEWALS if any(map(_is_level, fit.terms)) else 0):
+        before = fit.rms
+        fit = fit_axis(views.fine, _renew_levels(views.fine.rows, fit), fit.shape, iterations=FINAL_ITERATIONS)
+        if abs(fit.rms - before) <= SETTLED * before:
+            break
+    return fit
 
 
 def _renew_levels(rows: Recording, fit: AxisFit) -> tuple[Term, ...]:
     """The terms of a fit, those of the level along what it transmits."""
     if not any(map(_is_level, fit.terms)):
         return fit.terms
-    renewed = {term.name: term for term in _level_terms(rows, fit)}
+    renewed = {(term.name, *term.given.values()): term for term in _level_terms(rows, fit)}
     return tuple(
-        replace(term, columns=renewed[term.name].columns[:, : term.columns.shape[1]]) if _is_level(term) else term
+        replace(term, columns=renewed[term.name, *term.given.values()].columns[:, : term.columns.shape[1]])
+        if _is_level(term)
+        else term
         for term in fit.terms
     )
 
 
 def _level_terms(rows: Recording, fit: AxisFit) -> tuple[Term, ...]:
+    """Effects of the level of a fit, with all trials of what they are not linear in."""
+    moved = rows.machine.plant.moved + float(fit.coefficient("mass").sum())
+    level = sum(fit.jacobian[:, fit.place(t.name)] @ fit.coefficient(t.name) for t in fit.terms if _is_level(t))
+    viscous = fit.jacobian[:, fit.place("viscous")] @ fit.coefficient("viscous")
     return level_terms(
-        rows, transmitted_force(rows, fit.terms, fit.coefficients), fit.sliding(rows.velocity), fit.shape.rise
+        rows,
+        transmitted_force(rows, fit.terms, fit.coefficients),
+        fit.sliding(rows.velocity),
+        fit.shape.rise,
+        (fit.elements @ fit.levels + viscous + level, moved),
     )
+
+
+def _best_trials(view: RecordView, fit: AxisFit, trials: Sequence[Term]) -> tuple[Term, ...]:
+    """Of the trials of each effect the first, and beside it the one that explains most where it explains more."""
+    found: dict[str, list[Term]] = {}
+    for term in trials:
+        found.setdefault(term.name, []).append(term)
+    best: list[Term] = []
+    for terms in found.values():
+        looks = [fit_axis(view, (*fit.terms, term), fit.shape, iterations=0) for term in terms]
+        most = min(range(len(terms)), key=lambda k: looks[k].cross_rms)
+        best += [terms[0]] if not is_better(looks[most], looks[0]) else [terms[most]]
+    return tuple(best)
 
 
 def drop_traces(views: Views, fit: AxisFit) -> AxisFit:
@@ -196,6 +226,7 @@ def _add_companions(
     while True:
         level = [term for term in _level_terms(views.fine.rows, source) if term.name in excited]
         level = [term for term in level if not fit.place(term.name).stop]
+        level = list(_best_trials(lined, fit, level))
         tried = {
             term.name: fit_axis(lined, (*fit.terms, term), whole.shape, iterations=CHOICE_ITERATIONS)
             for term in (*level, *left)
@@ -242,13 +273,33 @@ def _test_rise(views: Views, fit: AxisFit) -> AxisFit:
 
 
 def _test_level_rise(views: Views, fit: AxisFit) -> AxisFit:
-    """The fit without the rise of what its level grows with, where that leaves no more."""
+    """The fit with the trial of what its level grows with that explains most, and without a rise that explains none."""
+    if not any(map(_is_level, fit.terms)):
+        return fit
+    fit = _search_trials(views, fit)
     terms = _renew_levels(views.fine.rows, fit)
     plain = tuple(replace(t, columns=t.columns[:, :1]) if _is_level(t) else t for t in terms)
-    if terms is fit.terms or all(a.columns.shape == b.columns.shape for a, b in zip(plain, terms, strict=True)):
-        return fit if terms is fit.terms else fit_aligned(views, terms, fit.shape, rounds=1)
+    if all(a.columns.shape == b.columns.shape for a, b in zip(plain, terms, strict=True)):
+        return fit_aligned(views, terms, fit.shape, rounds=1)
     with_rise, without = (fit_aligned(views, some, fit.shape, rounds=1) for some in (terms, plain))
     return with_rise if is_better(with_rise, without) else without
+
+
+def _search_trials(views: Views, fit: AxisFit) -> AxisFit:
+    """The fit at the best trials, tried anew until they stay: friction and load that they hang on are the fit's own."""
+    lined = align(views, fit)
+    for _ in range(RENEWALS):
+        beside = tuple(term for term in fit.terms if not _is_level(term))
+        names = {term.name for term in fit.terms if _is_level(term)}
+        trials = [term for term in _level_terms(views.fine.rows, fit) if term.name in names]
+        bare = replace(fit, terms=beside)
+        terms = (*beside, *_best_trials(lined, bare, trials))
+        before, given = fit.cross_rms, [term.given for term in fit.terms if _is_level(term)]
+        fit = fit_axis(lined, terms, fit.shape, iterations=CHOICE_ITERATIONS)
+        same = given == [term.given for term in terms if _is_level(term)]
+        if same and abs(fit.cross_rms - before) <= SETTLED * before:
+            break
+    return fit
 
 
 def _is_level(term: Term) -> bool:

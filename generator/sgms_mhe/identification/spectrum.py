@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from sgms_mhe.identification.elements import NO_RISE, Stribeck, run_elements
 from sgms_mhe.identification.records import Records
 from sgms_mhe.identification.terms import Term
+from sgms_mhe.model.effects.base import LARGEST_RISE
 from sgms_mhe.recordings.least_squares import solve_nonnegative
 from sgms_mhe.support.parallel import run_parallel
 
@@ -102,11 +103,13 @@ def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: A
 
     tried = run_parallel([partial(tried_at, speed) for speed in (None, *speeds.tolist())])
     _, speed, coefficients = min(tried, key=lambda entry: entry[0])
-    levels = coefficients[: len(grid)]
-    rise = None
+    levels, rise = coefficients[: len(grid)], None
     if speed is not None:
-        count = len(range(0, len(grid), RISING))
-        ratio = float(coefficients[len(grid) : len(grid) + count].sum() / max(levels.sum(), 1e-300))
+        rising = np.zeros(len(grid))
+        rising[::RISING] = coefficients[len(grid) : len(grid) + len(rising[::RISING])]
+        # Friction may be gone at high speed: what rises then says where elements break away.
+        levels = np.maximum(levels, rising / LARGEST_RISE)
+        ratio = min(LARGEST_RISE, float(rising.sum() / max(levels.sum(), 1e-300)))
         rise = Stribeck(ratio, speed) if ratio > 0.0 else None
     kept = levels > NEGLIGIBLE * levels.sum()
     sliding = chi @ levels / max(float(levels.sum()), 1e-300)

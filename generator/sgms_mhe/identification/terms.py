@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -40,12 +40,14 @@ class Term:
         columns: on all rows (m, k).
         positive: whether the coefficients are at least 0; otherwise free in sign.
         deviation: of a prior about 0, in the coefficients' units; inf: none.
+        given: numbers of an effect that its columns are not linear in.
     """
 
     name: str
     columns: Array
     positive: bool = False
     deviation: float = math.inf
+    given: Mapping[str, float] = field(default_factory=dict)
 
 
 def viscous_term(rows: Recording) -> Term:
@@ -102,7 +104,13 @@ def companion_terms(rows: Recording) -> tuple[Term, ...]:
     )
 
 
-def level_terms(rows: Recording, transmitted: Array, sliding: Array, rise: Stribeck | None) -> tuple[Term, ...]:
+def level_terms(
+    rows: Recording,
+    transmitted: Array,
+    sliding: Array,
+    rise: Stribeck | None,
+    known: tuple[Array, float] | None = None,
+) -> tuple[Term, ...]:
     """Effects that are looked for in the level of friction: what it grows with is known once load and mass are.
 
     Args:
@@ -110,25 +118,37 @@ def level_terms(rows: Recording, transmitted: Array, sliding: Array, rise: Strib
         transmitted: torque that the drive transmits (m) [N m].
         sliding: force of the elements over the level that they slip at now, -1 to 1 (m).
         rise: of the level towards low speed, in which they share; None: none.
+        known: all friction (m) [N m] and the inertia [kg m^2], for trials of what an effect's columns are not linear
+            in; None: its first trial alone.
     """
     motion, terms = _motion(rows, transmitted, sliding), []
+    if known is not None:
+        friction, inertia = known
+        motion = replace(motion, force=transmitted + friction, level=friction, mass=inertia)
     for definition, search in _companions(rows):
         if definition.stage != "level":
             continue
-        columns = np.abs(sliding)[:, None] * search.columns(motion, {})
-        if rise is not None and definition.rises:
-            share = np.exp(-((rows.velocity / rise.velocity) ** 2))
-            columns = np.column_stack((columns, share * columns[:, 0]))
-        terms.append(Term(definition.name, columns, positive=True))
+        for given in search.variants(motion) if known is not None else ({},):
+            columns = np.abs(sliding)[:, None] * search.columns(motion, given)
+            if rise is not None and definition.rises:
+                share = np.exp(-((rows.velocity / rise.velocity) ** 2))
+                columns = np.column_stack((columns, share * columns[:, 0]))
+            terms.append(Term(definition.name, columns, positive=True, given=given))
     return tuple(terms)
 
 
-def effect_parameters(definition: EffectDefinition, search: Columns, sizes: Array) -> dict[str, float]:
-    """Return an effect's parameters from the coefficients of its term (k)."""
+def effect_parameters(term: Term, sizes: Array) -> dict[str, float]:
+    """Return an effect's parameters from the coefficients of its term (k); none of a term that is no effect."""
+    if term.name in LAW_AND_SAMPLING:
+        return {}
+    definition = effect_definition(term.name)
+    search = definition.search
+    if not isinstance(search, Columns):
+        return {}
     if definition.stage != "level" or not definition.rises:
-        return dict(search.parameters({}, sizes))
+        return dict(search.parameters(term.given, sizes))
     rise = {definition.rises: float(sizes[1])} if len(sizes) > 1 else {}
-    return {**search.parameters({}, sizes[:1]), **rise}
+    return {**search.parameters(term.given, sizes[:1]), **rise}
 
 
 def transmitted_force(rows: Recording, terms: Sequence[Term], coefficients: Array) -> Array:

@@ -87,6 +87,7 @@ class SymbolicAxis:
         rest_level: the same at v = 0, 1 + beta.
         stribeck_share: exp(-(v/v_s)^2), the share of the Stribeck effect that is there at this speed.
         gate_per_velocity: gamma / v_s [s/m], how sharply directions are distinguished.
+        coulomb_force, damping: f_C [N] and sigma_v [N s/m], before any factor.
         level_force: what the level that elements slip at has beyond its factors [N].
         engagement: share of the velocity that reaches the friction elements.
         load: what acts on the axis from outside, and what its mass is more than the machine file's [N]; friction-like
@@ -109,6 +110,8 @@ class SymbolicAxis:
         self.coulomb_factor: ca.SX = ca.SX(1.0)
         self.viscous_factor: ca.SX = ca.SX(1.0)
         self.micro_viscous: ca.SX = ca.SX(0.0)
+        self.coulomb_force: ca.SX = ca.SX(coulomb)
+        self.damping: ca.SX = ca.SX(0.0)
         self.level_force: ca.SX = ca.SX(0.0)
         self.engagement: ca.SX = ca.SX(1.0)
         self.load: ca.SX = ca.SX(0.0)
@@ -139,6 +142,12 @@ class SymbolicAxis:
     def transmitted_force(self) -> ca.SX:
         """Return the drive's force behind friction, mass * acceleration + load [N]: of known signals alone."""
         return self.mass * self.acceleration + self.load
+
+    @property
+    def sliding_friction(self) -> ca.SX:
+        """Size of the friction of an axis that slides, as far as effects have set it [N]."""
+        level = self.coulomb_force * self.coulomb_factor * self.stribeck_level + self.level_force
+        return level + self.damping * self.viscous_factor * ca.fabs(self.velocity)
 
     def forget(self) -> dict[str, ca.SX]:
         """Put a symbol in the place of everything that effects may set but the signals, and return them by name."""

@@ -113,6 +113,7 @@ def declare_elements(
             force_scale if state_as == "force" else force_scale * nominal_stiffness[i] / symbols.stiffness[i]
         )
         axis.element_force = axis.element_force + fraction * state.chi
+    axis.coulomb_force, axis.damping = symbols.coulomb, symbols.viscous
     axis.stribeck_share = stribeck_share(axis.velocity, symbols)
     axis.stribeck_level = 1.0 + symbols.stribeck_ratio * axis.stribeck_share
     axis.rest_level = 1.0 + symbols.stribeck_ratio

@@ -346,7 +346,7 @@ class NativeAxis:
             raise InputError("simulation", "effect", effect, 'control "position": no force makes a prescribed motion')
         definition = effect_definition(effect)
         try:
-            numbers = definition.entries(values)
+            numbers = {p.name: p.default for p in definition.parameters if p.is_optional} | definition.entries(values)
         except KeyError:
             numbers = {}
         if set(numbers) != set(definition.names(numbers)):

@@ -1,32 +1,59 @@
-"""Friction that grows with the torque transmitted: teeth and bearings of a gear, pressed on by the load."""
+"""Friction that grows with the torque at the mesh: teeth and bearings of a gear, pressed on by what they carry.
+
+Behind the mesh are the load and the inertia of what it carries; before it the rotor's, and friction of bearings there.
+A mesh in the middle of an axis carries the load, and shares of inertial torque and friction.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Final
 
 import casadi as ca
 
 from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.definition import EffectDefinition
+from sgms_mhe.model.effects.motion import MotionRecord
 from sgms_mhe.model.effects.parameters import EffectParameter
-from sgms_mhe.model.effects.search import Columns, one_size
+from sgms_mhe.model.effects.search import Columns, Values, one_size
 from sgms_mhe.model.effects.specimen import Specimen
 from sgms_mhe.model.effects.transmission import friction_drag, load_excitation
 
+SHARES: Final = ("inertia_ratio", "friction_ratio")
+MOST: Final = 0.95
+"""Largest ratio: from 1 on a load could not be driven back, and the friction that holds it would have no one value."""
+TRIED: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares that are tried: inertia and friction before the mesh alike."""
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
+
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+    """Add r |T|, T = load + a_J J a + a_f f, with f all of the friction: what is added here included.
+
+    Along the motion T is sign(v) T_0 + a_f (f_0 + r |T|), with f_0 the friction without it, which one division solves.
+    """
     ratio = p["ratio"] + p["rise_ratio"] * axis.stribeck_share
-    axis.level_force = axis.level_force + ratio * ca.fabs(axis.transmitted_force)
+    torque = axis.transmitted_force - (1.0 - p["inertia_ratio"]) * axis.mass * axis.acceleration
+    share = p["friction_ratio"]
+    if nominal["friction_ratio"] == 0.0 and share.is_constant():
+        added = ratio * ca.fabs(torque)
+    else:
+        along = ca.sign(axis.velocity) * torque + share * axis.sliding_friction
+        added = ratio * ca.fabs(along) / (1.0 - ca.sign(along) * share * ca.fmin(ratio, MOST))
+    axis.level_force = axis.level_force + added
+
+
+def _shares(_: MotionRecord) -> Sequence[Values]:
+    """Where the mesh may be: behind all friction, first, or before a share of it and of the inertia."""
+    return ({}, *(dict.fromkeys(SHARES, share) for share in TRIED))
 
 
 DEFINITION = EffectDefinition(
     name="load_dependent_friction",
-    summary="friction level grows with the torque transmitted",
+    summary="friction level grows with the torque at the mesh",
     kinds=("rotary",),
     parameters=(
-        # From 1 on a load could not be driven back, and the friction that holds it would have no one value.
-        EffectParameter("ratio", 0.0, 0.1, "level added over the torque transmitted", lower=0.0, upper=0.95),
+        EffectParameter("ratio", 0.0, 0.1, "level added over the torque at the mesh", lower=0.0, upper=MOST),
         EffectParameter(
             "rise_ratio",
             0.0,
@@ -34,6 +61,28 @@ DEFINITION = EffectDefinition(
             "what the ratio grows by towards low speed, as the Stribeck effect does",
             lower=0.0,
             main=False,
+        ),
+        EffectParameter(
+            "inertia_ratio",
+            1.0,
+            1.0,
+            "share of the inertial torque that the teeth transmit: of what is behind them",
+            lower=0.0,
+            upper=1.0,
+            role="shape",
+            main=False,
+            frozen=True,
+        ),
+        EffectParameter(
+            "friction_ratio",
+            0.0,
+            1.0,
+            "share of all friction that the teeth transmit: of what is behind them",
+            lower=0.0,
+            upper=1.0,
+            role="shape",
+            main=False,
+            frozen=True,
         ),
     ),
     contribute=_contribute,
@@ -48,7 +97,7 @@ DEFINITION = EffectDefinition(
     moves=("jerks", "speeds"),
     inertial=True,
     simpler=Simpler(("coulomb",)),
-    search=Columns(lambda m, _: friction_drag(m), one_size("ratio"), exact="ratio"),
+    search=Columns(lambda m, p: friction_drag(m, **p), one_size("ratio"), exact="ratio", variants=_shares),
     stage="level",
     companion=True,
     rises="rise_ratio",

@@ -103,6 +103,11 @@ class EffectParameter:
         return self.role == "size"
 
     @property
+    def is_optional(self) -> bool:
+        """Return True if an effect is complete without it: what neither makes it up nor is fitted."""
+        return self.role == "shape" and not self.main
+
+    @property
     def is_proportional(self) -> bool:
         """Return True if the force is proportional to it."""
         return self.is_size and self.proportional

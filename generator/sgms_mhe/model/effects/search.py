@@ -45,6 +45,7 @@ class Columns:
         tests: how many independent trials the grid amounts to.
         own_size: the given number that the size must come out as: a lag is its own size. Of two trials that explain as
             much the one whose size agrees with it counts.
+        variants: the numbers that an identification from nothing tries, none given first; a diagnosis tries that alone.
         exact: the size whose column is taken from the model's own derivative in the end, where `columns` are rough: a
             level that jumps where elements stick.
     """
@@ -55,6 +56,7 @@ class Columns:
     tests: float = 1.0
     own_size: str | None = None
     exact: str | None = None
+    variants: Grid = no_grid
     costly: ClassVar[bool] = False
 
 

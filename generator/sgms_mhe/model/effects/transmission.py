@@ -17,8 +17,15 @@ def load_excitation(text: str) -> Excitation:
     return Excitation(text, LOADED)
 
 
-def friction_drag(motion: MotionRecord) -> Array:
-    """Friction of the size of the torque transmitted (m, 1) [N]: what a level that grows with it adds per unit."""
+def friction_drag(motion: MotionRecord, inertia_ratio: float = 1.0, friction_ratio: float = 0.0) -> Array:
+    """Friction of the size of the torque at the mesh (m, 1) [N]: what a level that grows with it adds per unit.
+
+    Args:
+        motion: of the record.
+        inertia_ratio: of the inertial torque that passes the mesh.
+        friction_ratio: of friction that does.
+    """
     # The drive's torque less the model's friction: what is not in the model yet is in the torque.
-    torque = motion.force - motion.level - motion.damping * motion.velocity
-    return np.asarray((np.abs(torque) * direction(motion.velocity))[:, None])
+    friction = motion.level + motion.damping * motion.velocity
+    torque = motion.force - friction - (1.0 - inertia_ratio) * motion.mass * motion.acceleration
+    return np.asarray((np.abs(torque + friction_ratio * friction) * direction(motion.velocity))[:, None])
