@@ -627,6 +627,33 @@ def test_no_memory_is_read_that_was_not_written(precision: str, kind: str, requi
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("bits", [2, 8, 17, 24, 31, 32])
+def test_counts_that_start_over_are_unwrapped(bits: int, precision: str, axis: Any) -> None:
+    """To and fro over several turns, from the first count on; bits beyond are not read."""
+    estimator: Axis = axis(code={"precision": precision})
+    rng = np.random.default_rng(bits)
+    most = 2 ** (bits - 1) - 1  # half a range back cannot be distinguished from half of it on
+    moves = np.concatenate([np.full(20, most), np.full(30, -most), rng.integers(-most, most + 1, 200)])
+    first = int(rng.integers(0, 2**bits))
+    whole = first + np.concatenate([[0], np.cumsum(moves)])
+    beyond = rng.integers(0, 2 ** (32 - bits), whole.size) << bits
+    counts = ((whole % 2**bits) | beyond).astype(np.uint32)
+
+    def positions(bits: int) -> tuple[Array, Array]:
+        found, made = np.empty(whole.size, np.int64), np.empty(whole.size, np.int64)
+        per, picometres = ctypes.c_int32(4), ctypes.c_int64(1000)
+        unwrap = estimator.c.probe_position_from_wrapped_counts
+        unwrap(pointer(counts), whole.size, bits, per, picometres, pointer(found), pointer(made))
+        return found, made if precision == "single" else made.view(np.float64)
+
+    found, made = positions(bits)
+    np.testing.assert_array_equal(found, whole)
+    np.testing.assert_allclose(made, whole * (250 if precision == "single" else 250e-12), rtol=1e-15, atol=0.0)
+    for none in (1, 0, -1, 33):
+        assert np.all(np.abs(positions(none)[1]) >= (4e18 if precision == "single" else 4e6))
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
 def test_positions_from_counts_and_from_metres(precision: str, axis: Any) -> None:
     """Whole picometres in single precision, for any encoder; what no integer holds is missing."""
     estimator: Axis = axis(code={"precision": precision})

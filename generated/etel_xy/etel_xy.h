@@ -75,7 +75,7 @@ typedef double etel_xy_position;
 #define ETEL_XY_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_MACHINE "9b508e6ff92b" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_check() */
-#define ETEL_XY_HEADER 0x376dd005u
+#define ETEL_XY_HEADER 0x20f74de3u
 #define ETEL_XY_SAVED_FORMAT 2u /* of etel_xy_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SAVED_MACHINE_0 0x9b508e6fu
 #define ETEL_XY_SAVED_MACHINE_1 0xf92bu
@@ -305,6 +305,32 @@ static inline etel_xy_position etel_xy_position_from_counts(
     int64_t counts, int32_t per, int64_t picometres)
 {
     return per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
+}
+
+/* An encoder whose counts start over, of `per` counts to so many picometres as above. Set these
+ * two, and the rest to 0 before its first count and where it has been homed. */
+typedef struct {
+    int64_t picometres, whole; /* `whole`: counts since, those of all turns */
+    int32_t per;
+    uint32_t last, started; /* the last count; others have come */
+} etel_xy_counter;
+
+/* A position from counts of so many bits, 2 to 32, that start over behind the last one: within half
+ * of their range from the last position. Bits beyond are not read. To be called at every sample at
+ * which there is a count; other numbers of bits give none. */
+static inline etel_xy_position etel_xy_position_from_wrapped_counts(
+    etel_xy_counter *counter, uint32_t counts, int bits)
+{
+    const int is_good = bits >= 2 && bits <= 32;
+    const uint32_t range = is_good ? UINT32_MAX >> (32 - bits) : 0u, half = range / 2u + 1u;
+    const uint32_t now = counts & range, moved = (now - counter->last) & range;
+    /* modulo 2^64 */
+    const uint64_t step = moved < half ? (uint64_t)moved : (uint64_t)moved - range - 1u;
+    counter->whole = counter->started ? (int64_t)((uint64_t)counter->whole + step) : (int64_t)now;
+    counter->started = 1u;
+    counter->last = now;
+    return etel_xy_position_from_counts(
+        counter->whole, is_good ? counter->per : 0, counter->picometres);
 }
 
 /* Check that application and package have the same header: etel_xy_check(sizeof(etel_xy_t),

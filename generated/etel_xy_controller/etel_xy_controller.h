@@ -80,7 +80,7 @@ typedef struct {
 #define ETEL_XY_CONTROLLER_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_CONTROLLER_MACHINE "bf94fd961735" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_controller_check() */
-#define ETEL_XY_CONTROLLER_HEADER 0x90ce4fcbu
+#define ETEL_XY_CONTROLLER_HEADER 0xefe30954u
 /* of etel_xy_controller_saved_t, and the digest of the machine file again */
 #define ETEL_XY_CONTROLLER_SAVED_FORMAT 2u
 #define ETEL_XY_CONTROLLER_SAVED_MACHINE_0 0xbf94fd96u
@@ -353,6 +353,32 @@ static inline etel_xy_controller_position etel_xy_controller_position_from_count
         }
     }
     return position;
+}
+
+/* An encoder whose counts start over, of `per` counts to so many picometres as above. Set these
+ * two, and the rest to 0 before its first count and where it has been homed. */
+typedef struct {
+    int64_t picometres, whole; /* `whole`: counts since, those of all turns */
+    int32_t per;
+    uint32_t last, started; /* the last count; others have come */
+} etel_xy_controller_counter;
+
+/* A position from counts of so many bits, 2 to 32, that start over behind the last one: within half
+ * of their range from the last position. Bits beyond are not read. To be called at every sample at
+ * which there is a count; other numbers of bits give none. */
+static inline etel_xy_controller_position etel_xy_controller_position_from_wrapped_counts(
+    etel_xy_controller_counter *counter, uint32_t counts, int bits)
+{
+    const int is_good = bits >= 2 && bits <= 32;
+    const uint32_t range = is_good ? UINT32_MAX >> (32 - bits) : 0u, half = range / 2u + 1u;
+    const uint32_t now = counts & range, moved = (now - counter->last) & range;
+    /* modulo 2^64 */
+    const uint64_t step = moved < half ? (uint64_t)moved : (uint64_t)moved - range - 1u;
+    counter->whole = counter->started ? (int64_t)((uint64_t)counter->whole + step) : (int64_t)now;
+    counter->started = 1u;
+    counter->last = now;
+    return etel_xy_controller_position_from_counts(
+        counter->whole, is_good ? counter->per : 0, counter->picometres);
 }
 
 /* Check that application and package have the same header:

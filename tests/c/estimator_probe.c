@@ -41,6 +41,24 @@ void probe_position_from_counts(int64_t counts, int32_t per, int64_t picometres,
     memcpy(position, &made, sizeof made);
 }
 
+/* Positions of counts that start over, as they lie in memory. */
+void probe_position_from_wrapped_counts(
+    const uint32_t *counts,
+    int number,
+    int bits,
+    int32_t per,
+    int64_t picometres,
+    int64_t *whole,
+    void *position)
+{
+    CALL(counter) counter = {picometres, 0, per, 0, 0};
+    for (int i = 0; i < number; i++) {
+        const CALL(position) made = CALL(position_from_wrapped_counts)(&counter, counts[i], bits);
+        memcpy((char *)position + (size_t)i * sizeof made, &made, sizeof made);
+        whole[i] = counter.whole;
+    }
+}
+
 void probe_position_from_metres(double metres, void *position)
 {
     const CALL(position) made = CALL(position_from_metres)(metres);

@@ -52,6 +52,7 @@ GAPS: Final[tuple[Gap, ...]] = (
     Gap("sgms_flow_enter", r"elastic > flow_table.start|\*r = elastic|return 0", GUARD),
     Gap("sgms_flow_step", r"move.r >= flow_table.end", GUARD),
     Gap("sgms_filter_step", r"counts\[0\] != 3", GUARD),
+    Gap("take_wander", r"is_end && is_known", GUARD),
     Gap("sgms_exp", r"SGMS_EXP_HIGHEST", GUARD),
     Gap("GROUP_line_count", r"\(sgms_real\)whole == wanted", "a whole number of substeps, by chance alone"),
     Gap("take_colour", r"block\[2\] > 0\.0", GUARD),

@@ -74,7 +74,7 @@ typedef double toy_position;
 
 #define TOY_VERSION "0.2.0" /* of the generator */
 #define TOY_MACHINE "ddc7efac656b" /* digest of the machine file */
-#define TOY_HEADER 0x0ca0d70fu /* digest of all that this header declares, for toy_check() */
+#define TOY_HEADER 0xc8b855f5u /* digest of all that this header declares, for toy_check() */
 #define TOY_SAVED_FORMAT 2u /* of toy_saved_t, and the digest of the machine file again */
 #define TOY_SAVED_MACHINE_0 0xddc7efacu
 #define TOY_SAVED_MACHINE_1 0x656bu
@@ -281,6 +281,32 @@ static inline toy_position toy_position_from_metres(double metres)
 static inline toy_position toy_position_from_counts(int64_t counts, int32_t per, int64_t picometres)
 {
     return per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
+}
+
+/* An encoder whose counts start over, of `per` counts to so many picometres as above. Set these
+ * two, and the rest to 0 before its first count and where it has been homed. */
+typedef struct {
+    int64_t picometres, whole; /* `whole`: counts since, those of all turns */
+    int32_t per;
+    uint32_t last, started; /* the last count; others have come */
+} toy_counter;
+
+/* A position from counts of so many bits, 2 to 32, that start over behind the last one: within half
+ * of their range from the last position. Bits beyond are not read. To be called at every sample at
+ * which there is a count; other numbers of bits give none. */
+static inline toy_position toy_position_from_wrapped_counts(
+    toy_counter *counter, uint32_t counts, int bits)
+{
+    const int is_good = bits >= 2 && bits <= 32;
+    const uint32_t range = is_good ? UINT32_MAX >> (32 - bits) : 0u, half = range / 2u + 1u;
+    const uint32_t now = counts & range, moved = (now - counter->last) & range;
+    /* modulo 2^64 */
+    const uint64_t step = moved < half ? (uint64_t)moved : (uint64_t)moved - range - 1u;
+    counter->whole = counter->started ? (int64_t)((uint64_t)counter->whole + step) : (int64_t)now;
+    counter->started = 1u;
+    counter->last = now;
+    return
+        toy_position_from_counts(counter->whole, is_good ? counter->per : 0, counter->picometres);
 }
 
 /* Check that application and package have the same header: toy_check(sizeof(toy_t), TOY_HEADER)
