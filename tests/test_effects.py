@@ -265,7 +265,7 @@ def test_declared_parameters_are_consistent(name: str) -> None:
     assert sizes and all(p.lower <= p.none <= p.upper or p.none == 0.0 for p in sizes)
     # Some size is none by default, so that the default effect is none.
     assert any(p.none == p.default for p in sizes)
-    assert all(p.role == "place" for p in definition.parameters if p.frozen)
+    assert all(p.role == "place" or p.is_optional for p in definition.parameters if p.frozen)
     assert all(p.name.endswith("_s") and definition.full_rate for p in definition.parameters if p.timing)
     assert not (definition.linear and (definition.states or definition.costly))
     extents = Extents(travel=0.2, speed=0.5, duration=10.0, end=12.0, rate=1000.0)

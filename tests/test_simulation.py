@@ -728,6 +728,7 @@ def test_closed_loop_with_every_effect(machine: Machine, name: str, law: str) ->
     if name in ("friction_drift", "viscous_drift", "dwell_dependence"):
         typical["time_constant_s"] = 5e-3
     typical |= {"efficiency_ratio": 0.8, "order": 2.0, "sine_N": 0.5, "cosine_N": -0.3}
+    typical |= {"inertia_ratio": 0.6, "friction_ratio": 0.5}
     effect = (name, {parameter: typical[parameter] for parameter in plant_effects()[name]})
     machine = as_the_effect_wants(machine, name)
     trajectory = make_trajectory("mixed", 1e4, duration_s=3.0)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.configuration import make_machine, override_machine
+from sgms_mhe.identification.spectrum import BOTH_WAYS
 from sgms_mhe.identification.terms import companion_terms
 from sgms_mhe.machine import Machine, plant_content
 from sgms_mhe.model.effects import MOVES
@@ -123,14 +124,14 @@ def replace_filter(machine: Machine, logs: Sequence[Log]) -> tuple[Machine, tupl
     """Return the machine with a slower low-pass where its own biases the mass, and the sentence on that.
 
     What an encoder adds to an acceleration makes the mass that is found too small: the filter is made slower until the
-    next one does not make it larger.
+    next one does not make it larger. Not where an axis goes one way: there the mass takes what friction is.
 
     Args:
         machine: with the low-pass that was asked for, and the mass behind it.
         logs: whose motion shows a mass.
     """
     asked, biased = machine.sampling.velocity_cutoff, machine.plant.moved
-    for cutoff in CUTOFFS:
+    for cutoff in CUTOFFS if any(map(_goes_both_ways, logs)) else ():
         if not LOWEST_CUTOFF * machine.sampling.rate <= cutoff < machine.sampling.velocity_cutoff:
             continue
         slower = override_machine(machine, {"sampling": {"velocity_cutoff": cutoff}})
@@ -146,6 +147,11 @@ def replace_filter(machine: Machine, logs: Sequence[Log]) -> tuple[Machine, tupl
         f"{machine.plant.units.inert} {1.0 - biased / machine.plant.moved:.0%} too small"
     )
     return machine, (sentence,)
+
+
+def _goes_both_ways(log: Log) -> bool:
+    steps = np.diff(log.position_m)
+    return bool(min(np.mean(steps > 0.0), np.mean(steps < 0.0)) > BOTH_WAYS * np.mean(steps != 0.0))
 
 
 def _choose_filter(machine: Machine, logs: Sequence[Log]) -> Machine:

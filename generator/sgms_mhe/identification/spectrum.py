@@ -44,6 +44,8 @@ SPEEDS: Final = (1e-3, 0.3)
 SPEED_RATIO: Final = 2.5
 LAST: Final = 0.03
 """Share of all levels that says how far elements reach."""
+BOTH_WAYS: Final = 0.1
+"""Share of rows in either direction from which what rises towards low speed is friction; one way it is any force."""
 NEGLIGIBLE: Final = 2e-3
 """Share of all levels below which an entry of the spectrum is none."""
 
@@ -107,8 +109,9 @@ def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: A
     if speed is not None:
         rising = np.zeros(len(grid))
         rising[::RISING] = coefficients[len(grid) : len(grid) + len(rising[::RISING])]
-        # Friction may be gone at high speed: what rises then says where elements break away.
-        levels = np.maximum(levels, rising / LARGEST_RISE)
+        if min(np.mean(rows.velocity[used] > 0.0), np.mean(rows.velocity[used] < 0.0)) > BOTH_WAYS:
+            # Friction may be gone at high speed: what rises then says where elements break away.
+            levels = np.maximum(levels, rising / LARGEST_RISE)
         ratio = min(LARGEST_RISE, float(rising.sum() / max(levels.sum(), 1e-300)))
         rise = Stribeck(ratio, speed) if ratio > 0.0 else None
     kept = levels > NEGLIGIBLE * levels.sum()
