@@ -287,7 +287,8 @@ def test_a_diagnosis_finds_it_and_its_size(name: str, law: Law) -> None:
         assert cause.std[key] < 0.02 * value
     assert diagnosis.rms.held_out_after < 0.03 * diagnosis.rms.held_out_before
     entry = next(entry for entry in (diagnosis.extended or joint()).as_dict()["effects"] if entry["name"] == name)
-    assert set(entry) == {"name", *(parameter.name for parameter in effect_definition(name).parameters)}
+    optional = {parameter.name for parameter in effect_definition(name).parameters if parameter.is_optional}
+    assert set(entry) == {"name", *GEARED[name], *optional}
 
 
 @pytest.mark.slow

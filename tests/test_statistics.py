@@ -48,12 +48,12 @@ def test_bounds_of_mhe_and_ekf_agree() -> None:
     assert np.abs(results[0][0] - results[1][0]).max() < 1.0
 
 
-def test_a_wide_prior_is_overconfident() -> None:
-    # The sharp break-away is not linear over a third of the stiffness.
+def test_a_wide_prior_is_a_little_overconfident() -> None:
+    # The sharp break-away is not linear over a third of the stiffness; factors on deviations make up for most of it.
     machine = statistics_machine(load_machine("etel_xy"), parameter=0.3)
     drawn = draw(machine, runs=120, updates=120)
     z, _ = normalised_errors(override_machine(machine, {"estimator": {"kind": "ekf"}}), drawn, 120)
-    assert np.mean(np.abs(z[:, 0]) <= 2.0) < 0.93
+    assert 0.9 < np.mean(np.abs(z[:, 0]) <= 2.0) < 0.954
 
 
 @pytest.mark.parametrize("name", ["default", "noise of the force 1.6 N", "50 ms"])

@@ -33,7 +33,7 @@ from sgms_mhe.diagnosis.beginning import (
 )
 from sgms_mhe.diagnosis.causes import name_cause
 from sgms_mhe.diagnosis.combinations import KnownCombination, find_combinations
-from sgms_mhe.diagnosis.criteria import Progress, ProgressReport, make_criteria, material_force
+from sgms_mhe.diagnosis.criteria import Progress, ProgressReport, make_criteria, material_force, small_force
 from sgms_mhe.diagnosis.final_fit import FinalFit, RecordResidual, fit_rivals, make_final_fit, split_rms
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.judgement import MOST_WITHOUT_CAUSES, MOSTLY, Judged, allowed_excess, judge
@@ -403,8 +403,8 @@ def _combine_causes(final: FinalFit, judged: Judged) -> tuple[KnownCombination, 
 
 
 def _learn(record: Recording, full: RecordResidual, blind: RecordResidual, floor: float) -> Learned | None:
-    """Learn the residual of a record; `blind`: of the fit that has not seen the held-out blocks; `floor` [N]."""
-    material = material_force(record.machine, floor)
+    """Learn what a residual has of a cause's size; `blind`: of the fit without the held-out blocks; `floor` [N]."""
+    material = max(material_force(record.machine, floor), small_force(record.machine))
     return learn_residual(record, full.residual, blind.residual, floor=floor, material=material)
 
 
