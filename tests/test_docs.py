@@ -143,7 +143,7 @@ def test_every_command_is_described_with_all_its_options(name: str) -> None:
 @each_page
 def test_modules_exist(page: Path) -> None:
     text = re.sub(r"\s+", " ", read(page))
-    for module, argument in re.findall(r"python -m (sgms_(?:mhe|bench)[\w.]*) ?([a-z-]*)", text):
+    for module, argument in re.findall(r"python -m (sgms_(?:mhe|bench)[\w.]*)(?: ([a-z][a-z-]*))?", text):
         found = importlib.import_module(module)
         if hasattr(found, "__path__"):
             found = importlib.import_module(f"{module}.__main__")
