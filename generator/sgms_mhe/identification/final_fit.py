@@ -145,8 +145,6 @@ def _fit_finely(views: Views, fit: AxisFit) -> AxisFit:
 
 def _renew_levels(rows: Recording, fit: AxisFit) -> tuple[Term, ...]:
     """The terms of a fit, those of the level along what it transmits."""
-    if not any(map(_is_level, fit.terms)):
-        return fit.terms
     renewed = {(term.name, *term.given.values()): term for term in _level_terms(rows, fit)}
     return tuple(
         replace(term, columns=renewed[term.name, *term.given.values()].columns[:, : term.columns.shape[1]])
