@@ -137,7 +137,7 @@ def test_friction_that_the_load_raises(seed: int) -> None:
 
 @pytest.mark.slow
 def test_friction_that_is_gone_at_high_speed_is_friction() -> None:
-    """What rises towards low speed alone says where elements break away."""
+    """The rise towards low speed alone says where elements break away."""
     arm = Arm(level=0.002, rise=200.0, slow=0.8, gravity=2.0, viscous=0.2)
     found = identify([arm.log(1)], Wanted("arm", elements=2))
     within(found, "mass", arm.inertia)

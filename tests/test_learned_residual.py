@@ -1,4 +1,4 @@
-"""What has no name is learned: where it is there, only where it is there, and by what it gains on unseen data."""
+"""Forces without a name are learned: where they are there, only there, and by the gain on unseen data."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ BEYOND_CHANCE: Final = 9.0
 background is that of the neighbours, or of white noise of the same power, whichever is more."""
 MOST_LINES: Final = 16
 ROUGH: Final = 0.05
-"""What a polynomial leaves of a coordinate in a segment, at most [period of a line]: at rest a position is noise, and
+"""Largest part of a coordinate beside the polynomial in a segment [period of a line]: at rest a position is noise, and
 the force of its acceleration goes with it."""
 SOLVABLE: Final = 1e-10  # of the largest diagonal entry, added to all
 

@@ -87,10 +87,10 @@ def encoder_step(position: NDArray[np.float64]) -> float:
         moves = np.abs(np.diff(position)) > 0.5 * step
         alone = ~moves[:-2] | ~moves[2:]
         counted = float(np.mean(alone[moves[1:-1]])) > ALONE if moves[1:-1].any() else False
-    return step if counted else _step_at_speed(position, changes)
+    return step if counted else _find_step_at_speed(position, changes)
 
 
-def _step_at_speed(position: NDArray[np.float64], changes: NDArray[np.float64]) -> float:
+def _find_step_at_speed(position: NDArray[np.float64], changes: NDArray[np.float64]) -> float:
     """Step of an encoder of which every sample passes several, as of `encoder_step`."""
     again = np.abs(np.diff(position, n=2))
     again = again[np.isfinite(again)]
