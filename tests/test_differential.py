@@ -29,6 +29,14 @@ SEED = 1
 OFF = (1.2, 0.8, 1.1, 0.97)
 """True stiffness over nominal, element by element in turn."""
 
+PRIORS: dict[str, Any] = {
+    "effects": [{"name": "constant_offset"}],
+    "estimator": {
+        "parameters": ["stiffness", "coulomb", "constant_offset.force_N"],
+        "prior": {"coulomb": 0.05, "constant_offset.force_N": 0.02},
+        "bounds": {},
+    },
+}
 MHE_CASES: dict[str, dict[str, Any]] = {
     "default": {},
     # elements
@@ -64,6 +72,7 @@ MHE_CASES: dict[str, dict[str, Any]] = {
     "fixed": {"estimator": {"arrival_cost": {"update": "fixed"}, "noise": {"state_as": "deflection"}}},
     "fixed, horizon 1": {"estimator": {"arrival_cost": {"update": "fixed"}, "horizon": 1}},
     "no drift": {"estimator": {"noise": {"parameter_drift": 0.0}}},
+    "priors": PRIORS,
     # integrators
     "rk4": {"sampling": scheme("rk4")},
     "two substeps": {"sampling": scheme("rk4", substeps=200)},
@@ -127,6 +136,7 @@ MHE_CASES: dict[str, dict[str, Any]] = {
         "friction": {"micro_viscous": [50.0, 20.0, 10.0, 5.0]},
         "estimator": {"relinearise": "auto"},
     },
+    "auto, priors": PRIORS | {"estimator": PRIORS["estimator"] | {"relinearise": "auto", "horizon": 7}},
     "auto, much drift": {"estimator": {"relinearise": "auto", "horizon": 7, "noise": {"parameter_drift": 0.02}}},
     "newest": {"estimator": {"relinearise": "newest"}},
     "newest, fixed": {"estimator": {"relinearise": "newest", "arrival_cost": {"update": "fixed"}}},
@@ -135,6 +145,7 @@ MHE_CASES: dict[str, dict[str, Any]] = {
     # filter
     "ekf": {"estimator": {"kind": "ekf"}},
     "ekf, bound": {"estimator": {"kind": "ekf", "bounds": {"stiffness": [0.995, 1.05]}, "noise": {"parameter": 0.3}}},
+    "ekf, priors": PRIORS | {"estimator": PRIORS["estimator"] | {"kind": "ekf"}},
     "ekf, coulomb": {"estimator": {"kind": "ekf", "parameters": ["stiffness", "coulomb"], "bounds": {}}},
 }
 BOUNDED = [name for name in MHE_CASES if "bound" in name]

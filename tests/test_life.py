@@ -72,9 +72,9 @@ class Package:
             _fields_ = (
                 ("measurement", real),
                 ("state", real * n_x),
-                ("parameter", real),
-                *((("drift", real),) if settings.estimator.arrival_cost.update != "fixed" else ()),
-                ("pause", real),
+                ("parameter", real * n_p),
+                *((("drift", real * n_p),) if settings.estimator.arrival_cost.update != "fixed" else ()),
+                ("pause", real * n_p),
                 ("lower", real * n_p),
                 ("upper", real * n_p),
             )
@@ -181,11 +181,11 @@ def test_replaced_settings_give_what_the_reference_gives(kind: str, precision: s
     other = settings_of(kind, precision, estimator={"noise": noise, "bounds": {"stiffness": [0.97, 1.1]}})
     p: Package = package(kind, precision)
     settings, memory, log = p.defaults(), p.new(), log_of()
-    settings.measurement, settings.parameter = noise["measurement"], noise["parameter"]
+    settings.measurement, settings.parameter[:] = noise["measurement"], [noise["parameter"]] * p.model.n_p
     settings.state[:] = [noise["state"]] * p.model.n_x
     settings.lower[:], settings.upper[:] = [0.97] * p.model.n_p, [1.1] * p.model.n_p
     if kind != "fixed":
-        settings.drift = noise["parameter_drift"]
+        settings.drift[:] = [noise["parameter_drift"]] * p.model.n_p
     assert p.init_with(memory, ctypes.byref(settings)) == 0
     expected = reference(p, signals_from_log(log, other), weights=Weights.of(build_model(other)))
     rows = p.run(memory, log)
@@ -197,11 +197,9 @@ def test_replaced_settings_give_what_the_reference_gives(kind: str, precision: s
 def test_settings_are_those_of_the_machine_file(package: Any) -> None:
     p: Package = package()
     settings, noise = p.defaults(), p.machine.estimator.noise
-    assert (settings.measurement, settings.parameter, settings.drift) == (
-        noise.measurement,
-        noise.parameter,
-        noise.parameter_drift,
-    )
+    assert settings.measurement == noise.measurement
+    for field, value in (("parameter", 1.0), ("drift", noise.parameter_drift / noise.parameter), ("pause", 0.25)):
+        assert list(getattr(settings, field)) == pytest.approx([value * noise.parameter] * p.model.n_p, rel=1e-15)
     assert list(settings.state) == list(p.model.state_noise)
     assert [(q.lower, q.upper) for q in p.model.parameters] == list(zip(settings.lower, settings.upper, strict=True))
     with_them, plain = p.new(), p.new()
@@ -223,10 +221,10 @@ def test_settings_that_cannot_be_are_refused(field: str, value: float, package: 
     p: Package = package()
     settings, memory = p.defaults(), p.new()
     p.run(memory, log_of(), last=300)
-    if field in ("state", "lower", "upper"):
-        getattr(settings, field)[1] = value
+    if field == "measurement":
+        settings.measurement = value
     else:
-        setattr(settings, field, value)
+        getattr(settings, field)[1] = value
     ctypes.memset(memory, 0, len(memory))
     assert p.init_with(memory, ctypes.byref(settings)) == p.refused
     assert memory.raw == p.new().raw
@@ -430,8 +428,8 @@ def test_loaded_axis_gives_what_the_reference_gives(kind: str, precision: str, p
     root = np.zeros((n_p, n_p))
     root[np.triu_indices(n_p)] = saved.root
     covariance = np.linalg.inv(root.T @ root)
-    prior, pause = Weights.of(p.model).parameter, p.defaults().pause
-    assert pause == pytest.approx(0.25 * prior[0])
+    prior, pause = Weights.of(p.model).parameter, np.array(p.defaults().pause)
+    assert pause == pytest.approx(0.25 * prior)
     spread = (np.array(saved.spread) - 1.0) * np.diag(covariance)
     grown = np.minimum(pause**2 + spread, np.maximum(0.0, prior**2 - np.diag(covariance)))
     start = Start(np.zeros(p.model.n_x), np.array(saved.theta), covariance + np.diag(grown), saved.ratio)
@@ -460,7 +458,7 @@ def test_loaded_numbers_stay_honest_where_the_pause_changed_the_axis(package: An
     p.run(memory, before)
     saved, loaded, sure = p.saved(memory), p.new(), p.new()
     settings = p.defaults()
-    settings.pause = 0.0
+    settings.pause[:] = [0.0] * p.model.n_p
     p.init_with(sure, ctypes.byref(settings))
     assert p.load(loaded, ctypes.byref(saved)) == 0 and p.load(sure, ctypes.byref(saved)) == 0
     n_p, nominal = p.model.n_p, np.array([q.nominal for q in p.model.parameters])
@@ -556,7 +554,7 @@ def test_saved_once_and_loaded_is_saved_the_same(package: Any) -> None:
     p: Package = package()
     memory, axis, settings = p.new(), p.new(), p.defaults()
     p.run(memory, log_of(), last=801)
-    settings.pause = 0.0
+    settings.pause[:] = [0.0] * p.model.n_p
     saved = p.saved(memory)
     assert p.init_with(axis, ctypes.byref(settings)) == 0 and p.load(axis, ctypes.byref(saved)) == 0
     assert bytes(p.saved(axis)) == bytes(saved)
@@ -589,7 +587,7 @@ def test_spread_is_stated_saved_loaded_and_kept_by_what_is_set(kind: str, precis
     widened = variance + np.minimum((spread - 1.0) * variance, np.maximum(0.0, prior**2 - variance))
 
     loaded, settings = p.new(), p.defaults()
-    settings.pause = 0.0
+    settings.pause[:] = [0.0] * p.model.n_p
     assert p.init_with(loaded, ctypes.byref(settings)) == 0 and p.load(loaded, ctypes.byref(saved)) == 0
     again = p.saved(loaded)
     np.testing.assert_allclose(np.diag(covariance_of(again, n_p)), widened, rtol=rtol)
@@ -608,8 +606,8 @@ def test_saved_data_of_the_smallest_prior_are_taken_back(precision: str, package
     """Deviations stay finite, and what was saved is no nonsense, where variances are hardly numbers any more."""
     p: Package = package("ekf", precision)
     memory, settings = p.new(), p.defaults()
-    settings.parameter = settings.measurement = {"double": 1e-59, "single": 1.1e-12}[precision]
-    settings.drift = 0.0
+    settings.measurement = {"double": 1e-59, "single": 1.1e-12}[precision]
+    settings.parameter[:], settings.drift[:] = [settings.measurement] * p.model.n_p, [0.0] * p.model.n_p
     assert p.init_with(memory, ctypes.byref(settings)) == 0
     rows = p.run(memory, contradicted())
     assert np.all(np.isfinite(rows))

@@ -14,11 +14,12 @@ from pydantic import BaseModel, ValidationError
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.machine import BASE_PARAMETERS, Tables, estimable_names, json_schema
+from sgms_mhe.model import build_model
 from sgms_mhe.support.errors import InputError
 
 pytestmark = pytest.mark.core
 
-MOST_KEYS = 86
+MOST_KEYS = 87
 """Keys of all tables of a machine file: more are a wall to whoever writes one."""
 
 MINIMAL = """
@@ -275,6 +276,22 @@ def test_bounds_of_an_effect_may_be_written_with_and_without_quotes(tmp_path: Pa
     }
 
 
+def test_priors_are_of_each_kind_of_parameter(tmp_path: Path) -> None:
+    """Over nominal for the friction law, in its unit for an effect; drift in proportion; others have the default."""
+    text = (
+        f'extends = "etel_xy"\n{RIPPLE}amplitude_N = 0.5\n[[effects]]\nname = "constant_offset"\n[estimator]\n'
+        'parameters = ["stiffness", "coulomb", "force_ripple.amplitude_N", "constant_offset.force_N"]\n'
+        "[estimator.prior]\ncoulomb = 0.1\nforce_ripple.amplitude_N = 0.2\nconstant_offset.force_N = 0.6\n"
+    )
+    model = build_model(load_machine(write(tmp_path, text)))
+    prior = dict(zip([p.column for p in model.parameters], zip(model.prior, model.drift, strict=True), strict=True))
+    scale = {p.column: p.scale for p in model.parameters}
+    assert prior["stiffness_4"] == pytest.approx((0.4, 0.002))
+    assert prior["coulomb"] == pytest.approx((0.1, 0.0005))
+    assert prior["force_ripple.amplitude_N"] == pytest.approx((0.4, 0.002))
+    assert prior["constant_offset.force_N"][0] * scale["constant_offset.force_N"] == pytest.approx(0.6)
+
+
 # --- what is refused --------------------------------------------------------------------------------------------
 
 # (lines that extend etel_xy, key that the error names, part of what it says is allowed)
@@ -370,6 +387,10 @@ BAD_VALUES = [
         "estimator.parameters[2]",
         "friction.viscous",
     ),
+    ("estimator.prior.stiffness = 0.0", "estimator.prior.stiffness", "greater than 0"),
+    ("estimator.prior.coulomb = [0.1, 0.2]", "estimator.prior.coulomb", "valid number"),
+    ("estimator.prior.mass = 0.01", "estimator.prior.mass", "a key out of stiffness"),
+    ("estimator.prior.constant_offset.force_N = 0.5", "estimator.prior.constant_offset.force_N", "a key out of"),
     ("estimator.bounds.stiffness = [1.0, 5.0]", "estimator.bounds.stiffness", "low < 1 < high"),
     ("estimator.bounds.stiffness = [0.2, 1.0]", "estimator.bounds.stiffness", "low < 1 < high"),
     ("estimator.bounds.stiffness = [-0.2, 5.0]", "estimator.bounds.stiffness[1]", "greater than or equal to 0"),

@@ -91,7 +91,8 @@ def test_says_which_update_differs(which: str, number: str, folder: Path, requir
 
 def test_estimator_that_is_wrong_is_found(folder: Path, require_tool: Tool, tmp_path: Path) -> None:
     """One constant of the estimator changed, and one that makes every estimate NaN."""
-    for line, wrong in ((r"#define MASS \S+", "#define MASS 21.0"), (r"#define PRIOR_SD \S+", "#define PRIOR_SD 0.0")):
+    priors = (r"prior_sd\[PARAMETERS\] = \{[^,]+", "prior_sd[PARAMETERS] = {0.0")
+    for line, wrong in ((r"#define MASS \S+", "#define MASS 21.0"), priors):
         changed = tmp_path / str(len(wrong))
         changed.mkdir()
         for path in folder.iterdir():

@@ -402,8 +402,10 @@ static void save_and_load(void)
     }
     set_wrong();
     CALL(settings)(&settings);
-#ifdef DRIFT_SD
-    settings.drift = (machine_real)0;
+#if DRIFTS
+    for (int i = 0; i < PARAMETERS; i++) {
+        settings.drift[i] = (machine_real)0;
+    }
 #endif
     settings.measurement = MEASUREMENT_SD * (machine_real)2;
     take_status(CALL(init_with)(&by_tick, &settings));

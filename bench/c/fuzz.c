@@ -145,7 +145,7 @@ static void set(bytes *from, machine *axis)
         CALL(settings)(&settings);
         settings.measurement = is_any ? any : settings.measurement * factor;
         settings.state[0] *= factor;
-        settings.pause = part < 8 ? any : settings.pause;
+        settings.pause[0] = part < 8 ? any : settings.pause[0];
         (void)check_status(CALL(init_with)(axis, &settings));
     }
 }
@@ -226,7 +226,7 @@ static int are_sane(const machine_real *theta)
 {
     int count = 0;
     for (int i = 0; i < PARAMETERS; i++) {
-        const machine_real off = (theta[i] - (machine_real)1) / PRIOR_SD;
+        const machine_real off = (theta[i] - (machine_real)1) / prior_sd[i];
         count += off > (machine_real)-10 && off < (machine_real)10;
     }
     return count == PARAMETERS;

@@ -64,7 +64,9 @@ int main(int argc, char **argv)
     for (CALL(t) *axis : {&by_tick, &by_tasks, &by_signals}) {
         CALL(init)(axis);
         CALL(compensate)(axis, 1);
-        axis->settings.parameter *= 4;
+        for (auto &prior : axis->settings.parameter) {
+            prior *= 4;
+        }
     }
     while (std::fread(sample, sizeof sample, 1, file) == 1) {
         const CALL(position) position = CALL(position_from_metres)(sample[0]);

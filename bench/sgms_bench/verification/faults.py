@@ -108,7 +108,7 @@ FAULTS: Final = (
         "pause forgotten",
         C,
         "widen_root(self, square, variance, saved->spread, self->settings.pause)",
-        "widen_root(self, square, variance, saved->spread, 0.0)",
+        "widen_root(self, square, variance, saved->spread, self->settings.lower)",
     ),
     Fault(
         "deviations ten times too small",
@@ -168,8 +168,8 @@ FAULTS: Final = (
     Fault(
         "held parameter learns",
         C,
-        "self->estimate.held[p] ? HELD_SD : self->settings.parameter",
-        "self->settings.parameter",
+        "self->estimate.held[p] ? HELD_SD : self->settings.parameter[p]",
+        "self->settings.parameter[p]",
     ),
     Fault(
         "number that is none set", C, "!(sd == 0.0 || (sd >= HELD_SD && is_size(sd))) || !all_finite(&theta, 1)", "0"
@@ -189,7 +189,7 @@ FAULTS: Final = (
     Fault("another header accepted", C, " || header != NAME_HEADER) {", ") {"),
     Fault("another size accepted", C, "if (size != sizeof(<name>_t) || header", "if (header"),
     Fault("update without numbers of IEEE 754", C, "if (phase == UNSOUND) {", "if (phase == 9u) {"),
-    Fault("parameters' noise wrong", CONFIG, "#define PRIOR_SD 0.4", "#define PRIOR_SD 0.5"),
+    Fault("parameters' noise wrong", CONFIG, "prior_sd[PARAMETERS] = {0.4,", "prior_sd[PARAMETERS] = {0.5,"),
     Fault("measurement noise wrong", CONFIG, "#define MEASUREMENT_SD 0.1 ", "#define MEASUREMENT_SD 0.2 "),
     Fault("wild measurements count as others", CONFIG, "#define RATIO_FREE 9.0", "#define RATIO_FREE 9e9"),
     Fault(

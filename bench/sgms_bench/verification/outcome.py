@@ -52,6 +52,7 @@ def definitions(package: Package) -> list[str]:
         "HAS_TIME": "int64_t elapsed;" in header,
         "WINDOW": "int32_t complete, cursor;" in header,
         "BOUNDED": "lower_bound[" in config,
+        "DRIFTS": "drift_sd[" in config,
     }
     return [
         *replay_definitions(name),

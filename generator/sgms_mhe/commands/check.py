@@ -63,7 +63,7 @@ def _text(machine: Machine, package: Package) -> str:
         (
             units.named(p.column),
             f"{p.nominal:g}",
-            f"{noise.parameter * abs(p.scale):g}",
+            f"{estimator.prior_of(p.name, p.scale) * abs(p.scale):g}",
             f"{_si(p, p.lower):g}",
             f"{_si(p, p.upper):g}",
         )

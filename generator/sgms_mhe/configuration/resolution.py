@@ -178,14 +178,14 @@ def _is_within(number: float, parameter: EffectParameter) -> bool:
 
 def _estimator(written: Estimator, names: Mapping[str, str]) -> Estimator:
     """The estimator with what it estimates by the catalogue's names."""
+    prior = {names[name]: deviation for name, deviation in written.prior.items()}
     bounds = {names[name]: pair for name, pair in written.bounds.items()}
-    return written.model_copy(
-        update={"parameters": tuple(names[name] for name in written.parameters), "bounds": bounds}
-    )
+    parameters = tuple(names[name] for name in written.parameters)
+    return written.model_copy(update={"parameters": parameters, "prior": prior, "bounds": bounds})
 
 
 def _check_names(file: MachineFile, names: Collection[str]) -> None:
-    """Refuse parameters and bounds of what cannot be estimated."""
+    """Refuse parameters, priors and bounds of what cannot be estimated."""
     estimator = file.tables.estimator
     for index, name in enumerate(estimator.parameters):
         where = ("estimator", "parameters", index)
@@ -195,6 +195,9 @@ def _check_names(file: MachineFile, names: Collection[str]) -> None:
             if name == "fraction":
                 raise file.refusal(where, name, "another parameter: with one element there is nothing to share")
             raise file.refusal(where, name, f"a parameter that is not 0 (friction.{name} is its scale)")
+    for name, deviation in estimator.prior.items():
+        if name not in names:
+            raise file.refusal(("estimator", "prior", name), deviation, f"a key out of {listing(names)}")
     for name, bounds in estimator.bounds.items():
         if name not in names:
             raise file.refusal(("estimator", "bounds", name), list(bounds), f"a key out of {listing(names)}")

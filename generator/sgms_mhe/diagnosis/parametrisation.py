@@ -220,7 +220,7 @@ def _free_everything(
 def drop_bounds(machine: Machine) -> Machine:
     """The same machine with an estimator that constrains nothing."""
     estimator = dict(machine.content.get("estimator", {}))
-    kept = {key: value for key, value in estimator.items() if key not in ("bounds", "parameters")}
+    kept = {key: value for key, value in estimator.items() if key not in ("bounds", "parameters", "prior")}
     return make_machine({**machine.content, "estimator": kept}, machine.source)
 
 

@@ -158,12 +158,12 @@ class EmittedWeights:
         measurement: [N].
         readings: of the means of test ratios.
         lasting: of errors of the model that stay.
-        prior_sd, drift_sd: of theta, drift per update.
+        prior_sd, drift_sd: of each theta, drift per update.
         drift_interval: shifts of the window after which drift enters.
         hold_path: path of an interval below which it says nothing of the parameters [m].
         implausible: first node's standard deviations beyond which a state is no solution.
         lower, upper: bounds on theta, finite numbers.
-        pause_sd: of what a power cycle changes in theta.
+        pause_sd: of what a power cycle changes in each theta.
         state_noise, inverse_initial_state: per state.
         inverse_move: of an interval's end before it is linearised anew, over the state noise, squared; where it
             `moves_with_noise` over the state noise besides.
@@ -172,14 +172,14 @@ class EmittedWeights:
     measurement: float
     readings: ReadingRule
     lasting: LastingRule
-    prior_sd: float
-    drift_sd: float
+    prior_sd: tuple[float, ...]
+    drift_sd: tuple[float, ...]
     drift_interval: int
     hold_path: float
     implausible: float
     lower: tuple[float, ...]
     upper: tuple[float, ...]
-    pause_sd: float
+    pause_sd: tuple[float, ...]
     state_noise: tuple[float, ...]
     inverse_initial_state: tuple[float, ...]
     inverse_move: float
@@ -375,14 +375,14 @@ def _weights(model: Model, variant: Variant) -> EmittedWeights:
         measurement=noise.measurement,
         readings=ReadingRule(),
         lasting=LastingRule.of(machine.sampling.readings_per_update),
-        prior_sd=noise.parameter,
-        drift_sd=noise.parameter_drift if variant.drifts else 0.0,
+        prior_sd=tuple(model.prior),
+        drift_sd=tuple(model.drift) if variant.drifts else (0.0,) * model.n_p,
         drift_interval=machine.estimator.drift_interval,
         hold_path=hold_path(machine),
         implausible=IMPLAUSIBLE,
         lower=tuple(max(p.lower, -largest) for p in model.parameters),
         upper=tuple(min(p.upper, largest) for p in model.parameters),
-        pause_sd=PAUSE_PART * noise.parameter,
+        pause_sd=tuple(PAUSE_PART * model.prior),
         state_noise=tuple(model.state_noise),
         inverse_initial_state=tuple(1.0 / model.initial_state),
         inverse_move=(smoothing.lambda_ if smoothing else 1.0) / MOVE**2,

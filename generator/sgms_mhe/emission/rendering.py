@@ -148,6 +148,7 @@ def _environment(precision: Precision) -> jinja2.Environment:
         series=printer.series,
         rows=_rows,
         each=_each,
+        shown=_show,
         braced=_brace,
         zip=zip,
         dotted=dot_unit,
@@ -162,6 +163,11 @@ def _brace(values: Iterable[object]) -> str:
 
 def _each(values: Iterable[object], pattern: str) -> list[str]:
     return [pattern.format(value) for value in values]
+
+
+def _show(values: Iterable[float]) -> str:
+    """Numbers for a comment, one for all that are the same."""
+    return ", ".join(dict.fromkeys(f"{value:g}" for value in values))
 
 
 def _rows(literals: str) -> str:

@@ -168,7 +168,7 @@ def compare_signals(machine: Machine, signals: Signals, *, progress: Progress | 
     generated = estimator.estimate(signals, progress=progress)  # reports too, so that it can be interrupted
     reference = estimate_reference(machine, signals, progress=progress)
     parameters = estimator.model.parameters
-    prior_std = machine.estimator.noise.parameter * np.array([abs(parameter.scale) for parameter in parameters])
+    prior_std = estimator.model.prior * np.array([abs(parameter.scale) for parameter in parameters])
     flags = undecided_flags(machine, signals, reference, parameters)
     return compare_estimates(machine, generated, reference, prior_std, flags)
 

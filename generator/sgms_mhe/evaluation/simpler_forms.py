@@ -70,5 +70,5 @@ def form_error(
 def _without(machine: Machine, labels: tuple[str, ...]) -> Machine:
     """The machine without some effects, and with something to estimate."""
     effects = tuple(effect for effect in machine.effects if effect.label not in labels)
-    free = machine.estimator.model_copy(update={"parameters": _ALWAYS_FREE, "bounds": {}})
+    free = machine.estimator.model_copy(update={"parameters": _ALWAYS_FREE, "prior": {}, "bounds": {}})
     return replace(machine, effects=effects, estimator=free)

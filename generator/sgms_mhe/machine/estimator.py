@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, model_validator
 
 from sgms_mhe.machine.axis import BASE_PARAMETERS
-from sgms_mhe.machine.fields import MachineTable, Names, Pair, listing, quantity, refusal, text
+from sgms_mhe.machine.fields import Deviation, MachineTable, Names, Pair, listing, quantity, refusal, text
 
 
 class Noise(MachineTable):
@@ -17,8 +17,16 @@ class Noise(MachineTable):
 
     measurement: float = quantity("sigma_y, friction measurement", "N, N m", 0.5, gt=0, le=1e6)
     state: float = quantity("sigma_x per interval, as a fraction of nu_i f_C", "1", 0.02, gt=0, le=1e3)
-    parameter: float = quantity("prior of a parameter, relative", "1", 0.3, gt=0, le=1e3)
-    parameter_drift: float = quantity("random walk of a parameter per update, relative", "1", 0.002, ge=0, le=1e3)
+    parameter: float = quantity(
+        "prior of a parameter that [estimator.prior] does not name, relative", "1", 0.3, gt=0, le=1e3
+    )
+    parameter_drift: float = quantity(
+        "random walk of a parameter with that prior per update, relative; others walk in proportion to theirs",
+        "1",
+        0.002,
+        ge=0,
+        le=1e3,
+    )
     initial_state: float = quantity("prior of the first node's state, fraction of nu_i f_C", "1", 1.0, gt=0, le=1e3)
     state_as: Literal["force", "deflection"] = text(
         "node state that the noise acts on", "force (element force) or deflection (the paper)", "force"
@@ -68,9 +76,19 @@ class Estimator(MachineTable):
     )
     noise: Noise = Field(Noise(), description="standard deviations; default as in its keys")
     arrival_cost: ArrivalCost = Field(ArrivalCost(), description="arrival cost; default riccati")
+    prior: Annotated[dict[str, Deviation], BeforeValidator(_flatten)] = Field(
+        {},
+        description="1 sigma of a parameter before any data: of the friction law over nominal, of an effect in the "
+        "unit that its name ends in; > 0 and <= 1e12; default noise.parameter",
+    )
     bounds: Annotated[dict[str, Pair], BeforeValidator(_flatten)] = Field(
         {}, description="[low, high] of a parameter over its nominal value [1]; 0 <= low < 1 < high; default unbounded"
     )
+
+    def prior_of(self, name: str, scale: float) -> float:
+        """Standard deviation of a parameter before any data, over `scale`, which is its nominal value or its unit's."""
+        stated = self.prior.get(name, self.noise.parameter)
+        return stated / abs(scale) if name in self.prior and name not in BASE_PARAMETERS else stated
 
     @property
     def drift_interval(self) -> int:

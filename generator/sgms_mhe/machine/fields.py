@@ -42,5 +42,6 @@ class MachineTable(BaseModel):
 
 Positives = Annotated[tuple[Annotated[float, Field(gt=0, le=1e12)], ...], Field(strict=False)]
 NonNegatives = Annotated[tuple[Annotated[float, Field(ge=0, le=1e9)], ...], Field(strict=False)]
+Deviation = Annotated[float, Field(gt=0, le=1e12)]
 Names = Annotated[tuple[str, ...], Field(strict=False)]
 Pair = Annotated[tuple[Annotated[float, Field(ge=0)], float], Field(strict=False)]

@@ -281,6 +281,9 @@ def _refusal(layers: Sequence[Layer], loc: Sequence[Key], value: object, allowed
 
 
 def _split(where: str) -> list[str]:
-    # A bound of an effect's parameter has a dot inside its key.
-    head, mark, name = where.partition("bounds.")
-    return [*filter(None, head.split(".")), "bounds", name] if mark else where.split(".")
+    # A prior or bound of an effect's parameter has a dot inside its key.
+    for table in ("prior", "bounds"):
+        head, mark, name = where.partition(f"{table}.")
+        if mark:
+            return [*filter(None, head.split(".")), table, name]
+    return where.split(".")

@@ -39,7 +39,7 @@ class ResolvedEffect:
 
 
 def estimable_names(effects: Sequence[ResolvedEffect]) -> tuple[str, ...]:
-    """Names that [estimator] parameters and bounds may use, on an axis with these effects."""
+    """Names that [estimator] parameters, prior and bounds may use, on an axis with these effects."""
     return BASE_PARAMETERS + tuple(f"{effect.label}.{key}" for effect in effects for key in effect.parameters)
 
 
@@ -95,7 +95,7 @@ class Machine:
         content["plant"] = {key: value for key, value in content["plant"].items() if value is not None}
         estimator = content["estimator"]
         estimator["parameters"] = [units.named(name) for name in estimator["parameters"]]
-        estimator["bounds"] = units.keyed(estimator["bounds"])
+        estimator |= {key: units.keyed(estimator[key]) for key in ("prior", "bounds")}
         return {
             "name": self.name,
             "description": self.description,

@@ -111,6 +111,17 @@ class Model:
         return np.array([state.initial_state for state in self.states])
 
     @property
+    def prior(self) -> NDArray[np.float64]:
+        """Standard deviation of theta before any data (n_p)."""
+        return np.array([self.machine.estimator.prior_of(p.name, p.scale) for p in self.parameters])
+
+    @property
+    def drift(self) -> NDArray[np.float64]:
+        """Standard deviation of the random walk of theta per update (n_p), in proportion to the prior."""
+        noise = self.machine.estimator.noise
+        return noise.parameter_drift * (self.prior / noise.parameter)
+
+    @property
     def output_is_affine(self) -> bool:
         """Return True if the output is affine in (node state, theta) jointly, whatever the signals are.
 
