@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ctypes
+import importlib.util
 import os
 import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -82,14 +84,48 @@ def test_compiler_output_reaches_the_user(source: Path) -> None:
 
 
 def test_compiler_is_taken_from_the_environment(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("CC", raising=False)
-    assert compiler() == ("gcc",)
     monkeypatch.setenv("CC", "gcc -g0")
     assert compiler() == ("gcc", "-g0")
     assert answer(shared_library([source])) == 42
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(BuildError, match=r"no-such-compiler.*CC names"):
         shared_library([source])
+
+
+@pytest.fixture
+def empty_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A PATH without a compiler, to put some into."""
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(folder))
+    return folder
+
+
+def test_compiler_is_the_first_that_is_there(empty_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert compiler()[:3] == (sys.executable, "-m", "ziglang")
+    for name in ("cc", "clang", "gcc"):
+        (empty_path / name).touch(mode=0o755)
+        assert compiler() == (name,)
+        (empty_path / name).unlink()
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(BuildError, match=r"no C compiler: none of gcc, clang, cc .*sgms-mhe\[compiler\]"):
+        compiler()
+
+
+@pytest.mark.slow
+def test_a_compiler_in_a_package_makes_the_same_numbers(empty_path: Path, tmp_path: Path) -> None:
+    """Simulated axis, model and estimator of two compilers agree to the bit; nothing but Python is on PATH."""
+
+    def run(folder: Path, **environment: str) -> list[bytes]:
+        folder.mkdir()
+        own = {"XDG_CACHE_HOME": str(folder / "cache"), **environment}
+        for line in ("simulate etel_xy --duration 1 --out log.csv", "estimate etel_xy log.csv --out e.csv"):
+            command = [sys.executable, "-m", "sgms_mhe", *line.split()]
+            subprocess.run(command, cwd=folder, env={**os.environ, **own}, check=True)
+        return [(folder / name).read_bytes() for name in ("log.csv", "e.csv")]
+
+    assert run(tmp_path / "packaged") == run(tmp_path / "gcc", PATH=os.defpath)
 
 
 def test_missing_source_and_unwritable_cache(source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

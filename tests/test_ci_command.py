@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import re
+import shlex
 import shutil
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -167,11 +172,24 @@ def test_a_folder_without_machines_is_refused(tmp_path: Path, monkeypatch: pytes
     assert "a folder with machine files (*.toml), or machines by name" in refused("ci")
 
 
-@pytest.mark.parametrize("forge", ["github.yml", "gitlab.yml"])
+@pytest.mark.parametrize("forge", ["github.yml", "gitlab.yml", "Dockerfile"])
 def test_example_workflows_call_commands_that_exist(forge: str, repo_root: Path) -> None:
     text = (repo_root / "examples" / "ci" / forge).read_text()
-    (line,) = [line for line in text.splitlines() if "sgms-mhe ci" in line]
+    (line,) = [line for line in re.sub(r'[",]+ ?', " ", text).replace("  ", " ").splitlines() if "sgms-mhe ci" in line]
     options = {word for word in line.split() if word.startswith("--")}
     help_text = done("ci", "--help").stdout
     assert options
     assert all(option in help_text for option in options)
+
+
+def test_example_of_a_hook_stops_at_a_machine_file_that_is_wrong(tmp_path: Path, repo_root: Path) -> None:
+    text = (repo_root / "examples" / "ci" / "pre-commit-config.yaml").read_text()
+    hook = dict(re.findall(r"^ +(entry|files): (.+)$", text, re.MULTILINE))
+    right, wrong = tmp_path / "right.toml", tmp_path / "wrong.toml"
+    right.write_text('name = "right"\nextends = "etel_xy"\n')
+    wrong.write_text('name = "wrong"\nextends = "etel_xy"\n[plant]\nmass = -1.0\n')
+    assert re.search(hook["files"], "machines/axis.toml") and not re.search(hook["files"], "pyproject.toml")
+    path = {"PATH": os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))}
+    for files, code in (((right, right), 0), ((wrong, right), 2), ((right, wrong), 2)):
+        command = [*shlex.split(hook["entry"]), *map(str, files)]
+        assert subprocess.run(command, env={**os.environ, **path}, check=False).returncode == code

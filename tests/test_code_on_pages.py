@@ -139,8 +139,9 @@ def parse_pip(arguments: list[str]) -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
     assert arguments[0] == "install"
     for wanted in arguments[1:]:
-        extra = re.fullmatch(r"sgms-mhe\[(\w+)\]", wanted)
-        assert extra[1] in extras if extra else (ROOT / wanted / "pyproject.toml").is_file(), wanted
+        extra = re.fullmatch(r"sgms-mhe\[([\w,]+)\]", wanted)
+        known = set(extra[1].split(",")) <= set(extras) if extra else (ROOT / wanted / "pyproject.toml").is_file()
+        assert known, wanted
 
 
 def parse_bash(arguments: list[str]) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import click
 import pytest
 
-from sgms_mhe.cli import Commands, command_names
+from sgms_mhe.cli import COMMANDS, Commands, command_names
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES, cause, effect_definition
 
@@ -298,6 +298,11 @@ def test_code_uses_the_words_of_the_glossary(trees: dict[Path, ast.Module]) -> N
 def test_gallery_shows_every_figure() -> None:
     figures = {path.name for path in (ROOT / "docs" / "figures").iterdir() if path.suffix in (".png", ".svg")}
     assert set(re.findall(r"\]\(figures/([^)]+)\)", read(ROOT / "docs" / "gallery.md"))) == figures
+
+
+def test_drawing_of_commands_has_every_command() -> None:
+    drawn = re.findall(r'class="title"[^>]*>([^<]+)', read(ROOT / "docs" / "figures" / "commands.svg"))
+    assert {name for title in drawn for name in title.split(", ")} >= set(COMMANDS)
 
 
 def test_drawings_are_what_their_script_draws() -> None:

@@ -174,3 +174,10 @@ def test_skip_of_a_whole_module_fails_a_ci_session(
 
 def _normal(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def test_another_system_is_refused_by_what_to_do() -> None:
+    code = "import os; os.name = 'nt'; import sgms_mhe"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "ImportError: sgms-mhe runs on Linux and macOS; on Windows in WSL" in done.stderr

@@ -313,7 +313,56 @@ def identification() -> Drawing:
     return d
 
 
+def commands() -> Drawing:
+    """Which command leads from what is there to what is wanted."""
+    d = Drawing(980, 492, "Which command")
+    h, w, wide = 50, 164, 176
+    left, middle, right = 24, 214, 408
+    top = [24, 112, 200, 300, 400]
+
+    d.box(left, top[0], w, h, ["a log of an axis", "any format and units"], "file")
+    d.box(middle, top[0], w, h, ["inspect, identify", "read it; find numbers"], "c")
+    d.box(left, top[2], w, h, ["data sheets alone", "mass, friction, rate"], "file")
+    d.box(middle, top[2], w, h, ["start", "a first machine file"], "c")
+    d.box(right, top[1], wide, h, ["machine file", "what a user writes"], "file")
+    d.box(614, top[0], w, h, ["effects, schema", "what it may say"], "c")
+    d.box(614, top[1], w, h, ["check, generate", "resolve it; emit"], "c")
+    d.box(614, top[2], w, h, ["simulate, export", "here or elsewhere"], "c")
+    d.box(802, top[1], 154, h, ["C", "for a controller"], "judge")
+    d.box(802, top[2], 154, h, ["ci", "a whole repository"], "c")
+    for row in (0, 2):
+        d.line((left + w, top[row] + h / 2), (middle, top[row] + h / 2))
+    d.line((middle + w, top[0] + h / 2), (right + 50, top[0] + h / 2), (right + 50, top[1]))
+    d.line((middle + w, top[2] + h / 2), (right + 50, top[2] + h / 2), (right + 50, top[1] + h))
+    d.line((right + wide, top[1] + h / 2), (614, top[1] + h / 2))
+    d.line((right + wide - 40, top[1] + h), (right + wide - 40, top[2] + h / 2), (614, top[2] + h / 2))
+    d.line((614 + w, top[1] + h / 2), (802, top[1] + h / 2))
+    d.line((879, top[1] + h), (879, top[2]))
+
+    d.box(left, top[3], w, h, ["a number is open", "its motion is missing"], "file")
+    d.box(middle, top[3], w, h, ["plan", "a motion that shows it"], "c")
+    d.line((left + w, top[3] + h / 2), (middle, top[3] + h / 2))
+    d.box(right, top[3], wide, h, ["machine file and log", "one log, or several"], "file")
+    d.line((right + 88, top[1] + h), (right + 88, top[3]))
+    branch = (top[3] + h + top[4]) / 2
+    d.line((right + 88, top[3] + h), (right + 88, branch), end=False)
+    asked = (
+        ("predict", "how large is", "the error?"),
+        ("diagnose", "where does it", "come from?"),
+        ("estimate, watch", "what does the C", "make of it?"),
+        ("compare", "does the C do", "what it must?"),
+        ("tune", "which weights", "suit this axis?"),
+        ("fleet", "which of many", "has changed?"),
+    )
+    for i, lines in enumerate(asked):
+        x = left + 158 * i
+        d.box(x, top[4], 142, 68, lines, "c")
+        d.line((right + 88, branch), (x + 71, branch), (x + 71, top[4]))
+    return d
+
+
 DRAWINGS: dict[str, Callable[[], Drawing]] = {
+    "commands": commands,
     "flows": flows,
     "signal_chain": signal_chain,
     "window": window,

@@ -4,7 +4,11 @@ The names in `__all__` are the public interface for Python, each imported when i
 classes of their results, errors and warnings. `help(sgms_mhe.estimate)` has arguments, shapes, units and errors of one.
 """
 
+import os as _os
 from importlib import import_module as _import_module
+
+if _os.name != "posix":
+    raise ImportError("sgms-mhe runs on Linux and macOS; on Windows in WSL, which is Linux (wsl --install)")
 
 __version__ = "0.2.0"
 

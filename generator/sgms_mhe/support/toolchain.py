@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import importlib.util
 import os
 import shlex
+import shutil
 import subprocess
+import sys
 import tempfile
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
@@ -23,6 +26,9 @@ DEFAULT_FLAGS = ("-std=c99", "-O3", "-ffp-contract=off")
 _WIDE = {"avx512f": "-mavx512f", "avx512dq": "-mavx512dq", "avx512vl": "-mavx512vl"}
 _WIDE_FLAGS = (*_WIDE.values(), "-mprefer-vector-width=256")
 _HOST = Path("/proc/cpuinfo")
+COMPILERS = ("gcc", "clang", "cc")
+PACKAGED = "ziglang"
+"""Python package with a compiler in it, for hosts that have none."""
 WARNING_FLAGS = (
     "-pedantic",
     "-Wall",
@@ -36,16 +42,28 @@ WARNING_FLAGS = (
 
 
 def compiler() -> tuple[str, ...]:
-    """The C compiler's command: $CC with its arguments, or gcc.
+    """The C compiler's command: $CC with its arguments, what PATH has of gcc, clang and cc, or the one of `ziglang`.
 
     Raises:
-        BuildError: $CC is no command line.
+        BuildError: $CC is no command line, or there is no compiler.
     """
     stated = os.environ.get("CC", "")
     try:
-        return tuple(shlex.split(stated)) or ("gcc",)
+        words = tuple(shlex.split(stated))
     except ValueError as error:
         raise BuildError(f"CC = {stated!r}: {str(error).lower()}; CC names the C compiler to use") from None
+    if words:
+        return words
+    for name in COMPILERS:
+        if shutil.which(name):
+            return (name,)
+    if importlib.util.find_spec(PACKAGED):
+        # Without -mcpu it compiles for the processor that it runs on.
+        return (sys.executable, "-m", PACKAGED, "cc", "-mcpu=baseline")
+    raise BuildError(
+        f"no C compiler: none of {', '.join(COMPILERS)} is on PATH. Install one (Debian, Ubuntu: apt install gcc; "
+        "macOS: xcode-select --install), or pip install 'sgms-mhe[compiler]', which brings one, or name it in CC"
+    )
 
 
 @lru_cache
