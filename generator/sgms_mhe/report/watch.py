@@ -116,7 +116,7 @@ def watch_plots(course: RunSummary) -> dict[str, Any]:
         | {
             "yLabel": f"friction [{unit}]",
             "zero": True,
-            "series": [line("measured", recent[:, 1], "measured", 2.2), line("estimated", recent[:, 2], "after", 1.2)],
+            "series": [line("measured", recent[:, 1], "before", 4.5), line("estimated", recent[:, 2], "after", 1.6)],
         },
         "innovation": newest
         | {"yLabel": f"innovation [{unit}]", "zero": True, "series": [line("innovation", recent[:, 3], "before", 1.0)]},
