@@ -137,7 +137,11 @@ benchmark-measured: $(STAMP) ## measured records in DATA, by the table TABLE (DA
 
 # --- documents -------------------------------------------------------------------------------------------------------
 
-docs: $(STAMP) ## the documents as a site that needs no network: build/site/index.html
+# Notebooks that run from a checkout alone.
+$(BUILD)/notebooks/%.ipynb: examples/notebooks/%.py $(STAMP)
+	$(BIN)/python docs/site/percent.py --run $< $@
+
+docs: $(STAMP) $(BUILD)/notebooks/own_axis.ipynb $(BUILD)/notebooks/compensation.ipynb ## the documents as a site that needs no network: build/site/index.html
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict --site-dir $(abspath $(BUILD))/site
 
 # An axis that is stiffer than its machine file and has a ripple that is not in it.

@@ -8,7 +8,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -16,16 +15,12 @@ from types import ModuleType
 import nbformat
 import pytest
 import scipy.io
-from nbclient import NotebookClient
-from traitlets.config import Config
 
 import sgms_mhe
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "examples" / "notebooks"
 NAMES = ("compensation", "measured_axis", "own_axis", "own_effect")
-LIMIT_S = 600
-"""Of one cell: a host that is kept busy must not decide."""
 
 
 @pytest.fixture(scope="module")
@@ -37,27 +32,19 @@ def percent() -> ModuleType:
     return module
 
 
-def environment_of(folder: Path) -> dict[str, str]:
-    """Of a kernel: this one's sources, figures within the notebook, nothing written outside of its folder."""
-    given = {key: value for key, value in os.environ.items() if key != "MPLBACKEND"}
-    given["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT / "generator"), given.get("PYTHONPATH")]))
-    return given | {"IPYTHONDIR": str(folder / ".ipython")}
-
-
-def played(name: str, folder: Path, **environment: str) -> str:
-    """What a notebook prints that is run in a folder of its own."""
-    book = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
-    # Sockets of files: ports that are free when they are chosen may be another test's a moment later.
-    with tempfile.TemporaryDirectory() as sockets:  # whose paths are short: they have a limit
-        config = Config({"AsyncKernelManager": {"transport": "ipc", "ip": f"{sockets}/kernel"}})
-        resources = {"metadata": {"path": str(folder)}}
-        client = NotebookClient(
-            book, config=config, kernel_name="python3", timeout=LIMIT_S, startup_timeout=LIMIT_S, resources=resources
-        )
-        client.execute(env=environment_of(folder) | environment)
+def played(percent: ModuleType, name: str, folder: Path, **environment: str) -> str:
+    """What a notebook prints that is run in a folder of its own, which its page shows."""
+    script, ran = FOLDER / f"{name}.py", folder / f"{name}.ipynb"
+    path = os.pathsep.join(filter(None, [str(ROOT / "generator"), os.environ.get("PYTHONPATH")]))
+    nbformat.write(percent.run(script, folder, {"PYTHONPATH": path} | environment), ran)
+    page, figures = percent.page(script, ran)
+    assert figures and all(f"]({image})" in page for image in figures)
+    assert all(content.startswith(b"\x89PNG") for content in figures.values())
+    book = nbformat.read(ran, as_version=4)
     outputs = [output for cell in book.cells if cell.cell_type == "code" for output in cell.outputs]
-    assert any("image/png" in output.get("data", {}) for output in outputs)
-    return "".join(output.text for output in outputs if output.output_type == "stream" and output.name == "stdout")
+    said = "".join(output.text for output in outputs if output.output_type == "stream" and output.name == "stdout")
+    assert all(line in page for line in said.splitlines())
+    return said
 
 
 def number(pattern: str, said: str) -> float:
@@ -94,6 +81,18 @@ def test_notebook_is_what_its_script_gives(name: str, percent: ModuleType) -> No
     assert [line for line in given if line] == lines
 
 
+def test_page_shows_outputs_of_the_script_as_it_is_now(percent: ModuleType, tmp_path: Path) -> None:
+    script, ran = tmp_path / "now.py", tmp_path / "now.ipynb"
+    script.write_text("# %%\nprint(1)\n")
+    book = nbformat.reads(percent.notebook(script.read_text()), as_version=4)
+    book.cells[0].outputs = [nbformat.v4.new_output("stream", name="stdout", text="one\n")]
+    nbformat.write(book, ran)
+    assert "```text\none\n```" in percent.page(script, ran)[0]
+    script.write_text("# %%\nprint(2)\n")
+    assert "one" not in percent.page(script, ran)[0]
+    assert "print(2)" in percent.page(script, tmp_path / "absent.ipynb")[0]
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_links_of_a_script_lead_to_pages(name: str) -> None:
     script = (FOLDER / f"{name}.py").read_text(encoding="utf-8")
@@ -113,8 +112,8 @@ def test_scripts_that_are_no_cells_are_refused(percent: ModuleType, script: str,
 
 
 @pytest.mark.slow
-def test_own_axis_finds_the_ripple_that_it_hides(tmp_path: Path) -> None:
-    said = played("own_axis", tmp_path)
+def test_own_axis_finds_the_ripple_that_it_hides(percent: ModuleType, tmp_path: Path) -> None:
+    said = played(percent, "own_axis", tmp_path)
     assert "\nexplained: " in said
     cause = said.partition("\nforce_ripple: ")[2]
     assert number(r"amplitude_N = (\S+)", cause) == pytest.approx(1.5, rel=0.05)
@@ -126,14 +125,14 @@ def test_own_axis_finds_the_ripple_that_it_hides(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_measured_axis_on_a_stand_in_of_the_record(tmp_path: Path) -> None:
+def test_measured_axis_on_a_stand_in_of_the_record(percent: ModuleType, tmp_path: Path) -> None:
     """A simulated axis with a ripple of the screw's pitch, in the layout of the record: what was hidden is found."""
     ripple = ("force_ripple", {"amplitude_N": 3.0, "pitch_m": 2.5e-3, "phase_rad": 0.3})
     log = sgms_mhe.simulate("emps", "long_mixed", duration_s=24.84, hidden_effects=[ripple], seed=2).log
     record = tmp_path / "DATA_EMPS.mat"
     columns = {"t": log.time_s, "qm": log.position_m, "vir": log.force_N / 35.15065188248547}
     scipy.io.savemat(record, {name: values[:, None] for name, values in columns.items()})
-    said = played("measured_axis", tmp_path)
+    said = played(percent, "measured_axis", tmp_path)
     assert f"{len(log.time_s)} samples at 1000 Hz" in said and "\nexplained: force_ripple" in said
     assert number(r"amplitude_N = (\S+),", said) == pytest.approx(3.0, rel=0.05)
     assert number(r"pitch_m = (\S+),", said) == pytest.approx(2.5e-3, rel=0.01)
@@ -142,20 +141,20 @@ def test_measured_axis_on_a_stand_in_of_the_record(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_measured_axis_on_the_record(measured_data: Callable[[str], Path], tmp_path: Path) -> None:
-    said = played("measured_axis", tmp_path, EMPS_RECORD=str(measured_data("emps/DATA_EMPS.mat")))
+def test_measured_axis_on_the_record(percent: ModuleType, measured_data: Callable[[str], Path], tmp_path: Path) -> None:
+    said = played(percent, "measured_axis", tmp_path, EMPS_RECORD=str(measured_data("emps/DATA_EMPS.mat")))
     assert number(r"friction: (\S+) N RMS", said) == pytest.approx(2.27, abs=0.02)  # updates without a measurement too
     assert "\nunexplained: " in said
     assert number(r"with its causes: (\S+) N", said) < 0.7 * number(r"published model: (\S+) N", said)
 
 
 @pytest.mark.slow
-def test_own_effect_is_installed_and_found(tmp_path: Path) -> None:
+def test_own_effect_is_installed_and_found(percent: ModuleType, tmp_path: Path) -> None:
     source, site = tmp_path / "magnetic_preload", tmp_path / "site"
     shutil.copytree(ROOT / "examples" / "magnetic_preload", source)  # an installer builds in the folder
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
     subprocess.run([*command, "--target", str(site), str(source)], check=True, stderr=subprocess.DEVNULL)
-    said = played("own_effect", tmp_path, PYTHONPATH=os.pathsep.join([str(site), str(ROOT / "generator")]))
+    said = played(percent, "own_effect", tmp_path, PYTHONPATH=os.pathsep.join([str(site), str(ROOT / "generator")]))
     assert "add_force" in said and "\nexplained: magnetic_preload" in said
     cause = said.partition("\nmagnetic_preload: ")[2]
     assert number(r"force_N = (\S+)", cause) == pytest.approx(1.5, rel=0.05)
@@ -164,8 +163,8 @@ def test_own_effect_is_installed_and_found(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_compensation_beats_static_feed_forward(tmp_path: Path) -> None:
-    said = played("compensation", tmp_path)
+def test_compensation_beats_static_feed_forward(percent: ModuleType, tmp_path: Path) -> None:
+    said = played(percent, "compensation", tmp_path)
     for row in ("circle, x", "circle, y", "circle, contour"):
         shares = said.rpartition(f"\n{row}: ")[2].partition("\n")[0]
         static, mhe, true = (number(rf"{name} (\S+)%", shares) for name in ("static", "MHE", "true friction"))

@@ -40,6 +40,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     made = [File.generated(config, uri, content=write()) for uri, write in MADE.items()]
     for script in percent.scripts():
         uri = script.relative_to(ROOT).with_suffix(".md").as_posix()
-        made.append(File.generated(config, uri, content=percent.page(script)))
+        page, figures = percent.page(script, Path(config.site_dir).parent / "notebooks" / f"{script.stem}.ipynb")
+        made.append(File.generated(config, uri, content=page))
+        folder = Path(uri).parent
+        made += [File.generated(config, f"{folder}/{name}", content=image) for name, image in figures.items()]
     theme = [file for file in files if file.src_dir != config.docs_dir]
     return Files([*theme, *stored, *made])
