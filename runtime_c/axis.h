@@ -20,7 +20,7 @@ extern "C" {
 
 #define AXIS_MAX_ELEMENTS 10
 #define AXIS_MAX_EFFECTS 128
-#define AXIS_MAX_EFFECT_PARAMETERS 6
+#define AXIS_MAX_EFFECT_PARAMETERS 11
 #define AXIS_HISTORY 4096 /* substeps of drive force kept for a delayed measurement, or a delayed drive */
 #define AXIS_MAX_SUBSTEPS 256
 
@@ -77,6 +77,8 @@ struct axis_effect {
     double state[2];
     axis_force *force;
     void *context;
+    const double *table; /* of the caller's, as long as the axis runs */
+    size_t entries;
 };
 
 /* Columns to fill, one value per sample from the caller's arrays; a null pointer skips the column. */
@@ -138,6 +140,10 @@ const char *axis_setting(size_t i, size_t *offset, size_t *count);
 const char *axis_effect_name(size_t kind);
 const char *axis_effect_parameter(size_t kind, size_t j);
 
+/* Whether an effect takes the list that is its last parameter whole, by axis_set_table; of other lists it takes one
+ * entry, and there are as many effects. */
+int axis_effect_has_table(size_t kind);
+
 /* Clear everything and seed the noise. Settings start at zero: set them, then axis_apply. */
 void axis_init(struct axis *axis, uint64_t seed);
 
@@ -150,6 +156,9 @@ int axis_add_effect(struct axis *axis, size_t kind, const double *parameter);
 int axis_add_force(struct axis *axis, axis_force *force, void *context);
 
 void axis_set_effect(struct axis *axis, size_t effect, size_t j, double value);
+
+/* Give an effect its table, which stays the caller's and is read at every substep. */
+void axis_set_table(struct axis *axis, size_t effect, const double *table, size_t entries);
 
 void axis_set_compensation(struct axis *axis, axis_compensation *compensation, void *context);
 

@@ -88,6 +88,46 @@ static void move_hysteresis(const struct axis *axis, struct axis_effect *effect)
     *force = end + (*force - end) * exp(-p[0] * fabs(v) * axis->step / p[1]);
 }
 
+/* The i-th cubic B-spline of an even grid between two ends, which begins three cells below the lower one. */
+static double grid_spline(double x, double low, double high, double cells, double i)
+{
+    const double u = fabs((x - low) / (high - low) * cells - i + 1.0);
+    return u >= 2.0 ? 0.0 : u >= 1.0 ? pow(2.0 - u, 3.0) / 6.0 : 2.0 / 3.0 - u * u * (1.0 - 0.5 * u);
+}
+
+/* Half the scale at half way: -1 to 1 for every speed. */
+static double bound_speed(double v, double scale)
+{
+    return v / (fabs(v) + scale);
+}
+
+static double add_table(const struct axis_view *at, double force)
+{
+    const double *p = at->p, cells[3] = {p[0], p[3], p[7]};
+    const double value[3] = {at->position, bound_speed(at->v, p[4]), at->x[0]};
+    const double low[3] = {p[1], bound_speed(p[5], p[4]), -1.0}, high[3] = {p[2], bound_speed(p[6], p[4]), 1.0};
+    for (size_t k = 0; k < at->effect->entries; ++k) {
+        double share = at->effect->table[k];
+        size_t rest = k;
+        for (int c = 2; c >= 0; --c) {
+            if (cells[c] > 0.0) {
+                const size_t splines = (size_t)cells[c] + 3;
+                share *= grid_spline(value[c], low[c], high[c], cells[c], (double)(rest % splines));
+                rest /= splines;
+            }
+        }
+        force += share;
+    }
+    return force;
+}
+
+static void move_memory(const struct axis *axis, struct axis_effect *effect)
+{
+    const double v = axis->velocity;
+    double *memory = &effect->state[0];
+    *memory = sign(v) + (*memory - sign(v)) * exp(-fabs(v) * axis->step / effect->parameter[8]);
+}
+
 static double call_own_force(const struct axis_view *at, double force)
 {
     return force + at->effect->force(at->effect->context, at->position, at->v, at->time);
@@ -331,6 +371,13 @@ static const struct axis_effect_row table[] = {
     {"drive_efficiency", {"efficiency_ratio"}, .change = {[AXIS_LOAD_LEVEL] = add_loss}},
     /* force = sum over its sines of sine sin(2 pi order q / pitch) + cosine cos(...); one effect of the plant each */
     {"position_map", {"pitch_m", "order", "sine_N", "cosine_N"}, .change = {[AXIS_OTHER_FORCE] = add_map_sine}},
+    /* force = sum of force_ij times splines of place, speed or travel since a reversal */
+    {"learned_residual",
+     {"place_cells", "place_low_m", "place_high_m", "speed_cells", "speed_scale_m_s", "speed_low_m_s", "speed_high_m_s",
+      "travel_cells", "travel_length_m", "force_N"},
+     .has_table = 1,
+     .change = {[AXIS_OTHER_FORCE] = add_table},
+     .move = move_memory},
 };
 
 #define ROWS (sizeof table / sizeof table[0])
@@ -343,6 +390,11 @@ const char *axis_effect_name(size_t kind)
 const char *axis_effect_parameter(size_t kind, size_t j)
 {
     return kind < ROWS && j < AXIS_MAX_EFFECT_PARAMETERS ? table[kind].parameter[j] : NULL;
+}
+
+int axis_effect_has_table(size_t kind)
+{
+    return kind < ROWS ? table[kind].has_table : 0;
 }
 
 static int add_row(struct axis *axis, const struct axis_effect_row *row)
@@ -381,5 +433,13 @@ void axis_set_effect(struct axis *axis, size_t effect, size_t j, double value)
 {
     if (effect < axis->effects && j < AXIS_MAX_EFFECT_PARAMETERS) {
         axis->effect[effect].parameter[j] = value;
+    }
+}
+
+void axis_set_table(struct axis *axis, size_t effect, const double *values, size_t entries)
+{
+    if (effect < axis->effects) {
+        axis->effect[effect].table = values;
+        axis->effect[effect].entries = entries;
     }
 }

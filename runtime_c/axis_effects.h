@@ -41,6 +41,7 @@ typedef double axis_change(const struct axis_view *at, double value);
 struct axis_effect_row {
     const char *name;
     const char *parameter[AXIS_MAX_EFFECT_PARAMETERS];
+    int has_table; /* see axis_effect_has_table */
     axis_change *change[AXIS_QUANTITIES];
 
     /* 0, or why the axis cannot have the effect (enum axis_refusal). */

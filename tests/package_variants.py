@@ -58,6 +58,14 @@ EFFECTS: dict[str, dict[str, Any]] = {
     "frictional_lag": {"time_constant_s": 0.02},
     "dwell_dependence": {"ratio": 0.3, "time_constant_s": 0.3, "length_m": 1e-4},
     "micro_viscous": {"damping_N_s_m": 30.0},
+    "learned_residual": {
+        "place_cells": 2,
+        "place_low_m": -0.01,
+        "place_high_m": 0.02,
+        "travel_cells": 1,
+        "travel_length_m": 1e-3,
+        "force_N": [0.1 * ((7 * k) % 11 - 5) for k in range(20)],
+    },
     "position_map": {"pitch_m": 0.004, "order": [1, 2, 6], "sine_N": [0.5, 0.1, 0.15], "cosine_N": [0.2, -0.3, 0.05]},
 }
 """Every effect that any axis may have, of a size that matters."""
@@ -238,6 +246,7 @@ def _effects() -> dict[str, Variant]:
             }
         ),
         "position map, from its table": Variant({"effects": _entries("position_map")}),
+        "learned residual, from its table": Variant({"effects": _entries("learned_residual")}),
         "dwell dependence, n_z 10": Variant({"effects": _entries("dwell_dependence"), "friction": elements(10)}),
         "frictional lag, n_z 1": Variant({"effects": _entries("frictional_lag"), "friction": elements(1)}),
     }

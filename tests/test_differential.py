@@ -37,6 +37,17 @@ PRIORS: dict[str, Any] = {
         "bounds": {},
     },
 }
+
+TABLE: dict[str, Any] = {
+    "name": "learned_residual",
+    "place_cells": 4,
+    "place_low_m": -2e-4,
+    "place_high_m": 4e-3,
+    "travel_cells": 2,
+    "travel_length_m": 5e-4,
+    "force_N": [0.05 * ((7 * k) % 11 - 5) for k in range(35)],
+}
+
 MHE_CASES: dict[str, dict[str, Any]] = {
     "default": {},
     # elements
@@ -146,6 +157,11 @@ MHE_CASES: dict[str, dict[str, Any]] = {
     "ekf": {"estimator": {"kind": "ekf"}},
     "ekf, bound": {"estimator": {"kind": "ekf", "bounds": {"stiffness": [0.995, 1.05]}, "noise": {"parameter": 0.3}}},
     "ekf, priors": PRIORS | {"estimator": PRIORS["estimator"] | {"kind": "ekf"}},
+    # a table that the model looks up, over two coordinates, one of them a state
+    "table": {"effects": [TABLE]},
+    "table, five merged": {"sampling": scheme("flow", substeps=20), "effects": [TABLE]},
+    "table, auto": {"effects": [TABLE], "estimator": {"relinearise": "auto"}},
+    "table, ekf": {"effects": [TABLE], "estimator": {"kind": "ekf"}},
     "ekf, coulomb": {"estimator": {"kind": "ekf", "parameters": ["stiffness", "coulomb"], "bounds": {}}},
 }
 BOUNDED = [name for name in MHE_CASES if "bound" in name]
@@ -255,6 +271,7 @@ SINGLE_CASES: dict[str, dict[str, Any]] = {
     "stiffness, coulomb": {"estimator": {"parameters": ["stiffness", "coulomb"], "bounds": {}}},
     "coulomb, viscous": {"estimator": {"parameters": ["coulomb", "viscous"], "bounds": {}}},
     "horizon 1": {"estimator": {"horizon": 1}},
+    "table": {"effects": [TABLE]},
 }
 
 

@@ -17,7 +17,7 @@ import pytest
 
 from sgms_mhe.cli import COMMANDS, Commands, command_names
 from sgms_mhe.configuration import load_machine
-from sgms_mhe.model.effects import CAUSE_NAMES, EFFECT_NAMES, cause, effect_definition
+from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition
 
 pytestmark = pytest.mark.core
 
@@ -197,14 +197,14 @@ def test_machine_files_on_the_pages_are_right(page: Path, tmp_path: Path) -> Non
 
 def test_effects_are_described_as_they_define_themselves() -> None:
     text = re.sub(r"\s+", " ", read(ROOT / "docs" / "effects.md"))
-    for name in CAUSE_NAMES:
+    for name in (*EFFECT_NAMES, *BASE_CAUSES):
         definition = cause(name)
         lines = [f"**`{name}`**: {definition.summary}."]
         if name in EFFECT_NAMES:
             lines += [f"- `{p.name}`: {p.description}" for p in effect_definition(name).parameters]
         lines.append(f"- To be seen: {definition.excitation.text}.")
         assert " ".join(lines) in text, "docs/effects.md wants:\n" + "\n".join(lines)
-    assert Counter(re.findall(r"\*\*`(\w+)`\*\*", text)) == Counter(CAUSE_NAMES)
+    assert Counter(re.findall(r"\*\*`(\w+)`\*\*", text)) == Counter((*EFFECT_NAMES, *BASE_CAUSES))
 
 
 # --- glossary ---------------------------------------------------------------------------------------------------

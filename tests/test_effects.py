@@ -102,6 +102,17 @@ CASES = {
     # The level follows the acceleration, which changes within a sample.
     "load_dependent_friction": Case({"ratio": 0.1, "rise_ratio": 0.05}, 4e-3, 3e-2),
     "drive_efficiency": Case({"efficiency_ratio": 0.8}, 8e-3, 5e-2),
+    "learned_residual": Case(
+        {
+            "speed_cells": 2,
+            "speed_scale_m_s": 0.02,
+            "speed_low_m_s": -0.03,
+            "speed_high_m_s": 0.03,
+            "travel_cells": 1,
+            "travel_length_m": 1e-3,
+            "force_N": [0.04 * ((7 * k) % 19 - 9) for k in range(20)],
+        }
+    ),
     "position_map": Case(
         {"pitch_m": 0.004, "order": [1, 2, 6], "sine_N": [0.5, 0.1, 0.15], "cosine_N": [0.2, -0.3, 0.05]}
     ),
@@ -207,7 +218,7 @@ def test_model_and_plant_know_the_same_effects() -> None:
     of_model = {name: tuple(p.name for p in effect_definition(name).parameters) for name in EFFECT_NAMES}
     assert of_model == plant_effects()
     assert set(CASES) == set(EFFECT_NAMES)
-    assert len(EFFECT_NAMES) == 28
+    assert len(EFFECT_NAMES) == 29
 
 
 @pytest.mark.parametrize("name", CAUSE_NAMES)

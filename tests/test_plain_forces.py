@@ -15,7 +15,7 @@ from sgms_mhe.diagnosis.models import CompiledFit, compile_once, make_model
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.host.evaluation import Evaluation
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects import EFFECT_NAMES, cause_names, effect_definition
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
@@ -88,7 +88,7 @@ def assert_same(apart: CompiledFit, whole: CompiledFit, recording: Recording) ->
 @pytest.mark.slow
 def test_which_effects_are_plain_forces(machine: Machine) -> None:
     kind = machine.plant.kind
-    names = [name for name in EFFECT_NAMES if kind in effect_definition(name).kinds]
+    names = [name for name in cause_names(kind) if name in EFFECT_NAMES]
     found = {name for name in names if make_model(machine, extras_of(name)).forces}
     assert found == {name for name in PLAIN if name in names}
 

@@ -24,7 +24,7 @@ from sgms_bench.diagnosis.visibility import sensitivities, visible_share
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.parametrisation import TIMING_MOST
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition, own_effects
+from sgms_mhe.model.effects import BASE_CAUSES, CAUSE_NAMES, EFFECT_NAMES, cause, effect_definition, own_effects
 from sgms_mhe.model.effects.specimen import log_uniform
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -42,6 +42,7 @@ KINDS: Final = (
     "single", "double", "single", "fault", "base", "single", "unmodelled", "triple", "clean", "weak",
 )  # fmt: skip
 """What the draws are, in turn: any number of draws from the first on is balanced."""
+HIDEABLE: Final = tuple(name for name in EFFECT_NAMES if name in CAUSE_NAMES)
 VISIBLE: Final = 0.3
 SECONDS: Final = (10.0, 16.0)
 ATTEMPTS: Final = 25
@@ -211,7 +212,7 @@ class _Frame:
     def effects(self, draw: Draw) -> tuple[str, ...]:
         """Effects that may be hidden in it: that such an axis has, and that stand with its file's law."""
         machine = machine_of(self.machine, draw)
-        names = own_effects(machine.plant.kind)
+        names = [name for name in own_effects(machine.plant.kind) if name in HIDEABLE]
         return tuple(n for n in names if not (machine.friction.switches and effect_definition(n).smooth_only))
 
 
@@ -231,7 +232,7 @@ def _attempt(frame: _Frame, kind: str, number: int) -> Draw | None:
     names = frame.effects(draw)
     if kind == "single":
         # In turn over the whole catalogue: what this axis cannot have is left for another one.
-        name = _take_turns(EFFECT_NAMES, number, frame.seed)
+        name = _take_turns(HIDEABLE, number, frame.seed)
         return _hide_causes(frame, draw, (name,)) if name in names else None
     together = random.choice(names, _TOGETHER[kind], replace=False).tolist()
     if any(b in cause(a).confused_with for a in together for b in together if a != b):

@@ -42,7 +42,7 @@ _Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 _NUMBERS: Final = TypeAdapter(dict[str, _Number])
 _LISTS: Final = TypeAdapter(dict[str, list[_Number]])
 _NAMES: Final = frozenset(("variable", "member", "row"))
-MOST_ENTRIES: Final = 64
+MOST_ENTRIES: Final = 128
 """Entries that the lists of an effect may have."""
 
 
@@ -167,7 +167,11 @@ def _effect_parameters(file: MachineFile, index: int) -> dict[str, Value]:
     for key in lists:
         if definitions[key].whole and len(set(series[key])) < count:
             raise file.refusal(("effects", index, key), list(series[key]), "each number once")
-    return {p.name: tuple(series[key]) if key in lists else numbers[key] for key, p in definitions.items()}
+    found = {p.name: tuple(series[key]) if key in lists else numbers[key] for key, p in definitions.items()}
+    if fault := effect_definition(entry.name).fault(found):
+        key = units.named(fault.parameter)
+        raise file.refusal(("effects", index, key), filled[key], fault.allowed)
+    return found
 
 
 def _is_within(number: float, parameter: EffectParameter) -> bool:

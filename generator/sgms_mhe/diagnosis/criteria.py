@@ -167,7 +167,8 @@ def make_criteria(
     excited = tuple(
         name
         for name in effect_names(machine.plant.kind)
-        if not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
+        if not effect_definition(name).learned
+        and not any(need.times is None for need in effect_definition(name).excitation.unmet(excitation, _ANY))
     )
     return Criteria(machine.diagnosis, floor, material_force(machine, floor), excited, one_speed, progress)
 
@@ -194,7 +195,8 @@ def list_addable(
     return [
         name
         for name in effect_names(machine.plant.kind)
-        if (name in criteria.excited or (instead_of is not None and criteria.alike(name, instead_of)))
+        if not effect_definition(name).learned
+        and (name in criteria.excited or (instead_of is not None and criteria.alike(name, instead_of)))
         and (name not in taken or (effect_definition(name).repeatable and name not in full))
     ]
 

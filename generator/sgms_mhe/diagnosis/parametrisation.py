@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sgms_mhe.configuration import make_machine, override_machine
 from sgms_mhe.host.evaluation import Evaluation
 from sgms_mhe.host.packages import SYMBOLIC
-from sgms_mhe.machine import CLOSED_FORMS, Machine
+from sgms_mhe.machine import CLOSED_FORMS, Machine, ResolvedEffect
 from sgms_mhe.model import SIGNAL_NAMES, FreeParameter
 from sgms_mhe.model.building import load_is_read, plain_force
 from sgms_mhe.model.effects import BASE_CAUSES, Stage, effect_definition
@@ -108,8 +108,13 @@ def machine_groups(machine: Machine) -> tuple[ParameterGroup, ...]:
             for name, cause in BASE_CAUSES.items()
             if machine.friction.n_z > 1 or not any(number.shares for number in cause.numbers)
         ),
-        *(ParameterGroup.own(effect.name, effect.label) for effect in machine.effects),
+        *(ParameterGroup.own(effect.name, effect.label) for effect in list_fitted(machine)),
     )
+
+
+def list_fitted(machine: Machine) -> tuple[ResolvedEffect, ...]:
+    """Return the machine's effects whose numbers a fit may move: all but learned tables."""
+    return tuple(effect for effect in machine.effects if not effect_definition(effect.name).learned)
 
 
 def drop_effect(effects: tuple[CandidateEffect, ...], group: ParameterGroup) -> tuple[CandidateEffect, ...]:
@@ -213,7 +218,7 @@ def _free_everything(
         "sampling": _integrator(machine, [name for name, _ in effects]),
     }
     extended = override_machine(drop_bounds(machine), changes)
-    names += [units.named(f"{e.label}.{p}") for e in extended.effects for p in e.parameters]
+    names += [units.named(f"{e.label}.{p}") for e in list_fitted(extended) for p in e.parameters]
     return override_machine(extended, {"estimator": {"parameters": names}})
 
 

@@ -142,7 +142,8 @@ class CPrinter:
             return f"{self.number(1.0)} / {operand(0, _UNARY)}", _PRODUCT
         if op == "lookup":
             values = dict(node.table)
-            table = tuple(values.get(k, 0.0) for k in range(max(values) + 1))
+            # Beyond the last of them the look-up holds an end, and the sum is zero.
+            table = (*(values.get(k, 0.0) for k in range(max(values) + 1)), 0.0)
             name = self.tables.setdefault(table, f"table_{len(self.tables) + 1}")
             return f"sgms_entry({name}, {len(table) - 1}, {text[node.args[0]][0]})", _ATOM
         if op in ("lt", "le"):

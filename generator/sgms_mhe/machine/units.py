@@ -59,7 +59,7 @@ _ROTARY_NAMES: Final[Mapping[str, str]] = MappingProxyType(
 CATALOGUE_ENDS: Final = tuple(end for end in UNITS if end == "_rad" or end not in _ROTARY_ENDS.values())
 """Ends of names in the catalogue of effects, which names things as a linear axis does."""
 
-PURE_NUMBERS: Final = ("ratio", "gain", "order")
+PURE_NUMBERS: Final = ("ratio", "gain", "order", "cells")
 """What the name of a number without a unit ends in."""
 
 

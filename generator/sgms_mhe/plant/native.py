@@ -92,11 +92,13 @@ def loaded_library() -> Library:
         "axis_setting": (text, [size, ctypes.POINTER(size), ctypes.POINTER(size)]),
         "axis_effect_name": (text, [size]),
         "axis_effect_parameter": (text, [size, size]),
+        "axis_effect_has_table": (ctypes.c_int, [size]),
         "axis_init": (None, [axis, ctypes.c_uint64]),
         "axis_set": (None, [axis, size, number]),
         "axis_add_effect": (ctypes.c_int, [axis, size, _DOUBLES]),
         "axis_add_force": (ctypes.c_int, [axis, OUTSIDE_FORCE, ctypes.c_void_p]),
         "axis_set_effect": (None, [axis, size, size, number]),
+        "axis_set_table": (None, [axis, size, _DOUBLES, size]),
         "axis_set_compensation": (None, [axis, COMPENSATION, ctypes.c_void_p]),
         "axis_apply": (ctypes.c_int, [axis]),
         "axis_place": (None, [axis, number]),
@@ -352,10 +354,11 @@ class NativeAxis:
         if set(numbers) != set(definition.names(numbers)):
             raise InputError("simulation", f"parameters of {effect}", sorted(values), f"exactly {', '.join(names)}")
         kind = list(self._library.effects).index(effect)
-        # Of lists the plant knows one entry: as many effects as they have.
+        # Of most lists the plant knows one entry: as many effects as they have.
         count = max(sum(definition.parameter(name).holds(entry) for entry in numbers) for name in names)
         senders: dict[str, list[Callable[[float], None]]] = {entry: [] for entry in numbers}
-        for i in range(1, count + 1):
+        has_table = bool(self._c.axis_effect_has_table(kind))
+        for i in range(1, 2 if has_table else count + 1):
             own = [definition.parameter(name).entry(i) for name in names]
             row = (ctypes.c_double * len(own))(*(numbers[entry] for entry in own))
             index = self._c.axis_add_effect(self._memory, kind, row)
@@ -363,6 +366,12 @@ class NativeAxis:
                 raise InputError("simulation", "effect", effect, "no more effects than the plant has room for")
             for j, entry in enumerate(own):
                 senders[entry].append(self._effect_parameter(index, j))
+        if has_table:
+            table = (ctypes.c_double * count)()
+            self._kept.append(table)
+            self._c.axis_set_table(self._memory, index, table, count)
+            entries = [definition.parameter(names[-1]).entry(i) for i in range(1, count + 1)]
+            senders |= {entry: [partial(table.__setitem__, i)] for i, entry in enumerate(entries)}
         for entry, number in numbers.items():
             limits = effect_limits(definition.parameter(entry))
             self._declare(f"{label}.{entry}", number, partial(_to_all, senders[entry]), limits)

@@ -55,10 +55,14 @@ EFFECT_NAMES: Final[tuple[str, ...]] = (
     "load_dependent_friction",
     "drive_efficiency",
     "position_map",
+    "learned_residual",
 )
 """The effects of this package, each the module of the same name in this folder."""
 
-CAUSE_NAMES: Final[tuple[str, ...]] = (*EFFECT_NAMES, *BASE_CAUSES)
+LEARNED_NAMES: Final = ("learned_residual",)
+"""Those whose numbers are learned: no causes."""
+
+CAUSE_NAMES: Final[tuple[str, ...]] = (*(name for name in EFFECT_NAMES if name not in LEARNED_NAMES), *BASE_CAUSES)
 """What a diagnosis may name without other distributions: effects, then wrong numbers of the base model."""
 
 
@@ -85,7 +89,7 @@ def _outcome(name: str) -> EffectDefinition | InputError:
     """The effect that is offered under a name, or what is wrong with the offer."""
     first, *others = _offers()[name]
     where = f"entry point {GROUP}.{name}"
-    if name in CAUSE_NAMES:
+    if name in EFFECT_NAMES or name in BASE_CAUSES:
         return InputError(first.distribution, where, None, "a name that sgms-mhe does not use itself")
     if others:
         rest = ", ".join(offer.distribution for offer in others)
@@ -150,7 +154,7 @@ def effect_names(kind: Kind | None = None) -> tuple[str, ...]:
 
 def cause_names(kind: Kind | None = None) -> tuple[str, ...]:
     """All that a diagnosis may name, or name of an axis of a kind: effects, then wrong numbers of the base model."""
-    return (*effect_names(kind), *BASE_CAUSES)
+    return (*(name for name in effect_names(kind) if not effect_definition(name).learned), *BASE_CAUSES)
 
 
 def broken_effects() -> tuple[InputError, ...]:

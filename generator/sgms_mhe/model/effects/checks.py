@@ -128,7 +128,7 @@ def _contribution(definition: EffectDefinition) -> Iterator[DefinitionFault]:
         yield DefinitionFault("contribute", None, f"a contribution to an axis; {type(error).__name__}: {error}")
         return
     states = tuple(state.spec.name.removeprefix(f"{definition.name}_") for state in axis.states)
-    if states != definition.states:
+    if states != definition.states and not (definition.learned and not states):  # a table over nothing yet
         yield DefinitionFault("states", definition.states, f"the states that it contributes, {states}")
     if any(state.rate is None for state in axis.states):
         yield DefinitionFault("contribute", None, "a rate for every state")

@@ -31,6 +31,18 @@ def _always(_: Mapping[str, float], __: Scales) -> bool:
     return True
 
 
+@dataclass(frozen=True)
+class Fault:
+    """Number of a machine file that does not go with the others: its parameter, and what is allowed."""
+
+    parameter: str
+    allowed: str
+
+
+def _no_fault(_: Mapping[str, Value]) -> Fault | None:
+    return None
+
+
 PlantForce = Callable[[float, float, float, Mapping[str, float]], float]
 
 
@@ -43,7 +55,7 @@ class EffectDefinition(CauseDefinition):
         contribute: adds the effect to the axis, given its parameters as expressions and their nominal values.
         stage: see STAGES.
         kinds: of axis that may have it.
-        states: names of its own states.
+        states: names of its own states; a table may have some of them, as its coordinates ask for.
         search: how a diagnosis looks for it; by its derivative in its first size unless something says more.
         loads: whether its force acts on the load, so that the drive transmits it (`SymbolicAxis.transmitted_force`).
         polar: names of size and angle where it is a sine that its search does not look for the period of.
@@ -61,6 +73,9 @@ class EffectDefinition(CauseDefinition):
         plant_force: the simulated plant's own version of a force, friction-like in sign, written a second time in plain
             numbers: of position [m], velocity [m/s], time [s] and the parameters. Only effects of other distributions
             have one; the plant knows this package's.
+        fault: the first number of a machine file that does not go with the others, each within its own limits.
+        learned: whether its numbers are a table that a diagnosis learns at once: no cause, it is neither searched nor
+            fitted.
         possible: whether an axis of these scales can have it with these parameters (by name, SI), beyond their limits.
         delays: the parameter by which it makes all of the logged force late [s], if that is what it does: a diagnosis
             shifts the model's force along the record, exactly, where an estimator can but expand it.
@@ -87,6 +102,8 @@ class EffectDefinition(CauseDefinition):
     companion: bool = False
     rises: str = ""
     fit_displacement: float | None = None
+    fault: Callable[[Mapping[str, Value]], Fault | None] = _no_fault
+    learned: bool = False
     possible: Callable[[Mapping[str, float], Scales], bool] = _always
     delays: str = ""
     adds_mass: str = ""

@@ -17,11 +17,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.model.effects.spline_table import TAPS, spline_pieces
+
 Array = NDArray[np.float64]
 
 POINTS: Final = 32
 """Points per shortest period: a sine of that period is right to 4e-6 of its amplitude, (2 pi / POINTS)^4 / 384."""
-_TAPS: Final = 4
 
 
 def spline_coefficients(orders: Sequence[int], sine: Sequence[float], cosine: Sequence[float]) -> Array:
@@ -42,17 +43,10 @@ def periodic_spline(coefficients: Array, periods: ca.SX) -> ca.SX:
     point = ca.floor(place)
     t = place - point
     # j = n where u rounds to 1: as many entries more as taps and that reach beyond.
-    table = ca.SX(ca.DM(coefficients[(np.arange(count + _TAPS) - 1) % count]))
-    places = ca.SX(ca.DM(np.arange(count + _TAPS)))
-    rest = 1.0 - t
-    pieces = (
-        rest * rest * rest,
-        (3.0 * t - 6.0) * t * t + 4.0,
-        (3.0 * rest - 6.0) * rest * rest + 4.0,
-        t * t * t,
-    )
-    taps = (ca.dot(table, places == point + float(i)) for i in range(_TAPS))
+    table = ca.SX(ca.DM(coefficients[(np.arange(count + TAPS) - 1) % count]))
+    places = ca.SX(ca.DM(np.arange(count + TAPS)))
+    taps = (ca.dot(table, places == point + float(i)) for i in range(TAPS))
     force = ca.SX(0.0)
-    for piece, tap in zip(pieces, taps, strict=True):
+    for piece, tap in zip(spline_pieces(t), taps, strict=True):
         force = force + piece * tap
     return force / 6.0
