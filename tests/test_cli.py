@@ -95,6 +95,13 @@ def test_another_distribution_adds_a_command_and_takes_no_name(monkeypatch: pyte
     assert done("check", "--help").stdout != done("own", "--help").stdout
 
 
+def test_a_command_that_cannot_be_imported_is_an_error_of_its_distribution(monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = EntryPoint("own", "no_such_module:command", "sgms_mhe.commands")
+    monkeypatch.setattr(sgms_mhe.cli, "entry_points", lambda group: [entry])
+    assert "command own = no_such_module:command: No module named 'no_such_module'" in refused("own", "-x", "y")
+    assert "\n  own " in done("--help").stdout
+
+
 def test_version() -> None:
     assert done("--version").stdout == f"sgms-mhe, version {sgms_mhe.__version__}\n"
 

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import EntryPoint, entry_points
 from types import FrameType
-from typing import Any, Final, NoReturn
+from typing import Any, Final, NoReturn, cast
 
 import click
 
@@ -76,7 +76,7 @@ class Commands(click.Group):
             command: click.Command = importlib.import_module(f"sgms_mhe.commands.{COMMANDS[cmd_name]}").command
             return command
         entry = added_commands().get(cmd_name)
-        return None if entry is None else entry.load()
+        return None if entry is None else _load(entry)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the options before the command's name; --quiet means the same behind it."""
@@ -112,6 +112,21 @@ class Commands(click.Group):
 def added_commands() -> Mapping[str, EntryPoint]:
     """Return the commands that other installed distributions add, by name."""
     return {entry.name: entry for entry in entry_points(group=ENTRY_POINTS) if entry.name not in COMMANDS}
+
+
+def _load(entry: EntryPoint) -> click.Command:
+    """The command of an entry point; of one that cannot be imported a command that says so, not to spoil --help."""
+    try:
+        return cast(click.Command, entry.load())
+    except Exception as error:
+        where = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "a distribution without a name"
+        why = f"{where}: command {entry.name} = {entry.value}: {error}; repair or remove it"
+
+    def refuse() -> NoReturn:
+        raise BadInput(why)
+
+    anything = {"allow_extra_args": True, "ignore_unknown_options": True}
+    return click.Command(entry.name, anything, refuse, short_help="cannot be imported")
 
 
 def command_names() -> list[str]:
