@@ -32,7 +32,6 @@ USED_FROM_OUTSIDE = {
     "sinusoidal_drift": "Python code of users, as a drift of the simulated axis",
     "plant_effects": "the test that model and plant know the same effects",
     "forget_distributions": "tests that install distributions",
-    "table_entry": "tests that make a table of its grid",
 }
 """What nothing in the packages uses, and who does."""
 

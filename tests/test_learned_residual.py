@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -15,12 +16,17 @@ from scipy.signal import lfilter
 
 from diagnosis_cases import explained
 from sgms_mhe.configuration import load_machine, override_machine
-from sgms_mhe.diagnosis import diagnose, write_diagnosis
-from sgms_mhe.diagnosis import verdict as verdict_module
+from sgms_mhe.diagnosis import Diagnosis, diagnose, learned_machine, write_diagnosis
 from sgms_mhe.diagnosis.coordinates import Coordinate, cubic, memory_of_reversals, warp
 from sgms_mhe.diagnosis.criteria import material_force, small_force
-from sgms_mhe.diagnosis.learner import Learned, LearnedTerm, learn_residual
+from sgms_mhe.diagnosis.learned import Learned, LearnedRecord, LearnedTerm
+from sgms_mhe.diagnosis.learned_machine import add_learned_machine
+from sgms_mhe.diagnosis.learner import learn_residual
+from sgms_mhe.emission.package import emit_package, write_package
+from sgms_mhe.evaluation.prediction import predict_log
+from sgms_mhe.host.compiled import CompiledModel
 from sgms_mhe.machine import Machine
+from sgms_mhe.model.building import logged_share
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
@@ -177,9 +183,126 @@ def test_what_can_be_learned_is_not_explained(monkeypatch: pytest.MonkeyPatch) -
         assert full.shape == blind.shape == recording.time.shape
         return CURVE
 
-    monkeypatch.setattr(verdict_module, "learn_residual", learn_curve)
+    monkeypatch.setattr(learned_machine, "learn_residual", learn_curve)
     again = diagnose(machine(), log)
+    # A curve that is not there: run along the record its table gains nothing, so no machine has it.
     assert (again.verdict, again.learned) == ("unexplained", CURVE)
     assert asked[-3:-1] == pytest.approx([again.rms.held_out_after, again.noise_floor_N], rel=1e-9)
     assert asked[-1] == max(material_force(machine(), asked[-2]), small_force(machine()))  # as a cause has to be
     assert "no known effect accounts for" in again.summary
+
+
+# --- the machine that has it --------------------------------------------------------------------------------------
+
+
+HIDDEN = {
+    "place_cells": 4,
+    "place_low_m": 0.0,
+    "place_high_m": 0.2,
+    "speed_cells": 2,
+    "speed_scale_m_s": 0.05,
+    "speed_low_m_s": -0.2,
+    "speed_high_m_s": 0.2,
+    "force_N": tuple(np.random.default_rng(5).uniform(-1.0, 1.0, 35).tolist()),
+}
+"""A force over place and speed that no cause of the catalogue is."""
+
+
+def machine_file(folder: Path) -> Machine:
+    """The machine of these tests as a file, which an extended machine can extend."""
+    path = folder / "base.toml"
+    sampling = "rate = 1000.0\nvelocity_cutoff = 100.0\nupdate_rate = 100.0"
+    path.write_text(f'name = "base"\nextends = "etel_xy"\n[sampling]\n{sampling}\n')
+    return load_machine(path)
+
+
+def moved_with_force(speed: float, seed: int, effect: str = "learned_residual") -> Log:
+    path = make_trajectory("mixed", 1000.0, duration_s=20.0, max_velocity=speed)
+    config = AxisConfig(seed=seed, force_noise_N=NOISE_N)
+    return simulate_axis(machine(), path, config, hidden_effects=[(effect, HIDDEN)], truth=False).log
+
+
+def learn_along(log: Log, axis: Machine) -> Diagnosis:
+    """A diagnosis of a log that names nothing, with what its residual teaches."""
+    here = prepare(axis, log)
+    residual = here.friction - here.reduce(CompiledModel(axis).predict(here.signals).friction_N)
+    learned = learn(here, residual)
+    assert learned is not None
+    bare = replace(explained(machine()), machine=axis, causes=(), extended=None, changes=None, learned=learned)
+    return add_learned_machine(replace(bare, verdict="unexplained"), log)
+
+
+def left_by(axis: Machine, log: Log) -> float:
+    found = predict_log(axis, log)
+    return float(np.sqrt(np.nanmean((found.friction_measured_N - found.friction_N) ** 2)))
+
+
+@pytest.mark.slow
+def test_the_machine_with_the_tables_predicts_another_record_as_well_as_stated(tmp_path: Path) -> None:
+    """Its file, read again, gains on a log that nothing has seen what the diagnosis said; its package builds."""
+    axis = machine_file(tmp_path)
+    found = learn_along(moved_with_force(0.2, 1), axis)
+    learned = found.learned
+    assert learned is not None and learned.file_name == "base_learned.toml"
+    write_diagnosis(found, tmp_path)
+    extended = load_machine(tmp_path / "base_learned.toml")
+    assert extended.digest == learned.extended.digest  # type: ignore[union-attr]
+    assert "Learned, no cause. Place counts from" in (tmp_path / "base_learned.toml").read_text()
+    assert max(map(len, (tmp_path / "base_learned.toml").read_text().splitlines())) <= 110
+    other = moved_with_force(0.17, 2)
+    before, after = left_by(axis, other), left_by(extended, other)
+    low, _ = learned.gain_interval
+    assert low < 1.0 - after / before and 1.0 - after / before > learned.gain - 0.05
+    assert json.loads((tmp_path / "diagnosis.json").read_text())["learned"]["extended_machine"] == "base_learned.toml"
+    write_package(emit_package(extended), tmp_path / "package")
+    main = tmp_path / "main.c"
+    main.write_text('#include "base_learned.h"\nint main(void) { return base_learned_selftest(); }\n')
+    program, sources = tmp_path / "selftest", sorted((tmp_path / "package").glob("*.c"))
+    built = ["gcc", "-std=c99", "-O1", "-Wall", "-Werror", f"-I{tmp_path / 'package'}", "-o", program, main, *sources]
+    subprocess.run(built, check=True, timeout=60.0)
+    assert subprocess.run([program], check=False, timeout=60.0).returncode == 0
+
+
+def test_tables_behind_a_gain_are_smaller_by_it() -> None:
+    """What is learned is force of the log, what acts is force on the axis."""
+    effects = [{"name": "force_gain", "gain": 0.5}, {"name": "force_delay", "delay_s": 1e-3}]
+    assert logged_share(override_machine(machine(), {"effects": effects})) == pytest.approx(0.5)
+    ripple = [{"name": "force_constant_ripple", "ratio": 0.1, "pitch_m": 0.01}]
+    assert logged_share(override_machine(machine(), {"effects": ripple})) == pytest.approx(1.0, abs=0.02)
+    estimated = {"effects": effects, "estimator": {"parameters": ["stiffness", "force_gain.gain"]}}
+    assert logged_share(override_machine(machine(), estimated)) == pytest.approx(0.5)
+    assert logged_share(machine()) == 1.0
+    entry = CURVE.terms[0].entry(0.5)
+    assert entry["force_N"] == (0.0, 0.2, 0.4, 0.2, 0.0) and entry["speed_cells"] == 2
+    assert entry["speed_high_m_s"] == pytest.approx(0.1 * 0.8 / 0.2)
+
+
+def test_records_that_it_does_not_hold_on_are_said(tmp_path: Path) -> None:
+    records = (LearnedRecord("b.csv", 0.5, 0.3, 0.6), LearnedRecord("c.csv", 0.5, 0.4, 0.35))
+    learned = replace(CURVE, records=records)
+    assert learned.words.endswith("50 % of the residual on held-out blocks, 40 % on b.csv, 20 % on c.csv")
+    assert replace(CURVE, records=records[:1]).words.endswith("40 % on the other record")
+    assert learned.to_json()["other_records"] == {
+        "b.csv": {"before": 0.5, "after": 0.3, "plain": 0.6},
+        "c.csv": {"before": 0.5, "after": 0.4, "plain": 0.35},
+    }
+    diagnosis = replace(explained(machine()), verdict="unexplained", learned=learned)
+    said = [sentence for sentence in diagnosis.contradictions if "what was learned is not recommended" in sentence]
+    assert len(said) == 1 and "c.csv it leaves 0.4 N" in said[0] and "friction alone 0.35 N" in said[0]
+    assert LearnedRecord("d", 0.5, 0.51, 0.9).is_worse and not LearnedRecord("d", 0.5, 0.49, 0.9).is_worse
+    assert "so it is not recommended" in write_report(diagnosis, tmp_path).read_text()
+
+
+@pytest.mark.slow
+def test_it_is_judged_on_another_record(tmp_path: Path) -> None:
+    """By a whole diagnosis: with the places where they are it gains, with another origin it is found again."""
+    axis = machine_file(tmp_path)
+    here, there = moved_with_force(0.2, 1), moved_with_force(0.17, 2)
+    found = diagnose(axis, here, others=[there])
+    assert found.verdict == "unexplained" and found.learned is not None and len(found.learned.records) == 1
+    record = found.learned.records[0]
+    assert record.before == pytest.approx(found.records[0].held_out_after, rel=1e-6)
+    assert record.gain > 0.3 and not record.is_worse
+    extended = found.learned.extended
+    assert extended is not None
+    assert left_by(extended, there) < 0.7 * left_by(found.extended or axis, there)

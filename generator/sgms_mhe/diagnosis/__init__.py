@@ -13,11 +13,9 @@ from sgms_mhe.diagnosis.result import (
     Rms,
     Score,
     Traces,
-    write_diagnosis,
-    write_extended,
-    write_refusal,
 )
 from sgms_mhe.diagnosis.verdict import diagnose
+from sgms_mhe.diagnosis.writing import write_diagnosis, write_extended, write_refusal
 
 __all__ = [
     "Alternative",

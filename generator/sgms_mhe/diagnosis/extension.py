@@ -12,6 +12,9 @@ from sgms_mhe.machine.writing import toml_extends, toml_line, toml_machine, toml
 from sgms_mhe.model.effects import effect_definition
 
 NAME_LENGTH = 48
+LEARNED = "_learned"
+"""End of the name of a machine with learned tables."""
+TABLE_NOTE = "Learned, no cause. Place counts from where the record's position is zero."
 
 
 def extend_machine(
@@ -59,6 +62,28 @@ def extend_machine(
         changes["estimator"] = {"parameters": [units.named(name) for name in estimated or Estimator().parameters]}
     extended = override_machine(machine, changes)
     return extended, changes
+
+
+def add_tables(
+    machine: Machine, base: Machine, changes: Mapping[str, Any] | None, tables: Sequence[Mapping[str, Any]]
+) -> tuple[Machine, dict[str, Any]]:
+    """Return a machine with learned tables, and what its file changes of the first one's.
+
+    Args:
+        machine: of the file.
+        base: the machine that gets the tables, with causes.
+        changes: what it changes of the file; None: nothing.
+        tables: entries of [[effects]], names of a linear axis.
+    """
+    units, given = machine.plant.units, dict(changes or {})
+    own = given.get("effects") or [effect.entry(units) for effect in base.effects]
+    added = {
+        **given,
+        "name": f"{base.name[: NAME_LENGTH - len(LEARNED)]}{LEARNED}",
+        "description": f"{base.description or base.name}, with what was learned and has no name"[:200],
+        "effects": [*own, *(units.keyed(table) for table in tables)],
+    }
+    return override_machine(machine, added), added
 
 
 def _within(effect: Mapping[str, Any]) -> dict[str, Any]:
@@ -111,5 +136,5 @@ def extension_toml(machine: Machine, extended: Machine, changes: Mapping[str, An
         why = f"Without {', '.join(left_out)}: 0 is no scale for an estimate."
         lines += toml_table("[estimator]", changes["estimator"], why)
     for effect in changes.get("effects", ()):
-        lines += toml_table("[[effects]]", effect)
+        lines += toml_table("[[effects]]", effect, TABLE_NOTE if effect_definition(effect["name"]).learned else "")
     return "\n".join(lines) + "\n"

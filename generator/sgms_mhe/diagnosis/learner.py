@@ -20,6 +20,7 @@ from scipy import stats
 from scipy.linalg import solve
 
 from sgms_mhe.diagnosis.coordinates import Coordinate, Kind, warp_motion
+from sgms_mhe.diagnosis.learned import Learned, LearnedTerm
 from sgms_mhe.recordings.evidence import TINY, difference_statistic
 from sgms_mhe.recordings.recording import Recording, split_blocks
 from sgms_mhe.recordings.series import row_means
@@ -41,7 +42,7 @@ CELLS: Final[Mapping[Kind, tuple[int, int]]] = {
     "travel": (8, 4),
 }
 """Cells of a grid over one coordinate, and of one of two."""
-PAIRS: Final[tuple[tuple[Kind, Kind], ...]] = (("place", "speed"), ("travel", "speed"), ("place", "travel"))
+PAIRS: Final[tuple[tuple[Kind, Kind], ...]] = (("place", "speed"), ("speed", "travel"), ("place", "travel"))
 PENALTIES: Final = (1e-3, 3e-2, 1.0)
 """Weights of second differences [mean information of a spline]."""
 SHRINKAGE: Final = 1.0  # weight of the splines themselves over that of their differences: between data they go to zero
@@ -50,65 +51,6 @@ BETTER_T: Final = 1.0
 """T over segments that a further term must gain by [1]: a term that gains by chance costs little, and the held-out
 blocks judge the sum."""
 CONFIDENCE: Final = 0.95
-
-
-@dataclass(frozen=True, eq=False)
-class LearnedTerm:
-    """A function of one coordinate or two, as coefficients of splines (size) or (size, size) [N]: a force."""
-
-    coordinates: tuple[Coordinate, ...]
-    coefficients: Array
-
-    def at(self, *warped: Array) -> Array:
-        """Force (m) [N] at warped coordinates (m)."""
-        first = self.coordinates[0].splines(warped[0])
-        if len(self.coordinates) == 1:
-            return np.asarray(first @ self.coefficients)
-        second = self.coordinates[1].splines(warped[1])
-        return np.asarray(np.einsum("mi,ij,mj->m", first, self.coefficients, second))
-
-
-@dataclass(frozen=True, eq=False)
-class Learned:
-    """A learned residual and what it gains on held-out blocks.
-
-    Attributes:
-        terms: of its sum.
-        held_out_before, held_out_after: RMS of the residual there without and with it [N].
-        gain_interval: 95 % interval of the share by which it falls [1].
-    """
-
-    terms: tuple[LearnedTerm, ...]
-    held_out_before: float
-    held_out_after: float
-    gain_interval: tuple[float, float]
-
-    @property
-    def over(self) -> tuple[Kind, ...]:
-        """Coordinates that it depends on."""
-        return tuple(dict.fromkeys(c.kind for term in self.terms for c in term.coordinates))
-
-    @property
-    def gain(self) -> float:
-        """Share by which the RMS of the residual falls on held-out blocks [1]."""
-        return 1.0 - self.held_out_after / self.held_out_before
-
-    @property
-    def words(self) -> str:
-        """A line beside a verdict."""
-        over = " and ".join(filter(None, (", ".join(self.over[:-1]), self.over[-1])))
-        return f"learned, no name: over {over}, {100.0 * self.gain:.0f} % of the residual on held-out blocks"
-
-    def to_json(self) -> dict[str, object]:
-        """Content of diagnosis.json."""
-        return {
-            "over": list(self.over),
-            "held_out_before": self.held_out_before,
-            "held_out_after": self.held_out_after,
-            "gain_interval": list(self.gain_interval),
-            "other_records": {},
-            "extended_machine": None,
-        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +252,8 @@ def _make_candidates(warped: Mapping[tuple[Kind, float], Array], segment: Index)
 
 
 def _make_coordinate(key: tuple[Kind, float], x: Array, cells: int) -> Coordinate:
-    return Coordinate(key[0], key[1], float(x.min()), float(x.max()), cells)
+    low, high = (-1.0, 1.0) if key[0] == "travel" else (float(x.min()), float(x.max()))
+    return Coordinate(*key, low, high, cells)
 
 
 def _find_supported(B: Array, segment: Index) -> Mask:

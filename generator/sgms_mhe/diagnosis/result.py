@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -15,10 +14,9 @@ from numpy.typing import NDArray
 from sgms_mhe.diagnosis.combinations import KnownCombination
 from sgms_mhe.diagnosis.document import make_document
 from sgms_mhe.diagnosis.extension import extension_toml
-from sgms_mhe.diagnosis.learner import Learned
+from sgms_mhe.diagnosis.learned import Learned
 from sgms_mhe.diagnosis.other_record import OtherRecord, list_contradictions
 from sgms_mhe.machine import Machine
-from sgms_mhe.support.files import write_text
 from sgms_mhe.support.libraries import data_frame
 from sgms_mhe.support.notebooks import html_table, labelled_axes
 
@@ -385,7 +383,9 @@ class Diagnosis:
         """Return the sentences on what does not hold on other records."""
         alone = [cause.label for cause in self.causes if cause.transfers is False]
         records = () if self.extended is None else self.records
-        return list_contradictions(alone, records, self.machine.plant.units.force)
+        unit = self.machine.plant.units.force
+        learned = () if self.learned is None else self.learned.list_contradictions(unit)
+        return (*list_contradictions(alone, records, unit), *learned)
 
     @property
     def extended_name(self) -> str | None:
@@ -473,28 +473,3 @@ class Diagnosis:
             ],
             warnings=self.warnings,
         )
-
-
-def write_diagnosis(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
-    """Write diagnosis.json and, where a cause is named, the extended machine file; return the folder."""
-    folder = Path(out_dir)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_extended(diagnosis, folder)
-    write_text(folder / "diagnosis.json", json.dumps(diagnosis.to_json(), indent=2) + "\n")
-    return folder
-
-
-def write_extended(diagnosis: Diagnosis, folder: Path) -> None:
-    """Write the extended machine where a cause is named."""
-    toml = diagnosis.extended_file(folder)
-    if toml is not None:
-        write_text(folder / f"{diagnosis.extended_name}", toml)
-
-
-def write_refusal(sentence: str, machine: Machine, out_dir: str | Path) -> dict[str, Any]:
-    """Write diagnosis.json of a log that cannot be what it says, and nothing else; return its content."""
-    content = make_document(machine, "unexplained", sentence, [sentence], law=machine.friction.law)
-    folder = Path(out_dir)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "diagnosis.json", json.dumps(content, indent=2) + "\n")
-    return content

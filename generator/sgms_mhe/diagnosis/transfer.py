@@ -20,6 +20,8 @@ from sgms_mhe.diagnosis.beginning import plain_friction
 from sgms_mhe.diagnosis.criteria import material_force
 from sgms_mhe.diagnosis.final_fit import split_rms
 from sgms_mhe.diagnosis.fits import FINAL_STEP, ITERATIONS, Fit, Subject
+from sgms_mhe.diagnosis.learned import LearnedRecord
+from sgms_mhe.diagnosis.learned_machine import judge_learned
 from sgms_mhe.diagnosis.models import CompiledFit, LeastSquares, Prior
 from sgms_mhe.diagnosis.other_record import OtherRecord, TransferredCause
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, JacobianColumn, ParameterGroup
@@ -139,10 +141,14 @@ def judge_on_records(found: Diagnosis, others: Sequence[Log], report: Callable[[
         InputError: a log that does not fit the machine.
         FitError: a model that is not finite along one.
     """
-    records = []
+    judged = []
     for log in others:
         report(log.source or "another record")
-        records.append(_judge_on(found, in_step(log, found.offset_s) if found.offset_s else log))
+        judged.append(_judge_on(found, in_step(log, found.offset_s) if found.offset_s else log))
+    records = tuple(record for record, _ in judged)
+    learned = found.learned
+    if learned is not None:
+        learned = replace(learned, records=tuple(with_it for _, with_it in judged if with_it is not None))
     causes = tuple(replace(cause, transfers=_transfers(cause, records)) for cause in found.causes)
     log_decision(
         "records",
@@ -154,7 +160,7 @@ def judge_on_records(found: Diagnosis, others: Sequence[Log], report: Callable[[
             for cause in causes
         },
     )
-    return replace(found, causes=causes, records=tuple(records))
+    return replace(found, causes=causes, records=records, learned=learned)
 
 
 def _transfers(cause: Cause, records: Sequence[OtherRecord]) -> bool | None:
@@ -163,8 +169,8 @@ def _transfers(cause: Cause, records: Sequence[OtherRecord]) -> bool | None:
     return all(t.gain_interval_N[0] > 0.0 for t in shown) if shown else None
 
 
-def _judge_on(found: Diagnosis, log: Log) -> OtherRecord:
-    """Judge the causes of a diagnosis, and its extended machine, on one other record."""
+def _judge_on(found: Diagnosis, log: Log) -> tuple[OtherRecord, LearnedRecord | None]:
+    """Judge the causes of a diagnosis, its extended machine and what it learned, on one other record."""
     extended = found.extended or found.machine
     recording, origin = _record(extended, log), 0.0
     if extended.log is None or not extended.log.homed:
@@ -176,8 +182,12 @@ def _judge_on(found: Diagnosis, log: Log) -> OtherRecord:
     plain = plain_friction(recording)
     file = shift_position(_record(found.machine, log), origin)
     before = _Transfer.of(Subject.of(found.machine, file)).align()
-    return OtherRecord(
-        name=log.source or "log",
+    name = log.source or "log"
+    with_it = None
+    if found.learned is not None:
+        with_it = judge_learned(found.learned, after.subject.recording, fit, name, plain.held_out)
+    record = OtherRecord(
+        name=name,
         held_out_before=split_rms(before.fit(before.theta, before.free(), before.seen), file)[1],
         held_out_after=split_rms(fit, recording)[1],
         plain=plain.held_out,
@@ -186,6 +196,7 @@ def _judge_on(found: Diagnosis, log: Log) -> OtherRecord:
         origin_m=origin,
         causes=tuple(_judge_cause(after, fit, cause, floor, found) for cause in found.causes),
     )
+    return record, with_it
 
 
 def _record(machine: Machine, log: Log) -> Recording:

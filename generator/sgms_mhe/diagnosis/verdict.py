@@ -33,12 +33,12 @@ from sgms_mhe.diagnosis.beginning import (
 )
 from sgms_mhe.diagnosis.causes import name_cause
 from sgms_mhe.diagnosis.combinations import KnownCombination, find_combinations
-from sgms_mhe.diagnosis.criteria import Progress, ProgressReport, make_criteria, material_force, small_force
+from sgms_mhe.diagnosis.criteria import Progress, ProgressReport, make_criteria
 from sgms_mhe.diagnosis.final_fit import FinalFit, RecordResidual, fit_rivals, make_final_fit, split_rms
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.judgement import MOST_WITHOUT_CAUSES, MOSTLY, Judged, allowed_excess, judge
 from sgms_mhe.diagnosis.laws import SHARPER, list_compilations, make_laws, subtract_effects
-from sgms_mhe.diagnosis.learner import Learned, learn_residual
+from sgms_mhe.diagnosis.learned_machine import add_learned_machine, learn_beside
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.numbers import base_parameters, extended_machine
 from sgms_mhe.diagnosis.parametrisation import TIMING_MOST
@@ -105,6 +105,7 @@ def diagnose(
                 file.recording, file.nominal, told.report_identification, has_force=not log.is_friction_alone
             )
         found = _diagnose_begun(file, begun, log, held_out_s, told)
+        found = add_learned_machine(found, log)
         found = judge_on_records(found, others, told.report_record) if others else found
     except FitError as error:
         raise InputError(log.source or "log", "simulated friction", None, f"finite, but {error}") from None
@@ -334,7 +335,7 @@ def _diagnosis(
     unseen = final.residual_of(judged.found.blind if named else judged.plain)
     extended_left = final.residual_of(selection.fit)
     floor = final.floor if final.along is None else final.find_floor(extended_left)
-    learned = _learn(record, extended_left, unseen, floor)
+    learned = learn_beside(record, extended_left, unseen, floor)
     verdict = judged.verdict if learned is None else "unexplained"  # what can be predicted is not noise
     rms_before, held_before = split_rms(nominal, record)
     rms_after, held_after = split_rms(unseen, record)
@@ -400,12 +401,6 @@ def _combine_causes(final: FinalFit, judged: Judged) -> tuple[KnownCombination, 
     free = final.fit(selection.fit.effects, warm=selection.fit)
     known = [(group, label) for group, label in groups if label in labels]
     return find_combinations(final.subject, free, final.other, known)
-
-
-def _learn(record: Recording, full: RecordResidual, blind: RecordResidual, floor: float) -> Learned | None:
-    """Learn what a residual has of a cause's size; `blind`: of the fit without the held-out blocks; `floor` [N]."""
-    material = max(material_force(record.machine, floor), small_force(record.machine))
-    return learn_residual(record, full.residual, blind.residual, floor=floor, material=material)
 
 
 def _force_of_noise(final: FinalFit) -> float:

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from textwrap import fill
 from typing import Any, Final
 
 from sgms_mhe.machine.log_mapping import kinds_of
@@ -15,6 +16,8 @@ from sgms_mhe.machine.units import Kind
 from sgms_mhe.support.paths import machines_dir
 
 COMMENT_COLUMN: Final = 40
+WIDEST: Final = 110
+"""Columns from which on a list goes on in another line."""
 NO_NOTES: Final[Mapping[str, str]] = {}
 
 
@@ -35,6 +38,8 @@ def toml_line(key: str, value: Any, note: str = "", column: int = COMMENT_COLUMN
     """Return a key, its value and a comment that begins in a column, or where the value ends."""
     plain = key.replace("_", "").replace("-", "").isalnum()
     line = f"{key if plain else json.dumps(key)} = {toml_value(value)}"
+    if len(line) > WIDEST and isinstance(value, list | tuple) and not note:
+        return fill(line, WIDEST, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
     return f"{line:<{column}} # {note}".rstrip() if note else line
 
 

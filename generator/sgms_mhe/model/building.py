@@ -468,6 +468,20 @@ def plain_force(machine: Machine, label: str) -> PlainForce | None:
     )
 
 
+def logged_share(machine: Machine) -> float:
+    """Logged force per force on the axis, effects that make the log late left out, mean over the signals [1]."""
+    axis, parameters = _bare_axis(machine), _Parameters(machine)
+    output = axis.forget()["output"]
+    effects = _effects(machine, parameters)
+    _contribute(effects, axis, "motor")
+    share = ca.jacobian(_prompt_drive(effects, axis), output)
+    share = ca.substitute(share, ca.vertcat(*parameters.symbols), np.ones(len(parameters.symbols)))
+    symbols = ca.symvar(share)
+    function = ca.Function("share", [ca.vertcat(*symbols)], [share])
+    draws = np.random.default_rng(1).uniform(-1.0, 1.0, (200, len(symbols)))
+    return float(np.mean([float(function(draw)) for draw in draws]))
+
+
 def load_is_read(machine: Machine) -> bool:
     """Return True if a contribution of effects to the axis depends on its load."""
     axis = _bare_axis(machine)

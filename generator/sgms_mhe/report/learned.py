@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.diagnosis.coordinates import Coordinate, Kind
-from sgms_mhe.diagnosis.learner import Learned, LearnedTerm
+from sgms_mhe.diagnosis.learned import Learned, LearnedTerm
 from sgms_mhe.report.plots import Role
 from sgms_mhe.report.series import numbers
 from sgms_mhe.report.units import axis_units, force, percent, reading
@@ -28,10 +28,19 @@ def learned_block(learned: Learned) -> dict[str, Any]:
     """Return what the page says of a learned residual, and the keys of its plots."""
     low, high = learned.gain_interval
     before, after = force(learned.held_out_before), force(learned.held_out_after)
+    sentences = [
+        f"On data kept from all fits {before} RMS go to {after}; 95 % interval of the share: {percent(low)} to "
+        f"{percent(high)}. It is no cause: it says what the residual depends on, as far as this record has been there.",
+        *(
+            f"On {r.name} {force(r.before)} go to {force(r.after)}; Coulomb and viscous friction alone leave "
+            f"{force(r.plain)}{', so it is not recommended' if r.is_worse else ''}."
+            for r in learned.records
+        ),
+        *([f"{learned.file_name} has it as tables, zero beyond these ranges."] if learned.file_name else []),
+    ]
     return {
         "words": learned.words,
-        "note": f"On data kept from all fits {before} RMS go to {after}; 95 % interval of the share: {percent(low)} to "
-        f"{percent(high)}. It is no cause: it says what the residual depends on, as far as this record has been there.",
+        "note": " ".join(sentences),
         "plots": [
             {"key": f"learned_{k}", "title": f"Learned force over {_title(term)}"}
             for k, term in enumerate(learned.terms, start=1)

@@ -123,14 +123,14 @@ def _find_fault(values: Mapping[str, Value]) -> Fault | None:
     return None
 
 
-def table_entry(coordinates: Sequence[TableCoordinate], coefficients: Array) -> dict[str, Value]:
-    """Return the entry of [[effects]] of a table, in the names of a linear axis.
+def table_entry(coordinates: Sequence[TableCoordinate], coefficients: Array) -> dict[str, Value | str]:
+    """Return the entry of [[effects]] of a table, in the names of a linear axis; forces of six digits.
 
     Args:
         coordinates: one or two, place before speed before travel.
         coefficients: of their splines (size) or (size, size) [N].
     """
-    entry: dict[str, Value] = {}
+    entry: dict[str, Value | str] = {"name": DEFINITION.name}
     for c in coordinates:
         entry[f"{c.over}_cells"] = c.cells
         if c.over == "place":
@@ -139,7 +139,7 @@ def table_entry(coordinates: Sequence[TableCoordinate], coefficients: Array) -> 
             entry |= {"speed_scale_m_s": c.scale, "speed_low_m_s": c.low, "speed_high_m_s": c.high}
         else:
             entry["travel_length_m"] = c.scale
-    return {**entry, _FORCE.name: tuple(coefficients.ravel().tolist())}
+    return {**entry, _FORCE.name: tuple(float(f"{force:.6g}") for force in coefficients.ravel().tolist())}
 
 
 DEFINITION = EffectDefinition(

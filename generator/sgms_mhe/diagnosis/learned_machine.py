@@ -1,0 +1,87 @@
+"""A residual learned beside the causes: the machine that has it, and what it gains on other records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.configuration import step_every_sample
+from sgms_mhe.diagnosis.alignment import in_step
+from sgms_mhe.diagnosis.criteria import material_force, small_force
+from sgms_mhe.diagnosis.extension import add_tables
+from sgms_mhe.diagnosis.final_fit import RecordResidual
+from sgms_mhe.diagnosis.fits import Fit
+from sgms_mhe.diagnosis.learned import Learned, LearnedRecord
+from sgms_mhe.diagnosis.learner import learn_residual
+from sgms_mhe.diagnosis.result import Diagnosis
+from sgms_mhe.host.compiled import CompiledModel
+from sgms_mhe.machine import Machine
+from sgms_mhe.model.building import logged_share
+from sgms_mhe.recordings.recording import Recording, prepare
+from sgms_mhe.signals.logs import Log
+from sgms_mhe.support.decisions import log_decision
+
+Array = NDArray[np.float64]
+
+
+def learn_beside(record: Recording, full: RecordResidual, blind: RecordResidual, floor: float) -> Learned | None:
+    """Learn what a residual has of a cause's size; `blind`: of the fit without the held-out blocks; `floor` [N]."""
+    material = max(material_force(record.machine, floor), small_force(record.machine))
+    return learn_residual(record, full.residual, blind.residual, floor=floor, material=material)
+
+
+def add_learned_machine(found: Diagnosis, log: Log) -> Diagnosis:
+    """Return a diagnosis with the machine that has what was learned as tables, beside the causes.
+
+    It is there where, run along the record as its file has it, it gains at least what the learned force does at the
+    lower end of its interval.
+    """
+    learned = found.learned
+    if learned is None:
+        return found
+    base = found.extended or found.machine
+    share = logged_share(base)
+    entries = [term.entry(share) for term in learned.terms]
+    extended, changes = add_tables(found.machine, base, found.changes, entries)
+    record = prepare(base, in_step(log, found.offset_s) if found.offset_s else log)
+    before, after = (_simulate(axis, record) for axis in (base, extended))
+    gain = 1.0 - after / before if before > 0.0 else 0.0
+    log_decision(
+        "learner",
+        "the machine with the tables is kept where, run along the record, it gains what it should at least",
+        before_N=before,
+        after_N=after,
+        gain=gain,
+        least_gain=learned.gain_interval[0],
+    )
+    if not gain > learned.gain_interval[0]:
+        return found
+    return replace(found, learned=replace(learned, extended=extended, changes=changes))
+
+
+def _simulate(machine: Machine, record: Recording) -> float:
+    """Return the RMS of measured minus simulated friction of a machine as its file has it [N]."""
+    simulated = CompiledModel(step_every_sample(machine)).predict(record.signals).friction_N
+    return record.rms(record.friction - record.reduce(simulated))
+
+
+def judge_learned(learned: Learned, recording: Recording, fit: Fit, name: str, plain: float) -> LearnedRecord:
+    """Judge what was learned on another record of the axis.
+
+    Args:
+        learned: on the first record.
+        recording: the other one, in line with the machine without the tables.
+        fit: of what belongs to this record, without its held-out blocks.
+        name: of its log.
+        plain: residual of Coulomb and viscous friction there [N].
+    """
+    held_out = recording.rows_held_out()
+    position, velocity = np.nan_to_num(recording.position), np.nan_to_num(recording.velocity)
+    left = fit.residual - learned.along(position, velocity, 1.0 / recording.rate)
+    # To first order: what belongs to the record is fitted anew beside the tables.
+    columns, seen = fit.jacobian[:, fit.interior], recording.used & ~held_out
+    left = left - columns @ np.linalg.lstsq(columns[seen], left[seen], rcond=None)[0]
+    before, after = (float(np.sqrt(np.mean(rows[held_out] ** 2))) for rows in (fit.residual, left))
+    return LearnedRecord(name, before, after, plain)

@@ -1,0 +1,40 @@
+"""Files of a diagnosis: diagnosis.json and the extended machines."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from sgms_mhe.diagnosis.document import make_document
+from sgms_mhe.diagnosis.result import Diagnosis
+from sgms_mhe.machine import Machine
+from sgms_mhe.support.files import write_text
+
+
+def write_diagnosis(diagnosis: Diagnosis, out_dir: str | Path) -> Path:
+    """Write diagnosis.json and, where there are any, the extended machine files; return the folder."""
+    folder = Path(out_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_extended(diagnosis, folder)
+    write_text(folder / "diagnosis.json", json.dumps(diagnosis.to_json(), indent=2) + "\n")
+    return folder
+
+
+def write_extended(diagnosis: Diagnosis, folder: Path) -> None:
+    """Write the extended machine where a cause is named, and the one with learned tables where there is one."""
+    toml, learned = diagnosis.extended_file(folder), diagnosis.learned
+    if toml is not None:
+        write_text(folder / f"{diagnosis.extended_name}", toml)
+    tables = None if learned is None else learned.write_toml(diagnosis.machine, folder, diagnosis.standalone)
+    if learned is not None and tables is not None:
+        write_text(folder / f"{learned.file_name}", tables)
+
+
+def write_refusal(sentence: str, machine: Machine, out_dir: str | Path) -> dict[str, Any]:
+    """Write diagnosis.json of a log that cannot be what it says, and nothing else; return its content."""
+    content = make_document(machine, "unexplained", sentence, [sentence], law=machine.friction.law)
+    folder = Path(out_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / "diagnosis.json", json.dumps(content, indent=2) + "\n")
+    return content
