@@ -111,11 +111,9 @@ enum {
 /* Of errors of the model that stay. */
 /* information of the mean over blocks before any: measurements of a block */
 #define COLOUR_FIRST 500.0
-#define LASTING_FORGETS 0.025                /* share that means over blocks forget with one */
+#define LASTING_FORGETS 0.05                 /* share that means over blocks forget with one */
 /* a block's square counts no more than so many times what it is on average */
 #define LASTING_MOST 100.0
-/* independent innovations make a mean of up to so much */
-#define COLOUR_FREE 1.5
 /* factor on a variance beyond which measurements contradict the model */
 #define DOUBTED_SPREAD 2.0
 /* means beyond which measurements contradict the model */

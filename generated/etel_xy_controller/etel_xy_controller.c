@@ -211,7 +211,7 @@ static void take_wander(
 /* Factors on the variances of theta, none on that of a held one. Returns the largest. */
 static sgms_real find_spread(const etel_xy_controller_t *self, sgms_real *spread)
 {
-    const sgms_real colour = self->lasting.squares / (self->lasting.information * COLOUR_FREE);
+    const sgms_real colour = self->lasting.squares / self->lasting.information;
     sgms_real largest = 1.0f;
     for (int p = 0; p < PARAMETERS; p++) {
         const sgms_real wander = self->lasting.moved[p] / self->lasting.taken[p];

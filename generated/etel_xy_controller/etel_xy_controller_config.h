@@ -114,11 +114,9 @@ enum {
 /* Of errors of the model that stay. */
 /* information of the mean over blocks before any: measurements of a block */
 #define COLOUR_FIRST 500.0f
-#define LASTING_FORGETS 0.025f               /* share that means over blocks forget with one */
+#define LASTING_FORGETS 0.05f                /* share that means over blocks forget with one */
 /* a block's square counts no more than so many times what it is on average */
 #define LASTING_MOST 100.0f
-/* independent innovations make a mean of up to so much */
-#define COLOUR_FREE 1.5f
 /* factor on a variance beyond which measurements contradict the model */
 #define DOUBTED_SPREAD 2.0f
 /* means beyond which measurements contradict the model */

@@ -65,7 +65,6 @@ class LastingRule:
         first: information of the mean over blocks of innovations before any: the measurements of a block.
         block: intervals with motion of a block.
         most: a block's square counts no more than so many times what it is on average.
-        free: innovations that are independent make a mean of up to so much.
         forgets: share that a mean over blocks forgets with an interval.
         doubted: factor beyond which the measurements contradict the model.
     """
@@ -73,8 +72,7 @@ class LastingRule:
     first: float
     block: int = 50
     most: float = 100.0
-    free: float = 1.5
-    forgets: float = 0.0005
+    forgets: float = 0.001
     doubted: float = 2.0
 
     @classmethod

@@ -16,9 +16,7 @@ BLOCK = 50
 """Intervals with motion of a block."""
 MOST = 100.0
 """A block's square counts no more than so many times what it is on average."""
-FREE = 1.5
-"""Innovations that are independent make a mean over blocks of up to so much."""
-FORGETS = 0.0005
+FORGETS = 0.001
 """Share that a mean over updates forgets with one."""
 DOUBTED = 2.0
 """Factor beyond which the measurements contradict the model."""
@@ -56,7 +54,7 @@ class InnovationColour:
     @property
     def factor(self) -> float:
         """Factor on all variances, >= 1."""
-        return max(1.0, self.squares / self.information / FREE)
+        return max(1.0, self.squares / self.information)
 
 
 class ParameterWander:
