@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -302,6 +303,18 @@ def test_estimate_finds_the_stiffness(small: Path, log: Path, tmp_path: Path, so
     assert summary["residual_rms_N"] < 0.1
     assert summary["status"]["good"] > 100
     assert summary["parameters"]["coulomb"]["estimate"] == estimates.parameters[-1, 2]
+
+
+@pytest.mark.parametrize("solver", ["c", "smoother"])
+def test_estimate_says_which_prior_the_data_contradict(small: Path, log: Path, tmp_path: Path, solver: str) -> None:
+    """The axis has 1.2 times the stiffness: four deviations of a prior of 5 %, less than one of the default's 30 %."""
+    narrow = tmp_path / "narrow.toml"
+    narrow.write_text(f"{small.read_text()}[estimator.prior]\nstiffness = 0.05\n[estimator.noise]\nmeasurement = 0.1\n")
+    arguments = (log, "--out", tmp_path / "e.csv", "--solver", solver)
+    contradicted = [line for line in done("estimate", narrow, *arguments).stderr.splitlines() if "its prior" in line]
+    assert [line.split()[0] for line in contradicted] == ["stiffness_1", "stiffness_2"]
+    assert re.search(r" 3\.\d deviations of its prior \(1\.5e\+03\) from the file's 3e\+04:", contradicted[0])
+    assert "its prior" not in done("estimate", small, *arguments).stderr
 
 
 def test_c_and_reference_say_the_same(small: Path, log: Path, tmp_path: Path) -> None:

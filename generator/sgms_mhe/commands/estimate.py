@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from sgms_mhe.signals.estimates import Estimates
 
 Solver = Literal["c", "reference", "ekf", "smoother"]
+PRIOR_FITS: Final = 3.0
+"""Deviations of its prior from the machine file within which a parameter is where that expects it."""
 SOLVERS: Final = ("c", "reference", "ekf", "smoother")
 
 
@@ -80,6 +82,7 @@ def command(
     if plot is not None:
         _draw(resolved, estimates, plot)
     note_wrong_noise(resolved, estimates)
+    note_wrong_priors(resolved, estimates)
     summary = summarise(resolved, estimates, solver)
     show(json_text(resolved.plant.units.keyed(summary)) if as_json else summary_text(resolved, summary), out)
 
@@ -97,6 +100,24 @@ def note_wrong_noise(machine: Machine, estimates: Estimates) -> None:
         f"the file states noise of {stated:g} {unit} (estimator.noise.measurement); the readings speak for "
         f"{share * stated:.2g} {unit}: sgms-mhe tune finds weights that suit a log"
     )
+
+
+def note_wrong_priors(machine: Machine, estimates: Estimates) -> None:
+    """Say which parameters end farther from the machine file than the prior that it states of them allows."""
+    from sgms_mhe.model import build_model
+
+    model, units = build_model(machine), machine.plant.units
+    for parameter, prior in zip(model.parameters, model.prior, strict=True):
+        column = estimates.parameter_names.index(parameter.column)
+        value, std = estimates.parameters[-1, column], estimates.std[-1, column]
+        stated = prior * abs(parameter.scale)
+        off = abs(value - parameter.nominal) / stated
+        if off > PRIOR_FITS:
+            note(
+                f"{units.named(parameter.column)} ends at {value:.4g} +- {std:.2g}, {off:.1f} deviations of its prior "
+                f"({stated:.3g}) from the file's {parameter.nominal:.4g}: the file is off, or the prior too narrow "
+                f"(estimator.prior, estimator.noise.parameter)"
+            )
 
 
 def summarise(machine: Machine, estimates: Estimates, solver: Solver) -> dict[str, Any]:
