@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sgms_bench.logs.faults import relay_truth
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.identification import Identification, Wanted, identify
 from sgms_mhe.machine import Machine
@@ -93,3 +94,17 @@ def test_a_low_pass_that_biases_nothing_is_kept(tmp_path: Path) -> None:
     assert_true(found)
     assert found.machine.sampling.velocity_cutoff == 100.0
     assert not [warning for warning in found.warnings if "in place of" in warning]
+
+
+@pytest.mark.parametrize("seed", [7000, 7004, 7007])
+def test_a_torque_that_a_drive_holds_is_no_friction_of_the_load(seed: int) -> None:
+    """It jumps between two values at 500 Hz; behind the low-pass that looked like a level that falls with the load."""
+    truth = relay_truth(np.random.default_rng(seed))
+    motion = truth.log
+    assert motion.rate == 500.0
+    log = Log(motion.time_s, motion.position_m, motion.force_N, motion.rate, kind="rotary", source="relay.csv")
+    found = identify([log], Wanted("relay"))
+    numbers = {number.name: number for number in found.numbers}
+    assert not [name for name in numbers if "." in name]
+    for name, true in (("mass", truth.axis.mass), ("coulomb", truth.axis.coulomb), ("viscous", truth.axis.viscous)):
+        assert numbers[name].value == pytest.approx(true, rel=2e-3), name

@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.identification.final_fit import CERTAIN, FinalIdentification
-from sgms_mhe.identification.fits import AxisFit, NumberEstimate, RecordView
+from sgms_mhe.identification.fits import AxisFit, NumberEstimate, RecordView, Shape, fit_axis
 from sgms_mhe.identification.result import Number
-from sgms_mhe.identification.search import ChosenModel
+from sgms_mhe.identification.search import ChosenModel, is_better
 from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING, effect_parameters
 from sgms_mhe.machine import Units
 from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition, separating_moves
@@ -60,7 +60,8 @@ def check_slides(view: RecordView, final: FinalIdentification, shown: Collection
         InputError: what is needed.
     """
     fit = final.fit
-    if not fit.coulomb > 0.0:
+    bare = fit_axis(view, fit.terms, Shape(fit.shape.law, fit.shape.distances[:0], None), iterations=0)
+    if not (fit.coulomb > 0.0 and is_better(fit, bare)):
         raise frictionless_error(source)
     travel, length = view.rows.extents.travel, view.rows.machine.plant.units.position
     slides = fit.shape.distances <= SLID * travel

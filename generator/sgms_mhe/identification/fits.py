@@ -174,7 +174,8 @@ class _AxisProblem:
             nonlinear += [np.sum([b[k] * run.jacobian[:, j] for k, run in enumerate(runs)], axis=0) for j in (1, 2)]
         seen = residual[self.seen]
         cost = float(seen @ seen + information @ b**2)
-        return _AxisPoint(shape, b[:count], b[count:], residual, np.column_stack(nonlinear), linear, cost)
+        bent = np.column_stack((self.columns[:, :0], *nonlinear))
+        return _AxisPoint(shape, b[:count], b[count:], residual, bent, linear, cost)
 
     @property
     def count(self) -> int:

@@ -32,10 +32,8 @@ from sgms_mhe.identification.sampling import common_rate, replace_filter, rough_
 from sgms_mhe.identification.search import LEAST_SHARE, MOST_ELEMENTS, ChosenModel, Progress, Views, search
 from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid, find_spectrum
 from sgms_mhe.identification.terms import (
-    SNAP,
     Term,
     companion_terms,
-    fits_noise,
     level_terms,
     mass_term,
     sampling_terms,
@@ -208,9 +206,6 @@ def _start(records: Records, per_decade: float) -> tuple[Spectrum, tuple[Term, .
     base = (viscous_term(rows), mass_term(rows), *sampling_terms(rows))
     beside, noise = companion_terms(rows), noise_floor(rows, rows.friction)
     spectrum = find_spectrum(records, (*base, *beside), noise, grid)
-    if fits_noise((*base, *beside), spectrum.coefficients):
-        base = tuple(term for term in base if term.name != SNAP)
-        spectrum = find_spectrum(records, (*base, *beside), noise, grid)
     terms, level = (*base, *beside), _level_terms(rows, base, spectrum)
     if level:
         spectrum = find_spectrum(records, (*terms, *level), noise, grid)

@@ -20,15 +20,12 @@ Array = NDArray[np.float64]
 
 LATE: Final = "late"
 """Name of the time [s] by which the force comes late."""
-SNAP: Final = "snap"
-"""Name of the change [kg s^2] of the inertial force with the second derivative of the acceleration."""
-LAW_AND_SAMPLING: Final = ("viscous", "mass", LATE, SNAP)
+HELD: Final = "held"
+"""Name of the change [s^2] of the force with its second derivative."""
+LAW_AND_SAMPLING: Final = ("viscous", "mass", LATE, HELD)
 """Names of terms that are no effects."""
 TIMING: Final = 1.0
 """Samples that force and position are apart in time, one standard deviation: a drive holds its force for one."""
-
-SAMPLING_AT_MOST: Final = 4.0
-"""Deviations of its prior up to which a coefficient is one of sampling: force and position are two samples apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,35 +59,19 @@ def mass_term(rows: Recording) -> Term:
 
 
 def sampling_terms(rows: Recording) -> tuple[Term, ...]:
-    """Return the errors of sampling: of a force by its first derivative, of an acceleration by its second.
+    """Return the errors of sampling: the first and second difference of the force.
 
-    Force and position are not of the same instant, be it by h: all of the force is then late, to first order. To second
-    order the inertial force is off by half the second derivative of the acceleration times h^2, beside which the
-    h^2 / 12 by which a second difference is low are little. A coefficient that is far above that is none of sampling
-    (`fits_noise`).
+    Force and position are not of the same instant, be it by h: all of the force is then late, to first order. A drive
+    that holds its force f over a sample moves the axis as their means do, exactly,
+
+        (f[k] + f[k-1]) / 2 = f[k] - (f[k+1] - f[k-1]) / 4 + (f[k+1] - 2 f[k] + f[k-1]) / 4
     """
-    step, mass = rows.machine.sampling.step, rows.machine.plant.moved
-    rate = -np.gradient(rows.signals.force) / step
-    snap = np.gradient(np.gradient(rows.signals.acceleration)) / step**2
+    step, force = rows.machine.sampling.step, rows.signals.force
+    rate = -np.gradient(force) / step
+    second = np.diff(np.pad(force, 1, mode="edge"), 2) / step**2
     return (
         Term(LATE, rows.reduce(rate)[:, None], deviation=TIMING * step),
-        Term(SNAP, rows.reduce(snap)[:, None], deviation=0.5 * mass * (TIMING * step) ** 2),
-    )
-
-
-def fits_noise(terms: Sequence[Term], coefficients: Array) -> bool:
-    """Return True if the second derivative of the acceleration takes out noise, and with it part of the mass.
-
-    Acceleration minus its own second derivative is the acceleration behind one more low-pass. Where position is noisy,
-    that fits better than the acceleration, whatever the sampling.
-
-    Args:
-        terms: fitted.
-        coefficients: of all their columns (c).
-    """
-    return any(
-        term.name == SNAP and abs(float(sizes[0])) > SAMPLING_AT_MOST * term.deviation
-        for term, sizes in _by_term(terms, coefficients)
+        Term(HELD, rows.reduce(second)[:, None], deviation=0.5 * (TIMING * step) ** 2),
     )
 
 
