@@ -15,7 +15,7 @@ from sgms_mhe.diagnosis.parametrisation import CandidateEffect
 from sgms_mhe.diagnosis.uncertainty import covariance
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
-from sgms_mhe.recordings.evidence import ALONE, cross_loss, jackknife_covariance
+from sgms_mhe.recordings.evidence import ALONE, cross_loss, jackknife_covariance, robust_covariance
 from sgms_mhe.recordings.recording import prepare
 
 BLOCKS, ROWS, FOLDS = 12, 40, 4
@@ -86,6 +86,20 @@ def test_a_number_of_one_block_alone_has_a_finite_interval() -> None:
     residual[5 * ROWS] = 1.0
     moved = jackknife_covariance(recording, X, residual, X.T @ X)[0, 0]  # type: ignore[arg-type]
     assert moved == pytest.approx((1.0 / ROWS / (1.0 - ALONE)) ** 2 * (BLOCKS - 1) / BLOCKS)
+
+
+def test_a_sum_is_known_of_which_no_part_is() -> None:
+    """Two columns that are nearly the same: each number is open, their sum is about as sure as if there were one."""
+    random, recording = np.random.default_rng(4), rows_in_blocks()
+    one = random.normal(size=BLOCKS * ROWS)
+    X = np.column_stack((one, one + 1e-5 * random.normal(size=len(one))))
+    residual = random.normal(size=len(X))
+    residual -= X @ np.linalg.lstsq(X, residual)[0]
+    H = X.T @ X
+    cov = robust_covariance(recording, X, residual, H, np.linalg.inv(H), wrong=0.1)  # type: ignore[arg-type]
+    alone = robust_covariance(recording, X[:, :1], residual, H[:1, :1], 1.0 / H[:1, :1], wrong=0.1)  # type: ignore[arg-type]
+    assert cov[0, 0] > 1e6 * alone[0, 0]
+    assert 0.9 * alone[0, 0] < cov.sum() < 2.0 * alone[0, 0]
 
 
 def test_errors_that_a_noise_floor_may_hide_widen_an_interval(monkeypatch: pytest.MonkeyPatch) -> None:

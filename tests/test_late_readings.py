@@ -13,6 +13,7 @@ import pytest
 
 from sgms_bench.logs.faults import relay_truth
 from sgms_mhe.configuration import load_machine
+from sgms_mhe.emission.package import emit_package, write_package
 from sgms_mhe.identification import Identification, Wanted, identify
 from sgms_mhe.machine import Machine
 from sgms_mhe.signals.logs import Log
@@ -108,3 +109,20 @@ def test_a_torque_that_a_drive_holds_is_no_friction_of_the_load(seed: int) -> No
     assert not [name for name in numbers if "." in name]
     for name, true in (("mass", truth.axis.mass), ("coulomb", truth.axis.coulomb), ("viscous", truth.axis.viscous)):
         assert numbers[name].value == pytest.approx(true, rel=2e-3), name
+
+
+def test_elements_that_the_log_does_not_resolve_are_open(tmp_path: Path) -> None:
+    """Friction that turns within a thousandth of a sample: the level is known, no stiffness, and the file generates."""
+    random, rate = np.random.default_rng(3), 500.0
+    time = np.arange(int(12.0 * rate)) / rate
+    speed = 2.0 * np.sin(2.1 * time) * np.sin(0.37 * time + 0.5)
+    torque = 0.05 * np.gradient(speed, time) + 0.8 * np.tanh(speed / 1e-3) + 0.1 * speed
+    noise = 0.01 * random.standard_normal(len(time))
+    log = Log(time, np.cumsum(speed) / rate, torque + noise, rate, kind="rotary", source="sharp.csv")
+    found = identify([log], Wanted("sharp", mass=0.05))
+    numbers = {number.name: number for number in found.numbers}
+    assert abs(numbers["coulomb"].value - 0.8) <= 3.0 * numbers["coulomb"].std <= 0.01
+    assert numbers["coulomb"].determined
+    elements = [number for name, number in numbers.items() if name.startswith("stiffness_")]
+    assert elements and not any(number.determined for number in elements)
+    write_package(emit_package(found.machine, within_budget=True), tmp_path / "sharp")

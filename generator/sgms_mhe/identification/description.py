@@ -9,8 +9,9 @@ from typing import Final
 
 import numpy as np
 
+from sgms_mhe.identification.elements import NO_RISE
 from sgms_mhe.identification.final_fit import CERTAIN, FinalIdentification
-from sgms_mhe.identification.fits import AxisFit, NumberEstimate, RecordView, Shape, fit_axis
+from sgms_mhe.identification.fits import AxisFit, NumberEstimate, RecordView, Shape, distance_limits, fit_axis
 from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.search import ChosenModel, is_better
 from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING, effect_parameters
@@ -22,7 +23,7 @@ KNOWN: Final = 0.25
 """Deviation over value up to which a number counts as determined."""
 ROUNDING: Final = 1e-12
 NEXT_TO_NOTHING: Final = 1.01
-"""Of the smallest break-away distance that the encoder tells: no larger, and it is none."""
+"""Of the smallest break-away distance that the log tells: no larger, and it is none."""
 RISE_SURE: Final = 2.0
 """Standard deviations above its value that a Stribeck velocity may have."""
 STAND_IN: Final = "not determined: a stand-in"
@@ -110,21 +111,31 @@ def list_unexcited(measured: Mapping[Measure, float]) -> tuple[str, ...]:
 
 def law_numbers(final: FinalIdentification, unseen: Sequence[str]) -> tuple[Number, ...]:
     """Numbers of [friction] and of the effects, in the file's order; `unseen`: see `list_unexcited`."""
-    found, count = final.numbers, len(final.fit.levels)
+    found, count, shape = final.numbers, len(final.fit.levels), final.fit.shape
     numbers = [_number(name, found[name]) for name in ("coulomb",)]
     numbers += [_number(f"{name}_{k}", found[f"{name}_{k}"]) for name in ("stiffness", "fraction") for k in _to(count)]
+    held = {f"stiffness_{k + 1}" for k in np.flatnonzero(shape.distances <= _smallest(final))}
+    numbers = [replace(n, determined=False, note=STAND_IN) if n.name in held else n for n in numbers]
     if "viscous" in found:
         numbers.append(_number("viscous", found["viscous"]))
     else:
         numbers.append(Number("viscous", 0.0, math.nan, False, "default: the motion shows none"))
-    if final.fit.shape.rise is None:
+    if shape.rise is None:
         none = "default: the motion shows no rise towards low speed"
         numbers.append(Number("stribeck_ratio", 0.0, math.nan, False, none))
-        numbers.append(Number("stribeck_velocity", 1e-3, math.nan, False, "default"))
+        # It opens the gate of the elements alone: no later than where one breaks away within a sample.
+        gate = final.view.rows.machine.sampling.rate * float(shape.distances.min())
+        numbers.append(Number("stribeck_velocity", min(NO_RISE.velocity, gate), math.nan, False, "default"))
     else:
         numbers += [_number(name, found[name]) for name in ("stribeck_ratio", "stribeck_velocity")]
     numbers = [replace(n, determined=False, note=n.note or STAND_IN) if _stem(n.name) in unseen else n for n in numbers]
     return (*numbers, *effect_numbers(final))
+
+
+def _smallest(final: FinalIdentification) -> float:
+    """Break-away distance [m] up to which an element breaks away within what the records tell, or a fit follows."""
+    shape, view = final.fit.shape, final.view
+    return NEXT_TO_NOTHING * max(view.limits[0], distance_limits(shape.law, shape.rise, view)[0])
 
 
 def _stem(name: str) -> str:
@@ -250,9 +261,9 @@ def list_limits(
     travel, fit = view.rows.extents.travel, final.fit
     for k, (distance, level) in enumerate(zip(fit.shape.distances.tolist(), fit.levels.tolist(), strict=True), start=1):
         element = f"element {k} (breaks away after {distance:.2g} {length})"
-        if distance <= NEXT_TO_NOTHING * view.limits[0]:
-            stiff = f"{level / view.limits[0]:.2g} {units.stiffness}"
-            said.append(f"{element}: no more than the encoder resolves; it is at least {stiff} stiff")
+        if distance <= _smallest(final):
+            stiff = f"{level / _smallest(final):.2g} {units.stiffness}"
+            said.append(f"{element}: no more than the log resolves; it is at least {stiff} stiff")
         elif distance > SLID * travel:
             said.append(
                 f"{element}: its level is open, {travel:.2g} {length} of travel are too few; it may be a spring"

@@ -40,6 +40,8 @@ FINER: Final = 100.0
 """Below its smallest: that an element breaks away before an encoder sees it must not make it break away late."""
 STRIBECK: Final = (1e-4, 5.0)
 """Stribeck velocities that a fit follows, over the fastest speed: beyond that, the intervals say what is open."""
+UNTOLD: Final = 1e-14
+"""Of the largest eigenvalue of the information: less is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +198,7 @@ class _AxisProblem:
     def box(self, here: _AxisPoint) -> Box:
         """Return the least and largest change of log D, beta, log v_s: no longer a step, and within the limits."""
         shape, view = here.shape, self.view
-        low, high = _distances(shape.law, shape.rise, view)
+        low, high = distance_limits(shape.law, shape.rise, view)
         lower, upper = np.log(low / shape.distances), np.log(high / shape.distances)
         longest = np.full(len(lower), LONGEST)
         if shape.rise is not None:
@@ -271,11 +273,11 @@ def _within(shape: Shape, view: RecordView) -> Shape:
     if rise is not None:
         slow, fast = _speeds(view)
         rise = Stribeck(min(max(rise.ratio, 0.0), LARGEST_RISE), min(max(rise.velocity, slow), fast))
-    return Shape(shape.law, np.sort(np.clip(shape.distances, *_distances(shape.law, rise, view))), rise)
+    return Shape(shape.law, np.sort(np.clip(shape.distances, *distance_limits(shape.law, rise, view))), rise)
 
 
-def _distances(law: Law, rise: Stribeck | None, view: RecordView) -> tuple[float, float]:
-    """Smallest and largest break-away distance [m] that a fit follows."""
+def distance_limits(law: Law, rise: Stribeck | None, view: RecordView) -> tuple[float, float]:
+    """Return the smallest and largest break-away distance [m] that a fit follows."""
     low, high = view.limits
     low = max(
         low / FINER,
@@ -302,7 +304,9 @@ def covariance(view: RecordView, fit: AxisFit) -> Array:
     scale = np.sqrt(np.maximum(np.sum(X[rows.used] ** 2, axis=0) + fit.prior[interior], 1e-300))
     X = X / scale
     H = X[rows.used].T @ X[rows.used] + np.diag(fit.prior[interior] / scale**2)
-    inverse = np.asarray(np.linalg.pinv(H, hermitian=True, rcond=1e-14))
+    values, vectors = np.linalg.eigh(H)
+    # Numbers that the records do not tell apart have a variance that says so, not none.
+    inverse = np.asarray((vectors / np.maximum(values, UNTOLD * values.max())) @ vectors.T)
     floor = noise_floor(rows, fit.residual)
     wrong = max(math.sqrt(max(0.0, fit.cross_rms**2 - floor**2)), UNSEEN_ERROR * floor)
     result = np.zeros((len(interior), len(interior)))

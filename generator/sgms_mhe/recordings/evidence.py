@@ -282,7 +282,10 @@ def robust_covariance(recording: Recording, X: Array, residual: Array, H: Array,
     noise = jackknife_covariance(recording, X, residual, H)
     # Blocks that happen to balance must not promise more than white noise would allow.
     white = inverse * float(np.mean(residual[recording.used] ** 2))
-    noise = np.where(np.eye(len(noise), dtype=np.bool_), np.maximum(noise, white), noise)
+    # What is missing is added as white noise is correlated: a sum may be known of which no part is.
+    variance = np.maximum(np.diag(white), TINY)
+    missing = np.sqrt(np.maximum(0.0, variance - np.diag(noise)) / variance)
+    noise = noise + white * np.outer(missing, missing)
     return np.asarray(noise + inverse * COHERENT_ROWS * wrong**2)
 
 
