@@ -104,12 +104,7 @@ FAULTS: Final = (
     Fault("checksum over less", C, "i < sizeof *saved; i++", "i < sizeof *saved - 200u; i++"),
     Fault("another machine's data taken", C, "saved->machine[1] == NAME_SAVED_MACHINE_1;", "saved->machine[1] != 0u;"),
     Fault("saved parameters not taken", C, "    copy(self->estimate.theta, saved->theta, PARAMETERS);\n", ""),
-    Fault(
-        "pause forgotten",
-        C,
-        "widen_root(self, square, variance, saved->spread, self->settings.pause)",
-        "widen_root(self, square, variance, saved->spread, self->settings.lower)",
-    ),
+    Fault("pause forgotten", C, "pause[p] * pause[p] + (spread", "0.0 * pause[p] + (spread"),
     Fault(
         "deviations ten times too small",
         C,
