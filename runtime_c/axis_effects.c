@@ -81,6 +81,55 @@ static double add_eddy_current_damping(const struct axis_view *at, double force)
     return force + at->p[0] * at->v / (1.0 + ratio * ratio);
 }
 
+/* A point of a curve over speed: rest, knots, the end. */
+struct curve_point {
+    double speed, force;
+};
+
+static struct curve_point point_of_curve(const struct axis_view *at, int i)
+{
+    const struct axis_effect *knot = at->effect + i, *behind = at->axis->effect + at->axis->effects;
+    struct curve_point point = {0.0, 0.0};
+    if (i >= 0 && knot < behind && knot->row == at->effect->row) {
+        point.speed = knot->parameter[0];
+        point.force = knot->parameter[at->v > 0.0 ? 1 : 2];
+    } else if (i >= 0) {
+        point.speed = at->p[3];
+    }
+    return point;
+}
+
+/* Slope at b of the parabola through three points. */
+static double parabola_slope(struct curve_point a, struct curve_point b, struct curve_point c)
+{
+    const double before = (b.force - a.force) / (b.speed - a.speed), whole = (c.force - a.force) / (c.speed - a.speed);
+    const double after = (c.force - b.force) / (c.speed - b.speed);
+    return before + after - whole;
+}
+
+/* A knot an effect: the first of them finds the two points that |v| lies between, and joins them by a cubic whose
+ * slopes are those of parabolas: through a point and its neighbours, at rest and at the end through the nearest three.
+ */
+static double add_curve(const struct axis_view *at, double force)
+{
+    const double speed = fabs(at->v);
+    int i = 0;
+    if ((at->effect > at->axis->effect && at->effect[-1].row == at->effect->row) || speed >= at->p[3]) {
+        return force;
+    }
+    while (speed >= point_of_curve(at, i).speed) {
+        ++i;
+    }
+    const struct curve_point a = point_of_curve(at, i - 1), b = point_of_curve(at, i);
+    const int is_last = b.speed >= at->p[3];
+    const struct curve_point before = i > 0 ? point_of_curve(at, i - 2) : point_of_curve(at, i + 1);
+    const struct curve_point behind = is_last ? before : point_of_curve(at, i + 1);
+    const double width = b.speed - a.speed, t = (speed - a.speed) / width, u = 1.0 - t;
+    const double rise = width * parabola_slope(before, a, b), fall = width * parabola_slope(a, b, behind);
+    const double c = u * u * ((1.0 + 2.0 * t) * a.force + t * rise) + t * t * ((1.0 + 2.0 * u) * b.force - u * fall);
+    return force + sign(at->v) * c;
+}
+
 static void move_hysteresis(const struct axis *axis, struct axis_effect *effect)
 {
     const double *p = effect->parameter, v = axis->velocity, end = p[1] * sign(v);
@@ -378,6 +427,8 @@ static const struct axis_effect_row table[] = {
      .has_table = 1,
      .change = {[AXIS_OTHER_FORCE] = add_table},
      .move = move_memory},
+    /* force = sign(v) c(|v|), c through its knots; one effect of the plant each */
+    {"friction_curve", {"speed_m_s", "forward_N", "backward_N", "end_m_s"}, .change = {[AXIS_OTHER_FORCE] = add_curve}},
 };
 
 #define ROWS (sizeof table / sizeof table[0])

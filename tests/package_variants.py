@@ -67,6 +67,12 @@ EFFECTS: dict[str, dict[str, Any]] = {
         "force_N": [0.1 * ((7 * k) % 11 - 5) for k in range(20)],
     },
     "position_map": {"pitch_m": 0.004, "order": [1, 2, 6], "sine_N": [0.5, 0.1, 0.15], "cosine_N": [0.2, -0.3, 0.05]},
+    "friction_curve": {
+        "speed_m_s": [0.002, 0.02],
+        "forward_N": [1.2, 0.8],
+        "backward_N": [0.8, 0.4],
+        "end_m_s": 0.2,
+    },
 }
 """Every effect that any axis may have, of a size that matters."""
 
@@ -247,6 +253,7 @@ def _effects() -> dict[str, Variant]:
         ),
         "position map, from its table": Variant({"effects": _entries("position_map")}),
         "learned residual, from its table": Variant({"effects": _entries("learned_residual")}),
+        "friction curve, of fixed numbers": Variant({"effects": _entries("friction_curve")}),
         "dwell dependence, n_z 10": Variant({"effects": _entries("dwell_dependence"), "friction": elements(10)}),
         "frictional lag, n_z 1": Variant({"effects": _entries("frictional_lag"), "friction": elements(1)}),
     }

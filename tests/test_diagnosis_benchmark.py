@@ -38,7 +38,7 @@ from sgms_bench.diagnosis.scoring import (
     summary_json,
     summary_text,
 )
-from sgms_bench.diagnosis.unmodelled import SMOOTH_CURVES, UNMODELLED, curves_over_speed
+from sgms_bench.diagnosis.unmodelled import CURVES, SMOOTH_CURVES, UNMODELLED, curves_over_speed
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.diagnosis import verdict
 from sgms_mhe.diagnosis.fits import fit_model
@@ -150,7 +150,7 @@ def test_unmodelled_forces_have_their_size_and_stay_out_of_the_motion(
     clean, _ = simulate_draw(machine, replace(draw, kind="clean", hidden=()))
     np.testing.assert_array_equal(log.position_m, clean.position_m)
     np.testing.assert_allclose(log.force_N - clean.force_N, force, atol=1e-12)
-    assert draw.truth == ()
+    assert draw.truth == (("friction_curve",) if name in CURVES else ())
 
 
 @pytest.mark.parametrize("name", SMOOTH_CURVES)
@@ -232,6 +232,9 @@ OFFSET, COULOMB = "constant_offset", "asymmetric_coulomb"
         (drawn("unmodelled", "bursts"), said("unexplained"), "unexplained"),
         (drawn("unmodelled", "bursts"), said("adequate"), "missed"),
         (drawn("unmodelled", "bursts"), said("unexplained", "force_ripple"), "misnamed"),
+        (drawn("unmodelled", "log_of_speed"), said("explained", "friction_curve"), "named"),
+        (drawn("unmodelled", "log_of_speed"), said("explained", "friction_curve", "viscous"), "misnamed"),
+        (drawn("unmodelled", "bursts"), said("explained", "friction_curve"), "misnamed"),
         # What may stand for something else is not named for certain, whether it is there or not.
         (
             drawn("unmodelled", "log_of_speed"),

@@ -116,6 +116,14 @@ CASES = {
     "position_map": Case(
         {"pitch_m": 0.004, "order": [1, 2, 6], "sine_N": [0.5, 0.1, 0.15], "cosine_N": [0.2, -0.3, 0.05]}
     ),
+    "friction_curve": Case(
+        {
+            "speed_m_s": [0.001, 0.004, 0.02],
+            "forward_N": [0.4, 1.2, 0.8],
+            "backward_N": [0.8, 0.6, -0.4],
+            "end_m_s": 0.045,
+        }
+    ),
 }
 
 
@@ -218,7 +226,7 @@ def test_model_and_plant_know_the_same_effects() -> None:
     of_model = {name: tuple(p.name for p in effect_definition(name).parameters) for name in EFFECT_NAMES}
     assert of_model == plant_effects()
     assert set(CASES) == set(EFFECT_NAMES)
-    assert len(EFFECT_NAMES) == 29
+    assert len(EFFECT_NAMES) == 30
 
 
 @pytest.mark.parametrize("name", CAUSE_NAMES)
@@ -318,13 +326,14 @@ def record_of(machine: Machine) -> MotionRecord:
 @pytest.mark.parametrize("name", EFFECT_NAMES)
 def test_search_speaks_of_the_effects_own_parameters(name: str) -> None:
     definition, motion = effect_definition(name), record_of(base())
-    known, size = {p.name for p in definition.parameters}, np.array([0.3, 0.1])
+    known = {p.name for p in definition.parameters}
     match definition.search:
         case Columns() as kind:
             for given in kind.grid(motion):
                 columns = kind.columns(motion, given)
                 assert columns.shape[0] == len(motion.time) and np.isfinite(columns).all() and np.ptp(columns) >= 0.0
-                assert set(kind.parameters(given, size)) <= known
+                found = kind.parameters(given, np.linspace(0.3, 0.1, columns.shape[1]))
+                assert all(definition.parameter(parameter).holds(parameter) for parameter in found)
             assert kind.exact is None or definition.parameter(kind.exact).is_proportional
             assert kind.own_size is None or kind.own_size in known
         case Harmonic() as kind:

@@ -28,6 +28,7 @@ PLAIN = (
     "constant_offset",
     "eddy_current_damping",
     "force_ripple",
+    "friction_curve",
     "mass_mismatch",
     "periodic_disturbance",
     "position_map",

@@ -19,12 +19,12 @@ from sgms_bench.diagnosis.axes import DrawnAxis, PlantLaw, draw_axis, machine_fi
 from sgms_bench.diagnosis.causes import Hidden, Values, draw_size, peak_force, prescribed_signals, sized_cause
 from sgms_bench.diagnosis.faults import FAULTS
 from sgms_bench.diagnosis.motions import STYLES, WEAK_STYLES, draw_motion
-from sgms_bench.diagnosis.unmodelled import SMOOTH_CURVES, UNMODELLED, curves_over_speed
+from sgms_bench.diagnosis.unmodelled import CURVES, SMOOTH_CURVES, UNMODELLED, curves_over_speed
 from sgms_bench.diagnosis.visibility import sensitivities, visible_share
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.diagnosis.parametrisation import TIMING_MOST
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.effects import BASE_CAUSES, CAUSE_NAMES, EFFECT_NAMES, cause, effect_definition, own_effects
+from sgms_mhe.model.effects import BASE_CAUSES, EFFECT_NAMES, cause, effect_definition, own_effects
 from sgms_mhe.model.effects.specimen import log_uniform
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -42,12 +42,14 @@ KINDS: Final = (
     "single", "double", "single", "fault", "base", "single", "unmodelled", "triple", "clean", "weak",
 )  # fmt: skip
 """What the draws are, in turn: any number of draws from the first on is balanced."""
-HIDEABLE: Final = tuple(name for name in EFFECT_NAMES if name in CAUSE_NAMES)
+HIDEABLE: Final = tuple(name for name in EFFECT_NAMES if effect_definition(name).specimen is not None)
 VISIBLE: Final = 0.3
 SECONDS: Final = (10.0, 16.0)
 ATTEMPTS: Final = 25
 OFF_SIZE: Final = 0.25
 """What a size that was asked for may be missed by, of itself."""
+ANY_CURVE: Final = tuple(name for name in EFFECT_NAMES if effect_definition(name).any_curve)
+"""The effect that names curves over speed of laws that are none of the catalogue."""
 _RARE: Final = 4.0  # largest force of an unmodelled cause, over its size
 _CURVE_SIZE: Final = (1.0, 4.0)  # of an unmodelled curve over speed
 _CURVE_LEFT: Final = 0.01  # least RMS that no sum of the catalogue's curves takes over, over f_C
@@ -88,7 +90,9 @@ class Draw:
     @property
     def truth(self) -> tuple[str, ...]:
         """Names that a diagnosis should find."""
-        return () if self.kind in ("clean", "unmodelled", "fault") else tuple(h.name for h in self.hidden)
+        if self.kind == "unmodelled":
+            return ANY_CURVE if self.hidden[0].name in CURVES else ()
+        return () if self.kind in ("clean", "fault") else tuple(h.name for h in self.hidden)
 
     @property
     def size(self) -> float:

@@ -91,9 +91,9 @@ def outcome(draw: Draw, found: ScoredDiagnosis) -> str:
     their rivals, with the experiment that tells them apart. extra: all hidden causes and something that is not there.
     partial: not all of several, nothing wrong. missed: nothing named, the record called adequate. unexplained: nothing
     named, but something seen. misnamed: a name that is not there in place of one that is. Clean logs: right, invented
-    or unexplained. Unmodelled forces: unexplained (right), misnamed, missed. Faults: right (refused, or unexplained
-    with no name), misnamed, missed. Logs that cannot tell: right (nothing, or ambiguous with the truth), overclaimed (a
-    name that happens to be right), misnamed. refused: a log that is as it should be.
+    or unexplained. Unmodelled forces: unexplained (right), misnamed, missed; curves over speed also named. Faults:
+    right (refused, or unexplained with no name), misnamed, missed. Logs that cannot tell: right (nothing, or ambiguous
+    with the truth), overclaimed (a name that happens to be right), misnamed. refused: a log that is as it should be.
     """
     if found.error:
         return "error"
@@ -104,7 +104,7 @@ def outcome(draw: Draw, found: ScoredDiagnosis) -> str:
         return "invented" if names else "unexplained" if found.verdict == "unexplained" else "right"
     if draw.kind in ("unmodelled", "fault"):
         if names:
-            return "misnamed"
+            return "named" if names == truth else "misnamed"
         right = "right" if draw.kind == "fault" else "unexplained"
         return right if found.verdict == "unexplained" else "missed"
     listed = names | {name for name, _ in found.rivals}
@@ -204,7 +204,7 @@ RATES: Final[Mapping[str, Rate]] = {
     "triples": Rate("three effects, all found", "", FOUND, ("triple",), True),
     "false_alarms": Rate("clean logs with any name", "<= 0.5 %", ("invented",), ("clean",)),
     "unmodelled_unexplained": Rate(
-        "unmodelled forces called unexplained", ">= 97 %", ("unexplained",), ("unmodelled",)
+        "unmodelled forces called unexplained, or curves", ">= 97 %", ("unexplained", "named"), ("unmodelled",)
     ),
     "unmodelled_misnamed": Rate("  given a name", "", ("misnamed",), ("unmodelled",)),
     "weak": Rate("logs that cannot tell, and it says so", "", ("right",), ("weak",)),

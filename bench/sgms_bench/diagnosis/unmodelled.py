@@ -104,6 +104,9 @@ UNMODELLED: Final[Mapping[str, Unmodelled]] = MappingProxyType(
 )
 """Unmodelled forces by name."""
 
+CURVES: Final = ("bump_in_speed", "power_of_speed", "log_of_speed")
+"""Those that the effect which may have any shape over speed names: their laws are none of the catalogue's."""
+
 SMOOTH_CURVES: Final = ("power_of_speed", "log_of_speed")
 """Those that numbers of the base model and the catalogue's curves over speed nearly add up to. Only a large one leaves
 enough beside them to be told from their sum."""

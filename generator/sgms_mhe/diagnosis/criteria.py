@@ -186,7 +186,8 @@ def list_addable(
     """Effects that may still be added to a machine with others under test.
 
     `instead_of`: the cause whose place one would take. Its look-alikes count then though the record does not excite
-    them: on a motion in one direction nothing tells a wrong level from an asymmetric one.
+    them: on a motion in one direction nothing tells a wrong level from an asymmetric one. A curve of any shape is not
+    among them (`fit_curve`).
     """
     tested = [effect.name for effect in effects]
     taken = {*tested, *(effect.name for effect in machine.effects)}
@@ -195,7 +196,7 @@ def list_addable(
     return [
         name
         for name in effect_names(machine.plant.kind)
-        if not effect_definition(name).learned
+        if not (effect_definition(name).learned or effect_definition(name).any_curve)
         and (name in criteria.excited or (instead_of is not None and criteria.alike(name, instead_of)))
         and (name not in taken or (effect_definition(name).repeatable and name not in full))
     ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -20,12 +19,11 @@ from sgms_mhe.diagnosis.final_fit import FinalFit
 from sgms_mhe.diagnosis.fits import Fit, fit_model
 from sgms_mhe.diagnosis.parametrisation import ParameterGroup, machine_groups
 from sgms_mhe.diagnosis.result import Verdict
-from sgms_mhe.diagnosis.structure import force_over_speed
+from sgms_mhe.diagnosis.structure import leaves_curve
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.model.effects import cause as cause_definition
 from sgms_mhe.recordings.evidence import hides_friction
-from sgms_mhe.recordings.excitation import find_steady_blocks
 from sgms_mhe.support.decisions import log_decision
 
 ALLOWED_NOISE: Final = 0.5
@@ -51,11 +49,6 @@ sampling, integration and a low cutoff leave as much of a log without noise."""
 MOST_RESIDUAL: Final = 0.75
 """RMS beyond noise that may be left for causes to be listed that are constant over the record [RMS beyond noise
 before]: measured axes have what no catalogue has; a quarter must go."""
-CURVE_GAIN: Final = 0.5
-"""RMS of what is left as a curve over speed, from which a curve is taken for another one, with CURVE_SHARE [gain that
-matters]: curves over speed add up to nearly any other one, and what they miss of it is such a curve."""
-CURVE_SHARE: Final = 0.3
-"""The same over all that is left [RMS beyond noise]: where much else is left the map over speed shows some of that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,17 +150,9 @@ def _may_stand_in(name: str) -> bool:
 
 
 def _leaves_curve(final: FinalFit, fit: Fit) -> bool:
-    """Return True if a good part of the residual is a curve over speed, and it matters.
-
-    Of one speed there is no curve: what is one over the encoder's noise is none over speed.
-    """
-    if find_steady_blocks(final.record) is not None:
-        return False
+    """Return True if a good part of the residual of a fit is a curve over speed, and it matters."""
     material = material_force(final.record.machine, final.floor)
-    left = final.residual_of(fit)
-    curve = force_over_speed(final.record, left.residual)
-    beyond = math.sqrt(max(0.0, left.rms**2 - final.floor**2))
-    return curve > max(CURVE_GAIN * material, CURVE_SHARE * beyond)
+    return leaves_curve(final.record, final.residual_of(fit).residual, final.floor, material)
 
 
 def _encoder_rms(final: FinalFit) -> float:

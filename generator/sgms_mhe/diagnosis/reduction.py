@@ -161,6 +161,8 @@ def shorten_lists(subject: Subject, fit: Fit, criteria: Criteria, refitted: Sequ
     gain = ENTRY_GAIN * criteria.material
     for group in fit.candidate_groups:
         definition = effect_definition(group.cause)
+        if any(parameter.ascends_to for parameter in definition.parameters):
+            continue  # what lies between the others is not none without it
         entries = _entries(fit, group)
         dropped: list[int] = []
         cross = fit.cross

@@ -25,6 +25,7 @@ from sgms_mhe.diagnosis.criteria import (
     raise_floor,
     rank_proposals,
 )
+from sgms_mhe.diagnosis.curves import fit_curve
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model, try_fit
 from sgms_mhe.diagnosis.laws import SHARPER, Laws, fit_chosen, fit_law, is_driven, start_unknown_numbers
 from sgms_mhe.diagnosis.models import FitError
@@ -260,7 +261,12 @@ def search_causes(laws: Laws, criteria: Criteria) -> Searched:
                     compared = False
                     continue
         if compared:
-            break
+            curved = fit_curve(laws.chosen, current, criteria)
+            if curved is None:
+                break
+            laws, current = fit_chosen(laws, curved.effects, criteria, known=curved)
+            compared, ended = False, False
+            continue
         before, taken = current, laws.taken
         laws, current = fit_law(laws, current.effects, criteria, known=current)
         compared = True

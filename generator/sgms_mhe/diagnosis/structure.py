@@ -12,6 +12,7 @@ from scipy import stats
 from scipy.signal import welch
 
 from sgms_mhe.diagnosis.result import ResidualStructure
+from sgms_mhe.recordings.excitation import find_steady_blocks
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.signals.chain import apply_chain
 
@@ -20,6 +21,11 @@ Array = NDArray[np.float64]
 REST: Final = 1e-9  # m in a row that are no motion
 MAP_BINS: Final = 40
 """Bins of a map of the residual [1]: a curve to look at."""
+CURVE_GAIN: Final = 0.5
+"""RMS of what is left as a curve over speed, from which a curve is taken for another one, with CURVE_SHARE [gain that
+matters]: curves over speed add up to nearly any other one, and what they miss of it is such a curve."""
+CURVE_SHARE: Final = 0.3
+"""The same over all that is left [RMS beyond noise]: where much else is left the map over speed shows some of that."""
 LINE_POWER: Final = 3.0
 """Power of a spectrum's bin that counts as structure [median power]: above the scatter of the bins."""
 
@@ -51,6 +57,23 @@ def _coordinates(recording: Recording) -> dict[str, Array]:
 def force_over_speed(recording: Recording, residual: Array) -> float:
     """RMS of what a residual (m) holds as a function of velocity, on the used rows and beyond their noise [N]."""
     return _binned(recording, residual, "velocity", recording.velocity).rms_N
+
+
+def leaves_curve(recording: Recording, residual: Array, floor: float, material: float) -> bool:
+    """Return True if a good part of a residual (m) is a curve over speed, and it matters.
+
+    Of one speed there is no curve: what is one over the encoder's noise is none over speed.
+
+    Args:
+        recording: the record.
+        residual: measured minus model (m) [N].
+        floor: noise of the measured friction [N].
+        material: RMS gain that matters [N].
+    """
+    if find_steady_blocks(recording) is not None:
+        return False
+    beyond = math.sqrt(max(0.0, recording.rms(residual) ** 2 - floor**2))
+    return force_over_speed(recording, residual) > max(CURVE_GAIN * material, CURVE_SHARE * beyond)
 
 
 def _way_after_reversal(recording: Recording) -> Array:

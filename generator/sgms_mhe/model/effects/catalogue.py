@@ -56,6 +56,7 @@ EFFECT_NAMES: Final[tuple[str, ...]] = (
     "drive_efficiency",
     "position_map",
     "learned_residual",
+    "friction_curve",
 )
 """The effects of this package, each the module of the same name in this folder."""
 

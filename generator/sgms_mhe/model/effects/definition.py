@@ -68,6 +68,8 @@ class EffectDefinition(CauseDefinition):
             model, or of the stage `level` the torque transmitted alone.
         rises: the size, if any, by which a contribution to the level grows towards low speed as the Stribeck effect
             does: its force per unit is that of the search's column times that effect's share.
+        any_curve: whether it is friction over speed of any shape, which any of a known one nearly is: a diagnosis looks
+            for it where the known ones leave such a curve.
         full_rate: whether it is about as fast as a sample of the record, or jumps: fitted at the record's full rate,
             never on means.
         plant_force: the simulated plant's own version of a force, friction-like in sign, written a second time in plain
@@ -97,6 +99,7 @@ class EffectDefinition(CauseDefinition):
     search: Search = field(default_factory=Derivative)
     linear: bool = False
     repeatable: bool = False
+    any_curve: bool = False
     full_rate: bool = False
     elastic: bool = False
     companion: bool = False

@@ -53,6 +53,7 @@ DEFINITION = EffectDefinition(
         "stribeck": "speeds below the Stribeck velocity",
     },
     moves=("speeds",),
+    excludes=("friction_curve",),
     simpler=Simpler(("viscous",), _is_viscous),
     search=Columns(
         lambda m, p: (m.velocity / (1.0 + (m.velocity / p["corner_velocity_m_s"]) ** 2))[:, None],

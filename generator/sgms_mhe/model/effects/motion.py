@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Signal = TypeVar("Signal", ca.SX, Array)
 
 PERIODS_TOLD = 1.5
 """Periods that a record must cover for a sine to be told from a slope."""
@@ -74,3 +77,8 @@ class MotionRecord:
 def direction(velocity: Array) -> Array:
     """-1, 0 or 1: where an axis goes; 0 at rest."""
     return np.asarray(np.sign(np.where(np.abs(velocity) > _REST, velocity, 0.0)))
+
+
+def at_sample(velocity: Signal, acceleration: Signal, step: float) -> Signal:
+    """Velocity at a sample's own time: a chain's is the mean over the sample before it, half a sample older."""
+    return velocity + 0.5 * step * acceleration

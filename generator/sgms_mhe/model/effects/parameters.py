@@ -72,6 +72,7 @@ class EffectParameter:
         timing: whether it is a time that force and position are apart; no log is surer of that than of its sampling.
         array: whether it is a list, whose entries results name one by one; the lists of an effect are equally long.
         whole: whether it counts something.
+        ascends_to: the number of its effect that the entries of a list ascend to; empty: they have no order.
         step: how far one step of a fit may move it.
         times: the size that it is multiplied with: the force is linear in their product, which a fit moves.
         least, most: what a record can tell of it, beyond `lower` and `upper`.
@@ -92,6 +93,7 @@ class EffectParameter:
     timing: bool = False
     array: bool = False
     whole: bool = False
+    ascends_to: str = ""
     step: StepLimit = any_step
     times: str = ""
     least: RecordLimit | None = None

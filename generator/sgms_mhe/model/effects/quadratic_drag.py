@@ -33,6 +33,7 @@ DEFINITION = EffectDefinition(
         "eddy_current_damping": "speeds up to the fastest: drag bends up, eddy currents bend down",
     },
     moves=("speeds",),
+    excludes=("friction_curve",),
     search=Columns(lambda m, _: (m.velocity * np.abs(m.velocity))[:, None], one_size("coefficient_N_s2_m2")),
     linear=True,
     specimen=one_number(

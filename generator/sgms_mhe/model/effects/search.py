@@ -46,6 +46,7 @@ class Columns:
         own_size: the given number that the size must come out as: a lag is its own size. Of two trials that explain as
             much the one whose size agrees with it counts.
         variants: the numbers that an identification from nothing tries, none given first; a diagnosis tries that alone.
+            Of a curve of any shape both try all, few numbers first.
         exact: the size whose column is taken from the model's own derivative in the end, where `columns` are rough: a
             level that jumps where elements stick.
     """
