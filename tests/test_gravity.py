@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,11 +16,11 @@ import pytest
 from numpy.typing import NDArray
 
 from cli_cases import done
-from sgms_mhe.identification import Identification, Wanted, identify
+from sgms_mhe.identification import Identification, Wanted, description, identify
 from sgms_mhe.identification.final_fit import drop_traces
-from sgms_mhe.identification.fits import Shape, fit_axis
+from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis
 from sgms_mhe.identification.identify import explore
-from sgms_mhe.identification.terms import Term
+from sgms_mhe.identification.terms import Term, is_within_limits
 from sgms_mhe.signals.logs import Log, write_log
 
 Array = NDArray[np.float64]
@@ -227,3 +228,26 @@ def screw(spring: float, noise: float) -> Log:
         friction[i] = stop
     force = 30.0 * np.gradient(velocity, 1.0 / rate) + 120.0 * velocity + friction + spring * (position - 0.15)
     return Log(time, position, force + noise * random.standard_normal(len(time)), rate, source="screw.csv")
+
+
+@pytest.mark.parametrize(("ratio", "stated"), [(0.3, True), (1.948, False)])
+def test_an_effect_beyond_its_limits_stands_for_something_else(ratio: float, stated: bool) -> None:
+    """No machine file may state friction of 1.9 times the load: a fit with it is not taken."""
+    term = Term("load_dependent_friction", np.ones((3, 1)), positive=True)
+    assert is_within_limits(term, np.array([ratio])) == stated
+    assert is_within_limits(Term("viscous", np.ones((3, 1))), np.array([1e9]))
+
+
+@pytest.mark.slow
+def test_dry_friction_is_judged_without_effects_of_its_level(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They hold the direction of motion, as elements do: with them a log of friction alone would show none."""
+    seen: list[list[str]] = []
+
+    def noted(view: RecordView, terms: Sequence[Term], start: Shape, *, iterations: int) -> AxisFit:
+        seen.append([term.name for term in terms])
+        return fit_axis(view, terms, start, iterations=iterations)
+
+    monkeypatch.setattr(description, "fit_axis", noted)
+    found = identify([Arm(load=0.12).log(1)], Wanted("arm", elements=2))
+    assert any(number.name.startswith("load_dependent_friction.") for number in found.numbers)
+    assert seen and all("unbalance" in names and "load_dependent_friction" not in names for names in seen)

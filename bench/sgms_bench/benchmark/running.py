@@ -117,10 +117,10 @@ def run_benchmark(
     sampling = machine.sampling
     bench = Bench(machine, flags)
 
-    def recorded(name: str, updates: int = updates) -> SampledMotion:
+    def record(name: str, updates: int = updates) -> SampledMotion:
         return bench.record(timed_motion(machine, name, updates))
 
-    motion = recorded(trajectory)
+    motion = record(trajectory)
     tasks: list[tuple[str, Callable[[], Any]]] = []
     for (samples, merging), precision in product(mergings(machine)[: 1 if quick else None], PRECISIONS):
         for mode, variant in relinearisations(override_machine(merging, {"code": {"precision": precision}})):
@@ -142,12 +142,12 @@ def run_benchmark(
     ]
     tasks += [("peers", partial(bench.peer, kind, steps, motion)) for kind, steps in peers]
     if not quick:
-        others = [recorded(name) for name in MOTIONS if name != trajectory]
+        others = [record(name) for name in MOTIONS if name != trajectory]
         others += [bench.record(there_and_back(sampling.rate, share * sampling.max_velocity)) for share in SPEEDS]
         for other in others:
             tasks.append(("motions", partial(bench.variant, machine.code.precision, machine, "all", other)))
             tasks += [("motions", partial(bench.peer, *peer, other)) for peer in peers if peer[0] == KINDS[0]]
-        short = recorded(trajectory, min(updates, FEW_UPDATES))
+        short = record(trajectory, min(updates, FEW_UPDATES))
         for precision, candidate in product(PRECISIONS, INTEGRATORS if _is_smooth(machine) else ()):
             if precision == "double" or candidate == INTEGRATORS[0]:
                 changes = {"sampling": {"integrator": candidate}, "code": {"precision": precision}}

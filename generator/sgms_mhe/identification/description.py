@@ -14,7 +14,7 @@ from sgms_mhe.identification.final_fit import CERTAIN, FinalIdentification
 from sgms_mhe.identification.fits import AxisFit, NumberEstimate, RecordView, Shape, distance_limits, fit_axis
 from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.search import ChosenModel, is_better
-from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING, effect_parameters
+from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING, effect_parameters, is_level
 from sgms_mhe.machine import Units
 from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition, separating_moves
 from sgms_mhe.support.errors import InputError
@@ -61,7 +61,8 @@ def check_slides(view: RecordView, final: FinalIdentification, shown: Collection
         InputError: what is needed.
     """
     fit = final.fit
-    bare = fit_axis(view, fit.terms, Shape(fit.shape.law, fit.shape.distances[:0], None), iterations=0)
+    beside = [term for term in fit.terms if not is_level(term)]
+    bare = fit_axis(view, beside, Shape(fit.shape.law, fit.shape.distances[:0], None), iterations=0)
     if not (fit.coulomb > 0.0 and is_better(fit, bare)):
         raise frictionless_error(source)
     travel, length = view.rows.extents.travel, view.rows.machine.plant.units.position

@@ -21,7 +21,14 @@ from sgms_mhe.identification.search import (
     search_rise_speed,
 )
 from sgms_mhe.identification.spectrum import LARGEST
-from sgms_mhe.identification.terms import LAW_AND_SAMPLING, Term, level_terms, transmitted_force
+from sgms_mhe.identification.terms import (
+    LAW_AND_SAMPLING,
+    Term,
+    is_level,
+    is_within_limits,
+    level_terms,
+    transmitted_force,
+)
 from sgms_mhe.model.effects import effect_definition, separating_moves
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
@@ -135,7 +142,7 @@ def make_final_fit(
 def _fit_finely(views: Views, fit: AxisFit) -> AxisFit:
     """The fit at the full rate, what a level grows with taken from it until that does not change."""
     fit = fit_axis(views.fine, fit.terms, fit.shape, iterations=FINAL_ITERATIONS)
-    for _ in range(RENEWALS if any(map(_is_level, fit.terms)) else 0):
+    for _ in range(RENEWALS if any(map(is_level, fit.terms)) else 0):
         before = fit.rms
         fit = fit_axis(views.fine, _renew_levels(views.fine.rows, fit), fit.shape, iterations=FINAL_ITERATIONS)
         if abs(fit.rms - before) <= SETTLED * before:
@@ -148,7 +155,7 @@ def _renew_levels(rows: Recording, fit: AxisFit) -> tuple[Term, ...]:
     renewed = {(term.name, *term.given.values()): term for term in _level_terms(rows, fit)}
     return tuple(
         replace(term, columns=renewed[term.name, *term.given.values()].columns[:, : term.columns.shape[1]])
-        if _is_level(term)
+        if is_level(term)
         else term
         for term in fit.terms
     )
@@ -157,7 +164,7 @@ def _renew_levels(rows: Recording, fit: AxisFit) -> tuple[Term, ...]:
 def _level_terms(rows: Recording, fit: AxisFit) -> tuple[Term, ...]:
     """Effects of the level of a fit, with all trials of what they are not linear in."""
     moved = rows.machine.plant.moved + float(fit.coefficient("mass").sum())
-    level = sum(fit.jacobian[:, fit.place(t.name)] @ fit.coefficient(t.name) for t in fit.terms if _is_level(t))
+    level = sum(fit.jacobian[:, fit.place(t.name)] @ fit.coefficient(t.name) for t in fit.terms if is_level(t))
     viscous = fit.jacobian[:, fit.place("viscous")] @ fit.coefficient("viscous")
     return level_terms(
         rows,
@@ -229,7 +236,7 @@ def _add_companions(
             term.name: fit_axis(lined, (*fit.terms, term), whole.shape, iterations=CHOICE_ITERATIONS)
             for term in (*level, *left)
         }
-        better = [name for name, other in tried.items() if is_better(other, fit)]
+        better = [name for name, other in tried.items() if is_better(other, fit) and _is_statable(other)]
         log_decision(
             "companions",
             "effect beside the elements that leaves clearly less on unseen rows",
@@ -256,6 +263,11 @@ def _add_companions(
     return fit_aligned(views, fit.terms, fit.shape, rounds=1), {a: b for a, b in rivals.items() if b}
 
 
+def _is_statable(fit: AxisFit) -> bool:
+    """Return True if no effect of a fit is beyond what a machine file may state: then it stands for something else."""
+    return all(is_within_limits(term, fit.coefficient(term.name)) for term in fit.terms)
+
+
 def _has_limit(name: str, excited: Collection[str]) -> bool:
     """Return True if one of an effect's simpler limits is among those that the motion excites."""
     return any(limit in excited for limit in effect_definition(name).simpler.causes)
@@ -272,11 +284,11 @@ def _test_rise(views: Views, fit: AxisFit) -> AxisFit:
 
 def _test_level_rise(views: Views, fit: AxisFit) -> AxisFit:
     """The fit with the trial of what its level grows with that explains most, and without a rise that explains none."""
-    if not any(map(_is_level, fit.terms)):
+    if not any(map(is_level, fit.terms)):
         return fit
     fit = _search_trials(views, fit)
     terms = _renew_levels(views.fine.rows, fit)
-    plain = tuple(replace(t, columns=t.columns[:, :1]) if _is_level(t) else t for t in terms)
+    plain = tuple(replace(t, columns=t.columns[:, :1]) if is_level(t) else t for t in terms)
     if all(a.columns.shape == b.columns.shape for a, b in zip(plain, terms, strict=True)):
         return fit_aligned(views, terms, fit.shape, rounds=1)
     with_rise, without = (fit_aligned(views, some, fit.shape, rounds=1) for some in (terms, plain))
@@ -287,21 +299,17 @@ def _search_trials(views: Views, fit: AxisFit) -> AxisFit:
     """The fit at the best trials, tried anew until they stay: friction and load that they hang on are the fit's own."""
     lined = align(views, fit)
     for _ in range(RENEWALS):
-        beside = tuple(term for term in fit.terms if not _is_level(term))
-        names = {term.name for term in fit.terms if _is_level(term)}
+        beside = tuple(term for term in fit.terms if not is_level(term))
+        names = {term.name for term in fit.terms if is_level(term)}
         trials = [term for term in _level_terms(views.fine.rows, fit) if term.name in names]
         bare = replace(fit, terms=beside)
         terms = (*beside, *_best_trials(lined, bare, trials))
-        before, given = fit.cross_rms, [term.given for term in fit.terms if _is_level(term)]
+        before, given = fit.cross_rms, [term.given for term in fit.terms if is_level(term)]
         fit = fit_axis(lined, terms, fit.shape, iterations=CHOICE_ITERATIONS)
-        same = given == [term.given for term in terms if _is_level(term)]
+        same = given == [term.given for term in terms if is_level(term)]
         if same and abs(fit.cross_rms - before) <= SETTLED * before:
             break
     return fit
-
-
-def _is_level(term: Term) -> bool:
-    return term.name not in LAW_AND_SAMPLING and effect_definition(term.name).stage == "level"
 
 
 def _mass(rows: Recording, extra: NumberEstimate) -> NumberEstimate | None:
@@ -316,7 +324,8 @@ def _find_unseen(fit: AxisFit, cov: Array, numbers: dict[str, NumberEstimate], g
     dropped = set() if viscous.value > SHOWN * viscous.std else {"viscous"}
     for term in fit.terms:
         sizes, place = fit.coefficient(term.name), fit.place(term.name)
-        if term.name not in LAW_AND_SAMPLING and np.all(np.abs(sizes) <= SHOWN * np.sqrt(np.diag(cov[place, place]))):
+        unsure = np.all(np.abs(sizes) <= SHOWN * np.sqrt(np.diag(cov[place, place])))
+        if term.name not in LAW_AND_SAMPLING and (unsure or not is_within_limits(term, sizes)):
             dropped.add(term.name)
     total = None if given_mass is None else replace(mass, value=given_mass + mass.value)
     if given_mass is not None and total is not None and not contradicts_mass(given_mass, total):

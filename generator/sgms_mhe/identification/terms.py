@@ -132,6 +132,18 @@ def effect_parameters(term: Term, sizes: Array) -> dict[str, float]:
     return {**search.parameters(term.given, sizes[:1]), **rise}
 
 
+def is_within_limits(term: Term, sizes: Array) -> bool:
+    """Return True if a machine file may state what an effect's coefficients (k) are."""
+    found = effect_parameters(term, sizes)
+    limits = {name: effect_definition(term.name).parameter(name) for name in found}
+    return all(limits[name].lower <= value <= limits[name].upper for name, value in found.items())
+
+
+def is_level(term: Term) -> bool:
+    """Return True if a term is of an effect of the level."""
+    return term.name not in LAW_AND_SAMPLING and effect_definition(term.name).stage == "level"
+
+
 def transmitted_force(rows: Recording, terms: Sequence[Term], coefficients: Array) -> Array:
     """Torque behind friction (m) [N m], of fitted terms: inertia times acceleration, and the loads.
 
