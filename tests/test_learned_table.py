@@ -36,8 +36,8 @@ TERMS = [(PLACE,), (SPEED,), (TRAVEL,), (PLACE, SPEED), (SPEED, TRAVEL), (PLACE,
 
 
 def coefficients_of(*coordinates: TableCoordinate) -> Array:
-    """Coefficients up to 1 N, none of them zero but the first and the last, as where a record ends."""
-    table = np.random.default_rng(len(coordinates)).uniform(-1.0, 1.0, [c.cells + 3 for c in coordinates])
+    """Coefficients up to 1 N, none of them zero but the first and the last, as where a record ends; of four digits."""
+    table = np.random.default_rng(len(coordinates)).uniform(-1.0, 1.0, [c.cells + 3 for c in coordinates]).round(4)
     table.flat[0] = table.flat[-1] = 0.0
     return table
 

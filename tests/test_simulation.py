@@ -729,7 +729,16 @@ def test_closed_loop_with_every_effect(machine: Machine, name: str, law: str) ->
         typical["time_constant_s"] = 5e-3
     typical |= {"efficiency_ratio": 0.8, "order": 2.0, "sine_N": 0.5, "cosine_N": -0.3}
     typical |= {"inertia_ratio": 0.6, "friction_ratio": 0.5}
-    effect = (name, {parameter: typical[parameter] for parameter in plant_effects()[name]})
+    lists = {
+        "friction_curve": {
+            "speed_m_s": (2e-3, 1e-2),
+            "forward_N": (0.5, 0.3),
+            "backward_N": (0.2, 0.4),
+            "end_m_s": 0.05,
+        },
+        "learned_residual": {"place_cells": 1.0, "place_low_m": 0.0, "place_high_m": 2e-3, "force_N": (0.5,) * 4},
+    }
+    effect = (name, lists.get(name) or {parameter: typical[parameter] for parameter in plant_effects()[name]})
     machine = as_the_effect_wants(machine, name)
     trajectory = make_trajectory("mixed", 1e4, duration_s=3.0)
     run = simulate_axis(machine, trajectory, AxisConfig(law=law), hidden_effects=[effect])  # type: ignore[arg-type]
