@@ -125,12 +125,22 @@ def _settings(machine: Machine) -> Iterator[tuple[str, float]]:
     yield from (friction.smoothing or Smoothing()).model_dump(by_alias=True).items()
 
 
-def _effect_rows(machine: Machine) -> Iterator[tuple[str, list[float]]]:
-    """Effects of the C's table with their parameters: of lists, one for each entry."""
+def _effect_rows(machine: Machine) -> Iterator[tuple[str, list[float], list[float]]]:
+    """Effects of the C with their parameters, of lists one for each entry; and the list that it takes whole."""
     for effect in machine.effects:
-        entries = effect_definition(effect.name).entries(effect.parameters)
+        definition = effect_definition(effect.name)
+        entries = definition.entries(effect.parameters)
         for row in _rows(machine, effect.name, entries):
-            yield effect.name, [entries[name] for name in row]
+            table = [entries[name] for name in _table(effect.name, row, entries)]
+            yield effect.name, [entries[name] for name in row], table
+
+
+def _table(effect: str, row: list[str], entries: dict[str, float]) -> list[str]:
+    """Names of the entries of the list that the C takes whole, which is its last parameter; none: it takes none so."""
+    if not loaded_library().has_table(effect):
+        return []
+    whole = next(p for p in effect_definition(effect).parameters if p.holds(row[-1]))
+    return [name for name in entries if whole.holds(name)]
 
 
 def _rows(machine: Machine, effect: str, entries: dict[str, float]) -> list[list[str]]:
@@ -141,6 +151,7 @@ def _rows(machine: Machine, effect: str, entries: dict[str, float]) -> list[list
         raise InputError(machine.source, "effects", effect, allowed)
     definition = effect_definition(effect)
     count = max(sum(definition.parameter(name).holds(entry) for entry in entries) for name in names)
+    count = 1 if loaded_library().has_table(effect) else count
     return [[definition.parameter(name).entry(i) for name in names] for i in range(1, count + 1)]
 
 
@@ -179,6 +190,8 @@ def _variables(machine: Machine) -> tuple[tuple[Variable, ...], tuple[_Tunable, 
     )
     tunable = []
     for number, places, limits in _places(machine):
+        if not places:  # of a table, which is the C's own
+            continue
         bounds = (limits.low, limits.high) if math.isfinite(limits.high - limits.low) else (None, None)
         variable = Variable(
             len(rows) + 1,
@@ -221,7 +234,8 @@ def _places(machine: Machine) -> Iterator[tuple[AxisNumber, tuple[str, ...], Lim
         entries = definition.entries(effect.parameters)
         rows = _rows(machine, effect.name, entries)
         for name in definition.names(entries):
-            at = [(first + i, row.index(name)) for i, row in enumerate(rows) if name in row]
+            fixed = _table(effect.name, rows[0], entries)
+            at = [(first + i, row.index(name)) for i, row in enumerate(rows) if name in row and name not in fixed]
             places = tuple(f"{plant}.effect[{i}].parameter[{j}]" for i, j in at)
             yield next(numbers), places, effect_limits(definition.parameter(name))
         first += len(rows)

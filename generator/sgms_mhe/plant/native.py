@@ -81,6 +81,10 @@ class Library:
     settings: Mapping[str, tuple[int, int]]
     effects: Mapping[str, tuple[str, ...]]
 
+    def has_table(self, effect: str) -> bool:
+        """Return True if an effect that the plant knows takes the list that is its last parameter whole."""
+        return bool(self.c.axis_effect_has_table(list(self.effects).index(effect)))
+
 
 @lru_cache(maxsize=1)
 def loaded_library() -> Library:
@@ -357,7 +361,7 @@ class NativeAxis:
         # Of most lists the plant knows one entry: as many effects as they have.
         count = max(sum(definition.parameter(name).holds(entry) for entry in numbers) for name in names)
         senders: dict[str, list[Callable[[float], None]]] = {entry: [] for entry in numbers}
-        has_table = bool(self._c.axis_effect_has_table(kind))
+        has_table = self._library.has_table(effect)
         for i in range(1, 2 if has_table else count + 1):
             own = [definition.parameter(name).entry(i) for name in names]
             row = (ctypes.c_double * len(own))(*(numbers[entry] for entry in own))
