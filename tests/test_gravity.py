@@ -243,11 +243,11 @@ def test_dry_friction_is_judged_without_effects_of_its_level(monkeypatch: pytest
     """They hold the direction of motion, as elements do: with them a log of friction alone would show none."""
     seen: list[list[str]] = []
 
-    def noted(view: RecordView, terms: Sequence[Term], start: Shape, *, iterations: int) -> AxisFit:
+    def note(view: RecordView, terms: Sequence[Term], start: Shape, *, iterations: int) -> AxisFit:
         seen.append([term.name for term in terms])
         return fit_axis(view, terms, start, iterations=iterations)
 
-    monkeypatch.setattr(description, "fit_axis", noted)
+    monkeypatch.setattr(description, "fit_axis", note)
     found = identify([Arm(load=0.12).log(1)], Wanted("arm", elements=2))
     assert any(number.name.startswith("load_dependent_friction.") for number in found.numbers)
     assert seen and all("unbalance" in names and "load_dependent_friction" not in names for names in seen)

@@ -264,7 +264,7 @@ def test_the_machine_with_the_tables_predicts_another_record_as_well_as_stated(t
 
 
 def test_tables_behind_a_gain_are_smaller_by_it() -> None:
-    """What is learned is force of the log, what acts is force on the axis."""
+    """A learned force is one of the log, the force that acts is one on the axis."""
     effects = [{"name": "force_gain", "gain": 0.5}, {"name": "force_delay", "delay_s": 1e-3}]
     assert logged_share(override_machine(machine(), {"effects": effects})) == pytest.approx(0.5)
     ripple = [{"name": "force_constant_ripple", "ratio": 0.1, "pitch_m": 0.01}]

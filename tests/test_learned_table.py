@@ -42,7 +42,7 @@ def coefficients_of(*coordinates: TableCoordinate) -> Array:
     return table
 
 
-def along_grid(coordinate: TableCoordinate, value: Array) -> Array:
+def evaluate_splines(coordinate: TableCoordinate, value: Array) -> Array:
     """Every spline (m, size) at values (m), by scipy; zero beyond."""
     low, high = coordinate.low, coordinate.high
     if coordinate.over == "speed":
@@ -53,10 +53,10 @@ def along_grid(coordinate: TableCoordinate, value: Array) -> Array:
 
 
 def force_of(coordinates: tuple[TableCoordinate, ...], *values: Array) -> Array:
-    first, table = along_grid(coordinates[0], values[0]), coefficients_of(*coordinates)
+    first, table = evaluate_splines(coordinates[0], values[0]), coefficients_of(*coordinates)
     if len(coordinates) == 1:
         return np.asarray(first @ table)
-    return np.asarray(np.einsum("mi,ij,mj->m", first, table, along_grid(coordinates[1], values[1])))
+    return np.asarray(np.einsum("mi,ij,mj->m", first, table, evaluate_splines(coordinates[1], values[1])))
 
 
 # --- splines ----------------------------------------------------------------------------------------------------

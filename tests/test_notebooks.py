@@ -33,7 +33,7 @@ def percent() -> ModuleType:
 
 
 def played(percent: ModuleType, name: str, folder: Path, **environment: str) -> str:
-    """What a notebook prints that is run in a folder of its own, which its page shows."""
+    """Run a notebook in a folder of its own; return what it prints, which its page shows."""
     script, ran = FOLDER / f"{name}.py", folder / f"{name}.ipynb"
     path = os.pathsep.join(filter(None, [str(ROOT / "generator"), os.environ.get("PYTHONPATH")]))
     nbformat.write(percent.run(script, folder, {"PYTHONPATH": path} | environment), ran)

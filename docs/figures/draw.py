@@ -314,7 +314,7 @@ def identification() -> Drawing:
 
 
 def commands() -> Drawing:
-    """Which command leads from what is there to what is wanted."""
+    """Draw which command leads from what is there to what is wanted."""
     d = Drawing(980, 492, "Which command")
     h, w, wide = 50, 164, 176
     left, middle, right = 24, 214, 408

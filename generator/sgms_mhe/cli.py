@@ -22,7 +22,7 @@ import click
 
 from sgms_mhe import __version__
 from sgms_mhe.support.errors import BuildError, InputError
-from sgms_mhe.support.names import did_you_mean
+from sgms_mhe.support.names import did_you_mean, name_distribution
 
 COMMANDS: Final = {
     "start": "start",
@@ -119,8 +119,7 @@ def _load(entry: EntryPoint) -> click.Command:
     try:
         return cast(click.Command, entry.load())
     except Exception as error:
-        where = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "a distribution without a name"
-        why = f"{where}: command {entry.name} = {entry.value}: {error}; repair or remove it"
+        why = f"{name_distribution(entry)}: command {entry.name} = {entry.value}: {error}; repair or remove it"
 
     def refuse() -> NoReturn:
         raise BadInput(why)

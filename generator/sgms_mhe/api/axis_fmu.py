@@ -128,8 +128,7 @@ def _settings(machine: Machine) -> Iterator[tuple[str, float]]:
 def _effect_rows(machine: Machine) -> Iterator[tuple[str, list[float], list[float]]]:
     """Effects of the C with their parameters, of lists one for each entry; and the list that it takes whole."""
     for effect in machine.effects:
-        definition = effect_definition(effect.name)
-        entries = definition.entries(effect.parameters)
+        entries = effect_definition(effect.name).entries(effect.parameters)
         for row in _rows(machine, effect.name, entries):
             table = [entries[name] for name in _table(effect.name, row, entries)]
             yield effect.name, [entries[name] for name in row], table
@@ -233,8 +232,8 @@ def _places(machine: Machine) -> Iterator[tuple[AxisNumber, tuple[str, ...], Lim
         definition = effect_definition(effect.name)
         entries = definition.entries(effect.parameters)
         rows = _rows(machine, effect.name, entries)
+        fixed = _table(effect.name, rows[0], entries)
         for name in definition.names(entries):
-            fixed = _table(effect.name, rows[0], entries)
             at = [(first + i, row.index(name)) for i, row in enumerate(rows) if name in row and name not in fixed]
             places = tuple(f"{plant}.effect[{i}].parameter[{j}]" for i, j in at)
             yield next(numbers), places, effect_limits(definition.parameter(name))

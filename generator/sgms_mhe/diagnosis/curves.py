@@ -17,7 +17,7 @@ from sgms_mhe.diagnosis.fits import Fit, Subject, try_fit
 from sgms_mhe.diagnosis.proposals import Residual, propose
 from sgms_mhe.diagnosis.structure import leaves_curve
 from sgms_mhe.model.effects import cause, effect_definition
-from sgms_mhe.model.effects.motion import at_sample
+from sgms_mhe.model.effects.motion import shift_to_sample
 from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.recordings.evidence import difference_statistic, find_nuisance, gain_force
 from sgms_mhe.support.decisions import log_decision
@@ -61,7 +61,7 @@ def _fit_fewest(subject: Subject, without: Fit, name: str, criteria: Criteria) -
         return None
     motion = make_motion(recording, without)
     step = subject.machine.sampling.step
-    motion = replace(motion, velocity=at_sample(motion.velocity, motion.acceleration, step))
+    motion = replace(motion, velocity=shift_to_sample(motion.velocity, motion.acceleration, step))
     free = find_nuisance(without.jacobian[recording.used][:, without.interior])
     seen = Residual(recording, motion, free, free.project(without.residual[recording.used]))
     best: Fit | None = None

@@ -259,11 +259,11 @@ def list_limits(
         for other in others
     ]
     said += _late(final, view, units)
-    travel, fit = view.rows.extents.travel, final.fit
+    travel, fit, smallest = view.rows.extents.travel, final.fit, _smallest(final)
     for k, (distance, level) in enumerate(zip(fit.shape.distances.tolist(), fit.levels.tolist(), strict=True), start=1):
         element = f"element {k} (breaks away after {distance:.2g} {length})"
-        if distance <= _smallest(final):
-            stiff = f"{level / _smallest(final):.2g} {units.stiffness}"
+        if distance <= smallest:
+            stiff = f"{level / smallest:.2g} {units.stiffness}"
             said.append(f"{element}: no more than the log resolves; it is at least {stiff} stiff")
         elif distance > SLID * travel:
             said.append(

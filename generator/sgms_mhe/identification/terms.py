@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.identification.elements import Stribeck
 from sgms_mhe.model.effects import EffectDefinition, effect_definition, effect_names
-from sgms_mhe.model.effects.motion import MotionRecord, at_sample
+from sgms_mhe.model.effects.motion import MotionRecord, shift_to_sample
 from sgms_mhe.model.effects.search import Columns
 from sgms_mhe.recordings.recording import Recording
 
@@ -49,7 +49,7 @@ class Term:
 
 def viscous_term(rows: Recording) -> Term:
     """Return the term of damping, over the speed at the instant of the force."""
-    velocity = at_sample(rows.velocity, rows.acceleration, rows.machine.sampling.step)
+    velocity = shift_to_sample(rows.velocity, rows.acceleration, rows.machine.sampling.step)
     return Term("viscous", velocity[:, None], positive=True)
 
 

@@ -22,6 +22,7 @@ from sgms_mhe.model.effects.causes import CauseDefinition
 from sgms_mhe.model.effects.checks import faults_of
 from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.names import name_distribution
 
 GROUP: Final = "sgms_mhe.effects"
 """Entry points of effects."""
@@ -80,8 +81,7 @@ def _offers() -> Mapping[str, tuple[_Offer, ...]]:
     """Offers by name of the effect, in the order of names."""
     found: dict[str, list[_Offer]] = {}
     for entry in entry_points(group=GROUP):
-        distribution = f"{entry.dist.name} {entry.dist.version}" if entry.dist else "a distribution without a name"
-        found.setdefault(entry.name, []).append(_Offer(distribution, entry))
+        found.setdefault(entry.name, []).append(_Offer(name_distribution(entry), entry))
     return {name: tuple(sorted(offers, key=lambda o: o.distribution)) for name, offers in sorted(found.items())}
 
 

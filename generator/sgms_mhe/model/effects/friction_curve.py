@@ -19,7 +19,7 @@ from sgms_mhe.model.axis import SymbolicAxis
 from sgms_mhe.model.effects.causes import Simpler
 from sgms_mhe.model.effects.definition import EffectDefinition
 from sgms_mhe.model.effects.excitation import Excitation, Need
-from sgms_mhe.model.effects.motion import MotionRecord, at_sample, direction
+from sgms_mhe.model.effects.motion import MotionRecord, direction, shift_to_sample
 from sgms_mhe.model.effects.parameters import EffectParameter
 from sgms_mhe.model.effects.scales import Scales
 from sgms_mhe.model.effects.search import Array, Columns, Values
@@ -71,7 +71,7 @@ def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, floa
     speeds = [ca.SX(0.0), *(p[name] for name, _, _ in knots), p[_END.name]]
     even = _cubics(speeds, [ca.SX(0.0), *(0.5 * (p[a] + p[b]) for _, a, b in knots), ca.SX(0.0)])
     odd = _cubics(speeds, [ca.SX(0.0), *(0.5 * (p[a] - p[b]) for _, a, b in knots), ca.SX(0.0)])
-    velocity = at_sample(axis.velocity, axis.acceleration, axis.step)
+    velocity = shift_to_sample(axis.velocity, axis.acceleration, axis.step)
     speed, alike, unlike = ca.fabs(velocity), ca.SX(0.0), ca.SX(0.0)
     for i in range(count + 1):
         width = speeds[i + 1] - speeds[i]

@@ -79,6 +79,6 @@ def direction(velocity: Array) -> Array:
     return np.asarray(np.sign(np.where(np.abs(velocity) > _REST, velocity, 0.0)))
 
 
-def at_sample(velocity: Signal, acceleration: Signal, step: float) -> Signal:
-    """Velocity at a sample's own time: a chain's is the mean over the sample before it, half a sample older."""
+def shift_to_sample(velocity: Signal, acceleration: Signal, step: float) -> Signal:
+    """Return the velocity at a sample's own time: a chain's is a mean over the sample before, half a sample older."""
     return velocity + 0.5 * step * acceleration
