@@ -13,6 +13,17 @@ typedef struct {
     sgms_real b0, b1, b2, a1, a2;
 } sgms_lowpass;
 
+/* A state without an input decays, in the end among subnormal numbers, with which many processors
+ * are slow. No signal is as small as this. */
+#define SGMS_REST SGMS_R(1e-30)
+
+static inline void sgms_drop_rest(sgms_real *state, int count)
+{
+    for (int i = 0; i < count; i++) {
+        state[i] = sgms_fabs(state[i]) < SGMS_REST ? SGMS_R(0.0) : state[i];
+    }
+}
+
 static inline sgms_real sgms_lowpass_step(
     const sgms_lowpass *filter, sgms_real *state, sgms_real input)
 {
@@ -210,6 +221,10 @@ static inline sgms_aligned sgms_filter_step(
     }
     m->last[1] = velocity;
     m->last[2] = force;
+    if (m->position[1] == earlier || (apart && force == SGMS_R(0.0))) { /* an input stays away */
+        sgms_drop_rest(f, wanted ? SGMS_FILTER_STATES : SGMS_FILTER_STATES / 2);
+        sgms_drop_rest(m->last + 1, 1);
+    }
     if (wanted & SGMS_POSITION) {
         out.position = sgms_lowpass_step(
             filter, f + 14, sgms_lowpass_step(filter, f + 12, m->last[3]));

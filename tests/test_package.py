@@ -887,6 +887,21 @@ def test_status_texts(axis: Any) -> None:
         assert estimator.c.probe_status_text(flags)
 
 
+@pytest.mark.parametrize("effects", [(), ({"name": "mass_mismatch", "mass_kg": 1.5},)], ids=["one chain", "two chains"])
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_axis_at_rest_leaves_subnormal_numbers(
+    precision: str, effects: tuple[dict[str, Any], ...], require_tool: Tool, tmp_path: Path
+) -> None:
+    """After a motion filters decay to zero, and do not stay among numbers with which processors are slow."""
+    settings = machine(code={"precision": precision}, effects=list(effects))
+    folder = written(emit_package(settings, selftest=False), tmp_path)
+    command = [require_tool("gcc"), "-std=c99", "-O2", f"-I{folder}", *replay_definitions("etel_xy")]
+    run(*command, PROBES / "rest.c", folder / "etel_xy.c", "-o", tmp_path / "program")
+    for line in run(tmp_path / "program").splitlines():
+        met, of_last, moving = map(int, line.split())
+        assert met < 100 and of_last == moving == 0, line
+
+
 # --- input that cannot be meant ----------------------------------------------------------------------------------
 
 HOSTILE = (np.nan, np.inf, -np.inf, 1e300, -1e300, 1e20, 3.4e38)

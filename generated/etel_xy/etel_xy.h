@@ -10,11 +10,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()           11817
- *   sample()          3358   insert() too
+ *   tick()           11867
+ *   sample()          3408   insert() too
  *   prepare()       237223   in units of at most 3645
  *   feedback()       14353   after prepare()
- *   an update       566182   all calls of an interval
+ *   an update       571182   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *

@@ -7,11 +7,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()           22116
- *   sample()         13657   insert() too
+ *   tick()           22166
+ *   sample()         13707   insert() too
  *   prepare()       300163   in units of at most 13223
  *   feedback()       14353   after prepare()
- *   an update       710382   all calls of an interval
+ *   an update       715382   all calls of an interval
  */
 #ifndef ETEL_XY_CONTROLLER_CONFIG_H
 #define ETEL_XY_CONTROLLER_CONFIG_H

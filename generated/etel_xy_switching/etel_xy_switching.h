@@ -10,11 +10,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()            9009
- *   sample()           550   insert() too
+ *   tick()            9059
+ *   sample()           600   insert() too
  *   prepare()        69623   in units of at most 3645
  *   feedback()       14353   after prepare()
- *   an update       117782   all calls of an interval
+ *   an update       122782   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *

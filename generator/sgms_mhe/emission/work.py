@@ -21,7 +21,7 @@ from sgms_mhe.emission.operations import (
     variances,
 )
 
-FILTERS = 150
+FILTERS = 200
 """Signal chain, and the lag of the newest position."""
 SAMPLE = 60
 """What a sample takes beside: checks, path, course ahead, ramp, limit."""

@@ -6,11 +6,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()          136041
- *   sample()         81973   insert() too
+ *   tick()          136091
+ *   sample()         82023   insert() too
  *   prepare()       136014   in units of at most 27034
  *   feedback()        1898   after prepare()
- *   an update       547777   all calls of an interval
+ *   an update       548027   all calls of an interval
  */
 #ifndef TOY_CONFIG_H
 #define TOY_CONFIG_H
