@@ -192,7 +192,10 @@ def _start(file: Machine, explored: Explored, mass: NumberEstimate | None) -> Re
     changes: dict[str, Any] = {"friction": explored.friction}
     if file.effects:
         units, known = file.plant.units, identified_effects(explored.final.fit)
-        changes["effects"] = [{**e.entry(units), **units.keyed(known.get(e.name, {}))} for e in file.effects]
+        changes["effects"] = [
+            {**e.entry(units), **units.keyed(effect_definition(e.name).lists(known.get(e.name, {})))}
+            for e in file.effects
+        ]
     if mass is not None:
         changes["plant"] = plant_content(file.plant.kind, mass.value)
         free = next(name for name in EFFECT_NAMES if effect_definition(name).adds_mass)

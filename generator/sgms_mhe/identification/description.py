@@ -165,6 +165,10 @@ def effect_numbers(final: FinalIdentification) -> tuple[Number, ...]:
             )
             std = math.sqrt(max(0.0, float(slope @ cov @ slope)))
             number = _number(f"{term.name}.{key}", NumberEstimate(float(value), std))
+            parameter = definition.parameter(key)
+            if parameter.array and math.isfinite(number.std):  # an entry may be 0: all of the list are as sure
+                largest = max(abs(other) for name, other in values.items() if parameter.holds(name))
+                number = replace(_number(number.name, NumberEstimate(largest, std)), value=number.value)
             if definition.polar is not None and key == definition.polar[1]:  # an angle is no share of itself
                 number = replace(number, determined=std <= KNOWN, note="" if std <= KNOWN else STAND_IN)
             others = final.rivals.get(term.name, ())

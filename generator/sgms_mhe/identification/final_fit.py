@@ -24,12 +24,15 @@ from sgms_mhe.identification.spectrum import LARGEST
 from sgms_mhe.identification.terms import (
     LAW_AND_SAMPLING,
     Term,
+    effect_parameters,
     is_level,
     is_within_limits,
     level_terms,
     transmitted_force,
 )
+from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition, separating_moves
+from sgms_mhe.model.scales import scales_of
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
 
@@ -92,6 +95,7 @@ def make_final_fit(
     fit: AxisFit,
     base: Sequence[Term],
     companions: Sequence[Term],
+    curves: Sequence[Term],
     excited: Collection[str],
     wanted: Known,
     report: Progress,
@@ -103,6 +107,7 @@ def make_final_fit(
         fit: chosen elements, with every term.
         base: viscous, inertial and sampling terms.
         companions: effects that may stand beside the elements, but for those of their level.
+        curves: curves over speed of any shape, few numbers first.
         excited: names of the effects that the motion excites, those of the level too.
         wanted: what was given.
         report: called with each step.
@@ -110,6 +115,7 @@ def make_final_fit(
     report("what stands beside the elements")
     fit, rivals = _add_companions(views, fit, base, companions, excited)
     fit = _test_level_rise(views, _test_rise(views, fit))
+    fit = _test_curves(views, fit, [term for term in curves if term.name in excited])
     report("numbers at the full rate")
     fit = _fit_finely(views, fit)
     if not wanted.count:
@@ -277,6 +283,11 @@ def _test_rise(views: Views, fit: AxisFit) -> AxisFit:
     """The fit without its rise where that leaves no more."""
     if fit.shape.rise is None:
         return fit
+    return _search_rise(views, fit)
+
+
+def _search_rise(views: Views, fit: AxisFit) -> AxisFit:
+    """The fit at the best speed of its rise, or without one where that leaves no more."""
     fit = search_rise_speed(views, fit)
     level = fit_aligned(views, fit.terms, Shape(fit.shape.law, fit.shape.distances, None))
     return fit if is_better(fit, level) else level
@@ -293,6 +304,38 @@ def _test_level_rise(views: Views, fit: AxisFit) -> AxisFit:
         return fit_aligned(views, terms, fit.shape, rounds=1)
     with_rise, without = (fit_aligned(views, some, fit.shape, rounds=1) for some in (terms, plain))
     return with_rise if is_better(with_rise, without) else without
+
+
+def _test_curves(views: Views, fit: AxisFit, curves: Sequence[Term]) -> AxisFit:
+    """The fit with the curve over speed of the fewest numbers than which none leaves less, where one leaves less.
+
+    The elements' own rise is judged anew beside a curve: it hides behind one, or stood for it.
+    """
+    lined, machine = align(views, fit), views.fine.rows.machine
+    without = look = fit_axis(lined, fit.terms, fit.shape, iterations=0)
+    for curve in curves:
+        tried = fit_axis(lined, (*fit.terms, curve), fit.shape, iterations=0)
+        gains = is_better(tried, look) and is_possible(machine, tried, curve)
+        log_decision(
+            "companions",
+            "curve over speed of any shape that leaves clearly less on unseen rows",
+            columns=curve.columns.shape[1],
+            residual_N=look.cross_rms,
+            residual_with_N=tried.cross_rms,
+            gains=gains,
+        )
+        if gains:
+            look = tried
+    if look is without:
+        return fit
+    best = _search_rise(views, fit_aligned(views, look.terms, fit.shape))
+    return best if is_better(best, fit) and is_possible(machine, best, look.terms[-1]) else fit
+
+
+def is_possible(machine: Machine, fit: AxisFit, term: Term) -> bool:
+    """Return True if a machine of the fit's level can have an effect of the size that it has there."""
+    scales = replace(scales_of(machine), coulomb=fit.coulomb)
+    return effect_definition(term.name).possible(effect_parameters(term, fit.coefficient(term.name)), scales)
 
 
 def _search_trials(views: Views, fit: AxisFit) -> AxisFit:

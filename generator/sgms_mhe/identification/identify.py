@@ -34,6 +34,7 @@ from sgms_mhe.identification.spectrum import PER_DECADE, Spectrum, distance_grid
 from sgms_mhe.identification.terms import (
     Term,
     companion_terms,
+    curve_terms,
     level_terms,
     mass_term,
     sampling_terms,
@@ -170,7 +171,7 @@ def _explore_records(records: Records, wanted: Wanted, known: Known, report: Pro
     records = drop_start(records, _start(records, PER_DECADE)[0].reach)
     rows = records.rows
     spectrum, base = _start(records, wanted.per_decade)
-    companions = companion_terms(rows)
+    companions, curves = companion_terms(rows), curve_terms(rows)
     level = _level_terms(rows, base, spectrum)
     noise, grid = noise_floor(rows, rows.friction), distance_grid(records, wanted.per_decade)
     limits = float(grid[0]), float(grid[-1])
@@ -179,10 +180,9 @@ def _explore_records(records: Records, wanted: Wanted, known: Known, report: Pro
     if not found.fit.coulomb > 0.0:
         raise frictionless_error(records.names[0])
     measured = _measure(records, found)
-    excited = [
-        name for name in (t.name for t in (*companions, *level)) if _is_excited(effect_definition(name), measured)
-    ]
-    final = make_final_fit(views, found.fit, base, companions, excited, known, report)
+    names = dict.fromkeys(term.name for term in (*companions, *level, *curves))
+    excited = [name for name in names if _is_excited(effect_definition(name), measured)]
+    final = make_final_fit(views, found.fit, base, companions, curves, excited, known, report)
     check_slides(views.fine, final, excited, records.names[0])
     log_decision(
         "numbers",

@@ -118,6 +118,18 @@ def level_terms(
     return tuple(terms)
 
 
+def curve_terms(rows: Recording) -> tuple[Term, ...]:
+    """Curves over speed of any shape, of few numbers first; free in sign."""
+    motion = _motion(rows, rows.force, shift_to_sample(rows.velocity, rows.acceleration, rows.machine.sampling.step))
+    definitions = (effect_definition(name) for name in effect_names(rows.machine.plant.kind))
+    return tuple(
+        Term(definition.name, definition.search.columns(motion, given), given=given)
+        for definition in definitions
+        if definition.any_curve and isinstance(definition.search, Columns)
+        for given in definition.search.variants(motion)
+    )
+
+
 def effect_parameters(term: Term, sizes: Array) -> dict[str, float]:
     """Return an effect's parameters from the coefficients of its term (k); none of a term that is no effect."""
     if term.name in LAW_AND_SAMPLING:

@@ -16,6 +16,7 @@ from sgms_mhe.identification.elements import Law
 from sgms_mhe.identification.result import Number, interval, round_number
 from sgms_mhe.machine import Machine, Units, plant_content
 from sgms_mhe.machine.writing import notes_of_table, toml_line, toml_table, toml_tables
+from sgms_mhe.model.effects import effect_definition
 
 COLUMNS: Final = 100
 ELEMENTS: Final = ("stiffness_", "fraction_")
@@ -60,7 +61,7 @@ def machine_content(base: Machine, law: Law, numbers: Sequence[Number], measurem
     for name, number in value.items():
         effect, dot, parameter = name.partition(".")
         if dot:
-            effects.setdefault(effect, {"name": effect})[units.named(parameter)] = number
+            effects.setdefault(effect, {})[parameter] = number
     content: dict[str, Any] = {
         "name": base.name,
         "description": base.description or "identified from measurements",
@@ -71,7 +72,8 @@ def machine_content(base: Machine, law: Law, numbers: Sequence[Number], measurem
     }
     content |= {key: base.content[key] for key in ("compensation", "code", "diagnosis", "log") if key in base.content}
     if effects:
-        content["effects"] = list(effects.values())
+        lists = {name: effect_definition(name).lists(numbers) for name, numbers in effects.items()}
+        content["effects"] = [{"name": name} | units.keyed(values) for name, values in lists.items()]
     return content
 
 
@@ -95,6 +97,7 @@ def machine_toml(units: Units, content: Mapping[str, Any], numbers: Sequence[Num
             lines += _elements(units, numbers)
     for effect in content.get("effects", ()):
         lines += toml_table("[[effects]]", effect, notes=notes_of_table(notes, effect["name"]))
+        lines += _lists(units, effect["name"], numbers)
     return "\n".join(lines) + "\n"
 
 
@@ -141,6 +144,18 @@ def _elements(units: Units, numbers: Sequence[Number]) -> list[str]:
         open_ = "" if stiffness.determined and share.determined else f"; {STAND_IN}"
         lines.append(f"# element {k}: {interval(stiffness)} {units.stiffness}, share {interval(share)}{open_}")
         k += 1
+    return lines
+
+
+def _lists(units: Units, effect: str, numbers: Sequence[Number]) -> list[str]:
+    """A comment for each list of an effect: intervals of its entries, where they have any."""
+    own = [n for n in numbers if n.name.startswith(f"{effect}.") and math.isfinite(n.std)]
+    lines = []
+    for parameter in effect_definition(effect).parameters:
+        entries = [n for n in own if parameter.array and parameter.holds(n.name.removeprefix(f"{effect}."))]
+        if entries:
+            said = [interval(n) + ("" if n.determined else f" ({STAND_IN})") for n in entries]
+            lines += wrap_comment(f"{units.named(parameter.name)}: {', '.join(said)}")
     return lines
 
 
