@@ -123,7 +123,7 @@ def ticking(package: Bound) -> Any:
 
     class Ticking(module.Estimator):  # type: ignore[misc, name-defined]
         def tick(self, position: float, push: float) -> float:
-            self._declare("tick", ctypes.c_double, ctypes.c_void_p, ctypes.c_double, ctypes.c_double)
-            return float(self._c_tick(self._axis, position, push))
+            self._declare("tick", ctypes.c_double, ctypes.c_void_p, module._Position, ctypes.c_double)
+            return float(self._c_tick(self._axis, module._position(position), push))
 
     return Ticking()

@@ -699,6 +699,21 @@ def test_positions_from_counts_and_from_metres(precision: str, axis: Any) -> Non
         assert found == largest if single else found == metres or np.isnan(found)
 
 
+@pytest.mark.parametrize("call", ["tick", "sample"])
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_position_and_force_cannot_be_exchanged(precision: str, call: str, require_tool: Tool, tmp_path: Path) -> None:
+    """As C and as C++, without a warning asked for: the right order compiles, the wrong one and bare numbers do not."""
+    folder = written(package_of(code={"precision": precision}), tmp_path)
+    position = "etel_xy_position_from_metres(0.1)"
+    for compiler, language in (("gcc", "c"), ("clang", "c"), ("g++", "c++")):
+        for arguments in (f"{position}, 2", f"2, {position}", "0.1, 2", "x, x"):
+            source = f"etel_xy_t axis; etel_xy_real x; void f(void) {{ (void)etel_xy_{call}(&axis, {arguments}); }}"
+            (tmp_path / "call.c").write_text(f'#include "etel_xy.h"\n{source}\n')
+            command = [require_tool(compiler), "-w", "-x", language, "-fsyntax-only", f"-I{folder}"]
+            done = subprocess.run([*command, tmp_path / "call.c"], capture_output=True, text=True, check=False)
+            assert (done.returncode == 0) == (arguments == f"{position}, 2"), (compiler, arguments, done.stderr)
+
+
 def test_memory_may_be_moved(axis: Any) -> None:
     """The struct holds no pointer into itself: a copy goes on as the original does."""
     estimator: Axis = axis()

@@ -209,8 +209,8 @@ def test_the_package_speaks_of_angles_and_torques(precision: str, tmp_path: Path
 
 
 def code_of(text: str) -> list[str]:
-    """Tokens of the code, without comments and the unit of the smallest step: where lines wrap is the name's length."""
-    bare = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL).replace(".prad", ".pm")
+    """Tokens of the code, without comments and the unit of a position: where lines wrap is the name's length."""
+    bare = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL).replace(".prad", ".pm").replace(".rad", ".m")
     return re.findall(r"\w+|\S", bare)
 
 

@@ -1196,7 +1196,7 @@ static void take_reading(etel_xy_t *self, etel_xy_position position, etel_xy_rea
     const sgms_filter_memory memory = {
         self->chain.position, self->chain.lowpass, self->chain.last, self->chain.counts,
             self->chain.moved };
-    const sgms_aligned aligned = sgms_filter_step(&chain, &memory, position, force);
+    const sgms_aligned aligned = sgms_filter_step(&chain, &memory, position.m, force);
     const etel_xy_signals signals = {
         aligned.position, aligned.velocity, aligned.acceleration, aligned.force, aligned.friction,
             aligned.valid,

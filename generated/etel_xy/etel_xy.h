@@ -69,13 +69,16 @@ extern "C" {
 #endif
 
 typedef double etel_xy_real;
-/* m; the functions below make it too, and are the same in every package */
-typedef double etel_xy_position;
+/* A position; the functions below make one. No number converts to it: a force is not taken for
+ * one. */
+typedef struct {
+    double m;
+} etel_xy_position;
 
 #define ETEL_XY_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_MACHINE "de03b466533e" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_check() */
-#define ETEL_XY_HEADER 0x4f4efa93u
+#define ETEL_XY_HEADER 0xb9bbe259u
 #define ETEL_XY_SAVED_FORMAT 2u /* of etel_xy_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SAVED_MACHINE_0 0xde03b466u
 #define ETEL_XY_SAVED_MACHINE_1 0x533eu
@@ -297,7 +300,9 @@ typedef struct {
 /* A position from metres; NaN, infinite and beyond 4e6 m is none, and counts as missing. */
 static inline etel_xy_position etel_xy_position_from_metres(double metres)
 {
-    return metres;
+    etel_xy_position position;
+    position.m = metres;
+    return position;
 }
 
 /* A position from counts of an encoder, `per` counts (above zero) being so many picometres: 1 and
@@ -305,7 +310,9 @@ static inline etel_xy_position etel_xy_position_from_metres(double metres)
 static inline etel_xy_position etel_xy_position_from_counts(
     int64_t counts, int32_t per, int64_t picometres)
 {
-    return per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
+    etel_xy_position position;
+    position.m = per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
+    return position;
 }
 
 /* An encoder whose counts start over, of `per` counts to so many picometres as above. Set these

@@ -72,7 +72,8 @@ extern "C" {
 #endif
 
 typedef float etel_xy_controller_real;
-/* A position (a float resolves 20 nm at 0.3 m); two functions below make one. */
+/* A position (a float resolves 20 nm at 0.3 m); the functions below make one. No number converts to
+ * it: a force is not taken for one. */
 typedef struct {
     int64_t pm;
 } etel_xy_controller_position;
@@ -80,7 +81,7 @@ typedef struct {
 #define ETEL_XY_CONTROLLER_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_CONTROLLER_MACHINE "b2f02b278d27" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_controller_check() */
-#define ETEL_XY_CONTROLLER_HEADER 0x255933a3u
+#define ETEL_XY_CONTROLLER_HEADER 0x321d30eau
 /* of etel_xy_controller_saved_t, and the digest of the machine file again */
 #define ETEL_XY_CONTROLLER_SAVED_FORMAT 2u
 #define ETEL_XY_CONTROLLER_SAVED_MACHINE_0 0xb2f02b27u
@@ -342,8 +343,8 @@ static inline etel_xy_controller_position etel_xy_controller_position_from_metre
 static inline etel_xy_controller_position etel_xy_controller_position_from_counts(
     int64_t counts, int32_t per, int64_t picometres)
 {
-    const int64_t farthest = INT64_C(4000000000000000000);
     etel_xy_controller_position position;
+    const int64_t farthest = INT64_C(4000000000000000000);
     position.pm = INT64_MAX;
     if (per > 0 && picometres > -farthest && picometres < farthest && picometres != 0) {
         const int64_t whole = counts / per, rest = counts % per;

@@ -1204,7 +1204,7 @@ static void take_reading(
     const sgms_filter_memory memory = {
         self->chain.position, self->chain.lowpass, self->chain.last, self->chain.counts,
             self->chain.moved };
-    const sgms_aligned aligned = sgms_filter_step(&chain, &memory, position, force);
+    const sgms_aligned aligned = sgms_filter_step(&chain, &memory, position.m, force);
     const etel_xy_switching_signals signals = {
         aligned.position, aligned.velocity, aligned.acceleration, aligned.force, aligned.friction,
             aligned.valid,

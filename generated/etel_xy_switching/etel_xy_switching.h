@@ -72,13 +72,16 @@ extern "C" {
 #endif
 
 typedef double etel_xy_switching_real;
-/* m; the functions below make it too, and are the same in every package */
-typedef double etel_xy_switching_position;
+/* A position; the functions below make one. No number converts to it: a force is not taken for
+ * one. */
+typedef struct {
+    double m;
+} etel_xy_switching_position;
 
 #define ETEL_XY_SWITCHING_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_SWITCHING_MACHINE "9b1c2898b39d" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_switching_check() */
-#define ETEL_XY_SWITCHING_HEADER 0x32a83005u
+#define ETEL_XY_SWITCHING_HEADER 0x79ee0e24u
 /* of etel_xy_switching_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SWITCHING_SAVED_FORMAT 2u
 #define ETEL_XY_SWITCHING_SAVED_MACHINE_0 0x9b1c2898u
@@ -321,7 +324,9 @@ typedef struct {
 /* A position from metres; NaN, infinite and beyond 4e6 m is none, and counts as missing. */
 static inline etel_xy_switching_position etel_xy_switching_position_from_metres(double metres)
 {
-    return metres;
+    etel_xy_switching_position position;
+    position.m = metres;
+    return position;
 }
 
 /* A position from counts of an encoder, `per` counts (above zero) being so many picometres: 1 and
@@ -329,7 +334,9 @@ static inline etel_xy_switching_position etel_xy_switching_position_from_metres(
 static inline etel_xy_switching_position etel_xy_switching_position_from_counts(
     int64_t counts, int32_t per, int64_t picometres)
 {
-    return per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
+    etel_xy_switching_position position;
+    position.m = per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
+    return position;
 }
 
 /* An encoder whose counts start over, of `per` counts to so many picometres as above. Set these

@@ -952,7 +952,7 @@ static void take_reading(toy_t *self, toy_position position, toy_real force)
     const sgms_filter_memory memory = {
         self->chain.position, self->chain.lowpass, self->chain.last, self->chain.counts,
             self->chain.moved };
-    const sgms_aligned aligned = sgms_filter_step(&chain, &memory, position, force);
+    const sgms_aligned aligned = sgms_filter_step(&chain, &memory, position.m, force);
     const toy_signals signals = {
         aligned.position, aligned.velocity, aligned.acceleration, aligned.force, aligned.friction,
             aligned.valid,

@@ -69,12 +69,15 @@ extern "C" {
 #endif
 
 typedef double toy_real;
-/* m; the functions below make it too, and are the same in every package */
-typedef double toy_position;
+/* A position; the functions below make one. No number converts to it: a force is not taken for
+ * one. */
+typedef struct {
+    double m;
+} toy_position;
 
 #define TOY_VERSION "0.2.0" /* of the generator */
 #define TOY_MACHINE "7f611f0cc49d" /* digest of the machine file */
-#define TOY_HEADER 0x7bf2c220u /* digest of all that this header declares, for toy_check() */
+#define TOY_HEADER 0xa1677557u /* digest of all that this header declares, for toy_check() */
 #define TOY_SAVED_FORMAT 2u /* of toy_saved_t, and the digest of the machine file again */
 #define TOY_SAVED_MACHINE_0 0x7f611f0cu
 #define TOY_SAVED_MACHINE_1 0xc49du
@@ -274,14 +277,18 @@ typedef struct {
 /* A position from metres; NaN, infinite and beyond 4e6 m is none, and counts as missing. */
 static inline toy_position toy_position_from_metres(double metres)
 {
-    return metres;
+    toy_position position;
+    position.m = metres;
+    return position;
 }
 
 /* A position from counts of an encoder, `per` counts (above zero) being so many picometres: 1 and
  * 1000 for 1 nm, 16384 and 20000000 for a period of 20 um in 16384 steps. Rounded once. */
 static inline toy_position toy_position_from_counts(int64_t counts, int32_t per, int64_t picometres)
 {
-    return per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
+    toy_position position;
+    position.m = per > 0 ? (double)counts * (double)picometres / ((double)per * 1e12) : 1e300;
+    return position;
 }
 
 /* An encoder whose counts start over, of `per` counts to so many picometres as above. Set these

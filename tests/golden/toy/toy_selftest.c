@@ -38,7 +38,7 @@ static sgms_real not_a_number(void)
 /* A position that is none. */
 static toy_position no_position(void)
 {
-    return not_a_number();
+    return toy_position_from_metres(not_a_number());
 }
 
 /* The force [N] of the sample under way, of inertia until the next one and of friction. */
