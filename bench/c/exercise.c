@@ -173,15 +173,6 @@ static void begin(void)
     }
 }
 
-/* Moves with its drive off. */
-static void coast(long count)
-{
-    for (long k = 0; k < count; k++) {
-        position += (double)(k % 5) * (double)HOLD_PATH / (double)SAMPLES;
-        take_sample(CALL(position_from_metres)(position), (machine_real)0);
-    }
-}
-
 /* On and on at a low speed, until all doubt is gone. */
 static void glide(void)
 {
@@ -490,7 +481,6 @@ static void exercise(void)
     go_round();
     save_and_load();
     be_out_of_time();
-    coast(SAMPLES);
 }
 
 #ifdef ON_TARGET

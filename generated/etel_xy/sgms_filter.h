@@ -221,10 +221,6 @@ static inline sgms_aligned sgms_filter_step(
     }
     m->last[1] = velocity;
     m->last[2] = force;
-    if (m->position[1] == earlier || (apart && force == SGMS_R(0.0))) { /* an input stays away */
-        sgms_drop_rest(f, wanted ? SGMS_FILTER_STATES : SGMS_FILTER_STATES / 2);
-        sgms_drop_rest(m->last + 1, 1);
-    }
     if (wanted & SGMS_POSITION) {
         out.position = sgms_lowpass_step(
             filter, f + 14, sgms_lowpass_step(filter, f + 12, m->last[3]));

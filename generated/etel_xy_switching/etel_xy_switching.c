@@ -1154,6 +1154,14 @@ static void start_series(etel_xy_switching_t *self, int measured, sgms_real fric
     self->interval.friction = 0.0;
 }
 
+/* Filters of an axis that comes to rest end at zero. */
+static SGMS_COLD void drop_rest(etel_xy_switching_t *self)
+{
+    sgms_drop_rest(self->chain.lowpass, SGMS_FILTER_STATES);
+    sgms_drop_rest(&self->chain.last[1], 1);
+    sgms_drop_rest(self->compensation.lag_state, 6);
+}
+
 /* Take the signals of one sample in. */
 static SGMS_INLINE void take_sample(
     etel_xy_switching_t *self, const etel_xy_switching_signals *signals)
@@ -1165,6 +1173,9 @@ static SGMS_INLINE void take_sample(
         return;
     }
     self->calls.age = age + (uint32_t)(age < UINT32_MAX);
+    if (age % 128u == 0u) { /* as often as is needed */
+        drop_rest(self);
+    }
     if (!self->interval.started) {
         start_series(self, measured, signals->friction);
         return;

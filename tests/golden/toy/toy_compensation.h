@@ -120,9 +120,6 @@ static void follow_lag(toy_t *self, sgms_real d)
     s[0] = once;
     s[2] = d;
     s[3] = once + sgms_lowpass_step(f, s + 4, once);
-    if (d == 0.0) {
-        sgms_drop_rest(s, 6);
-    }
 }
 
 /* Nothing fed forward, nothing moved. */
