@@ -22,7 +22,7 @@ from sgms_bench.studies.identification import identified_axis
 from sgms_mhe.configuration import load_machine, make_machine
 from sgms_mhe.identification import Wanted, identify, interval
 from sgms_mhe.identification.elements import GATE, MOST_STEPS, SLOW_STEP, Law, Stribeck, least_distance, run_element
-from sgms_mhe.identification.fits import AxisFit
+from sgms_mhe.identification.fits import AxisFit, RecordView, stribeck_limits
 from sgms_mhe.identification.records import ElementMotion, make_records, sort_logs
 from sgms_mhe.identification.result import Number, round_number
 from sgms_mhe.identification.sampling import common_rate, round_up
@@ -136,6 +136,15 @@ def test_a_sample_of_a_smooth_element_takes_bounded_steps() -> None:
     least = least_distance("sgms", rise, RATE)
     assert GATE * rise.velocity / RATE / (SLOW_STEP * least) == pytest.approx(MOST_STEPS)
     assert least_distance("switching", rise, RATE) == 0.0
+
+
+@pytest.mark.parametrize(("fastest", "limit"), [(1.9, 9.5), (2.1, 10.0), (40.0, 10.0)])
+def test_a_stribeck_velocity_is_one_that_a_machine_file_may_state(fastest: float, limit: float) -> None:
+    """A joint that turns at 40 rad/s ended in a refusal of the file that was about to be written."""
+    view = cast(RecordView, SimpleNamespace(rows=SimpleNamespace(extents=SimpleNamespace(speed=fastest))))
+    assert stribeck_limits(view)[1] == pytest.approx(limit)
+    friction = TRUTH | {"stribeck_velocity": stribeck_limits(view)[1]}
+    assert make_machine({**axis().content, "friction": friction}, Path("a.toml")).friction.stribeck_velocity <= 10.0
 
 
 @pytest.mark.parametrize("seed", range(4))

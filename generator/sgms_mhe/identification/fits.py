@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from sgms_mhe.identification.elements import NO_RISE, Law, Stribeck, least_distance, run_elements
 from sgms_mhe.identification.records import ElementMotion
 from sgms_mhe.identification.terms import Term
+from sgms_mhe.machine.axis import FASTEST_STRIBECK
 from sgms_mhe.model.effects.base import LARGEST_RISE
 from sgms_mhe.recordings.evidence import UNSEEN_ERROR, cross_loss, noise_floor, robust_covariance
 from sgms_mhe.recordings.least_squares import Box, Quadratic, minimise, solve_nonnegative
@@ -202,7 +203,7 @@ class _AxisProblem:
         lower, upper = np.log(low / shape.distances), np.log(high / shape.distances)
         longest = np.full(len(lower), LONGEST)
         if shape.rise is not None:
-            slow, fast = _speeds(view)
+            slow, fast = stribeck_limits(view)
             ratio, speed = shape.rise.ratio, shape.rise.velocity
             lower = np.append(lower, (-ratio, math.log(slow / speed)))
             upper = np.append(upper, (LARGEST_RISE - ratio, math.log(fast / speed)))
@@ -271,7 +272,7 @@ def _within(shape: Shape, view: RecordView) -> Shape:
     """The shape within what the records can tell, distances in order."""
     rise = shape.rise
     if rise is not None:
-        slow, fast = _speeds(view)
+        slow, fast = stribeck_limits(view)
         rise = Stribeck(min(max(rise.ratio, 0.0), LARGEST_RISE), min(max(rise.velocity, slow), fast))
     return Shape(shape.law, np.sort(np.clip(shape.distances, *distance_limits(shape.law, rise, view))), rise)
 
@@ -286,10 +287,10 @@ def distance_limits(law: Law, rise: Stribeck | None, view: RecordView) -> tuple[
     return low, max(low, high * WIDER)
 
 
-def _speeds(view: RecordView) -> tuple[float, float]:
-    """Smallest and largest Stribeck velocity [m/s] that a fit follows."""
+def stribeck_limits(view: RecordView) -> tuple[float, float]:
+    """Return the smallest and largest Stribeck velocity [m/s] that a fit follows: no larger than a machine file's."""
     slow, fast = STRIBECK
-    return slow * view.rows.extents.speed, fast * view.rows.extents.speed
+    return slow * view.rows.extents.speed, min(fast * view.rows.extents.speed, FASTEST_STRIBECK)
 
 
 def covariance(view: RecordView, fit: AxisFit) -> Array:

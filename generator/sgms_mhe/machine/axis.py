@@ -13,6 +13,9 @@ from sgms_mhe.machine.units import OF_KIND, Kind, Units
 BASE_PARAMETERS: Final = ("stiffness", "fraction", "coulomb", "viscous", "stribeck_ratio", "stribeck_velocity")
 """Parameters of the base model that can be estimated."""
 
+FASTEST_STRIBECK: Final = 10.0
+"""Largest Stribeck velocity of a machine file [m/s, rad/s]."""
+
 SUM_TOLERANCE: Final = 1e-6
 
 
@@ -83,7 +86,7 @@ class Friction(MachineTable):
     viscous: float = quantity("sigma_v, viscous damping", "N s/m, N m s/rad", 0.0, ge=0, le=1e9)
     coulomb: float = quantity("f_C, Coulomb level", "N, N m", gt=0, le=1e7)
     stribeck_ratio: float = quantity("beta, static over Coulomb level minus one", "1", 0.0, ge=0, le=100)
-    stribeck_velocity: float = quantity("v_s, Stribeck velocity", "m/s, rad/s", 1e-3, gt=0, le=10)
+    stribeck_velocity: float = quantity("v_s, Stribeck velocity", "m/s, rad/s", 1e-3, gt=0, le=FASTEST_STRIBECK)
     smoothing: Smoothing | None = Field(
         default_factory=lambda data: Smoothing() if data.get("law", "sgms") == "sgms" else None,
         description="smoothing of the slip switches, of law sgms alone; default zeta 0.9, 35, 35",
