@@ -63,7 +63,7 @@ static void put_terms(const double *last, sgms_real *term)
             }
             w[i] = (sgms_real)(mean + (node - NODES / 2) * slope);
         }
-        sample_terms(w, term + node * TERMS * SERIES_STRIDE, SERIES_STRIDE);
+        sample_terms(w, term + node * TERMS, 1);
     }
 }
 
@@ -115,7 +115,7 @@ int sgms_predict(
     start_blocks(&at, start, blocks);
     for (long k = 0; k < samples; k++) {
         if (k > 0 && k % MERGED == 0) {
-            sgms_real term[NODES * TERMS * SERIES_STRIDE];
+            sgms_real term[NODES * TERMS];
             put_terms(signals + SIGNALS * k, term);
             integrate_blocks(term, blocks);
         }

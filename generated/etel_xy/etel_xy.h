@@ -10,11 +10,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()           11867
- *   sample()          3408   insert() too
- *   prepare()       237223   in units of at most 3645
- *   feedback()       14353   after prepare()
- *   an update       571182   all calls of an interval
+ *   tick()           11759
+ *   sample()          3324   insert() too
+ *   prepare()       239603   in units of at most 3645
+ *   feedback()       14245   after prepare()
+ *   an update       572698   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *
@@ -78,7 +78,7 @@ typedef struct {
 #define ETEL_XY_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_MACHINE "de03b466533e" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_check() */
-#define ETEL_XY_HEADER 0xb9bbe259u
+#define ETEL_XY_HEADER 0x8e5c06d5u
 #define ETEL_XY_SAVED_FORMAT 2u /* of etel_xy_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SAVED_MACHINE_0 0xde03b466u
 #define ETEL_XY_SAVED_MACHINE_1 0x533eu
@@ -154,17 +154,17 @@ enum {
     ETEL_XY_SLOTS = 20,                          /* intervals kept */
     ETEL_XY_UNKNOWNS = 8,                        /* at a node: its state and theta */
     ETEL_XY_FACTOR_SIZE = 8 * 9,                 /* triangular factor with right side */
-    ETEL_XY_SERIES_SIZE = 100 * 2 * 20,          /* nodes, sample terms, intervals */
+    ETEL_XY_SERIES_SIZE = 20 * 100 * 1,          /* intervals, steps, signals: velocity */
     ETEL_XY_BLOCKS_SIZE = 4 * 4,                 /* blocks side by side, with sensitivities */
     ETEL_XY_ROOT_SIZE = 10,                      /* upper triangle, root of the parameters */
-    /* row of a node: its state, the next one's, theta, right side */
-    ETEL_XY_KEPT_WIDTH = 13,
-    ETEL_XY_DEFECT_WIDTH = 6,                    /* row of a defect: states, theta, right side */
+    /* rows that give a node back, without their zeros */
+    ETEL_XY_KEPT_SIZE = 40,
+    /* row of a defect: states, parameters, right side */
+    ETEL_XY_DEFECT_WIDTH = 3,
     ETEL_XY_TRIANGLE_SIZE = 44,                  /* upper triangle of a factor */
     /* measurements inside an interval, besides that at its end */
     ETEL_XY_INNER = 9,
     ETEL_XY_INNER_SIZE = 44,                     /* rows of the same information */
-    ETEL_XY_INNER_SIGNALS = 1,                   /* signals kept of each: velocity */
 };
 
 /* Weights and bounds, of [estimator.noise], [estimator.prior] and [estimator.bounds] in the machine
@@ -233,7 +233,7 @@ typedef struct {
     } calls;
     etel_xy_parameters parameters; /* of the last estimate */
     struct { /* force fed forward, of sample(), insert(), tick() */
-        etel_xy_real lag_state[6], lag; /* m, the newest position beyond the chain's */
+        etel_xy_real lag; /* m, the newest position beyond the chain's */
         etel_xy_real ahead[2]; /* set-point's velocity and acceleration as the force acts */
         etel_xy_real gain; /* share that is on */
         int32_t on, ahead_given, through_chain;
@@ -263,10 +263,9 @@ typedef struct {
         uint8_t held[ETEL_XY_PARAMETERS]; /* by hold(), set_parameter() */
     } estimate;
     struct { /* samples and node of each interval */
-        etel_xy_real term[ETEL_XY_SERIES_SIZE];
+        etel_xy_real series[ETEL_XY_SERIES_SIZE];
         etel_xy_real node[ETEL_XY_SLOTS * ETEL_XY_STATES]; /* state at its start */
-        etel_xy_real signal[ETEL_XY_SLOTS * ETEL_XY_SIGNALS];
-        etel_xy_real friction[ETEL_XY_SLOTS];
+        etel_xy_real friction[ETEL_XY_SLOTS]; /* without what signals alone add */
         etel_xy_real weight[ETEL_XY_SLOTS]; /* 1/(N) of its measurement; 0: none */
     } window;
     struct { /* measurements inside of intervals; of the newest one's, how many came, are folded */
@@ -274,7 +273,6 @@ typedef struct {
         int32_t folded, side;
         etel_xy_real weight[ETEL_XY_SLOTS * ETEL_XY_INNER]; /* as in the window */
         etel_xy_real friction[ETEL_XY_SLOTS * ETEL_XY_INNER];
-        etel_xy_real signal[ETEL_XY_SLOTS * ETEL_XY_INNER * ETEL_XY_INNER_SIGNALS];
         /* of the newest interval, on one side, and the one before */
         etel_xy_real rows[2 * ETEL_XY_INNER * (ETEL_XY_UNKNOWNS + 1)];
         etel_xy_real kept[ETEL_XY_SLOTS * ETEL_XY_INNER_SIZE];
@@ -290,8 +288,7 @@ typedef struct {
         /* by interval; oldest: arrival cost */
         etel_xy_real start[ETEL_XY_SLOTS * ETEL_XY_TRIANGLE_SIZE];
         int32_t back; /* older intervals to condense again; -1: the factor stands as it is */
-        /* for the back-substitution */
-        etel_xy_real kept[ETEL_XY_SLOTS * ETEL_XY_STATES * ETEL_XY_KEPT_WIDTH];
+        etel_xy_real kept[ETEL_XY_SLOTS * ETEL_XY_KEPT_SIZE]; /* for the back-substitution */
         int32_t complete, cursor; /* older intervals; units of the work done */
         int32_t shifts, pending_drift; /* since the parameters' drift entered; with motion */
     } sweep;

@@ -146,19 +146,70 @@ typedef struct {
     int valid; /* whether friction may be used as a measurement */
 } sgms_aligned;
 
+/* Take in what a sample disturbs: a channel's first good value, a gap that is filled, filters that
+ * have not settled. `rest` is the state of the filters of a force that has always been there.
+ * Returns whether friction may be used. */
+static SGMS_COLD int sgms_filter_disturbed(
+    const sgms_chain *chain, const sgms_filter_memory *m, sgms_real *rest, sgms_position *position,
+    sgms_real *force)
+{
+    const sgms_lowpass *const filter = &chain->lowpass;
+    const int position_good = sgms_position_is_good(*position);
+    const int force_good = sgms_is_reading(*force);
+    int valid = 0;
+    if ((m->counts[0] & 1) == 0 && force_good) { /* first good force */
+        m->counts[0] |= 1;
+        m->last[2] = *force;
+        sgms_lowpass_rest(filter, rest, *force);
+        sgms_lowpass_rest(filter, rest + 2, *force);
+        m->counts[2] = 0;
+    }
+    if ((m->counts[0] & 2) == 0 && position_good) { /* first good position */
+        m->counts[0] |= 2;
+        m->position[0] = *position;
+        if (chain->wanted & SGMS_POSITION) {
+            m->last[3] = sgms_metres(*position);
+            sgms_lowpass_rest(filter, m->lowpass + 12, m->last[3]);
+            sgms_lowpass_rest(filter, m->lowpass + 14, m->last[3]);
+        }
+        m->counts[1] = 0;
+        m->counts[2] = 0;
+    }
+    if (!position_good) {
+        *position = sgms_position_ahead(m->position[0], m->position[1]);
+        if (m->counts[1] <= chain->settle) {
+            m->counts[1]++;
+        }
+    } else {
+        m->position[1] = sgms_position_difference(*position, m->position[0]);
+        if (m->counts[1] > chain->settle) { /* what was travelled unseen is not a velocity */
+            m->position[1] = 0;
+            m->last[3] = chain->wanted & SGMS_POSITION ? sgms_metres(*position) : SGMS_R(0.0);
+        }
+        m->counts[1] = 0;
+    }
+    if (!force_good) {
+        *force = m->last[0];
+    }
+    if (!position_good || !force_good || m->counts[0] != 3) {
+        m->counts[2] = 0;
+    } else if (m->counts[2] < chain->settle) {
+        m->counts[2]++;
+    } else {
+        valid = 1;
+    }
+    return valid;
+}
+
 /* One sample through the chain. */
 static inline sgms_aligned sgms_filter_step(
     const sgms_chain *chain, const sgms_filter_memory *m, sgms_position position, sgms_real force)
 {
     const sgms_lowpass *const filter = &chain->lowpass;
     const sgms_real rate = chain->rate;
-    const int32_t settle = chain->settle;
     const int wanted = chain->wanted;
-    const int position_good = sgms_position_is_good(position);
-    const int force_good = sgms_is_reading(force);
     const int apart = wanted & (SGMS_FORCE | SGMS_ACCELERATION);
     sgms_real *const f = m->lowpass;
-    sgms_real *const of_force = apart ? f + 8 : f + 4;
     const sgms_position earlier = m->position[1]; /* difference */
     sgms_real velocity, acceleration;
     sgms_aligned out;
@@ -166,43 +217,14 @@ static inline sgms_aligned sgms_filter_step(
     out.acceleration = SGMS_R(0.0);
     out.force = SGMS_R(0.0);
 
-    if ((m->counts[0] & 1) == 0 && force_good) { /* first good force */
-        m->counts[0] |= 1;
-        m->last[0] = force;
-        m->last[2] = force;
-        sgms_lowpass_rest(filter, of_force, force);
-        sgms_lowpass_rest(filter, of_force + 2, force);
-        m->counts[2] = 0;
-    }
-    if ((m->counts[0] & 2) == 0 && position_good) { /* first good position */
-        m->counts[0] |= 2;
-        m->position[0] = position;
-        m->position[1] = 0;
-        if (wanted & SGMS_POSITION) {
-            m->last[3] = sgms_metres(position);
-            sgms_lowpass_rest(filter, f + 12, m->last[3]);
-            sgms_lowpass_rest(filter, f + 14, m->last[3]);
-        }
-        m->counts[1] = 0;
-        m->counts[2] = 0;
-    }
-    if (!position_good) {
-        position = sgms_position_ahead(m->position[0], m->position[1]);
-        if (m->counts[1] <= settle) {
-            m->counts[1]++;
-        }
-    } else {
+    if (sgms_position_is_good(position) && sgms_is_reading(force) && m->counts[0] == 3 &&
+        m->counts[1] == 0 && m->counts[2] >= chain->settle) {
         m->position[1] = sgms_position_difference(position, m->position[0]);
-        if (m->counts[1] > settle) { /* what was travelled unseen is not a velocity */
-            m->position[1] = 0;
-            m->last[3] = wanted & SGMS_POSITION ? sgms_metres(position) : SGMS_R(0.0);
-        }
-        m->counts[1] = 0;
+        out.valid = 1;
+    } else {
+        out.valid = sgms_filter_disturbed(chain, m, apart ? f + 8 : f + 4, &position, &force);
     }
     m->position[0] = position;
-    if (!force_good) {
-        force = m->last[0];
-    }
     m->last[0] = force;
 
     /* The filters are linear, so the difference of two filtered velocities is the filtered second
@@ -225,16 +247,6 @@ static inline sgms_aligned sgms_filter_step(
         out.position = sgms_lowpass_step(
             filter, f + 14, sgms_lowpass_step(filter, f + 12, m->last[3]));
         m->last[3] = sgms_metres(position);
-    }
-
-    if (!position_good || !force_good || m->counts[0] != 3) {
-        m->counts[2] = 0;
-        out.valid = 0;
-    } else {
-        out.valid = m->counts[2] >= settle;
-        if (m->counts[2] < settle) {
-            m->counts[2]++;
-        }
     }
     return out;
 }

@@ -361,7 +361,7 @@ static SGMS_COLD void start_fresh(etel_xy_controller_t *self)
     start_signals(self);
     self->compensation.on = self->calls.phase != UNSOUND;
     fill(self->parameters.theta, 1.0f, PARAMETERS);
-    fill(self->window.term, 0.0f, ETEL_XY_CONTROLLER_SERIES_SIZE);
+    fill(self->window.series, 0.0f, ETEL_XY_CONTROLLER_SERIES_SIZE);
     fill(self->window.node, 0.0f, SLOTS * STATES);
     fill(self->interval.path, 0.0f, SLOTS);
     for (int p = 0; p < PARAMETERS; p++) {
@@ -428,19 +428,21 @@ static void inner_row(
     sgms_real c[STATES], d[PARAMETERS];
     sgms_real right = measured - output_force(&at, c, d);
     fill(row, 0.0f, STATES);
+    for (int p = 0; p < PARAMETERS; p++) {
+        row[STATES + p] = d[p];
+    }
     for (int i = 0; i < STATES; i++) {
         for (int k = 0; k < coupled[i]; k++) {
             row[couples[i][k]] += c[i] * map->a[i * STATES + couples[i][k]];
+        }
+        for (int k = 0; k < entered[i]; k++) {
+            row[STATES + enters[i][k]] += c[i] * map->b[i * PARAMETERS + enters[i][k]];
         }
     }
     for (int k = 0; k < STATES; k++) {
         right += row[k] * start[k];
     }
     for (int p = 0; p < PARAMETERS; p++) {
-        row[STATES + p] = d[p];
-        for (int i = 0; i < STATES; i++) {
-            row[STATES + p] += c[i] * map->b[i * PARAMETERS + p];
-        }
         right += row[STATES + p] * self->parameters.theta[p];
     }
     row[FACTOR_ROWS] = right;
@@ -495,8 +497,8 @@ static void fold_row(sgms_real *factor, sgms_real weight, sgms_real *row)
 /* Weighed row of the measurement at the start of an interval; zeros where there is none. */
 static void start_row(const etel_xy_controller_t *self, int slot, sgms_real *row)
 {
-    const model_point at = { self->window.node + slot * STATES,
-        self->window.signal + slot * SIGNALS, self->parameters.theta };
+    sgms_real w[SIGNALS] = { 0.0f };
+    const model_point at = { self->window.node + slot * STATES, w, self->parameters.theta };
     fill(row, 0.0f, FACTOR_WIDTH);
     if (self->window.weight[slot] > 0.0f) {
         node_row(&at, self->window.friction[slot], row);
@@ -514,8 +516,7 @@ static void take_inner(etel_xy_controller_t *self, int measured, sgms_real frict
     sgms_real *const row =
         self->inner.rows + (int)(self->inner.side & 1) * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
     self->inner.weight[at] = measured ? 1.0f : 0.0f;
-    self->inner.friction[at] = friction;
-    self->inner.signal[at * INNER_SIGNALS + 0] = self->input.signal[W_VELOCITY];
+    self->inner.friction[at] = friction - output_apart(self->input.signal);
     if (measured) {
         const sgms_real *const start = self->window.node + newest_slot(self) * STATES;
         interval_map map;
@@ -555,11 +556,23 @@ static void fold_rows(etel_xy_controller_t *self, int slot, sgms_real *rows)
     sgms_real *const factor = self->sweep.factor;
     sgms_real reflector[9] = { 0.0f }; /* some compilers take the reach for longer than it is */
     start_row(self, slot, rows);
+    /* row i of the triangle begins in column i - 1 */
+#if SGMS_VECTORS /* loops of constant length, which compilers vectorise */
+    sgms_reflect(factor + 0 * FACTOR_WIDTH, rows, 2, FACTOR_WIDTH, FACTOR_WIDTH, 0, reflector);
+    sgms_reflect(factor + 1 * FACTOR_WIDTH, rows, 3, FACTOR_WIDTH, FACTOR_WIDTH, 1, reflector);
+    sgms_reflect(factor + 2 * FACTOR_WIDTH, rows, 4, FACTOR_WIDTH, FACTOR_WIDTH, 2, reflector);
+    sgms_reflect(factor + 3 * FACTOR_WIDTH, rows, 5, FACTOR_WIDTH, FACTOR_WIDTH, 3, reflector);
+    sgms_reflect(factor + 4 * FACTOR_WIDTH, rows, 6, FACTOR_WIDTH, FACTOR_WIDTH, 4, reflector);
+    sgms_reflect(factor + 5 * FACTOR_WIDTH, rows, 7, FACTOR_WIDTH, FACTOR_WIDTH, 5, reflector);
+    sgms_reflect(factor + 6 * FACTOR_WIDTH, rows, 8, FACTOR_WIDTH, FACTOR_WIDTH, 6, reflector);
+    sgms_reflect(factor + 7 * FACTOR_WIDTH, rows, 9, FACTOR_WIDTH, FACTOR_WIDTH, 7, reflector);
+#else
     for (int c = 0; c < FACTOR_ROWS; c++) {
-        const int reach = c + 2 < 9 ? c + 2 : 9; /* row i of the triangle begins in column i - 1 */
+        const int reach = c + 2 < 9 ? c + 2 : 9;
         sgms_reflect(
             factor + c * FACTOR_WIDTH, rows, reach, FACTOR_WIDTH, FACTOR_WIDTH, c, reflector);
     }
+#endif
 }
 
 /* Row of a measurement inside an older interval, linearised anew, with its old weight. */
@@ -567,7 +580,6 @@ static void renew_inner(etel_xy_controller_t *self, int at, const interval_map *
     const sgms_real *start, sgms_real *row)
 {
     sgms_real w[SIGNALS] = { 0.0f };
-    w[W_VELOCITY] = self->inner.signal[at * INNER_SIGNALS + 0];
     inner_row(self, map, start, w, self->inner.friction[at], row);
     for (int i = 0; i < FACTOR_WIDTH; i++) {
         row[i] = self->inner.weight[at] > 0.0f ? row[i] * self->inner.weight[at] : 0.0f;
@@ -578,24 +590,51 @@ static void renew_inner(etel_xy_controller_t *self, int at, const interval_map *
 static void keep_inner(etel_xy_controller_t *self, int slot, sgms_real *rows)
 {
     sgms_real reflector[INNER];
-    sgms_real *kept = self->inner.kept + slot * INNER_SIZE;
+    sgms_real *const kept = self->inner.kept + slot * INNER_SIZE;
+#if SGMS_VECTORS
+    sgms_reflect(rows + 0 * FACTOR_WIDTH, rows + 1 * FACTOR_WIDTH, 8, FACTOR_WIDTH, FACTOR_WIDTH,
+        0, reflector);
+    sgms_reflect(rows + 1 * FACTOR_WIDTH, rows + 2 * FACTOR_WIDTH, 7, FACTOR_WIDTH, FACTOR_WIDTH,
+        1, reflector);
+    sgms_reflect(rows + 2 * FACTOR_WIDTH, rows + 3 * FACTOR_WIDTH, 6, FACTOR_WIDTH, FACTOR_WIDTH,
+        2, reflector);
+    sgms_reflect(rows + 3 * FACTOR_WIDTH, rows + 4 * FACTOR_WIDTH, 5, FACTOR_WIDTH, FACTOR_WIDTH,
+        3, reflector);
+    sgms_reflect(rows + 4 * FACTOR_WIDTH, rows + 5 * FACTOR_WIDTH, 4, FACTOR_WIDTH, FACTOR_WIDTH,
+        4, reflector);
+    sgms_reflect(rows + 5 * FACTOR_WIDTH, rows + 6 * FACTOR_WIDTH, 3, FACTOR_WIDTH, FACTOR_WIDTH,
+        5, reflector);
+    sgms_reflect(rows + 6 * FACTOR_WIDTH, rows + 7 * FACTOR_WIDTH, 2, FACTOR_WIDTH, FACTOR_WIDTH,
+        6, reflector);
+    sgms_reflect(rows + 7 * FACTOR_WIDTH, rows + 8 * FACTOR_WIDTH, 1, FACTOR_WIDTH, FACTOR_WIDTH,
+        7, reflector);
+#else
     sgms_qr(rows, INNER, FACTOR_WIDTH, FACTOR_WIDTH, FACTOR_ROWS, reflector);
-    for (int i = 0; i < INNER_ROWS; i++) {
-        copy(kept, rows + i * (FACTOR_WIDTH + 1), FACTOR_WIDTH - i);
-        kept += FACTOR_WIDTH - i;
-    }
+#endif
+    copy(kept + 0, rows + 0 * (FACTOR_WIDTH + 1), FACTOR_WIDTH - 0);
+    copy(kept + 9, rows + 1 * (FACTOR_WIDTH + 1), FACTOR_WIDTH - 1);
+    copy(kept + 17, rows + 2 * (FACTOR_WIDTH + 1), FACTOR_WIDTH - 2);
+    copy(kept + 24, rows + 3 * (FACTOR_WIDTH + 1), FACTOR_WIDTH - 3);
+    copy(kept + 30, rows + 4 * (FACTOR_WIDTH + 1), FACTOR_WIDTH - 4);
+    copy(kept + 35, rows + 5 * (FACTOR_WIDTH + 1), FACTOR_WIDTH - 5);
+    copy(kept + 39, rows + 6 * (FACTOR_WIDTH + 1), FACTOR_WIDTH - 6);
+    copy(kept + 42, rows + 7 * (FACTOR_WIDTH + 1), FACTOR_WIDTH - 7);
 }
 
 /* Fold the measurements of an older interval, but for that at its end. */
 static void fold_interval(etel_xy_controller_t *self, int slot)
 {
     sgms_real rows[9 * FACTOR_WIDTH];
-    const sgms_real *kept = self->inner.kept + slot * INNER_SIZE;
-    for (int i = 0; i < INNER_ROWS; i++) {
-        fill(rows + (i + 1) * FACTOR_WIDTH, 0.0f, i);
-        copy(rows + (i + 1) * FACTOR_WIDTH + i, kept, FACTOR_WIDTH - i);
-        kept += FACTOR_WIDTH - i;
-    }
+    const sgms_real *const kept = self->inner.kept + slot * INNER_SIZE;
+    fill(rows, 0.0f, 9 * FACTOR_WIDTH);
+    copy(rows + 1 * FACTOR_WIDTH + 0, kept + 0, FACTOR_WIDTH - 0);
+    copy(rows + 2 * FACTOR_WIDTH + 1, kept + 9, FACTOR_WIDTH - 1);
+    copy(rows + 3 * FACTOR_WIDTH + 2, kept + 17, FACTOR_WIDTH - 2);
+    copy(rows + 4 * FACTOR_WIDTH + 3, kept + 24, FACTOR_WIDTH - 3);
+    copy(rows + 5 * FACTOR_WIDTH + 4, kept + 30, FACTOR_WIDTH - 4);
+    copy(rows + 6 * FACTOR_WIDTH + 5, kept + 35, FACTOR_WIDTH - 5);
+    copy(rows + 7 * FACTOR_WIDTH + 6, kept + 39, FACTOR_WIDTH - 6);
+    copy(rows + 8 * FACTOR_WIDTH + 7, kept + 42, FACTOR_WIDTH - 7);
     fold_rows(self, slot, rows);
 }
 
@@ -624,8 +663,9 @@ static void add_drift(const etel_xy_controller_t *self, sgms_real *factor, int i
 }
 
 /* Defect of state i over an interval, x_k+1 - A x_k - B theta - rest over its standard deviation,
- * as a row [-A, -B, rest] of the least squares; of A the columns of `couples` alone, the rest is
- * zero. The map is linearised at `start` and the parameters of the last estimate. */
+ * as a row [-A, -B, rest] of the least squares; of A and B the columns of `couples` and `enters`
+ * alone, the rest is zero. The map is linearised at `start` and the parameters of the last
+ * estimate. */
 static void defect_row(const etel_xy_controller_t *self, int i, const sgms_real *start,
     const interval_map *map, sgms_real *row)
 {
@@ -637,9 +677,10 @@ static void defect_row(const etel_xy_controller_t *self, int i, const sgms_real 
         row[k] = -inverse_noise * entry;
         rest -= entry * start[couples[i][k]];
     }
-    for (int p = 0; p < PARAMETERS; p++) {
-        row[COUPLED + p] = -inverse_noise * b[p];
-        rest -= b[p] * self->parameters.theta[p];
+    for (int k = 0; k < ENTERED; k++) {
+        const sgms_real entry = k < entered[i] ? b[enters[i][k]] : 0.0f;
+        row[COUPLED + k] = -inverse_noise * entry;
+        rest -= entry * self->parameters.theta[enters[i][k]];
     }
     row[DEFECT_WIDTH - 1] = inverse_noise * rest;
 }
@@ -653,14 +694,14 @@ static void defect_rows(const etel_xy_controller_t *self, const sgms_real *start
 }
 
 /* Condense an interval: the factor over its start and theta, (x_k, theta), becomes that over
- * (x_k+1, theta). The rows that give x_k back go to `kept`. */
+ * (x_k+1, theta). The rows that give x_k back go to `kept`, without what is zero. */
 static void condense(const etel_xy_controller_settings_t *settings, sgms_real *factor,
     const sgms_real *rows, sgms_real *kept)
 {
-    sgms_real low[STATES * KEPT_WIDTH], reflector[STATES];
+    sgms_real high[STATES * KEPT_WIDTH], low[STATES * KEPT_WIDTH], reflector[STATES];
     for (int i = 0; i < STATES; i++) {
         /* over (x_k, x_k+1, theta) */
-        sgms_real *top = kept + i * KEPT_WIDTH;
+        sgms_real *top = high + i * KEPT_WIDTH;
         copy(top, factor + i * FACTOR_WIDTH, STATES);
         fill(top + STATES, 0.0f, STATES);
         copy(top + 2 * STATES, factor + i * FACTOR_WIDTH + STATES, PARAMETERS + 1);
@@ -670,41 +711,81 @@ static void condense(const etel_xy_controller_settings_t *settings, sgms_real *f
             top[couples[i][k]] = rows[i * DEFECT_WIDTH + k];
         }
         top[STATES + i] = 1.0f / settings->state[i];
-        copy(top + 2 * STATES, rows + i * DEFECT_WIDTH + COUPLED, PARAMETERS + 1);
+        fill(top + 2 * STATES, 0.0f, PARAMETERS);
+        for (int k = 0; k < entered[i]; k++) {
+            top[2 * STATES + enters[i][k]] = rows[i * DEFECT_WIDTH + COUPLED + k];
+        }
+        top[KEPT_WIDTH - 1] = rows[i * DEFECT_WIDTH + DEFECT_WIDTH - 1];
     }
     /* R_x is triangular and A couples the states of a block alone: a column reaches no further down
      * than its block, or an earlier one. */
-    sgms_reflect(kept + 0 * KEPT_WIDTH, low, 1, KEPT_WIDTH, KEPT_WIDTH, 0, reflector);
-    sgms_reflect(kept + 1 * KEPT_WIDTH, low, 2, KEPT_WIDTH, KEPT_WIDTH, 1, reflector);
-    sgms_reflect(kept + 2 * KEPT_WIDTH, low, 3, KEPT_WIDTH, KEPT_WIDTH, 2, reflector);
-    sgms_reflect(kept + 3 * KEPT_WIDTH, low, 4, KEPT_WIDTH, KEPT_WIDTH, 3, reflector);
+    sgms_reflect(high + 0 * KEPT_WIDTH, low, 1, KEPT_WIDTH, KEPT_WIDTH, 0, reflector);
+    sgms_reflect(high + 1 * KEPT_WIDTH, low, 2, KEPT_WIDTH, KEPT_WIDTH, 1, reflector);
+    sgms_reflect(high + 2 * KEPT_WIDTH, low, 3, KEPT_WIDTH, KEPT_WIDTH, 2, reflector);
+    sgms_reflect(high + 3 * KEPT_WIDTH, low, 4, KEPT_WIDTH, KEPT_WIDTH, 3, reflector);
     sgms_reflect(low + 0 * KEPT_WIDTH + STATES, low + 1 * KEPT_WIDTH + STATES, 3, KEPT_WIDTH,
         FACTOR_WIDTH, 0, reflector);
     sgms_reflect(low + 1 * KEPT_WIDTH + STATES, low + 2 * KEPT_WIDTH + STATES, 2, KEPT_WIDTH,
         FACTOR_WIDTH, 1, reflector);
     sgms_reflect(low + 2 * KEPT_WIDTH + STATES, low + 3 * KEPT_WIDTH + STATES, 1, KEPT_WIDTH,
         FACTOR_WIDTH, 2, reflector);
+    copy(kept + 0, high + 0 * (KEPT_WIDTH + 1), 4);
+    copy(kept + 4, high + 0 * KEPT_WIDTH + STATES, 1);
+    copy(kept + 5, high + 0 * KEPT_WIDTH + 2 * STATES, PARAMETERS + 1);
+    copy(kept + 10, high + 1 * (KEPT_WIDTH + 1), 3);
+    copy(kept + 13, high + 1 * KEPT_WIDTH + STATES, 2);
+    copy(kept + 15, high + 1 * KEPT_WIDTH + 2 * STATES, PARAMETERS + 1);
+    copy(kept + 20, high + 2 * (KEPT_WIDTH + 1), 2);
+    copy(kept + 22, high + 2 * KEPT_WIDTH + STATES, 3);
+    copy(kept + 25, high + 2 * KEPT_WIDTH + 2 * STATES, PARAMETERS + 1);
+    copy(kept + 30, high + 3 * (KEPT_WIDTH + 1), 1);
+    copy(kept + 31, high + 3 * KEPT_WIDTH + STATES, 4);
+    copy(kept + 35, high + 3 * KEPT_WIDTH + 2 * STATES, PARAMETERS + 1);
     for (int i = 0; i < STATES; i++) {
         copy(factor + i * FACTOR_WIDTH, low + i * KEPT_WIDTH + STATES, FACTOR_WIDTH);
     }
 }
 
-/* x from the rows [R_x, R_n, R_theta, b] of a node, the next node's state and theta. */
-static void expand(const sgms_real *rows, int width, int next_states, const sgms_real *next,
-    const sgms_real *theta, sgms_real *x)
+/* The sum less the products of so many numbers. */
+static inline sgms_real less_products(
+    sgms_real sum, const sgms_real *a, const sgms_real *b, int count)
 {
-    sgms_real right[STATES];
-    for (int i = 0; i < STATES; i++) {
-        const sgms_real *row = rows + i * width;
-        right[i] = row[width - 1];
-        for (int j = 0; j < next_states; j++) {
-            right[i] -= row[STATES + j] * next[j];
-        }
-        for (int p = 0; p < PARAMETERS; p++) {
-            right[i] -= row[STATES + next_states + p] * theta[p];
-        }
+    for (int i = 0; i < count; i++) {
+        sum -= a[i] * b[i];
     }
-    sgms_back_substitute(rows, STATES, width, right, x);
+    return sum;
+}
+
+/* x from the rows [R_x, R_theta, b] of a factor and theta. */
+static void expand(const sgms_real *factor, const sgms_real *theta, sgms_real *x)
+{
+    for (int i = STATES - 1; i >= 0; i--) {
+        const sgms_real *const row = factor + i * FACTOR_WIDTH;
+        const sgms_real right = less_products(row[FACTOR_ROWS], row + STATES, theta, PARAMETERS);
+        x[i] = less_products(right, row + i + 1, x + i + 1, STATES - 1 - i) / row[i];
+    }
+}
+
+/* The same of a node's kept rows [R_x, R_n, R_theta, b], and the next node's state. */
+static void expand_kept(
+    const sgms_real *kept, const sgms_real *next, const sgms_real *theta, sgms_real *x)
+{
+    sgms_real right;
+    right = less_products(kept[35 + PARAMETERS], kept + 31, next, 4);
+    right = less_products(right, kept + 35, theta, PARAMETERS);
+    x[3] = right / kept[30];
+    right = less_products(kept[25 + PARAMETERS], kept + 22, next, 3);
+    right = less_products(right, kept + 25, theta, PARAMETERS);
+    right = less_products(right, kept + 21, x + 3, 1);
+    x[2] = right / kept[20];
+    right = less_products(kept[15 + PARAMETERS], kept + 13, next, 2);
+    right = less_products(right, kept + 15, theta, PARAMETERS);
+    right = less_products(right, kept + 11, x + 2, 2);
+    x[1] = right / kept[10];
+    right = less_products(kept[5 + PARAMETERS], kept + 4, next, 1);
+    right = less_products(right, kept + 5, theta, PARAMETERS);
+    right = less_products(right, kept + 1, x + 1, 3);
+    x[0] = right / kept[0];
 }
 
 /* Fold the measurement at the start of an interval. */
@@ -719,8 +800,7 @@ static void fold_start(etel_xy_controller_t *self, int slot)
 static void sweep_interval(etel_xy_controller_t *self, int back, const sgms_real *rows)
 {
     const int slot = slot_before(self, back);
-    condense(
-        &self->settings, self->sweep.factor, rows, self->sweep.kept + slot * STATES * KEPT_WIDTH);
+    condense(&self->settings, self->sweep.factor, rows, self->sweep.kept + slot * KEPT_SIZE);
     keep_factor(
         self->sweep.start + slot_before(self, back - 1) * TRIANGLE_SIZE, self->sweep.factor);
 }
@@ -747,8 +827,8 @@ static sgms_real moved_most(const etel_xy_controller_t *self, int slot)
         for (int k = 0; k < coupled[i]; k++) {
             moved -= row[k] * x[couples[i][k]];
         }
-        for (int p = 0; p < PARAMETERS; p++) {
-            moved -= row[COUPLED + p] * self->parameters.theta[p];
+        for (int k = 0; k < entered[i]; k++) {
+            moved -= row[COUPLED + k] * self->parameters.theta[enters[i][k]];
         }
         most = sgms_fmax(most, moved * moved * (self->settings.state[i] * INVERSE_MOVE));
     }
@@ -770,8 +850,7 @@ static void expand_node(etel_xy_controller_t *self, int back)
 {
     const int slot = slot_before(self, back);
     const sgms_real *successor = self->window.node + slot_before(self, back - 1) * STATES;
-    const sgms_real *rows = self->sweep.kept + slot * STATES * KEPT_WIDTH;
-    expand(rows, KEPT_WIDTH, STATES, successor, self->parameters.theta,
+    expand_kept(self->sweep.kept + slot * KEPT_SIZE, successor, self->parameters.theta,
         self->window.node + slot * STATES);
     choose_interval(self, slot);
 }
@@ -814,11 +893,15 @@ static void linearise_step(etel_xy_controller_t *self, int unit)
     const int step = sgms_place(unit, STEPS - 1);
     const int slot = sgms_place(self->linearisation.slot, SLOTS - 1);
     const sgms_real *const start = self->window.node + slot * STATES;
+    const sgms_real *const kept = self->window.series + (slot * STEPS + step) * SERIES_ROWS;
+    sgms_real mean[SIGNALS] = { 0.0 }, slope[SIGNALS] = { 0.0 }, term[NODES * TERMS];
     if (step == 0) {
         start_blocks(&self->parameters, start, self->linearisation.blocks);
     }
-    integrate_blocks(self->window.term + step * NODES * TERMS * SERIES_STRIDE + slot,
-        self->linearisation.blocks);
+    mean[W_VELOCITY] = kept[0];
+    slope[W_VELOCITY] = kept[1];
+    node_terms(mean, slope, term);
+    integrate_blocks(term, self->linearisation.blocks);
     if ((step + 1) % SPACING == 0) {
         interval_map map;
         /* free until the next update */
@@ -973,12 +1056,9 @@ static int is_plausible(const sgms_real *x)
 /* Without a solution: start the window from the last good estimate. Returns the status. */
 static SGMS_COLD int start_again(etel_xy_controller_t *self, int status, int numeric)
 {
-    sgms_real w[SIGNALS];
-    copy(w, self->input.signal, SIGNALS);
     copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
     start_window(self, self->estimate.state, NULL);
     start_lasting(self);
-    copy(self->window.signal, w, SIGNALS);
     self->window.weight[0] = 0.0f;
     self->window.friction[0] = 0.0f;
     self->interval.started = 1;
@@ -1048,7 +1128,7 @@ static int update(etel_xy_controller_t *self)
         fold_row(self->sweep.factor, weight, row);
     }
     status += solve_theta(self, theta) > 0 ? ETEL_XY_CONTROLLER_BOUND : 0;
-    expand(self->sweep.factor, FACTOR_WIDTH, 0, x, theta, x);
+    expand(self->sweep.factor, theta, x);
     sgms_variances(self->sweep.factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH,
         variance, scratch);
     numeric = !is_plausible(x) + 2 * !all_finite(theta, PARAMETERS) +
@@ -1087,8 +1167,7 @@ static int update(etel_xy_controller_t *self)
     end_writing(self);
     self->interval.filling = next;
     copy(self->window.node + next * STATES, x, STATES);
-    copy(self->window.signal + next * SIGNALS, self->input.signal, SIGNALS);
-    self->window.friction[next] = self->interval.friction;
+    self->window.friction[next] = self->interval.friction - output_apart(self->input.signal);
     self->window.weight[next] = weight;
     start_interval(self);
     return status;
@@ -1116,17 +1195,15 @@ int etel_xy_controller_feedback(etel_xy_controller_t *self)
     return status;
 }
 
-/* One step of the series: store its terms, move the newest interval. Signals are the lines mean +
- * tau slope, tau from -1 to 1. */
+/* One step of the series: store it, move the newest interval. */
 static void take_step(etel_xy_controller_t *self, const sgms_real *mean, const sgms_real *slope)
 {
     const int step = sgms_place(self->interval.step, STEPS - 1);
-    sgms_real *term = self->window.term + step * NODES * TERMS * SERIES_STRIDE + newest_slot(self);
-    for (int node = 0; node < NODES; node++) {
-        sgms_real w[SIGNALS] = { 0.0f };
-        w[W_VELOCITY] = mean[W_VELOCITY] + (sgms_real)(node - 1) * slope[W_VELOCITY];
-        sample_terms(w, term + node * TERMS * SERIES_STRIDE, SERIES_STRIDE);
-    }
+    sgms_real term[NODES * TERMS];
+    sgms_real *const kept = self->window.series + (newest_slot(self) * STEPS + step) * SERIES_ROWS;
+    kept[0] = mean[W_VELOCITY];
+    kept[1] = slope[W_VELOCITY];
+    node_terms(mean, slope, term);
     integrate_blocks(term, self->interval.blocks);
     self->interval.step = step + 1;
 }
@@ -1165,9 +1242,8 @@ static void start_series(etel_xy_controller_t *self, int measured, sgms_real fri
 {
     const int slot = newest_slot(self);
     self->interval.started = 1;
-    copy(self->window.signal + slot * SIGNALS, self->input.signal, SIGNALS);
     self->window.weight[slot] = measured ? 1.0f / self->settings.measurement : 0.0f;
-    self->window.friction[slot] = measured ? friction : 0.0f;
+    self->window.friction[slot] = measured ? friction - output_apart(self->input.signal) : 0.0f;
     self->interval.is_valid = 0;
     self->interval.friction = 0.0f;
 }
@@ -1177,7 +1253,6 @@ static SGMS_COLD void drop_rest(etel_xy_controller_t *self)
 {
     sgms_drop_rest(self->chain.lowpass, SGMS_FILTER_STATES);
     sgms_drop_rest(&self->chain.last[1], 1);
-    sgms_drop_rest(self->compensation.lag_state, 6);
 }
 
 /* Take the signals of one sample in. */
@@ -1238,7 +1313,7 @@ static void take_reading(
         aligned.position, aligned.velocity, aligned.acceleration, aligned.force, aligned.friction,
             aligned.valid,
         0.0 };
-    follow_lag(self, sgms_metres(self->chain.position[1]));
+    follow_lag(self);
     self->compensation.through_chain = 1;
     take_sample(self, &signals);
     follow_compensation(self);
@@ -1477,9 +1552,8 @@ static SGMS_COLD void start_with(
 {
     const int started = self->interval.started;
     const sgms_real *const node = self->window.node + newest_slot(self) * STATES;
-    sgms_real w[SIGNALS], x[STATES];
+    sgms_real x[STATES];
     abort_call(self);
-    copy(w, self->input.signal, SIGNALS);
     copy(x, node, STATES);
     if (started) {
         sgms_real end[STATES];
@@ -1496,7 +1570,6 @@ static SGMS_COLD void start_with(
     end_writing(self);
     start_window(self, x, self->estimate.root);
     start_lasting(self);
-    copy(self->window.signal, w, SIGNALS);
     self->window.weight[0] = 0.0f;
     self->window.friction[0] = 0.0f;
     self->interval.started = started;

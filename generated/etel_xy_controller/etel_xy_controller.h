@@ -10,11 +10,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()           22166
- *   sample()         13707   insert() too
- *   prepare()       300163   in units of at most 13223
- *   feedback()       14353   after prepare()
- *   an update       715382   all calls of an interval
+ *   tick()           22058
+ *   sample()         13623   insert() too
+ *   prepare()       301063   in units of at most 13226
+ *   feedback()       14245   after prepare()
+ *   an update       715418   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *
@@ -81,7 +81,7 @@ typedef struct {
 #define ETEL_XY_CONTROLLER_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_CONTROLLER_MACHINE "b2f02b278d27" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_controller_check() */
-#define ETEL_XY_CONTROLLER_HEADER 0x321d30eau
+#define ETEL_XY_CONTROLLER_HEADER 0x3173b813u
 /* of etel_xy_controller_saved_t, and the digest of the machine file again */
 #define ETEL_XY_CONTROLLER_SAVED_FORMAT 2u
 #define ETEL_XY_CONTROLLER_SAVED_MACHINE_0 0xb2f02b27u
@@ -161,17 +161,17 @@ enum {
     ETEL_XY_CONTROLLER_SLOTS = 20,               /* intervals kept */
     ETEL_XY_CONTROLLER_UNKNOWNS = 8,             /* at a node: its state and theta */
     ETEL_XY_CONTROLLER_FACTOR_SIZE = 8 * 9,      /* triangular factor with right side */
-    ETEL_XY_CONTROLLER_SERIES_SIZE = 60 * 2 * 20, /* nodes, sample terms, intervals */
-    ETEL_XY_CONTROLLER_BLOCKS_SIZE = 6 * 8,      /* blocks side by side, with sensitivities */
+    ETEL_XY_CONTROLLER_SERIES_SIZE = 20 * 20 * 2, /* intervals, steps, signals: velocity */
+    ETEL_XY_CONTROLLER_BLOCKS_SIZE = 6 * 4,      /* blocks side by side, with sensitivities */
     ETEL_XY_CONTROLLER_ROOT_SIZE = 10,           /* upper triangle, root of the parameters */
-    /* row of a node: its state, the next one's, theta, right side */
-    ETEL_XY_CONTROLLER_KEPT_WIDTH = 13,
-    ETEL_XY_CONTROLLER_DEFECT_WIDTH = 6,         /* row of a defect: states, theta, right side */
+    /* rows that give a node back, without their zeros */
+    ETEL_XY_CONTROLLER_KEPT_SIZE = 40,
+    /* row of a defect: states, parameters, right side */
+    ETEL_XY_CONTROLLER_DEFECT_WIDTH = 3,
     ETEL_XY_CONTROLLER_TRIANGLE_SIZE = 44,       /* upper triangle of a factor */
     /* measurements inside an interval, besides that at its end */
     ETEL_XY_CONTROLLER_INNER = 9,
     ETEL_XY_CONTROLLER_INNER_SIZE = 44,          /* rows of the same information */
-    ETEL_XY_CONTROLLER_INNER_SIGNALS = 1,        /* signals kept of each: velocity */
 };
 
 /* Weights and bounds, of [estimator.noise], [estimator.prior] and [estimator.bounds] in the machine
@@ -246,7 +246,7 @@ typedef struct {
     } calls;
     etel_xy_controller_parameters parameters; /* of the last estimate */
     struct { /* force fed forward, of sample(), insert(), tick() */
-        etel_xy_controller_real lag_state[6], lag; /* m, the newest position beyond the chain's */
+        etel_xy_controller_real lag; /* m, the newest position beyond the chain's */
         /* set-point's velocity and acceleration as the force acts */
         etel_xy_controller_real ahead[2];
         etel_xy_controller_real gain; /* share that is on */
@@ -282,10 +282,10 @@ typedef struct {
         uint8_t held[ETEL_XY_CONTROLLER_PARAMETERS]; /* by hold(), set_parameter() */
     } estimate;
     struct { /* samples and node of each interval */
-        etel_xy_controller_real term[ETEL_XY_CONTROLLER_SERIES_SIZE];
+        etel_xy_controller_real series[ETEL_XY_CONTROLLER_SERIES_SIZE];
         /* state at its start */
         etel_xy_controller_real node[ETEL_XY_CONTROLLER_SLOTS * ETEL_XY_CONTROLLER_STATES];
-        etel_xy_controller_real signal[ETEL_XY_CONTROLLER_SLOTS * ETEL_XY_CONTROLLER_SIGNALS];
+        /* without what signals alone add */
         etel_xy_controller_real friction[ETEL_XY_CONTROLLER_SLOTS];
         /* 1/(N) of its measurement; 0: none */
         etel_xy_controller_real weight[ETEL_XY_CONTROLLER_SLOTS];
@@ -296,8 +296,6 @@ typedef struct {
         /* as in the window */
         etel_xy_controller_real weight[ETEL_XY_CONTROLLER_SLOTS * ETEL_XY_CONTROLLER_INNER];
         etel_xy_controller_real friction[ETEL_XY_CONTROLLER_SLOTS * ETEL_XY_CONTROLLER_INNER];
-        etel_xy_controller_real signal[
-            ETEL_XY_CONTROLLER_SLOTS * ETEL_XY_CONTROLLER_INNER * ETEL_XY_CONTROLLER_INNER_SIGNALS];
         /* of the newest interval, on one side, and the one before */
         etel_xy_controller_real rows[
             2 * ETEL_XY_CONTROLLER_INNER * (ETEL_XY_CONTROLLER_UNKNOWNS + 1)];
@@ -319,8 +317,7 @@ typedef struct {
         etel_xy_controller_real start[ETEL_XY_CONTROLLER_SLOTS * ETEL_XY_CONTROLLER_TRIANGLE_SIZE];
         int32_t back; /* older intervals to condense again; -1: the factor stands as it is */
         /* for the back-substitution */
-        etel_xy_controller_real kept[
-            ETEL_XY_CONTROLLER_SLOTS * ETEL_XY_CONTROLLER_STATES * ETEL_XY_CONTROLLER_KEPT_WIDTH];
+        etel_xy_controller_real kept[ETEL_XY_CONTROLLER_SLOTS * ETEL_XY_CONTROLLER_KEPT_SIZE];
         int32_t complete, cursor; /* older intervals; units of the work done */
         int32_t shifts, pending_drift; /* since the parameters' drift entered; with motion */
     } sweep;

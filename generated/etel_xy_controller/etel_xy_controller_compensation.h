@@ -15,6 +15,7 @@
 #define LAG_TIME 0.0009928993f               /* s, of the signal chain */
 #define LONGEST_DELAY 0.01f                  /* s, of signals behind their sample */
 #define OVER_LAG_TIME 1007.1515f             /* 1/s */
+#define OVER_GAIN 12.4481125f                /* of a low-pass: 1 / (b0 + b1 + b2) */
 #define AT_END 1.9085003f                    /* extrapolation to the newest sample */
 #define GAIN_STEP 1.0f                       /* per sample, of a ramp */
 #define LIMIT 48.96f                         /* N */
@@ -135,25 +136,19 @@ static void element_ahead(
     }
 }
 
-/* Displacement beyond the chain's position, q - LP(LP(q one sample ago)), from differences d: the
- * filters pass a constant, and an absolute position would cost digits. */
-static void follow_lag(etel_xy_controller_t *self, sgms_real d)
+/* Displacement beyond the chain's position, q - LP(LP(q one sample ago)): the sum of the
+ * differences less the filtered velocities. The two numbers of a low-pass's state add up to the sum
+ * of its input less its output, times its gain. */
+static void follow_lag(etel_xy_controller_t *self)
 {
-    sgms_real *const s = self->compensation.lag_state;
-    const sgms_lowpass *const f = &chain.lowpass;
-    const sgms_real once =
-        (1.0f - f->b0) * d + (f->b2 - f->a2) * s[2] - f->a1 * s[0] - f->a2 * s[1];
-    self->compensation.lag = d + s[3];
-    s[1] = s[0];
-    s[0] = once;
-    s[2] = d;
-    s[3] = once + sgms_lowpass_step(f, s + 4, once);
+    const sgms_real *const s = self->chain.lowpass;
+    const sgms_real held = (s[0] + s[1]) + (s[2] + s[3]);
+    self->compensation.lag = (held * OVER_GAIN + self->chain.last[1]) * SAMPLE_TIME;
 }
 
 /* Nothing fed forward, nothing moved. */
 static void start_compensation(etel_xy_controller_t *self)
 {
-    fill(self->compensation.lag_state, 0.0f, 6);
     fill(self->compensation.ahead, 0.0f, 2);
     self->compensation.lag = 0.0f;
     self->compensation.gain = 0.0f;

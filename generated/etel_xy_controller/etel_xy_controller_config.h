@@ -7,11 +7,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()           22166
- *   sample()         13707   insert() too
- *   prepare()       300163   in units of at most 13223
- *   feedback()       14353   after prepare()
- *   an update       715382   all calls of an interval
+ *   tick()           22058
+ *   sample()         13623   insert() too
+ *   prepare()       301063   in units of at most 13226
+ *   feedback()       14245   after prepare()
+ *   an update       715418   all calls of an interval
  */
 #ifndef ETEL_XY_CONTROLLER_CONFIG_H
 #define ETEL_XY_CONTROLLER_CONFIG_H
@@ -44,9 +44,9 @@ enum {
     STEPS = 20,                                  /* integration steps per interval */
     /* of a step of the series: start, middle and end of its line */
     NODES = 3,
-    TERMS = 2,                                   /* stored per node: velocity, inverse_level */
-    /* numbers from one row of the series to the next: intervals */
-    SERIES_STRIDE = 20,
+    TERMS = 2,                                   /* of a node: velocity, inverse_level */
+    /* numbers of a step of the series: mean and slope of velocity */
+    SERIES_ROWS = 2,
     BLOCKS = 4,                                  /* of states that depend on no other */
     LARGEST_BLOCK = 1,                           /* states */
     BLOCKS_SIZE = ETEL_XY_CONTROLLER_BLOCKS_SIZE, /* numbers of blocks side by side */
@@ -65,21 +65,25 @@ enum {
     INNER_ROWS = 8,                              /* rows of the same information */
     /* numbers of these rows, without the zeros of a triangle */
     INNER_SIZE = ETEL_XY_CONTROLLER_INNER_SIZE,
-    INNER_SIGNALS = ETEL_XY_CONTROLLER_INNER_SIGNALS, /* signals that the output reads: velocity */
     /* intervals with motion of a block, by which errors of the model that stay are found */
     LASTING_BLOCK = 50,
+    /* parameters that a state depends on over an interval, at most */
+    ENTERED = 1,
     /* states that a state depends on over an interval, at most */
     COUPLED = 1,
     DEFECT_WIDTH = ETEL_XY_CONTROLLER_DEFECT_WIDTH, /* numbers of a defect's row */
-    KEPT_WIDTH = ETEL_XY_CONTROLLER_KEPT_WIDTH,  /* numbers of a row that gives a node back */
+    /* numbers of a row over a node's state, the next one's, theta, right side */
+    KEPT_WIDTH = 13,
+    /* numbers of the rows that give a node back, without their zeros */
+    KEPT_SIZE = ETEL_XY_CONTROLLER_KEPT_SIZE,
 };
 
 /* Macros, as C++26 has no arithmetic of two enumerations. Numbers from one row of lanes to the
  * next: scalars side by side, padded. */
-#define LANE_STRIDE 8
+#define LANE_STRIDE 4
 /* Scalars in one vector register of the processor, where compilers vectorise. */
 #if defined(__AVX__)
-#define VECTOR 8
+#define VECTOR 4
 #elif SGMS_VECTORS
 #define VECTOR 4
 #else
@@ -143,6 +147,10 @@ static const sgms_real upper_bound[PARAMETERS] = {5.0f, 5.0f, 5.0f, 5.0f};
 /* States that each state depends on over an interval, itself included, and how many. */
 static const uint8_t coupled[STATES] = { 1, 1, 1, 1 };
 static const uint8_t couples[STATES][COUPLED] = { {0}, {1}, {2}, {3} };
+
+/* Parameters that each state depends on over an interval, and how many. */
+static const uint8_t entered[STATES] = { 1, 1, 1, 1 };
+static const uint8_t enters[STATES][ENTERED] = { {0}, {1}, {2}, {3} };
 
 static const sgms_real state_noise[STATES] = {0.01f, 0.01f, 0.01f, 0.01f};
 static const sgms_real inverse_initial_state[STATES] = {2.0f, 2.0f, 2.0f, 2.0f};

@@ -33,6 +33,16 @@ static const uint8_t block_states[BLOCKS][LARGEST_BLOCK] = { {0}, {1}, {2}, {3} 
  * between. */
 enum { MIDDLE = TERMS * LANE_STRIDE, LAST = 2 * TERMS * LANE_STRIDE };
 
+/* Terms at the nodes of a step whose signals are the lines mean + tau slope, tau from -1 to 1. */
+static void node_terms(const sgms_real *mean, const sgms_real *slope, sgms_real *term)
+{
+    for (int node = 0; node < NODES; node++) {
+        sgms_real w[SIGNALS] = { 0.0f };
+        w[W_VELOCITY] = mean[W_VELOCITY] + (sgms_real)(node - 1) * slope[W_VELOCITY];
+        sample_terms(w, term + node * TERMS, 1);
+    }
+}
+
 /* Terms of one lane at the fraction `at` of a step: the signals are interpolated, and their
  * functions follow. */
 static inline void interpolated_terms(const sgms_real *nodes, sgms_real at, sgms_real *term)
@@ -172,6 +182,7 @@ static void element_end(
         sgms_real by_scale[ELEMENT_STATES];
         map->x[state] = scale * chi;
         fill(a_row, 0.0f, STATES);
+        fill(b_row, 0.0f, PARAMETERS);
         for (int k = 0; k < ELEMENT_Q; k++) {
             by_q[k] = scale * lane[(ELEMENT_PSI + i * ELEMENT_Q + k) * LANE_STRIDE];
         }
@@ -181,7 +192,8 @@ static void element_end(
             a_row[from] = by_node;
             by_scale[k] = by_node * (start[from] / p->scale[from]);
         }
-        for (int j = 0; j < PARAMETERS; j++) {
+        for (int of = 0; of < entered[state]; of++) {
+            const int j = enters[state][of];
             sgms_real b = chi * d_scale[j];
             for (int k = 0; k < ELEMENT_Q; k++) {
                 b += by_q[k] * d_q[k * PARAMETERS + j];
@@ -872,13 +884,12 @@ static void start_blocks(
     }
 }
 
-/* Move them over one step of the series, whose rows lie SERIES_STRIDE numbers apart. */
+/* Move them over one step of the series. */
 static void integrate_blocks(const sgms_real *term, sgms_real *blocks)
 {
     sgms_real wide[NODES * TERMS * LANE_STRIDE];
     for (int row = 0; row < NODES * TERMS; row++) {
-        fill(wide + row * LANE_STRIDE, term[row * SERIES_STRIDE],
-            (4 + VECTOR - 1) / VECTOR * VECTOR);
+        fill(wide + row * LANE_STRIDE, term[row], (4 + VECTOR - 1) / VECTOR * VECTOR);
     }
     element_line_step(1, ELEMENT_BLOCKS, 1, wide, blocks + ELEMENT_PLACE);
 }

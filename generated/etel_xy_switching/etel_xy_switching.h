@@ -10,11 +10,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()            9059
- *   sample()           600   insert() too
- *   prepare()        69623   in units of at most 3645
- *   feedback()       14353   after prepare()
- *   an update       122782   all calls of an interval
+ *   tick()            8951
+ *   sample()           516   insert() too
+ *   prepare()        71903   in units of at most 3645
+ *   feedback()       14245   after prepare()
+ *   an update       124198   all calls of an interval
  *
  * Two ways to call it, with the same numbers:
  *
@@ -81,7 +81,7 @@ typedef struct {
 #define ETEL_XY_SWITCHING_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_SWITCHING_MACHINE "9b1c2898b39d" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_switching_check() */
-#define ETEL_XY_SWITCHING_HEADER 0x79ee0e24u
+#define ETEL_XY_SWITCHING_HEADER 0xfea8a5a4u
 /* of etel_xy_switching_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SWITCHING_SAVED_FORMAT 2u
 #define ETEL_XY_SWITCHING_SAVED_MACHINE_0 0x9b1c2898u
@@ -161,17 +161,17 @@ enum {
     ETEL_XY_SWITCHING_SLOTS = 20,                /* intervals kept */
     ETEL_XY_SWITCHING_UNKNOWNS = 8,              /* at a node: its state and theta */
     ETEL_XY_SWITCHING_FACTOR_SIZE = 8 * 9,       /* triangular factor with right side */
-    ETEL_XY_SWITCHING_SERIES_SIZE = 100 * 2 * 20, /* nodes, sample terms, intervals */
+    ETEL_XY_SWITCHING_SERIES_SIZE = 20 * 100 * 1, /* intervals, steps, signals: velocity */
     ETEL_XY_SWITCHING_BLOCKS_SIZE = 4 * 4,       /* blocks side by side, with sensitivities */
     ETEL_XY_SWITCHING_ROOT_SIZE = 10,            /* upper triangle, root of the parameters */
-    /* row of a node: its state, the next one's, theta, right side */
-    ETEL_XY_SWITCHING_KEPT_WIDTH = 13,
-    ETEL_XY_SWITCHING_DEFECT_WIDTH = 6,          /* row of a defect: states, theta, right side */
+    /* rows that give a node back, without their zeros */
+    ETEL_XY_SWITCHING_KEPT_SIZE = 40,
+    /* row of a defect: states, parameters, right side */
+    ETEL_XY_SWITCHING_DEFECT_WIDTH = 3,
     ETEL_XY_SWITCHING_TRIANGLE_SIZE = 44,        /* upper triangle of a factor */
     /* measurements inside an interval, besides that at its end */
     ETEL_XY_SWITCHING_INNER = 9,
     ETEL_XY_SWITCHING_INNER_SIZE = 44,           /* rows of the same information */
-    ETEL_XY_SWITCHING_INNER_SIGNALS = 1,         /* signals kept of each: velocity */
 };
 
 /* Weights and bounds, of [estimator.noise], [estimator.prior] and [estimator.bounds] in the machine
@@ -243,7 +243,7 @@ typedef struct {
     } calls;
     etel_xy_switching_parameters parameters; /* of the last estimate */
     struct { /* force fed forward, of sample(), insert(), tick() */
-        etel_xy_switching_real lag_state[6], lag; /* m, the newest position beyond the chain's */
+        etel_xy_switching_real lag; /* m, the newest position beyond the chain's */
         /* set-point's velocity and acceleration as the force acts */
         etel_xy_switching_real ahead[2];
         etel_xy_switching_real gain; /* share that is on */
@@ -278,10 +278,10 @@ typedef struct {
         uint8_t held[ETEL_XY_SWITCHING_PARAMETERS]; /* by hold(), set_parameter() */
     } estimate;
     struct { /* samples and node of each interval */
-        etel_xy_switching_real term[ETEL_XY_SWITCHING_SERIES_SIZE];
+        etel_xy_switching_real series[ETEL_XY_SWITCHING_SERIES_SIZE];
         /* state at its start */
         etel_xy_switching_real node[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_STATES];
-        etel_xy_switching_real signal[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_SIGNALS];
+        /* without what signals alone add */
         etel_xy_switching_real friction[ETEL_XY_SWITCHING_SLOTS];
         /* 1/(N) of its measurement; 0: none */
         etel_xy_switching_real weight[ETEL_XY_SWITCHING_SLOTS];
@@ -292,8 +292,6 @@ typedef struct {
         /* as in the window */
         etel_xy_switching_real weight[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_INNER];
         etel_xy_switching_real friction[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_INNER];
-        etel_xy_switching_real signal[
-            ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_INNER * ETEL_XY_SWITCHING_INNER_SIGNALS];
         /* of the newest interval, on one side, and the one before */
         etel_xy_switching_real rows[2 * ETEL_XY_SWITCHING_INNER * (ETEL_XY_SWITCHING_UNKNOWNS + 1)];
         etel_xy_switching_real kept[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_INNER_SIZE];
@@ -314,8 +312,7 @@ typedef struct {
         etel_xy_switching_real start[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_TRIANGLE_SIZE];
         int32_t back; /* older intervals to condense again; -1: the factor stands as it is */
         /* for the back-substitution */
-        etel_xy_switching_real kept[
-            ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_STATES * ETEL_XY_SWITCHING_KEPT_WIDTH];
+        etel_xy_switching_real kept[ETEL_XY_SWITCHING_SLOTS * ETEL_XY_SWITCHING_KEPT_SIZE];
         int32_t complete, cursor; /* older intervals; units of the work done */
         int32_t shifts, pending_drift; /* since the parameters' drift entered; with motion */
     } sweep;

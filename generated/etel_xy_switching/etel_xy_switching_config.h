@@ -6,11 +6,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()            9059
- *   sample()           600   insert() too
- *   prepare()        69623   in units of at most 3645
- *   feedback()       14353   after prepare()
- *   an update       122782   all calls of an interval
+ *   tick()            8951
+ *   sample()           516   insert() too
+ *   prepare()        71903   in units of at most 3645
+ *   feedback()       14245   after prepare()
+ *   an update       124198   all calls of an interval
  */
 #ifndef ETEL_XY_SWITCHING_CONFIG_H
 #define ETEL_XY_SWITCHING_CONFIG_H
@@ -42,9 +42,8 @@ enum {
     MERGED = 1,                                  /* samples per integration step */
     STEPS = 100,                                 /* integration steps per interval */
     NODES = 1,                                   /* of a step of the series */
-    TERMS = 2,                                   /* stored per node: velocity, level */
-    /* numbers from one row of the series to the next: intervals */
-    SERIES_STRIDE = 20,
+    TERMS = 2,                                   /* of a node: velocity, level */
+    SERIES_ROWS = 1,                             /* numbers of a step of the series: velocity */
     BLOCKS = 4,                                  /* of states that depend on no other */
     LARGEST_BLOCK = 1,                           /* states */
     BLOCKS_SIZE = ETEL_XY_SWITCHING_BLOCKS_SIZE, /* numbers of blocks side by side */
@@ -63,13 +62,17 @@ enum {
     INNER_ROWS = 8,                              /* rows of the same information */
     /* numbers of these rows, without the zeros of a triangle */
     INNER_SIZE = ETEL_XY_SWITCHING_INNER_SIZE,
-    INNER_SIGNALS = ETEL_XY_SWITCHING_INNER_SIGNALS, /* signals that the output reads: velocity */
     /* intervals with motion of a block, by which errors of the model that stay are found */
     LASTING_BLOCK = 50,
+    /* parameters that a state depends on over an interval, at most */
+    ENTERED = 1,
     /* states that a state depends on over an interval, at most */
     COUPLED = 1,
     DEFECT_WIDTH = ETEL_XY_SWITCHING_DEFECT_WIDTH, /* numbers of a defect's row */
-    KEPT_WIDTH = ETEL_XY_SWITCHING_KEPT_WIDTH,   /* numbers of a row that gives a node back */
+    /* numbers of a row over a node's state, the next one's, theta, right side */
+    KEPT_WIDTH = 13,
+    /* numbers of the rows that give a node back, without their zeros */
+    KEPT_SIZE = ETEL_XY_SWITCHING_KEPT_SIZE,
 };
 
 /* Macros, as C++26 has no arithmetic of two enumerations. Numbers from one row of lanes to the
@@ -140,6 +143,10 @@ static const sgms_real upper_bound[PARAMETERS] = {5.0, 5.0, 5.0, 5.0};
 /* States that each state depends on over an interval, itself included, and how many. */
 static const uint8_t coupled[STATES] = { 1, 1, 1, 1 };
 static const uint8_t couples[STATES][COUPLED] = { {0}, {1}, {2}, {3} };
+
+/* Parameters that each state depends on over an interval, and how many. */
+static const uint8_t entered[STATES] = { 1, 1, 1, 1 };
+static const uint8_t enters[STATES][ENTERED] = { {0}, {1}, {2}, {3} };
 
 static const sgms_real state_noise[STATES] = {0.01, 0.01, 0.01, 0.01};
 static const sgms_real inverse_initial_state[STATES] = {2.0, 2.0, 2.0, 2.0};

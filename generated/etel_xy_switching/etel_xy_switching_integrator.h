@@ -94,6 +94,7 @@ static void element_end(
         sgms_real by_scale[ELEMENT_STATES];
         map->x[state] = scale * chi;
         fill(a_row, 0.0, STATES);
+        fill(b_row, 0.0, PARAMETERS);
         for (int k = 0; k < ELEMENT_Q; k++) {
             by_q[k] = scale * lane[(ELEMENT_PSI + i * ELEMENT_Q + k) * LANE_STRIDE];
         }
@@ -103,7 +104,8 @@ static void element_end(
             a_row[from] = by_node;
             by_scale[k] = by_node * (start[from] / p->scale[from]);
         }
-        for (int j = 0; j < PARAMETERS; j++) {
+        for (int of = 0; of < entered[state]; of++) {
+            const int j = enters[state][of];
             sgms_real b = chi * d_scale[j];
             for (int k = 0; k < ELEMENT_Q; k++) {
                 b += by_q[k] * d_q[k * PARAMETERS + j];
@@ -182,13 +184,12 @@ static void start_blocks(
     }
 }
 
-/* Move them over one step of the series, whose rows lie SERIES_STRIDE numbers apart. */
+/* Move them over one step of the series. */
 static void integrate_blocks(const sgms_real *term, sgms_real *blocks)
 {
     sgms_real wide[NODES * TERMS * LANE_STRIDE];
     for (int row = 0; row < NODES * TERMS; row++) {
-        fill(wide + row * LANE_STRIDE, term[row * SERIES_STRIDE],
-            (4 + VECTOR - 1) / VECTOR * VECTOR);
+        fill(wide + row * LANE_STRIDE, term[row], (4 + VECTOR - 1) / VECTOR * VECTOR);
     }
     element_step(1, ELEMENT_BLOCKS, wide, blocks + ELEMENT_PLACE);
 }

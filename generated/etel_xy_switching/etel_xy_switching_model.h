@@ -64,6 +64,15 @@ static inline sgms_real output_force(const model_point *at, sgms_real *c, sgms_r
     return y;
 }
 
+/* What signals alone add to it. A measurement without that is linearised anew without them.
+ * Operations: 1 mul. */
+static inline sgms_real output_apart(const sgms_real *w)
+{
+    sgms_real y;
+    y = 20.0 * w[W_VELOCITY];
+    return y;
+}
+
 /* The drive's force beyond mass * acceleration [N]: the output without what makes the log late.
  * Operations: 4 add, 5 mul. */
 static inline sgms_real feed_forward_force(const model_point *at)

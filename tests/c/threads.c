@@ -228,7 +228,7 @@ int main(int argc, char **argv)
         return 2;
     }
     if (strcmp(argv[1], "series") == 0) {
-        printf("%zu %zu\n", offsetof(machine, window.term), sizeof axis.window.term);
+        printf("%zu %zu\n", offsetof(machine, window), offsetof(machine, window.node) - offsetof(machine, window));
         return 0;
     }
     CALL(init)(&axis);

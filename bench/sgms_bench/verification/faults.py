@@ -71,16 +71,21 @@ FAULTS: Final = (
     Fault(
         "gap not bridged",
         "sgms_filter.h",
-        "position = sgms_position_ahead(m->position[0], m->position[1]);",
-        "position = m->position[0];",
+        "*position = sgms_position_ahead(m->position[0], m->position[1]);",
+        "*position = m->position[0];",
     ),
     Fault(
         "measurements valid while filters settle",
         "sgms_filter.h",
-        "out.valid = m->counts[2] >= settle;",
-        "out.valid = 1;",
+        "    } else if (m->counts[2] < chain->settle) {\n        m->counts[2]++;\n",
+        "    } else if (m->counts[2] < chain->settle) {\n        m->counts[2]++;\n        valid = 1;\n",
     ),
-    Fault("measurements valid in a gap", "sgms_filter.h", "        out.valid = 0;\n", "        out.valid = 1;\n"),
+    Fault(
+        "measurements valid in a gap",
+        "sgms_filter.h",
+        "        m->counts[2] = 0;\n    } else if",
+        "        m->counts[2] = 0;\n        valid = 1;\n    } else if",
+    ),
     Fault(
         "sign of the inertial force",
         "sgms_filter.h",

@@ -13,12 +13,13 @@ from sgms_mhe.emission.block_work import Ingredients
 from sgms_mhe.emission.c_source import CPrinter, Function, FunctionPrinter, Output, entries, scalar
 from sgms_mhe.emission.clock import Clock, clock_of
 from sgms_mhe.emission.compensation import FeedForward, compensation_of
+from sgms_mhe.emission.couplings import Couplings, couplings_of
 from sgms_mhe.emission.element_law import RK4, ElementLaw, EmittedFlow, Stage, element_law, flow_of
 from sgms_mhe.emission.groups import GroupView, group_views
 from sgms_mhe.emission.operations import operations_of
 from sgms_mhe.emission.schedule import Costs, schedule_of
 from sgms_mhe.emission.selftest import Vectors
-from sgms_mhe.emission.sizes import Sizes, couplings, sizes_of
+from sgms_mhe.emission.sizes import Sizes, names_read, node_scale, sizes_of
 from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Status, Variant, statuses_of, variant_of
 from sgms_mhe.emission.work import Work, work_of
@@ -122,7 +123,8 @@ class SignalView:
         lowpass: (b0, b1, b2, a1, a2).
         slope_weights: of each of the merged samples in the slope of the line through them.
         read: names of the signals that the estimator depends on, in the order of w.
-        of_output: names of those that the output depends on.
+        of_rows: names of those that the output's derivatives in (x, theta) depend on; of all of its own where
+            it is not affine.
         of_chain: those of the signals read that are asked for of the chain, beside velocity and friction.
         names: of all signals, in the order of w.
         raw: (name, sample term) of the signals that are sample terms themselves.
@@ -141,7 +143,7 @@ class SignalView:
     lowpass: tuple[float, ...]
     slope_weights: tuple[float, ...]
     read: tuple[str, ...]
-    of_output: tuple[str, ...]
+    of_rows: tuple[str, ...]
     of_chain: tuple[str, ...]
     names: tuple[str, ...]
     raw: tuple[tuple[str, int], ...]
@@ -185,21 +187,6 @@ class EmittedWeights:
 
 
 @dataclass(frozen=True)
-class Couplings:
-    """Dependence of states on each other over an interval.
-
-    Attributes:
-        counts: per state, how many states it depends on, itself included.
-        columns: which they are, in rows of one length; the last one repeats.
-        reach: per state, how many rows its column of the condensing spans.
-    """
-
-    counts: tuple[int, ...]
-    columns: tuple[tuple[int, ...], ...]
-    reach: tuple[int, ...]
-
-
-@dataclass(frozen=True)
 class ModelView:
     """The symbolic model as functions, and its parameters.
 
@@ -207,6 +194,7 @@ class ModelView:
         sample_terms: term of w. term_names: what they are.
         parameter_terms: q, d_q, scale, d_scale of theta.
         output: y, c, d of (x, w, theta).
+        of_signals: y of w: what signals alone add to the output; None where they add nothing.
         deflection: z of (x, theta).
         si: p of theta, in SI units.
         feed_forward: y of (x, w, theta).
@@ -217,6 +205,7 @@ class ModelView:
     term_names: tuple[str, ...]
     parameter_terms: Function
     output: Function
+    of_signals: Function | None
     deflection: Function
     si: Function
     feed_forward: Function
@@ -266,7 +255,7 @@ def package_view(structure: Structure) -> PackageView:
     variant = variant_of(model)
     sizes = sizes_of(structure, variant)
     groups = group_views(structure, sizes, functions)
-    signals, couplings = _signals(structure), _couplings(structure, sizes)
+    signals, couplings = _signals(structure), couplings_of(structure, sizes)
     model_view = _model_view(structure, functions)
     ingredients = Ingredients(
         structure=structure,
@@ -343,7 +332,7 @@ def _signals(structure: Structure) -> SignalView:
         lowpass=lowpass_coefficients(machine),
         slope_weights=tuple(3.0 / (merged * merged - 1.0) * (2.0 * places + 1.0 - merged)) if merged > 1 else (),
         read=read,
-        of_output=_names_read(structure.model.output, structure.model),
+        of_rows=_of_rows(structure.model),
         of_chain=tuple(name for name in ("position", "force", "acceleration") if name in read),
         names=SIGNAL_NAMES,
         raw=tuple((t.name, k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES),
@@ -351,18 +340,32 @@ def _signals(structure: Structure) -> SignalView:
     )
 
 
+def _of_rows(model: Model) -> tuple[str, ...]:
+    """Names of the signals without which a measurement cannot be linearised anew."""
+    if not model.output_is_affine:
+        return names_read(model.output, model)
+    output = _to_node_state(model, model.output)
+    return names_read(ca.densify(ca.jacobian(output, ca.vertcat(model.x, model.theta))), model)
+
+
+def _of_signals(model: Model) -> ca.SX:
+    """What the other signals add to the output, whatever the state and the parameters are."""
+    kept = _of_rows(model)
+    output = ca.substitute(
+        _to_node_state(model, model.output),
+        ca.vertcat(model.x, model.theta),
+        ca.vertcat(ca.SX.zeros(model.n_x), ca.SX.ones(model.n_p)),
+    )
+    rest = [model.w[k] if name in kept else 0.0 for k, name in enumerate(SIGNAL_NAMES)]
+    return output - ca.substitute(output, model.w, ca.vertcat(*rest))
+
+
 def _signals_read(structure: Structure) -> tuple[str, ...]:
     """Names of the signals that the estimator's functions depend on; velocity it needs itself."""
     model = structure.model
     functions = ca.vertcat(*(t.expression for t in structure.sample_terms), model.output, model.feed_forward)
-    read = {"velocity", *_names_read(functions, model)}
+    read = {"velocity", *names_read(functions, model)}
     return tuple(name for name in SIGNAL_NAMES if name in read)
-
-
-def _names_read(expression: ca.SX, model: Model) -> tuple[str, ...]:
-    """Names of the signals that an expression depends on, in the order of w."""
-    depends = ca.which_depends(expression, model.w)
-    return tuple(name for name, does in zip(SIGNAL_NAMES, depends, strict=True) if does)
 
 
 def _weights(model: Model, variant: Variant) -> EmittedWeights:
@@ -388,15 +391,6 @@ def _weights(model: Model, variant: Variant) -> EmittedWeights:
     )
 
 
-def _couplings(structure: Structure, sizes: Sizes) -> Couplings:
-    rows = couplings(structure)
-    return Couplings(
-        counts=tuple(len(row) for row in rows),
-        columns=tuple(row + (row[-1],) * (sizes.coupled - len(row)) for row in rows),
-        reach=tuple(max(max(row) for row in rows[: c + 1]) + 1 for c in range(sizes.states)),
-    )
-
-
 def _model_view(structure: Structure, functions: FunctionPrinter) -> ModelView:
     model = structure.model
     output = _to_node_state(model, model.output)
@@ -406,12 +400,14 @@ def _model_view(structure: Structure, functions: FunctionPrinter) -> ModelView:
         Output("c", entries(ca.gradient(output, model.x))),
         Output("d", entries(ca.gradient(output, model.theta))),
     ]
+    of_signals = _of_signals(model)
     terms = [Output("term", [t.expression for t in structure.sample_terms], stride="stride")]
     return ModelView(
         sample_terms=functions.model_function({"w": "w"}, terms),
         term_names=tuple(t.name for t in structure.sample_terms),
         parameter_terms=_parameter_terms(structure, functions),
         output=functions.model_function(point, outputs),
+        of_signals=None if of_signals.is_zero() else functions.model_function({"w": "w"}, [scalar("y", of_signals)]),
         deflection=functions.model_function(
             point, [Output("z", ca.vertsplit(_to_node_state(model, model.deflection)))]
         ),
@@ -427,7 +423,7 @@ def _model_view(structure: Structure, functions: FunctionPrinter) -> ModelView:
 def _parameter_terms(structure: Structure, functions: FunctionPrinter) -> Function:
     model = structure.model
     q = [e for g in structure.groups for b in g.blocks for e in b.parameter_terms]
-    scale = [_node_scale(model, i) for i in range(model.n_x)]
+    scale = [node_scale(model, i) for i in range(model.n_x)]
     outputs = [
         Output("p->q", q),
         Output("p->d_q", _gradients(q, model.theta), sparse=True),
@@ -445,11 +441,6 @@ def _gradients(expressions: Sequence[ca.SX], variables: ca.SX) -> list[ca.SX]:
 def _to_node_state(model: Model, expression: ca.SX) -> ca.SX:
     """An expression of chi as one of the node state."""
     return ca.substitute(expression, model.chi, model.from_node)
-
-
-def _node_scale(model: Model, i: int) -> ca.SX:
-    """x_i / chi_i, a function of the parameters."""
-    return ca.substitute(ca.gradient(model.to_node[i], model.chi)[i], model.chi, ca.SX.zeros(model.n_x))
 
 
 def _si(parameter: FreeParameter, theta: ca.SX) -> ca.SX:

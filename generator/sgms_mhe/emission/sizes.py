@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import casadi as ca
+
 from sgms_mhe.emission.element_law import step_rates
 from sgms_mhe.emission.structure import Group, Structure
 from sgms_mhe.emission.variant import Variant
-from sgms_mhe.model import SIGNAL_NAMES
+from sgms_mhe.model import SIGNAL_NAMES, Model
 
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
+LEAST_LANES = 4
+"""So many lanes or fewer are padded to a vector of that many: a wider one would be half empty, here and in memory."""
 STEP_COST = 30
 """Multiplications, or so, of a sample for each of chi and its sensitivities."""
 CLIP_COST = 2
@@ -70,15 +74,16 @@ class Sizes:
         states, elements, parameters, signals: n_x, n_z, n_p, and entries of w.
         horizon: intervals of the window; 0 for the filter.
         slots: intervals kept, the one that is filling included.
-        vector: scalars in the widest vector register that is made use of.
+        vector: scalars in the widest vector register that is made use of. half_vector: in one of half the size.
         lane_stride: scalars side by side: intervals of one block, or blocks of one interval, padded to whole vectors.
-        series_stride: intervals in a row of the series.
+        series_stride: numbers of a row of the series side by side, where older intervals are integrated so.
+        series_signals: names of the signals that the sample terms are functions of.
         samples: per interval. merged: samples per step of the series. steps: of the series, per interval.
-        nodes: of a step of the series, at which its signals are given. terms: sample terms stored per node.
+        nodes: of a step of the series, at which its signals are given. terms: sample terms of a node.
         coupled: states that a state depends on over an interval, at most.
+        entered: parameters that a state depends on over an interval, at most.
         block_states: states of each block, group by group.
         groups: sizes of each group.
-        kept_steps: steps of the series that are kept, of each interval.
         least_substeps: Runge-Kutta substeps of a step of the series, at least.
         inner: measurements inside an interval, besides the one at its end.
         spacing: steps of the series from one measurement to the next.
@@ -91,17 +96,19 @@ class Sizes:
     horizon: int
     slots: int
     vector: int
+    half_vector: int
     lane_stride: int
     series_stride: int
+    series_signals: tuple[str, ...]
     samples: int
     merged: int
     steps: int
     nodes: int
     terms: int
     coupled: int
+    entered: int
     block_states: tuple[tuple[int, ...], ...]
     groups: tuple[GroupSizes, ...]
-    kept_steps: int
     least_substeps: int
     inner: int
     spacing: int
@@ -142,9 +149,9 @@ class Sizes:
         return sum(g.n_q * g.n_blocks for g in self.groups)
 
     @property
-    def series_nodes(self) -> int:
-        """Nodes of the series that are kept, of each interval."""
-        return self.nodes * self.kept_steps
+    def series_rows(self) -> int:
+        """Numbers that a step of one interval is known by: its signals, or their means and slopes."""
+        return len(self.series_signals) * (2 if self.merged > 1 else 1)
 
     @property
     def factor_rows(self) -> int:
@@ -153,8 +160,8 @@ class Sizes:
 
     @property
     def defect_width(self) -> int:
-        """Numbers of a defect's row: states it depends on, theta, right side."""
-        return self.coupled + self.parameters + 1
+        """Numbers of a defect's row: states and parameters it depends on, right side."""
+        return self.coupled + self.entered + 1
 
     @property
     def kept_width(self) -> int:
@@ -192,10 +199,10 @@ def sizes_of(structure: Structure, variant: Variant) -> Sizes:
     sampling = model.machine.sampling
     groups = _groups(structure)
     slots = max(1, variant.horizon)
-    vector = VECTOR_BYTES // (4 if variant.single else 8)
-    lane_stride = (
-        -(-max(slots if variant.relinearise == "all" else 1, *(g.n_blocks for g in groups)) // vector) * vector
-    )
+    numbers = VECTOR_BYTES // (4 if variant.single else 8)
+    lanes = max(slots if variant.relinearise == "all" else 1, *(g.n_blocks for g in groups))
+    vector = min(numbers, LEAST_LANES) if lanes <= LEAST_LANES else numbers
+    lane_stride = -(-lanes // vector) * vector
     steps = sampling.samples_per_update // sampling.merged
     return Sizes(
         states=model.n_x,
@@ -205,21 +212,29 @@ def sizes_of(structure: Structure, variant: Variant) -> Sizes:
         horizon=variant.horizon,
         slots=slots,
         vector=vector,
+        half_vector=min(vector, numbers // 2),
         lane_stride=lane_stride,
-        series_stride={"all": lane_stride, "auto": slots, "newest": 1}[variant.relinearise],
+        series_stride=lane_stride if variant.relinearise == "all" else 1,
+        series_signals=names_read(ca.vertcat(*(t.expression for t in structure.sample_terms)), model),
         samples=sampling.samples_per_update,
         merged=sampling.merged,
         steps=steps,
         nodes=3 if variant.merges else 1,
         terms=len(structure.sample_terms),
         coupled=max(len(row) for row in couplings(structure)),
+        entered=max(1, *(len(row) for row in entries_of(structure))),
         block_states=tuple(b.states for g in structure.groups for b in g.blocks),
         groups=groups,
-        kept_steps=steps if variant.has_series else 1,
         least_substeps=max(1, sampling.integrator.substeps // sampling.samples_per_update),
         inner=sampling.readings_per_update - 1,
         spacing=steps // sampling.readings_per_update,
     )
+
+
+def names_read(expression: ca.SX, model: Model) -> tuple[str, ...]:
+    """Names of the signals that an expression depends on, in the order of w."""
+    depends = ca.which_depends(expression, model.w)
+    return tuple(name for name, does in zip(SIGNAL_NAMES, depends, strict=True) if does)
 
 
 def _groups(structure: Structure) -> tuple[GroupSizes, ...]:
@@ -259,3 +274,20 @@ def couplings(structure: Structure) -> tuple[tuple[int, ...], ...]:
     blocks = [block.states for group in structure.groups for block in group.blocks]
     states = range(structure.model.n_x)
     return tuple(tuple(sorted({state for block in blocks if i in block for state in block})) for i in states)
+
+
+def node_scale(model: Model, i: int) -> ca.SX:
+    """x_i / chi_i, a function of the parameters."""
+    return ca.substitute(ca.gradient(model.to_node[i], model.chi)[i], model.chi, ca.SX.zeros(model.n_x))
+
+
+def entries_of(structure: Structure) -> tuple[tuple[int, ...], ...]:
+    """Per state the parameters that enter a block of it: the columns of B that may not be zero."""
+    model = structure.model
+    found: list[set[int]] = [set() for _ in range(model.n_x)]
+    for block in (block for group in structure.groups for block in group.blocks):
+        entering = ca.vertcat(*block.parameter_terms, *(node_scale(model, i) for i in block.states))
+        enters = {p for p, does in enumerate(ca.which_depends(entering, model.theta)) if does}
+        for i in block.states:
+            found[i] |= enters
+    return tuple(tuple(sorted(row)) for row in found)

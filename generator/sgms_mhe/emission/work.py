@@ -100,12 +100,13 @@ def work_of(views: Sequence[GroupView], of: Ingredients) -> Work:
     reading = least_squares.taken() if sizes.inner else 0
     sample = without_step + newest_step + reading
     of_step = _step(groups, of)
+    anew = sum(of_step.values()) + (sizes.nodes * (of.terms + 3 * of.signals) if variant.relinearise == "auto" else 0)
     names = [state.name for state in of.structure.model.states]
     feedback = least_squares.feedback()
     units, in_sample, left_over = [], [], 0
     if variant.horizon:
-        units = least_squares.units(sum(of_step.values()), sizes.slots - 1)
-        in_sample = _dearest_in_sample(least_squares, sum(of_step.values()))
+        units = least_squares.units(anew, sizes.slots - 1)
+        in_sample = _dearest_in_sample(least_squares, anew)
         left_over = sizes.inner * least_squares.folded
     prepare, at_once = (sum(unit.operations for unit in some) for some in (units, in_sample))
     if sizes.samples == 1:  # every sample is an update: nothing to share out over
@@ -153,20 +154,20 @@ class _LeastSquares:
         self.condensed = sum(reflection(rows, kept, c) for c, rows in enumerate(of.reach))
         self.condensed += sum(reflection(n_x - 1 - c, width, c) for c in range(n_x - 1)) + n_x
         self.node_row = of.output + 2 * factor + 1
-        self.inner_row = of.output + 1 + 2 * n_x * (sizes.coupled + 1) + 2 * n_p * (n_x + 1)
+        self.inner_row = of.output + 1 + 2 * n_x * (sizes.coupled + sizes.entered + 1) + 2 * n_p
         # A self-scaled measurement takes its innovation in besides, and an update the factors on variances.
         self.lasting = 24 + 19 * n_p if of.variant.self_scaling else 0
         weighed = sum(2 * i + 5 for i in range(factor)) + 30 + SQRT + (7 + SQRT if of.variant.self_scaling else 0)
         self.folded = weighed + width + added_row(factor)
         self.start_row = self.node_row + width
         self.fold_start = self.start_row + added_row(factor)
-        self.defect = 3 * sizes.coupled + 4 * n_p + 3
+        self.defect = 3 * sizes.coupled + 4 * sizes.entered + 3
         self.drift = variances(n_p) + 6 * n_p + 30 * n_p + grown(factor, n_p) if of.variant.drifts else 0
         self.map = sum(g.n_blocks * self._end(g.m, g.n_q) for g in sizes.groups)
 
     def _end(self, m: int, n_q: int) -> int:
-        n_p = self.sizes.parameters
-        return m * (1 + n_p + n_q * (1 + 2 * n_p) + m * (4 + 2 * n_p))
+        entered = self.sizes.entered
+        return m * (1 + entered + n_q * (1 + 2 * entered) + m * (4 + 2 * entered))
 
     def ends(self) -> int:
         """Map of an interval from its blocks, and its defects."""
@@ -212,7 +213,7 @@ class _LeastSquares:
         n_x, n_p = sizes.states, sizes.parameters
         expand = 2 * n_x * (n_x + n_p) + back_substitution(n_x)
         if variant.relinearise == "auto":
-            expand += n_x * (2 * sizes.coupled + 2 * n_p + 6) + 1
+            expand += n_x * (2 * sizes.coupled + 2 * sizes.entered + 6) + 1
         start = self.fold_start + self.drift + (2 * n_x + n_p if variant.fixed else 0)
         if variant.relinearise == "all":
             start += sizes.slots * sum(len(own) for own in sizes.block_states)

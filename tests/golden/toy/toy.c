@@ -321,7 +321,7 @@ static SGMS_COLD void start_fresh(toy_t *self)
     start_signals(self);
     self->compensation.on = self->calls.phase != UNSOUND;
     fill(self->parameters.theta, 1.0, PARAMETERS);
-    fill(self->window.term, 0.0, TOY_SERIES_SIZE);
+    fill(self->window.series, 0.0, TOY_SERIES_SIZE);
     fill(self->window.node, 0.0, SLOTS * STATES);
     fill(self->interval.path, 0.0, SLOTS);
     for (int p = 0; p < PARAMETERS; p++) {
@@ -427,8 +427,8 @@ static void fold_row(sgms_real *factor, sgms_real weight, sgms_real *row)
 /* Weighed row of the measurement at the start of an interval; zeros where there is none. */
 static void start_row(const toy_t *self, int slot, sgms_real *row)
 {
-    const model_point at = { self->window.node + slot * STATES,
-        self->window.signal + slot * SIGNALS, self->parameters.theta };
+    sgms_real w[SIGNALS] = { 0.0 };
+    const model_point at = { self->window.node + slot * STATES, w, self->parameters.theta };
     fill(row, 0.0, FACTOR_WIDTH);
     if (self->window.weight[slot] > 0.0) {
         node_row(&at, self->window.friction[slot], row);
@@ -463,8 +463,9 @@ static void add_drift(const toy_t *self, sgms_real *factor, int intervals)
 }
 
 /* Defect of state i over an interval, x_k+1 - A x_k - B theta - rest over its standard deviation,
- * as a row [-A, -B, rest] of the least squares; of A the columns of `couples` alone, the rest is
- * zero. The map is linearised at `start` and the parameters of the last estimate. */
+ * as a row [-A, -B, rest] of the least squares; of A and B the columns of `couples` and `enters`
+ * alone, the rest is zero. The map is linearised at `start` and the parameters of the last
+ * estimate. */
 static void defect_row(
     const toy_t *self, int i, const sgms_real *start, const interval_map *map, sgms_real *row)
 {
@@ -476,9 +477,10 @@ static void defect_row(
         row[k] = -inverse_noise * entry;
         rest -= entry * start[couples[i][k]];
     }
-    for (int p = 0; p < PARAMETERS; p++) {
-        row[COUPLED + p] = -inverse_noise * b[p];
-        rest -= b[p] * self->parameters.theta[p];
+    for (int k = 0; k < ENTERED; k++) {
+        const sgms_real entry = k < entered[i] ? b[enters[i][k]] : 0.0;
+        row[COUPLED + k] = -inverse_noise * entry;
+        rest -= entry * self->parameters.theta[enters[i][k]];
     }
     row[DEFECT_WIDTH - 1] = inverse_noise * rest;
 }
@@ -492,14 +494,14 @@ static void defect_rows(
 }
 
 /* Condense an interval: the factor over its start and theta, (x_k, theta), becomes that over
- * (x_k+1, theta). The rows that give x_k back go to `kept`. */
+ * (x_k+1, theta). The rows that give x_k back go to `kept`, without what is zero. */
 static void condense(
     const toy_settings_t *settings, sgms_real *factor, const sgms_real *rows, sgms_real *kept)
 {
-    sgms_real low[STATES * KEPT_WIDTH], reflector[STATES];
+    sgms_real high[STATES * KEPT_WIDTH], low[STATES * KEPT_WIDTH], reflector[STATES];
     for (int i = 0; i < STATES; i++) {
         /* over (x_k, x_k+1, theta) */
-        sgms_real *top = kept + i * KEPT_WIDTH;
+        sgms_real *top = high + i * KEPT_WIDTH;
         copy(top, factor + i * FACTOR_WIDTH, STATES);
         fill(top + STATES, 0.0, STATES);
         copy(top + 2 * STATES, factor + i * FACTOR_WIDTH + STATES, PARAMETERS + 1);
@@ -509,32 +511,51 @@ static void condense(
             top[couples[i][k]] = rows[i * DEFECT_WIDTH + k];
         }
         top[STATES + i] = 1.0 / settings->state[i];
-        copy(top + 2 * STATES, rows + i * DEFECT_WIDTH + COUPLED, PARAMETERS + 1);
+        fill(top + 2 * STATES, 0.0, PARAMETERS);
+        for (int k = 0; k < entered[i]; k++) {
+            top[2 * STATES + enters[i][k]] = rows[i * DEFECT_WIDTH + COUPLED + k];
+        }
+        top[KEPT_WIDTH - 1] = rows[i * DEFECT_WIDTH + DEFECT_WIDTH - 1];
     }
     /* R_x is triangular and A couples the states of a block alone: a column reaches no further down
      * than its block, or an earlier one. */
-    sgms_reflect(kept + 0 * KEPT_WIDTH, low, 1, KEPT_WIDTH, KEPT_WIDTH, 0, reflector);
+    sgms_reflect(high + 0 * KEPT_WIDTH, low, 1, KEPT_WIDTH, KEPT_WIDTH, 0, reflector);
+    copy(kept + 0, high + 0 * (KEPT_WIDTH + 1), 1);
+    copy(kept + 1, high + 0 * KEPT_WIDTH + STATES, 1);
+    copy(kept + 2, high + 0 * KEPT_WIDTH + 2 * STATES, PARAMETERS + 1);
     for (int i = 0; i < STATES; i++) {
         copy(factor + i * FACTOR_WIDTH, low + i * KEPT_WIDTH + STATES, FACTOR_WIDTH);
     }
 }
 
-/* x from the rows [R_x, R_n, R_theta, b] of a node, the next node's state and theta. */
-static void expand(const sgms_real *rows, int width, int next_states, const sgms_real *next,
-    const sgms_real *theta, sgms_real *x)
+/* The sum less the products of so many numbers. */
+static inline sgms_real less_products(
+    sgms_real sum, const sgms_real *a, const sgms_real *b, int count)
 {
-    sgms_real right[STATES];
-    for (int i = 0; i < STATES; i++) {
-        const sgms_real *row = rows + i * width;
-        right[i] = row[width - 1];
-        for (int j = 0; j < next_states; j++) {
-            right[i] -= row[STATES + j] * next[j];
-        }
-        for (int p = 0; p < PARAMETERS; p++) {
-            right[i] -= row[STATES + next_states + p] * theta[p];
-        }
+    for (int i = 0; i < count; i++) {
+        sum -= a[i] * b[i];
     }
-    sgms_back_substitute(rows, STATES, width, right, x);
+    return sum;
+}
+
+/* x from the rows [R_x, R_theta, b] of a factor and theta. */
+static void expand(const sgms_real *factor, const sgms_real *theta, sgms_real *x)
+{
+    for (int i = STATES - 1; i >= 0; i--) {
+        const sgms_real *const row = factor + i * FACTOR_WIDTH;
+        const sgms_real right = less_products(row[FACTOR_ROWS], row + STATES, theta, PARAMETERS);
+        x[i] = less_products(right, row + i + 1, x + i + 1, STATES - 1 - i) / row[i];
+    }
+}
+
+/* The same of a node's kept rows [R_x, R_n, R_theta, b], and the next node's state. */
+static void expand_kept(
+    const sgms_real *kept, const sgms_real *next, const sgms_real *theta, sgms_real *x)
+{
+    sgms_real right;
+    right = less_products(kept[2 + PARAMETERS], kept + 1, next, 1);
+    right = less_products(right, kept + 2, theta, PARAMETERS);
+    x[0] = right / kept[0];
 }
 
 /* Fold the measurement at the start of an interval. */
@@ -549,8 +570,7 @@ static void fold_start(toy_t *self, int slot)
 static void sweep_interval(toy_t *self, int back, const sgms_real *rows)
 {
     const int slot = slot_before(self, back);
-    condense(
-        &self->settings, self->sweep.factor, rows, self->sweep.kept + slot * STATES * KEPT_WIDTH);
+    condense(&self->settings, self->sweep.factor, rows, self->sweep.kept + slot * KEPT_SIZE);
     if (back == HORIZON - 1) { /* the first of a full window is the arrival-cost update */
         copy(self->sweep.arrival, self->sweep.factor, FACTOR_ROWS * FACTOR_WIDTH);
     }
@@ -561,8 +581,7 @@ static void expand_node(toy_t *self, int back)
 {
     const int slot = slot_before(self, back);
     const sgms_real *successor = self->window.node + slot_before(self, back - 1) * STATES;
-    const sgms_real *rows = self->sweep.kept + slot * STATES * KEPT_WIDTH;
-    expand(rows, KEPT_WIDTH, STATES, successor, self->parameters.theta,
+    expand_kept(self->sweep.kept + slot * KEPT_SIZE, successor, self->parameters.theta,
         self->window.node + slot * STATES);
 }
 
@@ -585,8 +604,8 @@ static void start_sweep(toy_t *self)
 static void linearise_step(toy_t *self, int unit)
 {
     const int step = sgms_place(unit, STEPS - 1);
-    integrate_lanes(
-        SLOTS, self->window.term + step * NODES * TERMS * SERIES_STRIDE, self->linearisation.lane);
+    integrate_lanes(SLOTS, self->window.series + step * NODES * TERMS * SERIES_STRIDE,
+        self->linearisation.lane);
 }
 
 /* Condense the interval `back` before the newest; the last one opens the newest's own. */
@@ -723,12 +742,9 @@ static int is_plausible(const sgms_real *x)
 /* Without a solution: start the window from the last good estimate. Returns the status. */
 static SGMS_COLD int start_again(toy_t *self, int status, int numeric)
 {
-    sgms_real w[SIGNALS];
-    copy(w, self->input.signal, SIGNALS);
     copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
     start_window(self, self->estimate.state, NULL);
     start_lasting(self);
-    copy(self->window.signal, w, SIGNALS);
     self->window.weight[0] = 0.0;
     self->window.friction[0] = 0.0;
     self->interval.started = 1;
@@ -799,7 +815,7 @@ static int update(toy_t *self)
         fold_row(self->sweep.factor, weight, row);
     }
     status += solve_theta(self, theta) > 0 ? TOY_BOUND : 0;
-    expand(self->sweep.factor, FACTOR_WIDTH, 0, x, theta, x);
+    expand(self->sweep.factor, theta, x);
     sgms_variances(self->sweep.factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH,
         variance, scratch);
     numeric = !is_plausible(x) + 2 * !all_finite(theta, PARAMETERS) +
@@ -838,8 +854,7 @@ static int update(toy_t *self)
     end_writing(self);
     self->interval.filling = next;
     copy(self->window.node + next * STATES, x, STATES);
-    copy(self->window.signal + next * SIGNALS, self->input.signal, SIGNALS);
-    self->window.friction[next] = self->interval.friction;
+    self->window.friction[next] = self->interval.friction - output_apart(self->input.signal);
     self->window.weight[next] = weight;
     start_interval(self);
     return status;
@@ -867,13 +882,17 @@ int toy_feedback(toy_t *self)
     return status;
 }
 
-/* One step of the series: store its terms, move the newest interval. */
+/* One step of the series: store it, move the newest interval. */
 static void take_step(toy_t *self, const sgms_real *w)
 {
     const int step = sgms_place(self->interval.step, STEPS - 1);
-    sgms_real *term = self->window.term + step * NODES * TERMS * SERIES_STRIDE + newest_slot(self);
-    sample_terms(w, term, SERIES_STRIDE);
+    sgms_real term[NODES * TERMS];
+    sample_terms(w, term, 1);
     integrate_blocks(term, self->interval.blocks);
+    for (int row = 0; row < NODES * TERMS; row++) {
+        self->window.series[
+            (step * NODES * TERMS + row) * SERIES_STRIDE + newest_slot(self)] = term[row];
+    }
     self->interval.step = step + 1;
 }
 
@@ -900,9 +919,8 @@ static void start_series(toy_t *self, int measured, sgms_real friction)
 {
     const int slot = newest_slot(self);
     self->interval.started = 1;
-    copy(self->window.signal + slot * SIGNALS, self->input.signal, SIGNALS);
     self->window.weight[slot] = measured ? 1.0 / self->settings.measurement : 0.0;
-    self->window.friction[slot] = measured ? friction : 0.0;
+    self->window.friction[slot] = measured ? friction - output_apart(self->input.signal) : 0.0;
     self->interval.is_valid = 0;
     self->interval.friction = 0.0;
 }
@@ -912,7 +930,6 @@ static SGMS_COLD void drop_rest(toy_t *self)
 {
     sgms_drop_rest(self->chain.lowpass, SGMS_FILTER_STATES);
     sgms_drop_rest(&self->chain.last[1], 1);
-    sgms_drop_rest(self->compensation.lag_state, 6);
 }
 
 /* Take the signals of one sample in. */
@@ -968,7 +985,7 @@ static void take_reading(toy_t *self, toy_position position, toy_real force)
         aligned.position, aligned.velocity, aligned.acceleration, aligned.force, aligned.friction,
             aligned.valid,
         0.0 };
-    follow_lag(self, sgms_metres(self->chain.position[1]));
+    follow_lag(self);
     self->compensation.through_chain = 1;
     take_sample(self, &signals);
     follow_compensation(self);
@@ -1199,9 +1216,8 @@ static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms
 {
     const int started = self->interval.started;
     const sgms_real *const node = self->window.node + newest_slot(self) * STATES;
-    sgms_real w[SIGNALS], x[STATES];
+    sgms_real x[STATES];
     abort_call(self);
-    copy(w, self->input.signal, SIGNALS);
     copy(x, node, STATES);
     if (started) {
         sgms_real end[STATES];
@@ -1218,7 +1234,6 @@ static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms
     end_writing(self);
     start_window(self, x, self->estimate.root);
     start_lasting(self);
-    copy(self->window.signal, w, SIGNALS);
     self->window.weight[0] = 0.0;
     self->window.friction[0] = 0.0;
     self->interval.started = started;

@@ -77,7 +77,7 @@ typedef struct {
 
 #define TOY_VERSION "0.2.0" /* of the generator */
 #define TOY_MACHINE "7f611f0cc49d" /* digest of the machine file */
-#define TOY_HEADER 0xa1677557u /* digest of all that this header declares, for toy_check() */
+#define TOY_HEADER 0xa16496ccu /* digest of all that this header declares, for toy_check() */
 #define TOY_SAVED_FORMAT 2u /* of toy_saved_t, and the digest of the machine file again */
 #define TOY_SAVED_MACHINE_0 0x7f611f0cu
 #define TOY_SAVED_MACHINE_1 0xc49du
@@ -156,9 +156,10 @@ enum {
     TOY_BLOCKS_SIZE = 7 * 4,                     /* blocks side by side, with sensitivities */
     TOY_LANES_SIZE = 7 * 4,                      /* the same of all intervals */
     TOY_ROOT_SIZE = 3,                           /* upper triangle, root of the parameters */
-    /* row of a node: its state, the next one's, theta, right side */
-    TOY_KEPT_WIDTH = 5,
-    TOY_DEFECT_WIDTH = 4,                        /* row of a defect: states, theta, right side */
+    /* rows that give a node back, without their zeros */
+    TOY_KEPT_SIZE = 5,
+    /* row of a defect: states, parameters, right side */
+    TOY_DEFECT_WIDTH = 4,
 };
 
 /* Weights and bounds, of [estimator.noise], [estimator.prior] and [estimator.bounds] in the machine
@@ -226,7 +227,7 @@ typedef struct {
     } calls;
     toy_parameters parameters; /* of the last estimate */
     struct { /* force fed forward, of sample(), insert(), tick() */
-        toy_real lag_state[6], lag; /* m, the newest position beyond the chain's */
+        toy_real lag; /* m, the newest position beyond the chain's */
         toy_real ahead[2]; /* set-point's velocity and acceleration as the force acts */
         toy_real gain; /* share that is on */
         int32_t on, ahead_given, through_chain;
@@ -256,10 +257,9 @@ typedef struct {
         uint8_t held[TOY_PARAMETERS]; /* by hold(), set_parameter() */
     } estimate;
     struct { /* samples and node of each interval */
-        toy_real term[TOY_SERIES_SIZE];
+        toy_real series[TOY_SERIES_SIZE];
         toy_real node[TOY_SLOTS * TOY_STATES]; /* state at its start */
-        toy_real signal[TOY_SLOTS * TOY_SIGNALS];
-        toy_real friction[TOY_SLOTS];
+        toy_real friction[TOY_SLOTS]; /* without what signals alone add */
         toy_real weight[TOY_SLOTS]; /* 1/(N) of its measurement; 0: none */
     } window;
     struct { /* older intervals as they were linearised, of prepare() */
@@ -268,7 +268,7 @@ typedef struct {
     struct { /* least squares over (x, theta), of prepare() and feedback() */
         toy_real factor[TOY_FACTOR_SIZE];
         toy_real arrival[TOY_FACTOR_SIZE]; /* before the oldest node of the window */
-        toy_real kept[TOY_SLOTS * TOY_STATES * TOY_KEPT_WIDTH]; /* for the back-substitution */
+        toy_real kept[TOY_SLOTS * TOY_KEPT_SIZE]; /* for the back-substitution */
         int32_t complete, cursor; /* older intervals; units of the work done */
         int32_t shifts, pending_drift; /* since the parameters' drift entered; with motion */
     } sweep;

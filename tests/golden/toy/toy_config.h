@@ -45,7 +45,7 @@ enum {
     /* of a step of group element, at most: at max_velocity */
     ELEMENT_MOST_SUBSTEPS = 34,
     NODES = 1,                                   /* of a step of the series */
-    TERMS = 2,                                   /* stored per node: velocity, inverse_level */
+    TERMS = 2,                                   /* of a node: velocity, inverse_level */
     /* numbers from one row of the series to the next: intervals, padded */
     SERIES_STRIDE = 4,
     BLOCKS = 1,                                  /* of states that depend on no other */
@@ -63,10 +63,15 @@ enum {
     ROOT_WIDTH = PARAMETERS + 1,
     /* intervals with motion of a block, by which errors of the model that stay are found */
     LASTING_BLOCK = 50,
+    /* parameters that a state depends on over an interval, at most */
+    ENTERED = 2,
     /* states that a state depends on over an interval, at most */
     COUPLED = 1,
     DEFECT_WIDTH = TOY_DEFECT_WIDTH,             /* numbers of a defect's row */
-    KEPT_WIDTH = TOY_KEPT_WIDTH,                 /* numbers of a row that gives a node back */
+    /* numbers of a row over a node's state, the next one's, theta, right side */
+    KEPT_WIDTH = 5,
+    /* numbers of the rows that give a node back, without their zeros */
+    KEPT_SIZE = TOY_KEPT_SIZE,
 };
 
 /* Macros, as C++26 has no arithmetic of two enumerations. Numbers from one row of lanes to the
@@ -136,6 +141,10 @@ static const sgms_real upper_bound[PARAMETERS] = {2.0, 1e+300};
 /* States that each state depends on over an interval, itself included, and how many. */
 static const uint8_t coupled[STATES] = { 1 };
 static const uint8_t couples[STATES][COUPLED] = { {0} };
+
+/* Parameters that each state depends on over an interval, and how many. */
+static const uint8_t entered[STATES] = { 2 };
+static const uint8_t enters[STATES][ENTERED] = { {0, 1} };
 
 static const sgms_real state_noise[STATES] = {0.05};
 static const sgms_real inverse_initial_state[STATES] = {1.0};
