@@ -124,7 +124,7 @@ def run_benchmark(
     tasks: list[tuple[str, Callable[[], Any]]] = []
     for (samples, merging), precision in product(mergings(machine)[: 1 if quick else None], PRECISIONS):
         for mode, variant in relinearisations(override_machine(merging, {"code": {"precision": precision}})):
-            if quick and precision != machine.code.precision and mode != machine.estimator.relinearise:
+            if quick and precision != machine.code.precision and mode != feeding.estimator.relinearise:
                 continue
             name = f"{precision}, {mode}" + (f", {samples} samples a step" if samples > 1 else "")
             tasks.append(("variants", partial(bench.variant, name, variant, mode, motion)))
