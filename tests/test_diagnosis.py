@@ -438,6 +438,10 @@ def test_an_imitation_is_not_the_same_everywhere(recording: Recording) -> None:
     left = np.where(recording.position < np.median(recording.position[recording.used]), 1.0, -1.0)
     assert inconstancy(recording, ripple, ripple * left + noise) > 0.8
     assert inconstancy(recording, np.zeros(len(ripple)), noise) == np.inf
+    # An offset has nothing that changes fast: rounding says nothing of it.
+    offset = np.full(len(ripple), -0.2)
+    assert inconstancy(recording, offset, 0.1 * noise) < 0.1
+    assert inconstancy(recording, offset, offset * early) > 0.8
 
 
 @pytest.mark.parametrize(

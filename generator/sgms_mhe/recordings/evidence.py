@@ -26,6 +26,7 @@ AT_REST: Final = 1e-3  # RMS speed of a piece over that of all
 MOVING: Final = 0.1  # of the pieces: fewer are no sample of the noise
 INTERVAL: Final = (0.025, 0.975)  # quantiles of the 95 % interval
 FAST_PARTS: Final = 20  # of a record: what is slower than one of them may be a force that wanders
+FAST_LEAST: Final = 1e-3  # of a contribution's power: of one with less, an offset say, no change is fast
 DRAWS: Final = 1000  # of blocks; the interval's ends are then sure to a few percent of its width
 NOISE_ROWS: Final = 16
 """Stretch that a model's errors are smooth over: what a parabola leaves there is noise [rows]: they are, but where the
@@ -229,8 +230,8 @@ def inconstancy(recording: Recording, contribution: Array, residual: Array, *, i
     What only imitates something else fits here and misfits there. The record is cut into parts by time, by place and by
     speed; within each part the residual is regressed on the cause's contribution c: a - 1 = c'e / c'c. The RMS of
     a - 1, weighted by c'c, is as large as the worst of the three ways to cut says. And of c and e alone that changes
-    faster than a part of the record: a force that wanders takes on the size of a slow cause, a step's say, but does not
-    jump where that does.
+    faster than a part of the record, where some of c does: a force that wanders takes on the size of a slow cause, a
+    step's say, but does not jump where that does.
 
     Args:
         recording: the record.
@@ -256,7 +257,8 @@ def inconstancy(recording: Recording, contribution: Array, residual: Array, *, i
         change = np.bincount(part, weights=c * e, minlength=parts) / np.maximum(power, TINY)
         worst = max(worst, math.sqrt(float(power @ change**2) / total))
     c, e = _drop_slow(c, len(c) // FAST_PARTS), _drop_slow(e, len(e) // FAST_PARTS)
-    return max(worst, abs(float(c @ e)) / max(TINY, float(c @ c)))
+    fast = float(c @ c)
+    return worst if fast < FAST_LEAST * total else max(worst, abs(float(c @ e)) / fast)
 
 
 def _drop_slow(series: Array, rows: int) -> Array:
