@@ -33,7 +33,7 @@ from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.recordings.evidence import gain_force, noise_floor
 from sgms_mhe.recordings.recording import Recording, add_encoder, prepare
-from sgms_mhe.signals.chain import signals_from_log
+from sgms_mhe.signals.chain import apply_chain, signals_from_log
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.signals.noise import noise_course
 
@@ -200,6 +200,24 @@ def test_noise_of_an_encoder_is_told_behind_the_chain(noise: float, machine: Mac
     there = record.signals.acceleration - quiet.signals.acceleration
     added = add_noise(record).signals.acceleration - record.signals.acceleration
     assert float(np.std(added)) == pytest.approx(float(np.std(there)), rel=0.1)
+
+
+@pytest.mark.parametrize("brought", ["friction", "acceleration"])
+def test_noise_of_a_velocity_or_acceleration_is_not_the_encoders(brought: str, machine: Machine) -> None:
+    """A robot's log brings them from sensors, or a differentiation, of their own: they move no element."""
+    log, noise = clean(()), 3e-8
+    white = np.random.default_rng(6).standard_normal((2, len(log)))
+    signals = signals_from_log(log, machine)
+    own: dict[str, Any] = {"position_m": log.position_m + noise * white[0]}
+    if brought == "friction":  # past the chain
+        own |= {"velocity_m_s": signals.velocity + 1e-2 * white[1], "friction_N": signals.friction}
+        wanted = noise
+    else:
+        own["acceleration_m_s2"] = signals.acceleration + white[1]
+        wanted = float(np.std(apply_chain(machine, noise * white[0])))
+    record = prepare(machine, replace(log, **own))
+    added = add_noise(record).signals.position - record.signals.position
+    assert float(np.std(added)) == pytest.approx(wanted, rel=0.15)
 
 
 def test_a_contact_grows_stronger_at_rest_and_takes_longer_than_samples(machine: Machine) -> None:

@@ -77,9 +77,9 @@ def inertial_noise(recording: Recording) -> Array:
 def add_noise(recording: Recording) -> Recording:
     """The record with as much noise of its encoder once more, sent through the chain.
 
-    How much there is, the acceleration tells: of a position behind the chain's filters no difference shows it, and a
-    log may bring an acceleration of its own. Where an encoder's steps show and make more, theirs: none at rest, and a
-    slow saw where few of them pass.
+    How much there is, the acceleration tells where it comes from the position: a velocity or an acceleration that a log
+    brings has noise of its own, which moves no element. Where an encoder's steps show and make more, theirs: none at
+    rest, and a slow saw where few of them pass.
     """
     signals = recording.signals
     noise = _white_noise(recording)
@@ -97,10 +97,16 @@ def add_noise(recording: Recording) -> Recording:
 
 def _white_noise(recording: Recording) -> Array:
     """Noise of position, velocity and acceleration (n, 3), of a position's white one."""
-    acceleration = recording.signals.acceleration
-    noise = filter_position(recording.machine, np.random.default_rng(SEED).standard_normal(len(acceleration)))
-    unit = position_noise(noise[:, 2])
-    size = noise_course(acceleration) / unit if unit > 0.0 else np.zeros(len(acceleration))
+    signals = recording.signals
+    white = np.random.default_rng(SEED).standard_normal(len(signals))
+    if signals.delay == 0.0:  # a log that brings its speeds and friction goes past the chain
+        return np.column_stack((noise_course(signals.position) * white, np.zeros((len(white), 2))))
+    noise = filter_position(recording.machine, white)
+    told, of_noise = signals.acceleration, noise[:, 2]
+    if recording.has_own_speeds:  # the same behind the chain, to rounding
+        told, of_noise = (np.diff(x, n=2, prepend=(x[0], x[0])) for x in (signals.position, noise[:, 0]))
+    unit = position_noise(of_noise)
+    size = noise_course(told) / unit if unit > 0.0 else np.zeros(len(white))
     return np.asarray(size[:, None] * noise)
 
 

@@ -92,8 +92,8 @@ def make_excerpt(recording: Recording) -> Recording:
     )
     encoder = recording.noise, recording.unfiltered, recording.misread
     noise, unfiltered, misread = (a if a is None else a[samples] for a in encoder)
-    warnings = (*recording.warnings, note)
-    return replace(fitted, warnings=warnings, noise=noise, unfiltered=unfiltered, misread=misread)
+    fitted = replace(fitted, noise=noise, unfiltered=unfiltered, misread=misread)
+    return replace(fitted, warnings=(*recording.warnings, note), has_own_speeds=recording.has_own_speeds)
 
 
 def _pieces(recording: Recording) -> list[_Piece]:

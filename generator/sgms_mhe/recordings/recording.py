@@ -114,6 +114,7 @@ class Recording:
         unfiltered: position, velocity, acceleration and force before the chain (n, 4), the position between the
             encoder's steps; None where speeds do not come from it, and where nobody asked (`add_encoder`).
         misread: the same where an encoder of these steps, its lines elsewhere, reads that motion; None as `noise`.
+        has_own_speeds: whether its log brings a velocity or an acceleration, which then do not come from its position.
         is_smeared: whether the chain's low-passes change friction more than the noise hides: its force then passes
             them, not its motion.
         runs: the newest ones of models along it; copies share them.
@@ -137,6 +138,7 @@ class Recording:
     noise: Array | None = None
     unfiltered: Array | None = None
     misread: Array | None = None
+    has_own_speeds: bool = False
     is_smeared: bool = True
     runs: Runs = field(default_factory=Runs, repr=False)
 
@@ -245,6 +247,7 @@ def prepare(machine: Machine, log: Log, held_out_s: Sequence[tuple[float, float]
     fold, held_out = split_blocks(count, machine)
     clock = np.arange(n) / rate - signals.delay
     recording = reduce_signals(machine, signals, clock, factor, np.where(used, block, -1), fold, held_out, warnings)
+    recording = replace(recording, has_own_speeds=log.velocity_m_s is not None or log.acceleration_m_s2 is not None)
     return recording if held_out_s is None else _hold_out(recording, held_out_s)
 
 
@@ -254,7 +257,7 @@ def add_encoder(recording: Recording, log: Log) -> Recording:
     Where its speeds do not come from its position it shows neither.
     """
     log, machine = readings(log), recording.machine
-    if _brings_speeds(log) or not (np.isfinite(log.position_m).any() and np.isfinite(log.force_N).any()):
+    if recording.has_own_speeds or not (np.isfinite(log.position_m).any() and np.isfinite(log.force_N).any()):
         return recording
     position, force = bridge_gaps(log.position_m), bridge_gaps(log.force_N)
     step, error = encoder_step(log.position_m), position_error(log.position_m)
@@ -272,10 +275,6 @@ def _unfiltered_motion(machine: Machine, way: Array, force: Array) -> Array:
     rate = machine.sampling.rate
     velocity = np.diff(way, prepend=way[:1]) * rate
     return np.column_stack((way, velocity, np.diff(velocity, append=velocity[-1:]) * rate, force))
-
-
-def _brings_speeds(log: Log) -> bool:
-    return log.velocity_m_s is not None or log.acceleration_m_s2 is not None
 
 
 def position_error(position: Array) -> float:
