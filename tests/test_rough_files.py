@@ -12,13 +12,15 @@ import pytest
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
-from sgms_mhe.diagnosis.beginning import ROUGH, distance
+from sgms_mhe.diagnosis.beginning import ROUGH, begin_from_record, distance, plain_friction
+from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.result import RefutedNumber
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import make_trajectory
+from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.signals.logs import Log
 
 NUMBERS = ("coulomb", "viscous", "stribeck_ratio", "stribeck_velocity")
@@ -106,6 +108,22 @@ def test_plain_friction_stands_beside_every_verdict() -> None:
     assert found.plain.held_out == pytest.approx(float(np.sqrt(np.mean(rest[held] ** 2))), rel=1e-6)
     assert found.errors["plain"] > found.errors["after"] > 0.0
     assert found.to_json()["simulation_error"] == found.errors
+
+
+@pytest.mark.parametrize("factor", [1.0, 10.0])
+def test_a_file_that_is_rough_in_presliding_alone_begins_from_the_record(factor: float) -> None:
+    """It predicts better than plain friction, which has no presliding at all, and is no beginning all the same."""
+    machine = load_machine("etel_xy")
+    file = override_machine(machine, {"friction": {"stiffness": [factor * k for k in machine.friction.stiffness]}})
+    recording = prepare(file, recorded(machine, "", 3))
+    nominal = fit_model(Subject.of(file, recording), (), refitted=())
+    assert nominal.rms < plain_friction(recording).held_out
+    begun = begin_from_record(recording, nominal, lambda step: None, has_force=True)
+    if factor == 1.0:
+        assert begun is None
+    else:
+        assert begun is not None
+        assert begun.machine.friction.mean_break_away == pytest.approx(machine.friction.mean_break_away, rel=0.1)
 
 
 def test_distance_is_of_what_the_record_determines() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -21,10 +21,11 @@ from sgms_mhe.identification.description import identified_effects
 from sgms_mhe.identification.final_fit import contradicts_mass
 from sgms_mhe.identification.fits import NumberEstimate
 from sgms_mhe.identification.identify import Explored, explore_recording
-from sgms_mhe.identification.search import LEAST_SHARE
+from sgms_mhe.identification.search import LEAST_SHARE, element_numbers
 from sgms_mhe.machine import Machine, plant_content
 from sgms_mhe.model.effects import EFFECT_NAMES, base_number, effect_definition
 from sgms_mhe.model.effects.base import DAMPING, LEVEL, MASS, reported_name
+from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
@@ -61,19 +62,13 @@ def plain_friction(recording: Recording) -> PlainFriction:
 
     Fitted to the blocks that the fit behind a reported gain sees.
     """
-    residual = _fit_beside(recording, recording.friction, recording.velocity, np.sign(recording.velocity))
-    held_out = recording.rows_held_out()
+    velocity, held_out = recording.velocity, recording.rows_held_out()
+    X = np.column_stack((recording.acceleration, np.ones(len(velocity)), velocity, np.sign(velocity)))
     seen = recording.used & ~held_out
-    return PlainFriction(_rms(residual, seen), _rms(residual, held_out), _rms(recording.force, held_out))
-
-
-def _fit_beside(recording: Recording, friction: Array, *columns: Array) -> Array:
-    """Return what mass, offset and columns (m) fitted to the blocks that are not held out leave of a friction (m)."""
-    X = np.column_stack((recording.acceleration, np.ones(len(friction)), *columns))
-    seen = recording.used & ~recording.rows_held_out()
     scale = np.sqrt(np.mean(X[seen] ** 2, axis=0)) + 1e-300
-    b = np.linalg.lstsq(X[seen] / scale, friction[seen], rcond=1e-9)[0]
-    return np.asarray(friction - (X / scale) @ b)
+    b = np.linalg.lstsq(X[seen] / scale, recording.friction[seen], rcond=1e-9)[0]
+    residual = recording.friction - (X / scale) @ b
+    return PlainFriction(_rms(residual, seen), _rms(residual, held_out), _rms(recording.force, held_out))
 
 
 def _rms(series: Array, rows: NDArray[np.bool_]) -> float:
@@ -85,8 +80,8 @@ def begin_from_record(
 ) -> RecordStart | None:
     """Return the numbers of the record where they refute the file's; None where the file's are a beginning.
 
-    They are identified only where the file, mass and offset refitted, predicts no better than `plain_friction`: of a
-    file that does, a diagnosis finds what is wrong.
+    They are identified only where the file's are far from those of a convex fit: of a file that is not, a diagnosis
+    finds what is wrong.
 
     Args:
         recording: decimated samples of the log.
@@ -94,16 +89,19 @@ def begin_from_record(
         report: called with each step.
         has_force: whether the drive's force was logged; friction alone says nothing of a mass.
     """
-    plain = plain_friction(recording).held_out
-    own = _rms(_fit_beside(recording, nominal.residual), recording.rows_held_out())
-    if not own > plain:
+    quick = element_numbers(recording, noise_floor(recording, nominal.residual))
+    if not quick:
         return None
+    apart = distance(_compare_quickly(recording.machine, quick), mean_speed(recording))
     log_decision(
         "beginning",
-        "a file that predicts no better than plain friction is compared with the record's numbers",
-        residual_of_file_N=own,
-        residual_of_plain_friction_N=plain,
+        "a file far from the numbers of a convex fit is compared with the record's",
+        distance=apart,
+        rough_from=ROUGH,
+        numbers=quick,
     )
+    if not apart > ROUGH:
+        return None
     return identify_start(recording, recording.machine, None, report, has_force=has_force)
 
 
@@ -172,19 +170,30 @@ def mean_speed(recording: Recording) -> float:
     return float(np.mean(np.abs(recording.velocity[recording.used])))
 
 
+def _compare_quickly(file: Machine, quick: Mapping[str, float]) -> tuple[RefutedNumber, ...]:
+    """Numbers of a file beside those of `element_numbers`."""
+    level, friction = quick[LEVEL], file.friction
+    elements = range(1, friction.n_z + 1)
+    reach = sum(quick[f"fraction_{k}"] ** 2 * level / quick[f"stiffness_{k}"] for k in elements)
+    return _compare_friction(file, level, reach, quick[DAMPING])
+
+
+def _compare_friction(file: Machine, level: float, reach: float, damping: float) -> tuple[RefutedNumber, ...]:
+    """Level, mean break-away distance and damping of a file beside a record's; how sure these are, is not known."""
+    friction = file.friction
+    return (
+        RefutedNumber(reported_name(LEVEL), friction.coulomb, level, 0.0),
+        RefutedNumber(BREAK_AWAY, friction.mean_break_away, reach, 0.0),
+        RefutedNumber(reported_name(DAMPING), friction.viscous, damping, 0.0),
+    )
+
+
 def _compare(file: Machine, explored: Explored, mass: NumberEstimate | None) -> tuple[RefutedNumber, ...]:
     """Numbers of a file beside those that were identified; how sure these are, a diagnosis will say."""
     fit, numbers = explored.final.fit, explored.final.numbers
     damping = numbers[DAMPING].value if DAMPING in numbers else 0.0
-    friction, reach = file.friction, float(fit.levels @ fit.shape.distances) / fit.coulomb
-    found = [
-        RefutedNumber(reported_name(LEVEL), friction.coulomb, fit.coulomb, 0.0),
-        RefutedNumber(BREAK_AWAY, friction.mean_break_away, reach, 0.0),
-        RefutedNumber(reported_name(DAMPING), friction.viscous, damping, 0.0),
-    ]
-    if mass is not None:
-        found.append(RefutedNumber(MASS, file.plant.moved, mass.value, mass.std))
-    return tuple(found)
+    found = _compare_friction(file, fit.coulomb, float(fit.levels @ fit.shape.distances) / fit.coulomb, damping)
+    return found if mass is None else (*found, RefutedNumber(MASS, file.plant.moved, mass.value, mass.std))
 
 
 def _start(file: Machine, explored: Explored, mass: NumberEstimate | None) -> RecordStart:

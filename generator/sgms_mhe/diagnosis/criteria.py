@@ -63,7 +63,7 @@ class ProgressReport:
 
     def report_identification(self, step: str) -> None:
         """The record's own numbers are looked for: `step` of an identification."""
-        self.report(f"the file predicts no better than plain friction; identifying the record: {step}", 0.0)
+        self.report(f"the file is far from the record; identifying it: {step}", 0.0)
 
     def report_base(self) -> None:
         """The machine's own numbers are fitted."""
