@@ -89,6 +89,12 @@ def test_the_table_says_who_is_ahead() -> None:
     (table,) = tally.tables()
     assert [row["ahead"] for row in table.rows] == ["yes", "no", "no", "yes", "no", ""]
     assert table.notes == ("ahead of the best published number: 2 of 5; of plain friction: 4 of 6",)
+    # The machine that has what was learned is the one that is compared, for better or worse.
+    for published, learned in ((0.29, 0.28), (0.4, 0.41)):
+        taught = replace(outcome({"a": published}, "rms", ours), learned=replace(ours, residual_rms_N=learned))
+        tally.add(taught, lambda _: None)
+    rows = tally.tables()[0].rows[6:]
+    assert [(row["ours"], row["learned"], row["ahead"]) for row in rows] == [(0.3, 0.28, "yes"), (0.3, 0.41, "no")]
     tally.add(replace(outcome({}, "rms", ours), inside=19, numbers=20), lambda _: None)
     assert "19 of 20 numbers, 95 %" in tally.tables()[0].notes[1]
 

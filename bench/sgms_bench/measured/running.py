@@ -44,6 +44,7 @@ class MeasuredOutcome:
         published_in: percent or rms.
         unit: of the force.
         ours: error of the diagnosed machine on the stretch that no fit has seen; None: it was refused.
+        learned: error there of the machine that also has what was learned; None: nothing was.
         plain: the same of Coulomb and viscous friction by least squares.
         verdict: of the diagnosis, with its causes; or the sentence of a refusal.
         inside: numbers of both halves whose interval of the difference holds zero.
@@ -59,9 +60,15 @@ class MeasuredOutcome:
     ours: ForceError | None
     plain: ForceError
     verdict: str
+    learned: ForceError | None = None
     inside: int = 0
     numbers: int = 0
     seconds: float = 0.0
+
+    @property
+    def best(self) -> ForceError | None:
+        """Error of the machine that a user goes home with: what was learned is offered where it gains."""
+        return self.ours if self.learned is None else self.learned
 
 
 @dataclass(frozen=True)
@@ -115,6 +122,7 @@ def _run_record(table: MeasuredTable, record: MeasuredRecord, begin: Beginning, 
     reference = machine or stated or _make_start(record, protocol.training)
     axis = machine if found is None or found.extended is None else found.extended
     ours = None if found is None or axis is None else _compare(record, predict_of(axis, protocol), protocol)
+    taught = None if found is None or found.learned is None else found.learned.extended
     outcome = MeasuredOutcome(
         name=record.name,
         begin=begin,
@@ -124,6 +132,7 @@ def _run_record(table: MeasuredTable, record: MeasuredRecord, begin: Beginning, 
         ours=ours,
         plain=_compare(record, predict_plain(_set_lowpass(reference, record), protocol), protocol),
         verdict=verdict,
+        learned=None if taught is None else _compare(record, predict_of(taught, protocol), protocol),
     )
     if halves and found is not None:
         outcome = _add_halves(outcome, found, record, stated, protocol, begin)
@@ -259,7 +268,8 @@ class MeasuredTally:
         """Keep one and say it."""
         self.outcomes.append(outcome)
         error = "-" if outcome.ours is None else f"{outcome.ours.residual_rms_N:.4g} {outcome.unit}"
-        tell(f"{outcome.name} from {outcome.begin}: {error}, {outcome.verdict} ({outcome.seconds:.0f} s)")
+        more = "" if outcome.learned is None else f", learned {outcome.learned.residual_rms_N:.4g} {outcome.unit}"
+        tell(f"{outcome.name} from {outcome.begin}: {error}{more}, {outcome.verdict} ({outcome.seconds:.0f} s)")
 
     def tables(self) -> list[CsvTable]:
         """Return ours beside the published numbers; and how often both halves agree, where both were diagnosed."""
@@ -272,19 +282,20 @@ class MeasuredTally:
                     "from": o.begin,
                     "unit": o.unit,
                     "ours": None if o.ours is None else o.ours.residual_rms_N,
+                    "learned": None if o.learned is None else o.learned.residual_rms_N,
                     "plain": o.plain.residual_rms_N,
-                    "ours [%]": None if o.ours is None else 100.0 * o.ours.relative,
+                    "best [%]": None if o.best is None else 100.0 * o.best.relative,
                     "plain [%]": 100.0 * o.plain.relative,
                     "published": "" if best is None else f"{best[1]:g}{' %' * (o.published_in == 'percent')} {best[0]}",
                     "ahead": "" if best is None else "yes" if self._is_ahead(o, best[1]) else "no",
                     "verdict": o.verdict,
                 }
             )
-        formats = {"record": "", "from": "", "unit": "", "ours": ".4g", "plain": ".4g", "ours [%]": ".3g"}
-        formats |= {"plain [%]": ".3g", "published": "", "ahead": "", "verdict": ""}
+        formats = {"record": "", "from": "", "unit": "", "ours": ".4g", "learned": ".4g"}
+        formats |= {"plain": ".4g", "best [%]": ".3g", "plain [%]": ".3g", "published": "", "ahead": "", "verdict": ""}
         ahead = sum(row["ahead"] == "yes" for row in rows)
         judged = sum(row["ahead"] != "" for row in rows)
-        plain = sum(o.ours is not None and o.ours.residual_rms_N < o.plain.residual_rms_N for o in self.outcomes)
+        plain = sum(o.best is not None and o.best.residual_rms_N < o.plain.residual_rms_N for o in self.outcomes)
         notes = (
             f"ahead of the best published number: {ahead} of {judged}; of plain friction: {plain} of {len(rows)}",
             *self._coverage(),
@@ -294,9 +305,9 @@ class MeasuredTally:
 
     @staticmethod
     def _is_ahead(outcome: MeasuredOutcome, published: float) -> bool:
-        if outcome.ours is None:
+        error = outcome.best
+        if error is None:
             return False
-        error = outcome.ours
         return (error.residual_rms_N if outcome.published_in == "rms" else 100.0 * error.relative) < published
 
     def _coverage(self) -> tuple[str, ...]:
