@@ -69,20 +69,22 @@ static inline int sgms_position_is_good(sgms_position p)
 /* p + d for a good p, which a continued motion does not take out of the range: it stays there. */
 static inline sgms_position sgms_position_ahead(sgms_position p, sgms_position d)
 {
-    const sgms_position next = (sgms_position)((uint64_t)p +
-                                               (uint64_t)d); /* wraps beyond the range */
+    const uint64_t sum = (uint64_t)p + (uint64_t)d; /* wraps beyond the range */
+    const sgms_position next = (sgms_position)sum;
     return sgms_position_is_good(next) ? next : p;
 }
 
 static inline sgms_position sgms_position_difference(sgms_position a, sgms_position b)
 {
-    return (sgms_position)((uint64_t)a - (uint64_t)b); /* of good ones it does not wrap */
+    const uint64_t difference = (uint64_t)a - (uint64_t)b; /* of good ones it does not wrap */
+    return (sgms_position)difference;
 }
 
 /* a - b of two differences of good positions, exact but where a 64-bit integer cannot hold it. */
 static inline sgms_real sgms_metres_between(sgms_position a, sgms_position b)
 {
-    const int may_overflow = (a ^ b) < 0 && !(sgms_position_is_good(a) && sgms_position_is_good(b));
+    const bool may_overflow = (a ^ b) < 0 &&
+                              !(sgms_position_is_good(a) && sgms_position_is_good(b));
     return may_overflow ? sgms_metres(a) - sgms_metres(b)
                         : sgms_metres(sgms_position_difference(a, b));
 }
@@ -167,7 +169,7 @@ static SGMS_COLD int sgms_filter_disturbed(
     if ((m->counts[0] & 2) == 0 && position_good) { /* first good position */
         m->counts[0] |= 2;
         m->position[0] = *position;
-        if (chain->wanted & SGMS_POSITION) {
+        if ((chain->wanted & SGMS_POSITION) != 0) {
             m->last[3] = sgms_metres(*position);
             sgms_lowpass_rest(filter, m->lowpass + 12, m->last[3]);
             sgms_lowpass_rest(filter, m->lowpass + 14, m->last[3]);
@@ -208,7 +210,7 @@ static inline sgms_aligned sgms_filter_step(
     const sgms_lowpass *const filter = &chain->lowpass;
     const sgms_real rate = chain->rate;
     const int wanted = chain->wanted;
-    const int apart = wanted & (SGMS_FORCE | SGMS_ACCELERATION);
+    const bool apart = (wanted & (SGMS_FORCE | SGMS_ACCELERATION)) != 0;
     sgms_real *const f = m->lowpass;
     const sgms_position earlier = m->position[1]; /* difference */
     sgms_real velocity, acceleration;
@@ -243,7 +245,7 @@ static inline sgms_aligned sgms_filter_step(
     }
     m->last[1] = velocity;
     m->last[2] = force;
-    if (wanted & SGMS_POSITION) {
+    if ((wanted & SGMS_POSITION) != 0) {
         out.position = sgms_lowpass_step(
             filter, f + 14, sgms_lowpass_step(filter, f + 12, m->last[3]));
         m->last[3] = sgms_metres(position);

@@ -202,7 +202,7 @@ static inline int sgms_box_least_squares(
     for (int i = 0; i < n; i++) {
         pinned[i] = x[i] < lower[i] ? -1 : (x[i] > upper[i] ? 1 : 0);
         x[i] = pinned[i] < 0 ? lower[i] : (pinned[i] > 0 ? upper[i] : x[i]);
-        active += pinned[i] != 0;
+        active += pinned[i] != 0 ? 1 : 0;
     }
     if (active == 0) {
         return 0;
@@ -213,7 +213,7 @@ static inline int sgms_box_least_squares(
         int blocking = -1;
         sgms_real step = SGMS_R(1.0);
         for (int i = 0; i < n; i++) {
-            free_count += pinned[i] == 0;
+            free_count += pinned[i] == 0 ? 1 : 0;
         }
         for (int i = 0; i < n; i++) {
             int column = 0;
@@ -222,7 +222,8 @@ static inline int sgms_box_least_squares(
             for (int j = 0; j < n; j++) {
                 const sgms_real entry = j >= i ? r[i * width + j] : SGMS_R(0.0);
                 if (pinned[j] == 0) {
-                    row[column++] = entry;
+                    row[column] = entry;
+                    column++;
                 } else {
                     row[free_count] -= entry * x[j];
                 }

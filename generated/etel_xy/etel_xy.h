@@ -61,6 +61,7 @@
 #ifndef ETEL_XY_H
 #define ETEL_XY_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -78,7 +79,7 @@ typedef struct {
 #define ETEL_XY_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_MACHINE "de03b466533e" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_check() */
-#define ETEL_XY_HEADER 0x8e5c06d5u
+#define ETEL_XY_HEADER 0xa8f7f8ebu
 #define ETEL_XY_SAVED_FORMAT 2u /* of etel_xy_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SAVED_MACHINE_0 0xde03b466u
 #define ETEL_XY_SAVED_MACHINE_1 0x533eu
@@ -326,12 +327,14 @@ typedef struct {
 static inline etel_xy_position etel_xy_position_from_wrapped_counts(
     etel_xy_counter *counter, uint32_t counts, int bits)
 {
-    const int is_good = bits >= 2 && bits <= 32;
-    const uint32_t range = is_good ? UINT32_MAX >> (32 - bits) : 0u, half = range / 2u + 1u;
+    const bool is_good = bits >= 2 && bits <= 32;
+    const uint32_t range = is_good ? UINT32_MAX >> (32u - (uint32_t)bits) : 0u,
+        half = range / 2u + 1u;
     const uint32_t now = counts & range, moved = (now - counter->last) & range;
     /* modulo 2^64 */
     const uint64_t step = moved < half ? (uint64_t)moved : (uint64_t)moved - range - 1u;
-    counter->whole = counter->started ? (int64_t)((uint64_t)counter->whole + step) : (int64_t)now;
+    const uint64_t whole = counter->started != 0u ? (uint64_t)counter->whole + step : (uint64_t)now;
+    counter->whole = (int64_t)whole;
     counter->started = 1u;
     counter->last = now;
     return etel_xy_position_from_counts(

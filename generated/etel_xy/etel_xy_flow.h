@@ -530,6 +530,8 @@ static inline int sgms_flow_enter(sgms_real *r, sgms_real *xi, sgms_real *ratio)
         *ratio = (flow_table.end - 1.0) / (*r - 1.0);
         *xi += sgms_log(*ratio);
         *r = flow_table.end;
+    } else {
+        ; /* within the table */
     }
     return 1;
 }

@@ -105,7 +105,7 @@ static void element_end(
             a_row[from] = by_node;
             by_scale[k] = by_node * (start[from] / p->scale[from]);
         }
-        for (int of = 0; of < entered[state]; of++) {
+        for (int of = 0; of < (int)entered[state]; of++) {
             const int j = enters[state][of];
             sgms_real b = chi * d_scale[j];
             for (int k = 0; k < ELEMENT_Q; k++) {
@@ -346,7 +346,7 @@ static SGMS_INLINE void element_flow_tile(
         any_moving |= is_moving[l];
         any_slow |= is_slow[l];
     }
-    if (any_sliding) {
+    if (any_sliding != 0) {
         SGMS_LANES for (int l = 0; l < VECTOR; l++) {
             const element_point at = element_at(term + l, LANE_STRIDE, block + l);
             const element_level level = element_level_at(&at);
@@ -362,7 +362,7 @@ static SGMS_INLINE void element_flow_tile(
         }
     }
     for (int l = 0; any_moving && l < VECTOR; l++) { /* few at a time, so one by one */
-        if (is_moving[l]) {
+        if (is_moving[l] != 0) {
             const element_point at = element_at(term + l, LANE_STRIDE, block + l);
             const element_level level = element_level_at(&at);
             const sgms_real direction = sgms_copy_sign(1.0, at.velocity);
@@ -377,7 +377,7 @@ static SGMS_INLINE void element_flow_tile(
             block[2 * LANE_STRIDE + l] = to[2];
         }
     }
-    if (any_slow) { /* all lanes together; those that are not slow get back what they had */
+    if (any_slow != 0) { /* all lanes together; those that are not slow get back what they had */
         sgms_real had[ELEMENT_ROWS * VECTOR];
         SGMS_LANES for (int l = 0; l < VECTOR; l++) {
             had[0 * VECTOR + l] = block[0 * LANE_STRIDE + l];

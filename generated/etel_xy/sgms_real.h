@@ -6,6 +6,7 @@
 #define SGMS_REAL_H
 
 #include <float.h>
+#include <stdbool.h>
 #include <stdint.h>
 
 #define SGMS_RUNTIME_VERSION 5

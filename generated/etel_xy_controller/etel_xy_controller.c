@@ -82,7 +82,8 @@ static void unpack_root(const sgms_real *root, sgms_real *square)
     fill(square, 0.0f, PARAMETERS * ROOT_WIDTH);
     for (int i = 0; i < PARAMETERS; i++) {
         for (int j = i; j < PARAMETERS; j++) {
-            square[i * ROOT_WIDTH + j] = *root++;
+            square[i * ROOT_WIDTH + j] = *root;
+            root++;
         }
     }
 }
@@ -191,7 +192,7 @@ static void take_wander(
 {
     for (int p = 0; p < PARAMETERS; p++) {
         const sgms_real drift = self->settings.drift[p];
-        const int is_known = self->lasting.variance[p] > 0.0f;
+        const bool is_known = self->lasting.variance[p] > 0.0f;
         if (is_end && is_known) {
             const sgms_real before =
                 self->lasting.variance[p] + (sgms_real)LASTING_BLOCK * drift * drift;
@@ -245,7 +246,8 @@ static void set_root(sgms_real *factor, const sgms_real *root, const sgms_real *
         sgms_real *const row = factor + (STATES + i) * FACTOR_WIDTH;
         row[FACTOR_ROWS] = 0.0f;
         for (int j = i; j < PARAMETERS; j++) {
-            row[STATES + j] = *root++;
+            row[STATES + j] = *root;
+            root++;
             row[FACTOR_ROWS] += row[STATES + j] * theta[j];
         }
     }
@@ -352,7 +354,7 @@ static SGMS_COLD void start_signals(etel_xy_controller_t *self)
 /* Nothing known but settings and what moves. */
 static SGMS_COLD void start_fresh(etel_xy_controller_t *self)
 {
-    const sgms_real zero[STATES] = { 0.0f };
+    const sgms_real zero[STATES] = { 0 };
     self->calls.phase = sgms_has_ieee_numbers() ? IDLE : UNSOUND;
     self->calls.version = 0;
     self->calls.age = 0;
@@ -388,7 +390,7 @@ void etel_xy_controller_init(etel_xy_controller_t *self)
 
 void etel_xy_controller_reset(etel_xy_controller_t *self)
 {
-    const sgms_real zero[STATES] = { 0.0f };
+    const sgms_real zero[STATES] = { 0 };
     abort_call(self);
     start_signals(self);
     copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
@@ -432,10 +434,10 @@ static void inner_row(
         row[STATES + p] = d[p];
     }
     for (int i = 0; i < STATES; i++) {
-        for (int k = 0; k < coupled[i]; k++) {
+        for (int k = 0; k < (int)coupled[i]; k++) {
             row[couples[i][k]] += c[i] * map->a[i * STATES + couples[i][k]];
         }
-        for (int k = 0; k < entered[i]; k++) {
+        for (int k = 0; k < (int)entered[i]; k++) {
             row[STATES + enters[i][k]] += c[i] * map->b[i * PARAMETERS + enters[i][k]];
         }
     }
@@ -497,7 +499,7 @@ static void fold_row(sgms_real *factor, sgms_real weight, sgms_real *row)
 /* Weighed row of the measurement at the start of an interval; zeros where there is none. */
 static void start_row(const etel_xy_controller_t *self, int slot, sgms_real *row)
 {
-    sgms_real w[SIGNALS] = { 0.0f };
+    sgms_real w[SIGNALS] = { 0 };
     const model_point at = { self->window.node + slot * STATES, w, self->parameters.theta };
     fill(row, 0.0f, FACTOR_WIDTH);
     if (self->window.weight[slot] > 0.0f) {
@@ -509,7 +511,7 @@ static void start_row(const etel_xy_controller_t *self, int slot, sgms_real *row
 }
 
 /* A measurement inside the newest interval: its row waits until the older ones are condensed. */
-static void take_inner(etel_xy_controller_t *self, int measured, sgms_real friction)
+static void take_inner(etel_xy_controller_t *self, bool measured, sgms_real friction)
 {
     const int j = sgms_place(self->interval.step / SPACING - 1, INNER - 1),
         at = newest_slot(self) * INNER + j;
@@ -554,7 +556,7 @@ static void fold_next(etel_xy_controller_t *self)
 static void fold_rows(etel_xy_controller_t *self, int slot, sgms_real *rows)
 {
     sgms_real *const factor = self->sweep.factor;
-    sgms_real reflector[9] = { 0.0f }; /* some compilers take the reach for longer than it is */
+    sgms_real reflector[9] = { 0 }; /* some compilers take the reach for longer than it is */
     start_row(self, slot, rows);
     /* row i of the triangle begins in column i - 1 */
 #if SGMS_VECTORS /* loops of constant length, which compilers vectorise */
@@ -579,7 +581,7 @@ static void fold_rows(etel_xy_controller_t *self, int slot, sgms_real *rows)
 static void renew_inner(etel_xy_controller_t *self, int at, const interval_map *map,
     const sgms_real *start, sgms_real *row)
 {
-    sgms_real w[SIGNALS] = { 0.0f };
+    sgms_real w[SIGNALS] = { 0 };
     inner_row(self, map, start, w, self->inner.friction[at], row);
     for (int i = 0; i < FACTOR_WIDTH; i++) {
         row[i] = self->inner.weight[at] > 0.0f ? row[i] * self->inner.weight[at] : 0.0f;
@@ -673,12 +675,12 @@ static void defect_row(const etel_xy_controller_t *self, int i, const sgms_real 
     const sgms_real inverse_noise = 1.0f / self->settings.state[i];
     sgms_real rest = map->x[i];
     for (int k = 0; k < COUPLED; k++) {
-        const sgms_real entry = k < coupled[i] ? a[couples[i][k]] : 0.0f;
+        const sgms_real entry = k < (int)coupled[i] ? a[couples[i][k]] : 0.0f;
         row[k] = -inverse_noise * entry;
         rest -= entry * start[couples[i][k]];
     }
     for (int k = 0; k < ENTERED; k++) {
-        const sgms_real entry = k < entered[i] ? b[enters[i][k]] : 0.0f;
+        const sgms_real entry = k < (int)entered[i] ? b[enters[i][k]] : 0.0f;
         row[COUPLED + k] = -inverse_noise * entry;
         rest -= entry * self->parameters.theta[enters[i][k]];
     }
@@ -707,12 +709,12 @@ static void condense(const etel_xy_controller_settings_t *settings, sgms_real *f
         copy(top + 2 * STATES, factor + i * FACTOR_WIDTH + STATES, PARAMETERS + 1);
         top = low + i * KEPT_WIDTH;
         fill(top, 0.0f, 2 * STATES);
-        for (int k = 0; k < coupled[i]; k++) {
+        for (int k = 0; k < (int)coupled[i]; k++) {
             top[couples[i][k]] = rows[i * DEFECT_WIDTH + k];
         }
         top[STATES + i] = 1.0f / settings->state[i];
         fill(top + 2 * STATES, 0.0f, PARAMETERS);
-        for (int k = 0; k < entered[i]; k++) {
+        for (int k = 0; k < (int)entered[i]; k++) {
             top[2 * STATES + enters[i][k]] = rows[i * DEFECT_WIDTH + COUPLED + k];
         }
         top[KEPT_WIDTH - 1] = rows[i * DEFECT_WIDTH + DEFECT_WIDTH - 1];
@@ -824,10 +826,10 @@ static sgms_real moved_most(const etel_xy_controller_t *self, int slot)
     for (int i = 0; i < STATES; i++) {
         const sgms_real *row = self->linearisation.rows + (slot * STATES + i) * DEFECT_WIDTH;
         sgms_real moved = row[DEFECT_WIDTH - 1] - self->linearisation.end[slot * STATES + i];
-        for (int k = 0; k < coupled[i]; k++) {
+        for (int k = 0; k < (int)coupled[i]; k++) {
             moved -= row[k] * x[couples[i][k]];
         }
-        for (int k = 0; k < entered[i]; k++) {
+        for (int k = 0; k < (int)entered[i]; k++) {
             moved -= row[COUPLED + k] * self->parameters.theta[enters[i][k]];
         }
         most = sgms_fmax(most, moved * moved * (self->settings.state[i] * INVERSE_MOVE));
@@ -858,7 +860,7 @@ static void expand_node(etel_xy_controller_t *self, int back)
 /* All older nodes are known: begin the sweep at the oldest one for which something has changed. */
 static void start_sweep(etel_xy_controller_t *self)
 {
-    const int is_growing = self->sweep.shifts >= DRIFT_INTERVAL;
+    const bool is_growing = self->sweep.shifts >= DRIFT_INTERVAL;
     sgms_real *start;
     if (older_intervals(self) > 0) {
         keep_inner(self, slot_before(self, 1), self->inner.rows +
@@ -894,7 +896,7 @@ static void linearise_step(etel_xy_controller_t *self, int unit)
     const int slot = sgms_place(self->linearisation.slot, SLOTS - 1);
     const sgms_real *const start = self->window.node + slot * STATES;
     const sgms_real *const kept = self->window.series + (slot * STEPS + step) * SERIES_ROWS;
-    sgms_real mean[SIGNALS] = { 0.0 }, slope[SIGNALS] = { 0.0 }, term[NODES * TERMS];
+    sgms_real mean[SIGNALS] = { 0 }, slope[SIGNALS] = { 0 }, term[NODES * TERMS];
     if (step == 0) {
         start_blocks(&self->parameters, start, self->linearisation.blocks);
     }
@@ -1048,7 +1050,7 @@ static int is_plausible(const sgms_real *x)
 {
     int count = 0;
     for (int i = 0; i < STATES; i++) {
-        count += sgms_fabs(x[i]) * inverse_initial_state[i] < IMPLAUSIBLE;
+        count += sgms_fabs(x[i]) * inverse_initial_state[i] < IMPLAUSIBLE ? 1 : 0;
     }
     return count == STATES;
 }
@@ -1087,7 +1089,7 @@ static int shift_window(etel_xy_controller_t *self, int *status)
 {
     /* where the interval stands that leaves a full window */
     const int next = slot_before(self, -1);
-    const int is_full = older_intervals(self) == HORIZON - 1;
+    const bool is_full = older_intervals(self) == HORIZON - 1;
     if (is_full && walks(&self->settings)) { /* otherwise nothing sets them back */
         self->sweep.shifts = sgms_place(self->sweep.shifts, DRIFT_INTERVAL - 1) + 1;
         self->sweep.pending_drift = sgms_place(self->sweep.pending_drift, DRIFT_INTERVAL - 1) +
@@ -1120,7 +1122,7 @@ static int update(etel_xy_controller_t *self)
         work(self);
     }
     take_newest(self, x);
-    if (self->interval.is_valid) {
+    if (self->interval.is_valid != 0) {
         const model_point at = { x, self->input.signal, self->parameters.theta };
         sgms_real row[FACTOR_WIDTH];
         node_row(&at, self->interval.friction, row);
@@ -1131,11 +1133,11 @@ static int update(etel_xy_controller_t *self)
     expand(self->sweep.factor, theta, x);
     sgms_variances(self->sweep.factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH,
         variance, scratch);
-    numeric = !is_plausible(x) + 2 * !all_finite(theta, PARAMETERS) +
-        4 * !all_finite(variance, PARAMETERS);
+    numeric = (is_plausible(x) ? 0 : 1) + (all_finite(theta, PARAMETERS) ? 0 : 2) +
+        (all_finite(variance, PARAMETERS) ? 0 : 4);
     if (numeric == 0) {
         friction = output_at(self, x, theta);
-        numeric = 8 * !all_finite(&friction, 1);
+        numeric = all_finite(&friction, 1) ? 0 : 8;
     }
     if (numeric != 0) {
         return start_again(self, ETEL_XY_CONTROLLER_NUMERIC, numeric);
@@ -1227,8 +1229,8 @@ static SGMS_INLINE void extend_series(etel_xy_controller_t *self)
 static SGMS_INLINE int take_signals(
     etel_xy_controller_t *self, const etel_xy_controller_signals *signals)
 {
-    const int is_timely = signals->delay >= 0.0f && signals->delay <= LONGEST_DELAY;
-    const int good = is_timely && sgms_is_reading(signals->velocity) &&
+    const bool is_timely = signals->delay >= 0.0f && signals->delay <= LONGEST_DELAY;
+    const bool good = is_timely && sgms_is_reading(signals->velocity) &&
         sgms_fabs(signals->position) < SGMS_FARTHEST &&
                      sgms_is_reading(signals->acceleration) && sgms_is_reading(signals->force);
     if (good) { /* those that the model reads */
@@ -1238,7 +1240,7 @@ static SGMS_INLINE int take_signals(
 }
 
 /* The first sample is the first node. */
-static void start_series(etel_xy_controller_t *self, int measured, sgms_real friction)
+static void start_series(etel_xy_controller_t *self, bool measured, sgms_real friction)
 {
     const int slot = newest_slot(self);
     self->interval.started = 1;
@@ -1259,8 +1261,8 @@ static SGMS_COLD void drop_rest(etel_xy_controller_t *self)
 static SGMS_INLINE void take_sample(
     etel_xy_controller_t *self, const etel_xy_controller_signals *signals)
 {
-    const int good = take_signals(self, signals);
-    const int measured = good && signals->valid && sgms_is_reading(signals->friction);
+    const bool good = take_signals(self, signals) != 0;
+    const bool measured = good && signals->valid && sgms_is_reading(signals->friction);
     const uint32_t age = self->calls.age;
     if (self->calls.phase == UNSOUND) {
         return;
@@ -1273,7 +1275,7 @@ static SGMS_INLINE void take_sample(
         start_series(self, measured, signals->friction);
         return;
     }
-    if (etel_xy_controller_due(self)) {
+    if (etel_xy_controller_due(self) != 0) {
         self->interval.lost = 1;
         return;
     }
@@ -1283,11 +1285,13 @@ static SGMS_INLINE void take_sample(
         self->interval.too_fast = 1;
     }
     extend_series(self);
-    if (etel_xy_controller_due(self)) {
-        self->interval.is_valid = measured;
+    if (etel_xy_controller_due(self) != 0) {
+        self->interval.is_valid = measured ? 1 : 0;
         self->interval.friction = measured ? signals->friction : self->interval.friction;
     } else if (self->input.count == 0 && self->interval.step % SPACING == 0) {
         take_inner(self, measured, signals->friction);
+    } else {
+        ; /* no reading here */
     }
 }
 
@@ -1330,7 +1334,7 @@ etel_xy_controller_real etel_xy_controller_tick(
     etel_xy_controller_t *self, etel_xy_controller_position position, etel_xy_controller_real force)
 {
     take_reading(self, position, force);
-    if (etel_xy_controller_due(self)) {
+    if (etel_xy_controller_due(self) != 0) {
         if (etel_xy_controller_feedback(self) == ETEL_XY_CONTROLLER_OVERLAP) {
             /* estimate() says so, and the force ramps to zero */
             state_status(self, ETEL_XY_CONTROLLER_OVERLAP);
@@ -1397,7 +1401,7 @@ void etel_xy_controller_estimate(
             estimate->status |= ETEL_XY_CONTROLLER_STALE;
         }
         SGMS_FENCE();
-        if (version % 2 == 0 && version == self->calls.version) {
+        if (version % 2u == 0u && version == self->calls.version) {
             return;
         }
     }
@@ -1433,25 +1437,25 @@ const char *etel_xy_controller_status_text(int status)
     if (status < 0) {
         return "refused: the solution was not finite or absurd; the last good estimate stays";
     }
-    if (status & ETEL_XY_CONTROLLER_STALE) {
+    if ((status & ETEL_XY_CONTROLLER_STALE) != 0) {
         return "no update for more than two intervals: the estimate is old";
     }
-    if (status & ETEL_XY_CONTROLLER_OVERRUN) {
+    if ((status & ETEL_XY_CONTROLLER_OVERRUN) != 0) {
         return "samples were lost: feedback came too late";
     }
-    if (status & ETEL_XY_CONTROLLER_SPEED) {
+    if ((status & ETEL_XY_CONTROLLER_SPEED) != 0) {
         return "faster than max_velocity";
     }
-    if (status & ETEL_XY_CONTROLLER_DOUBT) {
+    if ((status & ETEL_XY_CONTROLLER_DOUBT) != 0) {
         return "measurements contradict the model: they count less";
     }
-    if (status & ETEL_XY_CONTROLLER_MISSING) {
+    if ((status & ETEL_XY_CONTROLLER_MISSING) != 0) {
         return "the newest measurement was left out";
     }
-    if (status & ETEL_XY_CONTROLLER_BOUND) {
+    if ((status & ETEL_XY_CONTROLLER_BOUND) != 0) {
         return "a parameter is at its bound";
     }
-    if (status & ETEL_XY_CONTROLLER_HOLD) {
+    if ((status & ETEL_XY_CONTROLLER_HOLD) != 0) {
         return "hardly any motion: parameters hold";
     }
     return (status & ETEL_XY_CONTROLLER_FILLING) ? "the window is filling" : "good";
@@ -1461,11 +1465,11 @@ const char *etel_xy_controller_status_text(int status)
 static SGMS_COLD uint32_t checksum_of(const etel_xy_controller_saved_t *saved)
 {
     const unsigned char *const bytes = (const unsigned char *)saved;
-    uint32_t sum = UINT32_C(0xffffffff);
+    uint32_t sum = 0xffffffffu;
     for (size_t i = offsetof(etel_xy_controller_saved_t, format); i < sizeof *saved; i++) {
         sum ^= bytes[i];
         for (int bit = 0; bit < 8; bit++) {
-            sum = (sum >> 1) ^ ((sum & 1u) ? UINT32_C(0xedb88320) : 0u);
+            sum = (sum >> 1) ^ ((sum & 1u) ? 0xedb88320u : 0u);
         }
     }
     return ~sum;
@@ -1476,7 +1480,8 @@ static SGMS_COLD int within_bounds(const etel_xy_controller_t *self, const sgms_
 {
     int within = 0;
     for (int p = 0; p < PARAMETERS; p++) {
-        within += theta[p] >= self->settings.lower[p] && theta[p] <= self->settings.upper[p];
+        within += theta[p] >= self->settings.lower[p] && theta[p] <= self->settings.upper[p] ? 1
+            : 0;
     }
     return within == PARAMETERS;
 }
@@ -1498,7 +1503,7 @@ static SGMS_COLD int is_size(sgms_real value)
 
 static SGMS_COLD int are_valid(const etel_xy_controller_settings_t *settings)
 {
-    int good = is_size(settings->measurement);
+    bool good = is_size(settings->measurement);
     for (int i = 0; i < STATES; i++) {
         good = good && is_size(settings->state[i]);
     }
@@ -1550,7 +1555,7 @@ SGMS_COLD int etel_xy_controller_set_mass(etel_xy_controller_t *self, etel_xy_co
 static SGMS_COLD void start_with(
     etel_xy_controller_t *self, int p, sgms_real theta, const sgms_real *square)
 {
-    const int started = self->interval.started;
+    const bool started = self->interval.started != 0;
     const sgms_real *const node = self->window.node + newest_slot(self) * STATES;
     sgms_real x[STATES];
     abort_call(self);
@@ -1669,7 +1674,7 @@ SGMS_COLD int etel_xy_controller_save(
         copy(saved->spread, self->estimate.spread, PARAMETERS);
         saved->ratio = self->estimate.ratio;
         SGMS_FENCE();
-        if (version % 2 == 0 && version == self->calls.version) {
+        if (version % 2u == 0u && version == self->calls.version) {
             saved->checksum = checksum_of(saved);
             return ETEL_XY_CONTROLLER_OK;
         }
@@ -1682,7 +1687,7 @@ SGMS_COLD int etel_xy_controller_save(
 static SGMS_COLD int is_whole(const etel_xy_controller_t *self,
     const etel_xy_controller_saved_t *saved, const sgms_real *variance)
 {
-    int good =
+    bool good =
         saved->format == ETEL_XY_CONTROLLER_SAVED_FORMAT && saved->checksum == checksum_of(saved);
     good = good && saved->machine[0] == ETEL_XY_CONTROLLER_SAVED_MACHINE_0 &&
         saved->machine[1] == ETEL_XY_CONTROLLER_SAVED_MACHINE_1;
@@ -1700,7 +1705,7 @@ static SGMS_COLD int is_whole(const etel_xy_controller_t *self,
 SGMS_COLD int etel_xy_controller_load(
     etel_xy_controller_t *self, const etel_xy_controller_saved_t *saved)
 {
-    const sgms_real zero[STATES] = { 0.0f };
+    const sgms_real zero[STATES] = { 0 };
     sgms_real square[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], scratch[PARAMETERS];
     start_fresh(self);
     unpack_root(saved->root, square);

@@ -64,6 +64,7 @@
 #ifndef ETEL_XY_CONTROLLER_H
 #define ETEL_XY_CONTROLLER_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -81,7 +82,7 @@ typedef struct {
 #define ETEL_XY_CONTROLLER_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_CONTROLLER_MACHINE "b2f02b278d27" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_controller_check() */
-#define ETEL_XY_CONTROLLER_HEADER 0x3173b813u
+#define ETEL_XY_CONTROLLER_HEADER 0x7bc15474u
 /* of etel_xy_controller_saved_t, and the digest of the machine file again */
 #define ETEL_XY_CONTROLLER_SAVED_FORMAT 2u
 #define ETEL_XY_CONTROLLER_SAVED_MACHINE_0 0xb2f02b27u
@@ -328,9 +329,9 @@ typedef struct {
 static inline etel_xy_controller_position etel_xy_controller_position_from_metres(double metres)
 {
     etel_xy_controller_position position;
-    const int is_within = metres > -4000000 && metres < 4000000;
-    position.pm =
-        is_within ? (int64_t)(metres * 1000000000000 + (metres < 0 ? -0.5 : 0.5)) : INT64_MAX;
+    const bool is_within = metres > -4e6 && metres < 4e6;
+    const double whole = metres * 1e12 + (metres < 0.0 ? -0.5 : 0.5);
+    position.pm = is_within ? (int64_t)whole : INT64_MAX;
     return position;
 }
 
@@ -368,12 +369,14 @@ typedef struct {
 static inline etel_xy_controller_position etel_xy_controller_position_from_wrapped_counts(
     etel_xy_controller_counter *counter, uint32_t counts, int bits)
 {
-    const int is_good = bits >= 2 && bits <= 32;
-    const uint32_t range = is_good ? UINT32_MAX >> (32 - bits) : 0u, half = range / 2u + 1u;
+    const bool is_good = bits >= 2 && bits <= 32;
+    const uint32_t range = is_good ? UINT32_MAX >> (32u - (uint32_t)bits) : 0u,
+        half = range / 2u + 1u;
     const uint32_t now = counts & range, moved = (now - counter->last) & range;
     /* modulo 2^64 */
     const uint64_t step = moved < half ? (uint64_t)moved : (uint64_t)moved - range - 1u;
-    counter->whole = counter->started ? (int64_t)((uint64_t)counter->whole + step) : (int64_t)now;
+    const uint64_t whole = counter->started != 0u ? (uint64_t)counter->whole + step : (uint64_t)now;
+    counter->whole = (int64_t)whole;
     counter->started = 1u;
     counter->last = now;
     return etel_xy_controller_position_from_counts(

@@ -43,7 +43,7 @@ static sgms_real flow_ahead(sgms_real r, sgms_real xi)
 {
     const sgms_real u = r - flow_table.r_star;
     const sgms_real size = sgms_fabs(u);
-    const int is_near = size < flow_table.near;
+    const bool is_near = size < flow_table.near;
     sgms_real ratio, powers, decay;
     sgms_flow_place at;
     if (is_near ? size < AHEAD_EQUAL || size * xi < AHEAD_EQUAL
@@ -222,7 +222,7 @@ static void follow_compensation(etel_xy_controller_t *self)
 {
     const sgms_real speed = sgms_fmax(sgms_fabs(self->input.signal[W_VELOCITY]),
         sgms_fabs(self->compensation.lag) * OVER_LAG_TIME);
-    const int on = self->compensation.on && !is_unsound(self, speed);
+    const bool on = self->compensation.on && !is_unsound(self, speed);
     self->compensation.ahead_given = self->compensation.ahead_given == 2; /* 2, 1, 0 */
     self->compensation.gain = on ? sgms_fmin(self->compensation.gain + GAIN_STEP, 1.0f)
         : sgms_fmax(self->compensation.gain - GAIN_STEP, 0.0f);

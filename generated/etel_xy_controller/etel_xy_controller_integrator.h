@@ -37,8 +37,8 @@ enum { MIDDLE = TERMS * LANE_STRIDE, LAST = 2 * TERMS * LANE_STRIDE };
 static void node_terms(const sgms_real *mean, const sgms_real *slope, sgms_real *term)
 {
     for (int node = 0; node < NODES; node++) {
-        sgms_real w[SIGNALS] = { 0.0f };
-        w[W_VELOCITY] = mean[W_VELOCITY] + (sgms_real)(node - 1) * slope[W_VELOCITY];
+        sgms_real w[SIGNALS] = { 0 };
+        w[W_VELOCITY] = mean[W_VELOCITY] + ((sgms_real)node - 1.0f) * slope[W_VELOCITY];
         sample_terms(w, term + node * TERMS, 1);
     }
 }
@@ -47,7 +47,7 @@ static void node_terms(const sgms_real *mean, const sgms_real *slope, sgms_real 
  * functions follow. */
 static inline void interpolated_terms(const sgms_real *nodes, sgms_real at, sgms_real *term)
 {
-    sgms_real w[SIGNALS] = { 0.0f };
+    sgms_real w[SIGNALS] = { 0 };
     w[W_VELOCITY] =
         nodes[0 * LANE_STRIDE] + at * (nodes[LAST + 0 * LANE_STRIDE] - nodes[0 * LANE_STRIDE]);
     sample_terms(w, term, LANE_STRIDE);
@@ -192,7 +192,7 @@ static void element_end(
             a_row[from] = by_node;
             by_scale[k] = by_node * (start[from] / p->scale[from]);
         }
-        for (int of = 0; of < entered[state]; of++) {
+        for (int of = 0; of < (int)entered[state]; of++) {
             const int j = enters[state][of];
             sgms_real b = chi * d_scale[j];
             for (int k = 0; k < ELEMENT_Q; k++) {
@@ -530,7 +530,7 @@ static SGMS_INLINE void element_flow_tile(
         any_moving |= is_moving[l];
         any_slow |= is_slow[l];
     }
-    if (any_sliding) {
+    if (any_sliding != 0) {
         SGMS_LANES for (int l = 0; l < VECTOR; l++) {
             const element_point at = element_at(term + l, LANE_STRIDE, block + l);
             const element_level level = element_level_at(&at);
@@ -546,7 +546,7 @@ static SGMS_INLINE void element_flow_tile(
         }
     }
     for (int l = 0; any_moving && l < VECTOR; l++) { /* few at a time, so one by one */
-        if (is_moving[l]) {
+        if (is_moving[l] != 0) {
             const element_point at = element_at(term + l, LANE_STRIDE, block + l);
             const element_level level = element_level_at(&at);
             const sgms_real direction = sgms_copy_sign(1.0f, at.velocity);
@@ -561,7 +561,7 @@ static SGMS_INLINE void element_flow_tile(
             block[2 * LANE_STRIDE + l] = to[2];
         }
     }
-    if (any_slow) { /* all lanes together; those that are not slow get back what they had */
+    if (any_slow != 0) { /* all lanes together; those that are not slow get back what they had */
         sgms_real had[ELEMENT_ROWS * VECTOR];
         SGMS_LANES for (int l = 0; l < VECTOR; l++) {
             had[0 * VECTOR + l] = block[0 * LANE_STRIDE + l];
@@ -595,7 +595,7 @@ static inline int element_line_count(sgms_real speed, sgms_real share, const sgm
         block[ELEMENT_AT_REST * LANE_STRIDE]);
     const int whole = sgms_index(wanted, MERGED - 1);
     return wanted > (sgms_real)(MERGED - 1) ? MERGED
-        : 1 + whole - (wanted > 0.0f && (sgms_real)whole == wanted);
+        : 1 + whole - (wanted > 0.0f && (sgms_real)whole == wanted ? 1 : 0);
 }
 
 /* How a lane takes a step: Runge-Kutta substeps along its line, CUT, or SAMPLEWISE where that costs
@@ -695,7 +695,8 @@ static void element_take_kinds(const element_batch *batch, int *kind)
         for (int k = item + 1; same != CUT && k < end && taken < VECTOR; k++) {
             if (kind[k] == same) {
                 kind[k] = DONE;
-                together[taken++] = k;
+                together[taken] = k;
+                taken++;
             }
         }
         if (VECTOR == 1) {
@@ -807,7 +808,7 @@ static SGMS_INLINE void element_line_tile(
             sgms_same_sign(chi, nodes[MIDDLE + l]) & sgms_flow_is_near(r);
         any_sliding |= is_sliding[l];
     }
-    if (any_sliding) {
+    if (any_sliding != 0) {
         SGMS_LANES for (int l = 0; l < VECTOR; l++) {
             const element_point at = element_at(nodes + MIDDLE + l, LANE_STRIDE, block + l);
             const element_level level = element_level_at(&at);
@@ -846,7 +847,7 @@ static SGMS_INLINE void element_line_tile(
         }
     }
     for (int l = 0; l < VECTOR; l++) {
-        if (is_slipping[l] && !is_sliding[l]) {
+        if (is_slipping[l] != 0 && is_sliding[l] == 0) {
             kind[l] = element_step_kind(nodes + l, block + l);
         }
     }

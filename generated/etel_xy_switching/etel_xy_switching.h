@@ -64,6 +64,7 @@
 #ifndef ETEL_XY_SWITCHING_H
 #define ETEL_XY_SWITCHING_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -81,7 +82,7 @@ typedef struct {
 #define ETEL_XY_SWITCHING_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_SWITCHING_MACHINE "9b1c2898b39d" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_switching_check() */
-#define ETEL_XY_SWITCHING_HEADER 0xfea8a5a4u
+#define ETEL_XY_SWITCHING_HEADER 0x2602523fu
 /* of etel_xy_switching_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SWITCHING_SAVED_FORMAT 2u
 #define ETEL_XY_SWITCHING_SAVED_MACHINE_0 0x9b1c2898u
@@ -350,12 +351,14 @@ typedef struct {
 static inline etel_xy_switching_position etel_xy_switching_position_from_wrapped_counts(
     etel_xy_switching_counter *counter, uint32_t counts, int bits)
 {
-    const int is_good = bits >= 2 && bits <= 32;
-    const uint32_t range = is_good ? UINT32_MAX >> (32 - bits) : 0u, half = range / 2u + 1u;
+    const bool is_good = bits >= 2 && bits <= 32;
+    const uint32_t range = is_good ? UINT32_MAX >> (32u - (uint32_t)bits) : 0u,
+        half = range / 2u + 1u;
     const uint32_t now = counts & range, moved = (now - counter->last) & range;
     /* modulo 2^64 */
     const uint64_t step = moved < half ? (uint64_t)moved : (uint64_t)moved - range - 1u;
-    counter->whole = counter->started ? (int64_t)((uint64_t)counter->whole + step) : (int64_t)now;
+    const uint64_t whole = counter->started != 0u ? (uint64_t)counter->whole + step : (uint64_t)now;
+    counter->whole = (int64_t)whole;
     counter->started = 1u;
     counter->last = now;
     return etel_xy_switching_position_from_counts(

@@ -20,6 +20,7 @@ from sgms_bench.verification.constructs import check_constructs
 from sgms_bench.verification.coverage import check_coverage
 from sgms_bench.verification.fuzzing import SANITIZERS, fuzz_machines
 from sgms_bench.verification.limits import check_limits
+from sgms_bench.verification.misra import check_misra
 from sgms_bench.verification.mutation import check_self_test
 from sgms_bench.verification.outcome import CheckOutcome
 from sgms_bench.verification.proof import check_proof
@@ -54,6 +55,7 @@ def _machine_files() -> list[Machine]:
 
 CHECKS: Final[Mapping[str, Callable[[argparse.Namespace, Progress], list[CheckOutcome]]]] = {
     "constructs": lambda _, progress: check_constructs(list(specimens()), progress),
+    "misra": lambda _, progress: [check_misra(list(specimens()), progress)],
     "coverage": lambda _, progress: [check_coverage(list(specimens()), progress)],
     "proof": lambda _, progress: [check_proof([load_machine("etel_xy"), *specimens()], progress)],
     "limits": lambda _, progress: check_limits(list(specimens()), progress),

@@ -45,7 +45,7 @@ FAULTS: Final = (
     Fault("limit twice too high", AHEAD, "#define LIMIT 48.96", "#define LIMIT 97.92"),
     Fault("force not carried over the lag", AHEAD, "c.distance[0] = self->compensation.lag;", "c.distance[0] = 0.0;"),
     Fault("set-point ahead ignored", AHEAD, "self->compensation.ahead_given ? self->compensation.ahead[0]", "0 ? 0.0"),
-    Fault("force on after it was turned off", AHEAD, "const int on = self->compensation.on && !", "const int on = !"),
+    Fault("force on after it was turned off", AHEAD, "const bool on = self->compensation.on && !", "const bool on = !"),
     Fault(
         "force on where the axis is lost",
         AHEAD,
@@ -156,13 +156,13 @@ FAULTS: Final = (
     Fault(
         "torn estimate handed out",
         C,
-        "if (version % 2 == 0 && version == self->calls.version) {\n            return;",
+        "if (version % 2u == 0u && version == self->calls.version) {\n            return;",
         "if (1) {\n            return;",
     ),
     Fault(
         "torn data saved",
         C,
-        "if (version % 2 == 0 && version == self->calls.version) {\n            saved",
+        "if (version % 2u == 0u && version == self->calls.version) {\n            saved",
         "if (1) {\n            saved",
     ),
     Fault(
@@ -184,7 +184,7 @@ FAULTS: Final = (
         "    start_signals(self);\n    copy(self->parameters.theta, self->estimate.theta, PARAMETERS);\n",
         "    start_signals(self);\n    fill(self->parameters.theta, 1.0, PARAMETERS);\n",
     ),
-    Fault("delay of signals not checked", C, "const int good = is_timely && sgms", "const int good = sgms"),
+    Fault("delay of signals not checked", C, "const bool good = is_timely && sgms", "const bool good = sgms"),
     Fault("invalid friction taken", C, "good && signals->valid && sgms_is_reading", "good && sgms_is_reading"),
     Fault("another header accepted", C, " || header != NAME_HEADER) {", ") {"),
     Fault("another size accepted", C, "if (size != sizeof(<name>_t) || header", "if (header"),
@@ -198,8 +198,8 @@ FAULTS: Final = (
     Fault(
         "window one interval short",
         C,
-        "const int is_full = older_intervals(self) == HORIZON - 1;",
-        "const int is_full = older_intervals(self) == HORIZON - 2;",
+        "const bool is_full = older_intervals(self) == HORIZON - 1;",
+        "const bool is_full = older_intervals(self) == HORIZON - 2;",
     ),
     Fault(
         "arrival cost without its information",

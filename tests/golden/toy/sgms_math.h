@@ -217,6 +217,7 @@ static inline sgms_real sgms_exp_core(sgms_real x)
     const sgms_real shifted = x * SGMS_R(1.44269504088896340736) + SGMS_ROUND_MAGIC;
     const sgms_real n = shifted - SGMS_ROUND_MAGIC;
     const sgms_real f = (x - n * SGMS_LN2_HI) - n * SGMS_LN2_LO;
+    sgms_unsigned scaled;
     sgms_real p;
 #if SGMS_SINGLE
     p = 0.0013836846f;
@@ -240,9 +241,9 @@ static inline sgms_real sgms_exp_core(sgms_real x)
     p = p * f + 1.0;
 #endif
     /* The low bits of `shifted` hold n; unsigned arithmetic moves it into the exponent of p. */
-    return sgms_from_bits(
-        (sgms_integer)((sgms_unsigned)sgms_bits(p) +
-                       ((sgms_unsigned)sgms_bits(shifted) << SGMS_MANTISSA_BITS)));
+    scaled = (sgms_unsigned)sgms_bits(p) +
+             ((sgms_unsigned)sgms_bits(shifted) << SGMS_MANTISSA_BITS);
+    return sgms_from_bits((sgms_integer)scaled);
 }
 
 /* 2^x, result in the normal range; for inner loops, shorter than exp. */
@@ -250,6 +251,7 @@ static inline sgms_real sgms_exp2_core(sgms_real x)
 {
     const sgms_real shifted = x + SGMS_ROUND_MAGIC;
     const sgms_real f = x - (shifted - SGMS_ROUND_MAGIC);
+    sgms_unsigned scaled;
     sgms_real p;
 #if SGMS_SINGLE
     p = 0.00132764726f;
@@ -269,9 +271,9 @@ static inline sgms_real sgms_exp2_core(sgms_real x)
     p = p * f + 0.693147180546514336;
     p = p * f + 0.999999999999762349;
 #endif
-    return sgms_from_bits(
-        (sgms_integer)((sgms_unsigned)sgms_bits(p) +
-                       ((sgms_unsigned)sgms_bits(shifted) << SGMS_MANTISSA_BITS)));
+    scaled = (sgms_unsigned)sgms_bits(p) +
+             ((sgms_unsigned)sgms_bits(shifted) << SGMS_MANTISSA_BITS);
+    return sgms_from_bits((sgms_integer)scaled);
 }
 
 static inline sgms_real sgms_exp(sgms_real x)
@@ -354,7 +356,7 @@ static inline sgms_real sgms_sine(sgms_real x, int quadrant)
     f = sgms_reduced(
         ((x - n * 1.5703125f) - n * 4.837512969970703e-4f) - n * 7.549789954891895e-8f);
     f2 = f * f;
-    if (q & 1) {
+    if ((q & 1) != 0) {
         p = 1.0f + f2 * (-0.5f + f2 * (4.166664568298827e-2f +
                                        f2 * (-1.388731625493765e-3f + f2 * 2.443315711809948e-5f)));
     } else {
@@ -365,7 +367,7 @@ static inline sgms_real sgms_sine(sgms_real x, int quadrant)
         ((x - n * 1.57079632673412561417) - n * 6.07710050630396597660e-11) -
         n * 2.02226624879595063154e-21);
     f2 = f * f;
-    if (q & 1) {
+    if ((q & 1) != 0) {
         p = 1.0 + f2 * (-0.5 + f2 * (4.16666666666666019037e-02 +
                                      f2 * (-1.38888888888741095749e-03 +
                                            f2 * (2.48015872894767294178e-05 +
@@ -399,9 +401,10 @@ static inline sgms_real sgms_cos(sgms_real x)
 static inline sgms_real sgms_log(sgms_real x)
 {
     sgms_real m, s, s2, series;
-    int e = (int)(sgms_bits(x) >> SGMS_MANTISSA_BITS) - SGMS_EXPONENT_BIAS;
-    m = sgms_from_bits((sgms_integer)((sgms_unsigned)sgms_bits(x) -
-                                      ((sgms_unsigned)(sgms_integer)e << SGMS_MANTISSA_BITS)));
+    const sgms_unsigned bits = (sgms_unsigned)sgms_bits(x);
+    int e = (int)(bits >> SGMS_MANTISSA_BITS) - SGMS_EXPONENT_BIAS;
+    const sgms_unsigned of_m = bits - ((sgms_unsigned)(sgms_integer)e << SGMS_MANTISSA_BITS);
+    m = sgms_from_bits((sgms_integer)of_m);
     if (m > SGMS_R(1.41421356237309504880)) {
         m *= SGMS_R(0.5);
         e += 1;

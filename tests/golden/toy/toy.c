@@ -56,7 +56,8 @@ static void unpack_root(const sgms_real *root, sgms_real *square)
     fill(square, 0.0, PARAMETERS * ROOT_WIDTH);
     for (int i = 0; i < PARAMETERS; i++) {
         for (int j = i; j < PARAMETERS; j++) {
-            square[i * ROOT_WIDTH + j] = *root++;
+            square[i * ROOT_WIDTH + j] = *root;
+            root++;
         }
     }
 }
@@ -162,7 +163,7 @@ static void take_wander(toy_t *self, int is_end, const sgms_real *theta, const s
 {
     for (int p = 0; p < PARAMETERS; p++) {
         const sgms_real drift = self->settings.drift[p];
-        const int is_known = self->lasting.variance[p] > 0.0;
+        const bool is_known = self->lasting.variance[p] > 0.0;
         if (is_end && is_known) {
             const sgms_real before =
                 self->lasting.variance[p] + (sgms_real)LASTING_BLOCK * drift * drift;
@@ -215,7 +216,8 @@ static void set_root(sgms_real *factor, const sgms_real *root, const sgms_real *
         sgms_real *const row = factor + (STATES + i) * FACTOR_WIDTH;
         row[FACTOR_ROWS] = 0.0;
         for (int j = i; j < PARAMETERS; j++) {
-            row[STATES + j] = *root++;
+            row[STATES + j] = *root;
+            root++;
             row[FACTOR_ROWS] += row[STATES + j] * theta[j];
         }
     }
@@ -312,7 +314,7 @@ static SGMS_COLD void start_signals(toy_t *self)
 /* Nothing known but settings and what moves. */
 static SGMS_COLD void start_fresh(toy_t *self)
 {
-    const sgms_real zero[STATES] = { 0.0 };
+    const sgms_real zero[STATES] = { 0 };
     self->calls.phase = sgms_has_ieee_numbers() ? IDLE : UNSOUND;
     self->calls.version = 0;
     self->calls.age = 0;
@@ -348,7 +350,7 @@ void toy_init(toy_t *self)
 
 void toy_reset(toy_t *self)
 {
-    const sgms_real zero[STATES] = { 0.0 };
+    const sgms_real zero[STATES] = { 0 };
     abort_call(self);
     start_signals(self);
     copy(self->parameters.theta, self->estimate.theta, PARAMETERS);
@@ -427,7 +429,7 @@ static void fold_row(sgms_real *factor, sgms_real weight, sgms_real *row)
 /* Weighed row of the measurement at the start of an interval; zeros where there is none. */
 static void start_row(const toy_t *self, int slot, sgms_real *row)
 {
-    sgms_real w[SIGNALS] = { 0.0 };
+    sgms_real w[SIGNALS] = { 0 };
     const model_point at = { self->window.node + slot * STATES, w, self->parameters.theta };
     fill(row, 0.0, FACTOR_WIDTH);
     if (self->window.weight[slot] > 0.0) {
@@ -473,12 +475,12 @@ static void defect_row(
     const sgms_real inverse_noise = 1.0 / self->settings.state[i];
     sgms_real rest = map->x[i];
     for (int k = 0; k < COUPLED; k++) {
-        const sgms_real entry = k < coupled[i] ? a[couples[i][k]] : 0.0;
+        const sgms_real entry = k < (int)coupled[i] ? a[couples[i][k]] : 0.0;
         row[k] = -inverse_noise * entry;
         rest -= entry * start[couples[i][k]];
     }
     for (int k = 0; k < ENTERED; k++) {
-        const sgms_real entry = k < entered[i] ? b[enters[i][k]] : 0.0;
+        const sgms_real entry = k < (int)entered[i] ? b[enters[i][k]] : 0.0;
         row[COUPLED + k] = -inverse_noise * entry;
         rest -= entry * self->parameters.theta[enters[i][k]];
     }
@@ -507,12 +509,12 @@ static void condense(
         copy(top + 2 * STATES, factor + i * FACTOR_WIDTH + STATES, PARAMETERS + 1);
         top = low + i * KEPT_WIDTH;
         fill(top, 0.0, 2 * STATES);
-        for (int k = 0; k < coupled[i]; k++) {
+        for (int k = 0; k < (int)coupled[i]; k++) {
             top[couples[i][k]] = rows[i * DEFECT_WIDTH + k];
         }
         top[STATES + i] = 1.0 / settings->state[i];
         fill(top + 2 * STATES, 0.0, PARAMETERS);
-        for (int k = 0; k < entered[i]; k++) {
+        for (int k = 0; k < (int)entered[i]; k++) {
             top[2 * STATES + enters[i][k]] = rows[i * DEFECT_WIDTH + COUPLED + k];
         }
         top[KEPT_WIDTH - 1] = rows[i * DEFECT_WIDTH + DEFECT_WIDTH - 1];
@@ -734,7 +736,7 @@ static int is_plausible(const sgms_real *x)
 {
     int count = 0;
     for (int i = 0; i < STATES; i++) {
-        count += sgms_fabs(x[i]) * inverse_initial_state[i] < IMPLAUSIBLE;
+        count += sgms_fabs(x[i]) * inverse_initial_state[i] < IMPLAUSIBLE ? 1 : 0;
     }
     return count == STATES;
 }
@@ -776,7 +778,7 @@ static int shift_window(toy_t *self, int *status)
 {
     /* where the interval stands that leaves a full window */
     const int next = slot_before(self, -1);
-    const int is_full = older_intervals(self) == HORIZON - 1;
+    const bool is_full = older_intervals(self) == HORIZON - 1;
     if (is_full && walks(&self->settings)) { /* otherwise nothing sets them back */
         self->sweep.shifts = sgms_place(self->sweep.shifts, DRIFT_INTERVAL - 1) + 1;
         self->sweep.pending_drift = sgms_place(self->sweep.pending_drift, DRIFT_INTERVAL - 1) +
@@ -807,7 +809,7 @@ static int update(toy_t *self)
         work(self);
     }
     take_newest(self, x);
-    if (self->interval.is_valid) {
+    if (self->interval.is_valid != 0) {
         const model_point at = { x, self->input.signal, self->parameters.theta };
         sgms_real row[FACTOR_WIDTH];
         node_row(&at, self->interval.friction, row);
@@ -818,11 +820,11 @@ static int update(toy_t *self)
     expand(self->sweep.factor, theta, x);
     sgms_variances(self->sweep.factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH,
         variance, scratch);
-    numeric = !is_plausible(x) + 2 * !all_finite(theta, PARAMETERS) +
-        4 * !all_finite(variance, PARAMETERS);
+    numeric = (is_plausible(x) ? 0 : 1) + (all_finite(theta, PARAMETERS) ? 0 : 2) +
+        (all_finite(variance, PARAMETERS) ? 0 : 4);
     if (numeric == 0) {
         friction = output_at(self, x, theta);
-        numeric = 8 * !all_finite(&friction, 1);
+        numeric = all_finite(&friction, 1) ? 0 : 8;
     }
     if (numeric != 0) {
         return start_again(self, TOY_NUMERIC, numeric);
@@ -904,8 +906,8 @@ static SGMS_INLINE void extend_series(toy_t *self)
 /* Take the newest signals in; false where one is no number: the last ones hold. */
 static SGMS_INLINE int take_signals(toy_t *self, const toy_signals *signals)
 {
-    const int is_timely = signals->delay >= 0.0 && signals->delay <= LONGEST_DELAY;
-    const int good = is_timely && sgms_is_reading(signals->velocity) &&
+    const bool is_timely = signals->delay >= 0.0 && signals->delay <= LONGEST_DELAY;
+    const bool good = is_timely && sgms_is_reading(signals->velocity) &&
         sgms_fabs(signals->position) < SGMS_FARTHEST &&
                      sgms_is_reading(signals->acceleration) && sgms_is_reading(signals->force);
     if (good) { /* those that the model reads */
@@ -915,7 +917,7 @@ static SGMS_INLINE int take_signals(toy_t *self, const toy_signals *signals)
 }
 
 /* The first sample is the first node. */
-static void start_series(toy_t *self, int measured, sgms_real friction)
+static void start_series(toy_t *self, bool measured, sgms_real friction)
 {
     const int slot = newest_slot(self);
     self->interval.started = 1;
@@ -935,8 +937,8 @@ static SGMS_COLD void drop_rest(toy_t *self)
 /* Take the signals of one sample in. */
 static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
 {
-    const int good = take_signals(self, signals);
-    const int measured = good && signals->valid && sgms_is_reading(signals->friction);
+    const bool good = take_signals(self, signals) != 0;
+    const bool measured = good && signals->valid && sgms_is_reading(signals->friction);
     const uint32_t age = self->calls.age;
     if (self->calls.phase == UNSOUND) {
         return;
@@ -949,7 +951,7 @@ static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
         start_series(self, measured, signals->friction);
         return;
     }
-    if (toy_due(self)) {
+    if (toy_due(self) != 0) {
         self->interval.lost = 1;
         return;
     }
@@ -959,8 +961,8 @@ static SGMS_INLINE void take_sample(toy_t *self, const toy_signals *signals)
         self->interval.too_fast = 1;
     }
     extend_series(self);
-    if (toy_due(self)) {
-        self->interval.is_valid = measured;
+    if (toy_due(self) != 0) {
+        self->interval.is_valid = measured ? 1 : 0;
         self->interval.friction = measured ? signals->friction : self->interval.friction;
     }
 }
@@ -1000,7 +1002,7 @@ toy_real toy_sample(toy_t *self, toy_position position, toy_real force)
 toy_real toy_tick(toy_t *self, toy_position position, toy_real force)
 {
     take_reading(self, position, force);
-    if (toy_due(self)) {
+    if (toy_due(self) != 0) {
         if (toy_feedback(self) == TOY_OVERLAP) {
             state_status(self, TOY_OVERLAP); /* estimate() says so, and the force ramps to zero */
         }
@@ -1063,7 +1065,7 @@ void toy_estimate(const toy_t *self, toy_estimate_t *estimate)
             estimate->status |= TOY_STALE;
         }
         SGMS_FENCE();
-        if (version % 2 == 0 && version == self->calls.version) {
+        if (version % 2u == 0u && version == self->calls.version) {
             return;
         }
     }
@@ -1099,25 +1101,25 @@ const char *toy_status_text(int status)
     if (status < 0) {
         return "refused: the solution was not finite or absurd; the last good estimate stays";
     }
-    if (status & TOY_STALE) {
+    if ((status & TOY_STALE) != 0) {
         return "no update for more than two intervals: the estimate is old";
     }
-    if (status & TOY_OVERRUN) {
+    if ((status & TOY_OVERRUN) != 0) {
         return "samples were lost: feedback came too late";
     }
-    if (status & TOY_SPEED) {
+    if ((status & TOY_SPEED) != 0) {
         return "faster than max_velocity";
     }
-    if (status & TOY_DOUBT) {
+    if ((status & TOY_DOUBT) != 0) {
         return "measurements contradict the model: they count less";
     }
-    if (status & TOY_MISSING) {
+    if ((status & TOY_MISSING) != 0) {
         return "the newest measurement was left out";
     }
-    if (status & TOY_BOUND) {
+    if ((status & TOY_BOUND) != 0) {
         return "a parameter is at its bound";
     }
-    if (status & TOY_HOLD) {
+    if ((status & TOY_HOLD) != 0) {
         return "hardly any motion: parameters hold";
     }
     return (status & TOY_FILLING) ? "the window is filling" : "good";
@@ -1127,11 +1129,11 @@ const char *toy_status_text(int status)
 static SGMS_COLD uint32_t checksum_of(const toy_saved_t *saved)
 {
     const unsigned char *const bytes = (const unsigned char *)saved;
-    uint32_t sum = UINT32_C(0xffffffff);
+    uint32_t sum = 0xffffffffu;
     for (size_t i = offsetof(toy_saved_t, format); i < sizeof *saved; i++) {
         sum ^= bytes[i];
         for (int bit = 0; bit < 8; bit++) {
-            sum = (sum >> 1) ^ ((sum & 1u) ? UINT32_C(0xedb88320) : 0u);
+            sum = (sum >> 1) ^ ((sum & 1u) ? 0xedb88320u : 0u);
         }
     }
     return ~sum;
@@ -1142,7 +1144,8 @@ static SGMS_COLD int within_bounds(const toy_t *self, const sgms_real *theta)
 {
     int within = 0;
     for (int p = 0; p < PARAMETERS; p++) {
-        within += theta[p] >= self->settings.lower[p] && theta[p] <= self->settings.upper[p];
+        within += theta[p] >= self->settings.lower[p] && theta[p] <= self->settings.upper[p] ? 1
+            : 0;
     }
     return within == PARAMETERS;
 }
@@ -1164,7 +1167,7 @@ static SGMS_COLD int is_size(sgms_real value)
 
 static SGMS_COLD int are_valid(const toy_settings_t *settings)
 {
-    int good = is_size(settings->measurement);
+    bool good = is_size(settings->measurement);
     for (int i = 0; i < STATES; i++) {
         good = good && is_size(settings->state[i]);
     }
@@ -1214,7 +1217,7 @@ SGMS_COLD int toy_set_mass(toy_t *self, toy_real moved)
 /* Start the window anew at the newest signals, with theta[p] and root `square`. */
 static SGMS_COLD void start_with(toy_t *self, int p, sgms_real theta, const sgms_real *square)
 {
-    const int started = self->interval.started;
+    const bool started = self->interval.started != 0;
     const sgms_real *const node = self->window.node + newest_slot(self) * STATES;
     sgms_real x[STATES];
     abort_call(self);
@@ -1330,7 +1333,7 @@ SGMS_COLD int toy_save(const toy_t *self, toy_saved_t *saved)
         copy(saved->spread, self->estimate.spread, PARAMETERS);
         saved->ratio = self->estimate.ratio;
         SGMS_FENCE();
-        if (version % 2 == 0 && version == self->calls.version) {
+        if (version % 2u == 0u && version == self->calls.version) {
             saved->checksum = checksum_of(saved);
             return TOY_OK;
         }
@@ -1343,7 +1346,7 @@ SGMS_COLD int toy_save(const toy_t *self, toy_saved_t *saved)
 static SGMS_COLD int is_whole(
     const toy_t *self, const toy_saved_t *saved, const sgms_real *variance)
 {
-    int good = saved->format == TOY_SAVED_FORMAT && saved->checksum == checksum_of(saved);
+    bool good = saved->format == TOY_SAVED_FORMAT && saved->checksum == checksum_of(saved);
     good = good && saved->machine[0] == TOY_SAVED_MACHINE_0 &&
         saved->machine[1] == TOY_SAVED_MACHINE_1;
     good = good && all_finite(saved->theta, PARAMETERS) && all_finite(saved->root, TOY_ROOT_SIZE);
@@ -1358,7 +1361,7 @@ static SGMS_COLD int is_whole(
 
 SGMS_COLD int toy_load(toy_t *self, const toy_saved_t *saved)
 {
-    const sgms_real zero[STATES] = { 0.0 };
+    const sgms_real zero[STATES] = { 0 };
     sgms_real square[PARAMETERS * ROOT_WIDTH], variance[PARAMETERS], scratch[PARAMETERS];
     start_fresh(self);
     unpack_root(saved->root, square);

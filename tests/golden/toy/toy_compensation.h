@@ -191,7 +191,7 @@ static void follow_compensation(toy_t *self)
 {
     const sgms_real speed = sgms_fmax(sgms_fabs(self->input.signal[W_VELOCITY]),
         sgms_fabs(self->compensation.lag) * OVER_LAG_TIME);
-    const int on = self->compensation.on && !is_unsound(self, speed);
+    const bool on = self->compensation.on && !is_unsound(self, speed);
     self->compensation.ahead_given = self->compensation.ahead_given == 2; /* 2, 1, 0 */
     self->compensation.gain = on ? sgms_fmin(self->compensation.gain + GAIN_STEP, 1.0)
         : sgms_fmax(self->compensation.gain - GAIN_STEP, 0.0);

@@ -116,7 +116,7 @@ static void element_end(
             a_row[from] = by_node;
             by_scale[k] = by_node * (start[from] / p->scale[from]);
         }
-        for (int of = 0; of < entered[state]; of++) {
+        for (int of = 0; of < (int)entered[state]; of++) {
             const int j = enters[state][of];
             sgms_real b = chi * d_scale[j];
             for (int k = 0; k < ELEMENT_Q; k++) {

@@ -1,0 +1,75 @@
+"""Rules of MISRA C:2012: emitted code has no hit without a reason, and a hit is found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from sgms_bench.verification.misra import ADVISORY, REQUIRED, check_misra, find_hits
+from sgms_bench.verification.outcome import AbsentError
+from sgms_bench.verification.specimens import specimen, specimens
+from sgms_mhe.emission.package import Package, emit_package
+
+Tool = Callable[[str], str]
+
+
+def silent(_: str) -> None:
+    """No progress."""
+
+
+@pytest.fixture(scope="module")
+def package() -> Package:
+    """A small package with most of what others have."""
+    return emit_package(specimen("merged_auto"), selftest=False)
+
+
+def test_hits_have_a_reason(package: Package, require_tool: Tool) -> None:
+    require_tool("cppcheck")
+    rules = {rule for _, _, rule in find_hits(package)}
+    assert rules <= {*REQUIRED, *ADVISORY} and len(rules) > 5
+
+
+@pytest.mark.slow
+def test_every_kind_of_code_has_no_hit_without_a_reason(require_tool: Tool) -> None:
+    """And every reason is one of a rule that is still hit."""
+    require_tool("cppcheck")
+    outcome = check_misra(list(specimens()), silent)
+    assert outcome.skipped is None and outcome.failures == ()
+
+
+@pytest.mark.parametrize(
+    ("good", "bad", "rule"),
+    [
+        ("const bool measured = ", "const int measured = ", "10.3"),
+        ("version % 2u == 0u", "version % 2 == 0", "10.4"),
+        ("if ((status & SPECIMEN_MERGED_AUTO_STALE) != 0)", "if (status & SPECIMEN_MERGED_AUTO_STALE)", "14.4"),
+    ],
+)
+def test_hit_is_found(good: str, bad: str, rule: str, package: Package, require_tool: Tool) -> None:
+    require_tool("cppcheck")
+    file = f"{package.machine.name}.c"
+    source = package.files[file]
+    if good not in source:
+        pytest.fail(f"{good} is not in the package any more")
+    at = source.count("\n", 0, source.index(good)) + 1
+    spoilt = replace(package, files={**package.files, file: source.replace(good, bad, 1)})
+    assert (file, at, rule) in find_hits(spoilt)
+
+
+def test_code_that_does_not_parse_has_no_verdict(package: Package, require_tool: Tool) -> None:
+    require_tool("cppcheck")
+    file = f"{package.machine.name}.c"
+    broken = replace(package, files={**package.files, file: package.files[file] + "\nint broken(\n"})
+    with pytest.raises(AbsentError, match="did not end well"):
+        find_hits(broken)
+
+
+def test_page_lists_the_rules_with_their_reasons(repo_root: Path) -> None:
+    page = (repo_root / "docs" / "verification.md").read_text()
+    table = page[page.index("| rule |") :].split("\n\n")[0].splitlines()[2:]
+    expected = [f"| {rule} | required | {reason} |" for rule, reason in REQUIRED.items()]
+    expected += [f"| {rule} | advisory | {reason} |" for rule, reason in ADVISORY.items()]
+    assert table == expected
