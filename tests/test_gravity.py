@@ -16,11 +16,12 @@ import pytest
 from numpy.typing import NDArray
 
 from cli_cases import done
-from sgms_mhe.identification import Identification, Wanted, description, identify
+from sgms_mhe.identification import Identification, Wanted, description, final_fit, identify
 from sgms_mhe.identification.final_fit import drop_traces
 from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis
 from sgms_mhe.identification.identify import explore
-from sgms_mhe.identification.terms import Term, is_within_limits
+from sgms_mhe.identification.search import Views, fit_aligned
+from sgms_mhe.identification.terms import Term, is_level, is_within_limits
 from sgms_mhe.signals.logs import Log, write_log
 
 Array = NDArray[np.float64]
@@ -251,3 +252,18 @@ def test_dry_friction_is_judged_without_effects_of_its_level(monkeypatch: pytest
     found = identify([Arm(load=0.12).log(1)], Wanted("arm", elements=2))
     assert any(number.name.startswith("load_dependent_friction.") for number in found.numbers)
     assert seen and all("unbalance" in names and "load_dependent_friction" not in names for names in seen)
+
+
+@pytest.mark.slow
+def test_load_has_no_rise_where_elements_have_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compared with a rise of the load alone, a rise of both explained nothing: a load's friction lost its own."""
+    seen: list[int] = []
+
+    def note(views: Views, terms: Sequence[Term], start: Shape, rounds: int = 2) -> AxisFit:
+        if start.rise is None:
+            seen.extend(term.columns.shape[1] for term in terms if is_level(term))
+        return fit_aligned(views, terms, start, rounds)
+
+    monkeypatch.setattr(final_fit, "fit_aligned", note)
+    identify([Arm(load=0.12, rise=0.5).log(1)], Wanted("arm", elements=2))
+    assert seen and set(seen) == {1}

@@ -287,10 +287,15 @@ def _test_rise(views: Views, fit: AxisFit) -> AxisFit:
 
 
 def _search_rise(views: Views, fit: AxisFit) -> AxisFit:
-    """The fit at the best speed of its rise, or without one where that leaves no more."""
+    """The fit at the best speed of its rise, or without one where that leaves no more: neither of elements nor load."""
     fit = search_rise_speed(views, fit)
-    level = fit_aligned(views, fit.terms, Shape(fit.shape.law, fit.shape.distances, None))
+    level = fit_aligned(views, _drop_load_rise(fit.terms), Shape(fit.shape.law, fit.shape.distances, None))
     return fit if is_better(fit, level) else level
+
+
+def _drop_load_rise(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """The terms, those of the level without what they grow by towards low speed."""
+    return tuple(replace(t, columns=t.columns[:, :1]) if is_level(t) else t for t in terms)
 
 
 def _test_level_rise(views: Views, fit: AxisFit) -> AxisFit:
@@ -299,7 +304,7 @@ def _test_level_rise(views: Views, fit: AxisFit) -> AxisFit:
         return fit
     fit = _search_trials(views, fit)
     terms = _renew_levels(views.fine.rows, fit)
-    plain = tuple(replace(t, columns=t.columns[:, :1]) if is_level(t) else t for t in terms)
+    plain = _drop_load_rise(terms)
     if all(a.columns.shape == b.columns.shape for a, b in zip(plain, terms, strict=True)):
         return fit_aligned(views, terms, fit.shape, rounds=1)
     with_rise, without = (fit_aligned(views, some, fit.shape, rounds=1) for some in (terms, plain))
