@@ -40,7 +40,7 @@ def write_record(
 def check_trace(folder: Path) -> None:
     """The way to the verdict can be followed: found, no rival as good, not doubted, within what may be left."""
     stages = {path.stem[3:]: json.loads(path.read_text())["decisions"] for path in sorted(folder.iterdir())}
-    assert list(stages) == ["record", "law", "search", "reduction", "rivals", "confirmation", "verdict"]
+    assert list(stages) == ["beginning", "record", "law", "search", "reduction", "rivals", "confirmation", "verdict"]
     first = stages["search"][0]
     assert first["added"] == "force_ripple"
     ripple = next(c for c in first["candidates"] if c["name"] == "force_ripple")

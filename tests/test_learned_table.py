@@ -182,7 +182,7 @@ def test_the_work_does_not_hang_on_the_table(coordinates: tuple[TableCoordinate,
         grid = tuple(TableCoordinate(c.over, c.scale, c.low, c.high, factor * c.cells) for c in coordinates)
         package = emit_package(with_tables(table_entry(grid, coefficients_of(*grid))), selftest=False)
         text = package.files["tabled_model.h"]
-        texts.append(text[text.index("/* Friction force") : text.index("/* The drive")])
+        texts.append(text[text.index("/* Friction force") : text.index("/* What signals alone")])
         tables.append(int(re.findall(r"table_1\[(\d+)\]", package.files["tabled_table.h"])[0]))
     assert texts[0].count("sgms_entry(table_1") == taps
     operations = [re.findall(r"Operations: .*\.", text) for text in texts]

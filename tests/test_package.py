@@ -553,7 +553,7 @@ def test_work_of_an_interval_fits_into_its_samples(relinearise: str, horizon: in
 def test_memory_follows_what_is_linearised_anew(axis: Any) -> None:
     """Lanes for all, the series for auto, neither for newest."""
     sizes = {m: axis(estimator={"relinearise": m}).c.probe_size() for m in ("all", "auto", "newest")}
-    ring = 100 * 2 * 19 * 8
+    ring = 100 * 19 * 8  # a signal of each step
     # Newest keeps defects and the sweep's factors instead of lanes.
     assert sizes["newest"] < 0.5 * sizes["all"] and sizes["newest"] < sizes["auto"] - ring
     wanted = {"all": {"lane"}, "auto": {"blocks", "end", "rows"}, "newest": {"rows"}}
@@ -914,7 +914,8 @@ def test_axis_at_rest_leaves_subnormal_numbers(
     run(*command, PROBES / "rest.c", folder / "etel_xy.c", "-o", tmp_path / "program")
     for line in run(tmp_path / "program").splitlines():
         met, of_last, moving = map(int, line.split())
-        assert met < 100 and of_last == moving == 0, line
+        # States are dropped once in 128 samples, and one filter decays behind the other.
+        assert met <= 2 * 128 and of_last == moving == 0, line
 
 
 # --- input that cannot be meant ----------------------------------------------------------------------------------

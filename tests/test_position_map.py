@@ -124,7 +124,7 @@ def test_the_emitted_work_does_not_hang_on_the_orders(orders: tuple[int, ...]) -
     files = emit_package(mapped(order=orders), selftest=False).files
     assert f"static const sgms_real table_1[{POINTS * orders[-1] + 5}]" in files["mapped_table.h"]
     text = files["mapped_model.h"]
-    output = text[text.index("/* Friction force") : text.index("/* The drive")]
+    output = text[text.index("/* Friction force") : text.index("/* What signals alone")]
     assert "Operations: 13 add, 2 floor, 4 lookup, 20 mul, 2 sq, 5 sub." in output
     assert "sgms_sin" not in output and output.count("sgms_entry(table_1") == 4
     assert "sgms_table.h" in files

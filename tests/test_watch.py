@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations, pairwise
@@ -714,8 +715,10 @@ def test_an_interrupt_before_the_first_sample_leaves_nothing(small: Path, tmp_pa
     watch = started("watch", small, path, "--follow", "--out", tmp_path / "w.csv", "--page", tmp_path / "p.html")
 
     def waits() -> bool:  # it has the file open, which it does after it has understood its arguments
-        folder = Path(f"/proc/{watch.pid}/fd")
-        return any(os.path.realpath(link) == str(path.resolve()) for link in folder.iterdir())
+        with suppress(OSError):  # one that is closed meanwhile
+            links = Path(f"/proc/{watch.pid}/fd").iterdir()
+            return any(os.path.realpath(link) == str(path.resolve()) for link in links)
+        return False
 
     wait_for(waits, watch)
     watch.send_signal(signal.SIGINT)
