@@ -112,7 +112,8 @@ def find_spectrum(records: Records, terms: Sequence[Term], noise: float, grid: A
         if min(np.mean(rows.velocity[used] > 0.0), np.mean(rows.velocity[used] < 0.0)) > BOTH_WAYS:
             # Friction may be gone at high speed: what rises then says where elements break away.
             levels = np.maximum(levels, rising / LARGEST_RISE)
-        ratio = min(LARGEST_RISE, float(rising.sum() / max(levels.sum(), 1e-300)))
+        total = float(levels.sum())
+        ratio = min(float(rising.sum()), LARGEST_RISE * total) / max(total, 1e-300)
         rise = Stribeck(ratio, speed) if ratio > 0.0 else None
     kept = levels > NEGLIGIBLE * levels.sum()
     sliding = chi @ levels / max(float(levels.sum()), 1e-300)
