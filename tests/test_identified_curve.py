@@ -59,7 +59,7 @@ def log(curve: str, seed: int = 2) -> Log:
 
 
 @cache
-def identified(curve: str) -> Identification:
+def identify_axis(curve: str) -> Identification:
     return identify([log(curve)], Wanted("curved"))
 
 
@@ -76,7 +76,7 @@ def knots(found: Identification) -> list[dict[str, float]]:
 @pytest.mark.parametrize("curve", CURVES)
 def test_friction_over_speed_is_that_of_the_axis(curve: str) -> None:
     """Level, damping and curve are together the friction of each direction, however they share it."""
-    found, axis = identified(curve), machine().friction
+    found, axis = identify_axis(curve), machine().friction
     effects = {effect.name for effect in found.machine.effects}
     assert "friction_curve" in effects
     own, half = found.machine.friction, 0.0
@@ -117,9 +117,9 @@ def test_file_has_the_curve_as_lists_that_every_command_takes(tmp_path: Path) ->
 @pytest.mark.slow
 def test_a_diagnosis_begins_from_the_curve_of_the_file() -> None:
     """Another record of the axis has nothing that its file lacks over speed, and refutes none of its numbers."""
-    diagnosis = diagnose(identified("root").machine, log("root", seed=5))
+    diagnosis = diagnose(identify_axis("root").machine, log("root", seed=5))
     assert "friction_curve" not in [cause.name for cause in diagnosis.causes]
-    assert diagnosis.rms.before < 0.1 * identified("root").friction_rms_N
+    assert diagnosis.rms.before < 0.1 * identify_axis("root").friction_rms_N
 
 
 @pytest.mark.slow
@@ -133,7 +133,7 @@ def test_no_curve_where_level_damping_and_stribeck_effect_reach(seed: int) -> No
 @pytest.mark.slow
 def test_no_curve_on_the_axis_without_one() -> None:
     CURVES["none"] = np.zeros_like
-    found = identified("none")
+    found = identify_axis("none")
     assert not found.machine.effects
     assert found.held_out_rms_N < 1.1 * found.noise_floor_N
 
@@ -143,7 +143,7 @@ def test_no_curve_on_the_axis_without_one() -> None:
 KNOTS = {"speed_1_m_s": 0.1, "speed_2_m_s": 0.2, "end_m_s": 0.4}
 
 
-def fitted(coulomb: float, sizes: Array) -> AxisFit:
+def make_fit(coulomb: float, sizes: Array) -> AxisFit:
     """Return a fit of one element and a curve of two knots."""
     rows = np.ones(3)
     term = Term("friction_curve", np.ones((3, 4)), given=KNOTS)
@@ -153,13 +153,13 @@ def fitted(coulomb: float, sizes: Array) -> AxisFit:
 @pytest.mark.parametrize(("lowest", "possible"), [(-1.9, True), (-2.1, False)])
 def test_a_curve_that_drives_the_axis_is_none(lowest: float, possible: bool) -> None:
     """It may take away no more than the level, 2 N."""
-    fit = fitted(2.0, np.array([1.0, 0.5, lowest, 0.5]))
+    fit = make_fit(2.0, np.array([1.0, 0.5, lowest, 0.5]))
     assert is_possible(machine(), fit, fit.terms[0]) == possible
 
 
 def test_an_entry_of_nothing_is_as_sure_as_the_largest_of_its_list() -> None:
     """The force at a knot may be 0: a deviation over that says nothing."""
-    fit = fitted(2.0, np.array([4.0, 0.0, 0.3, 0.2]))
+    fit = make_fit(2.0, np.array([4.0, 0.0, 0.3, 0.2]))
     cov = np.diag([0.0, 0.0, 0.01, 0.01, 0.01, 0.01])
     final = FinalIdentification(fit, cov, {}, None, math.nan, None)  # type: ignore[arg-type]
     found = {n.name.removeprefix("friction_curve."): n for n in effect_numbers(final)}

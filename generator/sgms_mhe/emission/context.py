@@ -256,7 +256,7 @@ def package_view(structure: Structure) -> PackageView:
     sizes = sizes_of(structure, variant)
     groups = group_views(structure, sizes, functions)
     signals, couplings = _signals(structure), couplings_of(structure, sizes)
-    model_view = _model_view(structure, functions)
+    model_view = _model_view(structure, functions, signals.of_rows)
     ingredients = Ingredients(
         structure=structure,
         sizes=sizes,
@@ -332,7 +332,7 @@ def _signals(structure: Structure) -> SignalView:
         lowpass=lowpass_coefficients(machine),
         slope_weights=tuple(3.0 / (merged * merged - 1.0) * (2.0 * places + 1.0 - merged)) if merged > 1 else (),
         read=read,
-        of_rows=_of_rows(structure.model),
+        of_rows=_find_row_signals(structure.model),
         of_chain=tuple(name for name in ("position", "force", "acceleration") if name in read),
         names=SIGNAL_NAMES,
         raw=tuple((t.name, k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES),
@@ -340,17 +340,16 @@ def _signals(structure: Structure) -> SignalView:
     )
 
 
-def _of_rows(model: Model) -> tuple[str, ...]:
-    """Names of the signals without which a measurement cannot be linearised anew."""
+def _find_row_signals(model: Model) -> tuple[str, ...]:
+    """Return the names of the signals without which a measurement cannot be linearised anew."""
     if not model.output_is_affine:
         return names_read(model.output, model)
     output = _to_node_state(model, model.output)
     return names_read(ca.densify(ca.jacobian(output, ca.vertcat(model.x, model.theta))), model)
 
 
-def _of_signals(model: Model) -> ca.SX:
-    """What the other signals add to the output, whatever the state and the parameters are."""
-    kept = _of_rows(model)
+def _split_off_signals(model: Model, kept: Sequence[str]) -> ca.SX:
+    """Return what signals but those kept add to the output, whatever the state and the parameters are."""
     output = ca.substitute(
         _to_node_state(model, model.output),
         ca.vertcat(model.x, model.theta),
@@ -391,7 +390,7 @@ def _weights(model: Model, variant: Variant) -> EmittedWeights:
     )
 
 
-def _model_view(structure: Structure, functions: FunctionPrinter) -> ModelView:
+def _model_view(structure: Structure, functions: FunctionPrinter, of_rows: Sequence[str]) -> ModelView:
     model = structure.model
     output = _to_node_state(model, model.output)
     point = {"x": "at->x", "w": "at->w", "theta": "at->theta"}
@@ -400,7 +399,7 @@ def _model_view(structure: Structure, functions: FunctionPrinter) -> ModelView:
         Output("c", entries(ca.gradient(output, model.x))),
         Output("d", entries(ca.gradient(output, model.theta))),
     ]
-    of_signals = _of_signals(model)
+    of_signals = _split_off_signals(model, of_rows)
     terms = [Output("term", [t.expression for t in structure.sample_terms], stride="stride")]
     return ModelView(
         sample_terms=functions.model_function({"w": "w"}, terms),
