@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -92,7 +92,9 @@ def begin_from_record(
     quick = element_numbers(recording, noise_floor(recording, nominal.residual))
     if not quick:
         return None
-    apart = distance(_compare_quickly(recording.machine, quick), mean_speed(recording))
+    found = recording.machine.friction.model_copy(update=friction_changes(recording.machine, quick))
+    numbers = _compare_friction(recording.machine, found.coulomb, found.mean_break_away, found.viscous)
+    apart = distance(numbers, mean_speed(recording))
     log_decision(
         "beginning",
         "a file far from the numbers of a convex fit is compared with the record's",
@@ -168,14 +170,6 @@ def distance(numbers: Sequence[RefutedNumber], speed: float) -> float:
 def mean_speed(recording: Recording) -> float:
     """Mean speed over used rows [m/s]."""
     return float(np.mean(np.abs(recording.velocity[recording.used])))
-
-
-def _compare_quickly(file: Machine, quick: Mapping[str, float]) -> tuple[RefutedNumber, ...]:
-    """Numbers of a file beside those of `element_numbers`."""
-    level, friction = quick[LEVEL], file.friction
-    elements = range(1, friction.n_z + 1)
-    reach = sum(quick[f"fraction_{k}"] ** 2 * level / quick[f"stiffness_{k}"] for k in elements)
-    return _compare_friction(file, level, reach, quick[DAMPING])
 
 
 def _compare_friction(file: Machine, level: float, reach: float, damping: float) -> tuple[RefutedNumber, ...]:
