@@ -191,6 +191,21 @@ def _estimation() -> dict[str, Variant]:
             }
         ),
         "deflection": Variant({"estimator": {"noise": {"state_as": "deflection"}}}),
+        "uncertain mass": Variant({"estimator": {"disturbance": {"mass": 0.01, "gain": 0.01}}}, selftest=True),
+        "uncertain mass, single, ekf": Variant(
+            {
+                "estimator": {"kind": "ekf", "disturbance": {"mass": 0.01}},
+                "code": {"precision": "single"},
+                "compensation": {"delay": 210e-6, "limit": 20.0, "hold": 5e-6},
+            }
+        ),
+        "uncertain mass beside one, 5 merged": Variant(
+            {
+                "estimator": {"disturbance": {"mass": 0.01}},
+                "effects": _entries("mass_mismatch"),
+                "sampling": INTEGRATORS["flow, 5 merged"],
+            }
+        ),
         "no drift": Variant({"estimator": {"noise": {"parameter_drift": 0.0}}}),
         "all, fixed": Variant({"estimator": {**ESTIMATORS["all"], **ESTIMATORS["fixed"]}}),
         "newest, fixed, horizon 1": Variant(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,22 @@ from numpy.typing import NDArray
 
 from sgms_bench.studies.__main__ import main
 from sgms_bench.studies.faults import VARIANTS
-from sgms_bench.studies.lasting import ERRORS, MOTIONS, TRIED, LastingOutcome, erroneous_record, lasting_outcome
+from sgms_bench.studies.lasting import (
+    ERRORS,
+    MOTIONS,
+    TRIED,
+    UNCERTAIN,
+    LastingOutcome,
+    erroneous_record,
+    lasting_outcome,
+)
 from sgms_bench.studies.lasting_figure import lasting_figure
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.reference import estimate_reference
 from sgms_mhe.reference.lasting import InnovationColour, LastingErrors, ParameterWander
 from sgms_mhe.reference.readings import Innovation
+from sgms_mhe.signals.chain import signals_from_log
 
 Array = NDArray[np.float64]
 
@@ -208,6 +218,59 @@ def test_deviations_hold_under_an_error_that_stays(name: str, variant: str) -> N
     found = outcome(name, variant=variant, duration_s=12.0)
     assert found.beyond[1] < 0.02
     assert found.doubted > 0.9
+
+
+@pytest.mark.parametrize("name", ["force's gain 1.005", "mass 1 % more"])
+@pytest.mark.parametrize("variant", ["mhe double", "ekf single"])
+def test_a_mass_that_is_uncertain_leaves_the_stiffness_alone(name: str, variant: str) -> None:
+    """Its error, and that of the force's gain, is found beside the stiffnesses; without one it costs no deviation."""
+    found, certain = outcome(name, variant=f"{variant}, {UNCERTAIN}"), outcome(name, variant=variant)
+    assert found.beyond[1] == 0.0
+    assert found.after[-1] < 0.5 * certain.after[-1]
+    clean, without = outcome("none", variant=f"{variant}, {UNCERTAIN}"), outcome("none", variant=variant)
+    assert clean.sigma == pytest.approx(without.sigma, rel=0.02)
+    assert clean.doubted == 0.0
+
+
+def test_noise_of_the_encoder_makes_no_mass() -> None:
+    """10 nm make 0.9 N of friction that goes with the acceleration; the mean over the chain's settling has none of it.
+
+    A mass that is estimated by the acceleration itself is far from the truth then.
+    """
+    error = next(error for error in ERRORS if error.encoder_noise_m > 0.0)
+    log = erroneous_record(error, "crawl", 0, 8.0).run.log
+    off = []
+    for changes in (
+        {"estimator": {"kind": "ekf", "disturbance": {"mass": 0.01}}},
+        {
+            "effects": [{"name": "mass_mismatch"}],
+            "estimator": {
+                "kind": "ekf",
+                "parameters": ["stiffness", "mass_mismatch.mass_kg"],
+                "prior": {"mass_mismatch.mass_kg": 0.2},
+            },
+        },
+    ):
+        estimates = CompiledEstimator(override_machine(load_machine("etel_xy"), changes)).estimate_log(log)
+        off.append(np.max(np.abs(estimates.parameters[:, -1] / estimates.std[:, -1])))
+    assert off[0] < 3.0 < 10.0 < off[1]
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_an_uncertain_mass_through_the_chain_is_that_of_the_reference(precision: str) -> None:
+    """Lost samples too: the velocities that the mean is over are those that the chain goes on with."""
+    changes = {"estimator": {"disturbance": {"mass": 0.01}}, "code": {"precision": precision}}
+    machine = override_machine(load_machine("etel_xy"), changes)
+    log = erroneous_record(next(error for error in ERRORS if error.is_inertia is False), "mixed", 0, 3.0).run.log
+    position = log.position_m.copy()
+    position[12000:12040] = np.nan
+    log = replace(log, position_m=position)
+    expected = estimate_reference(machine, signals_from_log(log, machine))
+    found = CompiledEstimator(machine).estimate_log(log, mode="tasks")
+    off = np.abs(found.parameters[:, -1] - expected.parameters[:, -1]) / expected.std[:, -1]
+    assert np.max(off) < (1e-6 if precision == "double" else 2e-2)
+    np.testing.assert_allclose(found.std, expected.std, rtol=1e-6 if precision == "double" else 2e-3)
+    assert np.ptp(expected.parameters[:, -1]) > expected.std[-1, -1]
 
 
 def test_an_error_is_in_the_log_and_in_the_count() -> None:

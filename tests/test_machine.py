@@ -12,14 +12,14 @@ from typing import Any
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.configuration import drop_disturbance, load_machine, override_machine
 from sgms_mhe.machine import BASE_PARAMETERS, Tables, estimable_names, json_schema
 from sgms_mhe.model import build_model
 from sgms_mhe.support.errors import InputError
 
 pytestmark = pytest.mark.core
 
-MOST_KEYS = 87
+MOST_KEYS = 90
 """Keys of all tables of a machine file: more are a wall to whoever writes one."""
 
 MINIMAL = """
@@ -276,6 +276,36 @@ def test_bounds_of_an_effect_may_be_written_with_and_without_quotes(tmp_path: Pa
     }
 
 
+def test_an_uncertain_mass_is_estimated_beside_the_parameters(tmp_path: Path) -> None:
+    """Mass and gain are one error in motion: their deviations add in squares; what the file says of it stands."""
+    text = 'extends = "etel_xy"\n[estimator.disturbance]\nmass = 0.03\ngain = 0.04\n'
+    machine = load_machine(write(tmp_path, text))
+    model = build_model(machine)
+    assert machine.estimator.parameters == ("stiffness", "mass_mismatch.mass_kg")
+    assert machine.estimator.prior["mass_mismatch.mass_kg"] == pytest.approx(0.05 * 20.0)
+    assert model.signal_names[-1] == "mean_acceleration" and len(model.signal_names) == 6
+    assert machine.digest != override_machine(machine, {"estimator": {"disturbance": {"gain": 0.0}}}).digest
+
+    own = '[estimator.prior]\nmass_mismatch.mass_kg = 0.2\n[[effects]]\nname = "mass_mismatch"\nmass_kg = 1.5\n'
+    stated = load_machine(write(tmp_path, text + own))
+    assert stated.estimator.prior == {"mass_mismatch.mass_kg": 0.2}
+    assert [(effect.label, dict(effect.parameters)) for effect in stated.effects] == [
+        ("mass_mismatch", {"mass_kg": 1.5})
+    ]
+
+    rotary = load_machine(write(tmp_path, 'extends = "etel_xy_rotary"\n[estimator.disturbance]\nmass = 0.03\n'))
+    assert "mass_mismatch.inertia_kg_m2" in rotary.as_dict()["estimator"]["parameters"]
+
+
+def test_a_mass_that_is_certain_changes_nothing(tmp_path: Path) -> None:
+    """Also where a file says so: the axis, its signals and its digest are those of a file without the table."""
+    plain = load_machine("etel_xy")
+    certain = override_machine(plain, {"estimator": {"disturbance": {"mass": 0.0, "gain": 0.0}}})
+    assert certain.digest == plain.digest and len(build_model(certain).signal_names) == 5
+    uncertain = override_machine(plain, {"estimator": {"disturbance": {"mass": 0.01}}})
+    assert drop_disturbance(uncertain).digest == plain.digest and drop_disturbance(plain) is plain
+
+
 def test_priors_are_of_each_kind_of_parameter(tmp_path: Path) -> None:
     """Over nominal for the friction law, in its unit for an effect; drift in proportion; others have the default."""
     text = (
@@ -391,6 +421,9 @@ BAD_VALUES = [
     ("estimator.prior.coulomb = [0.1, 0.2]", "estimator.prior.coulomb", "valid number"),
     ("estimator.prior.mass = 0.01", "estimator.prior.mass", "a key out of stiffness"),
     ("estimator.prior.constant_offset.force_N = 0.5", "estimator.prior.constant_offset.force_N", "a key out of"),
+    ("estimator.disturbance.mass = -0.01", "estimator.disturbance.mass", "greater than or equal to 0"),
+    ("estimator.disturbance.gain = 1.5", "estimator.disturbance.gain", "less than or equal to 1"),
+    ("estimator.disturbance.coulomb = 0.1", "estimator.disturbance.coulomb", "unknown key"),
     ("estimator.bounds.stiffness = [1.0, 5.0]", "estimator.bounds.stiffness", "low < 1 < high"),
     ("estimator.bounds.stiffness = [0.2, 1.0]", "estimator.bounds.stiffness", "low < 1 < high"),
     ("estimator.bounds.stiffness = [-0.2, 5.0]", "estimator.bounds.stiffness[1]", "greater than or equal to 0"),

@@ -2,12 +2,12 @@
  *
  *     peer PROBLEMS RESULTS     doubles of every problem, one after the other; the results likewise
  *
- * Prints the microseconds of every problem. Compiled behind the exported functions and these constants: PEER_X,
- * PEER_P (states, parameters), PEER_INTERVALS, PEER_STEPS (of an interval), PEER_A, PEER_B, PEER_C, PEER_D (nonzeros of
- * the sensitivities of an interval and of an output), PEER_ARG, PEER_RES, PEER_IW, PEER_W (largest work vectors) and
- * PEER_WHOLE: 1 where one function gives it all, PEER_JACOBIAN its nonzeros.
+ * Prints the microseconds of every problem. Compiled behind the exported functions and these constants: PEER_SIGNALS,
+ * PEER_X, PEER_P (states, parameters), PEER_INTERVALS, PEER_STEPS (of an interval), PEER_A, PEER_B, PEER_C, PEER_D
+ * (nonzeros of the sensitivities of an interval and of an output), PEER_ARG, PEER_RES, PEER_IW, PEER_W (largest work
+ * vectors) and PEER_WHOLE: 1 where one function gives it all, PEER_JACOBIAN its nonzeros.
  *
- * A problem: nodes (PEER_INTERVALS + 1) x PEER_X, theta, signals of every step (5 each), of every node, outputs
+ * A problem: nodes (PEER_INTERVALS + 1) x PEER_X, theta, PEER_SIGNALS signals of every step, of every node, outputs
  * measured. A result: defects, output residuals, then nonzeros: the Jacobian's, or A and B of every interval, C and D
  * of every node. */
 #include <stdio.h>
@@ -15,7 +15,7 @@
 #include <time.h>
 
 enum {
-    SIGNALS = 5,
+    SIGNALS = PEER_SIGNALS,
     NODES = PEER_INTERVALS + 1,
     VARIABLES = NODES * PEER_X + PEER_P,
     PROBLEM = VARIABLES + SIGNALS * PEER_INTERVALS * PEER_STEPS + SIGNALS * NODES + NODES,

@@ -125,14 +125,15 @@ class PeerExport:
 
     def _whole(self, step: ca.Function) -> dict[str, ca.Function]:
         model, count, steps = self._model, self.intervals, self.steps
-        x, p, w = ca.MX.sym("x", model.n_x), ca.MX.sym("p", model.n_p), ca.MX.sym("w", 5, steps)
+        x, p, w = ca.MX.sym("x", model.n_x), ca.MX.sym("p", model.n_p), ca.MX.sym("w", model.w.numel(), steps)
         end = step.fold(steps)(model.function("from_node")(x, p), w, ca.repmat(p, 1, steps))
         interval = ca.Function("interval", [x, w, p], [model.function("to_node")(end, p)])
         measure = ca.Function("measure", [model.x, model.w, model.theta], [self._output()])
         variables = ca.MX.sym("variables", model.n_x * (count + 1) + model.n_p)
         nodes = ca.reshape(variables[: model.n_x * (count + 1)], model.n_x, count + 1)
         theta = variables[model.n_x * (count + 1) :]
-        signals, at_nodes = ca.MX.sym("w", 5, steps * count), ca.MX.sym("w_node", 5, count + 1)
+        n_w = model.w.numel()
+        signals, at_nodes = ca.MX.sym("w", n_w, steps * count), ca.MX.sym("w_node", n_w, count + 1)
         y = ca.MX.sym("y", 1, count + 1)
         ends = interval.map("intervals", "serial", count, [2], [])(nodes[:, :count], signals, theta)
         outputs = measure.map("measures", "serial", count + 1, [2], [])(nodes, at_nodes, theta)
@@ -186,6 +187,7 @@ class PeerExport:
     def _constants(self) -> str:
         functions = self._functions
         numbers = {
+            "PEER_SIGNALS": self._model.w.numel(),
             "PEER_X": self._model.n_x,
             "PEER_P": self._model.n_p,
             "PEER_INTERVALS": self.intervals,
@@ -213,7 +215,7 @@ class PeerExport:
             w = np.repeat(w, self.steps // samples, axis=2)
         else:
             # Merged samples: one step with their mean signals.
-            w = w.reshape(count, self.intervals, self.steps, samples // self.steps, 5).mean(axis=3)
+            w = w.reshape(count, self.intervals, self.steps, samples // self.steps, -1).mean(axis=3)
         theta = np.broadcast_to(windows.theta, (count, self._model.n_p))
         parts = (windows.x, theta, w, windows.w_node, windows.y)
         return np.hstack([part.reshape(count, -1) for part in parts]).tobytes()

@@ -32,7 +32,7 @@ from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
 from sgms_mhe.plant.trajectories import Trajectory
 from sgms_mhe.reference import ReferenceIntegrator
-from sgms_mhe.signals.chain import signal_array, signals_from_log
+from sgms_mhe.signals.chain import mean_samples, signal_array, signals_from_log
 from sgms_mhe.signals.logs import Log, write_log
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS
 
@@ -221,7 +221,7 @@ class Bench:
             x[k + 1] = own.intervals(own_plan, k, x[k : k + 1], theta).x1[0]
         intervals = min(machine.estimator.horizon if machine.estimator.kind == "mhe" else 1, updates)
         firsts = sorted({int(k) for k in np.linspace(0, updates - intervals, WINDOWS)})
-        w = signal_array(signals, sampling.step)
+        w = signal_array(signals, sampling.step, mean=mean_samples(machine))
         within = [slice(k * samples + 1, (k + intervals) * samples + 1) for k in firsts]
         at_nodes = [slice(k * samples, (k + intervals) * samples + 1, samples) for k in firsts]
         nodes = np.array([x[k : k + intervals + 1] for k in firsts])

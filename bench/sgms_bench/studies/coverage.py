@@ -16,7 +16,7 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model import build_model
 from sgms_mhe.plant.trajectories import make_trajectory
 from sgms_mhe.reference import ReferenceIntegrator
-from sgms_mhe.signals.chain import Signals, signal_array
+from sgms_mhe.signals.chain import Signals, mean_samples, signal_array
 from sgms_mhe.support.processes import HERE, Task, WorkerSlot, results
 from sgms_mhe.support.tables import CsvTable
 
@@ -88,7 +88,7 @@ def draw(machine: Machine, runs: int, updates: int, *, first_run: int = 0) -> Dr
         missing=np.zeros(n, dtype=np.bool_),
     )
     plan = integrator.plan(signals)
-    w = signal_array(signals, machine.sampling.step)[::samples]
+    w = signal_array(signals, machine.sampling.step, mean=mean_samples(machine))[::samples]
     thetas, frictions = [], []
     for run in range(first_run, first_run + runs):
         rng = np.random.default_rng([run, 0])

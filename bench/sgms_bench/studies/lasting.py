@@ -30,6 +30,15 @@ COUNTED_S: Final = 3.0
 """From here on updates count: parameters have been found on a good log."""
 AFTER_S: Final = (5.0, 10.0, 20.0)
 TRIED: Final = (*CLEAN, *ERRORS)
+UNCERTAIN: Final = "mass and gain uncertain"
+_ESTIMATORS: Final[Mapping[str, Mapping[str, Any]]] = dict(VARIANTS) | {
+    f"{name}, {UNCERTAIN}": {
+        **changes,
+        "estimator": {**changes["estimator"], "disturbance": {"mass": 0.01, "gain": 0.01}},
+    }
+    for name, changes in VARIANTS.items()
+}
+"""What is tried: the packages of `VARIANTS`, with a mass that is the file's and with one that is uncertain."""
 
 
 def crawl(rate: float) -> Trajectory:
@@ -59,7 +68,7 @@ class LastingOutcome:
 
     Attributes:
         motion: of `MOTIONS`.
-        variant: of `VARIANTS`.
+        variant: of `VARIANTS`, or one of these with ", " and `UNCERTAIN`.
         covered: share of parameters within 2 stated deviations, of the updates from `COUNTED_S` on.
         beyond: share of these updates in which a parameter is off by more than 2 and 3 stated deviations.
         silent: share in which one is beyond 3 and the status does not say DOUBT.
@@ -82,7 +91,7 @@ class LastingOutcome:
 
 @cache
 def _estimator(variant: str) -> CompiledEstimator:
-    return CompiledEstimator(override_machine(load_machine("etel_xy"), VARIANTS[variant]))
+    return CompiledEstimator(override_machine(load_machine("etel_xy"), _ESTIMATORS[variant]))
 
 
 def erroneous_record(error: LastingError, motion: str, seed: int, duration_s: float) -> Record:
@@ -108,8 +117,8 @@ def lasting_outcome(record: Record, motion: str, variant: str) -> LastingOutcome
     """Compare what an emitted estimator states about a log with the truth."""
     estimator = _estimator(variant)
     estimates = estimator.estimate_log(record.run.log, mode="tasks")
-    nominal = np.array([parameter.nominal for parameter in estimator.model.parameters])
-    theta, std = estimates.parameters / nominal, estimates.std / nominal
+    nominal = np.array(estimator.machine.friction.stiffness)
+    theta, std = (array[:, : len(nominal)] / nominal for array in (estimates.parameters, estimates.std))
     error = np.abs(theta - record.theta)
     counted = estimates.time_s > COUNTED_S
     sigmas, doubts = (error / std)[counted], (estimates.status & FLAGS["doubt"] > 0)[counted]
@@ -131,11 +140,14 @@ def lasting_outcome(record: Record, motion: str, variant: str) -> LastingOutcome
 def _part(index: int, motion: str, seed: int, duration_s: float) -> list[LastingOutcome]:
     """One log with every estimator."""
     record = erroneous_record(TRIED[index], motion, seed, duration_s)
-    return [lasting_outcome(record, motion, variant) for variant in VARIANTS]
+    return [lasting_outcome(record, motion, variant) for variant in _ESTIMATORS]
 
 
 def lasting_study(seeds: int, duration_s: float = 20.0, place: WorkerSlot = HERE) -> CsvTable:
-    """Honesty of stated deviations under every lasting error, on four motions, by MHE and EKF, double and single."""
+    """Honesty of stated deviations under every lasting error, on four motions, by MHE and EKF, double and single.
+
+    With a mass that is the file's, and with mass and gain that are uncertain by 1 % each.
+    """
     drawn = list(product(range(len(TRIED)), MOTIONS, range(seeds)))
     tasks = [
         Task(f"{index}-{motion}-{seed}", _part, (index, motion, seed, duration_s)) for index, motion, seed in drawn
@@ -143,11 +155,9 @@ def lasting_study(seeds: int, duration_s: float = 20.0, place: WorkerSlot = HERE
     found: list[list[LastingOutcome]] = [[] for _ in TRIED]
     for (index, _, _), outcomes in zip(drawn, results(tasks, place, done_of("logs")), strict=True):
         found[index] += outcomes
-    erroneous = [outcome for outcomes in found[len(CLEAN) :] for outcome in outcomes]
-    groups = [("all errors", erroneous)]
-    groups += [(f"all errors, {m}", [outcome for outcome in erroneous if outcome.motion == m]) for m in MOTIONS]
-    groups += [(f"all errors, {v}", [outcome for outcome in erroneous if outcome.variant == v]) for v in VARIANTS]
-    groups[:0] = [(error.name, outcomes) for error, outcomes in zip(TRIED, found, strict=True)]
+    groups = _groups([[outcome for outcome in outcomes if outcome.variant in VARIANTS] for outcomes in found])
+    uncertain = _groups([[outcome for outcome in outcomes if outcome.variant not in VARIANTS] for outcomes in found])
+    groups += [(f"{name}, {UNCERTAIN}", outcomes) for name, outcomes in uncertain]
     errors = {f"{seconds:g} s": ".3f" for seconds in AFTER_S}
     return CsvTable(
         f"Stated deviations under lasting errors of the model: {', '.join(MOTIONS)} motion, {seeds} seeds of "
@@ -165,6 +175,18 @@ def lasting_study(seeds: int, duration_s: float = 20.0, place: WorkerSlot = HERE
             "sigma: mean stated deviation of a stiffness, over nominal",
         ),
     )
+
+
+def _groups(found: Sequence[Sequence[LastingOutcome]]) -> list[tuple[str, Sequence[LastingOutcome]]]:
+    """Rows of the table: each of `TRIED`, then all errors, and these by motion and by package."""
+    erroneous = [outcome for outcomes in found[len(CLEAN) :] for outcome in outcomes]
+    variants = dict.fromkeys(outcome.variant for outcome in erroneous)
+    return [
+        *((error.name, outcomes) for error, outcomes in zip(TRIED, found, strict=True)),
+        ("all errors", erroneous),
+        *((f"all errors, {m}", [outcome for outcome in erroneous if outcome.motion == m]) for m in MOTIONS),
+        *((f"all errors, {v.partition(',')[0]}", [o for o in erroneous if o.variant == v]) for v in variants),
+    ]
 
 
 def _row(name: str, outcomes: Sequence[LastingOutcome]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from sgms_mhe.configuration.laws import law_changes, switch_law
 from sgms_mhe.configuration.resolution import (
+    drop_disturbance,
     load_machine,
     make_machine,
     override_log,
@@ -11,6 +12,7 @@ from sgms_mhe.configuration.resolution import (
 from sgms_mhe.configuration.schema import machine_schema
 
 __all__ = [
+    "drop_disturbance",
     "law_changes",
     "load_machine",
     "machine_schema",

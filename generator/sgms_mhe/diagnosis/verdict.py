@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sgms_mhe.configuration import drop_disturbance
 from sgms_mhe.diagnosis.alignment import (
     compile_half_steps,
     find_chain_error,
@@ -98,7 +99,7 @@ def diagnose(
     told = ProgressReport(progress or (lambda step, share: None))
     try:
         told.report_start()
-        file = _prepare(machine, log, held_out_s)
+        file = _prepare(drop_disturbance(machine), log, held_out_s)
         begun = None
         if _is_excited(file.recording, file.nominal):
             begun = begin_from_record(

@@ -33,6 +33,7 @@ class Ingredients:
     Attributes:
         reach: as in `Couplings`.
         signals: signals that are sample terms themselves.
+        mean_samples: velocities that the first sample fills, of a mean acceleration.
         terms, output, feed_forward, parameter_terms: operations of the model's functions; terms at one node.
     """
 
@@ -44,6 +45,7 @@ class Ingredients:
     compensation: FeedForward
     reach: tuple[int, ...]
     signals: int
+    mean_samples: int
     terms: int
     output: int
     feed_forward: int

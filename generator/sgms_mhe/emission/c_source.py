@@ -11,7 +11,7 @@ import numpy as np
 
 from sgms_mhe.emission.graph import Graph, Node, operations, walk
 from sgms_mhe.emission.structure import Group, Structure
-from sgms_mhe.model import SIGNAL_NAMES, Model
+from sgms_mhe.model import Model
 
 _ATOM, _UNARY, _PRODUCT, _SUM, _COMPARE = range(5)
 _LONGEST_INLINE = 72
@@ -214,7 +214,7 @@ class FunctionPrinter:
         self._terms = tuple(term.name for term in structure.sample_terms)
         self._labels = {
             "x": [f"x_{s.name}" for s in self._model.states],
-            "w": list(SIGNAL_NAMES),
+            "w": list(self._model.signal_names),
             "theta": [f"theta_{p.column}" for p in self._model.parameters],
         }
 

@@ -12,7 +12,6 @@ import casadi as ca
 
 from sgms_mhe.emission.graph import Graph, Node, to_sx, walk
 from sgms_mhe.emission.structure import Structure
-from sgms_mhe.model import SIGNAL_NAMES
 
 MOST_TURNS: Final = {"single": 10_000, "double": 100}
 """Of the fastest sine in the period that all have in common. Of more, single precision loses the phase; in double
@@ -67,7 +66,7 @@ def _frequencies(structure: Structure) -> list[Fraction] | None:
     model = structure.model
     vectors = {"chi": model.chi, "x": model.x, "w": model.w, "theta": model.theta}
     labels = {name: [f"{name}{k}" for k in range(vector.numel())] for name, vector in vectors.items()}
-    labels["w"] = list(SIGNAL_NAMES)
+    labels["w"] = list(model.signal_names)
     graph = Graph()
     nodes = graph.read(ca.vertcat(model.rhs, model.output, model.feed_forward), vectors, labels)
     time = graph.input("w", "time")

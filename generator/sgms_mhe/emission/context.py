@@ -24,8 +24,8 @@ from sgms_mhe.emission.structure import Structure
 from sgms_mhe.emission.variant import Status, Variant, statuses_of, variant_of
 from sgms_mhe.emission.work import Work, work_of
 from sgms_mhe.machine import Machine, Units
-from sgms_mhe.model import SIGNAL_NAMES, FreeParameter, Model
-from sgms_mhe.signals.chain import lowpass_coefficients, settle_samples
+from sgms_mhe.model import FreeParameter, Model
+from sgms_mhe.signals.chain import lowpass_coefficients, mean_samples, settle_samples
 
 RUNTIME_VERSION = 5
 """Version of the runtime headers that the templates are written for."""
@@ -128,6 +128,7 @@ class SignalView:
         of_chain: those of the signals read that are asked for of the chain, beside velocity and friction.
         names: of all signals, in the order of w.
         raw: (name, sample term) of the signals that are sample terms themselves.
+        mean_samples: that the mean acceleration is over; 0: no such signal.
         clock: of a model that is periodic in time; None of any other.
     """
 
@@ -147,6 +148,7 @@ class SignalView:
     of_chain: tuple[str, ...]
     names: tuple[str, ...]
     raw: tuple[tuple[str, int], ...]
+    mean_samples: int
     clock: Clock | None
 
 
@@ -266,6 +268,7 @@ def package_view(structure: Structure) -> PackageView:
         compensation=compensation_of(machine),
         reach=couplings.reach,
         signals=len(signals.raw),
+        mean_samples=signals.mean_samples,
         terms=operations_of(model_view.sample_terms),
         output=operations_of(model_view.output),
         feed_forward=operations_of(model_view.feed_forward),
@@ -316,7 +319,7 @@ def _signals(structure: Structure) -> SignalView:
     machine = structure.model.machine
     sampling = machine.sampling
     merged = sampling.merged
-    read = _signals_read(structure)
+    read, names = _signals_read(structure), structure.model.signal_names
     step_time = merged * sampling.step
     places = np.arange(merged)
     return SignalView(
@@ -334,8 +337,9 @@ def _signals(structure: Structure) -> SignalView:
         read=read,
         of_rows=_find_row_signals(structure.model),
         of_chain=tuple(name for name in ("position", "force", "acceleration") if name in read),
-        names=SIGNAL_NAMES,
-        raw=tuple((t.name, k) for k, t in enumerate(structure.sample_terms) if t.name in SIGNAL_NAMES),
+        names=names,
+        raw=tuple((t.name, k) for k, t in enumerate(structure.sample_terms) if t.name in names),
+        mean_samples=mean_samples(machine),
         clock=clock_of(structure) if "time" in read else None,
     )
 
@@ -355,7 +359,7 @@ def _split_off_signals(model: Model, kept: Sequence[str]) -> ca.SX:
         ca.vertcat(model.x, model.theta),
         ca.vertcat(ca.SX.zeros(model.n_x), ca.SX.ones(model.n_p)),
     )
-    rest = [model.w[k] if name in kept else 0.0 for k, name in enumerate(SIGNAL_NAMES)]
+    rest = [model.w[k] if name in kept else 0.0 for k, name in enumerate(model.signal_names)]
     return output - ca.substitute(output, model.w, ca.vertcat(*rest))
 
 
@@ -364,7 +368,7 @@ def _signals_read(structure: Structure) -> tuple[str, ...]:
     model = structure.model
     functions = ca.vertcat(*(t.expression for t in structure.sample_terms), model.output, model.feed_forward)
     read = {"velocity", *names_read(functions, model)}
-    return tuple(name for name in SIGNAL_NAMES if name in read)
+    return tuple(name for name in model.signal_names if name in read)
 
 
 def _weights(model: Model, variant: Variant) -> EmittedWeights:

@@ -9,7 +9,7 @@ import casadi as ca
 from sgms_mhe.emission.element_law import step_rates
 from sgms_mhe.emission.structure import Group, Structure
 from sgms_mhe.emission.variant import Variant
-from sgms_mhe.model import SIGNAL_NAMES, Model
+from sgms_mhe.model import Model
 
 VECTOR_BYTES = 32
 """Lanes are padded to vectors of this size, so that a compiler needs no scalar remainder loop."""
@@ -208,7 +208,7 @@ def sizes_of(structure: Structure, variant: Variant) -> Sizes:
         states=model.n_x,
         elements=model.n_z,
         parameters=model.n_p,
-        signals=len(SIGNAL_NAMES),
+        signals=len(model.signal_names),
         horizon=variant.horizon,
         slots=slots,
         vector=vector,
@@ -234,7 +234,7 @@ def sizes_of(structure: Structure, variant: Variant) -> Sizes:
 def names_read(expression: ca.SX, model: Model) -> tuple[str, ...]:
     """Names of the signals that an expression depends on, in the order of w."""
     depends = ca.which_depends(expression, model.w)
-    return tuple(name for name, does in zip(SIGNAL_NAMES, depends, strict=True) if does)
+    return tuple(name for name, does in zip(model.signal_names, depends, strict=True) if does)
 
 
 def _groups(structure: Structure) -> tuple[GroupSizes, ...]:

@@ -193,7 +193,7 @@ def analyse(model: Model) -> Structure:
     graph = Graph()
     labels = {
         "chi": [f"chi_{s.name}" for s in model.states],
-        "w": list(SIGNAL_NAMES),
+        "w": list(model.signal_names),
         "theta": [f"theta_{p.column}" for p in model.parameters],
     }
     vectors = {"chi": model.chi, "w": model.w, "theta": model.theta}
@@ -207,7 +207,7 @@ def analyse(model: Model) -> Structure:
     sampling = model.machine.sampling
     if sampling.merged > 1:  # between the nodes of a step the signals are interpolated, and their functions follow
         terms.add([n for n in walk(terms.nodes) if n.op == "input"])
-    w_symbols = {graph.input("w", n): s for n, s in zip(SIGNAL_NAMES, ca.vertsplit(model.w), strict=True)}
+    w_symbols = {graph.input("w", n): s for n, s in zip(labels["w"], ca.vertsplit(model.w), strict=True)}
     theta_symbols = {
         graph.input("theta", n): s
         for n, s in zip(labels["theta"], ca.vertsplit(model.theta) if model.n_p else [], strict=True)

@@ -95,7 +95,7 @@ def work_of(views: Sequence[GroupView], of: Ingredients) -> Work:
     newest = {g.name: work.shared + work.together for g, work in groups}
     ahead = {g.name: work.ahead for g, work in groups}
     without_step = FILTERS + SAMPLE + of.compensation.moves * of.terms + of.feed_forward + sizes.states
-    without_step += 4 * of.signals + sum(ahead.values())
+    without_step += of.mean_samples + 4 * of.signals + sum(ahead.values())
     newest_step = sizes.nodes * (of.terms + 3 * of.signals) + sum(newest.values())
     reading = least_squares.taken() if sizes.inner else 0
     sample = without_step + newest_step + reading

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.machine import Kind, Machine
 from sgms_mhe.model import Model, build_model
-from sgms_mhe.signals.chain import Signals, signal_array
+from sgms_mhe.signals.chain import Signals, mean_samples, signal_array
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.errors import InputError
@@ -145,7 +145,7 @@ class CompiledModel:
         slopes: Array | None,
     ) -> tuple[Array, Array]:
         n_x, n_p = self.model.n_x, self.model.n_p
-        w = signal_array(signals, self.machine.sampling.step, first)
+        w = signal_array(signals, self.machine.sampling.step, first, mean_samples(self.machine))
         values = np.ones(n_p) if theta is None else np.ascontiguousarray(theta, dtype=np.float64)
         state = np.zeros(n_x) if x is None else np.array(x, dtype=np.float64)
         sensitivity = np.zeros((n_x, n_p)) if d_x is None else np.array(d_x, dtype=np.float64, order="C")
@@ -155,7 +155,7 @@ class CompiledModel:
     def advance(
         self, w: Array, theta: Array, state: Array, sensitivity: Array, force: Array | None, slopes: Array | None
     ) -> None:
-        """Run the model along signals w (n, 5), in place; all arrays contiguous.
+        """Run the model along signals w (n, 5; 6 with a mean acceleration), in place; all arrays contiguous.
 
         Args:
             w: position, velocity, acceleration, force, time of every sample.

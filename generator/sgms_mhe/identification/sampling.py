@@ -81,7 +81,8 @@ def unknown_axis(logs: Sequence[Log], name: str, mass: float, like: Machine | No
         content |= {key: like.content[key] for key in KEPT if key in like.content}
         # What is estimated and within what bounds follows from what is found.
         estimator = dict(content.get("estimator", {}))
-        content["estimator"] = {k: v for k, v in estimator.items() if k not in ("parameters", "prior", "bounds")}
+        dropped = ("parameters", "prior", "bounds", "disturbance")
+        content["estimator"] = {k: v for k, v in estimator.items() if k not in dropped}
         sampling = dict(content.get("sampling", {}))
         sampling.pop("integrator", None)
         content["sampling"] = sampling

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
@@ -34,6 +35,24 @@ class Noise(MachineTable):
     self_scaling: bool = text(
         "readings count less while they contradict what the estimator predicts of them", "true or false", True
     )
+
+
+class Disturbance(MachineTable):
+    """Errors of the model that the estimator takes out beside what it is asked to estimate."""
+
+    mass: float = quantity("1 sigma of the mass or inertia, relative; 0: it is right", "1", 0.0, ge=0, le=1)
+    gain: float = quantity(
+        "1 sigma of the logged force's gain, relative, which motion shows as an error of the mass; 0: it is right",
+        "1",
+        0.0,
+        ge=0,
+        le=1,
+    )
+
+    @property
+    def inertia(self) -> float:
+        """Standard deviation of the mass by both, relative; 0: no such error is estimated."""
+        return math.hypot(self.mass, self.gain)
 
 
 class ArrivalCost(MachineTable):
@@ -75,6 +94,9 @@ class Estimator(MachineTable):
         min_length=1,
     )
     noise: Noise = Field(Noise(), description="standard deviations; default as in its keys")
+    disturbance: Disturbance = Field(
+        Disturbance(), description="errors of the model that are estimated beside the parameters; default none"
+    )
     arrival_cost: ArrivalCost = Field(ArrivalCost(), description="arrival cost; default riccati")
     prior: Annotated[dict[str, Deviation], BeforeValidator(_flatten)] = Field(
         {},

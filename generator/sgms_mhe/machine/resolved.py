@@ -12,7 +12,7 @@ from typing import Any
 from sgms_mhe.machine.axis import BASE_PARAMETERS, Friction, Plant
 from sgms_mhe.machine.code import Code, Compensation
 from sgms_mhe.machine.diagnosis import DiagnosisTable
-from sgms_mhe.machine.estimator import Estimator
+from sgms_mhe.machine.estimator import Disturbance, Estimator
 from sgms_mhe.machine.log_mapping import LogMapping
 from sgms_mhe.machine.sampling import Sampling
 from sgms_mhe.machine.units import Units
@@ -96,6 +96,8 @@ class Machine:
         estimator = content["estimator"]
         estimator["parameters"] = [units.named(name) for name in estimator["parameters"]]
         estimator |= {key: units.keyed(estimator[key]) for key in ("prior", "bounds")}
+        if self.estimator.disturbance == Disturbance():
+            del estimator["disturbance"]
         return {
             "name": self.name,
             "description": self.description,

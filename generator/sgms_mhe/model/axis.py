@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -9,6 +10,8 @@ import casadi as ca
 
 SIGNAL_NAMES = ("position", "velocity", "acceleration", "force", "time")
 """Order of the measured signals w of docs/model.md."""
+MEAN_ACCELERATION: Final = "mean_acceleration"
+"""One more signal, where the mass is uncertain: its noise is not that of the measured friction."""
 
 
 SETTABLE: Final = (
@@ -74,6 +77,7 @@ class SymbolicAxis:
     """Signals, levels, forces and states of one axis as CasADi expressions.
 
     Attributes:
+        mean_acceleration: over the time in which the signal chain settles [m/s^2]; None: no such signal is asked for.
         nominal_mass: of the machine file [kg], where it is no more than a scale.
         reads_mass: whether an effect has asked for the mass.
         coulomb: nominal f_C [N], the unit of the states that are forces.
@@ -98,14 +102,18 @@ class SymbolicAxis:
         scope: label of the effect that contributes at the moment; its states are named after it.
     """
 
-    def __init__(self, mass: float, coulomb: float, step: float, gate_per_velocity: float) -> None:
+    def __init__(
+        self, mass: float, coulomb: float, step: float, gate_per_velocity: float, names: Sequence[str] = SIGNAL_NAMES
+    ) -> None:
         self.gate_per_velocity = gate_per_velocity
         self.nominal_mass = mass
         self.reads_mass = False
         self.coulomb = coulomb
         self.step = step
-        self.measured = ca.SX.sym("w", len(SIGNAL_NAMES))
-        self.position, self.velocity, self.acceleration, self.force, self.time = ca.vertsplit(self.measured)
+        self.measured = ca.SX.sym("w", len(names))
+        signals = ca.vertsplit(self.measured)
+        self.position, self.velocity, self.acceleration, self.force, self.time = signals[: len(SIGNAL_NAMES)]
+        self.mean_acceleration: ca.SX | None = signals[-1] if MEAN_ACCELERATION in names else None
         self.velocity_ratio: ca.SX = ca.SX(1.0)
         self.coulomb_factor: ca.SX = ca.SX(1.0)
         self.viscous_factor: ca.SX = ca.SX(1.0)
@@ -159,6 +167,17 @@ class SymbolicAxis:
     def add_force(self, force: ca.SX) -> None:
         """Add a force [N] to the friction force that the axis shows."""
         self.output = self.output + force
+
+    def add_mass(self, mass: ca.SX, nominal: float) -> None:
+        """Add the inertial force of a mass [kg].
+
+        What is estimated of it has the mean acceleration for a regressor, where there is one: the noise of the
+        acceleration is in the measured friction too, and would draw the estimate.
+        """
+        if self.mean_acceleration is None:
+            self.add_force(mass * self.acceleration)
+        else:
+            self.add_force(nominal * self.acceleration + (mass - nominal) * self.mean_acceleration)
 
     def add_state(self, spec: StateSpec) -> AxisState:
         """Declare an integration state; its rate must be set before the model is complete.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.axis import SIGNAL_NAMES, StateSpec, SymbolicAxis
+from sgms_mhe.model.axis import MEAN_ACCELERATION, SIGNAL_NAMES, StateSpec, SymbolicAxis
 from sgms_mhe.model.effects import EFFECT_NAMES, EffectDefinition, Stage, effect_definition
 from sgms_mhe.model.friction import (
     LEAST_REST,
@@ -86,6 +86,11 @@ class Model:
     reads_mass: bool = False
 
     @property
+    def signal_names(self) -> tuple[str, ...]:
+        """Names of the signals, in the order of w."""
+        return SIGNAL_NAMES + (MEAN_ACCELERATION,) * (self.w.numel() - len(SIGNAL_NAMES))
+
+    @property
     def n_x(self) -> int:
         """Number of states."""
         return len(self.states)
@@ -141,7 +146,7 @@ class Model:
             return np.array(function(np.concatenate([draw(self.n_x, -2.0, 1.0), theta]), w))
 
         for _ in range(100):
-            w = draw(len(SIGNAL_NAMES), -6.0, 2.0)
+            w = draw(self.w.numel(), -6.0, 2.0)
             here, there = slopes(w), slopes(w)
             if not np.max(np.abs(there - here)) <= 1e-11 * np.max(np.abs(here)):
                 return False
@@ -315,14 +320,15 @@ def _smoothing(machine: Machine) -> SmoothLaw | None:
     return None if soft is None else SmoothLaw(soft.zeta, soft.lambda_, soft.gamma)
 
 
-def _bare_axis(machine: Machine) -> SymbolicAxis:
-    """The axis before anything contributes to it."""
+def _bare_axis(machine: Machine, *, estimates: bool = False) -> SymbolicAxis:
+    """The axis before anything contributes to it; `estimates`: with the signals that an estimator has besides."""
     friction, sampling, smoothing = machine.friction, machine.sampling, _smoothing(machine)
     return SymbolicAxis(
         machine.plant.moved,
         friction.coulomb,
         step=sampling.step,
         gate_per_velocity=(smoothing.gamma if smoothing else _GATE) / friction.stribeck_velocity,
+        names=SIGNAL_NAMES + (MEAN_ACCELERATION,) * (estimates and machine.estimator.disturbance.inertia > 0.0),
     )
 
 
@@ -339,7 +345,7 @@ def build_model(machine: Machine, *, physical: bool = False) -> Model:
     """
     friction, noise = machine.friction, machine.estimator.noise
     parameters = _PhysicalParameters(machine) if physical else _Parameters(machine)
-    axis = _bare_axis(machine)
+    axis = _bare_axis(machine, estimates=not physical)
     symbols = FrictionSymbols(
         stiffness=parameters.array("stiffness", friction.stiffness),
         fraction=parameters.shares("fraction", friction.fraction),

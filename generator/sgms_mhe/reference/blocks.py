@@ -106,7 +106,7 @@ class Blocks:
         rng = np.random.default_rng(1)
         limit = self.gate_ratio * self.model.machine.friction.stribeck_velocity
         for _ in range(50):
-            w = rng.standard_normal(5)
+            w = rng.standard_normal(self.model.w.numel())
             w[1] = math.copysign(limit * 10.0 ** rng.uniform(0.0, 3.0), w[1])
             theta = np.array([rng.uniform(max(p.lower, 0.9), min(p.upper, 1.1)) for p in model.parameters])
             chi = rng.uniform(-1.2, 1.2, model.n_x)
@@ -131,7 +131,7 @@ class Blocks:
         function = ca.Function("drive", [model.chi, model.w, model.theta], [self.drive(i), model.rho[i]])
         rng = np.random.default_rng(2)
         for _ in range(50):
-            w, chi = rng.standard_normal(5), rng.uniform(-1.2, 1.2, model.n_x)
+            w, chi = rng.standard_normal(model.w.numel()), rng.uniform(-1.2, 1.2, model.n_x)
             theta = np.array([rng.uniform(max(p.lower, 0.9), min(p.upper, 1.1)) for p in model.parameters])
             drive, rho = (float(value) for value in function(chi, w, theta))
             if not abs(drive - rho * w[1]) <= 1e-12 * abs(rho * w[1]):

@@ -128,6 +128,7 @@ class CompiledLoops:
 
         numbers = {
             "N_X": self._model.n_x,
+            "N_W": self._model.w.numel(),
             "N_P": self._model.n_p,
             "N_BLOCKS": len(blocks),
             "LARGEST_BLOCK": max(len(block.states) for block in blocks),

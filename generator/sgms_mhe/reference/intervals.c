@@ -1,12 +1,10 @@
 /* Driver of the reference integrator: the loops over intervals, blocks, steps and substeps, around functions that CasADi
-   generates. What precedes this file in its translation unit: those functions; N_X, N_P, N_BLOCKS, LARGEST_BLOCK;
+   generates. What precedes this file in its translation unit: those functions; N_X, N_P, N_W, N_BLOCKS, LARGEST_BLOCK;
    SZ_ARG, SZ_RES, SZ_IW, SZ_W; BLOCK_SIZE, BLOCK_STATES (block after block); STEP, CLIP, FLOW, RATE (0 where a block has
    none); N_CHEBYSHEV, NEAR, BEFORE_TURN, N_READINGS. Matrices are column-major, as CasADi has them. */
 
 #include <math.h>
 #include <string.h>
-
-#define N_W 5
 
 struct flow {
     double r_star, k, curvature, r_max, lambda, zeta, edge_below, edge_above; /* edge: L at either end of its tables */

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.machine import Sampling
 from sgms_mhe.reference.blocks import Blocks, IntegratedBlock
-from sgms_mhe.signals.chain import Signals, signal_array
+from sgms_mhe.signals.chain import Signals, mean_samples, signal_array
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -91,7 +91,8 @@ class Planner:
         """Steps and substeps of every complete interval of a record."""
         samples, h, stairs = self._sampling.samples_per_update, self._sampling.step, self._sampling.merged
         intervals = (len(signals) - 1) // samples
-        w = signal_array(signals, h)[: intervals * samples + 1]
+        mean = mean_samples(self._blocks.model.machine)
+        w = signal_array(signals, h, mean=mean)[: intervals * samples + 1]
         if stairs == 1:
             stair = start = end = w[1:]
             substeps = stair_substeps = self._held(np.abs(end[:, 1]), h)

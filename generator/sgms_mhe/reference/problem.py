@@ -14,7 +14,7 @@ from sgms_mhe.reference.integrator import ReferenceIntegrator
 from sgms_mhe.reference.lasting import LastingErrors
 from sgms_mhe.reference.plan import Plan, inner_readings
 from sgms_mhe.reference.readings import Gaussian, MeasurementResult, Scaling
-from sgms_mhe.signals.chain import Signals, signal_array
+from sgms_mhe.signals.chain import Signals, mean_samples, signal_array
 from sgms_mhe.signals.estimates import Estimates
 
 Array = NDArray[np.float64]
@@ -151,7 +151,7 @@ class NodeRecord:
         self.plan: Plan = integrator.plan(signals)
         self.updates = len(self.plan.path)
         nodes = samples * np.arange(self.updates + 1)
-        self.w: Array = signal_array(signals, model.machine.sampling.step)[nodes]
+        self.w: Array = signal_array(signals, model.machine.sampling.step, mean=mean_samples(model.machine))[nodes]
         self.time: Array = signals.time[nodes]
         self.y: Array = signals.friction[nodes]
         self.valid: NDArray[np.bool_] = signals.valid[nodes] & np.isfinite(self.y)

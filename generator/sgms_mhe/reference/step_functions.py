@@ -52,7 +52,7 @@ def _clip_drive(blocks: Blocks, name: str, block: IntegratedBlock) -> ca.Functio
     The displacement is that of the signals w over h; the level that of the signals at the end, and of u1.
     """
     model, i = blocks.model, block.states[0]
-    h, last = ca.SX.sym("h"), ca.SX.sym("last", 5)
+    h, last = ca.SX.sym("h"), ca.SX.sym("last", model.w.numel())
     u, end, level = _closed_forms(blocks, block, h)
     level = ca.substitute(level, model.w, last)
     move = model.rho[i] * model.w[1] * h
@@ -81,7 +81,7 @@ def _step(blocks: Blocks, name: str, block: IntegratedBlock) -> ca.Function:
     model, states = blocks.model, list(block.states)
     chi = ca.vertcat(*(model.chi[i] for i in states))
     rhs = ca.Function("rhs", [chi, model.w, model.theta], [ca.vertcat(*(model.rhs[i] for i in states))])
-    start, end, h = ca.SX.sym("w0", 5), ca.SX.sym("w1", 5), ca.SX.sym("h")
+    start, end, h = ca.SX.sym("w0", model.w.numel()), ca.SX.sym("w1", model.w.numel()), ca.SX.sym("h")
     is_line = model.machine.sampling.merged > 1
     slope, total = ca.SX.zeros(len(states)), ca.SX.zeros(len(states))
     for c, a, b in TABLEAU:

@@ -61,14 +61,27 @@ class Signals:
         return replace(self, **parts)
 
 
-def signal_array(signals: Signals, h: float, first: int = 0) -> Array:
+def signal_array(signals: Signals, h: float, first: int = 0, mean: int = 0) -> Array:
     """Signals w = (position, velocity, acceleration, force, time) of every sample (n, 5).
 
     Time counts from a log's sample 0, the first one here being its sample `first`, and is that of what the signals tell
-    of.
+    of. With `mean` a sixth column is the mean acceleration over so many samples; the first velocity here has been there
+    before.
     """
     time = np.arange(first, first + len(signals)) * h - signals.delay
-    return np.column_stack([signals.position, signals.velocity, signals.acceleration, signals.force, time])
+    columns = [signals.position, signals.velocity, signals.acceleration, signals.force, time]
+    if mean:
+        before = np.concatenate([np.full(mean, signals.velocity[0]), signals.velocity])[: len(signals)]
+        columns.append((signals.velocity - before) * (1.0 / (mean * h)))
+    return np.column_stack(columns)
+
+
+def mean_samples(machine: Machine) -> int:
+    """Samples that the mean acceleration of an uncertain mass is over; 0: the machine has no such signal.
+
+    Of two velocities so far apart the noise is independent, so that their difference has none of the acceleration's.
+    """
+    return max(1, settle_samples(machine)) if machine.estimator.disturbance.inertia > 0.0 else 0
 
 
 def signals_from_log(log: Log, machine: Machine) -> Signals:

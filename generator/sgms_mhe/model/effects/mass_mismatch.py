@@ -18,8 +18,8 @@ LIGHTEST: Final = 0.95
 """Of the machine file's mass: what may be missing of it, so that something moves."""
 
 
-def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], _: Mapping[str, float]) -> None:
-    axis.add_force(p["mass_kg"] * axis.acceleration)
+def _contribute(axis: SymbolicAxis, p: Mapping[str, ca.SX], nominal: Mapping[str, float]) -> None:
+    axis.add_mass(p["mass_kg"], nominal["mass_kg"])
 
 
 DEFINITION = EffectDefinition(
