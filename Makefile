@@ -133,7 +133,7 @@ benchmark-logs: $(STAMP) ## drawn logs in every format with every fault: read ri
 	$(BIN)/python -m sgms_bench.logs $(if $(DRAWS),--draws $(DRAWS))
 
 benchmark-measured: $(STAMP) ## measured records in DATA, by the table TABLE (DATA/measured.toml): ours beside published numbers; minutes each
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sgms_bench.measured $(DATA) $(if $(TABLE),--table $(TABLE)) $(if $(ONLY),--only "$(ONLY)") $(if $(HALVES),--halves)
+	$(BIN)/python -m sgms_bench.measured $(DATA) $(if $(TABLE),--table $(TABLE)) $(if $(ONLY),--only "$(ONLY)") $(if $(HALVES),--halves)
 
 # --- documents -------------------------------------------------------------------------------------------------------
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import tomllib
 from collections.abc import Sequence
@@ -18,7 +17,6 @@ from log_dialects import machine, trace
 from sgms_mhe.cli import cli
 from sgms_mhe.machine import BY_COLUMN
 from sgms_mhe.signals.logs import Log, write_log
-from sgms_mhe.support.parallel import LIBRARIES
 
 OPTIONS = ("--log", "--rate", "--wrap", "--unit", "--force-scale")
 COMMANDS = (
@@ -199,13 +197,3 @@ def test_python_takes_the_same_table(bare: Path) -> None:
         log = sgms_mhe.read_log(bare, axis, table=table)
         assert log.rate == pytest.approx(1000.0)
         assert np.ptp(log.position_m) == pytest.approx(np.ptp(trace().position_m))
-
-
-@pytest.mark.parametrize("command", ["identify", "diagnose"])
-def test_long_work_leaves_cores_to_its_tasks(command: str, small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in LIBRARIES:
-        monkeypatch.setenv(name, "4")  # so that it is taken back
-        monkeypatch.delenv(name)
-    owner = [small] if command == "diagnose" else []
-    assert run(command, *owner, "absent.csv", "--out", small.parent / "x.toml").exit_code == 2
-    assert [os.environ.get(name) for name in LIBRARIES] == ["1"] * len(LIBRARIES)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -16,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose
@@ -24,6 +22,7 @@ from sgms_mhe.diagnosis.fits import Subject
 from sgms_mhe.diagnosis.models import CompiledFit, compile_once
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import CompiledModel
+from sgms_mhe.identification import Wanted, identify
 from sgms_mhe.machine import Machine
 from sgms_mhe.plant.axis_config import AxisConfig
 from sgms_mhe.plant.simulation import simulate_axis
@@ -169,17 +168,23 @@ def test_a_number_of_workers_that_is_none_is_refused(stated: str, monkeypatch: p
         workers()
 
 
-def test_diagnose_has_one_thread_per_library_unless_told_otherwise() -> None:
-    code = (
-        "import os; from sgms_mhe.support.parallel import leave_cores_to_tasks; leave_cores_to_tasks();"
-        "print(os.environ['OPENBLAS_NUM_THREADS'], os.environ['OMP_NUM_THREADS'])"
-    )
-    stated = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
-    for extra, said in (({}, "1 1"), ({"OMP_NUM_THREADS": "3"}, "1 3")):
-        done = subprocess.run(
-            [sys.executable, "-c", code], env=stated | extra, capture_output=True, text=True, check=True
-        )
-        assert done.stdout.split() == said.split()
+@pytest.mark.parametrize("work", ["diagnose", "identify"])
+def test_linear_algebra_has_one_thread_whatever_the_host_has(work: str, machine: Machine, log: Log) -> None:
+    seen: list[int] = []
+
+    def threads(*_: Any) -> None:
+        seen.extend(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        if work == "diagnose":
+            diagnose(machine, log, progress=threads)
+        else:
+            identify([log], Wanted("axis"), threads)
+        assert seen
+        assert set(seen) == {1}
+        seen.clear()
+        threads()
+        assert set(seen) == {2}  # as before
 
 
 # --- runs that were asked for before ----------------------------------------------------------------------------

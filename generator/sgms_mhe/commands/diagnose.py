@@ -32,7 +32,6 @@ from sgms_mhe.commands.common import (
 from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.decisions import trace_decisions
 from sgms_mhe.support.errors import ImplausibleError, InputError
-from sgms_mhe.support.parallel import leave_cores_to_tasks
 
 if TYPE_CHECKING:
     from sgms_mhe.diagnosis.result import Diagnosis
@@ -89,7 +88,6 @@ def command(
 
     Exit code 1: unexplained; so is a log whose force or position has another sign, scale or unit, which is said.
     """
-    leave_cores_to_tasks()  # before anything loads numpy
     resolved = load_for_log(machine, table)
     note_broken_effects()
     folder = out or Path(f"{resolved.name}_diagnosis")

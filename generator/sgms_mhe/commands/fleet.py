@@ -20,7 +20,7 @@ from sgms_mhe.commands.common import (
     steps_bar,
 )
 from sgms_mhe.commands.log_options import log_options
-from sgms_mhe.support.parallel import leave_cores_to_tasks, workers
+from sgms_mhe.support.parallel import workers
 
 if TYPE_CHECKING:
     from sgms_mhe.api.fleet import Fleet
@@ -65,7 +65,6 @@ def command(
 
     Exit code 1: some rows failed, the rest is done.
     """
-    leave_cores_to_tasks()  # before anything loads numpy
     folder = out or Path(f"{rows.stem}_{verb}")
     check_output_folder(folder)
     note_broken_effects()

@@ -23,7 +23,6 @@ from sgms_mhe.commands.common import (
 )
 from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.decisions import trace_decisions
-from sgms_mhe.support.parallel import leave_cores_to_tasks
 
 if TYPE_CHECKING:
     from sgms_mhe.diagnosis.record_residual import MachineResidual
@@ -83,7 +82,6 @@ def command(
     No starting values are asked for. Prints what the logs determine, with intervals of two standard deviations, and
     what they do not, with the move that would.
     """
-    leave_cores_to_tasks()  # before anything loads numpy
     check_output_file(out, (".toml",))
 
     from sgms_mhe.api.identification import identify

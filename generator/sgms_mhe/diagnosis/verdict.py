@@ -58,7 +58,7 @@ from sgms_mhe.recordings.recording import Recording, add_encoder, prepare
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
-from sgms_mhe.support.parallel import beside
+from sgms_mhe.support.parallel import beside, one_library_thread
 
 Array = NDArray[np.float64]
 
@@ -74,6 +74,7 @@ MOST_STARTS: Final = 3
 """Times that numbers are identified anew without the causes, at most [1]."""
 
 
+@one_library_thread()
 def diagnose(
     machine: Machine,
     log: Log,

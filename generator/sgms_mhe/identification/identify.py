@@ -53,6 +53,7 @@ from sgms_mhe.signals.chain import signals_of_record
 from sgms_mhe.signals.logs import Log
 from sgms_mhe.support.decisions import log_decision
 from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.parallel import one_library_thread
 
 Array = NDArray[np.float64]
 
@@ -125,6 +126,7 @@ class Explored:
         return table if rise is None else table | {"stribeck_velocity": rise.velocity}
 
 
+@one_library_thread()
 def identify(logs: Sequence[Log], wanted: Wanted, report: Progress = _silent) -> Identification:
     """Identify an axis from measurements alone. The order of the logs does not matter.
 

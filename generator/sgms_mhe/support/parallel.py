@@ -9,8 +9,11 @@ from __future__ import annotations
 import contextvars
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Final, Generic, TypeVar
+
+from threadpoolctl import threadpool_limits
 
 from sgms_mhe.support.errors import InputError
 
@@ -18,9 +21,6 @@ T = TypeVar("T")
 
 VARIABLE: Final = "SGMS_MHE_WORKERS"
 """Environment variable that states how many pieces are worked on at a time."""
-
-LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""Environment variables that state how many threads a numerical library takes."""
 
 
 def workers() -> int:
@@ -37,13 +37,15 @@ def workers() -> int:
     return int(stated)
 
 
-def leave_cores_to_tasks() -> None:
-    """Ask numerical libraries that are not loaded yet for one thread each, unless the environment says otherwise.
+@contextmanager
+def one_library_thread() -> Iterator[None]:
+    """Give linear algebra one thread.
 
-    Their matrices are small here: more threads of theirs wait for each other, on cores that tasks have work for.
+    Its matrices are small here: more threads of it wait for each other, on cores that tasks have work for, and add up
+    numbers in another order, so that a close decision would hang on the host's cores.
     """
-    for name in LIBRARIES:
-        os.environ.setdefault(name, "1")
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
 
 
 def run_parallel(tasks: Sequence[Callable[[], T]]) -> list[T]:

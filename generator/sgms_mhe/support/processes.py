@@ -27,7 +27,7 @@ from sgms_mhe import __version__
 from sgms_mhe.support.child import Answer, answer
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import optional_library
-from sgms_mhe.support.parallel import LIBRARIES, VARIABLE, workers
+from sgms_mhe.support.parallel import VARIABLE, workers
 
 ATTEMPTS: Final = 2
 """A task whose process dies is tried again once: a neighbour may have taken all memory."""
@@ -36,6 +36,7 @@ FIRST_WORKER_S: Final = 60.0
 """How long a cluster may take to bring its first worker."""
 
 _TASKS_PER_CHILD: Final = 40
+_LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -271,7 +272,7 @@ def _environment(at_a_time: int) -> dict[str, str]:
     """Of a child: it finds what this process finds, and leaves the other cores to the other children."""
     stated = os.environ.get(VARIABLE) or str(max(1, workers() // at_a_time))
     paths = os.pathsep.join(path for path in sys.path if path)
-    return {**dict.fromkeys(LIBRARIES, "1"), **os.environ, VARIABLE: stated, "PYTHONPATH": paths}
+    return {**dict.fromkeys(_LIBRARIES, "1"), **os.environ, VARIABLE: stated, "PYTHONPATH": paths}
 
 
 # --- this host --------------------------------------------------------------------------------------------------
