@@ -15,6 +15,7 @@ from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
 from sgms_mhe.diagnosis.beginning import ROUGH, begin_from_record, distance, plain_friction
 from sgms_mhe.diagnosis.fits import Subject, fit_model
 from sgms_mhe.diagnosis.result import RefutedNumber
+from sgms_mhe.identification.elements import Stribeck, least_distance
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES
 from sgms_mhe.plant.axis_config import AxisConfig
@@ -136,3 +137,31 @@ def test_distance_is_of_what_the_record_determines() -> None:
     damping = RefutedNumber("viscous_N_s_m", 0.0, 20.0, 0.0)
     assert distance([level, damping], 0.1) == pytest.approx(0.5)
     assert distance([level, RefutedNumber("break_away_m", 1e-3, 1e-5, 1e-7)], 0.1) > 2.0 * ROUGH
+
+
+def test_elements_that_break_away_within_a_sample_cost_no_more_than_it_resolves() -> None:
+    """A slow log of plain sliding friction whose level falls with speed: smooth elements would take for ever."""
+    rate, period = 60.0, 8.0
+    time = np.arange(int(60.0 * rate)) / rate
+    velocity = 0.004 * np.sin(2.0 * np.pi * time / period)
+    position = -0.004 * period / (2.0 * np.pi) * np.cos(2.0 * np.pi * time / period)
+    friction = 4.0 * np.sign(velocity) * (1.0 + 0.4 * np.exp(-((velocity / 0.002) ** 2)))
+    friction += np.random.default_rng(1).normal(0.0, 0.05, len(time))
+    log = Log(time, position, friction, rate, velocity_m_s=velocity, friction_N=friction)
+    rough = {"stiffness": [1e5], "fraction": [1.0], "micro_viscous": [0.0], "coulomb": 40.0, "stribeck_ratio": 0.0}
+    for law in ("sgms", "switching"):
+        file = override_machine(
+            load_machine("etel_xy"),
+            {
+                "friction": {**rough, "law": law},
+                "sampling": {"rate": rate, "update_rate": rate, "velocity_cutoff": 24.0},
+            },
+        )
+        recording = prepare(file, log)
+        nominal = fit_model(Subject.of(file, recording), (), refitted=())
+        begun = begin_from_record(recording, nominal, lambda step: None, has_force=False)
+        assert begun is not None
+        found = begun.machine.friction
+        distances = np.array(found.fraction) * found.coulomb / np.array(found.stiffness)
+        least = least_distance(law, Stribeck(found.stribeck_ratio, found.stribeck_velocity), rate)
+        assert np.all(distances >= 0.999 * least)

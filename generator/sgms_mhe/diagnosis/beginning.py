@@ -18,6 +18,7 @@ from sgms_mhe.diagnosis.parametrisation import drop_bounds
 from sgms_mhe.diagnosis.result import Cause, PlainFriction, RefutedNumber
 from sgms_mhe.diagnosis.uncertainty import covariance
 from sgms_mhe.identification.description import identified_effects
+from sgms_mhe.identification.elements import NO_RISE, least_distance
 from sgms_mhe.identification.final_fit import contradicts_mass
 from sgms_mhe.identification.fits import NumberEstimate
 from sgms_mhe.identification.identify import Explored, explore_recording
@@ -143,6 +144,19 @@ def identify_start(
     return _start(file, explored, mass) if apart > ROUGH else None
 
 
+def _resolved_friction(explored: Explored, file: Machine) -> dict[str, Any]:
+    """Friction that was identified, its elements no stiffer than the file's law tells apart between two samples.
+
+    An exploration may have found elements that switch, and those may break away within any distance.
+    """
+    friction, rise = explored.friction, explored.final.fit.shape.rise
+    least = least_distance(file.friction.law, rise or NO_RISE, file.sampling.rate)
+    if least > 0.0:
+        levels = friction["coulomb"] * np.array(friction["fraction"])
+        friction["stiffness"] = np.minimum(friction["stiffness"], levels / least).tolist()
+    return friction
+
+
 def distance(numbers: Sequence[RefutedNumber], speed: float) -> float:
     """Sum of what lies between a file's numbers and those of a record, beyond two deviations of these [1].
 
@@ -192,7 +206,7 @@ def _compare(file: Machine, explored: Explored, mass: NumberEstimate | None) -> 
 
 def _start(file: Machine, explored: Explored, mass: NumberEstimate | None) -> RecordStart:
     """Return the numbers of an exploration to begin from; `mass`: of the motion, None: the file's stays."""
-    changes: dict[str, Any] = {"friction": explored.friction}
+    changes: dict[str, Any] = {"friction": _resolved_friction(explored, file)}
     if file.effects:
         units, known = file.plant.units, identified_effects(explored.final.fit)
         changes["effects"] = [
