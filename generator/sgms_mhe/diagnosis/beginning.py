@@ -149,12 +149,8 @@ def _resolved_friction(explored: Explored, file: Machine) -> dict[str, Any]:
 
     An exploration may have found elements that switch, and those may break away within any distance.
     """
-    friction, rise = explored.friction, explored.final.fit.shape.rise
-    least = least_distance(file.friction.law, rise or NO_RISE, file.sampling.rate)
-    if least > 0.0:
-        levels = friction["coulomb"] * np.array(friction["fraction"])
-        friction["stiffness"] = np.minimum(friction["stiffness"], levels / least).tolist()
-    return friction
+    rise = explored.final.fit.shape.rise or NO_RISE
+    return explored.friction_from(least_distance(file.friction.law, rise, file.sampling.rate))
 
 
 def distance(numbers: Sequence[RefutedNumber], speed: float) -> float:

@@ -112,11 +112,15 @@ class Explored:
     @property
     def friction(self) -> dict[str, Any]:
         """Numbers of a table [friction], but for the law."""
+        return self.friction_from(0.0)
+
+    def friction_from(self, least: float) -> dict[str, Any]:
+        """The same, no element breaking away within less than a distance [m]."""
         fit = self.final.fit
         levels, rise = np.maximum(fit.levels, LEAST_SHARE * fit.coulomb), fit.shape.rise
         shares = (levels / levels.sum()).tolist()
         table: dict[str, Any] = {
-            "stiffness": (levels / fit.shape.distances).tolist(),
+            "stiffness": (levels / np.maximum(fit.shape.distances, least)).tolist(),
             "fraction": [*shares[:-1], 1.0 - math.fsum(shares[:-1])],
             "micro_viscous": [0.0] * len(levels),
             "coulomb": float(levels.sum()),
