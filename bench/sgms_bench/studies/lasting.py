@@ -38,7 +38,7 @@ _ESTIMATORS: Final[Mapping[str, Mapping[str, Any]]] = dict(VARIANTS) | {
     }
     for name, changes in VARIANTS.items()
 }
-"""What is tried: the packages of `VARIANTS`, with a mass that is the file's and with one that is uncertain."""
+"""Estimators of the study: the packages of `VARIANTS`, with the mass of the file and with one that is uncertain."""
 
 
 def crawl(rate: float) -> Trajectory:

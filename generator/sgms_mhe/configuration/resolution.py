@@ -35,7 +35,7 @@ from sgms_mhe.machine import (
     read_machine_file,
 )
 from sgms_mhe.model import gate_saturates
-from sgms_mhe.model.effects import EFFECT_NAMES, EffectParameter, Value, effect_definition, effect_names
+from sgms_mhe.model.effects import EffectParameter, Value, effect_definition, effect_names, mass_effect
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.names import did_you_mean
 
@@ -66,9 +66,9 @@ def override_machine(machine: Machine, changes: Mapping[str, Any]) -> Machine:
 
 def drop_disturbance(machine: Machine) -> Machine:
     """Return the machine whose mass and force are those of the file: what is uncertain of them is no number of it."""
-    estimator = {key: value for key, value in machine.content.get("estimator", {}).items() if key != "disturbance"}
     if machine.estimator.disturbance.inertia == 0.0:
         return machine
+    estimator = {key: value for key, value in machine.content["estimator"].items() if key != "disturbance"}
     return make_machine({**machine.content, "estimator": estimator}, machine.source)
 
 
@@ -97,7 +97,7 @@ def make_machine(content: Mapping[str, Any], source: Path) -> Machine:
 
 def _resolve(file: MachineFile) -> Machine:
     tables = file.tables
-    effects = _with_uncertain_mass(tables.estimator, _effects(file))
+    effects = _add_uncertain_mass(tables.estimator, _effects(file))
     names = {tables.plant.units.named(name): name for name in estimable_names(effects)}
     _check_names(file, names)
     return Machine(
@@ -129,15 +129,9 @@ def _effects(file: MachineFile) -> tuple[ResolvedEffect, ...]:
     return tuple(effects)
 
 
-def _mass_effect() -> tuple[str, str]:
-    """Effect that is a mass beside the machine file's, and its parameter."""
-    definitions = ((name, effect_definition(name).adds_mass) for name in EFFECT_NAMES)
-    return next((name, parameter) for name, parameter in definitions if parameter)
-
-
-def _with_uncertain_mass(estimator: Estimator, effects: tuple[ResolvedEffect, ...]) -> tuple[ResolvedEffect, ...]:
+def _add_uncertain_mass(estimator: Estimator, effects: tuple[ResolvedEffect, ...]) -> tuple[ResolvedEffect, ...]:
     """The effects, and a mass beside the machine file's where it is uncertain."""
-    name, parameter = _mass_effect()
+    name, parameter = mass_effect()
     if estimator.disturbance.inertia == 0.0 or any(effect.label == name for effect in effects):
         return effects
     return (*effects, ResolvedEffect(name, name, {parameter: 0.0}))
@@ -147,7 +141,7 @@ def _estimate_mass(estimator: Estimator, plant: Plant) -> Estimator:
     """The estimator with the mass among what it estimates, where it is uncertain; a prior that is stated stays."""
     if estimator.disturbance.inertia == 0.0:
         return estimator
-    key = ".".join(_mass_effect())
+    key = ".".join(mass_effect())
     prior = {key: estimator.disturbance.inertia * plant.moved} | dict(estimator.prior)
     parameters = tuple(dict.fromkeys((*estimator.parameters, key)))
     return estimator.model_copy(update={"parameters": parameters, "prior": prior})

@@ -24,7 +24,7 @@ from sgms_mhe.identification.fits import NumberEstimate
 from sgms_mhe.identification.identify import Explored, explore_recording
 from sgms_mhe.identification.search import LEAST_SHARE, element_numbers
 from sgms_mhe.machine import Machine, plant_content
-from sgms_mhe.model.effects import EFFECT_NAMES, base_number, effect_definition
+from sgms_mhe.model.effects import base_number, effect_definition, mass_effect
 from sgms_mhe.model.effects.base import DAMPING, LEVEL, MASS, reported_name
 from sgms_mhe.recordings.evidence import noise_floor
 from sgms_mhe.recordings.recording import Recording
@@ -211,7 +211,7 @@ def _start(file: Machine, explored: Explored, mass: NumberEstimate | None) -> Re
         ]
     if mass is not None:
         changes["plant"] = plant_content(file.plant.kind, mass.value)
-        free = next(name for name in EFFECT_NAMES if effect_definition(name).adds_mass)
+        free, _ = mass_effect()
         if all(effect.name != free for effect in file.effects):  # the mass is open, as the other numbers are
             changes["effects"] = [*changes.get("effects", ()), {"name": free}]
     return RecordStart(override_machine(drop_bounds(file), changes), mass)

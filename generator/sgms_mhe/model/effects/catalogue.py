@@ -153,6 +153,12 @@ def effect_names(kind: Kind | None = None) -> tuple[str, ...]:
     return tuple(name for name in usable if kind is None or kind in effect_definition(name).kinds)
 
 
+def mass_effect() -> tuple[str, str]:
+    """Effect that is a mass beside the machine file's, and its parameter."""
+    definitions = ((name, effect_definition(name).adds_mass) for name in EFFECT_NAMES)
+    return next((name, parameter) for name, parameter in definitions if parameter)
+
+
 def cause_names(kind: Kind | None = None) -> tuple[str, ...]:
     """All that a diagnosis may name, or name of an axis of a kind: effects, then wrong numbers of the base model."""
     return (*(name for name in effect_names(kind) if not effect_definition(name).learned), *BASE_CAUSES)
