@@ -28,6 +28,10 @@ KINDS = ("single", "double", "ekf", "rotary")
 HELD_MASS = "held mass"
 """A kind whose equations have the mass in them, so that it is no parameter; it feeds nothing forward by itself."""
 
+PLACES = "places"
+"""A kind whose force depends on the place, so that its origin can be set."""
+PITCH = 0.003
+
 
 @dataclass(frozen=True)
 class Bound:
@@ -64,7 +68,9 @@ def machine_of(kind: str) -> Machine:
         "compensation": {"enabled": False, "delay": 210e-6},
     }
     precision = "single" if kind == "single" else "double"
-    return machine(code={"precision": precision}, estimator=estimator, **(changes if kind == HELD_MASS else {}))
+    ripple = {"name": "force_ripple", "amplitude_N": 1.5, "pitch_m": PITCH}
+    more: dict[str, dict[str, Any]] = {HELD_MASS: changes, PLACES: {"effects": [ripple]}}
+    return machine(code={"precision": precision}, estimator=estimator, **more.get(kind, {}))
 
 
 def bound_package(kind: str, folder: Path) -> Bound:

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
-from binding_cases import COUNTS, KINDS, module_of, outputs_of
+from binding_cases import COUNTS, KINDS, PITCH, PLACES, module_of, outputs_of
 from c_packages import PROBES, STRICT, run, written
 from cli_cases import SMALL
 from cli_cases import done as done_run
@@ -105,6 +105,20 @@ def test_python_over_its_life(bound: Any, python: Any) -> None:
     other.ahead(0.1, 0.0)
 
 
+def test_python_sets_the_origin(bound: Any, python: Any) -> None:
+    log, module = bound(PLACES).log, python(PLACES)
+    homed, other, unaware = (module.Estimator() for _ in range(3))
+    other.set_origin(0.4 * PITCH)
+    wanted = homed.estimate(log.position_m, log.force_N)
+    found, wrong = (each.estimate(log.position_m + 0.4 * PITCH, log.force_N) for each in (other, unaware))
+    np.testing.assert_allclose(found.parameter, wanted.parameter, rtol=1e-6)
+    assert np.abs(found.compensation - wanted.compensation).max() < 1e-5
+    assert np.abs(wrong.compensation - wanted.compensation).max() > 0.5
+    with pytest.raises(ValueError, match="origin: refused"):
+        other.set_origin(float("nan"))
+    assert not hasattr(python("double").Estimator, "set_origin")
+
+
 def test_python_says_what_is_refused(bound: Any, python: Any, tmp_path: Path) -> None:
     module = python("double")
     estimator = module.Estimator()
@@ -184,6 +198,10 @@ int main()
     saved.theta[0] += 1;
     wrong += two.load(saved) != static_cast<int>(observer::status::refused);
     wrong += two.set_mass(-1) != static_cast<int>(observer::status::refused);
+#ifdef PLACES
+    wrong += two.set_origin(observer::from_METRES(0.1)) != 0;
+    wrong += two.set_origin(observer::from_METRES(5e6)) != static_cast<int>(observer::status::refused);
+#endif
     wrong += two.hold(0, true) != 0 || two.hold(observer::axis::parameters, true) == 0;
     wrong += two.set_parameter(0, one.now().parameter[0], 0) != 0;
     wrong += !observer::has(two.now().status, observer::status::filling) || observer::has(-1, observer::status::hold);
@@ -198,7 +216,7 @@ int main()
 """
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, PLACES])
 @pytest.mark.parametrize("compiler", ["g++ -std=c++11", "g++ -std=c++17", "clang++ -std=c++17"])
 def test_cpp_gives_what_the_c_gives(kind: str, compiler: str, bound: Any, require_tool: Tool, tmp_path: Path) -> None:
     settings, folder = bound(kind).machine, bound(kind).folder
@@ -207,6 +225,7 @@ def test_cpp_gives_what_the_c_gives(kind: str, compiler: str, bound: Any, requir
     source.write_text(CPP.replace("NAME", name).replace("METRES", settings.plant.units.metres))
     run(require_tool("gcc"), "-std=c99", "-O2", f"-I{folder}", "-c", folder / f"{name}.c", "-o", tmp_path / "c.o")
     strict = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror", "-fno-exceptions", "-fno-rtti"]
+    strict += ["-DPLACES"] if kind == PLACES else []
     run(require_tool(tool), standard, strict, "-O2", f"-I{folder}", source, tmp_path / "c.o", "-o", program)
     assert run(program) == "0 1\n"
 

@@ -23,7 +23,7 @@ from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 from numpy.typing import NDArray
 
-from binding_cases import COUNTS, HELD_MASS, KINDS, Bound, ages, machine_of, outputs_of, ticking
+from binding_cases import COUNTS, HELD_MASS, KINDS, PITCH, PLACES, Bound, ages, machine_of, outputs_of, ticking
 from c_packages import STRICT, run, symbols
 from cli_cases import SMALL
 from sgms_mhe.emission.package import emit_package
@@ -279,6 +279,22 @@ def test_set_points_mass_and_compensation_reach_the_c(version: int, slave: Any) 
     np.testing.assert_array_equal(fed[:, 0], wanted)
     assert (axis["update"], axis["age"]) == tuple(count[-1] for count in ages(axis.package, 3000))
     assert axis["mass"] == 23.5 and not axis["compensate"] and axis["position"] == position[2999]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_origin_reaches_the_c(version: int, slave: Any) -> None:
+    axis = slave(PLACES, version)
+    log, plain = axis.package.log, ticking(axis.package)
+    axis["origin"] = 0.0
+    for first, origin in ((0, 0.0), (700, 0.4 * PITCH), (1400, 0.4 * PITCH)):
+        axis["origin"] = origin
+        if first == 700:
+            plain.set_origin(origin)
+        samples = slice(first, first + 700)
+        wanted = [plain.tick(q, u) for q, u in zip(log.position_m[samples], log.force_N[samples], strict=True)]
+        fed = axis.run(log.position_m[samples], log.force_N[samples], ["feed_forward"], first)
+        np.testing.assert_array_equal(fed[:, 0], wanted)
+    assert axis["origin"] == 0.4 * PITCH
 
 
 @pytest.mark.parametrize("version", VERSIONS)

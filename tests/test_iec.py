@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from blark.parse import parse_source_code
 
-from binding_cases import HELD_MASS, KINDS, Bound, ages, outputs_of, ticking
+from binding_cases import HELD_MASS, KINDS, PITCH, PLACES, Bound, ages, outputs_of, ticking
 from c_packages import STRICT, run, symbols
 from sgms_mhe.emission.bindings import binding_files
 from sgms_mhe.support.errors import InputError
@@ -295,6 +295,19 @@ def test_inputs_reach_the_c(runtime: Any) -> None:
             inputs = {"ahead": True, "ahead_velocity": velocity, "ahead_acceleration": 0.5, **inputs}
         assert block(position=q, force=u, **inputs) == plain.tick(q, u)
     assert block["fault"] == 0
+
+
+def test_origin_reaches_the_c(runtime: Any) -> None:
+    plc = runtime(PLACES)
+    log, plain, block = plc.package.log, ticking(plc.package), plc.block()
+    for k, (q, u) in enumerate(zip(log.position_m[:2000].tolist(), log.force_N[:2000].tolist(), strict=True)):
+        origin = 0.4 * PITCH if k >= 700 else 0.0
+        if k == 700:
+            plain.set_origin(origin)
+        assert block(position=q, force=u, origin=origin) == plain.tick(q, u)
+    assert block["fault"] == 0
+    block(position=0.0, force=0.0, origin=5e6)
+    assert block["fault"] == -5
 
 
 def test_what_was_learned_outlives_the_power(runtime: Any) -> None:

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from c_packages import PROBES, elements, machine, written
 from sgms_bench.motions import simulated_log
+from sgms_mhe.configuration import override_machine
+from sgms_mhe.emission.bindings import BINDINGS
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
@@ -92,7 +94,13 @@ class Package:
 
         self.Settings, self.Saved = Settings, Saved
         self.refused = int(self.c.probe_status(11))
+
+        class Position(ctypes.Structure):
+            _fields_ = (("value", ctypes.c_double if real is ctypes.c_double else ctypes.c_int64),)
+
+        self.Position = Position
         for function, arguments in (
+            *((("set_origin", [memory, Position]),) if "force_ripple" in [e.name for e in settings.effects] else ()),
             ("settings", [ctypes.POINTER(Settings)]),
             ("init_with", [memory, ctypes.POINTER(Settings)]),
             ("set_mass", [memory, real]),
@@ -109,6 +117,12 @@ class Package:
         memory = ctypes.create_string_buffer(self.c.probe_size())
         self.c.probe_init_on(memory, 0)
         return memory
+
+    def place(self, metres: float) -> Any:
+        """The package's own type of a position; infinite: none."""
+        if self.real is ctypes.c_double:
+            return self.Position(metres)
+        return self.Position(round(1e12 * metres) if np.isfinite(metres) else 2**63 - 1)
 
     def defaults(self) -> Any:
         settings = self.Settings()
@@ -294,6 +308,166 @@ def test_mass_in_the_equations_of_an_effect_is_not_changed(tmp_path: Path) -> No
     assert build_model(gained).reads_mass
     for name, numbers in (("constant_offset", {"force_N": 0.5}), ("mass_mismatch", {"mass_kg": 1.0})):
         assert not build_model(settings_of(effects=[{"name": name, **numbers}])).reads_mass
+
+
+# --- origin ------------------------------------------------------------------------------------------------------
+
+PLACES: list[dict[str, Any]] = [
+    {"name": "force_ripple", "amplitude_N": 1.5, "pitch_m": 0.003, "phase_rad": 0.4},
+    {"name": "position_spring", "stiffness_N_m": 8.0, "centre_m": 0.02},
+]
+ORIGIN = -0.0671
+MERGING: dict[str, Any] = {"estimator": {"relinearise": "auto"}, "sampling": {"integrator": {"substeps": 5}}}
+
+
+@pytest.fixture(scope="module")
+def placed(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Package]:
+    """Packages whose force depends on the place."""
+
+    @lru_cache
+    def made(kind: str = "all", precision: str = "double") -> Package:
+        settings = settings_of("auto" if kind == "merged" else kind, precision, effects=PLACES)
+        settings = override_machine(settings, MERGING) if kind == "merged" else settings
+        return Package(settings, tmp_path_factory.mktemp("places"))
+
+    return made
+
+
+@lru_cache
+def log_of_places() -> Log:
+    """An axis with a stiffer friction than the machine file says, counted from its home."""
+    friction = BASE["friction"] | {"stiffness": [1.3 * kappa for kappa in BASE["friction"]["stiffness"]]}
+    axis = machine(**(BASE | {"friction": friction}), estimator={"horizon": 6}, effects=PLACES)
+    return simulated_log(axis, "mixed", 60)
+
+
+def moved(log: Log, origin: float = ORIGIN) -> Log:
+    """The same motion as an axis logs it whose counter reads `origin` at home."""
+    return replace(log, position_m=log.position_m + origin)
+
+
+@pytest.mark.parametrize(
+    ("kind", "precision"),
+    [*((kind, "double") for kind in (*KINDS, "merged")), ("auto", "single"), ("merged", "single"), ("ekf", "single")],
+)
+def test_origin_gives_what_the_reference_gives_of_the_homed_axis(kind: str, precision: str, placed: Any) -> None:
+    p: Package = placed(kind, precision)
+    memory, log = p.new(), log_of_places()
+    assert p.set_origin(memory, p.place(ORIGIN)) == 0
+    rows = p.run(memory, moved(log))
+    expected = reference(p, signals_from_log(log, p.machine))
+    p.agrees(rows, expected)
+    unaware = p.run(p.new(), moved(log))
+    assert np.abs(p.parameters(unaware) - p.parameters(rows)).max() > 0.05, "the place matters"
+
+
+@pytest.mark.parametrize(
+    ("kind", "precision"),
+    [("all", "double"), ("auto", "double"), ("merged", "double"), ("ekf", "double"), ("auto", "single")],
+)
+def test_origin_is_set_underway(kind: str, precision: str, placed: Any) -> None:
+    """The window starts anew at the last estimate, and all that is known of the parameters stays."""
+    p: Package = placed(kind, precision)
+    memory, log, at = p.new(), moved(log_of_places()), 401
+    rows = p.run(memory, log, last=at)
+    saved, n_p = p.saved(memory), p.model.n_p
+    root = np.zeros((n_p, n_p))
+    root[np.triu_indices(n_p)] = saved.root
+    covariance = np.linalg.inv(root.T @ root)
+    prior = Weights.of(p.model).parameter
+    spread = (np.array(saved.spread) - 1.0) * np.diag(covariance)
+    covariance += np.diag(np.minimum(spread, np.maximum(0.0, prior**2 - np.diag(covariance))))
+    assert p.set_origin(memory, p.place(ORIGIN)) == 0
+    friction, theta = p.machine.friction, np.array(saved.theta)
+    level = np.array(friction.fraction) * friction.coulomb
+    start = Start(x=rows[-1, 2:4] * theta * friction.stiffness / level, theta=theta, covariance=covariance)
+    signals = signals_from_log(log, p.machine)
+    signals = tail(replace(signals, position=signals.position - ORIGIN), at - 1)
+    expected = reference(p, signals, start=start)
+    p.agrees(p.run(memory, log, at), expected)
+
+
+@pytest.mark.parametrize("kind", ["auto", "merged"])
+def test_force_ahead_is_that_of_the_place(kind: str, placed: Any) -> None:
+    p: Package = placed(kind)
+    log, homed, other, late = log_of_places(), p.new(), p.new(), p.new()
+    assert p.set_origin(other, p.place(ORIGIN)) == 0
+    fed = []
+    for k, (q, u) in enumerate(zip(log.position_m, log.force_N, strict=True)):
+        if k == 700:
+            assert p.set_origin(late, p.place(ORIGIN)) == 0
+        fed.append(
+            [p.c.probe_sample(m, float(q + o), float(u)) for m, o in ((homed, 0.0), (other, ORIGIN), (late, ORIGIN))]
+        )
+        for m in (homed, other, late):
+            if p.c.probe_due(m):
+                p.c.probe_feedback(m)
+                p.c.probe_prepare(m)
+    forces = np.array(fed)
+    assert np.ptp(forces[:, 0]) > 5.0
+    np.testing.assert_allclose(forces[:, 1], forces[:, 0], atol=1e-6)
+    apart = np.abs(forces[:, 2] - forces[:, 0])
+    assert apart[500:700].max() > 2.0 and apart[700:900].max() < 0.1
+
+
+def test_signals_of_another_chain_count_from_the_origin(placed: Any) -> None:
+    p: Package = placed()
+    signals = signals_from_log(log_of_places(), p.machine)
+    columns = np.column_stack(
+        [signals.position, signals.velocity, signals.acceleration, signals.force, signals.friction]
+    )
+    found = []
+    for origin in (0.0, ORIGIN):
+        memory, shift = p.new(), np.array([origin, 0.0, 0.0, 0.0, 0.0])
+        assert p.set_origin(memory, p.place(origin)) == 0
+        p.c.probe_insert.restype = ctypes.c_double
+        for row, valid in zip(columns + shift, signals.valid, strict=True):
+            p.c.probe_insert(memory, np.ascontiguousarray(row).ctypes.data_as(ctypes.c_void_p), int(valid))
+            if p.c.probe_due(memory):
+                p.c.probe_feedback(memory)
+                p.c.probe_prepare(memory)
+        found.append(np.array(p.saved(memory).theta))
+    np.testing.assert_allclose(found[1], found[0], atol=1e-9)
+    assert np.abs(found[0] - 1.0).max() > 0.05
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("origin", [np.inf, -np.inf, np.nan, 4e6, -5e6])
+def test_origin_that_is_none_is_refused(origin: float, precision: str, placed: Any) -> None:
+    p: Package = placed("auto", precision)
+    memory = p.new()
+    assert p.set_origin(memory, p.place(0.01)) == 0
+    p.run(memory, moved(log_of_places(), 0.01), last=210)
+    before = memory.raw
+    assert p.set_origin(memory, p.place(origin)) == p.refused
+    assert p.set_origin(memory, p.place(0.01)) == 0, "the same again"
+    assert memory.raw == before
+
+
+def test_origin_outlives_reset_and_load_and_no_power_cycle(placed: Any) -> None:
+    p: Package = placed()
+    memory, homed, log = p.new(), p.new(), log_of_places()
+    assert p.set_origin(memory, p.place(ORIGIN)) == 0
+    p.run(memory, moved(log), last=801)
+    p.run(homed, log, last=801)
+    saved = p.saved(homed)
+    assert bytes(saved)[:4] != bytes(4) and ctypes.sizeof(saved) == ctypes.sizeof(p.saved(memory))
+    for axis in (memory, homed):
+        p.c.probe_reset(axis)
+    np.testing.assert_allclose(p.run(memory, moved(log)), p.run(homed, log), atol=1e-6)
+    for axis in (memory, homed):
+        assert p.load(axis, ctypes.byref(saved)) == 0
+    np.testing.assert_allclose(p.run(memory, moved(log)), p.run(homed, log), atol=1e-6)
+    p.c.probe_init_on(memory, 0xA5)
+    np.testing.assert_array_equal(p.run(memory, log), p.run(p.new(), log))
+
+
+def test_packages_of_no_place_have_no_origin(package: Any) -> None:
+    p: Package = package()
+    assert not hasattr(p.c, f"{p.machine.name}_set_origin")
+    assert not any(
+        "origin" in text for text in emit_package(p.machine, selftest=True, bindings=BINDINGS).files.values()
+    )
 
 
 # --- parameters held and set -------------------------------------------------------------------------------------

@@ -42,6 +42,13 @@ def test_tick_of_other_kinds_does_not_either(name: str, require_tool: Tool) -> N
     assert check_proof([specimen(name)], silent, ("TICK",)).failures == ()
 
 
+@pytest.mark.slow
+def test_origin_does_not_either(require_tool: Tool) -> None:
+    require_tool("frama-c")
+    assert "set_origin(" in emit_package(specimen("signals"), selftest=False).files["specimen_signals.h"]
+    assert check_proof([specimen("signals")], silent, ("SET", "INSERT")).failures == ()
+
+
 @pytest.mark.parametrize(
     ("good", "bad", "call", "said"),
     [

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from binding_cases import HELD_MASS, KINDS, Bound, ages, outputs_of, ticking
+from binding_cases import HELD_MASS, KINDS, PITCH, PLACES, Bound, ages, outputs_of, ticking
 from c_packages import PROBES, STRICT, run
 from sgms_mhe.support.toolchain import DEFAULT_FLAGS
 
@@ -91,11 +91,16 @@ class Sheet:
         plant = self.package.machine.plant
         held = "mass" not in changes and not self.has_mass
         dialog = [changes.get("compensate", self.package.machine.compensation.enabled), set_point]
-        return Block(self.library, dialog if held else [*dialog, changes.get("mass", plant.moved)])
+        dialog += [] if held else [changes.get("mass", plant.moved)]
+        return Block(self.library, [*dialog, 0.0] if self.has_origin else dialog)
 
     @property
     def has_mass(self) -> bool:
-        return not self.package.machine.effects
+        return not self.package.machine.effects or self.has_origin
+
+    @property
+    def has_origin(self) -> bool:
+        return any(effect.name == "force_ripple" for effect in self.package.machine.effects)
 
 
 @pytest.fixture(scope="module")
@@ -146,6 +151,21 @@ def test_set_points_mass_and_compensation_reach_the_c(sheet: Any) -> None:
         velocity = 0.01 * np.sin(0.01 * k)
         plain.ahead(velocity, 0.5)
         assert block.step(q, u, velocity, 0.5)[0][0] == plain.tick(q, u)
+    block.end()
+
+
+def test_origin_reaches_the_c(sheet: Any) -> None:
+    page = sheet(PLACES)
+    log, plain, block = page.package.log, ticking(page.package), page.block()
+    assert block.tunable == [1, 0, 1, 1]
+    for k, (q, u) in enumerate(zip(log.position_m[:2000], log.force_N[:2000], strict=True)):
+        if k == 700:
+            assert block.set(3, 0.4 * PITCH) is None
+            plain.set_origin(0.4 * PITCH)
+        if k == 1400:
+            assert block.set(3, 0.4 * PITCH) is None  # the same again: the window goes on
+        assert block.step(q, u)[0][0] == plain.tick(q, u)
+    assert "origin" in str(block.set(3, 5e6))
     block.end()
 
 

@@ -330,6 +330,14 @@ static void set_and_hold(void)
     take_status(CALL(set_mass)(&by_tick, MASS * (machine_real)0.01));
     take_status(CALL(set_mass)(&by_tick, MASS));
     take_status(CALL(set_mass)(&by_tasks, MASS));
+#if HAS_ORIGIN
+    take_status(CALL(set_origin)(&by_tick, CALL(position_from_metres)(5e6)));
+    for (int k = 0; k < 2; k++) {
+        take_status(CALL(set_origin)(&by_tick, CALL(position_from_metres)(0.0123)));
+        take_status(CALL(set_origin)(&by_tasks, CALL(position_from_metres)(0.0123)));
+        go_round();
+    }
+#endif
     stand(SETTLE + 10L);
     for (int on = 1; on >= 0; on--) {
         for (int p = -1; p <= PARAMETERS; p++) {

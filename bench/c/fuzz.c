@@ -124,7 +124,7 @@ static void cycle(bytes *from, machine *axis)
 /* A call that sets something, to any number or to one that may be. */
 static void set(bytes *from, machine *axis)
 {
-    const unsigned kind = take_byte(from) % 4, part = take_byte(from);
+    const unsigned kind = take_byte(from) % 5, part = take_byte(from);
     const machine_real any = take_real(from), factor = (machine_real)(0.5 + (double)take_byte(from) / 128.0);
     const int p = (int)(part % (PARAMETERS + 2)) - 1, is_any = take_byte(from) < 64;
     if (kind == 0) {
@@ -140,6 +140,11 @@ static void set(bytes *from, machine *axis)
             const machine_real deviation = take_real(from);
             (void)check_status(CALL(set_parameter)(axis, p, any, deviation));
         }
+    } else if (kind == 3) {
+#if HAS_ORIGIN
+        const double place = 0.001 * ((double)part - 128.0);
+        (void)check_status(CALL(set_origin)(axis, is_any ? take_position(from) : CALL(position_from_metres)(place)));
+#endif
     } else if (part < 16) {
         machine_settings settings;
         CALL(settings)(&settings);
@@ -243,6 +248,9 @@ static void check_recovery(machine *axis)
     CALL(compensate)(twin, axis->compensation.on);
     twin->settings = axis->settings;
     twin->chain.moved = axis->chain.moved;
+#if HAS_ORIGIN
+    twin->chain.origin = axis->chain.origin;
+#endif
     memcpy(twin->estimate.held, axis->estimate.held, sizeof twin->estimate.held);
     memcpy(twin->estimate.state, axis->estimate.state, sizeof twin->estimate.state);
     memcpy(twin->estimate.theta, axis->estimate.theta, sizeof twin->estimate.theta);

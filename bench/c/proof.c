@@ -71,6 +71,9 @@ int main(void)
         break;
     case SET:
         i = CALL(set_mass)(&axis, a);
+#if HAS_ORIGIN
+        i = CALL(set_origin)(&axis, position);
+#endif
         i = CALL(hold)(&axis, i, j);
         i = CALL(set_parameter)(&axis, j, a, b);
         CALL(reset)(&axis);

@@ -53,6 +53,7 @@ def definitions(package: Package) -> list[str]:
         "WINDOW": "int32_t complete, cursor;" in header,
         "BOUNDED": "lower_bound[" in config,
         "DRIFTS": "drift_sd[" in config,
+        "HAS_ORIGIN": f"{name}_set_origin(" in header,
     }
     return [
         *replay_definitions(name),

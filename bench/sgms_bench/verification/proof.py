@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Final
 
 from sgms_bench import C_DIR
-from sgms_bench.verification.outcome import AbsentError, CheckOutcome, require, run
+from sgms_bench.verification.outcome import AbsentError, CheckOutcome, definitions, require, run
 from sgms_mhe.emission.package import Package, emit_package, write_package
-from sgms_mhe.host.compiled import replay_definitions
 from sgms_mhe.machine import Machine
 
 CALLS: Final = ("TICK", "SAMPLE", "INSERT", "PREPARE", "FEEDBACK", "ESTIMATE", "SAVE_LOAD", "SET", "INIT")
@@ -84,7 +83,7 @@ def analyse_call(package: Package, call: str) -> list[Alarm]:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         write_package(package, folder / name)
-        options = [*PREPROCESSOR, *replay_definitions(name), f'-DSGMS_SOURCE="{name}.c"', f"-DPROVED={call}"]
+        options = [*PREPROCESSOR, *definitions(package), f'-DSGMS_SOURCE="{name}.c"', f"-DPROVED={call}"]
         share = run(["frama-c-config", "-print-share-path"]).output.strip()
         program = folder / "proof.i"
         made = run(["gcc", *options, f"-I{folder / name}", f"-I{share}/libc", C_DIR / "proof.c", "-o", program])

@@ -158,6 +158,9 @@ def _inputs(view: PackageView) -> Iterator[_Row]:
         mass, what = view.signals.mass, f"{units.inert} that moves, payload included"
         code = f"self->{units.inert}"
         yield units.inert, "Real", "parameter", dot_unit(units.mass), what, code, repr(mass), mass / 20.0, 20.0 * mass
+    if "position" in view.signals.read:
+        counted = "position that effects over place count from"
+        yield "origin", "Real", "parameter", dot_unit(units.position), counted, "self->origin", "0.0"
 
 
 def _outputs(view: PackageView) -> Iterator[_Row]:
