@@ -10,7 +10,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sgms_mhe.identification.fits import AxisFit, NumberEstimate, RecordView, Shape, covariance, fit_axis, quantities
+from sgms_mhe.identification.fits import (
+    AxisFit,
+    NumberEstimate,
+    RecordView,
+    Shape,
+    covariance,
+    fit_axis,
+    noise_share,
+    quantities,
+)
 from sgms_mhe.identification.search import (
     CHOICE_ITERATIONS,
     Progress,
@@ -46,6 +55,8 @@ MASS_OFF: Final = 0.02
 """Of the mass that was given: less is what an actuator's lag makes of it."""
 MASS_SEEN: Final = 0.2
 """Deviation over value up to which a mass is known."""
+MASS_NOISE: Final = 0.25
+"""Share of noise, in what an acceleration has alone, up to which it shows a mass: beyond, its number is the noise's."""
 MASS_SURE: Final = 1.5e-4
 """Deviation of any mass over its value: how a drive makes its force between two samples is known to second order."""
 TRACE: Final = 0.02
@@ -134,6 +145,8 @@ def make_final_fit(
         terms = tuple(term for term in fit.terms if term.name not in dropped)
         fit = fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS)
         cov = covariance(views.fine, fit)
+    if noise_share(views.fine, fit) > MASS_NOISE:
+        mass = None
     numbers = quantities(fit, cov)
     if "viscous" in dropped:  # held at 0 it would make the level look surer than it is
         numbers["coulomb"] = replace(numbers["coulomb"], std=wide["coulomb"].std)

@@ -2,6 +2,11 @@
 
     y = sum_k L_k chi(D_k, beta, v_s) + sum_j b_j C_j,    L_k >= 0
 
+An acceleration holds what the encoder adds to it, of variance s^2, and y the machine's mass m times that. Plain least
+squares would make the mass too small; what noise alone has is taken off their sum over n rows (errors in variables),
+
+    J = sum r^2 - n s^2 (m + b)^2
+
 Gauss-Newton with damping in log D_k, beta and log v_s, on what the linear columns cannot make up for (variable
 projection). Derivatives are those of the emitted C.
 """
@@ -41,6 +46,8 @@ FINER: Final = 100.0
 """Below its smallest: that an element breaks away before an encoder sees it must not make it break away late."""
 STRIBECK: Final = (1e-4, 5.0)
 """Stribeck velocities that a fit follows, over the fastest speed: beyond that, the intervals say what is open."""
+MOST_NOISE: Final = 0.5
+"""Share of what a column has alone that is taken for noise, at most: more would make its number anything."""
 UNTOLD: Final = 1e-14
 """Of the largest eigenvalue of the information: less is rounding."""
 
@@ -160,6 +167,8 @@ class _AxisProblem:
     columns: Array
     positive: Mask
     information: Array
+    noise: Array
+    known: Array
 
     def at(self, shape: Shape) -> _AxisPoint:
         """The model at a shape, its linear part solved for on the rows seen."""
@@ -170,13 +179,16 @@ class _AxisProblem:
         positive = np.concatenate((np.ones(count, dtype=np.bool_), self.positive))
         information = np.concatenate((np.zeros(count), self.information))
         X, y = linear.compress(self.seen, axis=0), self.view.rows.friction[self.seen]
-        b = solve_nonnegative(X.T @ X, X.T @ y, positive, information)
+        gram, aim = X.T @ X, X.T @ y
+        noise = np.minimum(self.count * self.noise, MOST_NOISE * _own_information(gram, self.noise)[count:])
+        aim[count:] += noise * self.known
+        b = solve_nonnegative(gram, aim, positive, information - np.concatenate((np.zeros(count), noise)))
         residual = self.view.rows.friction - linear @ b
         nonlinear = [b[k] * run.jacobian[:, 0] for k, run in enumerate(runs)]
         if shape.rise is not None:
             nonlinear += [np.sum([b[k] * run.jacobian[:, j] for k, run in enumerate(runs)], axis=0) for j in (1, 2)]
         seen = residual[self.seen]
-        cost = float(seen @ seen + information @ b**2)
+        cost = float(seen @ seen + information @ b**2 - noise @ (self.known + b[count:]) ** 2)
         bent = np.column_stack((self.columns[:, :0], *nonlinear))
         return _AxisPoint(shape, b[:count], b[count:], residual, bent, linear, cost)
 
@@ -194,7 +206,8 @@ class _AxisProblem:
         gram = X.T @ X + 1e-9 * np.eye(X.shape[1])
         projected = N - X @ np.linalg.solve(gram, X.T @ N)
         H = projected.T @ projected
-        return Quadratic(H, projected.T @ here.residual[self.seen], np.zeros(len(H)), np.diag(H))
+        # The linear part is at its optimum: the cost changes with the nonlinear one alone.
+        return Quadratic(H, N.T @ here.residual[self.seen], np.zeros(len(H)), np.diag(H))
 
     def box(self, here: _AxisPoint) -> Box:
         """Return the least and largest change of log D, beta, log v_s: no longer a step, and within the limits."""
@@ -219,6 +232,29 @@ class _AxisProblem:
         return self.at(_within(Shape(shape.law, shape.distances * np.exp(step[:count]), rise), self.view))
 
 
+def _own_information(gram: Array, noise: Array) -> Array:
+    """Sum of squares of each column (p) that the others do not explain; 0 of columns without noise (the last ones)."""
+    own, first = np.zeros(len(gram)), len(gram) - len(noise)
+    if not noise.any():
+        return own
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    inverse = np.linalg.inv(gram * np.outer(scale, scale) + 1e-9 * np.eye(len(gram)))
+    noisy = first + np.flatnonzero(noise)
+    own[noisy] = 1.0 / (np.diag(inverse) * scale**2)[noisy]
+    return own
+
+
+def noise_share(view: RecordView, fit: AxisFit) -> float:
+    """Return the noise of an encoder in the mass's column over what no other column explains of it, squared sums."""
+    noise = np.concatenate([np.full(term.columns.shape[1], term.noise) for term in fit.terms])
+    if not noise.any():
+        return 0.0
+    used = view.rows.used
+    X = np.column_stack((fit.elements, fit.jacobian[:, -len(noise) :])).compress(used, axis=0)
+    own = _own_information(X.T @ X, noise)[-len(noise) :]
+    return float(np.max(np.sum(used) * noise[noise > 0.0] / own[noise > 0.0]))
+
+
 def fit_axis(
     view: RecordView, terms: Sequence[Term], start: Shape, seen: Mask | None = None, iterations: int = ITERATIONS
 ) -> AxisFit:
@@ -239,6 +275,8 @@ def fit_axis(
         np.column_stack([t.columns for t in terms]),
         np.concatenate([np.full(t.columns.shape[1], t.positive) for t in terms]),
         (view.noise / deviation) ** 2,
+        np.concatenate([np.full(t.columns.shape[1], t.noise) for t in terms]),
+        np.concatenate([np.full(t.columns.shape[1], t.known) for t in terms]),
     )
     here = problem.at(_within(start, view))
     return _finish(problem, minimise(problem, here, problem.box, iterations, ENOUGH * problem.count, TRIES))

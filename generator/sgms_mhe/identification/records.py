@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.path import bridge_gaps, displacements, smooth_path
-from sgms_mhe.recordings.recording import Recording, add_encoder, position_error, prepare
+from sgms_mhe.recordings.recording import Recording, add_encoder, filter_position, position_error, prepare
 from sgms_mhe.recordings.series import row_means
 from sgms_mhe.signals.chain import Signals, apply_chain, readings
 from sgms_mhe.signals.logs import Log
@@ -25,6 +25,9 @@ LEAD: Final = 0.6
 """Largest share of a log that is left out for that."""
 PATH_RATE: Final = 16000.0
 """Points of a way a second, where samples are fewer [Hz]: of a step the speed that rules a level is the mean."""
+
+SEED: Final = 20261127
+"""Of noise that stands for an encoder's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,10 +121,11 @@ def make_records(machine: Machine, logs: Sequence[Log]) -> Records:
     read = list(map(add_encoder, recordings, logs))
     steps = [recording.steps_inertia for recording in read]
     shown = any(inertia is not None for inertia in steps)
+    noise = np.concatenate([_acceleration_noise(*one) for one in zip(read, logs, resolutions, strict=True)])
     return Records(
         machine=machine,
         names=names,
-        rows=_join(recordings),
+        rows=replace(_join(recordings), acceleration_noise=float(np.mean(noise**2))),
         coarse=tuple(filter_motion(recording) for recording in recordings),
         fine=fine,
         resolution=max(resolutions),
@@ -163,6 +167,20 @@ def _join(recordings: Sequence[Recording]) -> Recording:
         held_out=np.concatenate([r.held_out for r in recordings]),
         warnings=tuple(w for r in recordings for w in r.warnings),
     )
+
+
+def _acceleration_noise(recording: Recording, log: Log, error: float) -> Array:
+    """Acceleration (m) [m/s^2] that the encoder's steps make, or noise of this deviation [m] where none show.
+
+    None where friction or acceleration was recorded: the friction then holds no noise of a position's.
+    """
+    if recording.has_own_speeds or log.friction_N is not None:
+        return np.zeros(len(recording.time))
+    noise = recording.noise
+    if noise is None:
+        white = np.random.default_rng(SEED).standard_normal(len(recording.signals))
+        noise = filter_position(recording.machine, error * white)
+    return recording.reduce(noise[:, 2])
 
 
 def filter_motion(recording: Recording) -> ElementMotion:

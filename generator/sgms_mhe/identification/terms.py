@@ -38,6 +38,8 @@ class Term:
         positive: whether the coefficients are at least 0; otherwise free in sign.
         deviation: of a prior about 0, in the coefficients' units; inf: none.
         given: numbers of an effect that its columns are not linear in.
+        noise: variance of noise in the columns [their unit squared]; the measured friction holds -`known` times it.
+        known: size that the measured friction has taken off already [coefficients' unit].
     """
 
     name: str
@@ -45,6 +47,8 @@ class Term:
     positive: bool = False
     deviation: float = math.inf
     given: Mapping[str, float] = field(default_factory=dict)
+    noise: float = 0.0
+    known: float = 0.0
 
 
 def viscous_term(rows: Recording) -> Term:
@@ -55,7 +59,8 @@ def viscous_term(rows: Recording) -> Term:
 
 def mass_term(rows: Recording) -> Term:
     """Return the term of the moved mass minus that of the machine."""
-    return Term("mass", rows.acceleration[:, None])
+    moved = rows.machine.plant.moved
+    return Term("mass", rows.acceleration[:, None], noise=rows.acceleration_noise, known=moved)
 
 
 def sampling_terms(rows: Recording) -> tuple[Term, ...]:

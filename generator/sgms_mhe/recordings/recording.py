@@ -114,6 +114,7 @@ class Recording:
         unfiltered: position, velocity, acceleration and force before the chain (n, 4), the position between the
             encoder's steps; None where speeds do not come from it, and where nobody asked (`add_encoder`).
         misread: the same where an encoder of these steps, its lines elsewhere, reads that motion; None as `noise`.
+        acceleration_noise: variance of what the encoder adds to an acceleration [m^2/s^4]; 0 where nobody asked.
         has_own_speeds: whether its log brings a velocity or an acceleration, which then do not come from its position.
         is_smeared: whether the chain's low-passes change friction more than the noise hides: its force then passes
             them, not its motion.
@@ -138,6 +139,7 @@ class Recording:
     noise: Array | None = None
     unfiltered: Array | None = None
     misread: Array | None = None
+    acceleration_noise: float = 0.0
     has_own_speeds: bool = False
     is_smeared: bool = True
     runs: Runs = field(default_factory=Runs, repr=False)
