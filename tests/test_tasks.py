@@ -83,6 +83,12 @@ def test_third_task_sees_numbers_of_one_update(interrupted: Any) -> None:
     assert refused < 0.1 * came_in
 
 
+def test_estimate_is_given_after_an_axis_was_started_inside_of_feedback(interrupted: Any) -> None:
+    """The header forbids it; the mark of numbers half written does not stay for that."""
+    came_in, refused, _, _ = interrupted[1]("init_in_feedback")
+    assert came_in > 0.9 * UPDATES and refused == 0
+
+
 @pytest.mark.skipif(os.uname().machine != "x86_64", reason="the trap flag is x86-64's")
 @pytest.mark.parametrize("kind", ["auto", "ekf"])
 def test_estimate_is_of_one_update_after_every_instruction(

@@ -296,14 +296,14 @@ static SGMS_COLD void start_window(etel_xy_t *self, const sgms_real *x, const sg
 /* The estimate is written between two versions: estimate() and save() take none that is of both. */
 static void begin_writing(etel_xy_t *self)
 {
-    self->calls.version = self->calls.version + 1u;
+    self->calls.version = self->calls.version | 1u;
     SGMS_FENCE();
 }
 
 static void end_writing(etel_xy_t *self)
 {
     SGMS_FENCE();
-    self->calls.version = self->calls.version + 1u;
+    self->calls.version = (self->calls.version | 1u) + 1u;
 }
 
 /* Put a status into the estimate. */

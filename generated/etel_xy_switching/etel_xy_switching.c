@@ -299,14 +299,14 @@ static SGMS_COLD void start_window(
 /* The estimate is written between two versions: estimate() and save() take none that is of both. */
 static void begin_writing(etel_xy_switching_t *self)
 {
-    self->calls.version = self->calls.version + 1u;
+    self->calls.version = self->calls.version | 1u;
     SGMS_FENCE();
 }
 
 static void end_writing(etel_xy_switching_t *self)
 {
     SGMS_FENCE();
-    self->calls.version = self->calls.version + 1u;
+    self->calls.version = (self->calls.version | 1u) + 1u;
 }
 
 /* Put a status into the estimate. */

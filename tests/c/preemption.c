@@ -3,10 +3,11 @@
  * another place.
  *
  *     preemption NAME     feedback, reset, prepare, sample or tick inside of prepare;
- *                         prepare_in_feedback, estimate_in_feedback
+ *                         prepare_in_feedback, estimate_in_feedback, init_in_feedback
  *
  * Prints how often the other task came in, how often it was refused (status OVERLAP), and how many estimates after
- * updates are not, bit by bit, those of calls one after the other. Compiled with a package, itself not instrumented:
+ * updates are not, bit by bit, those of calls one after the other. After an init() that came in, which is not allowed:
+ * how often the estimate was refused when all calls were over. Compiled with a package, itself not instrumented:
  *     -DSGMS_MACHINE=etel_xy -DSGMS_MACHINE_UPPER=ETEL_XY -DSGMS_MACHINE_HEADER='"etel_xy.h"' */
 #include <stdio.h>
 #include <string.h>
@@ -18,7 +19,7 @@ enum { UPDATES = 120 };
 void __cyg_profile_func_enter(void *function, void *site);
 void __cyg_profile_func_exit(void *function, void *site);
 
-static machine axis, alone;
+static machine axis, alone, undisturbed;
 static machine_estimate seen;
 static long entered, come_in_at = -1, in_call, sample_at; /* functions entered; the one at which to interrupt, or -1 */
 static int came_in, refused, wrong;
@@ -41,6 +42,8 @@ static void come_in(void)
     } else if (strcmp(other, "estimate_in_feedback") == 0) {
         CALL(estimate)(&axis, &seen);
         refused += seen.status == OVERLAP;
+    } else if (strcmp(other, "init_in_feedback") == 0) {
+        CALL(init)(&axis);
     } else {
         CALL(prepare)(&axis);
     }
@@ -77,12 +80,13 @@ int main(int argc, char **argv)
 {
     machine_estimate before, after, expected;
     long length = 0;
-    int is_feedback, statuses = 0;
+    int is_feedback, is_init, statuses = 0;
     if (argc != 2) {
         return 2;
     }
     other = argv[1];
     is_feedback = strstr(other, "_in_feedback") != 0;
+    is_init = strcmp(other, "init_in_feedback") == 0;
     CALL(init)(&axis);
     CALL(init)(&alone);
     (void)take_one(&axis, sample_at++);
@@ -110,7 +114,13 @@ int main(int argc, char **argv)
         }
         CALL(estimate)(&axis, &before);
         seen = before;
-        if (is_feedback) {
+        if (is_init) { /* further and further from the end, near which the numbers are written */
+            undisturbed = axis;
+            entered = 0;
+            (void)CALL(feedback)(&undisturbed);
+            come_in_at = entered - 1 - update;
+            entered = 0;
+        } else if (is_feedback) {
             plan(length);
         }
         statuses += CALL(feedback)(&axis) == OVERLAP;
@@ -120,6 +130,10 @@ int main(int argc, char **argv)
         }
         CALL(estimate)(&axis, &after);
         CALL(estimate)(&alone, &expected);
+        if (is_init) {
+            refused += after.status == OVERLAP;
+            axis = undisturbed;
+        }
         wrong += !is_same(&after, &expected) || after.status != expected.status;
         if (seen.status != OVERLAP) { /* what a third task saw is of one update */
             wrong += !is_same(&seen, &before) && !is_same(&seen, &after);
