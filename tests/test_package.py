@@ -918,6 +918,14 @@ def test_axis_at_rest_leaves_subnormal_numbers(
         assert met <= 2 * 128 and of_last == moving == 0, line
 
 
+def test_damaged_counts_of_the_chain_come_back(require_tool: Tool, tmp_path: Path) -> None:
+    """A bit of its memory that has flipped takes no measurement for longer than the filters settle."""
+    folder = written(emit_package(machine(), selftest=False), tmp_path)
+    command = [require_tool("gcc"), *STRICT, "-O2", f"-I{folder}", *replay_definitions("etel_xy")]
+    run(*command, PROBES / "flipped_counts.c", folder / "etel_xy.c", "-o", tmp_path / "program")
+    assert run(tmp_path / "program") == ""
+
+
 # --- input that cannot be meant ----------------------------------------------------------------------------------
 
 HOSTILE = (np.nan, np.inf, -np.inf, 1e300, -1e300, 1e20, 3.4e38)

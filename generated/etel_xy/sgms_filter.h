@@ -159,6 +159,8 @@ static SGMS_COLD int sgms_filter_disturbed(
     const int position_good = sgms_position_is_good(*position);
     const int force_good = sgms_is_reading(*force);
     int valid = 0;
+    /* Bits that have flipped in memory are no channels. */
+    m->counts[0] &= 3;
     if ((m->counts[0] & 1) == 0 && force_good) { /* first good force */
         m->counts[0] |= 1;
         m->last[2] = *force;
@@ -196,7 +198,7 @@ static SGMS_COLD int sgms_filter_disturbed(
     if (!position_good || !force_good || m->counts[0] != 3) {
         m->counts[2] = 0;
     } else if (m->counts[2] < chain->settle) {
-        m->counts[2]++;
+        m->counts[2] = sgms_place(m->counts[2], chain->settle - 1) + 1;
     } else {
         valid = 1;
     }

@@ -77,8 +77,8 @@ FAULTS: Final = (
     Fault(
         "measurements valid while filters settle",
         "sgms_filter.h",
-        "    } else if (m->counts[2] < chain->settle) {\n        m->counts[2]++;\n",
-        "    } else if (m->counts[2] < chain->settle) {\n        m->counts[2]++;\n        valid = 1;\n",
+        "        m->counts[2] = sgms_place(m->counts[2], chain->settle - 1) + 1;\n",
+        "        m->counts[2] = sgms_place(m->counts[2], chain->settle - 1) + 1;\n        valid = 1;\n",
     ),
     Fault(
         "measurements valid in a gap",
