@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +13,7 @@ from sgms_mhe.identification import Wanted, identify
 from sgms_mhe.identification.fits import MOST_NOISE, fit_axis
 from sgms_mhe.identification.identify import explore
 from sgms_mhe.signals.logs import Log
+from test_late_readings import spinning_axis
 
 INERTIA, LEVEL, VISCOUS = 0.9, 6.0, 9.0
 
@@ -57,3 +60,61 @@ def test_noise_is_taken_off_once_and_never_all() -> None:
         found = fit_axis(view, terms, fit.shape)
         masses.append(view.rows.machine.plant.moved + float(found.coefficient("mass")[0]))
     assert masses[0] < masses[1] < masses[2] < masses[0] / (1.0 - MOST_NOISE) ** 2
+
+
+def held_joint(bits: int, seed: int, late: int = 0) -> Log:
+    """The joint under a controller that reads the encoder itself; its torque is logged so many samples late."""
+    random, rate, substeps = np.random.default_rng(seed), 1000.0, 10
+    time, line, h = np.arange(int(20.0 * rate)) / rate, 2.0 * np.pi / 2**bits, 1.0 / rate / substeps
+    wanted = np.zeros(len(time))
+    for frequency, amplitude in ((0.11, 0.4), (0.23, 0.25), (0.41, 0.15), (0.7, 0.08)):
+        phase = random.uniform(0.0, 2.0 * np.pi)
+        wanted += amplitude * (np.sin(2.0 * np.pi * frequency * time + phase) - math.sin(phase))
+    ahead = np.gradient(wanted, 1.0 / rate)
+    distances, deflections = (3e-4, 1e-3, 3e-3), [0.0, 0.0, 0.0]
+    angle = speed = seen = slow = 0.0
+    read, torque = np.empty(len(time)), np.empty(len(time))
+    for k in range(len(time)):
+        read[k] = round(angle / line) * line
+        slow, seen = slow + 0.2 * ((read[k] - seen) * rate - slow), read[k]
+        torque[k] = 900.0 * (wanted[k] - read[k]) + 45.0 * (ahead[k] - slow)
+        for _ in range(substeps):
+            deflections = [min(max(z + speed * h, -d), d) for z, d in zip(deflections, distances, strict=True)]
+            friction = sum(LEVEL / 3.0 * z / d for z, d in zip(deflections, distances, strict=True)) + VISCOUS * speed
+            speed += (torque[k] - friction) / INERTIA * h
+            angle += speed * h
+    logged = np.concatenate((np.full(late, torque[0]), torque[: len(torque) - late]))
+    return Log(time, read, logged + 0.03 * random.standard_normal(len(time)), rate, kind="rotary", source="held.csv")
+
+
+def said_delay(log: Log) -> str:
+    """The sentence on torque and motion that are apart in time; empty where there is none."""
+    found = identify([log], Wanted("joint", mass=INERTIA))
+    return next((limit for limit in found.limits if "the motion that it makes" in limit), "")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("bits", "seed"), [(11, 3), (12, 1), (12, 2), (13, 1), (20, 1)])
+def test_what_an_encoder_makes_of_a_controllers_torque_is_no_delay(bits: int, seed: int) -> None:
+    """The torque answers to the steps, whose acceleration stands in the measured friction: 14 to 18 ms were said."""
+    assert not said_delay(held_joint(bits, seed))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("bits", "late"), [(16, 20), (20, 12)])
+def test_a_delay_that_the_encoder_shows_is_said(bits: int, late: int) -> None:
+    """Its size is that of the first order in the delay: a fifth short of twenty samples."""
+    said = re.match(r"the torque comes (\S+) ms after", said_delay(held_joint(bits, 1, late)))
+    assert said and 0.75 * late <= float(said[1]) <= 1.02 * late
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [500.0, 2000.0])
+def test_a_force_that_is_held_over_a_sample_is_not_late(rate: float) -> None:
+    """Half a sample was said as a delay where nothing else is left."""
+    axis = spinning_axis(rate, 0.0, 1)
+    found = identify([axis], Wanted("spinning"))
+    assert not any("the motion that it makes" in limit for limit in found.limits)
+    later = replace(axis, force_N=np.concatenate((axis.force_N[:5], axis.force_N[:-5])))
+    found = identify([later], Wanted("spinning"))
+    assert any("after the motion that it makes" in limit for limit in found.limits)

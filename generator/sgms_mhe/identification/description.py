@@ -11,7 +11,15 @@ import numpy as np
 
 from sgms_mhe.identification.elements import NO_RISE
 from sgms_mhe.identification.final_fit import CERTAIN, FinalIdentification
-from sgms_mhe.identification.fits import AxisFit, NumberEstimate, RecordView, Shape, distance_limits, fit_axis
+from sgms_mhe.identification.fits import (
+    AxisFit,
+    NumberEstimate,
+    RecordView,
+    Shape,
+    distance_limits,
+    fit_axis,
+    largest_noise_bias,
+)
 from sgms_mhe.identification.result import Number
 from sgms_mhe.identification.search import ChosenModel, is_better
 from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING, effect_parameters, is_level
@@ -298,11 +306,16 @@ def list_misfit(residual: float, floor: float, units: Units) -> list[str]:
 
 
 def _late(final: FinalIdentification, view: RecordView, units: Units) -> list[str]:
-    """Return the sentence on force and position that are apart in time: no number holds it, and no machine either."""
+    """Return the sentence on force and position that are apart in time: no number holds it, and no machine either.
+
+    No delay is what a controller that answers to the steps of an encoder may make of the term, nor less than a sample:
+    a drive that holds its force over one has it half a sample late, or early, as it is logged.
+    """
     fit, place = final.fit, final.fit.place(LATE)
     late, std = float(fit.coefficient(LATE)[0]), math.sqrt(float(final.cov[place.start, place.start]))
     size = abs(late) * float(np.std(fit.jacobian[view.rows.used, place.start]))
-    if abs(late) <= CERTAIN * std or size <= fit.rms:
+    told = view.rows.machine.sampling.step + largest_noise_bias(view, fit, LATE)
+    if abs(late) <= CERTAIN * std + told or size <= fit.rms:
         return []
     which = "after" if late > 0.0 else "before"
     return [

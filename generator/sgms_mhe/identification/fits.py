@@ -48,6 +48,8 @@ STRIBECK: Final = (1e-4, 5.0)
 """Stribeck velocities that a fit follows, over the fastest speed: beyond that, the intervals say what is open."""
 MOST_NOISE: Final = 0.5
 """Share of what a column has alone that is taken for noise, at most: more would make its number anything."""
+NOTHING: Final = 1e-200
+"""Sum of squares of a column of zeros, so that its inverse is finite."""
 UNTOLD: Final = 1e-14
 """Of the largest eigenvalue of the information: less is rounding."""
 
@@ -237,10 +239,10 @@ def _own_information(gram: Array, noise: Array) -> Array:
     own, first = np.zeros(len(gram)), len(gram) - len(noise)
     if not noise.any():
         return own
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), NOTHING))
     inverse = np.linalg.inv(gram * np.outer(scale, scale) + 1e-9 * np.eye(len(gram)))
     noisy = first + np.flatnonzero(noise)
-    own[noisy] = 1.0 / (np.diag(inverse) * scale**2)[noisy]
+    own[noisy] = 1.0 / (np.diag(inverse)[noisy] * scale[noisy] ** 2)
     return own
 
 
@@ -253,6 +255,20 @@ def noise_share(view: RecordView, fit: AxisFit) -> float:
     X = np.column_stack((fit.elements, fit.jacobian[:, -len(noise) :])).compress(used, axis=0)
     own = _own_information(X.T @ X, noise)[-len(noise) :]
     return float(np.max(np.sum(used) * noise[noise > 0.0] / own[noise > 0.0]))
+
+
+def largest_noise_bias(view: RecordView, fit: AxisFit, name: str) -> float:
+    """Return the largest size of a term of one column that the encoder's noise in the measured friction can make.
+
+    By Cauchy and Schwarz: that noise over what no other column explains of the term's, root mean squares.
+    """
+    used, place = view.rows.used, fit.place(name)
+    moved = view.rows.machine.plant.moved + float(fit.coefficient("mass").sum())
+    X = fit.jacobian.compress(used, axis=0)
+    mask = np.zeros(X.shape[1])
+    mask[place] = 1.0
+    own = float(_own_information(X.T @ X, mask)[place.start])
+    return moved * math.sqrt(view.rows.acceleration_noise * float(np.sum(used)) / own)
 
 
 def fit_axis(
