@@ -239,8 +239,11 @@ def test_stated_operations_are_read(package: Package) -> None:
 def test_table_and_exit_code(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     good, absent = CheckOutcome("good", "7 things"), CheckOutcome("absent", "", skipped="tool absent: none")
     bad = CheckOutcome("bad", "9 things", ("the third",))
-    monkeypatch.setattr(command, "CHECKS", {"a": lambda *_: [good, absent], "b": lambda *_: [bad]})
-    assert command.main(["--only", "a"]) == 0
+    checks = {"a": lambda *_: [good, absent], "b": lambda *_: [bad], "c": lambda *_: [good]}
+    monkeypatch.setattr(command, "CHECKS", checks)
+    assert command.main(["--only", "c"]) == 0
+    capsys.readouterr()
+    assert command.main(["--only", "a", "c"]) == 3  # a check that did not run has not passed
     printed = capsys.readouterr().out
     assert "good" in printed and "nothing: tool absent: none" in printed and "skipped" in printed
     assert command.main([]) == 1
