@@ -23,32 +23,44 @@ static int obeys_model;                     /* friction is what was fed forward,
 
 /* --- digest ------------------------------------------------------------------------------------------------------ */
 
-static void digest_bytes(const void *bytes, unsigned size)
+static int is_low_first(void)
 {
-    const unsigned char *const byte = bytes;
-    for (unsigned i = 0; i < size; i++) { /* FNV-1a; all of these processors have the low byte first */
-        digest = (digest ^ byte[i]) * UINT64_C(0x100000001b3);
-    }
+    const uint16_t one = 1;
+    return *(const unsigned char *)&one == 1;
 }
 
-static void take_bytes(const void *bytes, unsigned size)
+/* Numbers of `size` bytes, the low byte of each first. */
+static void digest_numbers(const void *bytes, unsigned size, unsigned count)
 {
-    digest_bytes(bytes, size);
-    numbers++;
+    const unsigned char *byte = bytes;
+    for (; count > 0; count--, byte += size) {
+        for (unsigned i = 0; i < size; i++) { /* FNV-1a */
+            digest = (digest ^ byte[is_low_first() ? i : size - 1 - i]) * UINT64_C(0x100000001b3);
+        }
+    }
 }
 
 static void take_number(machine_real number)
 {
-    take_bytes(&number, sizeof number);
+    digest_numbers(&number, sizeof number, 1);
+    numbers++;
+}
+
+/* A structure of one number. */
+static void take_position(const machine_position *given)
+{
+    digest_numbers(given, sizeof *given, 1);
+    numbers++;
 }
 
 static void take_status(int status)
 {
     const int32_t value = status;
-    take_bytes(&value, sizeof value);
+    digest_numbers(&value, sizeof value, 1);
+    numbers++;
     statuses |= status < 0 ? UINT64_C(1) << (8 - status) : status == 0 ? 1u : (uint64_t)status << 1;
     for (const char *text = CALL(status_text)(status); *text; text++) {
-        digest_bytes(text, 1);
+        digest_numbers(text, 1, 1);
     }
 }
 
@@ -168,7 +180,7 @@ static void begin(void)
             CALL(position_from_counts)(counts * 1234567890123, 1, 4000000), CALL(position_from_counts)(counts, 0, 1000),
             CALL(position_from_counts)(counts, 4, -1000)};
         for (unsigned i = 0; i < sizeof of_counts / sizeof of_counts[0]; i++) {
-            take_bytes(&of_counts[i], sizeof of_counts[i]);
+            take_position(&of_counts[i]);
         }
     }
 }
@@ -363,9 +375,11 @@ static void load_sealed(const machine_saved *saved, unsigned word, uint32_t valu
 {
     machine_saved changed = *saved;
     unsigned char *const bytes = (unsigned char *)&changed;
+    const unsigned is_half = word >= offsetof(machine_saved, theta) / 4 && sizeof(machine_real) == 8;
+    const unsigned at = is_half && !is_low_first() ? word ^ 1u : word; /* the same half of the number everywhere */
     uint32_t sum = UINT32_C(0xffffffff);
     for (unsigned i = 0; i < sizeof value; i++) {
-        bytes[4u * word + i] = ((const unsigned char *)&value)[i];
+        bytes[4u * at + i] = ((const unsigned char *)&value)[i];
     }
     for (unsigned i = 4; i < sizeof changed; i++) {
         sum ^= bytes[i];
@@ -400,8 +414,9 @@ static void save_and_load(void)
     machine_saved saved;
     machine_settings settings;
     take_status(CALL(save)(&by_tasks, &saved));
-    take_bytes(&saved.theta, sizeof saved.theta);
-    take_bytes(&saved.root, sizeof saved.root);
+    digest_numbers(saved.theta, sizeof saved.theta[0], sizeof saved.theta / sizeof saved.theta[0]);
+    digest_numbers(saved.root, sizeof saved.root[0], sizeof saved.root / sizeof saved.root[0]);
+    numbers += 2;
     for (unsigned word = 1; word < sizeof saved / 4; word++) {
         load_sealed(&saved, word, UINT32_C(0xc0f00000)); /* below every bound */
         load_sealed(&saved, word, UINT32_C(0x7ff80000)); /* no number */

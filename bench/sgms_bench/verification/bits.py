@@ -20,6 +20,20 @@ from sgms_mhe.support.paths import runtime_dir
 
 DOUBLE_FLAGS: Final[Mapping[str, tuple[str, ...]]] = {"cortex_m7": ("-mfpu=fpv5-d16",)}
 """For double precision, by target. Without such an FPU libgcc for Arm adds, and not always to the nearest number."""
+BIG_ENDIAN: Final = Target(
+    name="cortex_a15",
+    title="Arm Cortex-A15, high byte first (QEMU virt)",
+    prefix="arm-none-eabi-",
+    flags=(
+        *("-mbig-endian", "-Wl,--be8", "-mcpu=cortex-a15", "-marm", "-mfpu=vfpv4", "-mfloat-abi=hard"),
+        "-mno-unaligned-access",
+    ),
+    emulator=("qemu-system-arm", "-machine", "virt", "-cpu", "cortex-a15"),
+    ticks=1.0,
+    packages="gcc-arm-none-eabi and qemu-system-arm",
+    double=r"v\w+\.(?:\w+\.)*f64\b.*",
+)
+"""A processor of the other order of bytes, of 32 bits, with a start of its own in `bench/c/target`."""
 STRICT: Final = ("-std=c99", "-ffp-contract=off")
 LEVELS: Final = ("-O0", "-O1", "-O2", "-O3", "-Os")
 WIDER: Final[Mapping[str, tuple[str, ...]]] = {"AVX2": ("-mavx2",), "no SSE4": ("-mno-sse4",)}
@@ -66,7 +80,7 @@ def host_builds() -> Iterator[Build]:
 
 def target_builds(levels: Sequence[str] = LEVELS) -> Iterator[Build]:
     """Levels of the emulated processors."""
-    for target in TARGETS.values():
+    for target in (*TARGETS.values(), BIG_ENDIAN):
         yield from (Build(f"{target.prefix}gcc", (level,), target) for level in levels)
 
 
@@ -147,7 +161,7 @@ def exercise(package: Package, build: Build) -> Digest:
 
 
 def _on_target(package: Package, build: Build, target: Target, folder: Path) -> Digest:
-    name, start = package.machine.name, runtime_dir() / "target"
+    name, is_low_first = package.machine.name, target is not BIG_ENDIAN
     core = [*target.flags]
     if package.machine.code.precision == "double":
         core += DOUBLE_FLAGS.get(target.name, ())
@@ -155,14 +169,19 @@ def _on_target(package: Package, build: Build, target: Target, folder: Path) -> 
     parts: dict[str, list[str | Path]] = {
         "package.o": [*options, folder / name / f"{name}.c"],
         "exercise.o": [
-            *(*options, "-DON_TARGET", *definitions(package), f"-I{folder / name}", f"-I{start}"),
+            *(*options, "-DON_TARGET", *definitions(package), f"-I{folder / name}"),
+            f"-I{runtime_dir() / 'target'}",
             C_DIR / "exercise.c",
         ],
     }
     results = folder / "results.bin"
-    program = link_program(target, parts, options, folder / "exercise.elf", core)
+    if not is_low_first:
+        parts["conversions.o"] = [*options, C_DIR / "target" / "conversions.c"]
+    start = None if is_low_first else C_DIR / "target"
+    program = link_program(target, parts, options, folder / "exercise.elf", core, start)
     emulate(target, program, results, lambda _: None)
     content = results.read_bytes()
-    if len(content) != struct.calcsize("<3Q"):
+    layout = "<3Q" if is_low_first else ">3Q"
+    if len(content) != struct.calcsize(layout):
         raise BuildError(f"{build.title}: {len(content)} bytes of results")
-    return Digest(*struct.unpack("<3Q", content))
+    return Digest(*struct.unpack(layout, content))

@@ -91,6 +91,7 @@ def link_program(
     options: Sequence[str | Path],
     program: Path,
     core: Sequence[str] | None = None,
+    start: Path | None = None,
 ) -> Path:
     """Compile the parts of a program, and link them with the start code and no library.
 
@@ -100,6 +101,7 @@ def link_program(
         options: of the compiler, for the functions of memory that code without a library needs.
         program: the executable.
         core: flags for the core; None: the target's.
+        start: folder of start code and linker script; None: that of the package.
 
     Returns:
         The program.
@@ -108,16 +110,17 @@ def link_program(
         BuildError: the compiler is not there, or it refused.
     """
     source, flags = runtime_dir() / "target", target.flags if core is None else core
+    folder = source if start is None else start
     own: dict[str, Sequence[str | Path]] = {
         # Otherwise a compiler recognises the loop in memcpy and calls memcpy for it.
         "helpers.o": [*options, "-fno-tree-loop-distribute-patterns", source / "helpers.c"],
-        "start.o": [*flags, source / f"{target.name}.S"],
+        "start.o": [*flags, folder / f"{target.name}.S"],
     }
     objects = []
     for part, arguments in {**parts, **own}.items():
         objects.append(program.parent / part)
         run_tool(target, "gcc", *arguments, "-c", "-o", objects[-1])
-    script = source / f"{target.name}.ld"
+    script = folder / f"{target.name}.ld"
     run_tool(
         target, "gcc", *flags, "-nostdlib", "-Wl,--gc-sections", f"-Wl,-T,{script}", *objects, "-lgcc", "-o", program
     )
