@@ -74,6 +74,18 @@ def test_random_calls_find_nothing(name: str, require_tool: Tool, tmp_path: Path
         (".c", "fill(self->chain.lowpass, 0.0f, SGMS_FILTER_STATES);", "", "what was before is still there|no number"),
         (".c", "self->interval.lost = 0;\n    state_status", "state_status", "good data are not taken|still there"),
         ("_compensation.h", "force = sgms_fmin(sgms_fmax(force, -LIMIT), LIMIT);", "", "a force beyond its limit"),
+        (  # an interrupt that resets the axis inside of a sample
+            ".c",
+            "sgms_place(self->interval.step / SPACING - 1, INNER - 1)",
+            "(int)self->interval.step / SPACING - 1",
+            "index -1 out of bounds",
+        ),
+        (
+            ".c",
+            "saved->machine[0] == SPECIMEN_MERGED_AUTO_SAVED_MACHINE_0 &&",
+            "",
+            "saved data of another package are taken",
+        ),
         (
             "_compensation.h",
             "1 + sgms_index(wanted, AHEAD_MOST)",
@@ -110,9 +122,9 @@ def test_random_calls_are_shared_by_their_work(
 
 
 def test_sanitizer_that_is_absent_is_told(tmp_path: Path) -> None:
-    absent = Sanitizer("of no compiler", "no-such-compiler", ("-O1", "-fsanitize=address"), guided=False)
+    absent = Sanitizer("of no compiler", ("no-such-compiler",), ("-O1", "-fsanitize=address"), guided=False)
     assert "no-such-compiler" in (fuzz_machines(absent, [1], 10, tmp_path).skipped or "")
-    unknown = Sanitizer("of no name", "gcc", ("-O1", "-fsanitize=nonsense"), guided=False)
+    unknown = Sanitizer("of no name", ("gcc",), ("-O1", "-fsanitize=nonsense"), guided=False)
     assert "-fsanitize=nonsense" in (fuzz_machines(unknown, [1], 10, tmp_path).skipped or "")
 
 

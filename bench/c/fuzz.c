@@ -57,7 +57,7 @@ static void sample_by(machine *axis, int by_tasks, machine_position position, ma
 }
 
 /* Sample k of a motion as an axis makes it: to and fro over hundreds of hold paths, a Coulomb level that follows. */
-static void next_good(machine_position *position, machine_real *force)
+void next_good(machine_position *position, machine_real *force)
 {
     const double wide = 300.0 * (double)HOLD_PATH, level = 8.0 * (double)MEASUREMENT_SD;
     const long period = 6L * SAMPLES + 40;
@@ -159,7 +159,7 @@ static void set(bytes *from, machine *axis)
 static void call(bytes *from, machine *axis)
 {
     machine_signals signals;
-    switch (take_byte(from) % 16) {
+    switch (take_byte(from) % 18) {
     case 0:
     case 1: {
         const machine_position position = take_position(from);
@@ -215,6 +215,14 @@ static void call(bytes *from, machine *axis)
             CALL(init)(axis);
         }
         break;
+    case 15:
+        interrupt_call(from, axis);
+        break;
+    case 16:
+        if (take_byte(from) < 64) {
+            load_others(from, axis);
+        }
+        break;
     default:
         run(from, axis);
         break;
@@ -255,6 +263,9 @@ static void check_recovery(machine *axis)
     memcpy(twin->estimate.state, axis->estimate.state, sizeof twin->estimate.state);
     memcpy(twin->estimate.theta, axis->estimate.theta, sizeof twin->estimate.theta);
     memcpy(twin->estimate.root, axis->estimate.root, sizeof twin->estimate.root);
+#if SPREADS
+    memcpy(twin->estimate.spread, axis->estimate.spread, sizeof twin->estimate.spread);
+#endif
     twin->estimate.ratio = axis->estimate.ratio;
     twin->estimate.friction = axis->estimate.friction;
     twin->estimate.friction_measured = axis->estimate.friction_measured;

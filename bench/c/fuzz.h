@@ -1,4 +1,5 @@
-/* What the parts of the fuzzed program share: an input taken apart (fuzz_input.c), what has to hold (fuzz_checks.c). */
+/* What the parts of the fuzzed program share: an input taken apart (fuzz_input.c), what has to hold (fuzz_checks.c),
+ * what comes in between (fuzz_others.c). */
 #ifndef FUZZ_H
 #define FUZZ_H
 
@@ -32,5 +33,12 @@ int check_status(int status);
 void check_estimate(const machine *axis);
 void check_fields(const machine *axis);
 void check_same(const machine *a, const machine *b, const char *what);
+
+/* Sample k of a motion as an axis makes it, the next at every call (fuzz.c). */
+void next_good(machine_position *position, machine_real *force);
+
+/* Calls that others make. */
+void interrupt_call(bytes *from, machine *axis);
+void load_others(bytes *from, machine *axis);
 
 #endif

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,13 +15,14 @@ from typing import Final
 
 from sgms_bench import C_DIR
 from sgms_bench.verification.machines import random_package
-from sgms_bench.verification.outcome import AbsentError, CheckOutcome, Run, definitions, require, run
+from sgms_bench.verification.outcome import AbsentError, CheckOutcome, Run, definitions, run
 from sgms_mhe.emission.package import Package, write_package
 
 Progress = Callable[[str], None]
 """Called with a line on what has been done."""
 
 DIALECT: Final = ("-std=c99", "-g", "-ffp-contract=off")
+CLANGS: Final = ("clang", "clang-19")
 LONGEST_INPUT: Final = 2048
 SLOWEST_INPUT_S: Final = 120
 MESSAGE_LINES: Final = 12
@@ -32,7 +34,7 @@ MOST_OPERATIONS: Final = 5e7
 LEAST_SHARE: Final = 0.02
 """Of as many calls of each machine: what one of large calls gets at least."""
 
-PARTS: Final = ("fuzz.c", "fuzz_input.c", "fuzz_checks.c")
+PARTS: Final = ("fuzz.c", "fuzz_input.c", "fuzz_checks.c", "fuzz_others.c")
 """The program but for the package."""
 
 
@@ -42,13 +44,13 @@ class Sanitizer:
 
     Attributes:
         title: for the table.
-        compiler: its command.
+        compilers: commands; the first that has the sanitizer is taken.
         flags: of the compiler.
         guided: inputs come from libFuzzer, which follows what they cover; otherwise from the program's own generator.
     """
 
     title: str
-    compiler: str
+    compilers: tuple[str, ...]
     flags: tuple[str, ...]
     guided: bool
 
@@ -57,19 +59,19 @@ SANITIZERS: Final[Mapping[str, Sanitizer]] = MappingProxyType(
     {
         "address": Sanitizer(
             "random calls: addresses, undefined behaviour, conversions",
-            "clang",
+            CLANGS,
             ("-O1", "-fsanitize=fuzzer,address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"),
             guided=True,
         ),
         "memory": Sanitizer(
             "random calls: memory that nothing has written",
-            "clang",
+            CLANGS,
             ("-O1", "-fsanitize=fuzzer,memory", "-fsanitize-memory-track-origins"),
             guided=True,
         ),
         "plain": Sanitizer(
             "random calls: addresses, undefined behaviour, conversions (gcc, unguided)",
-            "gcc",
+            ("gcc",),
             ("-O0", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all", "-DOWN_DRIVER"),
             guided=False,
         ),
@@ -95,7 +97,7 @@ def fuzz_machines(
     """
     done, failures = 0, []
     try:
-        _check_tools(sanitizer)
+        find_compiler(sanitizer)
         packages = [random_package(seed) for seed in seeds]
         cheapness = [1.0 / _operations(package) for package in packages]
         for seed, package, cheap in zip(seeds, packages, cheapness, strict=True):
@@ -109,16 +111,26 @@ def fuzz_machines(
     return CheckOutcome(sanitizer.title, f"{done} calls of {len(seeds)} machines", tuple(failures))
 
 
-def _check_tools(sanitizer: Sanitizer) -> None:
-    require(sanitizer.compiler)
-    with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder) / "empty.c"
-        entry = "#include <stdint.h>\n#include <stddef.h>\nint LLVMFuzzerTestOneInput(const uint8_t *d, size_t n);\n"
-        entry += "int LLVMFuzzerTestOneInput(const uint8_t *d, size_t n) { return d == 0 && n > 0; }\n"
-        source.write_text(entry if sanitizer.guided else "int main(void) { return 0; }\n")
-        made = run([sanitizer.compiler, *sanitizer.flags, source, "-o", Path(folder) / "empty"])
-    if made.code != 0:
-        raise AbsentError(f"{sanitizer.compiler} has no {sanitizer.flags[1]} here (Debian: libclang-rt-dev)")
+def find_compiler(sanitizer: Sanitizer) -> str:
+    """Return the first of its compilers that has it.
+
+    Raises:
+        AbsentError: none has.
+    """
+    entry = "#include <stdint.h>\n#include <stddef.h>\nint LLVMFuzzerTestOneInput(const uint8_t *d, size_t n);\n"
+    entry += "int LLVMFuzzerTestOneInput(const uint8_t *d, size_t n) { return d == 0 && n > 0; }\n"
+    absent = ""
+    for compiler in sanitizer.compilers:
+        if shutil.which(compiler) is None:
+            absent = absent or f"tool absent: {compiler}"
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            source = Path(folder) / "empty.c"
+            source.write_text(entry if sanitizer.guided else "int main(void) { return 0; }\n")
+            if run([compiler, *sanitizer.flags, source, "-o", Path(folder) / "empty"]).code == 0:
+                return compiler
+        absent = f"{compiler} has no {sanitizer.flags[1]} here (Debian: libclang-rt-dev)"
+    raise AbsentError(absent)
 
 
 def build_fuzzer(sanitizer: Sanitizer, package: Package, folder: Path) -> Path:
@@ -132,11 +144,15 @@ def build_fuzzer(sanitizer: Sanitizer, package: Package, folder: Path) -> Path:
     program = folder / "fuzz"
     own = [f"-DMOST_CALLS={_most_calls(package)}"]
     own += [f"-DFORCE_LIMIT=((machine_real){limit!r})"] if limit is not None else []
-    parts = [*(C_DIR / part for part in PARTS), folder / name / f"{name}.c"]
+    compiler = find_compiler(sanitizer)
     flags = [*DIALECT, *sanitizer.flags, *definitions(package), *own, f"-I{folder / name}"]
-    made = run([sanitizer.compiler, *flags, *parts, "-o", program])
+    compiled = folder / "package.o"
+    # every function of it tells where it is entered: there an interrupt may come in
+    made = run([compiler, *flags, "-finstrument-functions", "-c", folder / name / f"{name}.c", "-o", compiled])
+    if made.code == 0:
+        made = run([compiler, *flags, *(C_DIR / part for part in PARTS), compiled, "-o", program])
     if made.code != 0:
-        raise RuntimeError(f"{sanitizer.compiler} refused: {made.output}")
+        raise RuntimeError(f"{compiler} refused: {made.output}")
     return program
 
 

@@ -54,6 +54,7 @@ def definitions(package: Package) -> list[str]:
         "BOUNDED": "lower_bound[" in config,
         "DRIFTS": "drift_sd[" in config,
         "HAS_ORIGIN": f"{name}_set_origin(" in header,
+        "SPREADS": "real spread[" in header,
     }
     return [
         *replay_definitions(name),
