@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from sgms_bench.verification import __main__ as command
-from sgms_bench.verification import coverage, fuzzing, limits
+from sgms_bench.verification import coverage, fuzzing, limits, upsets
 from sgms_bench.verification.bits import BIG_ENDIAN, Build, exercise, required_statuses, same_bits, target_builds
 from sgms_bench.verification.constructs import jumps_and_storage, pointers_and_recursion, unbounded_loops
 from sgms_bench.verification.coverage import check_coverage, measure
@@ -20,6 +21,7 @@ from sgms_bench.verification.machines import random_package
 from sgms_bench.verification.outcome import CheckOutcome
 from sgms_bench.verification.specimens import SPECIMENS, specimen, specimens
 from sgms_bench.verification.syntax import syntax_tree
+from sgms_bench.verification.upsets import check_upsets
 from sgms_mhe.configuration import override_machine
 from sgms_mhe.emission.package import Package, emit_package
 
@@ -126,6 +128,38 @@ def test_sanitizer_that_is_absent_is_told(tmp_path: Path) -> None:
     assert "no-such-compiler" in (fuzz_machines(absent, [1], 10, tmp_path).skipped or "")
     unknown = Sanitizer("of no name", ("gcc",), ("-O1", "-fsanitize=nonsense"), guided=False)
     assert "-fsanitize=nonsense" in (fuzz_machines(unknown, [1], 10, tmp_path).skipped or "")
+
+
+# --- bits that flip --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_bits_that_flip_leave_no_memory_and_are_told_or_forgotten(require_tool: Tool) -> None:
+    require_tool("gcc")
+    outcome = check_upsets([specimen("merged_auto"), specimen("ekf")], 1000, 3)
+    assert outcome.skipped is None and outcome.failures == ()
+    back, told, neither = map(int, re.findall(r"(\d+) (?:back|told|neither)", outcome.tried))
+    assert back + told + neither == 1000 and back > 900 and told > 5
+
+
+@pytest.mark.slow
+def test_bit_that_moves_an_index_is_found(
+    package: Package, require_tool: Tool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    require_tool("gcc")
+    good, bad = "return sgms_place(self->interval.filling, SLOTS - 1);", "return (int)self->interval.filling;"
+    wrong = broken(package, ".c", good, bad)
+    monkeypatch.setattr(upsets, "emit_package", lambda *_, **__: wrong)
+    outcome = check_upsets([package.machine], 3000, 3)
+    assert len(outcome.failures) == 1 and ("out of bounds" in outcome.failures[0] or "Sanitizer" in outcome.failures[0])
+
+
+def test_flips_that_nothing_tells_fail_the_check(
+    package: Package, require_tool: Tool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    require_tool("gcc")
+    monkeypatch.setattr(upsets, "flip_bits", lambda *_: ([1000, 980, 10, 10, 4, 6], ""))
+    assert check_upsets([package.machine], 1000, 3).failures == ("10 of 1000 flips are neither told nor forgotten",)
 
 
 # --- bits ------------------------------------------------------------------------------------------------------------

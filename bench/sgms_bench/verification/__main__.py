@@ -25,6 +25,7 @@ from sgms_bench.verification.mutation import check_self_test
 from sgms_bench.verification.outcome import CheckOutcome
 from sgms_bench.verification.proof import check_proof
 from sgms_bench.verification.specimens import specimen, specimens
+from sgms_bench.verification.upsets import check_upsets
 from sgms_mhe.configuration import load_machine
 from sgms_mhe.machine import Machine
 from sgms_mhe.support.paths import machines_dir
@@ -34,6 +35,8 @@ Progress = Callable[[str], None]
 
 SKIPPED: Final = 3
 """Exit code where a check could not run and none failed; argparse has 2."""
+UPSET: Final = ("merged_auto", "signals", "switching", "ekf")
+"""Specimens in whose memory bits are flipped."""
 ON_TARGETS: Final = ("merged_auto", "switching", "groups")
 """Specimens whose bits the emulated processors repeat; in double precision they take their time."""
 
@@ -50,6 +53,11 @@ def _bits(_: argparse.Namespace, progress: Progress) -> list[CheckOutcome]:
     return on_host + on_targets
 
 
+def _upsets(chosen: argparse.Namespace, progress: Progress) -> list[CheckOutcome]:
+    machines = [load_machine("etel_xy_controller"), *(specimen(name) for name in UPSET)]
+    return [check_upsets(machines, chosen.flips, chosen.seed, progress)]
+
+
 def _machine_files() -> list[Machine]:
     """The machine files of this package."""
     return [load_machine(path.stem) for path in sorted(machines_dir().glob("*.toml"))]
@@ -63,6 +71,7 @@ CHECKS: Final[Mapping[str, Callable[[argparse.Namespace, Progress], list[CheckOu
     "limits": lambda _, progress: check_limits(list(specimens()), progress),
     "bits": _bits,
     "selftest": lambda chosen, progress: check_self_test(chosen.mutants, chosen.seed, progress),
+    "upsets": _upsets,
     "fuzz": _fuzz,
     "logs": lambda chosen, progress: check_logs(range(chosen.seed, chosen.seed + chosen.logs), progress),
 }
@@ -90,6 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--calls", type=float, default=3e5, help="random calls, in all (1e8: an hour or more)")
     parser.add_argument("--machines", type=int, default=6, help="random machines")
     parser.add_argument("--mutants", type=int, default=300, help="mutants of emitted C (300: ten minutes)")
+    parser.add_argument("--flips", type=int, default=20_000, help="bits to flip, in all (20 000: five minutes)")
     parser.add_argument("--logs", type=int, default=10_000, help="mutated logs (10 000: an hour)")
     parser.add_argument("--seed", type=int, default=0, help="of the first of them")
     parser.add_argument("--keep", type=Path, default=Path("build/verify"), help="folder for inputs that fail")
