@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from cli_cases import done
 from sgms_mhe.identification import Identification, Wanted, description, final_fit, identify
-from sgms_mhe.identification.final_fit import drop_traces
+from sgms_mhe.identification.final_fit import drop_idle_springs, drop_traces
 from sgms_mhe.identification.fits import AxisFit, RecordView, Shape, fit_axis
 from sgms_mhe.identification.identify import explore
 from sgms_mhe.identification.search import Views, fit_aligned
-from sgms_mhe.identification.terms import Term, is_level, is_within_limits
+from sgms_mhe.identification.terms import LAW_AND_SAMPLING, Term, companion_terms, is_level, is_within_limits
 from sgms_mhe.signals.logs import Log, write_log
 
 Array = NDArray[np.float64]
@@ -234,8 +234,23 @@ def _hand_over_spring(view: RecordView, fit: AxisFit, share: float) -> AxisFit:
     )
 
 
-def screw(spring: float, noise: float, seed: int) -> Log:
-    """Return short production moves of a screw: 30 kg, 40 N, 120 N s/m, a spring [N/m], noise [N]."""
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 9, 11])
+@pytest.mark.parametrize(("spring", "noise", "ripple"), [(0.0, 25.0, 0.0), (0.0, 0.5, 3.0), (300.0, 0.5, 3.0)])
+def test_a_spring_is_dropped_where_it_may_be_part_of_what_is_left(
+    spring: float, noise: float, ripple: float, seed: int
+) -> None:
+    """A ripple at a few places is a spring by chance; so is noise; one that is larger than both stays."""
+    found = explore([screw(spring, noise, seed, ripple)], Wanted("screw", elements=1))
+    views, fit = found.views, found.final.fit
+    term = next(term for term in companion_terms(views.fine.rows) if term.name == "position_spring")
+    terms = tuple(term for term in fit.terms if term.name in LAW_AND_SAMPLING)
+    left = drop_idle_springs(views, fit_axis(views.fine, (*terms, term), fit.shape))
+    assert [term.name for term in left.terms[len(terms) :]] == (["position_spring"] if spring else [])
+
+
+def screw(spring: float, noise: float, seed: int, ripple: float = 0.0) -> Log:
+    """Return short production moves of a screw: 30 kg, 40 N, 120 N s/m, a spring [N/m], noise, ripple of 0.2 m [N]."""
     random, rate = np.random.default_rng(seed), 1000.0
     sample = np.arange(8000)
     time, k = sample / rate, sample // 800
@@ -249,6 +264,7 @@ def screw(spring: float, noise: float, seed: int) -> Log:
         stop = min(max(stop + 1e6 * step, -40.0), 40.0)
         friction[i] = stop
     force = 30.0 * np.gradient(velocity, 1.0 / rate) + 120.0 * velocity + friction + spring * (position - 0.15)
+    force += ripple * np.sin(2.0 * np.pi * position / 0.2)
     return Log(time, position, force + noise * random.standard_normal(len(time)), rate, source="screw.csv")
 
 

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from sgms_mhe.identification.elements import NO_RISE
-from sgms_mhe.identification.final_fit import CERTAIN, FinalIdentification
+from sgms_mhe.identification.final_fit import CERTAIN, MISFIT, FinalIdentification
 from sgms_mhe.identification.fits import (
     AxisFit,
     NumberEstimate,
@@ -42,8 +42,6 @@ OPEN_LEVEL: Final = 0.15
 """Share of the level in elements beyond that from which a record counts as one of presliding alone."""
 SURE: Final = 2.0
 """Standard deviations below its value that a stiffness surely has."""
-MISFIT: Final = 2.0
-"""Noise floors of the residual on unseen data beyond which three quarters of its power are no noise."""
 CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
     "coulomb": ("coulomb",),
     "viscous": ("viscous",),

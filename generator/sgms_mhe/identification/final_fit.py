@@ -63,6 +63,8 @@ TRACE: Final = 0.02
 """Share of the level below which an element is a trace of something else, where it is not sure either."""
 UNSURE: Final = 0.25
 """Deviation of such a level over its value."""
+MISFIT: Final = 2.0
+"""Noise floors of a residual beyond which three quarters of its power are no noise."""
 FINAL_ITERATIONS: Final = 8
 RENEWALS: Final = 6
 SETTLED: Final = 1e-4
@@ -130,7 +132,10 @@ def make_final_fit(
     report("numbers at the full rate")
     fit = _fit_finely(views, fit)
     if not wanted.count:
+        count = len(fit.levels)
         fit = drop_traces(views, fit)
+        if len(fit.levels) < count:
+            fit = drop_idle_springs(views, fit)
     cov = covariance(views.fine, fit)
     wide = quantities(fit, cov)
     mass = _mass(views.fine.rows, wide["mass"])
@@ -225,6 +230,25 @@ def drop_traces(views: Views, fit: AxisFit) -> AxisFit:
             break
         shape = Shape(fit.shape.law, fit.shape.distances[~unsure], fit.shape.rise)
         fit = fit_axis(views.fine, fit.terms, shape, iterations=FINAL_ITERATIONS)
+    return fit
+
+
+def drop_idle_springs(views: Views, fit: AxisFit) -> AxisFit:
+    """The fit without springs that leave no less on unseen rows: some stood against an element that has gone since.
+
+    One that pushes away makes up for an element beyond the travel, which is one that pulls back. Nor with those that
+    are no larger than what is left, where that is not noise: they may be a part of it.
+    """
+    used = views.fine.rows.used
+    for term in fit.terms:
+        if term.name in LAW_AND_SAMPLING or not effect_definition(term.name).elastic:
+            continue
+        terms = tuple(other for other in fit.terms if other is not term)
+        without = fit_axis(views.fine, terms, fit.shape, iterations=FINAL_ITERATIONS)
+        size = float(np.std((fit.jacobian[:, fit.place(term.name)] @ fit.coefficient(term.name))[used]))
+        is_part = size <= fit.rms and fit.rms > MISFIT * views.fine.noise
+        if is_part or not is_better(fit, without):
+            fit = without
     return fit
 
 
