@@ -18,6 +18,7 @@ from sgms_bench.verification.fuzzing import SANITIZERS, Sanitizer, fuzz_machines
 from sgms_bench.verification.gaps import GAPS, Gap
 from sgms_bench.verification.limits import STATED, check_limits, stated_operations
 from sgms_bench.verification.machines import random_package
+from sgms_bench.verification.mcdc import Conditions, Decision, conditions_of, merge
 from sgms_bench.verification.outcome import CheckOutcome
 from sgms_bench.verification.specimens import SPECIMENS, specimen, specimens
 from sgms_bench.verification.syntax import syntax_tree
@@ -279,6 +280,24 @@ def test_work_and_stack_stay_within_what_is_stated(monkeypatch: pytest.MonkeyPat
 def test_stated_operations_are_read(package: Package) -> None:
     assert set(stated_operations(package)) == set(STATED)
     assert all(count > 1000 for count in stated_operations(package).values())
+
+
+# --- conditions ------------------------------------------------------------------------------------------------------
+
+
+def test_conditions_that_decide_in_any_package_count(tmp_path: Path) -> None:
+    """Two packages, one in single precision: each sees one of the two conditions decide alone."""
+    found: Conditions = {}
+    for name, literal, seen in (("mine", "0.0", [True, False]), ("other", "0.0f", [False, True])):
+        source = tmp_path / f"{name}.c"
+        source.write_text(
+            f"int {name}_f(float a)\n{{\n    return a > {literal} &&\n        a < {name.upper()}_MOST;\n}}\n"
+        )
+        end = len(f"        a < {name.upper()}_MOST") + 1
+        export = {"data": [{"files": [{"filename": str(source), "mcdc_records": [[3, 12, 4, end, 0, 0, seen]]}]}]}
+        merge(found, conditions_of(export, name))
+        assert sum(map(sum, found.values())) == 1 + (name == "other")
+    assert found == {Decision("NAME.c", "a > 0.0 && a < NAME_MOST"): (True, True)}
 
 
 # --- the table -------------------------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from sgms_bench.verification.constructs import check_constructs
 from sgms_bench.verification.coverage import check_coverage
 from sgms_bench.verification.fuzzing import SANITIZERS, fuzz_machines
 from sgms_bench.verification.limits import check_limits
+from sgms_bench.verification.mcdc import check_conditions
 from sgms_bench.verification.misra import check_misra
 from sgms_bench.verification.mutation import check_self_test
 from sgms_bench.verification.outcome import CheckOutcome
@@ -67,6 +68,7 @@ CHECKS: Final[Mapping[str, Callable[[argparse.Namespace, Progress], list[CheckOu
     "constructs": lambda _, progress: check_constructs(list(specimens()), progress),
     "misra": lambda _, progress: [check_misra(list(specimens()), progress)],
     "coverage": lambda _, progress: [check_coverage(list(specimens()), progress)],
+    "mcdc": lambda _, progress: [check_conditions(list(specimens()), progress)],
     "proof": lambda _, progress: [check_proof([load_machine("etel_xy"), *specimens()], progress)],
     "limits": lambda _, progress: check_limits(list(specimens()), progress),
     "bits": _bits,

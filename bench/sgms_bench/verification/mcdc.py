@@ -1,0 +1,134 @@
+"""Conditions of emitted C that its self-test and the exercise see decide alone (MC/DC)."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from sgms_bench import C_DIR
+from sgms_bench.verification.outcome import AbsentError, CheckOutcome, definitions, run
+from sgms_mhe.emission.package import Package, emit_package, write_package
+from sgms_mhe.machine import Machine
+from sgms_mhe.support.errors import BuildError
+
+VERSIONS: Final = ("", "-18", "-19", "-20", "-21")
+"""Of clang and its tools, as Debian names them; 18 is the first that counts conditions."""
+FLAGS: Final = ("-std=c99", "-O1", "-ffp-contract=off")
+COUNTED: Final = ("-fprofile-instr-generate", "-fcoverage-mapping", "-fcoverage-mcdc")
+LEAST: Final = 0.85
+"""Share of the conditions that has to decide; docs/verification.md has those that do not."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """A decision of emitted C as packages have it in common: text of it, in which file."""
+
+    file: str
+    code: str
+
+
+Conditions = dict[Decision, tuple[bool, ...]]
+"""Whether each condition of a decision was seen to decide alone."""
+
+
+def check_conditions(machines: Sequence[Machine], progress: Callable[[str], None]) -> CheckOutcome:
+    """Count the conditions that decide alone in one of the packages at least; those that do not are progress."""
+    check = "conditions that alone decide (MC/DC)"
+    try:
+        version = find_version()
+    except AbsentError as absent:
+        return CheckOutcome(check, "", skipped=str(absent))
+    found: Conditions = {}
+    for machine in machines:
+        merge(found, measure(emit_package(machine), version))
+        progress(f"{check}: {machine.name}")
+    deciding, count = sum(map(sum, found.values())), sum(map(len, found.values()))
+    for decision, seen in found.items():
+        if not all(seen):
+            progress(f"{check}: {decision.file}: {decision.code}: {[int(alone) for alone in seen]}")
+    tried = f"{deciding} of {count} conditions in {len(found)} decisions of {len(machines)} packages"
+    return CheckOutcome(check, tried, () if deciding >= LEAST * count else (f"fewer than {100 * LEAST:.0f} %",))
+
+
+def find_version() -> str:
+    """Return the suffix of a clang that counts conditions.
+
+    Raises:
+        AbsentError: there is none.
+    """
+    for version in VERSIONS:
+        tools = [f"{tool}{version}" for tool in ("clang", "llvm-profdata", "llvm-cov")]
+        if all(shutil.which(tool) for tool in tools):
+            asked = run([tools[0], *COUNTED, "-fsyntax-only", "-x", "c", os.devnull])
+            if asked.code == 0:
+                return version
+    raise AbsentError("tool absent: clang, llvm-profdata and llvm-cov of version 18 or later")
+
+
+def measure(package: Package, version: str) -> Conditions:
+    """Count conditions of one package.
+
+    Raises:
+        BuildError: a program does not compile, or fails.
+    """
+    name = package.machine.name
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        write_package(package, folder / name)
+        compile_c = [f"clang{version}", *FLAGS, *definitions(package), f"-I{folder / name}"]
+        compiled, merged = folder / "package.o", folder / "merged.profdata"
+        _succeed([*compile_c, *COUNTED, "-c", folder / name / f"{name}.c", "-o", compiled])
+        selftest: list[str | Path] = ["-DSGMS_SELFTEST", C_DIR / "harness.c", folder / name / f"{name}_selftest.c"]
+        exercise: list[str | Path] = [C_DIR / "exercise.c"]
+        programs = {"selftest": (selftest, ["--selftest"]), "exercise": (exercise, list[str]())}
+        for program, (parts, arguments) in programs.items():
+            _succeed([*compile_c, COUNTED[0], *parts, compiled, "-lm", "-o", folder / program])
+            profile = os.environ | {"LLVM_PROFILE_FILE": str(folder / f"{program}.profraw")}
+            _succeed([folder / program, *arguments], profile)
+        profiles = [folder / f"{program}.profraw" for program in programs]
+        _succeed([f"llvm-profdata{version}", "merge", *profiles, "-o", merged])
+        export = _succeed([f"llvm-cov{version}", "export", "-instr-profile", merged, compiled])
+        return conditions_of(json.loads(export), name)
+
+
+def _succeed(command: Sequence[str | Path], environment: Mapping[str, str] | None = None) -> str:
+    done = run(command, environment)
+    if done.code != 0:
+        raise BuildError(f"{command[0]}: exit code {done.code}\n{done.output[-2000:]}")
+    return done.output
+
+
+def conditions_of(export: Mapping[str, Any], name: str) -> Conditions:
+    """Read conditions from what llvm-cov exports of a package of that name."""
+    found: Conditions = {}
+    for file in export["data"][0]["files"]:
+        path = Path(file["filename"])
+        lines = path.read_text().splitlines() if file.get("mcdc_records") else []
+        for record in file.get("mcdc_records", []):
+            first, left, last, right = record[:4]
+            texts = lines[first - 1 : last]
+            texts[-1] = texts[-1][: right - 1]
+            texts[0] = texts[0][left - 1 :]
+            decision = Decision(_common(path.name, name), _common(" ".join(text.strip() for text in texts), name))
+            merge(found, {decision: tuple(map(bool, record[-1]))})
+    return found
+
+
+def merge(into: Conditions, more: Conditions) -> None:
+    """Add what other calls or packages have seen: a condition that decides in one of them does."""
+    for decision, seen in more.items():
+        before = into.get(decision, (False,) * len(seen))
+        into[decision] = tuple(a or b for a, b in zip(before, seen, strict=True))
+
+
+def _common(text: str, name: str) -> str:
+    """Code as packages of all names and precisions have it."""
+    text = text.replace(f"{name.upper()}_", "NAME_").replace(name, "NAME")
+    return re.sub(r"(\d)f\b", r"\1", text)
