@@ -17,6 +17,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from platformdirs import user_cache_path
+
 from sgms_mhe.support.errors import BuildError
 
 DIGITS: Final = 24
@@ -31,15 +33,13 @@ _listed: Final[dict[Path, dict[str, list[str]]]] = {}
 
 
 def cache_dir() -> Path:
-    """Folder of what is kept: $XDG_CACHE_HOME/sgms-mhe, or ~/.cache/sgms-mhe.
+    """Folder of what is kept: where the system has caches; on Linux $XDG_CACHE_HOME/sgms-mhe or ~/.cache/sgms-mhe.
 
     Raises:
         BuildError: the user has no home.
     """
-    # The specification says to ignore a relative path.
-    stated = Path(os.environ.get("XDG_CACHE_HOME", ""))
     try:
-        return (stated if stated.is_absolute() else Path.home() / ".cache") / "sgms-mhe"
+        return user_cache_path("sgms-mhe", appauthor=False)
     except RuntimeError:
         raise BuildError("no home folder to keep compiled code in; XDG_CACHE_HOME names another place") from None
 
