@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from pathlib import Path
 
+import jsonschema
 import pytest
 from click.testing import CliRunner
 
@@ -58,6 +60,21 @@ def test_assumed_is_what_nobody_gave(tmp_path: Path) -> None:
     friction = content["friction"]
     distances = [s * friction["coulomb"] / k for s, k in zip(friction["fraction"], friction["stiffness"], strict=True)]
     assert max(distances) == pytest.approx(1e-4, rel=1e-2)
+
+
+def test_editor_finds_the_schema(tmp_path: Path) -> None:
+    path, schema = tmp_path / "my_axis.toml", tmp_path / "machine.schema.json"
+    words = ["--out", str(path), "--mass", "12", "--rate", "8000"]
+    started(*words)
+    directive, text = path.read_text().split("\n", 1)
+    assert directive == "#:schema ./machine.schema.json"
+    rules = json.loads(schema.read_text())
+    jsonschema.validate(tomllib.loads(text), rules)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(tomllib.loads(text.replace("mass = ", "mas = ")), rules)
+    schema.write_text("somebody's\n")
+    started(*words, "--force")
+    assert schema.read_text() == "somebody's\n"
 
 
 def test_a_file_that_is_there_stays(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -12,6 +12,7 @@ from sgms_mhe.commands.common import (
     NumberType,
     check_output_file,
     example,
+    json_text,
     note,
     note_step,
     out_option,
@@ -23,8 +24,11 @@ from sgms_mhe.support.errors import InputError
 if TYPE_CHECKING:
     from sgms_mhe.machine import Kind
 
-LARGEST = 1e9
+LARGEST: Final = 1e9
 """Of any number that is asked for."""
+
+SCHEMA: Final = "machine.schema.json"
+"""File beside the machine file by which editors complete and check it."""
 
 _positive = NumberType(1e-12, LARGEST)
 
@@ -62,12 +66,12 @@ def command(
     """Write a commented machine file: from logs what they determine, without one from what is known of the axis.
 
     Mass and rate are asked for where they are not given, if there is a terminal. Numbers that nobody gave stand at
-    usual values and are marked as assumed. Of an axis that turns all is in rad and N m.
+    usual values and are marked as assumed. Of an axis that turns all is in rad and N m. Its first line names the
+    schema by which editors check it, machine.schema.json, written beside it where there is none.
     """
     check_output_file(out, (".toml",))
 
     from sgms_mhe.api.starting import AxisNumbers, start_text
-    from sgms_mhe.support.files import write_text
 
     if out.exists() and not force:
         raise InputError(out, "output file", None, "a new one; --force replaces it")
@@ -78,7 +82,7 @@ def command(
         for option, value in given.items():
             if value is not None:
                 raise InputError("start", option, value, "none with a log, which says so itself")
-        write_text(out, _from_logs(logs, table, out.stem, mass, inertia))
+        _write(out, _from_logs(logs, table, out.stem, mass, inertia))
     else:
         kind: Kind = "linear" if inertia is None else "rotary"
         given_mass = mass if inertia is None else inertia
@@ -87,8 +91,19 @@ def command(
         if rate is None:
             rate = _ask("--rate", "Samples per second [Hz]")
         known = AxisNumbers(out.stem, kind, moved, rate, coulomb, viscous, break_away, max_velocity)
-        write_text(out, start_text(known, out)[0])
+        _write(out, start_text(known, out)[0])
     show(f"machine file: {out}\nnext: sgms-mhe check {out}", out)
+
+
+def _write(out: Path, text: str) -> None:
+    """Write the machine file, and its schema where the folder has none of that name."""
+    from sgms_mhe.configuration import machine_schema
+    from sgms_mhe.support.files import write_text
+
+    schema = out.resolve().with_name(SCHEMA)
+    if not schema.exists():
+        write_text(schema, f"{json_text(machine_schema())}\n")
+    write_text(out, f"#:schema ./{SCHEMA}\n{text}")
 
 
 def _ask(option: str, question: str) -> float:
