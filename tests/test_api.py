@@ -123,10 +123,12 @@ def test_the_citation_is_of_this_version() -> None:
     text = (ROOT / "CITATION.cff").read_text()
     assert f"\nversion: {sgms_mhe.__version__}\n" in text
     assert "\n  - name: sgms-mhe contributors\n" in text
-    paper = (ROOT / "docs" / "model.md").read_text().partition("The paper is ")[2].partition(".\n")[0]
+    paper = (ROOT / "docs" / "model.md").read_text().partition("The paper is ")[2].partition("Numbers")[0]
     title = re.search(r"\*(.+)\*", paper.replace("\n", " "))
     assert title is not None and f"title: {title[1]}\n" in text
     assert all(f"family-names: {name}\n" in text for name in re.findall(r"[A-Z]\. ([\w ]+),", paper))
+    (year,), (doi,) = re.findall(r"Conference (\d{4})", paper), re.findall(r"doi\.org/([^)]+)", paper)
+    assert f"year: {year}\n" in text and f"doi: {doi}\n" in text
 
 
 # --- machines and logs ------------------------------------------------------------------------------------------
