@@ -195,8 +195,8 @@ format: $(STAMP) ## let ruff and clang-format rewrite the sources
 release-check: check-generated ## may this commit be tagged: version, changelog, generated/, nothing uncommitted
 	@.ci/release-check
 
-wheel: $(STAMP) ## dist/*.whl, which carries templates, runtime C and machine files
-	$(BIN)/python -m hatchling build -t wheel
+wheel: $(STAMP) ## dist/*.whl, made of dist/*.tar.gz: it carries templates, runtime C and machine files
+	$(BIN)/python -m build --no-isolation
 
 clean: ## remove what was built, keep .venv
 	rm -rf $(BUILD) dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -43,17 +43,15 @@ print(json.dumps({
 
 
 @pytest.fixture(scope="module")
-def environment(repo_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the Python of a new environment: the wheel, and what it depends on, nothing of the checkout."""
     folder = tmp_path_factory.mktemp("alone")
-    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
-    subprocess.run(build, cwd=repo_root, check=True, capture_output=True)
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder / "venv")], check=True)
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     site = folder / "venv" / "lib" / version / "site-packages"
     # A wheel is installed by unpacking it; a folder named in a .pth file gives its packages, not its editable ones.
-    with zipfile.ZipFile(next(folder.glob("*.whl"))) as wheel:
-        wheel.extractall(site)
+    with zipfile.ZipFile(wheel) as packed:
+        packed.extractall(site)
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n", encoding="utf-8")
     return folder / "venv" / "bin" / "python"
 
