@@ -143,6 +143,19 @@ next(outcomes)
     assert gone(child)
 
 
+def test_a_script_need_not_guard_its_own_start(tmp_path: Path) -> None:
+    """As a notebook's cells do: what a child runs is the task, not the script that asked for it."""
+    script = tmp_path / "script.py"
+    script.write_text(f"""
+import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})
+import process_tasks as work
+from sgms_mhe.support.processes import Task, WorkerSlot, results
+print(results([Task(str(k), work.squared, (k,)) for k in range(3)], WorkerSlot(2)))
+""")
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout == "[0, 1, 4]\n"
+
+
 # --- what is kept -----------------------------------------------------------------------------------------------
 
 
