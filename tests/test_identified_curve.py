@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from cli_cases import done
 from sgms_bench.studies.identification import draw_axis
+from sgms_mhe import read_log
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.identification import Identification, Wanted, identify
@@ -167,3 +169,55 @@ def test_an_entry_of_nothing_is_as_sure_as_the_largest_of_its_list() -> None:
     assert found["forward_1_N"].determined and found["forward_2_N"].determined
     assert not found["backward_1_N"].determined and not found["backward_2_N"].determined
     assert math.isnan(found["speed_1_m_s"].std)
+
+
+# --- friction that follows the speed about standstill -----------------------------------------------------------
+
+
+def gradual_log(gradual: float, step: float, late: int = 0, seconds: float = 30.0, rate: float = 500.0) -> Log:
+    """Return the log of a joint as simulators have it: 1 N m of friction from a speed on, in proportion below.
+
+    Args:
+        gradual: speed up to which friction is in proportion to it [rad/s].
+        step: of the encoder [rad].
+        late: samples by which the torque is logged late.
+    """
+    random, substeps = np.random.default_rng(5), 40
+    time = np.arange(int(seconds * rate)) / rate
+    pace, size = 2.0 * np.pi * np.array([0.17, 0.43, 0.71, 1.3]), np.array([0.9, 0.5, 0.3, 0.15])
+    aim, aim_speed = np.sin(np.outer(time, pace)) @ size, np.cos(np.outer(time, pace)) @ (size * pace)
+    inertia, h, q, w = 0.22, 1.0 / rate / substeps, 0.0, float(aim_speed[0])
+    angle, torque = np.empty(len(time)), np.empty(len(time))
+    for k in range(len(time)):
+        drive = 150.0 * (aim[k] - q) + 8.0 * (aim_speed[k] - w)
+        angle[k], torque[k] = round(q / step) * step, drive + 0.01 * random.standard_normal()
+        for _ in range(substeps):
+            friction = min(max(w / gradual, -1.0), 1.0) + 0.3 * w
+            w += (drive - friction - 5.9 * math.sin(q)) / inertia * h
+            q += w * h
+    if late:
+        torque = np.concatenate((np.full(late, torque[0]), torque[:-late]))
+    return read_log({"position_rad": angle, "torque_Nm": torque}, rate=rate)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("gradual", "bits"), [(0.004, 14), (0.04, 20), (0.04, 14), (0.15, 20)])
+def test_friction_that_follows_the_speed_is_a_level_and_no_delay(gradual: float, bits: int) -> None:
+    """Not refused as frictionless where a curve explains all of it, nor taken for a torque that comes early."""
+    found = identify([gradual_log(gradual, 2.0 * math.pi / 2**bits)], Wanted("gradual"))
+    numbers = {number.name: number.value for number in found.numbers}
+    assert numbers["mass"] == pytest.approx(0.22, rel=0.02)
+    assert numbers["coulomb"] == pytest.approx(1.0, rel=0.15)
+    assert numbers["unbalance.amplitude_N"] == pytest.approx(5.9, rel=0.02)
+    assert not [sentence for sentence in found.limits if "the motion that it makes" in sentence]
+
+
+@pytest.mark.slow
+def test_a_torque_that_is_late_is_said() -> None:
+    """Less what a drive is early by that holds its torque for a sample."""
+    found = identify([gradual_log(0.004, 2.0 * math.pi / 2**20, late=8)], Wanted("late"))
+    (said,) = [sentence for sentence in found.limits if "the motion that it makes" in sentence]
+    milliseconds = re.search(r"comes (\S+) ms after", said)
+    assert milliseconds and float(milliseconds[1]) == pytest.approx(
+        16.0 - 1.0, rel=0.15
+    )  # less what a drive that holds has

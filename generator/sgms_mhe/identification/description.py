@@ -42,6 +42,10 @@ OPEN_LEVEL: Final = 0.15
 """Share of the level in elements beyond that from which a record counts as one of presliding alone."""
 SURE: Final = 2.0
 """Standard deviations below its value that a stiffness surely has."""
+FAST: Final = 0.5
+"""Speed over its RMS from which on a row is away from reversals."""
+MOST: Final = 0.5
+"""Share of a delay that such rows alone must show."""
 CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
     "coulomb": ("coulomb",),
     "viscous": ("viscous",),
@@ -306,14 +310,20 @@ def list_misfit(residual: float, floor: float, units: Units) -> list[str]:
 def _late(final: FinalIdentification, view: RecordView, units: Units) -> list[str]:
     """Return the sentence on force and position that are apart in time: no number holds it, and no machine either.
 
-    No delay is what a controller that answers to the steps of an encoder may make of the term, nor less than a sample:
-    a drive that holds its force over one has it half a sample late, or early, as it is logged.
+    It is true of all of the force, so most of it is there away from reversals too: friction that follows the speed
+    gradually looks the same about one. No delay is what a controller that answers to the steps of an encoder may make
+    of the term, nor less than a sample: a drive that holds its force over one has it half a sample late, or early, as
+    it is logged.
     """
-    fit, place = final.fit, final.fit.place(LATE)
+    rows, fit, place = view.rows, final.fit, final.fit.place(LATE)
     late, std = float(fit.coefficient(LATE)[0]), math.sqrt(float(final.cov[place.start, place.start]))
-    size = abs(late) * float(np.std(fit.jacobian[view.rows.used, place.start]))
-    told = view.rows.machine.sampling.step + largest_noise_bias(view, fit, LATE)
+    size = abs(late) * float(np.std(fit.jacobian[rows.used, place.start]))
+    told = rows.machine.sampling.step + largest_noise_bias(view, fit, LATE)
     if abs(late) <= CERTAIN * std + told or size <= fit.rms:
+        return []
+    fast = rows.used & (np.abs(rows.velocity) >= FAST * np.sqrt(np.mean(rows.velocity[rows.used] ** 2)))
+    away = fit_axis(view, fit.terms, fit.shape, fast, iterations=0)
+    if float(away.coefficient(LATE)[0]) / late < MOST:
         return []
     which = "after" if late > 0.0 else "before"
     return [

@@ -371,7 +371,13 @@ def _test_curves(views: Views, fit: AxisFit, curves: Sequence[Term]) -> AxisFit:
     if look is without:
         return fit
     best = _search_rise(views, fit_aligned(views, look.terms, fit.shape))
-    return best if is_better(best, fit) and is_possible(machine, best, look.terms[-1]) else fit
+    gains = is_better(best, fit) and is_possible(machine, best, look.terms[-1]) and _has_sure_level(views.fine, best)
+    return best if gains else fit
+
+
+def _has_sure_level(view: RecordView, fit: AxisFit) -> bool:
+    """Return True if a fit's elements keep a level that is known: a curve beside them does not stand for it."""
+    return quantities(fit, covariance(view, fit))["coulomb"].relative < UNSURE
 
 
 def is_possible(machine: Machine, fit: AxisFit, term: Term) -> bool:
