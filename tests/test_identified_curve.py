@@ -26,7 +26,7 @@ from sgms_mhe.diagnosis import diagnose
 from sgms_mhe.identification import Identification, Wanted, identify
 from sgms_mhe.identification.description import effect_numbers
 from sgms_mhe.identification.final_fit import FinalIdentification, is_possible
-from sgms_mhe.identification.fits import AxisFit
+from sgms_mhe.identification.fits import AxisFit, covariance, quantities
 from sgms_mhe.identification.identify import explore
 from sgms_mhe.identification.terms import Term
 from sgms_mhe.machine import Machine
@@ -221,3 +221,16 @@ def test_a_torque_that_is_late_is_said() -> None:
     assert milliseconds and float(milliseconds[1]) == pytest.approx(
         16.0 - 1.0, rel=0.15
     )  # less what a drive that holds has
+
+
+@pytest.mark.slow
+def test_a_number_that_no_used_row_shows_is_unknown_and_leaves_the_others_theirs() -> None:
+    """A break-away distance far below what a sample resolves moves nothing but rows that do not count."""
+    final = explore([gradual_log(0.004, 2.0 * math.pi / 2**14, seconds=12.0)], Wanted("unseen")).final
+    rows, jacobian = final.view.rows, final.fit.jacobian.copy()
+    jacobian[:, 0] = 0.0
+    jacobian[np.flatnonzero(~rows.used)[0], 0] = 1.0
+    found = quantities(final.fit, cov := covariance(final.view, replace(final.fit, jacobian=jacobian)))
+    assert np.isfinite(cov).all()
+    assert found["stiffness_1"].relative > 1e6
+    assert found["coulomb"].relative < 0.1

@@ -356,7 +356,7 @@ def covariance(view: RecordView, fit: AxisFit) -> Array:
     rows = view.rows
     interior = np.any(fit.jacobian != 0.0, axis=0)
     X = fit.jacobian[:, interior]
-    scale = np.sqrt(np.maximum(np.sum(X[rows.used] ** 2, axis=0) + fit.prior[interior], 1e-300))
+    scale = np.sqrt(np.maximum(np.sum(X[rows.used] ** 2, axis=0) + fit.prior[interior], NOTHING))
     X = X / scale
     H = X[rows.used].T @ X[rows.used] + np.diag(fit.prior[interior] / scale**2)
     values, vectors = np.linalg.eigh(H)
