@@ -14,6 +14,7 @@ from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
 from sgms_mhe.diagnosis.beginning import ROUGH, begin_from_record, distance, plain_friction
 from sgms_mhe.diagnosis.fits import Subject, fit_model
+from sgms_mhe.diagnosis.laws import _thinned
 from sgms_mhe.diagnosis.result import RefutedNumber
 from sgms_mhe.identification.elements import Stribeck, least_distance
 from sgms_mhe.machine import Machine
@@ -165,3 +166,18 @@ def test_elements_that_break_away_within_a_sample_cost_no_more_than_it_resolves(
         distances = np.array(found.fraction) * found.coulomb / np.array(found.stiffness)
         least = least_distance(law, Stribeck(found.stribeck_ratio, found.stribeck_velocity), rate)
         assert np.all(distances >= 0.999 * least)
+
+
+def test_other_law_of_elements_that_switch_costs_no_more_than_a_sample_tells() -> None:
+    """A servo whose level falls up to a high speed, as identified: an element of 3 urad and a gate at 0.6 rad/s."""
+    friction = {"law": "switching", "stiffness": [5764.0, 5.0], "fraction": [0.9, 0.1], "coulomb": 0.019}
+    friction |= {"micro_viscous": [0.0, 0.0], "stribeck_ratio": 5.0, "stribeck_velocity": 1.7}
+    sampling = {"rate": 1000.0, "velocity_cutoff": 100.0}
+    file = override_machine(load_machine("etel_xy"), {"friction": friction, "sampling": sampling})
+    run = simulate_axis(file, make_trajectory("mixed", 1000.0, duration_s=1.0), AxisConfig(seed=1), truth=False)
+    own, other = _thinned(file, prepare(file, run.log), 1.0)
+    assert own.machine.friction.stiffness == (5764.0, 5.0)
+    found = other.machine.friction
+    distances = found.coulomb * np.array(found.fraction) / np.array(found.stiffness)
+    assert found.law == "sgms" and found.stiffness[1] == 5.0
+    assert distances[0] == pytest.approx(least_distance("sgms", Stribeck(5.0, 1.7), 1000.0))

@@ -13,13 +13,21 @@ LAW_KEYS: Final = ("law", "micro_viscous", "smoothing")
 """Keys of [friction] that belong to a law."""
 
 
-def switch_law(machine: Machine) -> Machine | None:
+def switch_law(machine: Machine, least: float = 0.0) -> Machine | None:
     """The machine with the other law: switching, or smooth as by default.
 
-    Returns None where an effect of the machine does not stand with it.
+    Args:
+        machine: with either law.
+        least: smallest distance within which a smooth element breaks away [m]; stiffer ones become as soft as that.
+
+    Returns:
+        None where an effect of the machine does not stand with the law.
     """
     if machine.friction.switches:
-        return override_machine(machine, {"friction": {"law": "sgms"}})
+        levels = [share * machine.friction.coulomb for share in machine.friction.fraction]
+        pairs = zip(levels, machine.friction.stiffness, strict=True)
+        stiffness = [min(own, level / least) if least > 0.0 else own for level, own in pairs]
+        return override_machine(machine, {"friction": {"law": "sgms", "stiffness": stiffness}})
     if any(effect_definition(effect.name).smooth_only for effect in machine.effects):
         return None
     # The damping of an element would jump where it breaks away.

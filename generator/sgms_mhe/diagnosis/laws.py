@@ -17,6 +17,7 @@ from sgms_mhe.diagnosis.criteria import Criteria
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
 from sgms_mhe.diagnosis.models import FitError
 from sgms_mhe.diagnosis.parametrisation import CandidateEffect, machine_groups
+from sgms_mhe.identification.elements import Stribeck, least_distance
 from sgms_mhe.identification.search import element_numbers
 from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import BASE_CAUSES, effect_definition
@@ -124,9 +125,19 @@ def list_compilations(machine: Machine, recording: Recording) -> list[Callable[[
 
 def _thinned(machine: Machine, recording: Recording, floor: float) -> list[Subject]:
     """The machine along a record, under its own law and the other one if there is one; `floor`: its noise [N]."""
-    alternative = switch_law(machine)
+    alternative = _other_law(machine)
     axes = [machine] if alternative is None else [machine, alternative]
     return [decimate(replace(Subject.of(axis, recording), noise=floor)) for axis in axes]
+
+
+def _other_law(machine: Machine) -> Machine | None:
+    """The machine with the other law, if it has one; smooth elements no stiffer than they differ between two samples.
+
+    Elements that switch may break away within any distance. As smooth ones they would take for ever below the gate.
+    """
+    friction = machine.friction
+    rise = Stribeck(friction.stribeck_ratio, friction.stribeck_velocity)
+    return switch_law(machine, least_distance("sgms", rise, machine.sampling.rate))
 
 
 def _align_nominal(subject: Subject) -> Subject | None:
