@@ -10,6 +10,7 @@ from sgms_bench.studies.cases import Case
 from sgms_bench.studies.coverage import draw, normalised_errors, statistics_machine
 from sgms_bench.studies.creep import CREEP_TRUTH, FORMULATIONS, Formulation, creep_signals, follow
 from sgms_bench.studies.monte_carlo import CASES, compare_case
+from sgms_bench.studies.others import RATE, drawn_motion, joint_row
 from sgms_bench.studies.relinearise import RELINEARISE_CASES, relinearise_errors
 from sgms_mhe.configuration import load_machine, override_machine
 
@@ -90,6 +91,24 @@ def test_auto_stays_near_all(name: str) -> None:
     assert 0.0 < kept["auto"].away.max() < 0.25, kept["auto"].away
     if "prior" in name:  # keeping every linearisation is not free
         assert kept["newest"].away.max() > 2.0 * kept["auto"].away.max()
+
+
+def test_a_joint_of_mujoco_is_identified_judged_and_compensated() -> None:
+    """A plant that nobody here wrote closes the loop; its friction is in proportion to the speed below 0.04 rad/s."""
+    row = joint_row("MuJoCo arm", 20.0, 1)
+    assert abs(row["inertia"]) < 3.0 and abs(row["gravity"]) < 2.0
+    assert not row["verdict"].startswith(("adequate", "explained"))  # what MuJoCo has is no S-GMS
+    assert row["C"] < 0.2 * row["static"] < row["PD"]
+
+
+def test_motions_of_a_study_have_their_derivatives() -> None:
+    motion = drawn_motion(5, 4.0)
+    inside = slice(1, -1)
+    speed, acceleration = np.gradient(motion.angle) * RATE, np.gradient(motion.speed) * RATE
+    np.testing.assert_allclose(motion.speed[inside], speed[inside], atol=1e-3 * np.abs(motion.speed).max())
+    largest = np.abs(motion.acceleration).max()
+    np.testing.assert_allclose(motion.acceleration[inside], acceleration[inside], atol=1e-3 * largest)
+    assert 1.2 <= np.abs(motion.angle).max() <= 2.2
 
 
 def test_studies_run_from_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:

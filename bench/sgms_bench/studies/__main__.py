@@ -5,6 +5,7 @@
 `readings` asks what more friction measurements per second gain, `relinearise` what it costs to keep linearisations,
 `faults` puts broken sensors into good logs, `lasting` gives the axis what its machine file has not, `speed` asks what
 fast moves cost the integrators, `identify` draws axes and identifies each from its log alone.
+`others` takes joints of MuJoCo and of better-actuator-models as axes: identified, diagnosed, compensated.
 `scaling` says what a task costs in 1 to 8 processes. All numbers are seeded; the same command prints the same table,
 wherever it runs, but for times.
 """
@@ -24,6 +25,7 @@ from sgms_bench.studies.identification import identification_study
 from sgms_bench.studies.lasting import lasting_study
 from sgms_bench.studies.lasting_figure import lasting_figure
 from sgms_bench.studies.monte_carlo import monte_carlo_study
+from sgms_bench.studies.others import AXES, others_study
 from sgms_bench.studies.plant import plant_study
 from sgms_bench.studies.readings import readings_study
 from sgms_bench.studies.relinearise import relinearise_study
@@ -46,6 +48,7 @@ STUDIES: Final[Mapping[str, tuple[Study, int, int]]] = {
     "faults": (lambda runs, updates, place: faults_study(runs, place), 20, 1800),
     "lasting": (lambda runs, updates, place: lasting_study(runs, updates / 100.0, place), 20, 2000),
     "identify": (lambda runs, updates, place: identification_study(runs, updates / 100.0, place=place), 40, 2500),
+    "others": (lambda runs, updates, place: others_study(runs, updates / 100.0, place), len(AXES), 3000),
     "speed": (lambda runs, updates, place: speed_study(updates), 1, 150),
     "scaling": (lambda runs, updates, place: scaling_study(runs), 8, 1000),
 }
