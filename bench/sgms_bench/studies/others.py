@@ -11,7 +11,7 @@ import importlib.util
 import math
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -230,17 +230,19 @@ Feed = Callable[[int, float, float], float]
 """Torque fed forward from now on [N m], of (sample, encoder's angle, torque before)."""
 
 
-def closed_loop(joint: DrivenJoint, motion: SetPoint, noise: float, seed: int, feed: Feed | None = None) -> JointRun:
+def add_noise(run: JointRun, noise: float, seed: int) -> JointRun:
+    """Return a run whose logged torque has noise of a standard deviation [N m]; the drive does not know of it."""
+    return replace(run, torque=run.torque + noise * np.random.default_rng([8, seed]).standard_normal(len(run.torque)))
+
+
+def drive_joint(joint: DrivenJoint, motion: SetPoint, feed: Feed | None = None) -> JointRun:
     """Drive a joint along a motion by PD and its inertia's torque.
 
     Args:
         joint: starts anew.
         motion: set-point.
-        noise: of the logged torque, standard deviation [N m].
-        seed: of it.
         feed: torque fed forward beside that; None: none.
     """
-    random = np.random.default_rng([8, seed])
     n = len(motion.angle)
     angle, torque, error = np.empty(n), np.empty(n), np.empty(n)
     stiff, damping = joint.inertia * BANDWIDTH**2 + 2.0 * joint.gravity, 1.4 * joint.inertia * BANDWIDTH
@@ -253,7 +255,7 @@ def closed_loop(joint: DrivenJoint, motion: SetPoint, noise: float, seed: int, f
         fed = 0.0 if feed is None else feed(k, float(angle[k]), drive)
         drive = stiff * (motion.angle[k] - angle[k]) + damping * (motion.speed[k] - speed)
         drive += joint.inertia * motion.acceleration[k] + fed
-        torque[k] = drive + noise * random.standard_normal()
+        torque[k] = drive
         joint.turn(drive)
     return JointRun(angle, torque, error)
 
@@ -261,7 +263,7 @@ def closed_loop(joint: DrivenJoint, motion: SetPoint, noise: float, seed: int, f
 # --- study ------------------------------------------------------------------------------------------------------
 
 
-def static_feed(run: JointRun, motion: SetPoint) -> Feed:
+def fit_static_feed(run: JointRun, motion: SetPoint) -> Feed:
     """Torque of gravity, Coulomb and viscous friction by least squares of a run, along another set-point."""
 
     def columns(angle: Array, speed: Array) -> Array:
@@ -275,16 +277,16 @@ def static_feed(run: JointRun, motion: SetPoint) -> Feed:
     return lambda k, angle, drive: float(torque[k])
 
 
-def emitted_feed(machine: Machine, folder: Path, motion: SetPoint) -> Feed:
-    """What the emitted C of a machine feeds forward, called sample by sample through its Python binding."""
+def call_emitted_c(machine: Machine, folder: Path, motion: SetPoint) -> Feed:
+    """Have the emitted C of a machine say what to feed forward, sample by sample, through its Python binding."""
     sgms_mhe.generate(machine, folder, bindings="python")
     estimator = _module(folder / f"{machine.name}.py").Estimator()
 
-    def feed(k: int, angle: float, drive: float) -> float:
+    def answer(k: int, angle: float, drive: float) -> float:
         estimator.ahead(float(motion.speed[k]), float(motion.acceleration[k]))
         return float(estimator.sample(angle, drive))
 
-    return feed
+    return answer
 
 
 def _module(path: Path) -> ModuleType:
@@ -301,12 +303,13 @@ def joint_row(name: str, seconds: float, seed: int) -> dict[str, Any]:
     """One row of the study: what identification finds, what diagnosis says, how well the joint tracks."""
     joint = AXES[name]()
     motions = [drawn_motion(3 * seed + k, seconds) for k in range(3)]
-    noise = NOISE * float(np.std(closed_loop(joint, motions[0], 0.0, seed).torque))
-    first, second, bare = (closed_loop(joint, motion, noise, seed + k) for k, motion in enumerate(motions))
+    first, second, bare = (drive_joint(joint, motion) for motion in motions)
+    noise = NOISE * float(np.std(first.torque))
+    first, second = add_noise(first, noise, seed), add_noise(second, noise, seed + 1)
     row: dict[str, Any] = {"joint": name}
-    static = static_feed(first, motions[2])
+    static = fit_static_feed(first, motions[2])
     row["PD"] = 1e3 * bare.tracking
-    row["static"] = 1e3 * closed_loop(joint, motions[2], noise, seed + 2, static).tracking
+    row["static"] = 1e3 * drive_joint(joint, motions[2], static).tracking
     try:
         found = sgms_mhe.identify(first.log, name="joint", note=lambda sentence: None)
     except sgms_mhe.InputError as error:
@@ -320,8 +323,8 @@ def joint_row(name: str, seconds: float, seed: int) -> dict[str, Any]:
     row["verdict"] = " ".join([judged.verdict, *(cause.name for cause in judged.causes)])
     row["left"] = 100.0 * judged.errors["after"]
     with TemporaryDirectory() as folder:
-        feed = emitted_feed(found.machine, Path(folder), motions[2])
-        row["C"] = 1e3 * closed_loop(joint, motions[2], noise, seed + 2, feed).tracking
+        feed = call_emitted_c(found.machine, Path(folder), motions[2])
+        row["C"] = 1e3 * drive_joint(joint, motions[2], feed).tracking
     return row
 
 

@@ -16,10 +16,9 @@ import numpy as np
 
 from sgms_bench import C_DIR
 from sgms_bench.verification.gaps import GAPS, Gap
-from sgms_bench.verification.outcome import AbsentError, CheckOutcome, definitions, require, run
+from sgms_bench.verification.outcome import AbsentError, CheckOutcome, definitions, require, run_or_raise
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.machine import Machine
-from sgms_mhe.support.errors import BuildError
 
 # Without inlining every branch of a function stands for all of its callers, once.
 FLAGS: Final = ("-std=c99", "-O0", "-ffp-contract=off", "--coverage", "-fno-inline")
@@ -116,28 +115,37 @@ def measure(package: Package, *, exercised: bool = True) -> Coverage:
         header = folder / name / "sgms_real.h"
         header.write_text(header.read_text().replace(INLINED, "inline"))
         options: list[str | Path] = [*FLAGS, *definitions(package), f"-I{folder / name}"]
-        _succeed(["gcc", *options, "-c", folder / name / f"{name}.c", "-o", folder / "package.o"])
-        selftest: list[str | Path] = [C_DIR / "harness.c", folder / name / f"{name}_selftest.c"]
-        programs = {"selftest": (selftest, ["-DSGMS_SELFTEST"], ["--selftest"])}
-        if exercised:
-            programs["exercise"] = ([C_DIR / "exercise.c"], [], [])
+        run_or_raise(["gcc", *options, "-c", folder / name / f"{name}.c", "-o", folder / "package.o"])
+        programs = list_programs(folder / name, name)
+        if not exercised:
+            del programs["exercise"]
         for program, (parts, defined, arguments) in programs.items():
             bare: list[str | Path] = [*(option for option in options if option != "--coverage"), *defined]
             objects: list[str | Path] = [folder / f"{program}_{part}.o" for part in range(len(parts))]
             for source, compiled in zip(parts, objects, strict=True):
-                _succeed(["gcc", *bare, source, "-c", "-o", compiled])
-            _succeed(["gcc", "--coverage", *objects, folder / "package.o", "-o", folder / program, "-lm"])
-            _succeed([folder / program, *arguments])
-        _succeed(["gcov", "--json-format", "--branch-probabilities", "-o", folder, folder / "package.o"], folder)
+                run_or_raise(["gcc", *bare, source, "-c", "-o", compiled])
+            run_or_raise(["gcc", "--coverage", *objects, folder / "package.o", "-o", folder / program, "-lm"])
+            run_or_raise([folder / program, *arguments])
+        run_or_raise(
+            ["gcov", "--json-format", "--branch-probabilities", "-o", folder, folder / "package.o"], folder=folder
+        )
         reports = list(folder.glob("*.gcov.json.gz"))
         content = json.loads(gzip.decompress(reports[0].read_bytes()))
         return _coverage(content, folder / name, name)
 
 
-def _succeed(command: Sequence[str | Path], folder: Path | None = None) -> None:
-    done = run(command, folder=folder)
-    if done.code != 0:
-        raise BuildError(f"{command[0]}: exit code {done.code}\n{done.output}")
+def list_programs(folder: Path, name: str) -> dict[str, tuple[list[Path], list[str], list[str]]]:
+    """Return the programs that reach a package's C, by name: sources, definitions, arguments.
+
+    Args:
+        folder: of the package.
+        name: of its machine.
+    """
+    selftest = [C_DIR / "harness.c", folder / f"{name}_selftest.c"]
+    return {
+        "selftest": (selftest, ["-DSGMS_SELFTEST"], ["--selftest"]),
+        "exercise": ([C_DIR / "exercise.c"], [], []),
+    }
 
 
 def _coverage(content: Mapping[str, Any], folder: Path, name: str) -> Coverage:

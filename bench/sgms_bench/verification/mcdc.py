@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from sgms_bench import C_DIR
-from sgms_bench.verification.outcome import AbsentError, CheckOutcome, definitions, run
+from sgms_bench.verification.coverage import list_programs
+from sgms_bench.verification.outcome import AbsentError, CheckOutcome, definitions, run, run_or_raise
 from sgms_mhe.emission.package import Package, emit_package, write_package
 from sgms_mhe.machine import Machine
-from sgms_mhe.support.errors import BuildError
 
 VERSIONS: Final = ("", "-18", "-19", "-20", "-21")
 """Of clang and its tools, as Debian names them; 18 is the first that counts conditions."""
@@ -35,7 +34,7 @@ class Decision:
 
 
 Conditions = dict[Decision, tuple[bool, ...]]
-"""Whether each condition of a decision was seen to decide alone."""
+"""Conditions of each decision: true if one was seen to decide alone."""
 
 
 def check_conditions(machines: Sequence[Machine], progress: Callable[[str], None]) -> CheckOutcome:
@@ -84,25 +83,16 @@ def measure(package: Package, version: str) -> Conditions:
         write_package(package, folder / name)
         compile_c = [f"clang{version}", *FLAGS, *definitions(package), f"-I{folder / name}"]
         compiled, merged = folder / "package.o", folder / "merged.profdata"
-        _succeed([*compile_c, *COUNTED, "-c", folder / name / f"{name}.c", "-o", compiled])
-        selftest: list[str | Path] = ["-DSGMS_SELFTEST", C_DIR / "harness.c", folder / name / f"{name}_selftest.c"]
-        exercise: list[str | Path] = [C_DIR / "exercise.c"]
-        programs = {"selftest": (selftest, ["--selftest"]), "exercise": (exercise, list[str]())}
-        for program, (parts, arguments) in programs.items():
-            _succeed([*compile_c, COUNTED[0], *parts, compiled, "-lm", "-o", folder / program])
+        run_or_raise([*compile_c, *COUNTED, "-c", folder / name / f"{name}.c", "-o", compiled])
+        programs = list_programs(folder / name, name)
+        for program, (parts, defined, arguments) in programs.items():
+            run_or_raise([*compile_c, COUNTED[0], *defined, *parts, compiled, "-lm", "-o", folder / program])
             profile = os.environ | {"LLVM_PROFILE_FILE": str(folder / f"{program}.profraw")}
-            _succeed([folder / program, *arguments], profile)
+            run_or_raise([folder / program, *arguments], profile)
         profiles = [folder / f"{program}.profraw" for program in programs]
-        _succeed([f"llvm-profdata{version}", "merge", *profiles, "-o", merged])
-        export = _succeed([f"llvm-cov{version}", "export", "-instr-profile", merged, compiled])
+        run_or_raise([f"llvm-profdata{version}", "merge", *profiles, "-o", merged])
+        export = run_or_raise([f"llvm-cov{version}", "export", "-instr-profile", merged, compiled])
         return conditions_of(json.loads(export), name)
-
-
-def _succeed(command: Sequence[str | Path], environment: Mapping[str, str] | None = None) -> str:
-    done = run(command, environment)
-    if done.code != 0:
-        raise BuildError(f"{command[0]}: exit code {done.code}\n{done.output[-2000:]}")
-    return done.output
 
 
 def conditions_of(export: Mapping[str, Any], name: str) -> Conditions:

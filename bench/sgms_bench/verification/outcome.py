@@ -10,6 +10,7 @@ from pathlib import Path
 
 from sgms_mhe.emission.package import Package
 from sgms_mhe.host.compiled import replay_definitions
+from sgms_mhe.support.errors import BuildError
 
 
 @dataclass(frozen=True)
@@ -95,3 +96,17 @@ def run(
     except subprocess.TimeoutExpired:
         return Run(124, f"did not end within {seconds:g} s")
     return Run(done.returncode, done.stdout)
+
+
+def run_or_raise(
+    command: Sequence[str | Path], environment: Mapping[str, str] | None = None, folder: Path | None = None
+) -> str:
+    """Run a program that has to succeed; what it printed.
+
+    Raises:
+        BuildError: it failed.
+    """
+    done = run(command, environment, folder)
+    if done.code != 0:
+        raise BuildError(f"{command[0]}: exit code {done.code}\n{done.output}")
+    return done.output
