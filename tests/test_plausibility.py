@@ -296,6 +296,36 @@ def test_a_measured_axis_has_the_sign_that_it_has(sign: float, measured_data: Ca
             check_plausible(changed, emps)
 
 
+def pushed(machine: Machine, force: float, velocity: float, duration: float, seed: int) -> Log:
+    """A log of an axis of Coulomb and viscous friction under a constant force from a velocity on, until it stops."""
+    axis, rate = machine.friction, machine.sampling.rate
+    positions, position = [], 0.0
+    for _ in range(round(duration * rate)):
+        positions.append(position)
+        after = velocity + (force - axis.coulomb - axis.viscous * velocity) / machine.plant.moved / rate
+        after = max(after, 0.0)
+        position += (velocity + after) / 2.0 / rate
+        velocity = after
+    noise = np.random.default_rng(seed).normal(0.0, 2e-3 * axis.coulomb, len(positions))
+    rounded = np.round(np.array(positions) / 1e-7) * 1e-7
+    time = np.arange(len(positions)) / rate
+    return Log(rate=rate, kind=machine.plant.kind, time_s=time, position_m=rounded, force_N=force + noise)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", ["etel_xy", "emps", "etel_xy_rotary"])
+def test_a_constant_force_and_none_move_an_axis(name: str, seed: int) -> None:
+    chosen = load_machine(name)
+    duration = (0.4, 1.0, 2.3)[seed]
+    for pushes in (1.2, 2.0, 5.0):
+        fast = override_machine(chosen, {"sampling": {"max_velocity": 1.0}})
+        log = pushed(fast, pushes * chosen.friction.coulomb, 0.0, duration, seed)
+        check_plausible(log, fast)
+        with pytest.raises(InputError, match="kN"):
+            check_plausible(replace(log, force_N=1e-3 * log.force_N), fast)
+    check_plausible(pushed(chosen, 0.0, chosen.sampling.max_velocity, duration, seed), chosen)
+
+
 def test_logs_too_short_for_an_interval_are_taken(machine: Machine, log: Log) -> None:
     check_plausible(log.part(0.5, 0.512), machine)
 

@@ -346,18 +346,30 @@ def _remedy(log: Log, machine: Machine, ratio: float) -> str:
     return f"[log] of the machine file has {' or '.join(found)}, the scale times the one that it has: {known}"
 
 
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def _check_force(log: Log, machine: Machine, motion: _Motion) -> None:
-    """Refuse a motion that this force cannot have made, or a force beyond all that the motion takes."""
+    """Refuse a motion that this force cannot have made, or a force beyond all that the motion takes.
+
+    A constant force drives an axis, so its RMS counts for the motion; or a load that stands, so its standard deviation
+    counts against it. What speed an axis loses over a log works against friction without one.
+    """
     friction, resisting = machine.friction, _resisting(log, machine)
-    needed = machine.plant.moved * float(np.sqrt(np.mean(motion.acceleration**2)))
-    measured = float(np.std(motion.force))
+    direction = np.sign(motion.velocity)
+    needed = machine.plant.moved * _rms(motion.acceleration)
+    path = max(float(np.sum(np.abs(motion.velocity))), math.ulp(0.0))
+    coasting = machine.plant.moved * max(-float(motion.acceleration @ motion.velocity), 0.0) / path
+    driving, changing = _rms(motion.force), float(np.std(motion.force))
     sliding = since_reversal(motion.position, _breakaway(machine)) > _breakaway(machine)
-    rubbing = friction.coulomb * float(np.std(np.sign(motion.velocity) * sliding))
+    rubbing = friction.coulomb * _rms(direction * sliding)
 
     def fits(length: float = 1.0, strength: float = 1.0) -> bool:
-        inertial, taken = length * needed, strength * measured
-        too_weak = inertial > TOO_WEAK * (taken + resisting) or rubbing > TOO_STRONG * taken
-        return not too_weak and taken <= TOO_STRONG * (inertial + resisting)
+        inertial, taken = length * needed, strength * driving
+        is_stopped = rubbing > TOO_STRONG * taken and rubbing > TOO_WEAK * length * coasting
+        is_too_weak = inertial > TOO_WEAK * (taken + resisting) or is_stopped
+        return not is_too_weak and strength * changing <= TOO_STRONG * (inertial + resisting)
 
     if fits():
         return
@@ -370,7 +382,7 @@ def _check_force(log: Log, machine: Machine, motion: _Motion) -> None:
     lines = [f'{name} = {{ variable = "...", unit = "{unit}" }}' for name, unit in remedies]
     seen = (
         f"{needed:.3g} {units.force} rms for plant.{units.inert} = {machine.plant.moved:g} {units.mass} to move so and "
-        f"{rubbing:.3g} {units.force} rms for friction.coulomb, {measured:.3g} {units.force} rms measured"
+        f"{rubbing:.3g} {units.force} rms for friction.coulomb, {driving:.3g} {units.force} rms measured"
     )
     remedy = f"[log] of the machine file has {' or '.join(lines)}" if lines else _MAPPING
     raise _implausible(log, _both(log), seen, f"a motion and the {units.push} that makes it; {remedy}")
