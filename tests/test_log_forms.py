@@ -117,6 +117,19 @@ def test_a_drive_s_trace_needs_no_more_than_the_force_s_scale(tmp_path: Path) ->
 # --- what stands for something else -----------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("unit", ["", " [grad]", " [furlong]", " [A]"])
+def test_a_position_without_a_usable_unit_is_no_missing_one(unit: str, tmp_path: Path) -> None:
+    log = rotor(4)
+    assert log.velocity_m_s is not None
+    columns = {"Position actual value" + unit: log.position_m, "Velocity actual value [rad/s]": log.velocity_m_s}
+    path = write(tmp_path / "log.csv", time_s=log.time_s, torque_Nm=log.force_N, **columns)
+    with pytest.raises(InputError, match=r"Position actual value.* is there (without a unit|in )"):
+        read_log(path)
+    stated = {"velocity_rad_s": {"variable": "Velocity actual value"}}
+    moved = log.position_m - log.position_m[0]
+    assert read_log(path, table=stated).position_m == pytest.approx(moved, abs=1e-2 * np.ptp(moved))
+
+
 @pytest.mark.parametrize("header", ["velocity_rad_s", "Velocity actual value [rpm]", "omega (deg/s)"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_velocity_alone_is_integrated_and_said(header: str, seed: int, tmp_path: Path) -> None:

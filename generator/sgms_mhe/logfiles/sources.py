@@ -70,6 +70,10 @@ def choose_sources(
     has_clock = not table.clocks or "time_s" in stated
     time = find("time", by_name=True, required=not by_rate) if has_clock else None
     position = find("position", by_name=True, required=False)
+    is_unread = position is None and any(is_usual(column.header, "position") for column in table.columns)
+    asked = stated.get(quantities["velocity"].column)
+    if is_unread and (asked is None or asked.is_bare):
+        raise _missing(path, table, quantities["position"], None)
     velocity = find("velocity", by_name=position is None, required=False)  # without a position it is integrated
     if (carrier := position or velocity) is None:
         raise _missing(path, table, quantities["position"], None)
