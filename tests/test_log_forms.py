@@ -76,6 +76,21 @@ def own(log: Log, *names: str) -> dict[str, Array]:
         ("Actual current [A]", "force"),
         ("Istgeschwindigkeit [mm/s]", "velocity"),
         ("Velocity actual value [rpm]", "velocity"),
+        ("r80 Actual torque value [Nm]", "force"),
+        ("r61[1] Actual encoder velocity [rpm]", "velocity"),
+        ("S-0-0051 Position feedback value 1 [Deg]", "position"),
+        ("S-0-0084 Torque/force feedback value [Nm]", "force"),
+        ("0x6064 Position actual value [inc]", "position"),
+        ("PL.FB (deg)", "position"),
+        ("IL.FB (A)", "force"),
+        ("/joint_states/joint1/effort", "force"),
+        ("position[0]", "position"),
+        ("Temps (s)", "time"),
+        ("Velocità [rad/s]", "velocity"),
+        ("Posición {rad}", "position"),
+        ("Couple <Nm>", "force"),
+        ("位置(rad)", "position"),
+        ("τ (N·m)", "force"),
         ("Istdrehzahl [1/min]", "velocity"),
     ],
 )
@@ -88,7 +103,8 @@ def test_names_of_drives_are_known(name: str, role: Any) -> None:
     "name",
     "Lagesollwert [mm]|Position demand value [mm]|pos.set|x_cmd|Target position|Schleppabstand [mm]|pos_err [mm]|"
     "Following error actual value [mm]|error.position|Reference.angle|Max torque|Torque limit|Torque set|q_ref|"
-    "Solldrehmoment|Positionsabweichung|Software position limit|run.pos.set|axis.set.pos".split("|"),
+    "Solldrehmoment|Positionsabweichung|Software position limit|run.pos.set|axis.set.pos|"
+    "p1122 Torque limit|S-0-0047 Position command value|0x607A Target position|IL.CMD (A)|PL.ERR (deg)".split("|"),
 )
 def test_set_points_and_errors_are_no_measurements(name: str) -> None:
     assert not any(is_usual(name, role) for role in ("position", "force", "velocity"))  # type: ignore[arg-type]
@@ -115,6 +131,29 @@ def test_a_drive_s_trace_needs_no_more_than_the_force_s_scale(tmp_path: Path) ->
 
 
 # --- what stands for something else -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("names", "turn", "push"),
+    [
+        (("Temps (s)", "Position (deg)", "Vitesse (rpm)", "Couple (N.m)"), 180.0 / np.pi, 1.0),
+        (("Tempo <s>", "Posizione <rad>", "Velocità <rpm>", "Coppia <mNm>"), 1.0, 1e3),
+        (("Tiempo [s]", "Posición [rev]", "Velocidad [rpm]", "Par [N-m]"), 0.5 / np.pi, 1.0),
+        (("Zeit [Sek]", "Lageistwert [Grad]", "Drehzahlistwert [1/min]", "Drehmomentistwert [Nm]"), 180.0 / np.pi, 1.0),
+        (("时间{s}", "角度{deg}", "速度{rpm}", "扭矩{Nm}"), 180.0 / np.pi, 1.0),
+        (("t (s)", "θ (°)", "ω (rpm)", "τ (N·m)"), 180.0 / np.pi, 1.0),
+    ],
+)
+def test_names_in_other_languages_are_read(
+    names: tuple[str, ...], turn: float, push: float, seed: int, tmp_path: Path
+) -> None:
+    log = rotor(seed, rate=500.0 + 250.0 * seed)
+    assert log.velocity_m_s is not None
+    values = (log.time_s, turn * log.position_m, log.velocity_m_s * 30.0 / np.pi, push * log.force_N)
+    found = read_log(write(tmp_path / "log.csv", **dict(zip(names, values, strict=True))))
+    assert found.kind == "rotary" and found.velocity_m_s is None
+    assert found.position_m == pytest.approx(log.position_m) and found.force_N == pytest.approx(log.force_N)
 
 
 @pytest.mark.parametrize("unit", ["", " [grad]", " [furlong]", " [A]"])

@@ -14,29 +14,41 @@ from sgms_mhe.logfiles.dialect import UNITS
 from sgms_mhe.machine import Role, normal_unit
 
 _WORDS: Final[Mapping[Role, str]] = {
-    "time": "t|time|zeit|timestamp|zeitstempel|datetime|elapsed|elapsedtime",
-    "position": "x|q|pos|position|lage|weg|angle|winkel|phi|theta|encoder|encoderposition|rotorposition|pfb",
-    "force": "f|u|force|kraft|torque|trq|moment|drehmoment|m|tau|current|strom|iq|i",
-    "velocity": "v|vel|velocity|speed|geschwindigkeit|drehzahl|omega|w|vfb",
+    "time": "t|time|zeit|timestamp|zeitstempel|datetime|elapsed|elapsedtime|temps|tempo|tiempo|时间|時間",
+    "position": "x|q|pos|position|lage|weg|angle|winkel|phi|theta|encoder|encoderposition|rotorposition|pfb|plfb|"
+    "posizione|posición|posicion|位置|角度|θ|φ",
+    "force": "f|u|force|kraft|torque|trq|moment|drehmoment|m|tau|current|strom|iq|i|ilfb|effort|couple|coppia|par|"
+    "forza|fuerza|转矩|扭矩|トルク|电流|電流|τ",
+    "velocity": "v|vel|velocity|speed|geschwindigkeit|drehzahl|omega|w|vfb|vlfb|vitesse|velocità|velocidad|速度|ω",
 }
 _MEASURED: Final = (
-    "actual|act|ist|istwert|value|wert|measured|meas|mess|feedback|fbk|fb|motor|drive|antrieb|axis|achse|joint|load"
+    "actual|act|ist|istwert|value|wert|measured|meas|mess|feedback|fbk|fb|motor|drive|antrieb|axis|achse|joint|load|"
+    "encoder"
 )
 _WANTED: Final = re.compile(
     r"(?:^|[\s_.\-/:])(?:set|soll|cmd|command|ref|reference|demand|target|desired|err|error|following|fehler|schlepp)",
     re.IGNORECASE,
 )
 _PATTERNS: Final = {
-    role: re.compile(rf"(?:(?:{_MEASURED}|current)\d*)*(?:{words})(?:{_MEASURED})*") for role, words in _WORDS.items()
+    role: re.compile(rf"(?:(?:{_MEASURED}|current)\d*)*(?:{words})(?:(?:{_MEASURED})\d*)*")
+    for role, words in _WORDS.items()
 }
+
+
+_PARAMETER: Final = re.compile(
+    r"(?:[rp]\d{2,}(?:\[\d+\])?|[SP]-\d-\d+(?:\.\d+)*|0x[0-9a-f]{4}(?:[:.]\w+)?)[\s:]+", re.I
+)
+"""Number of a drive's parameter before its name: r80, S-0-0051, 0x6064."""
+_INDEX: Final = re.compile(r"\[\d+\]")
 
 
 def split_name(name: str) -> tuple[str, str]:
     """(name without its unit, that unit as it stands) of 'Position [mm]', 'F (N)', 't/ms', 'pos_mm', 'Pos., mm'.
 
-    The unit is empty where there is none; in brackets it may be anything.
+    The unit is empty where there is none; in brackets it may be anything but an index.
     """
-    if found := re.fullmatch(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]", name):
+    found = re.fullmatch(r"(.*\S)\s*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]", name)
+    if found and not found[2].isdigit():
         return found[1], found[2]
     for pattern in (
         r"(.*?[^\s/])\s*/\s*([^/\s][^/]*(?:/.+)?)",  # Speed/m/min
@@ -60,7 +72,7 @@ def plain_name(name: str) -> str:
 
 def is_usual(header: str, role: Role) -> bool:
     """Return True for a usual name of a measured quantity, whole or the end of a path."""
-    name = split_name(header)[0]
+    name = _INDEX.sub("", _PARAMETER.sub("", split_name(header)[0]))
     if role not in _PATTERNS or _WANTED.search(name):
         return False
     ends = (name[mark.end() :] for mark in re.finditer(r"[.:/]", name))
