@@ -133,6 +133,23 @@ def test_a_drive_s_trace_needs_no_more_than_the_force_s_scale(tmp_path: Path) ->
 # --- what stands for something else -----------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("unit", "factor"), [("sec", 1.0), ("s", 1.0), ("ms", 1e3), ("min", 1.0 / 60.0)])
+@pytest.mark.parametrize("rate", [100.0, 500.0])
+def test_durations_and_clocks_with_milliseconds_are_times(
+    unit: str, factor: float, rate: float, tmp_path: Path
+) -> None:
+    log = rotor(5, rate=rate, seconds=4.0)
+    spans = [f"{factor * t:.9g} {unit}" for t in log.time_s]
+    clocks = [f"10:59:{57 + int(k // 1000)}:{k % 1000:03d}" for k in np.round(1e3 * log.time_s).astype(int)]
+    for name, times in (("spans.csv", spans), ("clocks.csv", clocks[: int(3.0 * rate)])):
+        rows = zip(times, log.position_m, log.force_N, strict=False)
+        content = "Period,2 ms\nTime,position_rad,torque_Nm\n" + "".join(f"{t},{q:.17g},{u:.17g}\n" for t, q, u in rows)
+        (tmp_path / name).write_text(content)
+        found = read_log(tmp_path / name)
+        assert found.rate == pytest.approx(rate, rel=1e-3) and len(found) == len(times)
+        assert found.position_m == pytest.approx(log.position_m[: len(times)])
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(
     ("names", "turn", "push"),

@@ -11,7 +11,7 @@ from typing import Final, Literal
 
 from sgms_mhe.logfiles.decimals import Mark, is_missing, is_number, told_by
 from sgms_mhe.logfiles.key_rows import find_key_rows
-from sgms_mhe.logfiles.stamps import stamp_form
+from sgms_mhe.logfiles.stamps import is_clock
 from sgms_mhe.machine import BY_COLUMN, SEPARATORS, LogMapping, normal_unit
 from sgms_mhe.support.errors import InputError
 
@@ -163,7 +163,7 @@ def is_empty(line: str) -> bool:
 
 
 def _is_value(field: str) -> bool:
-    return is_number(field) or stamp_form(field) is not None
+    return is_number(field) or is_clock(field)
 
 
 def _data(path: Path, filled: Sequence[tuple[int, str]], hints: LogMapping | None, least: int) -> tuple[str, int, int]:

@@ -11,7 +11,7 @@ from typing import Final
 from sgms_mhe.logfiles.decimals import is_missing, is_number
 from sgms_mhe.logfiles.dialect import Dialect, fields_of
 from sgms_mhe.logfiles.names import is_usual, plain_name
-from sgms_mhe.logfiles.stamps import stamp_form
+from sgms_mhe.logfiles.stamps import is_clock
 from sgms_mhe.logfiles.table import Array, Column, Table
 from sgms_mhe.machine import LogMapping
 from sgms_mhe.support.errors import InputError
@@ -53,7 +53,7 @@ def pivot(path: Path, table: Table, dialect: Dialect, hints: LogMapping | None) 
 
 
 def _is_value(field: str) -> bool:
-    return is_number(field) or stamp_form(field) is not None
+    return is_number(field) or is_clock(field)
 
 
 def _is_entry(field: str) -> bool:

@@ -1,4 +1,4 @@
-"""Time stamps in a text: ISO 8601 with and without a zone, dates day or month first, times of day."""
+"""Time stamps in a text: ISO 8601 with and without a zone, dates day or month first, times of day, durations."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from sgms_mhe.logfiles.decimals import is_missing
 from sgms_mhe.logfiles.table import Array
 
 _CLOCK: Final = (
-    r"(?P<h>\d{1,2}):(?P<min>\d{2}):(?P<s>\d{2})(?:[.,](?P<frac>\d{1,12}))?(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?"
+    r"(?P<h>\d{1,2}):(?P<min>\d{2}):(?P<s>\d{2})(?:(?:[.,]|:(?=\d{3}(?!\d)))(?P<frac>\d{1,12}))?"
+    r"(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?"
 )
 _ZONE: Final = r"(?:\s*(?P<zone>Z|UTC|GMT|[+-]\d{2}:?\d{2}))?"
 _FORMS: Final = (
@@ -27,13 +28,24 @@ _FORMS: Final = (
         re.compile(rf"(?P<a>\d{{1,2}})(?P<mark>[-/.])(?P<b>\d{{1,2}})[-/.](?P<y>\d{{4}})[T,\s]\s*{_CLOCK}{_ZONE}"),
     ),
     ("time of day", re.compile(_CLOCK)),
+    ("duration", re.compile(r"(?P<span>[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s?(?P<unit>(?:sec|s|ms|us|min|hr|h))")),
 )
+_SPANS: Final = {"sec": 1e9, "s": 1e9, "ms": 1e6, "us": 1e3, "min": 60e9, "hr": 3600e9, "h": 3600e9}
+"""Nanoseconds of the unit behind a duration, as MATLAB writes it."""
+_LAST: Final = frozenset(unit[-1] for unit in _SPANS)
 _DAY: Final = 86400
+
+
+def is_clock(token: str) -> bool:
+    """Return True if a field is a time stamp and no duration, as keys above a table have one too."""
+    return stamp_form(token) not in (None, "duration")
 
 
 def stamp_form(token: str) -> str | None:
     """Return the kind of time stamp of a field, or None."""
-    return next((name for name, form in _FORMS if form.fullmatch(token)), None) if ":" in token else None
+    if ":" in token or token[-1:] in _LAST:
+        return next((name for name, form in _FORMS if form.fullmatch(token)), None)
+    return None
 
 
 class Stamps:
@@ -77,7 +89,7 @@ class Stamps:
             raise ValueError(0, allowed)
         start = _nanoseconds(self._first[1], order, self._days)
         since = np.array([np.nan if value is None else (value - start) / 1e9 for value in nanoseconds])
-        return since if self._dates else self._over_midnight(since)
+        return since if self._form != "time of day" else self._over_midnight(since)
 
     def _parts(self, tokens: Sequence[str]) -> list[dict[str, str | None] | None]:
         """Each stamp in its parts, None where a field is empty."""
@@ -121,6 +133,8 @@ def _date_order(dates: Iterable[tuple[str, str, str]]) -> str | None:
 
 def _nanoseconds(parts: dict[str, str | None], order: str | None, days: dict[tuple[str, str, str], int]) -> int:
     """Nanoseconds of a stamp, since year 1 or midnight, in UTC where it states its zone; `days` remembers dates."""
+    if span := parts.get("span"):
+        return round(float(span.replace(",", ".")) * _SPANS[parts["unit"] or "s"])
     hour, minute, second = (int(parts[key] or 0) for key in ("h", "min", "s"))
     if hour > 23 or minute > 59 or second > 59:
         raise ValueError("a time of day up to 23:59:59")
