@@ -186,6 +186,24 @@ def test_a_position_without_a_usable_unit_is_no_missing_one(unit: str, tmp_path:
     assert read_log(path, table=stated).position_m == pytest.approx(moved, abs=1e-2 * np.ptp(moved))
 
 
+@pytest.mark.parametrize(
+    ("names", "missing"),
+    [
+        (("Time [s]", "J1 [deg]", "Load J1 [Nm]"), "position_rad"),
+        (("Time [s]", "J1", "Load J1 [N m]"), "position_rad"),
+        (("Time [s]", "Stage [mm]", "Coil"), "position_m"),
+        (("Time [s]", "Stage", "Coil"), "position_m"),
+    ],
+)
+def test_what_is_missing_is_of_the_kind_that_units_tell(names: tuple[str, ...], missing: str, tmp_path: Path) -> None:
+    log = rotor(6)
+    path = write(tmp_path / "log.csv", **dict(zip(names, (log.time_s, log.position_m, log.force_N), strict=True)))
+    with pytest.raises(InputError, match=f"missing: a column {missing};"):
+        read_log(path)
+    force = "torque_Nm" if missing == "position_rad" else "force_N"
+    assert json.loads(run("inspect", path, "--json").stdout)["missing"] == [missing, force]
+
+
 @pytest.mark.parametrize("header", ["velocity_rad_s", "Velocity actual value [rpm]", "omega (deg/s)"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_velocity_alone_is_integrated_and_said(header: str, seed: int, tmp_path: Path) -> None:

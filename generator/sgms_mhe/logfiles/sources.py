@@ -94,7 +94,7 @@ def find_missing(path: Path, table: Table, mapping: LogMapping | None, preferred
     try:
         kind = _kind(path, table, mapping, preferred)
     except InputError:
-        kind = "linear"
+        kind = next(iter(_kinds_by_units(table)), "linear")
     missing = []
     for quantity in QUANTITIES[kind]:
         stated = mapping.columns.get(quantity.column) if mapping is not None else None
@@ -146,7 +146,20 @@ def _kind(path: Path, table: Table, mapping: LogMapping | None, preferred: Kind 
     if len(found) == 2 and preferred is None:
         allowed = "columns of one kind of axis; [log] of the machine file says which: position_m or position_rad = ..."
         raise InputError(path, "columns", _shown(table), allowed)
+    if not found and preferred is None:
+        found = _kinds_by_units(table)
     return preferred if preferred is not None and (preferred in found or not found) else [*found, "linear"][0]
+
+
+def _kinds_by_units(table: Table) -> list[Kind]:
+    """Kinds of axis of which alone the file states units, whatever its columns are called."""
+    units = {kind: {unit for q in quantities for unit in q.units} for kind, quantities in QUANTITIES.items()}
+    kinds: set[Kind] = set()
+    for column in table.columns:
+        stated = normal_unit(column.unit) or normal_unit(split_name(column.header)[1])
+        having = [kind for kind in units if stated in units[kind]]
+        kinds |= set(having) if len(having) == 1 else set()
+    return list(kinds) if len(kinds) == 1 else []
 
 
 def _kinds(table: Table, mapping: LogMapping | None, *, sure: bool) -> list[Kind]:
