@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,15 @@ import pytest
 
 from sgms_mhe.configuration import make_machine
 from sgms_mhe.diagnosis import diagnose
+from sgms_mhe.diagnosis.harmonics import list_smoothed
+from sgms_mhe.diagnosis.result import Cause, Rms
 from sgms_mhe.identification.search import element_numbers
 from sgms_mhe.machine import Machine
 from sgms_mhe.recordings.recording import prepare
 from sgms_mhe.signals.logs import Log
 
 RATE, COGGING = 1000.0, 0.006
+PASS = "pass velocity_cutoff"
 
 
 def rotor(cutoff: float) -> Machine:
@@ -71,6 +75,34 @@ def test_cogging_at_one_speed_is_found_at_any_cutoff(cutoff: float, turns: float
     else:
         assert sines["force_ripple"]["pitch_m"] == pytest.approx(2.0 * np.pi / order, rel=1e-3)
     assert any("one speed" in limit and "in time or in place" in limit for limit in found.limits)
+    sizes = [cause.parameters["amplitude_N"] for cause in found.causes if "amplitude_N" in cause.parameters]
+    said = [float(limit.partition(" is about ")[2].partition(";")[0]) for limit in found.limits if PASS in limit]
+    assert (said or sizes) == [pytest.approx(COGGING, rel=0.02 if said else 0.05)]
+
+
+@pytest.mark.parametrize("cutoff", [25.0, 60.0, 120.0])
+@pytest.mark.parametrize(("turns", "order", "swing"), [(1.0, 72, 0.0), (0.7, 48, 0.9), (1.5, 30, 0.5), (0.1, 36, 0.5)])
+def test_the_share_that_the_chain_took_of_a_ripple_is_said(
+    cutoff: float, turns: float, order: int, swing: float
+) -> None:
+    """The share is that of a sine fitted to the friction behind the chain, at speeds that swing too."""
+    time = np.arange(20_000) / RATE
+    angle = 2.0 * np.pi * turns * (time - swing * np.cos(2.0 * np.pi * 0.2 * time) / (2.0 * np.pi * 0.2))
+    torque = 0.5 * np.sin(order * angle)
+    record = prepare(rotor(cutoff), Log(time, angle, torque, RATE, kind="rotary", source="swing.csv"))
+    signals = record.signals
+    waves = np.column_stack((np.sin(order * signals.position), np.cos(order * signals.position)))[signals.valid]
+    friction = signals.friction[signals.valid]
+    fitted = np.hypot(*np.linalg.lstsq(waves, friction, rcond=None)[0])
+    values = {"amplitude_N": float(fitted), "pitch_m": 2.0 * np.pi / order, "phase_rad": 0.0}
+    rms = Rms(1.0, 1.0, 1.0, 1.0)
+    cause = Cause("force_ripple", "force_ripple", values, {}, {}, rms, 1.0, (1.0, 1.0), 0.0)
+    said = list_smoothed(record, [cause])
+    if fitted > 0.97 * 0.5:
+        assert not said
+    elif fitted < 0.93 * 0.5:
+        assert float(said[0].partition(" is about ")[2].partition(";")[0]) == pytest.approx(0.5, rel=0.06)
+    assert not list_smoothed(record, [replace(cause, name="constant_offset", parameters={"force_N": 1.0})])
 
 
 def test_numbers_to_start_from_are_of_elements_that_slid() -> None:

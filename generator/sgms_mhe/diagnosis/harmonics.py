@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
 from sgms_mhe.diagnosis.proposals import Proposal, Residual, nearest_peak, propose
-from sgms_mhe.model.effects import EffectDefinition
+from sgms_mhe.diagnosis.result import Cause
+from sgms_mhe.model.effects import EffectDefinition, effect_definition, effect_names
 from sgms_mhe.model.effects.search import Harmonic
 from sgms_mhe.recordings.evidence import Nuisance
 from sgms_mhe.recordings.excitation import in_step
+from sgms_mhe.recordings.recording import Recording
 from sgms_mhe.recordings.series import bin_sums
+from sgms_mhe.signals.chain import lowpass_coefficients
 from sgms_mhe.support.parallel import run_parallel
 
 Array = NDArray[np.float64]
@@ -42,6 +45,41 @@ energy than they deserve."""
 VISIBLE_SHARE: Final = 0.2
 """Rows slow enough for a ripple, at least, for it to be searched [rows]: one that is seen hardly anywhere is told from
 nothing."""
+
+
+PASSED: Final = 0.95
+"""Share of a sine's amplitude that has to pass the chain's filters, lest its loss be said."""
+
+
+def list_smoothed(recording: Recording, causes: Iterable[Cause]) -> tuple[str, ...]:
+    """Return what the chain's low-passes took of the sines that are named, on average over the used rows.
+
+    Force and acceleration come through two of them and a sample, the model's sine through none: so an amplitude is too
+    small by H^2 / z and the delay that is taken out, at f = |v| / pitch for one in place.
+    """
+    delay = recording.signals.delay
+    if delay <= 0.0:  # the log brought what the chain would have made
+        return ()
+    sampling, speed = recording.machine.sampling, np.abs(recording.velocity[recording.used])
+    b0, b1, b2, a1, a2 = lowpass_coefficients(recording.machine)
+    said = []
+    for cause in causes:
+        kind = effect_definition(cause.name).search if cause.name in effect_names() else None
+        if not isinstance(kind, Harmonic):
+            continue
+        period = cause.parameters[kind.period]
+        frequency = np.array([period]) if kind.coordinate == "time" else speed / period
+        angle = TWO_PI * np.minimum(frequency / sampling.rate, 0.5)
+        z = np.exp(-1j * angle)  # of one sample
+        lowpass = (b0 + b1 * z + b2 * z**2) / (1.0 + a1 * z + a2 * z**2)
+        passed = float(np.abs(np.mean(lowpass**2 * z * np.exp(1j * angle * delay * sampling.rate))))
+        if passed < PASSED:
+            size, value = recording.machine.plant.units.named(kind.size), cause.parameters[kind.size] / passed
+            said.append(
+                f"{cause.name}: {100.0 * passed:.3g} % of it pass velocity_cutoff = {sampling.velocity_cutoff:g} Hz: "
+                f"its true {size} is about {value:.3g}; a higher velocity_cutoff shows it whole"
+            )
+    return tuple(said)
 
 
 @dataclass(frozen=True)

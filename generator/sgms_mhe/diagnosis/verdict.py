@@ -37,6 +37,7 @@ from sgms_mhe.diagnosis.combinations import KnownCombination, find_combinations
 from sgms_mhe.diagnosis.criteria import Progress, ProgressReport, make_criteria
 from sgms_mhe.diagnosis.final_fit import FinalFit, RecordResidual, fit_rivals, make_final_fit, split_rms
 from sgms_mhe.diagnosis.fits import Fit, Subject, fit_model
+from sgms_mhe.diagnosis.harmonics import list_smoothed
 from sgms_mhe.diagnosis.judgement import MOST_WITHOUT_CAUSES, MOSTLY, Judged, allowed_excess, judge
 from sgms_mhe.diagnosis.laws import SHARPER, list_compilations, make_laws, subtract_effects
 from sgms_mhe.diagnosis.learned_machine import add_learned_machine, learn_beside
@@ -383,7 +384,7 @@ def _diagnosis(
         ),
         seconds=0.0,
         rival_fits=fit_rivals(final, selection),
-        undecided=clock_note(record),
+        undecided=(*clock_note(record), *list_smoothed(record, causes)),
         encoder_noise_N=hidden_by,
         plain=plain_friction(record),
         refuted=refute_by_causes(causes) if begun is None else list_refuted(numbers),
