@@ -27,14 +27,17 @@ from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.reference import estimate_reference
 from sgms_mhe.reference.lasting import InnovationColour, LastingErrors, ParameterWander
 from sgms_mhe.reference.readings import Innovation
-from sgms_mhe.signals.chain import signals_from_log
+from sgms_mhe.signals.chain import Signals, signals_from_log
+from sgms_mhe.signals.status import FLAGS
 
 Array = NDArray[np.float64]
 
 
-def outcome(name: str, motion: str = "mixed", variant: str = "ekf double", duration_s: float = 8.0) -> LastingOutcome:
+def outcome(
+    name: str, motion: str = "mixed", variant: str = "ekf double", duration_s: float = 8.0, seed: int = 0
+) -> LastingOutcome:
     error = next(error for error in TRIED if error.name == name)
-    return lasting_outcome(erroneous_record(error, motion, 0, duration_s), motion, variant)
+    return lasting_outcome(erroneous_record(error, motion, seed, duration_s), motion, variant)
 
 
 # --- the two factors, against sums written out ---------------------------------------------------------------------
@@ -191,6 +194,31 @@ def test_emitted_deviations_are_those_of_the_reference(estimator: dict[str, Any]
     assert np.all(expected.std[-1] > 1.5 * estimate_reference(as_stated, signals).std[-1])
 
 
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("kind", ["mhe", "ekf"])
+def test_slow_motion_counts_when_it_has_come_as_far(kind: str, precision: str) -> None:
+    """At 5 um/s an interval comes 0.05 um far, and 0.22 um count; a tremor of as much comes nowhere."""
+    machine = override_machine(load_machine("etel_xy"), {"estimator": {"kind": kind}, "code": {"precision": precision}})
+    samples = machine.sampling.samples_per_update
+    for there, back, expected in ((1.0, 1.0, [1, 1, 1, 1, 0]), (1.0, -1.0, [1, 1, 1, 1, 1])):
+        velocity = np.concatenate([[0.0], 5e-6 * np.tile(np.repeat([there, back], samples), 25)])
+        zeros = np.zeros(len(velocity))
+        signals = Signals(
+            time=machine.sampling.step * np.arange(len(velocity)),
+            position=machine.sampling.step * np.cumsum(velocity),
+            velocity=velocity,
+            acceleration=zeros,
+            force=zeros,
+            friction=zeros,
+            valid=zeros == 0.0,
+            missing=zeros != 0.0,
+        )
+        found = (estimate_reference(machine, signals), CompiledEstimator(machine).estimate(signals))
+        for estimates in found:
+            holds = estimates.status & FLAGS["hold"] > 0
+            np.testing.assert_array_equal(holds, np.tile(np.array(expected) > 0, 10))
+
+
 # --- what is stated ------------------------------------------------------------------------------------------------
 
 
@@ -230,6 +258,13 @@ def test_a_mass_that_is_uncertain_leaves_the_stiffness_alone(name: str, variant:
     clean, without = outcome("none", variant=f"{variant}, {UNCERTAIN}"), outcome("none", variant=variant)
     assert clean.sigma == pytest.approx(without.sigma, rel=0.02)
     assert clean.doubted == 0.0
+
+
+@pytest.mark.parametrize("variant", ["mhe double", "ekf single"])
+def test_deviations_hold_where_the_axis_crawls(variant: str) -> None:
+    """Under an offset, at 20 um/s, where no single interval comes far enough to count, most of 14 to 15 s."""
+    found = outcome("offset 0.5 N", "crawl", variant, duration_s=20.0, seed=1)
+    assert found.beyond[1] < 0.03
 
 
 def test_noise_of_the_encoder_makes_no_mass() -> None:

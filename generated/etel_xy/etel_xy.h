@@ -79,7 +79,7 @@ typedef struct {
 #define ETEL_XY_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_MACHINE "de03b466533e" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_check() */
-#define ETEL_XY_HEADER 0xa8f7f8ebu
+#define ETEL_XY_HEADER 0xfc4930f3u
 #define ETEL_XY_SAVED_FORMAT 2u /* of etel_xy_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SAVED_MACHINE_0 0xde03b466u
 #define ETEL_XY_SAVED_MACHINE_1 0x533eu
@@ -226,7 +226,8 @@ typedef struct {
         int32_t filling, step, started, lost, too_fast, is_valid;
         etel_xy_real friction; /* N, measured at its end, where that is valid */
         etel_xy_real blocks[ETEL_XY_BLOCKS_SIZE]; /* of its integration */
-        etel_xy_real path[ETEL_XY_SLOTS]; /* m, of each interval */
+        etel_xy_real path, net; /* m, of the newest; displacement since one counted as motion */
+        uint8_t moves[ETEL_XY_SLOTS]; /* each counts as motion */
     } interval;
     /* which call is under way; odd while the estimate is written; samples since an update */
     struct {

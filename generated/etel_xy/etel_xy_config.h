@@ -103,7 +103,7 @@ enum {
 #define PIECE_TIME 0.0001                    /* s, of constant signals */
 #define MASS 20.0                            /* kg */
 #define MAX_VELOCITY 1.0                     /* m/s */
-/* m; an interval that moves less says nothing of the parameters */
+/* m; motion since an interval that counted, below which one says nothing of the parameters */
 #define HOLD_PATH 2.2333333333333335e-07
 #define MEASUREMENT_SD 0.1                   /* N, stated of a measurement */
 /* Of test ratios: squared innovations over their predicted variance. */

@@ -82,7 +82,7 @@ typedef struct {
 #define ETEL_XY_CONTROLLER_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_CONTROLLER_MACHINE "b2f02b278d27" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_controller_check() */
-#define ETEL_XY_CONTROLLER_HEADER 0x7bc15474u
+#define ETEL_XY_CONTROLLER_HEADER 0x9cd0e2a8u
 /* of etel_xy_controller_saved_t, and the digest of the machine file again */
 #define ETEL_XY_CONTROLLER_SAVED_FORMAT 2u
 #define ETEL_XY_CONTROLLER_SAVED_MACHINE_0 0xb2f02b27u
@@ -239,7 +239,9 @@ typedef struct {
         int32_t filling, step, started, lost, too_fast, is_valid;
         etel_xy_controller_real friction; /* N, measured at its end, where that is valid */
         etel_xy_controller_real blocks[ETEL_XY_CONTROLLER_BLOCKS_SIZE]; /* of its integration */
-        etel_xy_controller_real path[ETEL_XY_CONTROLLER_SLOTS]; /* m, of each interval */
+        /* m, of the newest; displacement since one counted as motion */
+        etel_xy_controller_real path, net;
+        uint8_t moves[ETEL_XY_CONTROLLER_SLOTS]; /* each counts as motion */
     } interval;
     /* which call is under way; odd while the estimate is written; samples since an update */
     struct {

@@ -107,7 +107,7 @@ enum {
 #define PIECE_TIME 1e-04f
 #define MASS 20.0f                           /* kg */
 #define MAX_VELOCITY 1.0f                    /* m/s */
-/* m; an interval that moves less says nothing of the parameters */
+/* m; motion since an interval that counted, below which one says nothing of the parameters */
 #define HOLD_PATH 2.2333333e-07f
 #define MEASUREMENT_SD 0.1f                  /* N, stated of a measurement */
 /* Of test ratios: squared innovations over their predicted variance. */

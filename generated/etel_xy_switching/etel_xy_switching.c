@@ -261,7 +261,7 @@ static void start_interval(etel_xy_switching_t *self)
     self->interval.step = 0;
     self->input.count = 0;
     fill(self->input.merged, 0.0, SIGNALS);
-    self->interval.path[newest_slot(self)] = 0.0;
+    self->interval.path = 0.0;
     fill(self->lasting.interval, 0.0, 3);
     self->interval.too_fast = 0;
     self->sweep.cursor = 0;
@@ -344,6 +344,7 @@ static SGMS_COLD void start_signals(etel_xy_switching_t *self)
     }
     fill(self->input.signal, 0.0, SIGNALS);
     self->interval.lost = 0;
+    self->interval.net = 0.0;
     state_status(self, first_status(self));
     start_compensation(self);
 }
@@ -362,7 +363,9 @@ static SGMS_COLD void start_fresh(etel_xy_switching_t *self)
     fill(self->parameters.theta, 1.0, PARAMETERS);
     fill(self->window.series, 0.0, ETEL_XY_SWITCHING_SERIES_SIZE);
     fill(self->window.node, 0.0, SLOTS * STATES);
-    fill(self->interval.path, 0.0, SLOTS);
+    for (int i = 0; i < SLOTS; i++) {
+        self->interval.moves[i] = 0;
+    }
     for (int p = 0; p < PARAMETERS; p++) {
         self->estimate.held[p] = 0;
     }
@@ -1089,7 +1092,7 @@ static int shift_window(etel_xy_switching_t *self, int *status)
     if (is_full && walks(&self->settings)) { /* otherwise nothing sets them back */
         self->sweep.shifts = sgms_place(self->sweep.shifts, DRIFT_INTERVAL - 1) + 1;
         self->sweep.pending_drift = sgms_place(self->sweep.pending_drift, DRIFT_INTERVAL - 1) +
-            (self->interval.path[next] >= HOLD_PATH);
+            (self->interval.moves[next] != 0);
     }
     if (!is_full) {
         self->sweep.complete = older_intervals(self) + 1;
@@ -1107,11 +1110,23 @@ static int is_doubted(const etel_xy_switching_t *self, sgms_real spread)
         self->innovations.ratio_slow > DOUBTED_SLOW || spread > DOUBTED_SPREAD;
 }
 
+/* Decide whether the newest interval counts as motion: slow motion does once it has come as far as
+ * one that counts. */
+static bool count_motion(etel_xy_switching_t *self)
+{
+    const bool moves =
+        self->interval.path >= HOLD_PATH || sgms_fabs(self->interval.net) >= HOLD_PATH;
+    self->interval.moves[newest_slot(self)] = moves ? 1 : 0;
+    self->interval.net = moves ? 0.0 : self->interval.net;
+    return moves;
+}
+
 /* The update of a complete interval. Returns its status. */
 static int update(etel_xy_switching_t *self)
 {
     sgms_real x[STATES], theta[PARAMETERS], variance[PARAMETERS], scratch[PARAMETERS];
     sgms_real friction = 0.0, weight = 0.0; /* of the newest measurement; 0: none */
+    const bool moves = count_motion(self);
     int numeric, status = 0, next = 0;
     sgms_real spread[PARAMETERS];
     while (next_cost(self) > 0) {
@@ -1139,7 +1154,7 @@ static int update(etel_xy_switching_t *self)
         return start_again(self, ETEL_XY_SWITCHING_NUMERIC, numeric);
     }
     copy(self->parameters.theta, theta, PARAMETERS);
-    if (self->interval.path[newest_slot(self)] >= HOLD_PATH) {
+    if (moves) {
         take_wander(self, take_colour(self), theta, variance);
     }
     status += is_doubted(self, find_spread(self, spread)) ? ETEL_XY_SWITCHING_DOUBT : 0;
@@ -1156,7 +1171,7 @@ static int update(etel_xy_switching_t *self)
     self->calls.age = 0;
 
     status += self->interval.is_valid ? 0 : ETEL_XY_SWITCHING_MISSING;
-    status += self->interval.path[newest_slot(self)] < HOLD_PATH ? ETEL_XY_SWITCHING_HOLD : 0;
+    status += moves ? 0 : ETEL_XY_SWITCHING_HOLD;
     status += self->interval.too_fast ? ETEL_XY_SWITCHING_SPEED : 0;
     status += self->interval.lost ? ETEL_XY_SWITCHING_OVERRUN : 0;
     self->interval.lost = 0;
@@ -1264,8 +1279,8 @@ static SGMS_INLINE void take_sample(
         self->interval.lost = 1;
         return;
     }
-    self->interval.path[newest_slot(self)] += sgms_fabs(self->input.signal[W_VELOCITY]) *
-        SAMPLE_TIME;
+    self->interval.path += sgms_fabs(self->input.signal[W_VELOCITY]) * SAMPLE_TIME;
+    self->interval.net += self->input.signal[W_VELOCITY] * SAMPLE_TIME;
     if (sgms_fabs(self->input.signal[W_VELOCITY]) > MAX_VELOCITY) {
         self->interval.too_fast = 1;
     }

@@ -82,7 +82,7 @@ typedef struct {
 #define ETEL_XY_SWITCHING_VERSION "0.2.0" /* of the generator */
 #define ETEL_XY_SWITCHING_MACHINE "9b1c2898b39d" /* digest of the machine file */
 /* digest of all that this header declares, for etel_xy_switching_check() */
-#define ETEL_XY_SWITCHING_HEADER 0x2602523fu
+#define ETEL_XY_SWITCHING_HEADER 0xeaeae622u
 /* of etel_xy_switching_saved_t, and the digest of the machine file again */
 #define ETEL_XY_SWITCHING_SAVED_FORMAT 2u
 #define ETEL_XY_SWITCHING_SAVED_MACHINE_0 0x9b1c2898u
@@ -236,7 +236,9 @@ typedef struct {
         int32_t filling, step, started, lost, too_fast, is_valid;
         etel_xy_switching_real friction; /* N, measured at its end, where that is valid */
         etel_xy_switching_real blocks[ETEL_XY_SWITCHING_BLOCKS_SIZE]; /* of its integration */
-        etel_xy_switching_real path[ETEL_XY_SWITCHING_SLOTS]; /* m, of each interval */
+        /* m, of the newest; displacement since one counted as motion */
+        etel_xy_switching_real path, net;
+        uint8_t moves[ETEL_XY_SWITCHING_SLOTS]; /* each counts as motion */
     } interval;
     /* which call is under way; odd while the estimate is written; samples since an update */
     struct {

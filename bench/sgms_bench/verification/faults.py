@@ -128,7 +128,7 @@ FAULTS: Final = (
     ),
     Fault("status of lost samples left out", C, "status += self->interval.lost ? NAME_OVERRUN : 0;", ";"),
     Fault("status of speed left out", C, "status += self->interval.too_fast ? NAME_SPEED : 0;", ";"),
-    Fault("status of standstill left out", C, "< HOLD_PATH ? NAME_HOLD : 0;", "< HOLD_PATH ? 0 : 0;"),
+    Fault("status of standstill left out", C, "status += moves ? 0 : NAME_HOLD;", ";"),
     Fault(
         "doubt never said",
         C,

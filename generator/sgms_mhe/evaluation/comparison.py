@@ -23,6 +23,7 @@ from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
 from sgms_mhe.model import FreeParameter
 from sgms_mhe.reference import estimate_reference
+from sgms_mhe.reference.plan import motion_of
 from sgms_mhe.signals.chain import Signals
 from sgms_mhe.signals.estimates import Estimates
 from sgms_mhe.signals.status import FLAGS
@@ -179,9 +180,11 @@ def undecided_flags(
     """Flags that at each update (u) depend on a number which lies on its limit, within the tolerance `status`."""
     tolerance = TOLERANCES[machine.code.precision].status
     samples, updates = machine.sampling.samples_per_update, len(estimates)
-    speed = np.abs(signals.velocity[1 : 1 + updates * samples]).reshape(updates, samples)
+    velocity = signals.velocity[1 : 1 + updates * samples].reshape(updates, samples)
+    speed, step = np.abs(velocity), machine.sampling.step
     hold, fastest = hold_path(machine), machine.sampling.max_velocity
-    at_hold = np.abs(speed.sum(axis=1) * machine.sampling.step - hold) <= tolerance * hold
+    motion = motion_of(speed.sum(axis=1) * step, velocity.sum(axis=1) * step, hold)
+    at_hold = np.abs(motion - hold) <= tolerance * hold
     at_speed = np.abs(speed.max(axis=1, initial=0.0) - fastest) <= tolerance * fastest
     at_bound = np.zeros(updates, dtype=np.bool_)
     for parameter, values in zip(parameters, estimates.parameters.T, strict=True):

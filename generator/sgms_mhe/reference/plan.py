@@ -52,6 +52,7 @@ class Plan:
         slide: displacement [m], mean level s_m and delta of each step (intervals * steps, 3); zero where the signals do
             not let an element slide through it.
         path: sum |v_k| h of each interval [m].
+        displacement: sum v_k h of each interval [m].
         fastest: largest |v_k| of each interval [m/s].
         readings: R, friction measurements of an interval at equal distances, the last one at its end.
         inner_w: signals w at those inside (intervals, R - 1, 5).
@@ -69,9 +70,29 @@ class Plan:
     stair_substeps: Counts
     slide: Array
     path: Array
+    displacement: Array
     fastest: Array
     readings: int
     inner_w: Array
+
+
+def motion_of(path: Array, displacement: Array, least: float) -> Array:
+    """Motion [m] that decides whether each interval counts: `least` or more does.
+
+    It is the path of the interval, or the displacement since the last one that counted where that is larger: slow
+    motion counts too, once it has come as far, and an axis that trembles on one spot does not.
+
+    Args:
+        path: sum |v_k| h of each interval [m].
+        displacement: sum v_k h of each [m].
+        least: motion that counts [m].
+    """
+    motion, net = path.copy(), 0.0
+    for k, moved in enumerate(displacement):
+        net += float(moved)
+        motion[k] = max(motion[k], abs(net))
+        net = 0.0 if motion[k] >= least else net
+    return motion
 
 
 def inner_readings(sampling: Sampling) -> slice:
@@ -123,7 +144,8 @@ class Planner:
             piece_substeps[reverses] = np.where(np.any(pieces == 0, axis=2, keepdims=True), 0, pieces)
             stair_substeps = self._held(np.abs(stair[:, 1]), h)
             slide = self._slide(middle, change, h * stairs)
-        velocities = np.abs(w[1:, 1]).reshape(intervals, samples)
+        velocities = w[1:, 1].reshape(intervals, samples)
+        speeds = np.abs(velocities)
         return Plan(
             steps=samples // stairs,
             h=h * stairs,
@@ -136,8 +158,9 @@ class Planner:
             stair=np.ascontiguousarray(stair),
             stair_substeps=stair_substeps,
             slide=slide,
-            path=velocities.sum(axis=1) * h,
-            fastest=velocities.max(axis=1, initial=0.0),
+            path=speeds.sum(axis=1) * h,
+            displacement=velocities.sum(axis=1) * h,
+            fastest=speeds.max(axis=1, initial=0.0),
             readings=self._sampling.readings_per_update,
             inner_w=np.ascontiguousarray(
                 w[1:].reshape(intervals, samples, w.shape[1])[:, inner_readings(self._sampling)]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sgms_mhe.model import Model
 from sgms_mhe.reference.integrator import ReferenceIntegrator
 from sgms_mhe.reference.lasting import LastingErrors
-from sgms_mhe.reference.plan import Plan, inner_readings
+from sgms_mhe.reference.plan import Plan, inner_readings, motion_of
 from sgms_mhe.reference.readings import Gaussian, MeasurementResult, Scaling
 from sgms_mhe.signals.chain import Signals, mean_samples, signal_array
 from sgms_mhe.signals.estimates import Estimates
@@ -55,7 +55,7 @@ class Weights:
         drift: random walk of theta per update (n_p).
         lower, upper: bounds on theta (n_p), infinite where there are none.
         self_scaling: whether measurements are weighed by how well they were predicted.
-        hold_path: path of an interval below which theta does not drift [m].
+        hold_path: motion since an interval that counted, below which one does not count [m].
         max_velocity: speed beyond which the estimate is flagged [m/s].
     """
 
@@ -150,6 +150,7 @@ class NodeRecord:
         samples = model.machine.sampling.samples_per_update
         self.plan: Plan = integrator.plan(signals)
         self.updates = len(self.plan.path)
+        self._motion = motion_of(self.plan.path, self.plan.displacement, self.weights.hold_path)
         nodes = samples * np.arange(self.updates + 1)
         self.w: Array = signal_array(signals, model.machine.sampling.step, mean=mean_samples(model.machine))[nodes]
         self.time: Array = signals.time[nodes]
@@ -181,8 +182,8 @@ class NodeRecord:
         return LastingErrors(drift, measurements, enabled=self.weights.self_scaling)
 
     def moves(self, interval: int) -> bool:
-        """Return True if the axis moves far enough in an interval for theta to drift."""
-        return not self.plan.path[interval] < self.weights.hold_path
+        """Return True if an interval counts as motion: theta drifts, and its innovations tell of errors that stay."""
+        return not self._motion[interval] < self.weights.hold_path
 
     def status(self, node: int) -> int:
         """Return the status of the update at a node, from the newest interval and measurement."""

@@ -78,7 +78,7 @@ typedef struct {
 
 #define TOY_VERSION "0.2.0" /* of the generator */
 #define TOY_MACHINE "7f611f0cc49d" /* digest of the machine file */
-#define TOY_HEADER 0xc687a336u /* digest of all that this header declares, for toy_check() */
+#define TOY_HEADER 0xd4d45215u /* digest of all that this header declares, for toy_check() */
 #define TOY_SAVED_FORMAT 2u /* of toy_saved_t, and the digest of the machine file again */
 #define TOY_SAVED_MACHINE_0 0x7f611f0cu
 #define TOY_SAVED_MACHINE_1 0xc49du
@@ -220,7 +220,8 @@ typedef struct {
         int32_t filling, step, started, lost, too_fast, is_valid;
         toy_real friction; /* N, measured at its end, where that is valid */
         toy_real blocks[TOY_BLOCKS_SIZE]; /* of its integration */
-        toy_real path[TOY_SLOTS]; /* m, of each interval */
+        toy_real path, net; /* m, of the newest; displacement since one counted as motion */
+        uint8_t moves[TOY_SLOTS]; /* each counts as motion */
     } interval;
     /* which call is under way; odd while the estimate is written; samples since an update */
     struct {

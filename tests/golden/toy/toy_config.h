@@ -101,7 +101,7 @@ enum {
 #define PIECE_TIME 0.001                     /* s, of constant signals */
 #define MASS 2.0                             /* kg */
 #define MAX_VELOCITY 0.5                     /* m/s */
-/* m; an interval that moves less says nothing of the parameters */
+/* m; motion since an interval that counted, below which one says nothing of the parameters */
 #define HOLD_PATH 2.9999999999999997e-05
 #define MEASUREMENT_SD 0.2                   /* N, stated of a measurement */
 /* Of test ratios: squared innovations over their predicted variance. */
