@@ -206,6 +206,17 @@ def _estimation() -> dict[str, Variant]:
                 "sampling": INTEGRATORS["flow, 5 merged"],
             }
         ),
+        "place force": Variant({"estimator": {"disturbance": {"force": 0.2}}}, selftest=True),
+        "place force, all": Variant(
+            {"estimator": {**ESTIMATORS["all"], "disturbance": {"force": 0.2, "length": 5e-3}}}
+        ),
+        "place force and mass, single, ekf": Variant(
+            {
+                "estimator": {"kind": "ekf", "disturbance": {"force": 0.2, "mass": 0.01}},
+                "code": {"precision": "single"},
+                "compensation": {"delay": 210e-6, "limit": 20.0, "hold": 5e-6},
+            }
+        ),
         "no drift": Variant({"estimator": {"noise": {"parameter_drift": 0.0}}}),
         "all, fixed": Variant({"estimator": {**ESTIMATORS["all"], **ESTIMATORS["fixed"]}}),
         "newest, fixed, horizon 1": Variant(

@@ -40,6 +40,7 @@ from sgms_bench.compensation.tracking import (
     reversals,
     settling_times,
 )
+from sgms_bench.studies.tracking import tracking_rows
 from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package
 from sgms_mhe.evaluation.plots import save_figure
@@ -589,6 +590,14 @@ def test_peaks_after_reversals_shrink(circles: Any, row: str, method: str) -> No
     # What no observer beats, and far from what it leaves: the comparison has room.
     assert peak[TRUE] < 0.2 * peak[method]
     assert peak[NONE] > 3e-7
+
+
+def test_a_force_of_a_place_is_fed_forward(compensated: Machine) -> None:
+    """On an axis with cogging that its machine file has not."""
+    as_the_file, followed = tracking_rows("cogging 0.3 N / 2 mm", "circle", 6.0)
+    for method in (EKF, MHE):
+        assert followed[f"{method} RMS"] < 0.6 * as_the_file[f"{method} RMS"]
+        assert followed[f"{method} peak"] < 0.7 * as_the_file[f"{method} peak"]
 
 
 def test_settling_after_a_move(compensated: Machine) -> None:

@@ -46,6 +46,7 @@ from sgms_mhe.support.tables import CsvTable
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
+Effects = Sequence[tuple[str, Mapping[str, float]]]
 
 DURATION_S: Final = 12.0
 OFF: Final = 0.3
@@ -104,11 +105,23 @@ def run_axis(
     *,
     config: AxisConfig,
     set_point: bool = True,
+    hidden: Effects = (),
 ) -> AxisRun:
-    """Follow a trajectory with one compensation; `set_point`: the drive tells the estimator where it is going."""
+    """Follow a trajectory with one compensation.
+
+    Args:
+        machine: the file that the estimator knows.
+        estimator: in the loop.
+        trajectory: to follow.
+        truth: how the axis differs from the file.
+        method: compensation.
+        config: of the simulated axis.
+        set_point: whether the drive tells the estimator where it is going.
+        hidden: effects that the axis has and the file has not.
+    """
     n = len(trajectory.position_m)
     drift = {name: linear_drift(relative, trajectory.duration_s) for name, relative in truth.drift.items()}
-    plant: dict[str, Any] = {"scale": truth.scale, "drift": drift}
+    plant: dict[str, Any] = {"scale": truth.scale, "drift": drift, "hidden_effects": hidden}
     velocity, acceleration = set_point_ahead(trajectory, machine.compensation.delay)
     loop: LoopCompensation | None = None
     if method in (EKF, MHE):
@@ -161,6 +174,7 @@ def compare_compensations(
     window_m: float = 50e-9,
     seed: int = 0,
     set_point: bool = True,
+    hidden: Effects = (),
     out_dir: Path | None = None,
     progress: Progress | None = None,
 ) -> TrackingComparison:
@@ -173,6 +187,7 @@ def compare_compensations(
         window_m: within which the axis counts as settled.
         seed: of the plant's noise; each axis has its own.
         set_point: whether the drive tells the estimator its set-point ahead.
+        hidden: effects that the axis has and the machine file has not.
         out_dir: folder that receives figures, compensation.txt and compensation.json.
         progress: called with (runs done, runs in all).
     """
@@ -188,7 +203,8 @@ def compare_compensations(
             for index, (trajectory, true) in enumerate(scenario.axes):
                 estimator = estimators.get(method, estimators[EKF])
                 config = axis_config(machine, seed + index)
-                axes.append(run_axis(machine, estimator, trajectory, true, method, config=config, set_point=set_point))
+                told: dict[str, Any] = {"config": config, "set_point": set_point, "hidden": hidden}
+                axes.append(run_axis(machine, estimator, trajectory, true, method, **told))
                 done += 1
                 if progress is not None:
                     progress(done, total)

@@ -3,8 +3,9 @@
 `coverage` draws data from the estimator's own noise model, `plant` asks the same of the axis in closed loop,
 `monte-carlo` compares MHE, EKF and batch smoother over random axes, `creep` follows the parameters over 10^5 updates,
 `readings` asks what more friction measurements per second gain, `relinearise` what it costs to keep linearisations,
-`faults` puts broken sensors into good logs, `lasting` gives the axis what its machine file has not, `speed` asks what
-fast moves cost the integrators, `identify` draws axes and identifies each from its log alone.
+`faults` puts broken sensors into good logs, `lasting` gives the axis what its machine file has not, `tracking` feeds
+friction forward on such an axis, `speed` asks what fast moves cost the integrators, `identify` draws axes and
+identifies each from its log alone.
 `others` takes joints of MuJoCo and of better-actuator-models as axes: identified, diagnosed, compensated.
 `scaling` says what a task costs in 1 to 8 processes. All numbers are seeded; the same command prints the same table,
 wherever it runs, but for times.
@@ -31,6 +32,7 @@ from sgms_bench.studies.readings import readings_study
 from sgms_bench.studies.relinearise import relinearise_study
 from sgms_bench.studies.scaling import scaling_study
 from sgms_bench.studies.speed import speed_study
+from sgms_bench.studies.tracking import tracking_study
 from sgms_mhe.support.parallel import workers
 from sgms_mhe.support.processes import WorkerSlot
 from sgms_mhe.support.tables import CsvTable
@@ -47,6 +49,7 @@ STUDIES: Final[Mapping[str, tuple[Study, int, int]]] = {
     "readings": (lambda runs, updates, place: readings_study(runs, updates / 100.0, place), 6, 2000),
     "faults": (lambda runs, updates, place: faults_study(runs, place), 20, 1800),
     "lasting": (lambda runs, updates, place: lasting_study(runs, updates / 100.0, place), 20, 2000),
+    "tracking": (lambda runs, updates, place: tracking_study(updates / 100.0, place), 1, 600),
     "identify": (lambda runs, updates, place: identification_study(runs, updates / 100.0, place=place), 40, 2500),
     "others": (lambda runs, updates, place: others_study(runs, updates / 100.0, place), len(AXES), 3000),
     "speed": (lambda runs, updates, place: speed_study(updates), 1, 150),

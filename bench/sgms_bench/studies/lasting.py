@@ -31,14 +31,24 @@ COUNTED_S: Final = 3.0
 AFTER_S: Final = (5.0, 10.0, 20.0)
 TRIED: Final = (*CLEAN, *ERRORS)
 UNCERTAIN: Final = "mass and gain uncertain"
+FOLLOWED: Final = "force of a place"
+WITH_LEVEL: Final = "force of a place and level"
+STATED: Final[Mapping[str, Mapping[str, Any]]] = {
+    UNCERTAIN: {"disturbance": {"mass": 0.01, "gain": 0.01}},
+    FOLLOWED: {"disturbance": {"force": 0.2}},
+    WITH_LEVEL: {
+        "disturbance": {"force": 0.2},
+        "parameters": ["stiffness", "coulomb"],
+        "prior": {"coulomb": 0.1},
+    },
+}
+"""Changes of [estimator] of the study: what a user states of the errors."""
 _ESTIMATORS: Final[Mapping[str, Mapping[str, Any]]] = dict(VARIANTS) | {
-    f"{name}, {UNCERTAIN}": {
-        **changes,
-        "estimator": {**changes["estimator"], "disturbance": {"mass": 0.01, "gain": 0.01}},
-    }
+    f"{name}, {title}": {**changes, "estimator": {**changes["estimator"], **stated}}
+    for title, stated in STATED.items()
     for name, changes in VARIANTS.items()
 }
-"""Estimators of the study: the packages of `VARIANTS`, with the mass of the file and with one that is uncertain."""
+"""Estimators of the study: the packages of `VARIANTS`, as the file is and with each of `STATED`."""
 
 
 def crawl(rate: float) -> Trajectory:
@@ -68,7 +78,7 @@ class LastingOutcome:
 
     Attributes:
         motion: of `MOTIONS`.
-        variant: of `VARIANTS`, or one of these with ", " and `UNCERTAIN`.
+        variant: of `VARIANTS`, or one of these with ", " and a title of `STATED`.
         covered: share of parameters within 2 stated deviations, of the updates from `COUNTED_S` on.
         beyond: share of these updates in which a parameter is off by more than 2 and 3 stated deviations.
         silent: share in which one is beyond 3 and the status does not say DOUBT.
@@ -146,7 +156,7 @@ def _part(index: int, motion: str, seed: int, duration_s: float) -> list[Lasting
 def lasting_study(seeds: int, duration_s: float = 20.0, place: WorkerSlot = HERE) -> CsvTable:
     """Honesty of stated deviations under every lasting error, on four motions, by MHE and EKF, double and single.
 
-    With a mass that is the file's, and with mass and gain that are uncertain by 1 % each.
+    As the machine file is, and with each of `STATED`.
     """
     drawn = list(product(range(len(TRIED)), MOTIONS, range(seeds)))
     tasks = [
@@ -156,8 +166,9 @@ def lasting_study(seeds: int, duration_s: float = 20.0, place: WorkerSlot = HERE
     for (index, _, _), outcomes in zip(drawn, results(tasks, place, done_of("logs")), strict=True):
         found[index] += outcomes
     groups = _groups([[outcome for outcome in outcomes if outcome.variant in VARIANTS] for outcomes in found])
-    uncertain = _groups([[outcome for outcome in outcomes if outcome.variant not in VARIANTS] for outcomes in found])
-    groups += [(f"{name}, {UNCERTAIN}", outcomes) for name, outcomes in uncertain]
+    for title in STATED:
+        of_title = _groups([[o for o in outcomes if o.variant.endswith(f", {title}")] for outcomes in found])
+        groups += [(f"{name}, {title}", outcomes) for name, outcomes in of_title]
     errors = {f"{seconds:g} s": ".3f" for seconds in AFTER_S}
     return CsvTable(
         f"Stated deviations under lasting errors of the model: {', '.join(MOTIONS)} motion, {seeds} seeds of "

@@ -18,6 +18,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from sgms_mhe.machine import (
     BASE_PARAMETERS,
     BY_COLUMN,
+    Disturbance,
     Estimator,
     Integrator,
     Layer,
@@ -65,8 +66,8 @@ def override_machine(machine: Machine, changes: Mapping[str, Any]) -> Machine:
 
 
 def drop_disturbance(machine: Machine) -> Machine:
-    """Return the machine whose mass and force are those of the file: what is uncertain of them is no number of it."""
-    if machine.estimator.disturbance.inertia == 0.0:
+    """Return the machine whose errors are none: what the estimator takes out of them is no number of the file."""
+    if machine.estimator.disturbance == Disturbance():
         return machine
     estimator = {key: value for key, value in machine.content["estimator"].items() if key != "disturbance"}
     return make_machine({**machine.content, "estimator": estimator}, machine.source)

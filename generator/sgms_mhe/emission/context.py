@@ -33,6 +33,8 @@ IMPLAUSIBLE = 1e4
 """A state so many standard deviations of the first node's away from zero is no solution (docs/estimation.md)."""
 MOVE = 0.3
 """How far the end of an interval may move before that, over sqrt(sigma_x / lambda); over sigma_x where it switches."""
+LEAST_NOISE = 1e-6
+"""Share of its variance that noise which comes with the path has without any."""
 PAUSE_PART = 0.25
 """What a power cycle changes in a parameter, over what may be wrong with it before any data."""
 HOLD_PART = 0.1
@@ -167,6 +169,8 @@ class EmittedWeights:
         lower, upper: bounds on theta, finite numbers.
         pause_sd: of what a power cycle changes in each theta.
         state_noise, inverse_initial_state: per state.
+        along_path: which states have their noise with the path; noise_length: along which it comes up to that [m], 0
+            where there is none; least_noise: share of its variance without motion.
         inverse_move: of an interval's end before it is linearised anew, over the state noise, squared; where it
             `moves_with_noise` over the state noise besides.
     """
@@ -183,6 +187,9 @@ class EmittedWeights:
     upper: tuple[float, ...]
     pause_sd: tuple[float, ...]
     state_noise: tuple[float, ...]
+    along_path: tuple[int, ...]
+    noise_length: float
+    least_noise: float
     inverse_initial_state: tuple[float, ...]
     inverse_move: float
     moves_with_noise: bool
@@ -388,6 +395,9 @@ def _weights(model: Model, variant: Variant) -> EmittedWeights:
         upper=tuple(min(p.upper, largest) for p in model.parameters),
         pause_sd=tuple(PAUSE_PART * model.prior),
         state_noise=tuple(model.state_noise),
+        along_path=tuple(int(length > 0.0) for length in model.noise_travel),
+        noise_length=float(model.noise_travel.max()),
+        least_noise=LEAST_NOISE,
         inverse_initial_state=tuple(1.0 / model.initial_state),
         inverse_move=(smoothing.lambda_ if smoothing else 1.0) / MOVE**2,
         moves_with_noise=smoothing is not None,

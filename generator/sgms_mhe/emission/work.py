@@ -241,7 +241,8 @@ class _LeastSquares:
             again += sizes.factor_rows * (sizes.factor_rows + 1)
         newest = self.ends() + self.condensed + (0 if variant.horizon else self.drift)
         reading = self.node_row + self.folded
-        checked += self.lasting
+        # Noise that comes with the path.
+        checked += self.lasting + (8 + SQRT if self.of.structure.model.noise_travel.any() else 0)
         return newest + reading + solved + 2 * n_x * (n_p + n_x) + back_substitution(n_x) + checked + again
 
 

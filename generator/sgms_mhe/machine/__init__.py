@@ -3,7 +3,7 @@
 from sgms_mhe.machine.axis import BASE_PARAMETERS, Friction, Plant, Smoothing, plant_content
 from sgms_mhe.machine.code import Code, Compensation
 from sgms_mhe.machine.diagnosis import DiagnosisTable
-from sgms_mhe.machine.estimator import ArrivalCost, Estimator, Noise
+from sgms_mhe.machine.estimator import ArrivalCost, Disturbance, Estimator, Noise
 from sgms_mhe.machine.fields import listing
 from sgms_mhe.machine.file import Tables, json_schema
 from sgms_mhe.machine.log_mapping import SEPARATORS, LogColumn, LogMapping, kinds_of, table_of_flags
@@ -38,6 +38,7 @@ __all__ = [
     "Code",
     "Compensation",
     "DiagnosisTable",
+    "Disturbance",
     "Estimator",
     "Friction",
     "Integrator",

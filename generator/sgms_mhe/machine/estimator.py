@@ -49,6 +49,21 @@ class Disturbance(MachineTable):
         le=1,
     )
 
+    force: float = quantity(
+        "1 sigma of a force that belongs to the place, as cogging or an offset; 0: there is none",
+        "N, N m",
+        0.0,
+        ge=0,
+        le=1e6,
+    )
+    length: float | None = Field(
+        None,
+        description="travel [m, rad] over which that force becomes another; > 0 and <= 1e6; default twice the longest "
+        "deflection at break-away",
+        gt=0,
+        le=1e6,
+    )
+
     @property
     def inertia(self) -> float:
         """Standard deviation of the mass by both, relative; 0: no such error is estimated."""

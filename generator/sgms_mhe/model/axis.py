@@ -41,6 +41,7 @@ class StateSpec:
         rate_per_second: fastest nominal rate that motion does not set [1/s].
         noise: standard deviation of the state noise per update, node state units.
         initial_state: standard deviation of the first node's state, node state units.
+        noise_travel: length [m] along which the noise comes up to `noise`; 0: every update has it.
     """
 
     name: str
@@ -49,6 +50,28 @@ class StateSpec:
     rate_per_second: float
     noise: float
     initial_state: float
+    noise_travel: float = 0.0
+
+
+@dataclass(frozen=True)
+class FreeParameter:
+    """A parameter that the estimator estimates: p = nominal + scale (theta - 1).
+
+    Attributes:
+        name: machine-file name of the group (`stiffness`, `force_ripple.amplitude_N`).
+        column: name in results (`stiffness_1`, `coulomb`, `force_ripple.amplitude_N`).
+        nominal: value of the machine file [unit].
+        scale: what theta - 1 = 1 means [unit].
+        lower: bound on theta, -inf if none.
+        upper: bound on theta, inf if none.
+    """
+
+    name: str
+    column: str
+    nominal: float
+    scale: float
+    lower: float
+    upper: float
 
 
 @dataclass

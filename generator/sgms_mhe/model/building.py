@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgms_mhe.machine import Machine
-from sgms_mhe.model.axis import MEAN_ACCELERATION, SIGNAL_NAMES, StateSpec, SymbolicAxis
+from sgms_mhe.model.axis import MEAN_ACCELERATION, SIGNAL_NAMES, FreeParameter, StateSpec, SymbolicAxis
 from sgms_mhe.model.effects import EFFECT_NAMES, EffectDefinition, Stage, effect_definition
 from sgms_mhe.model.friction import (
     LEAST_REST,
@@ -22,30 +22,10 @@ from sgms_mhe.model.friction import (
     add_friction,
     declare_elements,
 )
+from sgms_mhe.model.place_force import add_place_force
 from sgms_mhe.model.scales import scales_of
 from sgms_mhe.model.switching import check_switching
 from sgms_mhe.support.errors import InputError
-
-
-@dataclass(frozen=True)
-class FreeParameter:
-    """A parameter that the estimator estimates: p = nominal + scale (theta - 1).
-
-    Attributes:
-        name: machine-file name of the group (`stiffness`, `force_ripple.amplitude_N`).
-        column: name in results (`stiffness_1`, `coulomb`, `force_ripple.amplitude_N`).
-        nominal: value of the machine file [unit].
-        scale: what theta - 1 = 1 means [unit].
-        lower: bound on theta, -inf if none.
-        upper: bound on theta, inf if none.
-    """
-
-    name: str
-    column: str
-    nominal: float
-    scale: float
-    lower: float
-    upper: float
 
 
 @dataclass(frozen=True)
@@ -109,6 +89,11 @@ class Model:
     def state_noise(self) -> NDArray[np.float64]:
         """Standard deviation of the state noise per update (n_x), node state units."""
         return np.array([state.noise for state in self.states])
+
+    @property
+    def noise_travel(self) -> NDArray[np.float64]:
+        """Length [m] along which the noise of each state comes up to that (n_x); 0: every update has it."""
+        return np.array([state.noise_travel for state in self.states])
 
     @property
     def initial_state(self) -> NDArray[np.float64]:
@@ -370,6 +355,8 @@ def build_model(machine: Machine, *, physical: bool = False) -> Model:
     _contribute(effects, axis, "level")
     elements = add_friction(axis, symbols, _smoothing(machine), WIDE_SWITCH if physical else 0.0)
     _contribute(effects, axis, "force", "motor")
+    if not physical and machine.estimator.disturbance.force > 0.0:
+        add_place_force(axis, machine)
     prompt = _prompt_drive(effects, axis)
     _contribute(effects, axis, *_BEHIND_THE_DRIVE)
     rates = [state.rate for state in axis.states if state.rate is not None]

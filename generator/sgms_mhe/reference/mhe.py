@@ -197,8 +197,8 @@ def dense_problem(record: NodeRecord, window: Window, arrival: Gaussian, scales:
             block = np.zeros((n_x, columns))
             block[:, at_node], block[:, at_theta] = -window.intervals.A[k], -window.intervals.B[k]
             block[:, (k + 1) * n_x : (k + 2) * n_x] = np.eye(n_x)
-            jacobians.append(block / weights.sigma_x[:, None])
-            residuals.append((window.x[k + 1] - window.intervals.x1[k]) / weights.sigma_x)
+            jacobians.append(block / record.sigma_x[node][:, None])
+            residuals.append((window.x[k + 1] - window.intervals.x1[k]) / record.sigma_x[node])
     return np.vstack(jacobians), np.concatenate(residuals)
 
 
@@ -273,6 +273,6 @@ def arrival_update(record: NodeRecord, arrival: Gaussian, window: Window, scales
             innovation = float(y - predicted - C @ (mean - point))
             mean, P = fold(Gaussian(mean, P), C, innovation, (weights.sigma_y * scale) ** 2)
     mean, P = predict(window, 0, Gaussian(mean, P))
-    growth = np.concatenate([weights.sigma_x**2, weights.drift_variance(np.diag(P)[n_x:], owed)])
+    growth = np.concatenate([record.sigma_x[first] ** 2, weights.drift_variance(np.diag(P)[n_x:], owed)])
     P = P + np.diag(growth)
     return Gaussian(mean, 0.5 * (P + P.T))

@@ -25,6 +25,8 @@ HOLD_PART = 0.1
 IMPLAUSIBLE = 1e4
 """A state so many standard deviations of the first node's away from zero is no solution."""
 MOVE = 0.3
+LEAST_NOISE = 1e-6
+"""Share of its variance that the noise of a state with a length has where the axis stands."""
 REFUSED = -1
 NOT_FINITE = -2
 
@@ -50,6 +52,7 @@ class Weights:
         move: how far the end of an interval may move before it is linearised anew (n_x), node state units.
         sigma_y: measurement [N].
         sigma_x: state noise per interval (n_x), node state units.
+        noise_travel: length along which that of a state comes up to it (n_x) [m]; 0: every interval has it.
         initial_state: first node's state (n_x).
         parameter: prior of theta (n_p).
         drift: random walk of theta per update (n_p).
@@ -64,6 +67,7 @@ class Weights:
     move: Array
     sigma_y: float
     sigma_x: Array
+    noise_travel: Array
     initial_state: Array
     parameter: Array
     drift: Array
@@ -79,13 +83,15 @@ class Weights:
         machine, noise = model.machine, model.machine.estimator.noise
         friction = machine.friction
         scales = np.array(friction.fraction) * friction.coulomb / np.array(friction.stiffness)
+        step = np.sqrt(model.state_noise / friction.smoothing.lambda_) if friction.smoothing else model.state_noise
         return cls(
             horizon=machine.estimator.horizon,
             drift_interval=machine.estimator.drift_interval,
-            move=MOVE
-            * (np.sqrt(model.state_noise / friction.smoothing.lambda_) if friction.smoothing else model.state_noise),
+            # What has its noise along travel is linear: never far from where it was linearised.
+            move=np.where(model.noise_travel > 0.0, np.inf, MOVE * step),
             sigma_y=noise.measurement,
             sigma_x=model.state_noise,
+            noise_travel=model.noise_travel,
             initial_state=model.initial_state,
             parameter=model.prior,
             drift=model.drift,
@@ -128,9 +134,21 @@ class Start:
     slow: float = 1.0
 
 
+def noise_along(path: Array, weights: Weights) -> Array:
+    """State noise (k, n_x) of k intervals of these paths [m], node state units.
+
+    That of a state with a length l comes up to its own along the path: its variance is (u + LEAST_NOISE) / (1 + u) of
+    it, u = 2 path / l, that of a first-order process with little error and of none without motion.
+    """
+    travels = weights.noise_travel > 0.0
+    u = 2.0 * path[:, None] / np.where(travels, weights.noise_travel, 1.0)
+    return weights.sigma_x * np.where(travels, np.sqrt((u + LEAST_NOISE) / (1.0 + u)), 1.0)
+
+
 class NodeRecord:
     """A record as the estimators see it: plan of its intervals, signals and measurements.
 
+    sigma_x (updates, n_x): state noise of each interval, node state units.
     Measurements y, valid: at the nodes 0 .. updates; inner_y, inner_valid (updates, R - 1): inside of the intervals.
     """
 
@@ -151,6 +169,7 @@ class NodeRecord:
         self.plan: Plan = integrator.plan(signals)
         self.updates = len(self.plan.path)
         self._motion = motion_of(self.plan.path, self.plan.displacement, self.weights.hold_path)
+        self.sigma_x: Array = noise_along(self.plan.path, self.weights)
         nodes = samples * np.arange(self.updates + 1)
         self.w: Array = signal_array(signals, model.machine.sampling.step, mean=mean_samples(model.machine))[nodes]
         self.time: Array = signals.time[nodes]

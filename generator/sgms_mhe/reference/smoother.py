@@ -113,7 +113,7 @@ def _linearise(record: NodeRecord, x: Array, theta: Array) -> _SmootherProblem:
                 (theta - 1.0) / weights.parameter,
                 (outputs.y - record.y)[valid] / weights.sigma_y,
                 (intervals.inner.y - record.inner_y)[record.inner_valid] / weights.sigma_y,
-                ((x[1:] - intervals.x1) / weights.sigma_x).ravel(),
+                ((x[1:] - intervals.x1) / record.sigma_x).ravel(),
             ]
         )
     if not np.all(np.isfinite(r)):
@@ -123,9 +123,9 @@ def _linearise(record: NodeRecord, x: Array, theta: Array) -> _SmootherProblem:
     measured = _block_diagonal(outputs.C[:, None, :] / weights.sigma_y, width)[valid]
     # Measurements inside an interval see the node where it starts.
     inner = _block_diagonal(intervals.inner.C / weights.sigma_y, width)[record.inner_valid.ravel()]
-    scale = 1.0 / np.tile(weights.sigma_x, nodes - 1)
+    scale = 1.0 / record.sigma_x.ravel()
     ends = csr_matrix((scale, (np.arange(width - n_x), np.arange(n_x, width))), shape=(width - n_x, width))
-    defects = ends - _block_diagonal(intervals.A / weights.sigma_x[:, None], width)
+    defects = ends - _block_diagonal(intervals.A / record.sigma_x[:, :, None], width)
     J_x = vstack([first, csc_matrix((n_p, width)), measured, inner, defects], format="csc")
     J_t = np.vstack(
         [
@@ -133,7 +133,7 @@ def _linearise(record: NodeRecord, x: Array, theta: Array) -> _SmootherProblem:
             np.diag(1.0 / weights.parameter),
             outputs.D[valid] / weights.sigma_y,
             intervals.inner.D[record.inner_valid] / weights.sigma_y,
-            -(intervals.B / weights.sigma_x[:, None]).reshape(-1, n_p),
+            -(intervals.B / record.sigma_x[:, :, None]).reshape(-1, n_p),
         ]
     )
     return _SmootherProblem(float(r @ r), J_x, J_t, r)

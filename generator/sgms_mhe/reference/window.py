@@ -112,7 +112,7 @@ def take_interval(record: NodeRecord, window: Window, belief: Gaussian, scaling:
         readings.append(reading)
     growth = weights.drift_variance(np.diag(belief.covariance)[n_x:], drift)
     belief = predict(window, 0, belief)
-    belief = Gaussian(belief.mean, belief.covariance + np.diag(np.concatenate([weights.sigma_x**2, growth])))
+    belief = Gaussian(belief.mean, belief.covariance + np.diag(np.concatenate([record.sigma_x[k] ** 2, growth])))
     end_scale = 1.0
     if record.valid[k + 1]:
         # The output is linearised where the interval leads, not where the measurements inside have moved it.
