@@ -2,6 +2,7 @@
 
 from sgms_mhe.api.diagnosis import diagnose as diagnose
 from sgms_mhe.api.estimation import estimate as estimate
+from sgms_mhe.api.estimation import find_origin as find_origin
 from sgms_mhe.api.estimation import predict as predict
 from sgms_mhe.api.experiments import effects as effects
 from sgms_mhe.api.experiments import plan as plan
@@ -14,6 +15,7 @@ from sgms_mhe.api.inputs import read_log as read_log
 from sgms_mhe.api.packages import generate as generate
 from sgms_mhe.api.simulation import simulate as simulate
 from sgms_mhe.api.tuning import tune as tune
+from sgms_mhe.diagnosis.other_record import Origin as Origin
 from sgms_mhe.diagnosis.plan import MotionPlan as MotionPlan
 from sgms_mhe.diagnosis.result import Diagnosis as Diagnosis
 from sgms_mhe.emission.package import Package as Package
@@ -42,6 +44,7 @@ __all__ = [
     "LogWarning",
     "Machine",
     "MotionPlan",
+    "Origin",
     "Package",
     "PredictedFriction",
     "SimulatedRun",
@@ -50,6 +53,7 @@ __all__ = [
     "effects",
     "estimate",
     "export",
+    "find_origin",
     "fleet",
     "generate",
     "identify",

@@ -1,12 +1,15 @@
-"""An estimator over a log, as the controller would run it, and the model alone along it."""
+"""An estimator over a log, as the controller would run it, the model alone along it, the origin of its places."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Final, Literal
 
 from sgms_mhe.api.inputs import LogSource, Note, Progress, load, recorded_log
 from sgms_mhe.configuration import override_machine
+from sgms_mhe.diagnosis import origin
+from sgms_mhe.diagnosis.other_record import Origin
 from sgms_mhe.evaluation.prediction import PredictedFriction, predict_log
 from sgms_mhe.host.compiled import CompiledEstimator
 from sgms_mhe.machine import Machine
@@ -85,6 +88,33 @@ def predict(
     if lowpass_Hz is not None:
         axis = override_machine(axis, {"sampling": {"velocity_cutoff": lowpass_Hz}})
     return read_only(predict_log(axis, recorded_log(log, axis, note=note)))
+
+
+def find_origin(
+    machine: str | Path | Machine, log: LogSource, *, within_m: float | None = None, note: Note | None = None
+) -> Origin:
+    """Find the position that a machine's forces over place count from, along a first stretch of motion.
+
+    After a power-up an axis that is not homed counts its positions from another place. What this returns as
+    `position_m` is what `NAME_set_origin` takes; a log with that subtracted from its positions is one of the homed
+    axis. Offset, Coulomb level and damping of the log are its own. Not determined where the log tells nothing of the
+    place, or several origins fit it as well.
+
+    Args:
+        machine: file, name, or loaded; with effects that read the place.
+        log: file, Log or DataFrame.
+        within_m: how far from position 0 the origin may be [m], of a rotary axis [rad]; None: anywhere, where the
+            forces over place repeat.
+        note: called with each sentence on how the log was read; None: they are `LogWarning`s.
+
+    Raises:
+        InputError: machine or log; no `within_m` where the forces over place do not repeat.
+        BuildError: the C compiler refused.
+    """
+    if within_m is not None and not 0.0 < within_m < math.inf:
+        raise InputError("find_origin", "within_m", within_m, "a number above 0")
+    axis = load(machine)
+    return origin.find_origin(axis, recorded_log(log, axis, note=note), within_m)
 
 
 def check_length(log: Log, machine: Machine) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -23,6 +24,9 @@ from sgms_mhe.commands.common import (
 )
 from sgms_mhe.commands.log_options import load_for_log, log_options
 from sgms_mhe.support.errors import InputError
+
+if TYPE_CHECKING:
+    from sgms_mhe.diagnosis.other_record import Origin
 
 
 @click.command(
@@ -47,6 +51,13 @@ from sgms_mhe.support.errors import InputError
     show_default=True,
     help="Compare every N-th sample, behind an anti-aliasing filter.",
 )
+@click.option("--find-origin", is_flag=True, help="Find the position that forces over place count from, first.")
+@click.option(
+    "--within",
+    type=NumberType(1e-9, 1e6),
+    metavar="M",
+    help="How far from 0 the origin may be [m, rad]; needed where forces over place do not repeat.",
+)
 @json_option
 def command(
     machine: str,
@@ -57,6 +68,8 @@ def command(
     end_s: float,
     lowpass: float | None,
     factor: int,
+    find_origin: bool,
+    within: float | None,
     as_json: bool,
 ) -> None:
     """Run MACHINE's model along the motion in LOG, without estimation.
@@ -65,11 +78,17 @@ def command(
     nothing is missing; and residual and noise floor of the whole record as diagnose states them. Elsewhere
     friction_measured_N is NaN. The force error is that RMS over the RMS of the drive
     force, as inverse dynamic models are judged.
+
+    With --find-origin the log's positions count from the origin that is found; exit code 1 where it is not determined,
+    and they count as they are.
     """
+    if within is not None and not find_origin:
+        raise InputError("command line", "--within", within, "beside --find-origin")
     resolved = load_for_log(machine, table)
     check_output_file(out)
 
     from sgms_mhe.configuration import override_machine
+    from sgms_mhe.diagnosis import origin
     from sgms_mhe.diagnosis.record_residual import measure_residual
     from sgms_mhe.evaluation.prediction import force_error, predict_log, write_prediction
 
@@ -77,6 +96,9 @@ def command(
     if lowpass is not None:
         resolved = override_machine(resolved, {"sampling": {"velocity_cutoff": lowpass}})
     with progress_bar(f"predict {resolved.name}"):
+        found = origin.find_origin(resolved, recorded, within) if find_origin else None
+        if found is not None and found.position_m is not None:
+            recorded = replace(recorded, position_m=recorded.position_m - found.position_m)
         prediction = predict_log(resolved, recorded)
         try:
             measured = measure_residual(resolved, recorded)
@@ -95,15 +117,26 @@ def command(
             "force_rms_N": error.force_rms_N,
             "force_error": error.relative,
             "residual": None if measured is None else measured.to_json(),
+            "origin": None if found is None else found.to_json(),
         }
         show(json_text(units.keyed(result)), out)
+        _end(found)
         return
     total = len(prediction.time_s)
     residual = "" if measured is None else f"\n{measured.describe(units)}, as diagnose has them"
+    place = "" if found is None else f"{found.describe(units)}\n"
     show(
+        f"{place}"
         f"measured minus simulated: {error.residual_rms_N:.6g} {units.force} rms over {error.rows} of {total} samples "
         f"(measured friction: {error.friction_rms_N:.6g} {units.force} rms)\n"
         f"{units.push} error: {100.0 * error.relative:.3g} % of {error.force_rms_N:.6g} {units.force} rms"
         f"{residual}",
         out,
     )
+    _end(found)
+
+
+def _end(found: Origin | None) -> None:
+    """End with exit code 1 where an origin was asked for and is not determined."""
+    if found is not None and not found.is_determined:
+        click.get_current_context().exit(1)

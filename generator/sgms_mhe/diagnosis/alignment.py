@@ -113,7 +113,7 @@ def align(subject: Subject, fit: Fit, *, anew: bool = False) -> Subject:
     measured = steps.measured - later
     names = [effect.name for effect in fit.effects] + [effect.name for effect in subject.machine.effects]
     timed = any(effect_definition(name).acts_on_timing for name in names)
-    columns = _sampling_columns(whole, exact)
+    columns = find_sampling_columns(whole, exact)
     sampled = _fit_sampling(whole, fit, columns, measured - exact, timed=timed)
     measured = measured - columns @ sampled
     whole = replace(
@@ -139,11 +139,11 @@ def find_residual(whole: Subject, fit: Fit, sampled: Array) -> Array:
     """
     exact = whole.friction(fit)
     later = find_step_error(whole, fit) + find_chain_error(whole, fit)
-    return np.asarray(whole.alignment.measured - later - _sampling_columns(whole, exact) @ sampled - exact)
+    return np.asarray(whole.alignment.measured - later - find_sampling_columns(whole, exact) @ sampled - exact)
 
 
 def _fit_sampling(whole: Subject, fit: Fit, columns: Array, residual: Array, *, timed: bool) -> Array:
-    """Coefficients of `_sampling_columns` (2) in what a residual (m) owes to the sampling of force and position alone.
+    """Coefficients of the sampling columns (2) in what a residual (m) owes to the sampling of force and position alone.
 
     Proportional to the force's rate: force and position up to TIMING of a sample apart. Proportional to the second
     derivative of the inertial force: its second difference over a sample h is low by h^2 / 12 of that, against a force
@@ -171,8 +171,8 @@ def _within(Z: Array, e: Array, lower: Sequence[float], upper: Sequence[float]) 
     return solve_box(H + ridge * np.eye(len(H)), Z.T @ e, np.array(lower), np.array(upper))
 
 
-def _sampling_columns(whole: Subject, friction: Array) -> Array:
-    """Rate of the force [N/s], and second derivative of the inertial one [N/s^2] (m, 2), at a friction (m) [N].
+def find_sampling_columns(whole: Subject, friction: Array) -> Array:
+    """Return the rate of the force [N/s], the second derivative of the inertial one [N/s^2] (m, 2), at a friction (m).
 
     A force that is late is late with all that it overcomes: the rate is that of the inertial force, as the log's
     samples have it, and of the model's friction.

@@ -1,10 +1,12 @@
-"""Another record of an axis, on which the causes of the first one are judged."""
+"""Another record of an axis: the origin of its position, and the causes of the first one as it judges them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
+
+from sgms_mhe.machine import Units
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,56 @@ class TransferredCause:
 
 
 @dataclass(frozen=True)
+class Origin:
+    """Position that a machine's forces over place count from, as one record tells it; keys of a linear axis.
+
+    Attributes:
+        position_m: what `NAME_set_origin` takes; None: not determined.
+        deviation_m: of it, one standard deviation; None likewise.
+        period_m: that all forces over place repeat with: the origin is known but for whole multiples of it; None: they
+            do not repeat, or not within what was allowed.
+        candidates_m: origins that fit as well as each other, best first: this one, or several that the record does not
+            tell apart; none where it tells nothing of the place.
+        gain_N: RMS of force that the place explains on held-out blocks, beside not knowing it.
+        reason: why it is not determined; empty where it is.
+    """
+
+    position_m: float | None
+    deviation_m: float | None
+    period_m: float | None
+    candidates_m: tuple[float, ...]
+    gain_N: float
+    reason: str
+
+    @property
+    def is_determined(self) -> bool:
+        """Return True if the record tells the origin."""
+        return not self.reason
+
+    def to_json(self) -> dict[str, Any]:
+        """Return its entry in a file, keys of a linear axis."""
+        return {
+            "determined": self.is_determined,
+            "position_m": self.position_m,
+            "deviation_m": self.deviation_m,
+            "period_m": self.period_m,
+            "candidates_m": list(self.candidates_m),
+            "gain_N": self.gain_N,
+            "reason": self.reason,
+        }
+
+    def describe(self, units: Units) -> str:
+        """Return it in a sentence."""
+        unit = units.position
+        if self.position_m is None or self.deviation_m is None:
+            return f"origin: not determined: {self.reason}"
+        text = f"origin: {self.position_m:.8g} {unit}, one standard deviation {self.deviation_m:.2g} {unit}"
+        if self.period_m is not None:
+            text += f", or any whole multiple of {self.period_m:.8g} {unit} from there"
+        return text
+
+
+@dataclass(frozen=True)
 class OtherRecord:
     """Another record of the same axis, its offset, level, damping and origin fitted; RMS on held-out blocks [N].
 
@@ -34,7 +86,8 @@ class OtherRecord:
         plain: of Coulomb and viscous friction by least squares on this record.
         force: RMS of the force.
         noise_floor_N: of its measured friction.
-        origin_m: what its position is behind that of the first record, as the forces over place say; 0: nothing.
+        origin_m: to be added to its position, so that the forces over place fit; 0: nothing.
+        origin: what the record says of that, its `position_m` the negative of it; None: not asked, the axis is homed.
         causes: those of the first record.
     """
 
@@ -45,6 +98,7 @@ class OtherRecord:
     force: float
     noise_floor_N: float
     origin_m: float
+    origin: Origin | None
     causes: tuple[TransferredCause, ...]
 
     @property
@@ -72,6 +126,7 @@ class OtherRecord:
             "plain_N": self.plain,
             "simulation_error": self.errors,
             "origin_m": self.origin_m,
+            "origin": None if self.origin is None else self.origin.to_json(),
             "gains": [
                 {"name": t.label, "gain_N": t.gain_N, "gain_interval_N": list(t.gain_interval_N), "shown": t.is_shown}
                 for t in self.causes

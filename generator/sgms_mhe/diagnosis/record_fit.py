@@ -1,0 +1,113 @@
+"""A machine along another record, its own numbers fixed, and what belongs to the record free."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgms_mhe.diagnosis.alignment import align
+from sgms_mhe.diagnosis.fits import FINAL_STEP, ITERATIONS, Fit, Subject
+from sgms_mhe.diagnosis.models import CompiledFit, LeastSquares, Prior
+from sgms_mhe.diagnosis.parametrisation import CandidateEffect, JacobianColumn, ParameterGroup
+from sgms_mhe.model.effects import EFFECT_NAMES, effect_definition
+from sgms_mhe.model.effects import cause as cause_definition
+from sgms_mhe.recordings.recording import Recording, Runs
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class RecordFit:
+    """A machine along another record, its own numbers fixed, and what belongs to the record free.
+
+    Attributes:
+        subject: machine and record.
+        model: every number of the machine a parameter, an offset beside it.
+        theta: as the machine has them (n_p).
+    """
+
+    subject: Subject
+    model: CompiledFit
+    theta: Array
+    effects: tuple[CandidateEffect, ...]
+
+    @classmethod
+    def of(cls, subject: Subject) -> RecordFit:
+        """The machine of a subject, beside it the effects that belong to a record and that it has not."""
+        own = {effect.name for effect in subject.machine.effects}
+        names = [name for name in EFFECT_NAMES if effect_definition(name).of_record and name not in own]
+        effects = tuple(CandidateEffect(name, {}) for name in names)
+        model = subject.model(effects)
+        theta = np.array([c.theta(c.none) if c.group.is_candidate else c.machine_theta for c in model.columns])
+        return cls(subject, model, theta, effects)
+
+    def free(self, fixed: str = "") -> Mask:
+        """Numbers that belong to the record (n_p), but those of a cause under judgement."""
+        return np.array(
+            [cause_definition(c.group.cause).of_record and c.group.cause != fixed for c in self.model.columns],
+            dtype=np.bool_,
+        )
+
+    def fit(self, theta: Array, free: Mask, rows: Mask | None = None) -> Fit:
+        """Fit what is free, from theta (n_p) on, to rows (m); None: all used ones.
+
+        Raises:
+            FitError: the model is not finite.
+        """
+        recording = self.subject.recording
+        seen = recording.used if rows is None else rows
+        none = np.zeros(int(free.sum()))
+        problem = LeastSquares(self.model, recording, seen, free, Prior(none, none, none))
+        found = problem.descend(theta, ITERATIONS, FINAL_STEP)
+        loss = recording.sum_blocks(found.residual**2)
+        return Fit(
+            model=self.model,
+            effects=tuple(
+                CandidateEffect(e.name, {c.name: c.si(t) for c, t in self._numbers(found.theta, i)})
+                for i, e in enumerate(self.effects)
+            ),
+            theta=found.theta,
+            free=free,
+            interior=free,
+            residual=found.residual,
+            jacobian=found.jacobian,
+            loss=loss,
+            cross=loss,
+            rows=recording.sum_blocks(np.ones(len(recording.time))),
+        )
+
+    def _numbers(self, theta: Array, index: int) -> list[tuple[JacobianColumn, float]]:
+        group = ParameterGroup.candidate(self.effects[index].name, index)
+        return [(c, t) for c, t in zip(self.model.columns, theta.tolist(), strict=True) if c.group == group]
+
+    def align(self) -> RecordFit:
+        """The same with its record in line with the model."""
+        fit = self.fit(self.theta, self.free())
+        return replace(self, subject=align(self.subject, fit))
+
+    @property
+    def seen(self) -> Mask:
+        """Rows (m) that the fit behind a reported gain sees."""
+        recording = self.subject.recording
+        return recording.used & ~recording.rows_held_out()
+
+
+def shift_position(recording: Recording, shift: float) -> Recording:
+    """Return the recording with its position counted from another origin [m]."""
+    if shift == 0.0:
+        return recording
+
+    def shift_column(motion: Array | None) -> Array | None:
+        return None if motion is None else motion + shift * np.eye(1, motion.shape[1])
+
+    return replace(
+        recording,
+        signals=replace(recording.signals, position=recording.signals.position + shift),
+        position=recording.position + shift,
+        unfiltered=shift_column(recording.unfiltered),
+        misread=shift_column(recording.misread),
+        runs=Runs(),
+    )
