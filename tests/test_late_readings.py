@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sgms_bench.logs.faults import relay_truth
-from sgms_mhe.configuration import load_machine
+from sgms_mhe.configuration import load_machine, override_machine
 from sgms_mhe.emission.package import emit_package, write_package
 from sgms_mhe.identification import Identification, Wanted, identify
 from sgms_mhe.machine import Machine
@@ -87,6 +87,17 @@ def test_a_low_pass_that_biases_the_inertia_is_replaced_and_said(
     said = [warning for warning in found.warnings if f"in place of {cutoff:g} Hz" in warning]
     assert len(said) == 1 and re.search(r"inertia \d+% too small", said[0])
     assert found.machine.sampling.velocity_cutoff < cutoff
+
+
+def test_stated_errors_of_the_model_are_handed_on(tmp_path: Path) -> None:
+    """They are no number of the fit, and the file that is written has them again."""
+    stated = {"mass": 0.01, "gain": 0.02, "force": 0.1}
+    machine = override_machine(like(tmp_path, 1000.0, 100.0), {"estimator": {"disturbance": stated}})
+    found = identify([spinning_axis(1000.0, 0.0, 3)], Wanted("axis", like=machine))
+    assert_true(found)
+    disturbance = found.machine.estimator.disturbance
+    assert (disturbance.mass, disturbance.gain, disturbance.force) == (0.01, 0.02, 0.1)
+    assert "[estimator.disturbance]" in found.toml
 
 
 def test_a_low_pass_that_biases_nothing_is_kept(tmp_path: Path) -> None:

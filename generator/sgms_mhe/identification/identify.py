@@ -359,6 +359,9 @@ def _describe(explored: Explored, logs: Sequence[Log], wanted: Wanted, report: P
     report("weights")
     draft = make_machine(machine_content(records.machine, law, numbers, None), path)
     content = machine_content(records.machine, law, numbers, measurement_noise(draft, logs))
+    # It says of the axis what no log does; while numbers were fitted, it would have been one of them.
+    if wanted.like is not None and "disturbance" in wanted.like.content.get("estimator", {}):
+        content["estimator"]["disturbance"] = wanted.like.content["estimator"]["disturbance"]
     head = [
         f"Written by sgms-mhe identify over {', '.join(Path(name).name for name in sorted(records.names))}.",
         "Intervals are two standard deviations.",
