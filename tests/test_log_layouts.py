@@ -271,6 +271,83 @@ def test_any_damaged_length_in_a_struct_array_is_refused(tmp_path: Path) -> None
             read_log(tmp_path / "bad.mat")
 
 
+def save_v73(path: Path, content: dict[str, Any], header: bool) -> None:
+    """Structs, struct arrays and texts as MATLAB writes them with -v7.3."""
+    h5py = pytest.importorskip("h5py")
+    count = 0
+
+    def put(group: Any, name: str, value: Any) -> Any:
+        nonlocal count
+        if isinstance(value, dict):
+            made = group.create_group(name)
+            made.attrs["MATLAB_class"] = np.bytes_("struct")
+            for key, item in value.items():
+                put(made, key, item)
+        elif isinstance(value, list):
+            made = group.create_group(name)
+            made.attrs["MATLAB_class"] = np.bytes_("struct")
+            for key in value[0]:
+                places = made.create_dataset(key, (len(value), 1), dtype=h5py.ref_dtype)
+                for k, item in enumerate(value):
+                    count += 1
+                    places[k, 0] = put(file["#refs#"], f"r{count}", item[key]).ref
+        else:
+            is_text = isinstance(value, str)
+            array = np.array([[ord(c)] for c in value], dtype="u2") if is_text else np.atleast_2d(value)
+            made = group.create_dataset(name, data=array)
+            made.attrs["MATLAB_class"] = np.bytes_("char" if is_text else "double")
+        return made
+
+    with h5py.File(path, "w", userblock_size=512 if header else 0) as file:
+        file.create_group("#refs#")
+        for key, item in content.items():
+            put(file, key, item)
+    if header:
+        with path.open("r+b") as stream:
+            stream.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+
+
+@pytest.mark.parametrize("header", [True, False])
+@pytest.mark.parametrize("apart", [1.0, 0.5])
+@pytest.mark.parametrize("seed", [20, 21])
+def test_struct_arrays_of_version_7_3_are_read(seed: int, apart: float, header: bool, tmp_path: Path) -> None:
+    log = motion(seed, 800.0)
+    clocks = [{"Data": log.time_s, "Name": "fast"}, {"Data": log.time_s[:: round(1.0 / apart)], "Name": "slow"}]
+    channels = [
+        {"Name": "Root/valve", "Unit": "", "Data": np.ones(len(log)), "XIndex": 1.0},
+        {"Name": "Root/ActPos", "Unit": "mm", "Data": 1e3 * log.position_m, "XIndex": 1.0},
+        {"Name": "Root/Force", "Unit": "N", "Data": log.force_N[:: round(1.0 / apart)], "XIndex": 2.0},
+    ]
+    save_v73(tmp_path / "rec.mat", {"rec": {"X": clocks, "Y": channels, "Note": "a word"}}, header)
+    found = read_log(tmp_path / "rec.mat")
+    assert found.rate == pytest.approx(800.0) and found.position_m == pytest.approx(log.position_m)
+    same = slice(None, None, round(1.0 / apart))
+    assert found.force_N[same] == pytest.approx(log.force_N[same])
+    table = {"position_m": {"variable": "rec.Y(2).Data", "unit": "mm"}, "force_N": {"member": "rec.Y(3).Data"}}
+    assert read_log(tmp_path / "rec.mat", table=table).position_m == pytest.approx(log.position_m)
+
+
+def test_simulink_s_scope_of_version_7_3_is_read(tmp_path: Path) -> None:
+    log = motion(22, 250.0)
+    signals = [{"values": log.force_N, "label": "Force [N]"}, {"values": log.position_m, "label": "x_act [m]"}]
+    save_v73(tmp_path / "scope.mat", {"ScopeData": {"time": log.time_s, "signals": signals}}, True)
+    found = read_log(tmp_path / "scope.mat")
+    assert found.position_m == pytest.approx(log.position_m) and found.force_N == pytest.approx(log.force_N)
+
+
+def test_a_damaged_file_of_version_7_3_is_refused_and_never_trips(tmp_path: Path) -> None:
+    log = motion(23, 100.0, 1.0)
+    save_v73(tmp_path / "rec.mat", {"ScopeData": {"time": log.time_s, "signals": [{"values": log.force_N}]}}, True)
+    whole, rng = (tmp_path / "rec.mat").read_bytes(), np.random.default_rng(2)
+    for _ in range(100):
+        content = bytearray(whole)
+        for at in rng.integers(128, len(content), 3):
+            content[at] = rng.integers(256)
+        (tmp_path / "bad.mat").write_bytes(bytes(content[: rng.integers(129, len(content))]))
+        with contextlib.suppress(InputError):
+            read_log(tmp_path / "bad.mat")
+
+
 # --- a clock in another file ------------------------------------------------------------------------------------
 
 

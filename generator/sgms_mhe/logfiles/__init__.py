@@ -5,7 +5,7 @@ Each step is a pure function whose result is a frozen dataclass, which `sgms-mhe
     bytes -> text (encoding)                                          encoding
     text -> dialect: header, unit row, separator, decimal mark        dialect, decimals, stamps, key_rows
     a line for each variable -> a column for each                     long_format
-    file -> table of named columns                                    text, mat, hdf5, numpy_files, parquet, mdf
+    file -> table of named columns                                    text, mat, mat73, hdf5, numpy_files, ...
     table + [log] -> which column is which quantity, in what unit     sources, names
     values -> SI units, on one clock                                  quantities, clocks
     time -> rate, jitter, gaps; uneven time onto a grid               timing, resampling

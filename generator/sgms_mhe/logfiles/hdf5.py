@@ -1,4 +1,4 @@
-"""HDF5, and MATLAB's MAT files of version 7.3, which are HDF5; by h5py."""
+"""HDF5, by h5py."""
 
 from __future__ import annotations
 
@@ -13,14 +13,12 @@ from sgms_mhe.support.libraries import optional_library
 _WHOLE = "a whole HDF5 file, its columns arrays of real numbers"
 
 
-def read_hdf5(path: Path, form: str = "HDF5") -> Table:
+def read_hdf5(path: Path) -> Table:
     """The table of every array below the file's root, groups as paths with dots. A unit is an attribute `unit(s)`.
 
-    MATLAB writes its matrices' columns as rows, so those of a MAT file are turned. Raises InputError for a damaged file
-    and where h5py is absent, OSError as open does.
+    Raises InputError for a damaged file and where h5py is absent, OSError as open does.
     """
-    h5py = optional_library("h5py", "hdf5", form, path)
-    turned = form != "HDF5"
+    h5py = optional_library("h5py", "hdf5", "HDF5", path)
     with path.open("rb"):
         pass  # a file that cannot be opened is told from one that is no HDF5
     found: dict[str, tuple[str, Column]] = {}
@@ -34,8 +32,7 @@ def read_hdf5(path: Path, form: str = "HDF5") -> Table:
                 found[column] = (name, Column(column, column, shape=node.shape))
         elif node.dtype.kind in "fiub":
             column = _dot_name(name)
-            shape = node.shape[::-1] if turned else node.shape
-            found[column] = (name, Column(column, column, _unit(node), shape))
+            found[column] = (name, Column(column, column, stated_unit(node), node.shape))
 
     try:
         with h5py.File(path, "r") as content:
@@ -50,20 +47,21 @@ def read_hdf5(path: Path, form: str = "HDF5") -> Table:
                 for name in names:
                     node = content[found[name][0]]
                     value = node[name.rsplit(".", 1)[1]] if node.dtype.names else node[()]
-                    values[name] = real(path, name, value.T if turned else value)
+                    values[name] = real(path, name, value)
                 return values
         except InputError:
             raise
         except Exception as error:
             raise damage_error(path, _WHOLE, error) from None
 
-    return Table(form, tuple(column for _, column in found.values()), read, array_row)
+    return Table("HDF5", tuple(column for _, column in found.values()), read, array_row)
 
 
 def _dot_name(name: str) -> str:
     return name.strip("/").replace("/", ".")
 
 
-def _unit(node: Any) -> str:
+def stated_unit(node: Any) -> str:
+    """The unit in an array's attributes, `unit(s)`; empty where there is none."""
     value = next((node.attrs[key] for key in ("unit", "units", "Unit", "Units") if key in node.attrs), "")
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)

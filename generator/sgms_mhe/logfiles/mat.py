@@ -16,8 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sgms_mhe.logfiles.hdf5 import read_hdf5
+from sgms_mhe.logfiles.mat73 import VALUES, HdfVariable, hdf_variables
 from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damage_error
+from sgms_mhe.support.errors import InputError
+from sgms_mhe.support.libraries import optional_library
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _MATRIX, _COMPRESSED = 14, 15
@@ -26,10 +28,11 @@ _NUMERIC_CLASSES = range(6, 16)  # double, single, the integers
 _COMPLEX = 0x0800
 _HEADER = 128
 _PEEK = 4096  # bytes of a variable that hold its flags, dimensions and name
-_VALUES = frozenset(("Data", "data", "values", "Values"))
 _CHANNEL = re.compile(r"(?P<root>.*\.)?(?P<own>(?:signals|Y)(?:\(\d+\))?)\.(?P<field>\w+)")
 _DEEPEST = 16  # structs within structs
 _V5, _V73 = 0x0100, 0x0200
+_HDF5 = b"\x89HDF\r\n\x1a\n"  # begins a file of v7.3 that other programs wrote, without MATLAB's header
+_WHOLE = "a whole MAT file, its columns arrays of real numbers"
 
 
 @dataclass(frozen=True)
@@ -62,29 +65,43 @@ class MatVariable:
 def read_mat(path: Path) -> Table:
     """The table of a MAT file, one of v7.3 by HDF5. Raises InputError for a damaged file, OSError as open does."""
     content = path.read_bytes()
-    whole = "a whole MAT file, its columns arrays of real numbers"
     try:
-        if _version(content) == _V73:
-            return read_hdf5(path, "MAT v7.3")
-        found = mat_variables(content)
-        clocks = {name: clock for name, variable in found.items() if (clock := _clock(name, variable, found))}
+        if content.startswith(_HDF5) or _version(content) == _V73:
+            return _read_mat73(path)
+        return _table(path, "MAT v5", mat_variables(content))
     except (ValueError, zlib.error) as error:
-        raise damage_error(path, whole, error) from None
+        raise damage_error(path, _WHOLE, error) from None
+
+
+def _read_mat73(path: Path) -> Table:
+    h5py = optional_library("h5py", "hdf5", "MAT v7.3", path)
+    try:
+        return _table(path, "MAT v7.3", hdf_variables(path, h5py))
+    except Exception as error:  # the readers of a damaged file stumble in many ways
+        allowed = "a whole HDF5 file, as version 7.3 is, its columns arrays of real numbers"
+        raise damage_error(path, allowed, error) from None
+
+
+def _table(path: Path, form: str, found: Mapping[str, MatVariable] | Mapping[str, HdfVariable]) -> Table:
+    """The table of a file's variables; ValueError where the index of a channel's times is damaged."""
+    clocks = {name: clock for name in found if (clock := _clock(name, found))}
 
     def read(names: Sequence[str]) -> Mapping[str, Array]:
         try:
             return {name: found[name].read() for name in names}
-        except (ValueError, zlib.error) as error:
-            raise damage_error(path, whole, error) from None
+        except InputError:
+            raise
+        except Exception as error:
+            raise damage_error(path, _WHOLE, error) from None
 
     columns = tuple(
         Column(name, v.label or name, v.unit or ("s" if name in clocks.values() else ""), v.shape)
         for name, v in found.items()
     )
-    return Table("MAT v5", columns, read, array_row, clocks=clocks)
+    return Table(form, columns, read, array_row, clocks=clocks)
 
 
-def _clock(name: str, variable: MatVariable, found: Mapping[str, MatVariable]) -> str | None:
+def _clock(name: str, found: Mapping[str, MatVariable] | Mapping[str, HdfVariable]) -> str | None:
     """Name of the times of a channel: X(k).Data of Y(i).Data in ControlDesk's files, time of signals in Simulink's."""
     path = _CHANNEL.fullmatch(name)
     if path is None:
@@ -174,7 +191,7 @@ def _fields(members: Mapping[str, tuple[int, memoryview]], order: str, path: str
             found[name] = MatVariable(name, _description(_elements(body, order), order)[1], order, False, body)
         elif own == _CHAR:
             texts[field.casefold()] = _text(body, order)
-    for field in _VALUES & members.keys():
+    for field in VALUES & members.keys():
         if (name := f"{path}.{field}") in found:
             label = next((texts[key] for key in ("name", "label", "title") if texts.get(key)), "")
             found[name] = replace(found[name], label=label, unit=texts.get("unit", texts.get("units", "")))

@@ -1,0 +1,114 @@
+"""Real numeric variables of a MAT file, version 7.3, which is HDF5, members of structs and struct arrays among them.
+
+A struct is a group. The fields of a struct array are arrays of references, of one shape, to what its elements hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from sgms_mhe.logfiles.hdf5 import stated_unit
+from sgms_mhe.logfiles.table import Array, real
+
+VALUES: Final = frozenset(("Data", "data", "values", "Values"))
+"""Fields of a channel that hold its samples, where a name and a unit may stand beside them."""
+_DEEPEST: Final = 16
+"""Structs within structs."""
+_MOST: Final = 100_000
+"""Variables of a file: references may lead in a circle."""
+
+
+@dataclass(frozen=True)
+class HdfVariable:
+    """An array of the file, found and not yet read.
+
+    Attributes:
+        name: of the variable, members of structs as a path with dots.
+        shape: as MATLAB has it.
+        path: of the file.
+        place: of the array within it.
+        label, unit: as the file states them beside it.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    path: Path
+    place: str
+    h5py: Any
+    label: str = ""
+    unit: str = ""
+
+    def read(self) -> Array:
+        """The values in MATLAB's shape, which are turned in the file; raises as h5py does where they are damaged."""
+        with self.h5py.File(self.path, "r") as content:
+            return real(self.path, self.name, content[self.place][()].T)
+
+
+def hdf_variables(path: Path, h5py: Any) -> dict[str, HdfVariable]:
+    """The variables of a file by name; raises as h5py does, and ValueError, where it is damaged."""
+    with h5py.File(path, "r") as content:
+        return _Walk(path, h5py, content).members({key: content[key] for key in content if key[:1] != "#"}, "", 0)
+
+
+@dataclass(frozen=True)
+class _Walk:
+    """The way through an open file."""
+
+    path: Path
+    h5py: Any
+    content: Any
+
+    def struct(self, group: Any, path: str, depth: int) -> dict[str, HdfVariable]:
+        """Members of a struct by their paths; of an array of structs those of path(1), path(2), ..."""
+        if depth > _DEEPEST:
+            return {}
+        fields = {key: group[key] for key in group}
+        if not fields or not all(map(self._is_referring, fields.values())):
+            return self.members(fields, path, depth)
+        references = {key: np.ravel(node[()]) for key, node in fields.items()}
+        count = min(map(len, references.values()))
+        found: dict[str, HdfVariable] = {}
+        for k in range(count):
+            part = {key: self.content[places[k]] for key, places in references.items() if places[k]}
+            found |= self.members(part, path if count == 1 else f"{path}({k + 1})", depth)
+            if len(found) > _MOST:
+                raise ValueError(f"more than {_MOST} variables")
+        return found
+
+    def members(self, fields: Mapping[str, Any], path: str, depth: int) -> dict[str, HdfVariable]:
+        """Numeric members of one struct by their paths, its values with the label and the unit beside them."""
+        found: dict[str, HdfVariable] = {}
+        texts: dict[str, str] = {}
+        for field, node in fields.items():
+            name = f"{path}.{field}" if path else field
+            if isinstance(node, self.h5py.Group):
+                found |= self.struct(node, name, depth + 1)
+            elif "MATLAB_empty" in node.attrs or node.dtype.kind not in "fiub":
+                continue
+            elif _class(node) == "char":
+                texts[field.casefold()] = "".join(map(chr, np.ravel(node[()]))).strip("\0 ")
+            else:
+                found[name] = HdfVariable(
+                    name, node.shape[::-1], self.path, node.name, self.h5py, unit=stated_unit(node)
+                )
+        for field in VALUES & fields.keys():
+            if (name := f"{path}.{field}") in found:
+                label = next((texts[key] for key in ("name", "label", "title") if texts.get(key)), "")
+                unit = texts.get("unit", texts.get("units", found[name].unit))
+                found[name] = replace(found[name], label=label, unit=unit)
+        return found
+
+    def _is_referring(self, node: Any) -> bool:
+        """Return True for the field of a struct array; a cell array refers too, and says so."""
+        is_data = isinstance(node, self.h5py.Dataset)
+        return is_data and self.h5py.check_ref_dtype(node.dtype) is not None and _class(node) != "cell"
+
+
+def _class(node: Any) -> str:
+    value = node.attrs.get("MATLAB_class", b"")
+    return value.decode("latin-1") if isinstance(value, bytes) else str(value)
