@@ -25,6 +25,7 @@ from sgms_mhe.identification.search import ChosenModel, is_better
 from sgms_mhe.identification.terms import LATE, LAW_AND_SAMPLING, effect_parameters, is_level
 from sgms_mhe.machine import Units
 from sgms_mhe.model.effects import MOVES, Measure, cause, effect_definition, separating_moves
+from sgms_mhe.recordings.excitation import find_speeds_apart
 from sgms_mhe.support.errors import InputError
 
 KNOWN: Final = 0.25
@@ -53,6 +54,8 @@ CONTROLLED: Final[Mapping[str, tuple[str, ...]]] = {
     "stiffness": ("stiffness", "fraction"),
 }
 """Numbers by the cause whose excitation says what a motion must hold to show them."""
+ELASTIC: Final = frozenset(CONTROLLED["stiffness"])
+"""Numbers that reversals show, whatever the speeds between them."""
 
 
 def check_slides(view: RecordView, final: FinalIdentification, shown: Collection[str], source: str) -> None:
@@ -140,7 +143,12 @@ def law_numbers(final: FinalIdentification, unseen: Sequence[str]) -> tuple[Numb
     else:
         numbers += [_number(name, found[name]) for name in ("stribeck_ratio", "stribeck_velocity")]
     numbers = [replace(n, determined=False, note=n.note or STAND_IN) if _stem(n.name) in unseen else n for n in numbers]
-    return (*numbers, *effect_numbers(final))
+    numbers += effect_numbers(final)
+    if find_speeds_apart(final.view.rows) is not None:
+        numbers = [
+            n if _stem(n.name) in ELASTIC else replace(n, determined=False, note=n.note or STAND_IN) for n in numbers
+        ]
+    return tuple(numbers)
 
 
 def _smallest(final: FinalIdentification) -> float:
@@ -260,8 +268,8 @@ def list_limits(
             f"{found.fit.cross_rms:.3g} {units.force} are left); sgms is the default. {_needed('stiffness')}"
         )
     unknown = {number.name for number in numbers if not number.determined}
-    slow = _too_slow(final, view, units)
-    said += [
+    slow, apart = _too_slow(final, view, units), _apart(final, view, units)
+    said += apart or [
         f"{name}: not determined{slow or _reason(name, CONTROLLED[name][0] in unexcited)}"
         for name in ("coulomb", "viscous", "stribeck")
         if unknown & set(CONTROLLED[name])
@@ -341,6 +349,19 @@ def _too_slow(final: FinalIdentification, view: RecordView, units: Units) -> str
         f": no motion is faster than {fastest:.2g} {units.velocity}, where the rise towards low speed may not be over. "
         f"{_needed('stribeck')}"
     )
+
+
+def _apart(final: FinalIdentification, view: RecordView, units: Units) -> list[str]:
+    """Return that each direction has speeds of its own, and what hangs on that; nothing where both share some."""
+    speeds = find_speeds_apart(view.rows)
+    if speeds is None:
+        return []
+    beside = [term.name for term in final.fit.terms if term.name not in LAW_AND_SAMPLING]
+    return [
+        f"{', '.join(('coulomb', 'viscous', 'stribeck', *beside))}: not determined: forth the axis moves at "
+        f"{speeds[0]:.2g}, back at {speeds[1]:.2g} {units.velocity}, so friction that changes with speed, with load "
+        "too, and a force that keeps its direction are one. Needed: the same speeds both ways"
+    ]
 
 
 def _reason(name: str, is_unexcited: bool) -> str:

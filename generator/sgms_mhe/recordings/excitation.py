@@ -38,6 +38,10 @@ ONE_SPEED: Final = 0.05
 """Of a speed, to either side: the same one."""
 MOST: Final = 0.85
 """Share of the rows in motion, from which on a motion at one speed is one."""
+BOTH_WAYS: Final = 0.05
+"""Share of the rows in motion that a direction has, at the least, if the axis moves both ways."""
+COMMON: Final = 0.1
+"""Share of the rows of either direction at speeds of the other, up to which they have none in common."""
 
 
 def measure_excitation(signals: Signals, machine: Machine) -> dict[Measure, float]:
@@ -129,6 +133,22 @@ def find_steady_blocks(recording: Recording) -> Mask | None:
         return None
     steady = recording.sum_blocks((~same).astype(np.float64)) == 0.0
     return steady if np.count_nonzero(steady) >= LAPS else None
+
+
+def find_speeds_apart(recording: Recording) -> tuple[float, float] | None:
+    """Return the median speeds [m/s] forth and back where all of one direction are below all of the other; else None.
+
+    The direction then tells the speed: a force that does not change with direction, and friction that differs between
+    the speeds, are one. Where the speeds interlace a curve over speed tells them apart.
+    """
+    velocity = recording.velocity[recording.used]
+    moving = np.abs(velocity) > MOVING * float(np.abs(velocity).max(initial=0.0))
+    forth, back = velocity[moving & (velocity > 0.0)], -velocity[moving & (velocity < 0.0)]
+    if min(len(forth), len(back)) <= BOTH_WAYS * np.count_nonzero(moving):
+        return None
+    first, second = (np.quantile(way, (COMMON, 1.0 - COMMON)) for way in (forth, back))
+    is_apart = first[1] < second[0] or second[1] < first[0]
+    return (float(np.median(forth)), float(np.median(back))) if is_apart else None
 
 
 def clock_note(recording: Recording) -> tuple[str, ...]:
