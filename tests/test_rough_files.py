@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sgms_mhe.configuration import load_machine, override_machine
+from sgms_mhe.configuration import law_changes, load_machine, override_machine
 from sgms_mhe.diagnosis import Diagnosis, diagnose, write_diagnosis
 from sgms_mhe.diagnosis.beginning import ROUGH, begin_from_record, distance, plain_friction
 from sgms_mhe.diagnosis.fits import Subject, fit_model
@@ -181,3 +181,5 @@ def test_other_law_of_elements_that_switch_costs_no_more_than_a_sample_tells() -
     distances = found.coulomb * np.array(found.fraction) / np.array(found.stiffness)
     assert found.law == "sgms" and found.stiffness[1] == 5.0
     assert distances[0] == pytest.approx(least_distance("sgms", Stribeck(5.0, 1.7), 1000.0))
+    written = override_machine(file, {"friction": law_changes(file, other.machine)})
+    assert written.friction == found, "the extended machine has not the elements that were fitted"

@@ -9,8 +9,8 @@ from sgms_mhe.machine import Machine
 from sgms_mhe.model.effects import effect_definition
 from sgms_mhe.support.errors import InputError
 
-LAW_KEYS: Final = ("law", "micro_viscous", "smoothing")
-"""Keys of [friction] that belong to a law."""
+LAW_KEYS: Final = ("law", "stiffness", "micro_viscous", "smoothing")
+"""Keys of [friction] that another law may change."""
 
 
 def switch_law(machine: Machine, least: float = 0.0) -> Machine | None:
@@ -45,9 +45,7 @@ def law_changes(machine: Machine, other: Machine) -> dict[str, Any]:
     for key in LAW_KEYS:
         value = getattr(after, key)
         if value != getattr(before, key) and value is not None:
-            changes[key] = value
+            changes[key] = list(value) if isinstance(value, tuple) else value
     if after.smoothing is not None and "smoothing" in changes:
         changes["smoothing"] = after.smoothing.model_dump(by_alias=True)
-    if "micro_viscous" in changes:
-        changes["micro_viscous"] = list(after.micro_viscous)
     return changes

@@ -82,8 +82,9 @@ def extended_machine(
         key: value for key in type(file.friction).model_fields if (value := _plain(machine, key)) != _plain(file, key)
     }
     values = [fit.values(group) for group in selection.refitted if group.kind == "base"]
-    friction |= friction_changes(machine, {name: value for found in values for name, value in found.items()})
-    friction = {**law_changes(machine, smooth_law(final.subject.machine, fit.effects)), **friction}
+    fitted = smooth_law(final.subject.machine, fit.effects)
+    friction |= law_changes(machine, fitted)
+    friction |= friction_changes(fitted, {name: value for found in values for name, value in found.items()})
     effects: list[dict[str, Any]] = []
     moved, stated = machine.plant.moved, {effect.label for effect in file.effects}
     for effect in machine.effects:
