@@ -18,7 +18,15 @@ from sgms_bench.verification.fuzzing import SANITIZERS, Sanitizer, fuzz_machines
 from sgms_bench.verification.gaps import GAPS, Gap
 from sgms_bench.verification.limits import STATED, check_limits, stated_operations
 from sgms_bench.verification.machines import random_package
-from sgms_bench.verification.mcdc import Conditions, Decision, conditions_of, merge
+from sgms_bench.verification.mcdc import (
+    UNDECIDED,
+    Conditions,
+    Decision,
+    check_conditions,
+    conditions_of,
+    find_unexplained,
+    merge,
+)
 from sgms_bench.verification.outcome import CheckOutcome
 from sgms_bench.verification.specimens import SPECIMENS, specimen, specimens
 from sgms_bench.verification.syntax import syntax_tree
@@ -298,6 +306,28 @@ def test_conditions_that_decide_in_any_package_count(tmp_path: Path) -> None:
         merge(found, conditions_of(export, name))
         assert sum(map(sum, found.values())) == 1 + (name == "other")
     assert found == {Decision("NAME.c", "a > 0.0 && a < NAME_MOST"): (True, True)}
+
+
+@pytest.mark.slow
+def test_every_condition_decides_or_is_explained() -> None:
+    outcome = check_conditions(list(specimens()), silent)
+    if outcome.skipped is not None:
+        pytest.skip(outcome.skipped)
+    assert outcome.failures == ()
+    deciding, count = map(int, re.findall(r"(\d+) (?:of|conditions)", outcome.tried)[:2])
+    assert count > 150 and deciding == count - len(UNDECIDED) > 0.95 * count
+
+
+def test_condition_without_a_reason_is_found() -> None:
+    explained: Conditions = {}
+    for code, condition in UNDECIDED:
+        explained[Decision("NAME.c", code)] = tuple(part != condition for part in re.split(r" (?:&&|\|\|) ", code))
+    assert find_unexplained(explained) == ()
+    found = {**explained, Decision("NAME.c", "a > 0 || b > 0"): (True, False)}
+    assert find_unexplained(found) == ("NAME.c: a > 0 || b > 0: b > 0",)
+    (first, condition), *_ = UNDECIDED
+    found = {**explained, Decision("NAME.c", first): (True,) * len(explained[Decision("NAME.c", first)])}
+    assert find_unexplained(found) == (f"decides in a package: {condition}",)
 
 
 # --- the table -------------------------------------------------------------------------------------------------------

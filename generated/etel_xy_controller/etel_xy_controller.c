@@ -534,17 +534,10 @@ static void take_inner(etel_xy_controller_t *self, bool measured, sgms_real fric
     self->inner.arrived = j + 1;
 }
 
-/* The next measurement to fold; of a number that is none the last one. */
-static int next_inner(const etel_xy_controller_t *self)
-{
-    return
-        self->inner.folded >= 0 && self->inner.folded < INNER ? (int)self->inner.folded : INNER - 1;
-}
-
 /* Fold the next measurement inside the newest interval; the sweep has reached it. */
 static void fold_next(etel_xy_controller_t *self)
 {
-    const int j = next_inner(self), at = newest_slot(self) * INNER + j;
+    const int j = sgms_place(self->inner.folded, INNER - 1), at = newest_slot(self) * INNER + j;
     sgms_real *const row =
         self->inner.rows + (int)(self->inner.side & 1) * INNER * FACTOR_WIDTH + j * FACTOR_WIDTH;
     self->inner.folded = j + 1;
@@ -614,7 +607,7 @@ static void keep_inner(etel_xy_controller_t *self, int slot, sgms_real *rows)
     sgms_reflect(rows + 7 * FACTOR_WIDTH, rows + 8 * FACTOR_WIDTH, 1, FACTOR_WIDTH, FACTOR_WIDTH,
         7, reflector);
 #else
-    sgms_qr(rows, INNER, FACTOR_WIDTH, FACTOR_WIDTH, FACTOR_ROWS, reflector);
+    sgms_qr(rows, INNER, FACTOR_WIDTH, FACTOR_WIDTH, 8, reflector);
 #endif
     copy(kept + 0, rows + 0 * (FACTOR_WIDTH + 1), FACTOR_WIDTH - 0);
     copy(kept + 9, rows + 1 * (FACTOR_WIDTH + 1), FACTOR_WIDTH - 1);

@@ -7,11 +7,11 @@
  * comparisons and absolute values of its numbers, as a processor without vector registers does
  * them.
  *
- *   tick()           22058
- *   sample()         13623   insert() too
- *   prepare()       301063   in units of at most 13226
+ *   tick()           22046
+ *   sample()         13611   insert() too
+ *   prepare()       300823   in units of at most 13214
  *   feedback()       14245   after prepare()
- *   an update       715418   all calls of an interval
+ *   an update       714938   all calls of an interval
  */
 #ifndef ETEL_XY_CONTROLLER_CONFIG_H
 #define ETEL_XY_CONTROLLER_CONFIG_H

@@ -591,11 +591,9 @@ static void element_step(int lanes, const sgms_real *term, sgms_real *block)
  * cost less. */
 static inline int element_line_count(sgms_real speed, sgms_real share, const sgms_real *block)
 {
-    const sgms_real wanted = share * (speed * block[ELEMENT_SUBSTEPS * LANE_STRIDE] +
-        block[ELEMENT_AT_REST * LANE_STRIDE]);
-    const int whole = sgms_index(wanted, MERGED - 1);
-    return wanted > (sgms_real)(MERGED - 1) ? MERGED
-        : 1 + whole - (wanted > 0.0f && (sgms_real)whole == wanted ? 1 : 0);
+    const sgms_real wanted =
+        speed * block[ELEMENT_SUBSTEPS * LANE_STRIDE] + block[ELEMENT_AT_REST * LANE_STRIDE];
+    return 1 + sgms_index(share * wanted, MERGED - 1);
 }
 
 /* How a lane takes a step: Runge-Kutta substeps along its line, CUT, or SAMPLEWISE where that costs
@@ -714,8 +712,10 @@ static void element_take_kinds(const element_batch *batch, int *kind)
         } else {
             element_take_tile(same, nodes, block);
         }
-        for (int k = 0; VECTOR > 1 && k < taken; k++) {
-            copy_column(ELEMENT_ROWS, tile + k, element_item(batch, together[k]));
+        if (VECTOR > 1) {
+            for (int k = 0; k < taken; k++) {
+                copy_column(ELEMENT_ROWS, tile + k, element_item(batch, together[k]));
+            }
         }
     }
 }

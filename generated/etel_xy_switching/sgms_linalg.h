@@ -69,12 +69,12 @@ static SGMS_INLINE void sgms_reflect(
 }
 
 /* Householder reflections that make the first `columns` columns of the rows x width matrix a upper
- * triangular; rows lie `stride` numbers apart. v: `rows` numbers. */
+ * triangular, `rows` columns at most; rows lie `stride` numbers apart. v: `rows` numbers. */
 static inline void sgms_qr(
     sgms_real *SGMS_RESTRICT a, int rows, int stride, int width, int columns,
     sgms_real *SGMS_RESTRICT v)
 {
-    for (int c = 0; c < columns && c < rows; c++) {
+    for (int c = 0; c < columns; c++) {
         sgms_reflect(a + c * stride, a + (c + 1) * stride, rows - c - 1, stride, width, c, v);
     }
 }

@@ -21,8 +21,23 @@ VERSIONS: Final = ("", "-18", "-19", "-20", "-21")
 """Of clang and its tools, as Debian names them; 18 is the first that counts conditions."""
 FLAGS: Final = ("-std=c99", "-O1", "-ffp-contract=off")
 COUNTED: Final = ("-fprofile-instr-generate", "-fcoverage-mapping", "-fcoverage-mcdc")
-LEAST: Final = 0.85
-"""Share of the conditions that has to decide; docs/verification.md has those that do not."""
+
+UNDECIDED: Final[Mapping[tuple[str, str], str]] = {
+    (
+        "!(none == none) && least * SGMS_R(0.5) > SGMS_R(0.0) && whole + down + up == SGMS_EPSILON",
+        "!(none == none)",
+    ): "a NaN is itself in builds alone that assume that there is none; tests/test_package.py has them",
+    (
+        "self->calls.phase == PREPARING && next_cost(self) > 0",
+        "self->calls.phase == PREPARING",
+    ): "a reset comes in between two units of work; tests/test_tasks.py lets it, at every function",
+    (
+        "version % 2u == 0u && version == self->calls.version",
+        "version == self->calls.version",
+    ): "an update comes in while the estimate is read; tests/test_tasks.py lets it, at every function",
+}
+"""Conditions that none sees decide alone, by the code of decision and condition, each with the reason why that is as it
+should be: one that is missing, and one that decides, fails the verification."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +53,7 @@ Conditions = dict[Decision, tuple[bool, ...]]
 
 
 def check_conditions(machines: Sequence[Machine], progress: Callable[[str], None]) -> CheckOutcome:
-    """Count the conditions that decide alone in one of the packages at least; those that do not are progress."""
+    """Check that every condition decides alone in one of the packages at least, or not for a reason."""
     check = "conditions that alone decide (MC/DC)"
     try:
         version = find_version()
@@ -49,11 +64,28 @@ def check_conditions(machines: Sequence[Machine], progress: Callable[[str], None
         merge(found, measure(emit_package(machine), version))
         progress(f"{check}: {machine.name}")
     deciding, count = sum(map(sum, found.values())), sum(map(len, found.values()))
-    for decision, seen in found.items():
-        if not all(seen):
-            progress(f"{check}: {decision.file}: {decision.code}: {[int(alone) for alone in seen]}")
-    tried = f"{deciding} of {count} conditions in {len(found)} decisions of {len(machines)} packages"
-    return CheckOutcome(check, tried, () if deciding >= LEAST * count else (f"fewer than {100 * LEAST:.0f} %",))
+    tried = (
+        f"{deciding} of {count} conditions in {len(found)} decisions of {len(machines)} packages; "
+        f"{count - deciding} not, with a reason each"
+    )
+    return CheckOutcome(check, tried, find_unexplained(found))
+
+
+def find_unexplained(found: Conditions) -> tuple[str, ...]:
+    """Conditions that do not decide and have no reason, and reasons of those that do."""
+    left = {
+        (decision.code, condition): decision.file
+        for decision, seen in found.items()
+        for condition, alone in zip(re.split(r" (?:&&|\|\|) ", decision.code), seen, strict=True)
+        if not alone
+    }
+    missing = [
+        f"{file}: {code}: {condition}" for (code, condition), file in left.items() if (code, condition) not in UNDECIDED
+    ]
+    return (
+        *missing,
+        *(f"decides in a package: {condition}" for code, condition in UNDECIDED if (code, condition) not in left),
+    )
 
 
 def find_version() -> str:

@@ -215,7 +215,7 @@ class _Costs:
     def _merged_rest(self) -> int:
         """Count the work of a block in a step of merged samples, beside its Runge-Kutta steps or samples."""
         slide = self.level + 17 + 4 * self.g.sizes.n_q + self._slide() if self.g.slides else 0
-        return 30 + slide
+        return 27 + slide
 
     def _rate(self, k: int, name: str) -> float:
         """A number of block k's substeps."""

@@ -195,7 +195,7 @@ static SGMS_COLD int sgms_filter_disturbed(
     if (!force_good) {
         *force = m->last[0];
     }
-    if (!position_good || !force_good || m->counts[0] != 3) {
+    if (!position_good || !force_good) { /* where both are, both channels have been seen */
         m->counts[2] = 0;
     } else if (m->counts[2] < chain->settle) {
         m->counts[2] = sgms_place(m->counts[2], chain->settle - 1) + 1;
