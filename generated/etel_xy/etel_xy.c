@@ -1537,6 +1537,7 @@ static SGMS_COLD void start_with(etel_xy_t *self, int p, sgms_real theta, const 
     const sgms_real *const node = self->window.node + newest_slot(self) * STATES;
     sgms_real x[STATES];
     abort_call(self);
+    self->interval.net = 0.0;
     copy(x, node, STATES);
     if (started) {
         sgms_real end[STATES];
