@@ -580,6 +580,23 @@ def test_level_that_leaves_no_model_is_refused(precision: str, package: Any) -> 
     assert p.set_parameter(memory, level, 0.9 * nominal, 0.0) == 0
 
 
+@pytest.mark.parametrize(("precision", "beyond"), [("double", 1e61), ("single", 1e13)])
+def test_a_parameter_without_bounds_is_within_numbers(precision: str, beyond: float, tmp_path: Path) -> None:
+    """One whose square is none was taken by set_parameter() and load(); what is computed with it is no number."""
+    unbounded = {"parameters": ["coulomb"], "bounds": {}}
+    p = Package(settings_of("all", precision, estimator=unbounded), tmp_path)
+    memory, axis, nominal = p.new(), p.new(), p.model.parameters[0].nominal
+    before = memory.raw
+    for value in (beyond, -beyond):
+        assert p.set_parameter(memory, 0, value * nominal, 0.0) == p.refused
+        assert memory.raw == before
+        saved = p.saved(memory)
+        saved.theta[0] = value
+        assert p.load(axis, ctypes.byref(sealed(saved))) == p.refused
+        assert axis.raw == before
+    assert p.set_parameter(memory, 0, 1e3 * nominal, 0.0) == 0
+
+
 # --- over a power cycle ------------------------------------------------------------------------------------------
 
 
@@ -672,6 +689,7 @@ def test_every_flipped_bit_is_refused_and_leaves_a_fresh_axis(package: Any) -> N
         ("no number", {"theta": (1.0, np.nan)}),
         ("an infinite one", {"root": (1.0, np.inf, 1.0)}),
         ("nothing known of one", {"root": (1.0, 0.0, 0.0)}),
+        ("known beyond all numbers", {"root": (1e200, 0.0, 1.0)}),
         ("beyond a bound", {"theta": (1.0, 5.1)}),
         ("no ratio", {"ratio": np.nan}),
         ("no ratio that can be", {"ratio": -1.0}),

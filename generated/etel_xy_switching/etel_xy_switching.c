@@ -1037,6 +1037,16 @@ static int all_finite(const sgms_real *values, int count)
     return sum == 0.0;
 }
 
+/* True if the squares of scaled parameters are finite. */
+static int are_moderate(const sgms_real *theta, int count)
+{
+    int good = 0;
+    for (int p = 0; p < count; p++) {
+        good += sgms_fabs(theta[p]) <= 1.0 / LEAST_SIZE ? 1 : 0;
+    }
+    return good == count;
+}
+
 /* True if a state is a number, and one that an axis can have. */
 static int is_plausible(const sgms_real *x)
 {
@@ -1137,7 +1147,7 @@ static int update(etel_xy_switching_t *self)
     expand(self->sweep.factor, theta, x);
     sgms_variances(self->sweep.factor + STATES * FACTOR_WIDTH + STATES, PARAMETERS, FACTOR_WIDTH,
         variance, scratch);
-    numeric = (is_plausible(x) ? 0 : 1) + (all_finite(theta, PARAMETERS) ? 0 : 2) +
+    numeric = (is_plausible(x) ? 0 : 1) + (are_moderate(theta, PARAMETERS) ? 0 : 2) +
         (all_finite(variance, PARAMETERS) ? 0 : 4);
     if (numeric == 0) {
         friction = output_at(self, x, theta);
@@ -1632,7 +1642,7 @@ SGMS_COLD int etel_xy_switching_set_parameter(etel_xy_switching_t *self, int par
     parameters_si(nominal, si);
     theta = 1.0 + (value - si[parameter]) / parameter_unit[parameter];
     sd = deviation / sgms_fabs(parameter_unit[parameter]);
-    if (!(sd == 0.0 || (sd >= HELD_SD && is_size(sd))) || !all_finite(&theta, 1)) {
+    if (!(sd == 0.0 || (sd >= HELD_SD && is_size(sd))) || !are_moderate(&theta, 1)) {
         return ETEL_XY_SWITCHING_REFUSED;
     }
     { /* one that came from an estimate at its bound may be beyond by rounding */
@@ -1684,7 +1694,7 @@ static SGMS_COLD int is_whole(const etel_xy_switching_t *self,
         saved->format == ETEL_XY_SWITCHING_SAVED_FORMAT && saved->checksum == checksum_of(saved);
     good = good && saved->machine[0] == ETEL_XY_SWITCHING_SAVED_MACHINE_0 &&
         saved->machine[1] == ETEL_XY_SWITCHING_SAVED_MACHINE_1;
-    good = good && all_finite(saved->theta, PARAMETERS) &&
+    good = good && are_moderate(saved->theta, PARAMETERS) &&
         all_finite(saved->root, ETEL_XY_SWITCHING_ROOT_SIZE);
     good = good && is_model(saved->theta);
     good = good && all_finite(variance, PARAMETERS) && saved->ratio >= 0.0 &&
@@ -1707,6 +1717,9 @@ SGMS_COLD int etel_xy_switching_load(
         return ETEL_XY_SWITCHING_REFUSED;
     }
     widen_root(self, square, variance, saved->spread, self->settings.pause);
+    if (!all_finite(square, PARAMETERS * ROOT_WIDTH)) {
+        return ETEL_XY_SWITCHING_REFUSED;
+    }
     copy(self->parameters.theta, saved->theta, PARAMETERS);
     copy(self->estimate.theta, saved->theta, PARAMETERS);
     pack_root(square, self->estimate.root);
