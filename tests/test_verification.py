@@ -83,7 +83,12 @@ def test_random_calls_find_nothing(name: str, require_tool: Tool, tmp_path: Path
     ("ending", "before", "after", "said"),
     [
         (".c", "fill(self->chain.lowpass, 0.0f, SGMS_FILTER_STATES);", "", "what was before is still there|no number"),
-        (".c", "self->interval.lost = 0;\n    state_status", "state_status", "good data are not taken|still there"),
+        (
+            ".c",
+            "self->interval.lost = 0;\n    self->interval.net",
+            "self->interval.net",
+            "good data are not taken|still there",
+        ),
         ("_compensation.h", "force = sgms_fmin(sgms_fmax(force, -LIMIT), LIMIT);", "", "a force beyond its limit"),
         (  # an interrupt that resets the axis inside of a sample
             ".c",

@@ -172,7 +172,7 @@ FAULTS: Final = (
         "self->settings.parameter[p]",
     ),
     Fault(
-        "number that is none set", C, "!(sd == 0.0 || (sd >= HELD_SD && is_size(sd))) || !all_finite(&theta, 1)", "0"
+        "number that is none set", C, "!(sd == 0.0 || (sd >= HELD_SD && is_size(sd))) || !are_moderate(&theta, 1)", "0"
     ),
     Fault(
         "parameter beyond its bounds set", C, "if (theta < lower - HELD_SD || theta > upper + HELD_SD) {", "if (0) {"

@@ -795,7 +795,7 @@ static int shift_window(toy_t *self, int *status)
     if (is_full && walks(&self->settings)) { /* otherwise nothing sets them back */
         self->sweep.shifts = sgms_place(self->sweep.shifts, DRIFT_INTERVAL - 1) + 1;
         self->sweep.pending_drift = sgms_place(self->sweep.pending_drift, DRIFT_INTERVAL - 1) +
-            (self->interval.moves[next] != 0);
+            (self->interval.moves[next] != 0u ? 1 : 0);
     }
     if (!is_full) {
         self->sweep.complete = older_intervals(self) + 1;
