@@ -248,17 +248,21 @@ def test_simulink_s_scope_is_read(shape: tuple[int, ...], tmp_path: Path) -> Non
     assert found.position_m == pytest.approx(log.position_m) and found.force_N == pytest.approx(log.force_N)
 
 
-def test_a_damaged_struct_array_is_refused_and_never_trips(tmp_path: Path) -> None:
-    savemat(tmp_path / "rec.mat", {"rec": rasters([motion(14, 100.0)], ("ActPos", "Force"), ("mm", "N"))})
-    whole = (tmp_path / "rec.mat").read_bytes()
-    rng = np.random.default_rng(1)
-    for _ in range(300):
-        content = bytearray(whole)
+def read_damaged(whole: Path, copies: int, seed: int) -> None:
+    """Read copies of a MAT file with bytes changed and the end cut off; anything but InputError is raised."""
+    rng, bad = np.random.default_rng(seed), whole.with_name("bad.mat")
+    for _ in range(copies):
+        content = bytearray(whole.read_bytes())
         for at in rng.integers(128, len(content), 3):
             content[at] = rng.integers(256)
-        (tmp_path / "bad.mat").write_bytes(bytes(content[: rng.integers(129, len(content))]))
+        bad.write_bytes(bytes(content[: rng.integers(129, len(content))]))
         with contextlib.suppress(InputError):
-            read_log(tmp_path / "bad.mat")
+            read_log(bad)
+
+
+def test_a_damaged_struct_array_is_refused_and_never_trips(tmp_path: Path) -> None:
+    savemat(tmp_path / "rec.mat", {"rec": rasters([motion(14, 100.0)], ("ActPos", "Force"), ("mm", "N"))})
+    read_damaged(tmp_path / "rec.mat", 300, 1)
 
 
 def test_any_damaged_length_in_a_struct_array_is_refused(tmp_path: Path) -> None:
@@ -338,14 +342,7 @@ def test_simulink_s_scope_of_version_7_3_is_read(tmp_path: Path) -> None:
 def test_a_damaged_file_of_version_7_3_is_refused_and_never_trips(tmp_path: Path) -> None:
     log = motion(23, 100.0, 1.0)
     save_v73(tmp_path / "rec.mat", {"ScopeData": {"time": log.time_s, "signals": [{"values": log.force_N}]}}, True)
-    whole, rng = (tmp_path / "rec.mat").read_bytes(), np.random.default_rng(2)
-    for _ in range(100):
-        content = bytearray(whole)
-        for at in rng.integers(128, len(content), 3):
-            content[at] = rng.integers(256)
-        (tmp_path / "bad.mat").write_bytes(bytes(content[: rng.integers(129, len(content))]))
-        with contextlib.suppress(InputError):
-            read_log(tmp_path / "bad.mat")
+    read_damaged(tmp_path / "rec.mat", 100, 2)
 
 
 # --- a clock in another file ------------------------------------------------------------------------------------

@@ -93,7 +93,7 @@ def search_origin(machine: Machine, log: Log, least: float, most: float) -> Orig
     shortest, period = min(pitches, default=0.0), max(pitches, default=0.0)
     probe = (shortest or min(most - least, search.travel)) / A_PERIOD
     if search.is_same(probe) and search.is_same(math.pi * probe):
-        return _undetermined(f"no force of {machine.name} tells the origin along this motion")
+        return _leave_open(f"no force of {machine.name} tells the origin along this motion")
     repeats = most - least >= period > 0.0 and search.is_same(period)
     if repeats:
         middle = min(max(0.0, least + 0.5 * period), most - 0.5 * period)
@@ -103,7 +103,7 @@ def search_origin(machine: Machine, log: Log, least: float, most: float) -> Orig
         raise InputError(machine.name, "within", "none", allowed)
     tried = search.try_origins(least, most, shortest, repeats=repeats)
     if tried is None:
-        return _undetermined(f"its forces change too fast over place for {MOST} origins within that range")
+        return _leave_open(f"its forces change too fast over place for {MOST} origins within that range")
     return _judge(search, tried, period if repeats else None)
 
 
@@ -252,18 +252,18 @@ def _judge(search: _OriginSearch, tried: _Tried, period: float | None) -> Origin
     rests = {origin: search.rest(origin) for origin in refined}
     best = min(rests, key=lambda origin: float(rests[origin] @ rests[origin]))
     if not lower > 0.0:
-        return _undetermined("knowing the place gains nothing on held-out blocks of this motion", gain)
+        return _leave_open("knowing the place gains nothing on held-out blocks of this motion", gain)
     others = _equals(search, tried, rests, best)
     if others:
         named = ", ".join(f"{origin:.6g}" for origin in others[:3])
-        return _undetermined(f"other origins fit as well: {named} beside {best:.6g}", gain, (best, *others))
+        return _leave_open(f"other origins fit as well: {named} beside {best:.6g}", gain, (best, *others))
     if not tried.repeats and not tried.origins[1] <= best <= tried.origins[-2]:
-        return _undetermined("the best one is at the end of the range that was tried", gain)
+        return _leave_open("the best one is at the end of the range that was tried", gain)
     found, deviation = _settle(search, best, tried.step)
     return Origin(found, deviation, period, (found,), gain, "")
 
 
-def _undetermined(reason: str, gain: float = 0.0, candidates: tuple[float, ...] = ()) -> Origin:
+def _leave_open(reason: str, gain: float = 0.0, candidates: tuple[float, ...] = ()) -> Origin:
     return Origin(None, None, None, candidates, gain, reason)
 
 

@@ -11,12 +11,12 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from sgms_mhe.logfiles.mat73 import VALUES, HdfVariable, hdf_variables
+from sgms_mhe.logfiles.mat73 import DEEPEST, HdfVariable, describe_values, hdf_variables
 from sgms_mhe.logfiles.table import Array, Column, Table, array_row, damage_error
 from sgms_mhe.support.errors import InputError
 from sgms_mhe.support.libraries import optional_library
@@ -29,7 +29,6 @@ _COMPLEX = 0x0800
 _HEADER = 128
 _PEEK = 4096  # bytes of a variable that hold its flags, dimensions and name
 _CHANNEL = re.compile(r"(?P<root>.*\.)?(?P<own>(?:signals|Y)(?:\(\d+\))?)\.(?P<field>\w+)")
-_DEEPEST = 16  # structs within structs
 _V5, _V73 = 0x0100, 0x0200
 _HDF5 = b"\x89HDF\r\n\x1a\n"  # begins a file of v7.3 that other programs wrote, without MATLAB's header
 _WHOLE = "a whole MAT file, its columns arrays of real numbers"
@@ -158,7 +157,7 @@ def _members(matrix: memoryview, order: str, path: str, depth: int) -> dict[str,
     """Numeric members of a struct, and of those inside it; of an array of structs those of path(1), path(2), ..."""
     elements = _elements(matrix, order)
     _, shape, _ = _description(elements, order)
-    if depth > _DEEPEST:
+    if depth > DEEPEST:
         return {}
     try:
         (_, width), (_, names) = next(elements), next(elements)
@@ -191,11 +190,7 @@ def _fields(members: Mapping[str, tuple[int, memoryview]], order: str, path: str
             found[name] = MatVariable(name, _description(_elements(body, order), order)[1], order, False, body)
         elif own == _CHAR:
             texts[field.casefold()] = _text(body, order)
-    for field in VALUES & members.keys():
-        if (name := f"{path}.{field}") in found:
-            label = next((texts[key] for key in ("name", "label", "title") if texts.get(key)), "")
-            found[name] = replace(found[name], label=label, unit=texts.get("unit", texts.get("units", "")))
-    return found
+    return describe_values(found, path, texts)
 
 
 def _text(matrix: memoryview, order: str) -> str:

@@ -8,16 +8,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final, Protocol, TypeVar
 
 import numpy as np
 
 from sgms_mhe.logfiles.hdf5 import stated_unit
 from sgms_mhe.logfiles.table import Array, real
 
-VALUES: Final = frozenset(("Data", "data", "values", "Values"))
+VALUES: Final = ("Data", "data", "values", "Values")
 """Fields of a channel that hold its samples, where a name and a unit may stand beside them."""
-_DEEPEST: Final = 16
+DEEPEST: Final = 16
 """Structs within structs."""
 _MOST: Final = 100_000
 """Variables of a file: references may lead in a circle."""
@@ -49,6 +49,27 @@ class HdfVariable:
             return real(self.path, self.name, content[self.place][()].T)
 
 
+class _Described(Protocol):
+    """A data class of variables with the label and the unit that the file states beside them."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def unit(self) -> str: ...
+
+
+Variable = TypeVar("Variable", bound=_Described)
+
+
+def describe_values(found: dict[str, Variable], path: str, texts: Mapping[str, str]) -> dict[str, Variable]:
+    """The members `found` of the struct `path`, its values with the label and the unit among its texts."""
+    label = next((texts[key] for key in ("name", "label", "title") if texts.get(key)), "")
+    for name in found.keys() & {f"{path}.{field}" for field in VALUES}:
+        unit = texts.get("unit", texts.get("units", found[name].unit))
+        found[name] = replace(found[name], label=label, unit=unit)
+    return found
+
+
 def hdf_variables(path: Path, h5py: Any) -> dict[str, HdfVariable]:
     """The variables of a file by name; raises as h5py does, and ValueError, where it is damaged."""
     with h5py.File(path, "r") as content:
@@ -65,7 +86,7 @@ class _Walk:
 
     def struct(self, group: Any, path: str, depth: int) -> dict[str, HdfVariable]:
         """Members of a struct by their paths; of an array of structs those of path(1), path(2), ..."""
-        if depth > _DEEPEST:
+        if depth > DEEPEST:
             return {}
         fields = {key: group[key] for key in group}
         if not fields or not all(map(self._is_referring, fields.values())):
@@ -96,12 +117,7 @@ class _Walk:
                 found[name] = HdfVariable(
                     name, node.shape[::-1], self.path, node.name, self.h5py, unit=stated_unit(node)
                 )
-        for field in VALUES & fields.keys():
-            if (name := f"{path}.{field}") in found:
-                label = next((texts[key] for key in ("name", "label", "title") if texts.get(key)), "")
-                unit = texts.get("unit", texts.get("units", found[name].unit))
-                found[name] = replace(found[name], label=label, unit=unit)
-        return found
+        return describe_values(found, path, texts)
 
     def _is_referring(self, node: Any) -> bool:
         """Return True for the field of a struct array; a cell array refers too, and says so."""
