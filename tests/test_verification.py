@@ -68,6 +68,9 @@ def test_random_machines_are_many_and_repeat() -> None:
     assert max(len(m.friction.stiffness) for m in found) >= 7
     assert max(m.estimator.horizon for m in found) > 30
     assert len({e.name for m in found for e in m.effects}) >= 3
+    disturbances = [m.estimator.disturbance for m in found]
+    assert {d.inertia > 0.0 for d in disturbances} == {d.force > 0.0 for d in disturbances} == {True, False}
+    assert any(d.force > 0.0 and d.length is not None for d in disturbances)
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ def _log_uniform(random: Generator, low: float, high: float) -> float:
 def _changes(random: Generator, base: Machine) -> dict[str, Any]:
     law = str(random.choice(["sgms", "sgms", "switching"]))
     effects = _effects(random, base)
-    return {
+    changes: dict[str, Any] = {
         "name": "fuzzed",
         "friction": _friction(random, law),
         "sampling": _sampling(random, law),
@@ -49,6 +49,8 @@ def _changes(random: Generator, base: Machine) -> dict[str, Any]:
         "code": {"precision": str(random.choice(["double", "single"]))},
         "effects": effects,
     }
+    changes["estimator"]["disturbance"] = _disturbance(random)  # last: the rest is as without it
+    return changes
 
 
 def _friction(random: Generator, law: str) -> dict[str, Any]:
@@ -136,3 +138,14 @@ def _compensation(random: Generator) -> dict[str, Any]:
         "ramp": float(random.choice([0.01, 1.0])),
     }
     return {key: value for key, value in chosen.items() if random.random() < 0.5}
+
+
+def _disturbance(random: Generator) -> dict[str, float]:
+    """Errors that the estimator takes out: of each key its default, more often than not."""
+    drawn = {
+        "mass": _log_uniform(random, 1e-3, 1.0),
+        "gain": _log_uniform(random, 1e-3, 1.0),
+        "force": _log_uniform(random, 0.01, 50.0),
+        "length": _log_uniform(random, 1e-6, 0.1),
+    }
+    return {key: value for key, value in drawn.items() if random.random() < 0.3}
