@@ -25,7 +25,7 @@ static inline sgms_real sgms_floor(sgms_real x)
  * one of its entries. */
 static inline sgms_real sgms_entry(const sgms_real *table, int last, sgms_real place)
 {
-    return table[place > SGMS_R(0.0) ? (place < (sgms_real)last ? (int)place : last) : 0];
+    return table[sgms_index(place, last)];
 }
 
 #endif

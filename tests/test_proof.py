@@ -49,6 +49,25 @@ def test_origin_does_not_either(require_tool: Tool) -> None:
     assert check_proof([specimen("signals")], silent, ("SET", "INSERT")).failures == ()
 
 
+@pytest.mark.slow
+def test_tables_looked_up_by_position_are_not_left_either(require_tool: Tool) -> None:
+    """By any place and any travel, of which each has a table; nothing but the one alarm of all packages is left."""
+    require_tool("frama-c")
+    package = emit_package(specimen("tables"), selftest=False)
+    assert all(f"sgms_entry(table_{k}, " in package.files["specimen_tables_model.h"] for k in (1, 2))
+    outcome = check_proof([specimen("tables")], silent)
+    assert outcome.failures == () and outcome.tried.endswith(f"{len(ALARMS)} alarms left, with a reason each")
+
+
+def test_table_entry_out_of_range_is_found(require_tool: Tool) -> None:
+    require_tool("frama-c")
+    package = emit_package(specimen("tables"), selftest=False)
+    header = package.files["sgms_table.h"].replace("sgms_index(place, last)", "(int)place")
+    spoilt = replace(package, files={**package.files, "sgms_table.h": header})
+    found = [alarm for alarm in analyse_call(spoilt, "SAMPLE") if alarm not in ALARMS]
+    assert any(alarm.function == "sgms_entry" for alarm in found)
+
+
 @pytest.mark.parametrize(
     ("good", "bad", "call", "said"),
     [

@@ -49,6 +49,11 @@ GAPS: Final[tuple[Gap, ...]] = (
     Gap("sgms_exp", r"SGMS_EXP_HIGHEST", GUARD),
     Gap("take_colour", r"block\[2\] > 0\.0", GUARD),
     Gap("start_sweep|workload_of", r"self->linearisation\.slot < SLOTS", DAMAGED),
+    Gap(
+        "output_force",
+        r"\(sgms_real\)\(a\d+ <= 0\.0\)",
+        "travel since a reversal is within its grid: no state is below it",
+    ),
     Gap("take_signals", r"self->input\.elapsed < INT64_MAX", "a counter that ends after millions of years"),
 )
 """All of them: one that is missing, and one that no package has any more, fails the verification."""

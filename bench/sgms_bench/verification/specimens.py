@@ -56,6 +56,22 @@ SPECIMENS: Final[Mapping[str, Mapping[str, Any]]] = {
         ],
         **SINGLE,
     },
+    "tables": {
+        "effects": [
+            {"name": "position_map", "pitch_m": 0.004, "order": [1, 2], "sine_N": [0.5, 0.1], "cosine_N": [0.2, -0.3]},
+            {
+                "name": "learned_residual",
+                "place_cells": 2,
+                "place_low_m": 0.0,
+                "place_high_m": 0.01,
+                "travel_cells": 1,
+                "travel_length_m": 1e-3,
+                "force_N": [0.05 * (k % 5) for k in range(20)],
+            },
+        ],
+        **SINGLE,
+        **COMPENSATED,
+    },
     "switching": {"friction": {"law": "switching"}, **SINGLE, **COMPENSATED},
     "switching_merged": {"friction": {"law": "switching"}, **_merge(4, estimator=BELIEVING)},
     "switching_levels": {
